@@ -1,0 +1,123 @@
+//! Writes an accessor for every array of mjModel and mjData, from MuJoCo's own list of them, so that none is
+//! forgotten and every length is the one that MuJoCo allocates.
+
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::{env, fs};
+
+/// Arrays that a caller may not write although they hold numbers: MuJoCo uses their values as indices.
+const INDEX_IN_DISGUISE: &[&str] = &["wrap_prm"];
+
+/// The comment behind a field's declaration in MuJoCo's headers, which is its documentation there.
+fn comment(headers: &str, name: &str) -> String {
+    let declaration = format!("{name};");
+    headers
+        .lines()
+        .find(|line| {
+            line.trim_start().split_once('*').is_some_and(|(_, rest)| rest.trim_start().starts_with(&declaration))
+        })
+        .and_then(|line| line.split_once("//"))
+        .map(|(_, text)| {
+            let text = text.rsplit_once('(').map_or(text, |(text, _)| text).trim().trim_end_matches([';', ':']);
+            let mut escaped = String::with_capacity(text.len());
+            for letter in text.chars() {
+                if matches!(letter, '[' | ']' | '<' | '>' | '*' | '_' | '`') {
+                    escaped.push('\\');
+                }
+                escaped.push(letter);
+            }
+            escaped
+        })
+        .filter(|text| !text.is_empty())
+        .unwrap_or_else(|| String::from("see MuJoCo's reference"))
+}
+
+/// A size in the macro's terms (`nq`, `mjNREF`, `nmocap*3`, `6`) as a Rust expression of usize, or text for people.
+fn size(expression: &str) -> String {
+    expression
+        .split('*')
+        .map(|factor| {
+            if factor.parse::<usize>().is_ok() {
+                factor.to_string()
+            } else if factor.starts_with("mj") {
+                format!("mujoco_sys::{factor} as usize")
+            } else {
+                format!("model.{factor} as usize")
+            }
+        })
+        .map(|factor| format!("({factor})"))
+        .collect::<Vec<_>>()
+        .join(" * ")
+}
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-env-changed=DEP_MUJOCO_RPATH");
+    if let Ok(rpath) = env::var("DEP_MUJOCO_RPATH") {
+        println!("cargo::rustc-link-arg=-Wl,-rpath,{rpath}");
+        println!("cargo::metadata=RPATH={rpath}");
+    }
+
+    let listing = PathBuf::from(env::var_os("DEP_MUJOCO_FIELDS").expect("mujoco-sys names its list of fields"));
+    let include = PathBuf::from(env::var_os("DEP_MUJOCO_INCLUDE").expect("mujoco-sys names the header directory"));
+    println!("cargo::rerun-if-changed={}", listing.display());
+    let listing = fs::read_to_string(listing).expect("the list of fields is readable");
+    let header =
+        |name: &str| fs::read_to_string(include.join("mujoco").join(name)).expect("MuJoCo's headers are readable");
+    let (model_header, data_header) = (header("mjmodel.h"), header("mjdata.h"));
+
+    let (mut model, mut model_mut, mut data, mut sizes) = (String::new(), String::new(), String::new(), String::new());
+    for line in listing.lines() {
+        let [owner, kind, name, rows, columns] = line.split('|').collect::<Vec<_>>()[..] else {
+            panic!("not a field: {line}");
+        };
+        if owner == "size" {
+            let _ = writeln!(
+                sizes,
+                "    /// `{name}` of mjModel.\n    #[inline]\n    pub fn {name}(&self) -> usize {{ self.raw().{name} as usize }}"
+            );
+            continue;
+        }
+        let element = match kind {
+            "mjtNum" => "f64",
+            "float" => "f32",
+            "int" => "i32",
+            "mjtByte" => "u8",
+            "char" => "std::ffi::c_char",
+            "mjContact" => "mujoco_sys::mjContact",
+            other => panic!("element type {other} of {name} is not known"),
+        };
+        // contacts have an accessor of their own that ends at the last one
+        if element.starts_with("mujoco_sys") {
+            continue;
+        }
+        let headers = if owner == "model" { &model_header } else { &data_header };
+        let text = comment(headers, name);
+        let shape = if columns == "1" { rows.to_string() } else { format!("{rows} × {columns}") };
+        let length = format!("{} * ({})", size(rows), size(columns));
+        let writable = matches!(element, "f64" | "f32") && !INDEX_IN_DISGUISE.contains(&name);
+        let (reader, writer) = if owner == "model" { (&mut model, Some(&mut model_mut)) } else { (&mut data, None) };
+        let bind = if owner == "model" { "let model = self.raw();" } else { "let model = self.model().raw();" };
+        let _ = writeln!(
+            reader,
+            "    /// `{name}`, {shape}: {text}.\n    #[inline]\n    pub fn {name}(&self) -> &[{element}] {{\n        {bind}\n        \
+             // SAFETY: MuJoCo allocated this many elements here for as long as self lives.\n        \
+             unsafe {{ view(self.raw().{name}, {length}) }}\n    }}"
+        );
+        if writable {
+            let _ = writeln!(
+                writer.unwrap_or(reader),
+                "    /// `{name}` to be written, {shape}: {text}.\n    #[inline]\n    pub fn {name}_mut(&mut self) -> &mut [{element}] {{\n        {bind}\n        \
+                 // SAFETY: as above, and self is borrowed mutably.\n        \
+                 unsafe {{ view_mut(self.raw().{name}, {length}) }}\n    }}"
+            );
+        }
+    }
+
+    let text = format!(
+        "/// Sizes.\nimpl Model {{\n{sizes}}}\n\n/// Arrays, row by row.\nimpl Model {{\n{model}}}\n\n\
+         /// Arrays of numbers, row by row.\nimpl ModelMut<'_> {{\n{model_mut}}}\n\n/// Arrays, row by row.\nimpl Data {{\n{data}}}\n"
+    );
+    let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
+    fs::write(out.join("arrays.rs"), text).expect("OUT_DIR is writable");
+}

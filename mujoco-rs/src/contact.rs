@@ -1,0 +1,43 @@
+use crate::id::{GeomId, ObjectId};
+
+/// One contact that collision detection found in the last step or forward pass.
+#[derive(Clone, Copy)]
+pub struct Contact<'a>(pub(crate) &'a mujoco_sys::mjContact);
+
+impl Contact<'_> {
+    /// The two geoms, in MuJoCo's order.
+    pub fn geoms(&self) -> [GeomId; 2] {
+        [GeomId::new(self.0.geom1 as usize), GeomId::new(self.0.geom2 as usize)]
+    }
+
+    /// Distance between the nearest points, m; negative where the geoms penetrate.
+    pub fn distance(&self) -> f64 {
+        self.0.dist
+    }
+
+    /// The point half way between the two nearest ones, world frame, m.
+    pub fn position(&self) -> [f64; 3] {
+        self.0.pos
+    }
+
+    /// Unit normal from the first geom to the second, world frame.
+    pub fn normal(&self) -> [f64; 3] {
+        [self.0.frame[0], self.0.frame[1], self.0.frame[2]]
+    }
+
+    /// Whether the solver treats it as a contact: false where it is only inside the geoms' margin.
+    pub fn is_active(&self) -> bool {
+        self.0.exclude == 0
+    }
+}
+
+impl std::fmt::Debug for Contact<'_> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Contact")
+            .field("geoms", &self.geoms())
+            .field("distance", &self.distance())
+            .field("position", &self.position())
+            .field("normal", &self.normal())
+            .finish()
+    }
+}

@@ -1,0 +1,300 @@
+use std::fmt;
+use std::ptr::{self, NonNull};
+use std::sync::Arc;
+
+use crate::contact::Contact;
+use crate::error::{DivergedQuantity, Divergence, Error};
+use crate::id::{GeomId, ObjectId};
+use crate::model::Model;
+use crate::runtime::{check_library, guarded};
+
+/// One simulation of a [`Model`].
+pub struct Data {
+    pointer: NonNull<mujoco_sys::mjData>,
+    model: Arc<Model>,
+    /// Set by an error that left MuJoCo's stack as it was; only a reset clears it.
+    broken: Option<Error>,
+}
+
+// SAFETY: an mjData is plain memory without thread affinity, owned by this value alone.
+unsafe impl Send for Data {}
+
+/// MuJoCo's warnings (`mjtWarning`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum WarningKind {
+    /// The inertia matrix is nearly singular.
+    Inertia,
+    /// There were more contacts than `nconmax`; some were dropped.
+    ContactFull,
+    /// There were more constraints than `njmax`; some were dropped.
+    ConstraintFull,
+    /// A visual buffer was too small.
+    VisualFull,
+    /// A position was not finite or too large, and the simulation was reset.
+    BadPosition,
+    /// A velocity was not finite or too large, and the simulation was reset.
+    BadVelocity,
+    /// An acceleration was not finite or too large, and the simulation was reset.
+    BadAcceleration,
+    /// A control was not finite, and all were set to zero.
+    BadControl,
+}
+
+impl WarningKind {
+    fn index(self) -> usize {
+        use mujoco_sys::mjtWarning_ as warning;
+        (match self {
+            Self::Inertia => warning::mjWARN_INERTIA,
+            Self::ContactFull => warning::mjWARN_CONTACTFULL,
+            Self::ConstraintFull => warning::mjWARN_CNSTRFULL,
+            Self::VisualFull => warning::mjWARN_VGEOMFULL,
+            Self::BadPosition => warning::mjWARN_BADQPOS,
+            Self::BadVelocity => warning::mjWARN_BADQVEL,
+            Self::BadAcceleration => warning::mjWARN_BADQACC,
+            Self::BadControl => warning::mjWARN_BADCTRL,
+        }) as usize
+    }
+}
+
+/// How often a warning was raised since the last reset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct WarningStat {
+    /// How often.
+    pub count: usize,
+    /// What MuJoCo noted at the last one: an index for the `Bad…` warnings, a size for the `…Full` ones.
+    pub last_info: i32,
+}
+
+impl Data {
+    /// A simulation in the model's initial state.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] where MuJoCo cannot allocate it.
+    pub fn new(model: impl Into<Arc<Model>>) -> Result<Self, Error> {
+        check_library()?;
+        let model = model.into();
+        let mut pointer = ptr::null_mut();
+        // SAFETY: reads a valid model and writes the pointer of a new mjData, initialised and zeroed.
+        guarded("mj_makeData", unsafe { mujoco_sys::mjshim_make_data(model.as_ptr(), &mut pointer) })?;
+        let pointer = NonNull::new(pointer)
+            .ok_or_else(|| Error::Raised { call: "mj_makeData", message: "no memory for the simulation".into() })?;
+        Ok(Self { pointer, model, broken: None })
+    }
+
+    /// The model that is simulated.
+    #[inline]
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The model, to be shared with another simulation.
+    pub fn shared_model(&self) -> Arc<Model> {
+        Arc::clone(&self.model)
+    }
+
+    /// Advances by one time step.
+    ///
+    /// # Errors
+    /// [`Error::Diverged`] where the state left the range of numbers: MuJoCo has then put the simulation back to the
+    /// model's initial state. [`Error::Raised`] with MuJoCo's message for its other errors: the simulation must be
+    /// [reset](Self::reset).
+    pub fn step(&mut self) -> Result<(), Error> {
+        self.usable()?;
+        let time = self.raw().time;
+        // SAFETY: model and data belong together and are valid; no Rust frame lies under the shim's guard.
+        let status = unsafe { mujoco_sys::mjshim_step(self.model.as_ptr(), self.pointer.as_ptr()) };
+        if status != 0 {
+            return Err(self.fault("mj_step"));
+        }
+        self.divergence(time)
+    }
+
+    /// Computes everything that follows from the state, up to the accelerations, without advancing time.
+    ///
+    /// # Errors
+    /// As for [`step`](Self::step), but nothing is put back: bad numbers show in the results.
+    pub fn forward(&mut self) -> Result<(), Error> {
+        self.usable()?;
+        // SAFETY: as for `step`.
+        let status = unsafe { mujoco_sys::mjshim_forward(self.model.as_ptr(), self.pointer.as_ptr()) };
+        if status != 0 { Err(self.fault("mj_forward")) } else { Ok(()) }
+    }
+
+    /// Computes where bodies, geoms, sites, cameras and lights are, and nothing else.
+    ///
+    /// # Errors
+    /// As for [`forward`](Self::forward).
+    pub fn kinematics(&mut self) -> Result<(), Error> {
+        self.usable()?;
+        // SAFETY: as for `step`.
+        let status = unsafe { mujoco_sys::mjshim_kinematics(self.model.as_ptr(), self.pointer.as_ptr()) };
+        if status != 0 { Err(self.fault("mj_kinematics")) } else { Ok(()) }
+    }
+
+    /// Back to the model's initial state, time 0, no warnings, no applied forces.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] with MuJoCo's message.
+    pub fn reset(&mut self) -> Result<(), Error> {
+        // SAFETY: as for `step`; a reset also empties MuJoCo's stack.
+        let status = unsafe { mujoco_sys::mjshim_reset(self.model.as_ptr(), self.pointer.as_ptr()) };
+        guarded("mj_resetData", status)?;
+        self.broken = None;
+        Ok(())
+    }
+
+    /// Simulated time, s.
+    #[inline]
+    pub fn time(&self) -> f64 {
+        self.raw().time
+    }
+
+    /// Sets the simulated time, s.
+    pub fn set_time(&mut self, time: f64) {
+        self.raw_mut().time = time;
+    }
+
+    /// Contacts found in the last step or forward pass.
+    pub fn contacts(&self) -> impl ExactSizeIterator<Item = Contact<'_>> {
+        let raw = self.raw();
+        let found = usize::try_from(raw.ncon).unwrap_or(0).min(self.model.nconmax());
+        let contacts: &[mujoco_sys::mjContact] = if found == 0 {
+            &[]
+        } else {
+            // SAFETY: MuJoCo allocated nconmax contacts and filled the first ncon of them.
+            unsafe { std::slice::from_raw_parts(raw.contact, found) }
+        };
+        contacts.iter().map(Contact)
+    }
+
+    /// How often a warning was raised since the last reset.
+    pub fn warning(&self, kind: WarningKind) -> WarningStat {
+        let stat = &self.raw().warning[kind.index()];
+        WarningStat { count: usize::try_from(stat.number).unwrap_or(0), last_info: stat.lastinfo }
+    }
+
+    /// Largest use so far of MuJoCo's stack, in numbers, against the model's `nstack`.
+    pub fn max_stack_used(&self) -> usize {
+        usize::try_from(self.raw().maxuse_stack).unwrap_or(0)
+    }
+
+    /// Largest number of contacts so far, against the model's `nconmax`.
+    pub fn max_contacts_used(&self) -> usize {
+        usize::try_from(self.raw().maxuse_con).unwrap_or(0)
+    }
+
+    /// Largest number of scalar constraints so far, against the model's `njmax`.
+    pub fn max_constraints_used(&self) -> usize {
+        usize::try_from(self.raw().maxuse_efc).unwrap_or(0)
+    }
+
+    /// Bytes that this simulation's buffers take.
+    pub fn bytes(&self) -> usize {
+        let raw = self.raw();
+        usize::try_from(raw.nbuffer).unwrap_or(0) + usize::try_from(raw.nstack).unwrap_or(0) * size_of::<f64>()
+    }
+
+    /// The first geom that a ray hits and its distance in lengths of `direction`, by MuJoCo's `mj_ray`.
+    ///
+    /// `origin` and `direction` are in the world frame; `groups` says which of the six geom groups are seen, and
+    /// geoms of body `exclude` are not. `None` where the ray meets nothing.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] with MuJoCo's message, [`Error::Value`] for a direction of length zero or numbers that are
+    /// not finite.
+    pub fn ray(
+        &self,
+        origin: [f64; 3],
+        direction: [f64; 3],
+        groups: [bool; 6],
+        exclude: Option<crate::BodyId>,
+    ) -> Result<Option<(GeomId, f64)>, Error> {
+        if let Some(&got) = origin.iter().chain(&direction).find(|value| !value.is_finite()) {
+            return Err(Error::Value { what: "a ray's coordinate", got, expected: "a finite number" });
+        }
+        if direction.iter().all(|&value| value.abs() < 1e-12) {
+            return Err(Error::Value { what: "a ray's length", got: 0.0, expected: "a direction" });
+        }
+        let groups = groups.map(u8::from);
+        let mut geom = -1;
+        let mut distance = -1.0;
+        let exclude = exclude.map_or(-1, |body| body.index() as i32);
+        // SAFETY: model and data belong together; `mj_ray` reads them and writes the two results.
+        let status = unsafe {
+            mujoco_sys::mjshim_ray(
+                self.model.as_ptr(),
+                self.pointer.as_ptr(),
+                origin.as_ptr(),
+                direction.as_ptr(),
+                groups.as_ptr(),
+                1,
+                exclude,
+                &mut geom,
+                &mut distance,
+            )
+        };
+        guarded("mj_ray", status)?;
+        Ok(usize::try_from(geom).ok().map(|geom| (GeomId::new(geom), distance)))
+    }
+
+    fn usable(&self) -> Result<(), Error> {
+        match &self.broken {
+            None => Ok(()),
+            Some(error) => Err(error.clone()),
+        }
+    }
+
+    #[cold]
+    fn fault(&mut self, call: &'static str) -> Error {
+        let error = match guarded(call, 1) {
+            Err(error) => error,
+            Ok(()) => Error::Raised { call, message: String::new() },
+        };
+        self.broken = Some(error.clone());
+        error
+    }
+
+    /// MuJoCo resets a diverged simulation by itself and only counts a warning.
+    #[inline]
+    fn divergence(&mut self, time: f64) -> Result<(), Error> {
+        let kinds = [
+            (WarningKind::BadPosition, DivergedQuantity::Position),
+            (WarningKind::BadVelocity, DivergedQuantity::Velocity),
+            (WarningKind::BadAcceleration, DivergedQuantity::Acceleration),
+        ];
+        for (kind, quantity) in kinds {
+            let stat = &mut self.raw_mut().warning[kind.index()];
+            if stat.number > 0 {
+                stat.number = 0;
+                let index = usize::try_from(stat.lastinfo).unwrap_or(0);
+                return Err(Error::Diverged(Divergence { quantity, index, time }));
+            }
+        }
+        Ok(())
+    }
+
+    #[inline]
+    pub(crate) fn raw(&self) -> &mujoco_sys::mjData {
+        // SAFETY: valid from construction to drop.
+        unsafe { self.pointer.as_ref() }
+    }
+
+    #[inline]
+    fn raw_mut(&mut self) -> &mut mujoco_sys::mjData {
+        // SAFETY: as above, and borrowed mutably.
+        unsafe { self.pointer.as_mut() }
+    }
+}
+
+impl Drop for Data {
+    fn drop(&mut self) {
+        // SAFETY: allocated by MuJoCo, freed once.
+        unsafe { mujoco_sys::mj_deleteData(self.pointer.as_ptr()) };
+    }
+}
+
+impl fmt::Debug for Data {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Data").field("time", &self.time()).field("model", &self.model).finish_non_exhaustive()
+    }
+}

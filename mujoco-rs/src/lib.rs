@@ -1,0 +1,48 @@
+//! Safe models and simulations of MuJoCo 2.2.
+//!
+//! A [`Model`] is compiled once from MJCF text and shared between threads; a [`Data`] holds one simulation of it.
+//! Every array of `mjModel` and `mjData` is a slice of the right length, whatever MuJoCo reports as an error is an
+//! [`Error`] that carries its own message, and no public type of this crate exposes a pointer.
+//!
+//! ```
+//! use mujoco_rs::{BodyId, Data, Model};
+//!
+//! let model = Model::from_xml(
+//!     "<mujoco><worldbody><body name='ball' pos='0 0 1'><freejoint/><geom size='.1'/></body></worldbody></mujoco>",
+//! )?;
+//! let ball: BodyId = model.find("ball")?;
+//! let mut data = Data::new(model)?;
+//! while data.time() < 0.1 {
+//!     data.step()?;
+//! }
+//! let height = data.xpos()[3 * ball.index() + 2];
+//! assert!(height < 1.0);
+//! # Ok::<(), mujoco_rs::Error>(())
+//! ```
+//!
+//! This crate is the only one of the workspace that holds unsafe code; it knows nothing of drones.
+#![allow(unsafe_code)]
+
+mod arrays;
+mod contact;
+mod data;
+mod error;
+mod id;
+mod model;
+mod runtime;
+
+pub use contact::Contact;
+pub use data::{Data, WarningKind, WarningStat};
+pub use error::{DivergedQuantity, Divergence, Error};
+pub use id::{
+    ActuatorId, BodyId, CameraId, GeomId, JointId, LightId, MaterialId, MeshId, ObjectId, ObjectKind, SensorId, SiteId,
+    TextureId,
+};
+pub use model::{Assets, Integrator, Model, ModelMut};
+pub use runtime::{HEADER_VERSION, check_library, library_version};
+
+#[doc(hidden)]
+pub mod testing {
+    //! For this crate's own tests.
+    pub use crate::runtime::raise;
+}

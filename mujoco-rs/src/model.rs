@@ -1,0 +1,388 @@
+use std::ffi::{CStr, CString, c_char};
+use std::fmt;
+use std::path::Path;
+use std::ptr::{self, NonNull};
+
+use crate::error::Error;
+use crate::id::{ObjectId, ObjectKind};
+use crate::runtime::{check_library, guarded};
+
+/// A compiled scene.
+///
+/// Sizes and structure never change after compilation; numbers may be patched through [`ModelMut`]. It is immutable
+/// while shared, so threads may step their own [`Data`](crate::Data) of one model at the same time.
+pub struct Model {
+    pointer: NonNull<mujoco_sys::mjModel>,
+}
+
+// SAFETY: an mjModel is plain memory without thread affinity, and MuJoCo reads it only through `const mjModel*`;
+// nothing writes it through a shared reference.
+unsafe impl Send for Model {}
+// SAFETY: as above.
+unsafe impl Sync for Model {}
+
+/// Files that a scene refers to, kept in memory.
+#[derive(Debug, Clone, Default)]
+pub struct Assets {
+    files: Vec<(String, Vec<u8>)>,
+}
+
+impl Assets {
+    /// No files.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds a file under the name that the scene uses for it (without directories).
+    #[must_use]
+    pub fn with(mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Self {
+        self.insert(name, bytes);
+        self
+    }
+
+    /// Adds a file under the name that the scene uses for it (without directories).
+    pub fn insert(&mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) {
+        self.files.push((name.into(), bytes.into()));
+    }
+
+    /// How many files there are.
+    pub fn len(&self) -> usize {
+        self.files.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.files.is_empty()
+    }
+}
+
+/// MuJoCo's virtual file system: fixed slots for file names and pointers to copies of their content.
+struct FileSystem(Box<mujoco_sys::mjVFS>);
+
+impl FileSystem {
+    fn new() -> Self {
+        let mut vfs: Box<std::mem::MaybeUninit<mujoco_sys::mjVFS>> = Box::new_zeroed();
+        // SAFETY: a structure of integers and pointers for which all zeros is a value; the call makes it an empty one.
+        unsafe {
+            mujoco_sys::mj_defaultVFS(vfs.as_mut_ptr());
+            Self(vfs.assume_init())
+        }
+    }
+
+    fn add(&mut self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+        let refuse = |reason: String| Error::Asset { name: name.to_string(), reason };
+        let slots = mujoco_sys::mjMAXVFS;
+        let longest = mujoco_sys::mjMAXVFSNAME as usize - 1;
+        if name.is_empty() || name.len() > longest {
+            return Err(refuse(format!("the name has {} bytes, expected 1 to {longest}", name.len())));
+        }
+        if name.contains(['/', '\\']) {
+            return Err(refuse("the name holds a directory, expected a bare file name".into()));
+        }
+        let c_name = CString::new(name).map_err(|_| Error::Nul { what: "asset name" })?;
+        let Ok(size) = i32::try_from(bytes.len()) else {
+            return Err(refuse(format!("{} bytes, expected less than 2 GiB", bytes.len())));
+        };
+        if size == 0 {
+            return Err(refuse("the file is empty".into()));
+        }
+        // SAFETY: a valid VFS and a terminated name; the call allocates `size` bytes in the slot it fills.
+        let status = unsafe { mujoco_sys::mj_makeEmptyFileVFS(&mut *self.0, c_name.as_ptr(), size) };
+        match status {
+            0 => {}
+            1 => return Err(refuse(format!("more than {slots} files"))),
+            2 => return Err(refuse("a file of that name is there already".into())),
+            other => return Err(refuse(format!("MuJoCo's file system answered {other}"))),
+        }
+        // SAFETY: as above.
+        let slot = unsafe { mujoco_sys::mj_findFileVFS(&*self.0, c_name.as_ptr()) };
+        let target = usize::try_from(slot).ok().and_then(|slot| self.0.filedata.get(slot)).copied();
+        match target {
+            Some(target) if !target.is_null() => {
+                // SAFETY: the slot holds `size` bytes of MuJoCo's own, apart from ours.
+                unsafe { ptr::copy_nonoverlapping(bytes.as_ptr(), target.cast::<u8>(), bytes.len()) };
+                Ok(())
+            }
+            _ => Err(refuse("MuJoCo's file system lost it".into())),
+        }
+    }
+}
+
+impl Drop for FileSystem {
+    fn drop(&mut self) {
+        // SAFETY: frees the copies that `add` made, once.
+        unsafe { mujoco_sys::mj_deleteVFS(&mut *self.0) };
+    }
+}
+
+/// The name under which text in memory is compiled; messages show `scene` instead.
+const TEXT_NAME: &str = "__scene__.xml";
+
+impl Model {
+    /// Compiles a scene from MJCF text.
+    ///
+    /// # Errors
+    /// [`Error::Load`] with MuJoCo's message.
+    pub fn from_xml(xml: &str) -> Result<Self, Error> {
+        Self::from_xml_with_assets(xml, &Assets::new())
+    }
+
+    /// Compiles a scene from MJCF text that refers to files in memory; files that are not there are read from disk.
+    ///
+    /// # Errors
+    /// [`Error::Asset`] where a file cannot be taken, [`Error::Load`] with MuJoCo's message.
+    pub fn from_xml_with_assets(xml: &str, assets: &Assets) -> Result<Self, Error> {
+        check_library()?;
+        if xml.trim().is_empty() {
+            return Err(Error::Load { source_name: "scene".into(), message: "the text is empty".into() });
+        }
+        let mut files = FileSystem::new();
+        for (name, bytes) in &assets.files {
+            files.add(name, bytes)?;
+        }
+        files.add(TEXT_NAME, xml.as_bytes())?;
+        Self::load(TEXT_NAME, Some(&files), "scene")
+    }
+
+    /// Compiles a scene from an MJCF (or URDF) file; what it refers to is found relative to it.
+    ///
+    /// # Errors
+    /// [`Error::Load`] with the path and MuJoCo's message.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Self, Error> {
+        check_library()?;
+        let path = path.as_ref();
+        let shown = path.display().to_string();
+        if let Err(error) = std::fs::metadata(path) {
+            return Err(Error::Load { source_name: shown, message: error.to_string() });
+        }
+        let Some(name) = path.to_str() else {
+            return Err(Error::Load { source_name: shown, message: "the path is not UTF-8".into() });
+        };
+        Self::load(name, None, &shown)
+    }
+
+    fn load(name: &str, files: Option<&FileSystem>, shown: &str) -> Result<Self, Error> {
+        let c_name = CString::new(name).map_err(|_| Error::Nul { what: "path" })?;
+        let mut message = [0 as c_char; 1000];
+        // SAFETY: terminated strings, a VFS or null, a buffer of the size stated. The parser and the compiler report
+        // through the buffer and catch the errors of the engine beneath them; they take MuJoCo's own lock.
+        let pointer = unsafe {
+            mujoco_sys::mj_loadXML(
+                c_name.as_ptr(),
+                files.map_or(ptr::null(), |files| &*files.0),
+                message.as_mut_ptr(),
+                message.len() as i32,
+            )
+        };
+        let last = message.len() - 1;
+        message[last] = 0;
+        // SAFETY: terminated just above at the latest.
+        let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
+        let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        match NonNull::new(pointer) {
+            Some(pointer) => {
+                if !text.is_empty() {
+                    tracing::warn!(target: "mujoco", "{shown}: {text}");
+                }
+                Ok(Self { pointer })
+            }
+            None => {
+                let message = if text.is_empty() { "MuJoCo gives no reason".into() } else { text };
+                Err(Error::Load { source_name: shown.to_string(), message })
+            }
+        }
+    }
+
+    /// A copy with memory of its own.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] where MuJoCo cannot allocate it.
+    pub fn try_clone(&self) -> Result<Self, Error> {
+        let mut copy = ptr::null_mut();
+        // SAFETY: reads a valid model and writes the pointer of a new one.
+        guarded("mj_copyModel", unsafe { mujoco_sys::mjshim_copy_model(self.pointer.as_ptr(), &mut copy) })?;
+        let pointer = NonNull::new(copy)
+            .ok_or_else(|| Error::Raised { call: "mj_copyModel", message: "no memory for the copy".into() })?;
+        Ok(Self { pointer })
+    }
+
+    /// Access to the numbers of the model.
+    pub fn patch(&mut self) -> ModelMut<'_> {
+        ModelMut { model: self }
+    }
+
+    /// The object of that name.
+    ///
+    /// # Errors
+    /// [`Error::UnknownName`] if there is none.
+    pub fn find<I: ObjectId>(&self, name: &str) -> Result<I, Error> {
+        let unknown = || Error::UnknownName { kind: I::KIND, name: name.to_string() };
+        let c_name = CString::new(name).map_err(|_| unknown())?;
+        if name.is_empty() {
+            // MuJoCo gives the first object without a name
+            return Err(unknown());
+        }
+        // SAFETY: reads the model's table of names.
+        let index = unsafe { mujoco_sys::mj_name2id(self.pointer.as_ptr(), I::KIND.code() as i32, c_name.as_ptr()) };
+        usize::try_from(index).map(I::new).map_err(|_| unknown())
+    }
+
+    /// The name of an object; `None` where it has none or is not of this model.
+    pub fn name<I: ObjectId>(&self, id: I) -> Option<&str> {
+        let index = i32::try_from(id.get()).ok()?;
+        // SAFETY: MuJoCo checks the index against the number of objects.
+        let name = unsafe { mujoco_sys::mj_id2name(self.pointer.as_ptr(), I::KIND.code() as i32, index) };
+        if name.is_null() {
+            return None;
+        }
+        // SAFETY: points into the model's own table of terminated names.
+        unsafe { CStr::from_ptr(name) }.to_str().ok()
+    }
+
+    /// How many objects of a kind there are.
+    pub fn count(&self, kind: ObjectKind) -> usize {
+        match kind {
+            ObjectKind::Body => self.nbody(),
+            ObjectKind::Joint => self.njnt(),
+            ObjectKind::Geom => self.ngeom(),
+            ObjectKind::Site => self.nsite(),
+            ObjectKind::Camera => self.ncam(),
+            ObjectKind::Light => self.nlight(),
+            ObjectKind::Mesh => self.nmesh(),
+            ObjectKind::Texture => self.ntex(),
+            ObjectKind::Material => self.nmat(),
+            ObjectKind::Actuator => self.nu(),
+            ObjectKind::Sensor => self.nsensor(),
+        }
+    }
+
+    /// Length of a step, s.
+    pub fn timestep(&self) -> f64 {
+        self.raw().opt.timestep
+    }
+
+    /// Acceleration of gravity, world frame, m/s².
+    pub fn gravity(&self) -> [f64; 3] {
+        self.raw().opt.gravity
+    }
+
+    /// Density of the medium, kg/m³; 0 where there is none.
+    pub fn density(&self) -> f64 {
+        self.raw().opt.density
+    }
+
+    /// Viscosity of the medium, Pa·s; 0 where there is none.
+    pub fn viscosity(&self) -> f64 {
+        self.raw().opt.viscosity
+    }
+
+    /// The integrator.
+    pub fn integrator(&self) -> Option<Integrator> {
+        [Integrator::Euler, Integrator::Rk4, Integrator::Implicit]
+            .into_iter()
+            .find(|integrator| integrator.code() as i32 == self.raw().opt.integrator)
+    }
+
+    #[inline]
+    pub(crate) fn raw(&self) -> &mujoco_sys::mjModel {
+        // SAFETY: valid from construction to drop; written only through a mutable reference.
+        unsafe { self.pointer.as_ref() }
+    }
+
+    #[inline]
+    pub(crate) fn as_ptr(&self) -> *const mujoco_sys::mjModel {
+        self.pointer.as_ptr()
+    }
+}
+
+impl Drop for Model {
+    fn drop(&mut self) {
+        // SAFETY: allocated by MuJoCo, freed once.
+        unsafe { mujoco_sys::mj_deleteModel(self.pointer.as_ptr()) };
+    }
+}
+
+impl fmt::Debug for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Model")
+            .field("nbody", &self.nbody())
+            .field("nq", &self.nq())
+            .field("nv", &self.nv())
+            .field("ngeom", &self.ngeom())
+            .finish_non_exhaustive()
+    }
+}
+
+/// MuJoCo's integrators.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Integrator {
+    /// Semi-implicit Euler.
+    Euler,
+    /// Fourth-order Runge-Kutta.
+    Rk4,
+    /// Implicit in velocity.
+    Implicit,
+}
+
+impl Integrator {
+    fn code(self) -> u32 {
+        match self {
+            Self::Euler => mujoco_sys::mjtIntegrator_::mjINT_EULER,
+            Self::Rk4 => mujoco_sys::mjtIntegrator_::mjINT_RK4,
+            Self::Implicit => mujoco_sys::mjtIntegrator_::mjINT_IMPLICIT,
+        }
+    }
+}
+
+/// The numbers of a model to be written; its structure cannot change.
+///
+/// MuJoCo derives some numbers from others when it compiles (`body_subtreemass`, `dof_M0`, `body_invweight0`, …):
+/// whoever patches a mass writes those as well.
+pub struct ModelMut<'a> {
+    model: &'a mut Model,
+}
+
+impl ModelMut<'_> {
+    #[inline]
+    pub(crate) fn raw(&self) -> &mujoco_sys::mjModel {
+        self.model.raw()
+    }
+
+    fn options(&mut self) -> &mut mujoco_sys::mjOption {
+        // SAFETY: the model is borrowed mutably.
+        unsafe { &mut self.model.pointer.as_mut().opt }
+    }
+
+    /// Sets the length of a step, s.
+    ///
+    /// # Errors
+    /// [`Error::Value`] unless positive and finite.
+    pub fn set_timestep(&mut self, timestep: f64) -> Result<(), Error> {
+        if !(timestep.is_finite() && timestep > 0.0) {
+            return Err(Error::Value {
+                what: "the time step",
+                got: timestep,
+                expected: "a positive number of seconds",
+            });
+        }
+        self.options().timestep = timestep;
+        Ok(())
+    }
+
+    /// Sets the acceleration of gravity, world frame, m/s².
+    ///
+    /// # Errors
+    /// [`Error::Value`] unless finite.
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) -> Result<(), Error> {
+        if let Some(&got) = gravity.iter().find(|value| !value.is_finite()) {
+            return Err(Error::Value { what: "gravity", got, expected: "a finite number of m/s²" });
+        }
+        self.options().gravity = gravity;
+        Ok(())
+    }
+
+    /// Sets the integrator.
+    pub fn set_integrator(&mut self, integrator: Integrator) {
+        self.options().integrator = integrator.code() as i32;
+    }
+}

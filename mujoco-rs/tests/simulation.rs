@@ -1,0 +1,152 @@
+//! Stepping, diverging, sharing, and MuJoCo's own errors.
+
+use std::process::Command;
+use std::sync::Arc;
+
+use mujoco_rs::{BodyId, Data, DivergedQuantity, Error, GeomId, Model, WarningKind};
+
+const BALL: &str = r#"<mujoco><option timestep="0.002" integrator="RK4"/>
+  <worldbody><geom name="floor" type="plane" size="5 5 1"/>
+  <body name="ball" pos="0 0 2"><freejoint/><geom name="ball" size=".1" mass="1"/></body></worldbody></mujoco>"#;
+
+#[test]
+fn a_ball_falls_as_the_closed_form_says_and_comes_to_rest_on_the_floor() {
+    let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
+    for _ in 0..250 {
+        data.step().unwrap();
+    }
+    let t = data.time();
+    assert!((t - 0.5).abs() < 1e-12);
+    assert!((data.qpos()[2] - (2.0 - 0.5 * 9.81 * t * t)).abs() < 1e-12);
+    assert_eq!(data.contacts().len(), 0);
+    for _ in 0..2500 {
+        data.step().unwrap();
+    }
+    let contact = data.contacts().next().unwrap();
+    let floor: GeomId = data.model().find("floor").unwrap();
+    assert!(contact.geoms().contains(&floor) && contact.is_active());
+    assert!((contact.normal()[2].abs() - 1.0).abs() < 1e-12);
+    assert!(contact.position()[2].abs() < 0.01 && contact.distance().abs() < 0.01);
+    assert!(data.qvel()[2].abs() < 1e-3);
+    assert_eq!(data.warning(WarningKind::ContactFull).count, 0);
+}
+
+#[test]
+fn a_force_written_to_xfrc_applied_accelerates_the_body() {
+    let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
+    let ball: BodyId = data.model().find("ball").unwrap();
+    data.xfrc_applied_mut()[6 * ball.index()] = 3.0;
+    data.forward().unwrap();
+    assert!((data.qacc()[0] - 3.0).abs() < 1e-12 && (data.qacc()[2] + 9.81).abs() < 1e-12);
+    data.reset().unwrap();
+    assert_eq!((data.xfrc_applied()[6], data.time()), (0.0, 0.0));
+}
+
+#[test]
+fn a_diverging_simulation_is_an_error_that_says_what_and_when() {
+    let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
+    for _ in 0..10 {
+        data.step().unwrap();
+    }
+    for (bad, quantity) in [(f64::NAN, DivergedQuantity::Position), (1e200, DivergedQuantity::Position)] {
+        let time = data.time();
+        data.qpos_mut()[1] = bad;
+        match data.step().unwrap_err() {
+            Error::Diverged(divergence) => {
+                assert_eq!((divergence.quantity, divergence.index, divergence.time), (quantity, 1, time));
+            }
+            other => panic!("{other}"),
+        }
+        data.step().expect("MuJoCo has put the state back");
+    }
+    data.qvel_mut()[4] = f64::INFINITY;
+    assert!(matches!(data.step(), Err(Error::Diverged(d)) if d.quantity == DivergedQuantity::Velocity && d.index == 4));
+    data.xfrc_applied_mut()[6] = f64::NAN;
+    let error = data.step().unwrap_err();
+    assert!(matches!(error, Error::Diverged(d) if d.quantity == DivergedQuantity::Acceleration), "{error}");
+    assert!(error.to_string().contains("diverged at t = "));
+}
+
+#[test]
+fn a_stack_too_small_is_an_error_and_a_reset_mends_it() {
+    // enough for free flight, too little for the contact solver
+    let xml = BALL.replace("<worldbody>", "<size nstack='250' njmax='40' nconmax='10'/><worldbody>");
+    let mut data = Data::new(Model::from_xml(&xml).unwrap()).unwrap();
+    let error = loop {
+        match data.step() {
+            Ok(()) => assert!(data.time() < 5.0, "the stack was large enough: {}", data.max_stack_used()),
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(&error, Error::Raised { call: "mj_step", message } if message.contains("stack")), "{error}");
+    assert_eq!(data.step().unwrap_err(), error, "unusable until it is reset");
+    assert_eq!(data.forward().unwrap_err(), error);
+    data.reset().unwrap();
+    data.step().unwrap();
+    assert!(data.time() > 0.0);
+}
+
+#[test]
+fn a_guarded_error_is_a_rust_error_with_its_message() {
+    let error = mujoco_rs::testing::raise("raised on purpose", true).unwrap_err();
+    assert_eq!(error, Error::Raised { call: "mju_error", message: "raised on purpose".into() });
+}
+
+/// Where Rust or C++ frames may lie in between, nothing can be jumped over: the process ends at once, with the
+/// message, and without waiting for a key.
+#[test]
+fn an_unguarded_error_ends_the_process_with_its_message() {
+    const CHILD: &str = "MUJOCO_RS_TEST_RAISE";
+    if std::env::var_os(CHILD).is_some() {
+        let _ = mujoco_rs::testing::raise("raised on purpose", false);
+        unreachable!("mju_error returned");
+    }
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "an_unguarded_error_ends_the_process_with_its_message", "--nocapture"])
+        .env(CHILD, "1")
+        .output()
+        .unwrap();
+    assert!(!output.status.success());
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(text.contains("mujoco: fatal error: raised on purpose"), "{text}");
+    assert!(!String::from_utf8_lossy(&output.stdout).contains("Press Enter"));
+}
+
+#[test]
+fn two_threads_step_one_shared_model_to_the_same_bits() {
+    let model = Arc::new(Model::from_xml(BALL).unwrap());
+    let fly = |model: Arc<Model>| {
+        let mut data = Data::new(model).unwrap();
+        data.qvel_mut().copy_from_slice(&[0.3, -0.2, 1.0, 4.0, -5.0, 6.0]);
+        for _ in 0..2000 {
+            data.step().unwrap();
+        }
+        data.qpos().iter().map(|x| x.to_bits()).collect::<Vec<_>>()
+    };
+    let alone = fly(Arc::clone(&model));
+    let threads: Vec<_> = (0..4)
+        .map(|_| {
+            let model = Arc::clone(&model);
+            std::thread::spawn(move || fly(model))
+        })
+        .collect();
+    for thread in threads {
+        assert_eq!(thread.join().unwrap(), alone);
+    }
+}
+
+#[test]
+fn rays_hit_what_is_in_their_way() {
+    let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
+    data.forward().unwrap();
+    let (ball, floor): (GeomId, GeomId) = (data.model().find("ball").unwrap(), data.model().find("floor").unwrap());
+    let body: BodyId = data.model().find("ball").unwrap();
+    let down = |exclude| data.ray([0.0, 0.0, 5.0], [0.0, 0.0, -1.0], [true; 6], exclude).unwrap();
+    let (hit, distance) = down(None).unwrap();
+    assert!(hit == ball && (distance - 2.9).abs() < 1e-12);
+    let (hit, distance) = down(Some(body)).unwrap();
+    assert!(hit == floor && (distance - 5.0).abs() < 1e-12);
+    assert_eq!(data.ray([0.0, 0.0, 5.0], [0.0, 0.0, 1.0], [true; 6], None).unwrap(), None);
+    assert!(data.ray([0.0; 3], [0.0; 3], [true; 6], None).is_err());
+    assert!(data.ray([f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], [true; 6], None).is_err());
+}

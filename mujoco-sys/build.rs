@@ -1,0 +1,233 @@
+//! Finds MuJoCo 2.2, binds its headers, builds the error shim, and reads MuJoCo's own list of array fields.
+//!
+//! For dependants (`links = "mujoco"`): `DEP_MUJOCO_FIELDS` is a file with one line `struct|type|name|rows|columns`
+//! per array of mjModel and mjData, `DEP_MUJOCO_INCLUDE` the headers' directory, `DEP_MUJOCO_RPATH` the library's directory where the loader does not know it.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::exit;
+use std::{env, fs};
+
+const MEND: &str = "run `./setup`, or `apt-get install libmujoco-dev libclang-dev` on Debian 12, or set MUJOCO_DIR to an unpacked MuJoCo 2.2 release";
+
+/// Ends the build with one line.
+fn fail(message: &str) -> ! {
+    println!("cargo::error={message}");
+    exit(1);
+}
+
+struct Mujoco {
+    include: PathBuf,
+    library: PathBuf,
+    on_system_path: bool,
+}
+
+fn find() -> Mujoco {
+    println!("cargo::rerun-if-env-changed=MUJOCO_DIR");
+    let (includes, libraries, on_system_path) = match env::var_os("MUJOCO_DIR") {
+        Some(dir) if !dir.is_empty() => {
+            let dir = PathBuf::from(dir);
+            let dir = dir.canonicalize().unwrap_or_else(|error| {
+                fail(&format!("MUJOCO_DIR is {} which cannot be read ({error}): unset it, or {MEND}", dir.display()))
+            });
+            (vec![dir.join("include")], vec![dir.join("lib")], false)
+        }
+        _ => {
+            let arch = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();
+            (
+                vec!["/usr/include".into(), "/usr/local/include".into()],
+                vec![
+                    format!("/usr/lib/{arch}-linux-gnu").into(),
+                    "/usr/lib64".into(),
+                    "/usr/lib".into(),
+                    "/usr/local/lib".into(),
+                ],
+                true,
+            )
+        }
+    };
+    let Some(include) = includes.iter().find(|dir| dir.join("mujoco/mujoco.h").is_file()) else {
+        fail(&format!("no mujoco/mujoco.h in {}: {MEND}", list(&includes)));
+    };
+    let Some(library) = libraries.iter().find(|dir| dir.join("libmujoco.so").is_file()) else {
+        fail(&format!("no libmujoco.so in {}: {MEND}", list(&libraries)));
+    };
+    Mujoco { include: include.clone(), library: library.clone(), on_system_path }
+}
+
+fn list(dirs: &[PathBuf]) -> String {
+    dirs.iter().map(|dir| dir.display().to_string()).collect::<Vec<_>>().join(", ")
+}
+
+/// The bindings, the shim and the accessors are written against 2.2; structures differ in every other minor version.
+fn check_version(mujoco: &Mujoco) {
+    let header = mujoco.include.join("mujoco/mujoco.h");
+    let text = fs::read_to_string(&header)
+        .unwrap_or_else(|error| fail(&format!("{} cannot be read ({error}): {MEND}", header.display())));
+    let version = text
+        .lines()
+        .find_map(|line| line.trim().strip_prefix("#define mjVERSION_HEADER"))
+        .and_then(|rest| rest.trim().parse::<u32>().ok());
+    match version {
+        Some(220..=229) => {}
+        Some(other) => {
+            let (major, minor) =
+                if other < 1000 { (other / 100, other / 10 % 10) } else { (other / 1_000_000, other / 1000 % 1000) };
+            fail(&format!("{} is of MuJoCo {major}.{minor}, 2.2 is needed: {MEND}", header.display()))
+        }
+        None => fail(&format!("{} does not say its version (mjVERSION_HEADER): {MEND}", header.display())),
+    }
+
+    // the shared object's name stands in its dynamic string table: reading it needs no tool and runs nothing
+    let library = mujoco.library.join("libmujoco.so");
+    let bytes = fs::read(&library)
+        .unwrap_or_else(|error| fail(&format!("{} cannot be read ({error}): {MEND}", library.display())));
+    let soname = b"libmujoco.so.2.2.";
+    if !bytes.windows(soname.len()).any(|window| window == soname) {
+        fail(&format!("{} is not a MuJoCo 2.2 library: {MEND}", library.display()));
+    }
+    println!("cargo::rerun-if-changed={}", header.display());
+    println!("cargo::rerun-if-changed={}", library.display());
+}
+
+fn bind(mujoco: &Mujoco, out: &Path) {
+    let include = format!("-I{}", mujoco.include.display());
+    let build = || {
+        bindgen::Builder::default()
+            .header("shim/shim.h")
+            .clang_arg(&include)
+            .allowlist_item("mj.*|MJ.*|_mj.*")
+            .default_enum_style(bindgen::EnumVariation::ModuleConsts)
+            .derive_default(false)
+            .layout_tests(true)
+            .generate_comments(false)
+            .generate()
+    };
+    // a missing libclang is a panic of the loader inside bindgen; its text is no use to the person at the build
+    std::panic::set_hook(Box::new(|_| {}));
+    let result = std::panic::catch_unwind(build);
+    let _ = std::panic::take_hook();
+    let bindings = match result {
+        Ok(Ok(bindings)) => bindings,
+        Ok(Err(error)) => {
+            let error = error.to_string().replace('\n', "; ");
+            fail(&format!("bindgen could not read MuJoCo's headers in {} ({error}): {MEND}", mujoco.include.display()))
+        }
+        Err(_) => fail(&format!("libclang, which reads MuJoCo's headers, was not found: {MEND}")),
+    };
+    let path = out.join("bindings.rs");
+    bindings.write_to_file(&path).unwrap_or_else(|error| fail(&format!("{}: {error}", path.display())));
+}
+
+struct Field {
+    owner: String,
+    kind: String,
+    name: String,
+    rows: String,
+    columns: String,
+}
+
+/// MuJoCo's array fields, from the macros its own code is written with.
+fn fields(mujoco: &Mujoco) -> Vec<Field> {
+    let expanded = cc::Build::new()
+        .file("shim/fields.c")
+        .flag("-P") // no line markers between the records
+        .include(&mujoco.include)
+        .try_expand()
+        .unwrap_or_else(|error| {
+            fail(&format!(
+                "no C compiler for MuJoCo's headers ({error}): run `./setup`, or `apt-get install gcc libc6-dev`"
+            ))
+        });
+    let expanded = String::from_utf8_lossy(&expanded);
+    let fields: Vec<Field> = expanded
+        .split("@@")
+        .filter_map(|record| {
+            let parts: Vec<_> = record.split('|').map(|part| part.trim().replace(' ', "")).collect();
+            let [owner, kind, name, rows, columns] = <[String; 5]>::try_from(parts).ok()?;
+            Some(Field { owner, kind, name, rows, columns })
+        })
+        .collect();
+    if fields.len() < 300 {
+        fail(&format!("mjxmacro.h in {} lists only {} fields: {MEND}", mujoco.include.display(), fields.len()));
+    }
+    fields
+}
+
+/// The same table twice, for the C compiler and for Rust; a test compares them entry by entry.
+fn layout(fields: &[Field], out: &Path) {
+    let mut c = String::new();
+    let mut rust = String::from("const RUST_LAYOUT: &[(&str, usize)] = &[\n");
+    for name in [
+        "mjModel",
+        "mjData",
+        "mjOption",
+        "mjVisual",
+        "mjStatistic",
+        "mjContact",
+        "mjVFS",
+        "mjvScene",
+        "mjvOption",
+        "mjvCamera",
+        "mjvGeom",
+        "mjvLight",
+        "mjvGLCamera",
+        "mjvPerturb",
+        "mjrContext",
+        "mjrRect",
+        "mjWarningStat",
+        "mjTimerStat",
+        "mjSolverStat",
+    ] {
+        let _ = writeln!(c, "sizeof({name}),");
+        let _ = writeln!(rust, "(\"sizeof {name}\", std::mem::size_of::<super::{name}>()),");
+    }
+    for field in fields {
+        let owner = if field.owner == "data" { "mjData" } else { "mjModel" };
+        let name = &field.name;
+        let _ = writeln!(c, "__builtin_offsetof({owner}, {name}),");
+        let _ = writeln!(rust, "(\"{owner}.{name}\", std::mem::offset_of!(super::{owner}, {name})),");
+    }
+    rust.push_str("];\n");
+    write(&out.join("layout.inc"), &c);
+    write(&out.join("layout.rs"), &rust);
+}
+
+fn write(path: &Path, text: &str) {
+    fs::write(path, text).unwrap_or_else(|error| fail(&format!("{}: {error}", path.display())));
+}
+
+fn main() {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-changed=shim");
+    let mujoco = find();
+    check_version(&mujoco);
+    let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_else(|| fail("OUT_DIR is not set")));
+
+    let fields = fields(&mujoco);
+    layout(&fields, &out);
+    let listing: String =
+        fields.iter().map(|f| format!("{}|{}|{}|{}|{}\n", f.owner, f.kind, f.name, f.rows, f.columns)).collect();
+    write(&out.join("fields.txt"), &listing);
+    println!("cargo::metadata=FIELDS={}", out.join("fields.txt").display());
+    println!("cargo::metadata=INCLUDE={}", mujoco.include.display());
+
+    bind(&mujoco, &out);
+    if let Err(error) = cc::Build::new()
+        .file("shim/shim.c")
+        .include(&mujoco.include)
+        .include(&out)
+        .std("c11")
+        .warnings_into_errors(true)
+        .try_compile("mjshim")
+    {
+        fail(&format!("the C shim did not compile ({error}): run `./setup`, or `apt-get install gcc libc6-dev`"));
+    }
+
+    println!("cargo::rustc-link-search=native={}", mujoco.library.display());
+    println!("cargo::rustc-link-lib=dylib=mujoco");
+    if !mujoco.on_system_path {
+        println!("cargo::rustc-link-arg=-Wl,-rpath,{}", mujoco.library.display());
+        println!("cargo::metadata=RPATH={}", mujoco.library.display());
+    }
+}

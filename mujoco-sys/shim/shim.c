@@ -1,0 +1,102 @@
+#include "shim.h"
+
+#include <setjmp.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+// innermost guarded call of this thread, NULL outside of one
+static _Thread_local jmp_buf* guard = NULL;
+static _Thread_local char last_error[1000] = "";
+
+static void on_error(const char* message) {
+  snprintf(last_error, sizeof(last_error), "%s", message ? message : "unknown error");
+
+  // inside a guarded call: back to it; only MuJoCo's C frames lie between
+  if (guard) {
+    longjmp(*guard, 1);
+  }
+
+  // elsewhere there may be Rust or C++ frames in between, which must not be jumped over
+  fprintf(stderr, "mujoco: fatal error: %s\n", last_error);
+  fflush(stderr);
+  abort();
+}
+
+void mjshim_install(mjshim_warning_fn warning) {
+  mju_user_error = on_error;
+  mju_user_warning = warning;
+}
+
+const char* mjshim_last_error(void) {
+  return last_error;
+}
+
+// runs CALL under a guard of its own and returns whether it raised an error
+#define GUARDED(CALL)                    \
+  jmp_buf here;                          \
+  jmp_buf* const outer = guard;          \
+  if (setjmp(here)) {                    \
+    guard = outer;                       \
+    return 1;                            \
+  }                                      \
+  guard = &here;                         \
+  CALL;                                  \
+  guard = outer;                         \
+  return 0;
+
+int mjshim_step(const mjModel* m, mjData* d) {
+  GUARDED(mj_step(m, d))
+}
+
+int mjshim_forward(const mjModel* m, mjData* d) {
+  GUARDED(mj_forward(m, d))
+}
+
+// positions, cameras and lights only: what drawing needs
+static void kinematics(const mjModel* m, mjData* d) {
+  mj_kinematics(m, d);
+  mj_comPos(m, d);
+  mj_camlight(m, d);
+}
+
+int mjshim_kinematics(const mjModel* m, mjData* d) {
+  GUARDED(kinematics(m, d))
+}
+
+int mjshim_reset(const mjModel* m, mjData* d) {
+  GUARDED(mj_resetData(m, d))
+}
+
+int mjshim_make_data(const mjModel* m, mjData** out) {
+  GUARDED(*out = mj_makeData(m))
+}
+
+int mjshim_copy_model(const mjModel* src, mjModel** out) {
+  GUARDED(*out = mj_copyModel(NULL, src))
+}
+
+int mjshim_ray(const mjModel* m, const mjData* d, const mjtNum* pnt, const mjtNum* vec, const mjtByte* geomgroup,
+               mjtByte flg_static, int bodyexclude, int* geomid, mjtNum* distance) {
+  GUARDED(*distance = mj_ray(m, d, pnt, vec, geomgroup, flg_static, bodyexclude, geomid))
+}
+
+static int raise_guarded(const char* message) {
+  GUARDED(mju_error(message))
+}
+
+int mjshim_raise(const char* message, int guarded) {
+  if (guarded) {
+    return raise_guarded(message);
+  }
+  mju_error(message);
+  return 0;
+}
+
+uint64_t mjshim_layout(int index) {
+  static const uint64_t table[] = {
+#include "layout.inc"
+  };
+  const int count = (int)(sizeof(table) / sizeof(table[0]));
+  return index >= 0 && index < count ? table[index] : UINT64_MAX;
+}
