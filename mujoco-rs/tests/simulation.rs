@@ -78,7 +78,10 @@ fn a_stack_too_small_is_an_error_and_a_reset_mends_it() {
             Err(error) => break error,
         }
     };
-    assert!(matches!(&error, Error::Raised { call: "mj_step", message } if message.contains("stack")), "{error}");
+    assert!(
+        matches!(&error, Error::Raised { call: "mj_step", message } if message.contains("Stack overflow")),
+        "{error}"
+    );
     assert_eq!(data.step().unwrap_err(), error, "unusable until it is reset");
     assert_eq!(data.forward().unwrap_err(), error);
     data.reset().unwrap();

@@ -1,0 +1,259 @@
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+
+use super::{ControlOutput, Controller, Mixer, Reference};
+use crate::drone::{DroneModel, DroneParams, GRAVITY};
+use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
+
+/// Gains of the position loop: accelerations per m, per m·s and per m/s.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PositionGains {
+    /// Proportional, 1/s².
+    pub proportional: Vector3<f64>,
+    /// Integral, 1/s³.
+    pub integral: Vector3<f64>,
+    /// Derivative, 1/s.
+    pub derivative: Vector3<f64>,
+    /// Limit of each component of the integrated error, m·s.
+    pub integral_clamp: f64,
+}
+
+/// Gains of the attitude loop: torques per rad, per rad·s and per rad/s, about the body axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AttitudeGains {
+    /// Proportional, N·m/rad.
+    pub proportional: Vector3<f64>,
+    /// Integral, N·m/(rad·s).
+    pub integral: Vector3<f64>,
+    /// Derivative, N·m/(rad/s).
+    pub derivative: Vector3<f64>,
+    /// Limit of each component of the integrated error, rad·s.
+    pub integral_clamp: f64,
+}
+
+/// Gains of the cascade.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PidGains {
+    /// Outer loop, world frame.
+    pub position: PositionGains,
+    /// Inner loop, body frame.
+    pub attitude: AttitudeGains,
+}
+
+impl PidGains {
+    /// The paper's gains (its PID table) for an airframe.
+    ///
+    /// The torque gains belong to the Crazyflie; another airframe's are scaled by the ratio of the inertias, axis by
+    /// axis, so that its attitude answers with the same time constants.
+    pub fn paper(params: &DroneParams) -> Self {
+        let crazyflie = DroneModel::Cf2x.params().inertia_vector();
+        let ratio = params.inertia_vector().component_div(&crazyflie);
+        let torque = |gain: [f64; 3]| Vector3::from(gain).component_mul(&ratio);
+        Self {
+            position: PositionGains {
+                proportional: Vector3::new(0.4, 0.4, 1.0),
+                integral: Vector3::new(0.01, 0.01, 0.01),
+                derivative: Vector3::new(0.9, 0.9, 2.0),
+                integral_clamp: 2.0,
+            },
+            attitude: AttitudeGains {
+                proportional: torque([2e-3, 2e-3, 1e-3]),
+                integral: torque([0.0, 0.0, 1e-4]),
+                derivative: torque([5e-4, 5e-4, 2e-4]),
+                integral_clamp: 0.5,
+            },
+        }
+    }
+}
+
+/// The cascaded PID of the paper's §4.2: position loop, attitude loop, mixer.
+///
+/// The position loop asks for the acceleration a* = Kp·e + Ki·∫e + Kd·ė + g·ẑ. Thrust is m‖a*‖ along the direction of
+/// a*, which is held within [`MAX_TILT`](Self::MAX_TILT) of the vertical; the attitude loop turns the body there by
+/// torques from the rotation that is left (as a rotation vector, the same as the small-angle roll, pitch and yaw
+/// errors near hover and right at any attitude) and from the measured body rates.
+///
+/// ```
+/// use aviary::control::{Controller, PidControl, Reference};
+/// use aviary::drone::DroneModel;
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let mut pid = PidControl::new(&params);
+/// let here = DroneState::default();
+/// let output = pid.control(1.0 / 48.0, &here, &Reference::hover(Vector3::zeros(), 0.0));
+/// assert!((output.rpm[0] - params.hover_rpm()).abs() < 1e-6);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct PidControl {
+    gains: PidGains,
+    mass: f64,
+    mixer: Mixer,
+    position_integral: Vector3<f64>,
+    attitude_integral: Vector3<f64>,
+}
+
+impl PidControl {
+    /// The thrust never points further from the vertical than this, rad: an error of any size leans the drone, it
+    /// does not lay it on its side.
+    pub const MAX_TILT: f64 = std::f64::consts::FRAC_PI_3;
+
+    /// Least vertical acceleration the position loop asks for, as a share of g: it never pushes downwards, where the
+    /// direction of the thrust would turn over.
+    const LEAST_LIFT: f64 = 0.2;
+
+    /// With the paper's gains.
+    pub fn new(params: &DroneParams) -> Self {
+        Self::with_gains(params, PidGains::paper(params))
+    }
+
+    /// With gains of one's own.
+    pub fn with_gains(params: &DroneParams, gains: PidGains) -> Self {
+        Self {
+            gains,
+            mass: params.mass,
+            mixer: Mixer::new(params),
+            position_integral: Vector3::zeros(),
+            attitude_integral: Vector3::zeros(),
+        }
+    }
+
+    /// The gains.
+    pub fn gains(&self) -> &PidGains {
+        &self.gains
+    }
+
+    /// Acceleration to be produced by the thrust, world frame, m/s².
+    fn position_loop(&mut self, dt: f64, error: &Vector3<f64>, velocity_error: &Vector3<f64>) -> Vector3<f64> {
+        let gains = &self.gains.position;
+        let clamp = gains.integral_clamp;
+        self.position_integral = (self.position_integral + error * dt).map(|x| x.clamp(-clamp, clamp));
+        let mut wanted = gains.proportional.component_mul(error)
+            + gains.integral.component_mul(&self.position_integral)
+            + gains.derivative.component_mul(velocity_error)
+            + Vector3::new(0.0, 0.0, GRAVITY);
+        wanted.z = wanted.z.max(Self::LEAST_LIFT * GRAVITY);
+        let sideways = wanted.xy().norm();
+        let most = wanted.z * Self::MAX_TILT.tan();
+        if sideways > most {
+            wanted.x *= most / sideways;
+            wanted.y *= most / sideways;
+        }
+        wanted
+    }
+
+    /// Torque about the body axes, N·m.
+    fn attitude_loop(
+        &mut self,
+        dt: f64,
+        state: &DroneState,
+        wanted: &UnitQuaternion<f64>,
+        yaw_rate: f64,
+    ) -> Vector3<f64> {
+        let gains = &self.gains.attitude;
+        let error = (state.attitude.inverse() * wanted).scaled_axis();
+        let rate_error = Vector3::new(0.0, 0.0, yaw_rate) - state.angular_velocity;
+        let clamp = gains.integral_clamp;
+        self.attitude_integral = (self.attitude_integral + error * dt).map(|x| x.clamp(-clamp, clamp));
+        gains.proportional.component_mul(&error)
+            + gains.integral.component_mul(&self.attitude_integral)
+            + gains.derivative.component_mul(&rate_error)
+    }
+}
+
+impl Controller for PidControl {
+    fn reset(&mut self) {
+        self.position_integral = Vector3::zeros();
+        self.attitude_integral = Vector3::zeros();
+    }
+
+    fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+        let position_error = reference.position - state.position;
+        let velocity_error = reference.velocity - state.velocity;
+        let acceleration = self.position_loop(dt, &position_error, &velocity_error);
+        let wanted = attitude_along(&acceleration, reference.yaw);
+        let torque = self.attitude_loop(dt, state, &wanted, reference.yaw_rate);
+        ControlOutput {
+            rpm: self.mixer.rpm(self.mass * acceleration.norm(), torque),
+            position_error,
+            yaw_error: wrap_angle(reference.yaw - rpy_from_attitude(&state.attitude).z),
+        }
+    }
+}
+
+/// The attitude whose z axis points along `up`, which lies above the horizon, and whose yaw is `yaw`.
+fn attitude_along(up: &Vector3<f64>, yaw: f64) -> UnitQuaternion<f64> {
+    let z = up.normalize();
+    // body x has no part along the heading's left: only so is the yaw of roll-pitch-yaw the one asked for
+    let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
+    let x = left.cross(&z).normalize();
+    let y = z.cross(&x);
+    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::physics::rotor::RotorModel;
+    use crate::state::attitude_from_rpy;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn thrust_direction_stays_above_the_horizon_for_any_error(
+            x in -1e3..1e3, y in -1e3..1e3, z in -1e3..1e3, vx in -50.0..50.0, vz in -50.0..50.0,
+        ) {
+            let mut pid = PidControl::new(&DroneModel::Cf2x.params());
+            let wanted = pid.position_loop(0.02, &Vector3::new(x, y, z), &Vector3::new(vx, 0.0, vz));
+            let tilt = (wanted.z / wanted.norm()).acos();
+            prop_assert!(tilt <= PidControl::MAX_TILT + 1e-9, "{tilt}");
+        }
+
+        #[test]
+        fn wanted_attitude_has_its_z_along_the_acceleration_and_its_yaw(x in -5.0..5.0, y in -5.0..5.0, yaw in -3.0..3.0) {
+            let up = Vector3::new(x, y, 9.81);
+            let attitude = attitude_along(&up, yaw);
+            prop_assert!((attitude * Vector3::z() - up.normalize()).norm() < 1e-9);
+            let forward = attitude * Vector3::x();
+            prop_assert!(wrap_angle(forward.y.atan2(forward.x) - yaw).abs() < 1e-9);
+        }
+
+        /// At every yaw an error in x leans the drone towards x, and the torque turns it the shorter way.
+        #[test]
+        fn torques_turn_the_body_towards_the_error(roll in -1.0..1.0, pitch in -1.0..1.0, yaw in -3.0..3.0) {
+            let params = DroneModel::Race.params();
+            let mut pid = PidControl::new(&params);
+            let state = DroneState { attitude: attitude_from_rpy(Vector3::new(roll, pitch, yaw)), ..DroneState::default() };
+            let output = pid.control(0.02, &state, &Reference::hover(Vector3::zeros(), yaw));
+            let torque = RotorModel::new(&params).wrench(&output.rpm).torque_body;
+            let error = state.attitude.inverse() * attitude_from_rpy(Vector3::new(0.0, 0.0, yaw));
+            if error.angle() > 1e-3 {
+                let axis = error.scaled_axis();
+                prop_assert!(torque.x * axis.x >= 0.0 && torque.y * axis.y >= 0.0, "{torque} {axis}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_integral_is_clamped_and_a_reset_clears_it() {
+        let params = DroneModel::Cf2x.params();
+        let mut pid = PidControl::new(&params);
+        let reference = Reference::hover(Vector3::new(0.0, 0.0, 10.0), 0.0);
+        let first = pid.control(0.02, &DroneState::default(), &reference);
+        for _ in 0..1000 {
+            pid.control(0.02, &DroneState::default(), &reference);
+        }
+        assert_eq!(pid.position_integral.z, 2.0);
+        pid.reset();
+        assert_eq!(pid.control(0.02, &DroneState::default(), &reference), first);
+    }
+
+    #[test]
+    fn torque_gains_follow_the_inertia() {
+        let race = DroneModel::Race.params();
+        let gains = PidGains::paper(&race);
+        assert!((gains.attitude.proportional.x - 2e-3 * 4.86e-4 / 1.4e-5).abs() < 1e-12);
+        assert!((gains.attitude.derivative.z - 2e-4 * 8.80e-4 / 2.17e-5).abs() < 1e-12);
+        assert_eq!(gains.position, PidGains::paper(&DroneModel::Cf2x.params()).position);
+    }
+}

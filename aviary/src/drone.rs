@@ -1,0 +1,446 @@
+//! Airframes: the three that are built in, the user's own from TOML, and what follows from their parameters.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use nalgebra::{Matrix4, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Acceleration of gravity that every derived constant is computed with, m/s².
+pub const GRAVITY: f64 = 9.81;
+
+/// The airframes that are built in (paper, table 2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DroneModel {
+    /// Bitcraze Crazyflie 2.x, motors on the diagonals.
+    Cf2x,
+    /// Bitcraze Crazyflie 2.x, motors on the axes.
+    Cf2p,
+    /// 250 g racing quadcopter, motors on the diagonals.
+    Race,
+}
+
+impl DroneModel {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Cf2x, Self::Cf2p, Self::Race];
+
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cf2x => "cf2x",
+            Self::Cf2p => "cf2p",
+            Self::Race => "race",
+        }
+    }
+
+    /// Its parameters.
+    pub fn params(self) -> DroneParams {
+        let text = match self {
+            Self::Cf2x => include_str!("../../assets/airframes/cf2x.toml"),
+            Self::Cf2p => include_str!("../../assets/airframes/cf2p.toml"),
+            Self::Race => include_str!("../../assets/airframes/race.toml"),
+        };
+        // A test reads all three, so that this cannot happen to a caller.
+        DroneParams::from_toml(text).expect("a built-in airframe is valid")
+    }
+}
+
+impl fmt::Display for DroneModel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for DroneModel {
+    type Err = DroneError;
+
+    fn from_str(name: &str) -> Result<Self, DroneError> {
+        Self::ALL
+            .into_iter()
+            .find(|model| model.name() == name)
+            .ok_or_else(|| DroneError::UnknownModel { name: name.to_string() })
+    }
+}
+
+/// Where the four motors sit, seen from above with x forward and y left.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Layout {
+    /// On the diagonals, at ±L/√2.
+    X,
+    /// On the axes, at distance L.
+    Plus,
+}
+
+/// Which way the propellers turn, as the sign of the reaction torque about body z.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum YawConvention {
+    /// Motors 1 and 3 push the nose to the left (positive torque), 0 and 2 to the right.
+    Crazyflie,
+    /// The other way round.
+    Reversed,
+}
+
+impl YawConvention {
+    fn sign(self) -> f64 {
+        match self {
+            Self::Crazyflie => 1.0,
+            Self::Reversed => -1.0,
+        }
+    }
+}
+
+/// The parameters of an airframe. SI units; rotor speeds in revolutions per minute.
+///
+/// `thrust_coefficient` and `torque_coefficient` are per rpm², although the header of the paper's table says
+/// (rad/s)²: only so does a Crazyflie hover at 14,476 rpm.
+///
+/// ```
+/// use aviary::drone::{DroneModel, DroneParams};
+///
+/// let cf2x = DroneModel::Cf2x.params();
+/// assert!((cf2x.hover_rpm() - 14_475.8).abs() < 0.1);
+/// let heavier = DroneParams { mass: 0.033, ..cf2x };
+/// assert!(heavier.validate().is_ok());
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DroneParams {
+    /// Name, as it appears in logs.
+    pub name: String,
+    /// Mass m, kg.
+    pub mass: f64,
+    /// Principal moments of inertia `[Jxx, Jyy, Jzz]` about the centre of mass, body frame, kg·m².
+    pub inertia: [f64; 3],
+    /// Distance L of each motor from the centre, m.
+    pub arm_length: f64,
+    /// Where the motors sit.
+    pub layout: Layout,
+    /// Which way the propellers turn.
+    pub yaw_convention: YawConvention,
+    /// Thrust of one rotor k_f, N/rpm².
+    pub thrust_coefficient: f64,
+    /// Reaction torque of one rotor k_m, N·m/rpm².
+    pub torque_coefficient: f64,
+    /// Largest thrust over weight.
+    pub thrust_to_weight: f64,
+    /// Propeller radius r_p, m.
+    pub propeller_radius: f64,
+    /// Ground-effect coefficient C_gnd, dimensionless.
+    pub ground_effect_coefficient: f64,
+    /// Blade drag `[c_xy, c_xy, c_z]` in the body frame, N/(m/s)/(rad/s).
+    pub drag_coefficients: [f64; 3],
+    /// Downwash `[C1, C2, C3]`: N, dimensionless, m.
+    pub downwash_coefficients: [f64; 3],
+    /// Radius of the collision cylinder, m.
+    pub collision_radius: f64,
+    /// Height of the collision cylinder, centred on the body, m.
+    pub collision_height: f64,
+    /// Top speed, m/s: the scale of velocity commands, not a limit that the physics knows.
+    pub max_speed: f64,
+    /// Where the numbers come from.
+    #[serde(default)]
+    pub provenance: String,
+}
+
+impl DroneParams {
+    /// Reads and checks an airframe from TOML text.
+    ///
+    /// # Errors
+    /// [`DroneError::Toml`] with line and column, or what [`validate`](Self::validate) finds.
+    pub fn from_toml(text: &str) -> Result<Self, DroneError> {
+        let params: Self = toml::from_str(text)
+            .map_err(|error| DroneError::Toml { message: crate::error::toml_message(text, &error) })?;
+        params.validate()?;
+        Ok(params)
+    }
+
+    /// Reads and checks an airframe file.
+    ///
+    /// # Errors
+    /// [`DroneError::File`] naming the file, around what [`from_toml`](Self::from_toml) finds.
+    pub fn from_file(path: impl AsRef<Path>) -> Result<Self, DroneError> {
+        let path = path.as_ref();
+        let in_file = |message: String| DroneError::File { path: path.to_path_buf(), message };
+        let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
+        Self::from_toml(&text).map_err(|error| in_file(error.to_string()))
+    }
+
+    /// Checks that the parameters describe a body that can exist and fly.
+    ///
+    /// # Errors
+    /// [`DroneError::Parameter`] naming the field, what it is and what is expected.
+    pub fn validate(&self) -> Result<(), DroneError> {
+        let positive = [
+            ("mass", self.mass),
+            ("inertia[0]", self.inertia[0]),
+            ("inertia[1]", self.inertia[1]),
+            ("inertia[2]", self.inertia[2]),
+            ("arm_length", self.arm_length),
+            ("thrust_coefficient", self.thrust_coefficient),
+            ("torque_coefficient", self.torque_coefficient),
+            ("propeller_radius", self.propeller_radius),
+            ("collision_radius", self.collision_radius),
+            ("collision_height", self.collision_height),
+            ("max_speed", self.max_speed),
+        ];
+        for (field, got) in positive {
+            if !(got.is_finite() && got > 0.0) {
+                return Err(DroneError::Parameter { field, got, expected: "a positive number" });
+            }
+        }
+        let [x, y, z] = self.inertia;
+        for (field, largest, others) in [("inertia[0]", x, y + z), ("inertia[1]", y, x + z), ("inertia[2]", z, x + y)] {
+            // a rounding error of a flat plate, whose largest moment is the sum of the others, is not a mistake
+            if largest > others * (1.0 + 1e-9) {
+                return Err(DroneError::Parameter {
+                    field,
+                    got: largest,
+                    expected: "at most the sum of the other two moments (no body of positive mass has more)",
+                });
+            }
+        }
+        if !(self.thrust_to_weight.is_finite() && self.thrust_to_weight >= 1.0) {
+            return Err(DroneError::Parameter {
+                field: "thrust_to_weight",
+                got: self.thrust_to_weight,
+                expected: "at least 1, or the drone cannot hover",
+            });
+        }
+        let not_negative = [
+            ("ground_effect_coefficient", self.ground_effect_coefficient),
+            ("drag_coefficients[0]", self.drag_coefficients[0]),
+            ("drag_coefficients[1]", self.drag_coefficients[1]),
+            ("drag_coefficients[2]", self.drag_coefficients[2]),
+            ("downwash_coefficients[0]", self.downwash_coefficients[0]),
+        ];
+        for (field, got) in not_negative {
+            if !(got.is_finite() && got >= 0.0) {
+                return Err(DroneError::Parameter { field, got, expected: "zero or a positive number" });
+            }
+        }
+        for (field, got) in [
+            ("downwash_coefficients[1]", self.downwash_coefficients[1]),
+            ("downwash_coefficients[2]", self.downwash_coefficients[2]),
+        ] {
+            if !got.is_finite() {
+                return Err(DroneError::Parameter { field, got, expected: "a finite number" });
+            }
+        }
+        if self.name.is_empty() || !self.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
+            return Err(DroneError::Name { name: self.name.clone() });
+        }
+        Ok(())
+    }
+
+    /// Weight m·g, N.
+    pub fn weight(&self) -> f64 {
+        self.mass * GRAVITY
+    }
+
+    /// Rotor speed at which four rotors carry the weight: √(m·g / 4·k_f), rpm (paper §3.3).
+    pub fn hover_rpm(&self) -> f64 {
+        (self.weight() / (4.0 * self.thrust_coefficient)).sqrt()
+    }
+
+    /// Largest rotor speed: √(T/W · m·g / 4·k_f), rpm (paper §3.3).
+    pub fn max_rpm(&self) -> f64 {
+        (self.thrust_to_weight * self.weight() / (4.0 * self.thrust_coefficient)).sqrt()
+    }
+
+    /// Thrust of the four rotors at full speed: 4·k_f·MAX_RPM², N.
+    pub fn max_thrust(&self) -> f64 {
+        let rpm = self.max_rpm();
+        4.0 * self.thrust_coefficient * rpm * rpm
+    }
+
+    /// Height below which the ground effect grows no further, m:
+    /// ¼·r_p·√(15·MAX_RPM²·k_f·C_gnd / MAX_THRUST).
+    pub fn ground_effect_clip(&self) -> f64 {
+        let rpm = self.max_rpm();
+        0.25 * self.propeller_radius
+            * (15.0 * rpm * rpm * self.thrust_coefficient * self.ground_effect_coefficient / self.max_thrust()).sqrt()
+    }
+
+    /// The moments of inertia as a vector, body frame, kg·m².
+    pub fn inertia_vector(&self) -> Vector3<f64> {
+        Vector3::from(self.inertia)
+    }
+
+    /// Where the motors are, `[x, y]` in the body frame, m.
+    pub fn motor_positions(&self) -> [[f64; 2]; 4] {
+        match self.layout {
+            Layout::X => {
+                let l = self.arm_length / std::f64::consts::SQRT_2;
+                [[l, l], [-l, l], [-l, -l], [l, -l]]
+            }
+            Layout::Plus => {
+                let l = self.arm_length;
+                [[l, 0.0], [0.0, l], [-l, 0.0], [0.0, -l]]
+            }
+        }
+    }
+
+    /// The matrix A that takes the four rotor thrusts F (N) to `[T, τx, τy, τz]` (N and N·m, body frame).
+    ///
+    /// A force F along body z at (x, y) has the torque (y·F, −x·F, 0), which for the X layout is the paper's
+    /// τx = L/√2·(F0 + F1 − F2 − F3), τy = L/√2·(−F0 + F1 + F2 − F3); the reaction torque is k_m/k_f times the thrust.
+    pub fn allocation(&self) -> Matrix4<f64> {
+        let yaw = self.yaw_convention.sign() * self.torque_coefficient / self.thrust_coefficient;
+        let m = self.motor_positions();
+        #[rustfmt::skip]
+        let matrix = Matrix4::new(
+            1.0,       1.0,       1.0,       1.0,
+            m[0][1],   m[1][1],   m[2][1],   m[3][1],
+            -m[0][0],  -m[1][0],  -m[2][0],  -m[3][0],
+            -yaw,      yaw,       -yaw,      yaw,
+        );
+        matrix
+    }
+}
+
+/// What can be wrong with an airframe.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DroneError {
+    /// There is no built-in airframe of that name.
+    #[error("no drone model `{name}`, expected cf2x, cf2p or race")]
+    UnknownModel {
+        /// The name looked for.
+        name: String,
+    },
+    /// A parameter that no flying body has.
+    #[error("{field} is {got}, expected {expected}")]
+    Parameter {
+        /// The field.
+        field: &'static str,
+        /// What it is.
+        got: f64,
+        /// What is expected.
+        expected: &'static str,
+    },
+    /// A name that cannot stand in a scene or a file name.
+    #[error("name is `{name}`, expected letters, digits, `_` and `-`")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// Text that is not an airframe in TOML.
+    #[error("{message}")]
+    Toml {
+        /// Line, column and what was expected.
+        message: String,
+    },
+    /// A file that holds no valid airframe.
+    #[error("{}: {message}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn derived_constants_are_those_of_the_paper() {
+        let cf = DroneModel::Cf2x.params();
+        assert!((cf.hover_rpm() - 14_475.809_152_959_684).abs() < 1e-6);
+        assert!((cf.max_rpm() - 1.5 * cf.hover_rpm()).abs() < 1e-9, "√2.25 = 1.5");
+        assert!((cf.max_thrust() - 2.25 * 0.027 * 9.81).abs() < 1e-12);
+        // MAX_THRUST is 4·k_f·MAX_RPM², so the root is √(15/4·C_gnd) for every airframe
+        assert!((cf.ground_effect_clip() - 0.25 * 0.02325 * (15.0 / 4.0 * 11.36859_f64).sqrt()).abs() < 1e-12);
+        let race = DroneModel::Race.params();
+        assert!((race.hover_rpm() - (0.25 * 9.81 / (4.0 * 1.28e-8_f64)).sqrt()).abs() < 1e-9);
+        assert!((race.max_rpm() - 2.0 * race.hover_rpm()).abs() < 1e-9, "√4 = 2");
+    }
+
+    #[test]
+    fn allocation_is_the_papers_for_every_layout() {
+        let thrusts = nalgebra::Vector4::new(0.1, 0.2, 0.4, 0.8);
+        let [f0, f1, f2, f3] = [0.1, 0.2, 0.4, 0.8];
+        for model in DroneModel::ALL {
+            let p = model.params();
+            let ratio = p.torque_coefficient / p.thrust_coefficient;
+            let l = p.arm_length;
+            let d = l / 2.0_f64.sqrt();
+            let yaw = ratio * (-f0 + f1 - f2 + f3);
+            let expected = match model {
+                DroneModel::Cf2x => [d * (f0 + f1 - f2 - f3), d * (-f0 + f1 + f2 - f3), yaw],
+                DroneModel::Cf2p => [l * (f1 - f3), l * (-f0 + f2), yaw],
+                DroneModel::Race => [d * (f0 + f1 - f2 - f3), d * (-f0 + f1 + f2 - f3), -yaw],
+            };
+            let wrench = p.allocation() * thrusts;
+            assert!((wrench[0] - 1.5).abs() < 1e-12);
+            for axis in 0..3 {
+                assert!((wrench[axis + 1] - expected[axis]).abs() < 1e-15, "{model} axis {axis}");
+            }
+        }
+    }
+
+    #[test]
+    fn names_round_trip_and_unknown_ones_are_errors() {
+        for model in DroneModel::ALL {
+            assert_eq!(model.name().parse::<DroneModel>().unwrap(), model);
+            assert_eq!(model.params().name, model.name());
+        }
+        assert!("CF2X".parse::<DroneModel>().unwrap_err().to_string().contains("cf2x, cf2p or race"));
+    }
+
+    #[test]
+    fn impossible_airframes_are_refused_by_field() {
+        let refused = |params: DroneParams, field: &str| {
+            let text = params.validate().unwrap_err().to_string();
+            assert!(text.starts_with(field), "{text}");
+        };
+        let good = || DroneModel::Cf2x.params();
+        refused(DroneParams { mass: 0.0, ..good() }, "mass is 0");
+        refused(DroneParams { mass: f64::NAN, ..good() }, "mass is NaN");
+        refused(DroneParams { inertia: [1e-5, 1e-5, 3e-5], ..good() }, "inertia[2]");
+        refused(DroneParams { inertia: [1e-5, -1e-5, 1e-5], ..good() }, "inertia[1]");
+        refused(DroneParams { thrust_to_weight: 0.99, ..good() }, "thrust_to_weight");
+        refused(DroneParams { thrust_coefficient: f64::INFINITY, ..good() }, "thrust_coefficient");
+        refused(DroneParams { drag_coefficients: [0.0, -1.0, 0.0], ..good() }, "drag_coefficients[1]");
+        refused(DroneParams { name: "a<b".into(), ..good() }, "name");
+        assert!(DroneParams { inertia: [1e-5, 1e-5, 2e-5], ..good() }.validate().is_ok(), "a flat plate");
+    }
+
+    #[test]
+    fn toml_errors_say_where_and_what() {
+        let text = include_str!("../../assets/airframes/cf2x.toml");
+        let error = |from: &str, to: &str| {
+            let text = DroneParams::from_toml(&text.replace(from, to)).unwrap_err().to_string();
+            assert!(!text.contains('\n'), "{text}");
+            text
+        };
+        assert!(
+            error("mass = 0.027", "mass = \"heavy\"").contains("line 3"),
+            "{}",
+            error("mass = 0.027", "mass = \"heavy\"")
+        );
+        assert!(error("mass = 0.027", "").contains("mass"));
+        assert!(error("mass = 0.027", "mass = 0.027\nwings = 2").contains("wings"));
+        assert!(error("layout = \"x\"", "layout = \"y\"").contains("line 6"));
+        assert!(error("mass = 0.027", "mass = ").contains("line 3"));
+        let missing = DroneParams::from_file("no/such/file.toml").unwrap_err().to_string();
+        assert!(missing.starts_with("no/such/file.toml: No such file"), "{missing}");
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_airframes_are_errors_or_valid(at in 0usize..600, letter in 32u8..127) {
+            let mut bytes = include_str!("../../assets/airframes/race.toml").as_bytes().to_vec();
+            bytes[at] = letter;
+            if let Ok(text) = std::str::from_utf8(&bytes) && let Ok(params) = DroneParams::from_toml(text) {
+                prop_assert!(params.validate().is_ok() && params.max_rpm() >= params.hover_rpm());
+            }
+        }
+    }
+}

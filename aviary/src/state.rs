@@ -1,0 +1,166 @@
+//! The state of a drone and the frames it is expressed in.
+//!
+//! World frame: x forward, y left, z up. Body frame the same, fixed to the airframe. Quaternions at every boundary are
+//! `[w, x, y, z]`, body to world; nalgebra stores `[x, y, z, w]`, so that only the two functions here convert.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+/// Position and motion of one drone: the paper's 13 numbers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DroneState {
+    /// Centre of mass, world frame, m.
+    pub position: Vector3<f64>,
+    /// Rotation from the body to the world frame.
+    pub attitude: UnitQuaternion<f64>,
+    /// Velocity of the centre of mass, world frame, m/s.
+    pub velocity: Vector3<f64>,
+    /// Body rates, **body** frame, rad/s.
+    pub angular_velocity: Vector3<f64>,
+}
+
+impl Default for DroneState {
+    fn default() -> Self {
+        Self::at_rest(Vector3::zeros(), Vector3::zeros())
+    }
+}
+
+impl DroneState {
+    /// At rest at a position (world, m) and an attitude given as roll, pitch, yaw (rad).
+    pub fn at_rest(position: Vector3<f64>, rpy: Vector3<f64>) -> Self {
+        Self {
+            position,
+            attitude: attitude_from_rpy(rpy),
+            velocity: Vector3::zeros(),
+            angular_velocity: Vector3::zeros(),
+        }
+    }
+
+    /// Roll, pitch and yaw, rad: intrinsic z-y'-x'' (yaw, then pitch, then roll).
+    pub fn rpy(&self) -> Vector3<f64> {
+        rpy_from_attitude(&self.attitude)
+    }
+
+    /// Angle between the body's and the world's z axis, rad: 0 upright, π upside down.
+    ///
+    /// Unlike roll and pitch it cannot be mistaken: a pitch from an arcsine never exceeds π/2.
+    pub fn tilt(&self) -> f64 {
+        self.up().z.clamp(-1.0, 1.0).acos()
+    }
+
+    /// The body's z axis in the world frame.
+    pub fn up(&self) -> Vector3<f64> {
+        body_z(&self.attitude)
+    }
+
+    /// Velocity in the body frame, m/s.
+    pub fn velocity_body(&self) -> Vector3<f64> {
+        self.attitude.inverse_transform_vector(&self.velocity)
+    }
+
+    /// Body rates in the world frame, rad/s.
+    pub fn angular_velocity_world(&self) -> Vector3<f64> {
+        self.attitude * self.angular_velocity
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.position.iter().chain(&self.velocity).chain(&self.angular_velocity).all(|x| x.is_finite())
+            && self.attitude.coords.iter().all(|x| x.is_finite())
+    }
+}
+
+/// The body's z axis in the world frame: the third column of the rotation matrix.
+#[inline]
+pub fn body_z(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
+    let [w, x, y, z] = wxyz(attitude);
+    Vector3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+}
+
+/// `[w, x, y, z]` of a rotation.
+#[inline]
+pub fn wxyz(attitude: &UnitQuaternion<f64>) -> [f64; 4] {
+    let q = attitude.quaternion();
+    [q.w, q.i, q.j, q.k]
+}
+
+/// The rotation of a unit quaternion `[w, x, y, z]`, to the same bits.
+#[inline]
+pub fn attitude_from_wxyz([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z))
+}
+
+/// The rotation of roll, pitch, yaw (rad): yaw about z, then pitch about y', then roll about x''.
+pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::from_euler_angles(rpy.x, rpy.y, rpy.z)
+}
+
+/// Roll in (−π, π], pitch in [−π/2, π/2], yaw in (−π, π], rad.
+pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
+    let [w, x, y, z] = wxyz(attitude);
+    Vector3::new(
+        (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y)),
+        (2.0 * (w * y - z * x)).clamp(-1.0, 1.0).asin(),
+        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z)),
+    )
+}
+
+/// An angle brought into (−π, π].
+#[inline]
+pub fn wrap_angle(angle: f64) -> f64 {
+    use std::f64::consts::{PI, TAU};
+    let wrapped = angle.rem_euclid(TAU);
+    if wrapped > PI { wrapped - TAU } else { wrapped }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::f64::consts::{FRAC_PI_2, PI};
+
+    fn angle() -> impl Strategy<Value = f64> {
+        -3.1..3.1
+    }
+
+    proptest! {
+        #[test]
+        fn rpy_is_yaw_then_pitch_then_roll(roll in angle(), pitch in -1.5..1.5, yaw in angle()) {
+            let rotation = attitude_from_rpy(Vector3::new(roll, pitch, yaw));
+            let by_hand = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw)
+                * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch)
+                * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), roll);
+            prop_assert!(rotation.angle_to(&by_hand) < 1e-7);
+            let back = rpy_from_attitude(&rotation);
+            prop_assert!((back - Vector3::new(roll, pitch, yaw)).norm() < 1e-7, "{back}");
+        }
+
+        #[test]
+        fn quaternions_keep_their_bits_and_order(w in -1.0..1.0, x in -1.0..1.0, y in -1.0..1.0, z in -1.0..1.0f64) {
+            prop_assert_eq!(wxyz(&attitude_from_wxyz([w, x, y, z])), [w, x, y, z]);
+        }
+
+        #[test]
+        fn up_and_tilt_are_those_of_the_rotation(roll in angle(), pitch in -1.5..1.5, yaw in angle()) {
+            let state = DroneState::at_rest(Vector3::zeros(), Vector3::new(roll, pitch, yaw));
+            prop_assert!((state.up() - state.attitude * Vector3::z()).norm() < 1e-12);
+            prop_assert!((state.tilt().cos() - roll.cos() * pitch.cos()).abs() < 1e-12);
+        }
+
+        #[test]
+        fn wrapping_keeps_the_direction(angle in -100.0..100.0f64) {
+            let wrapped = wrap_angle(angle);
+            prop_assert!(wrapped > -PI - 1e-12 && wrapped <= PI + 1e-12);
+            prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9 && (wrapped.cos() - angle.cos()).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_quarter_turn_left_takes_forward_to_left() {
+        let half = FRAC_PI_2 / 2.0;
+        let left = attitude_from_wxyz([half.cos(), 0.0, 0.0, half.sin()]);
+        assert!((left * Vector3::x() - Vector3::y()).norm() < 1e-12);
+        assert!((rpy_from_attitude(&left) - Vector3::new(0.0, 0.0, FRAC_PI_2)).norm() < 1e-12);
+        let state = DroneState { attitude: left, velocity: Vector3::y(), ..DroneState::default() };
+        assert!((state.velocity_body() - Vector3::x()).norm() < 1e-12);
+    }
+}

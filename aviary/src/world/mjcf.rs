@@ -1,0 +1,299 @@
+//! A world as MJCF text.
+
+use std::io;
+
+use mujoco_rs::Integrator;
+use nalgebra::Vector3;
+use quick_xml::Writer;
+use quick_xml::events::{BytesEnd, BytesStart, Event};
+
+use super::{DroneBody, World};
+use crate::state::{attitude_from_rpy, wxyz};
+
+/// What can be wrong with a scene before MuJoCo sees it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// A number that is not one.
+    #[error("{what} is {got}, expected {expected}")]
+    Value {
+        /// Of what.
+        what: String,
+        /// What it is.
+        got: f64,
+        /// What is possible.
+        expected: &'static str,
+    },
+}
+
+/// Sizes of MuJoCo's buffers. Its defaults take 13 MB per simulation, all of it cleared at every reset.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Sizes {
+    /// Contacts.
+    contacts: usize,
+    /// Scalar constraints.
+    constraints: usize,
+    /// Stack, in numbers.
+    stack: usize,
+}
+
+impl Sizes {
+    /// Enough for the fullest scene: every drone lying on the floor, with neighbours touching it on all sides.
+    fn of(world: &World) -> Self {
+        let drones = world.drones.len();
+        // a cylinder meets a plane in up to four points; six others can stand around it, shared by both
+        let contacts = 4 * drones + if drones > 1 { 6 * drones } else { 4 };
+        // a pyramidal friction cone has four edges
+        let constraints = 4 * contacts;
+        let freedoms = 6 * drones;
+        // measured with the fullest scene (the test below), about half as much again
+        let stack = 1500 + 40 * (constraints + freedoms) + 8 * freedoms * freedoms + 2 * drones * drones;
+        Self { contacts, constraints, stack }
+    }
+}
+
+impl World {
+    /// The scene that physics is computed in: floor and collision geoms, nothing to be looked at.
+    ///
+    /// # Errors
+    /// [`SceneError::Value`] for numbers that MuJoCo would take silently and fail on later.
+    pub fn to_mjcf(&self) -> Result<String, SceneError> {
+        self.check()?;
+        let mut xml = Xml::new();
+        xml.open("mujoco", &[("model", "aviary".into())]);
+        xml.leaf("compiler", &[("angle", "radian".into()), ("inertiafromgeom", "false".into())]);
+
+        let medium = self.medium.map_or((0.0, 0.0), |medium| (medium.density, medium.viscosity));
+        let integrator = match self.integrator {
+            Integrator::Euler => "Euler",
+            Integrator::Rk4 => "RK4",
+            Integrator::Implicit => "implicit",
+        };
+        xml.leaf(
+            "option",
+            &[
+                ("timestep", self.timestep.to_string()),
+                ("integrator", integrator.into()),
+                ("gravity", format!("0 0 {}", -self.gravity)),
+                ("density", medium.0.to_string()),
+                ("viscosity", medium.1.to_string()),
+            ],
+        );
+        let sizes = Sizes::of(self);
+        xml.leaf(
+            "size",
+            &[
+                ("nconmax", sizes.contacts.to_string()),
+                ("njmax", sizes.constraints.to_string()),
+                ("nstack", sizes.stack.to_string()),
+            ],
+        );
+
+        xml.open("worldbody", &[]);
+        xml.leaf("geom", &[("name", "floor".into()), ("type", "plane".into()), ("size", "0 0 1".into())]);
+        for (index, drone) in self.drones.iter().enumerate() {
+            xml.drone(index, drone);
+        }
+        xml.close("worldbody");
+        xml.close("mujoco");
+        Ok(xml.finish())
+    }
+
+    fn check(&self) -> Result<(), SceneError> {
+        let value = |what: &str, got: f64, good: bool, expected: &'static str| {
+            if good { Ok(()) } else { Err(SceneError::Value { what: what.to_string(), got, expected }) }
+        };
+        value(
+            "the time step",
+            self.timestep,
+            self.timestep.is_finite() && self.timestep > 0.0,
+            "a positive number of seconds",
+        )?;
+        value("gravity", self.gravity, self.gravity.is_finite(), "a finite number of m/s²")?;
+        if let Some(medium) = self.medium {
+            let good = |x: f64| x.is_finite() && x >= 0.0;
+            value("the medium's density", medium.density, good(medium.density), "zero or a positive number of kg/m³")?;
+            value(
+                "the medium's viscosity",
+                medium.viscosity,
+                good(medium.viscosity),
+                "zero or a positive number of Pa·s",
+            )?;
+        }
+        for (index, drone) in self.drones.iter().enumerate() {
+            for (what, vector) in [("position", drone.position), ("attitude", drone.rpy)] {
+                for &got in vector.iter() {
+                    value(&format!("the {what} of drone {index}"), got, got.is_finite(), "finite numbers")?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// MJCF being written. Writing to memory cannot fail, so nothing here returns an error.
+struct Xml {
+    writer: Writer<io::Cursor<Vec<u8>>>,
+}
+
+impl Xml {
+    fn new() -> Self {
+        Self { writer: Writer::new_with_indent(io::Cursor::new(Vec::new()), b' ', 2) }
+    }
+
+    fn event(&mut self, event: Event<'_>) {
+        self.writer.write_event(event).expect("memory takes every write");
+    }
+
+    fn element<'a>(name: &'a str, attributes: &[(&str, String)]) -> BytesStart<'a> {
+        BytesStart::new(name).with_attributes(attributes.iter().map(|(key, value)| (*key, value.as_str())))
+    }
+
+    fn open(&mut self, name: &str, attributes: &[(&str, String)]) {
+        self.event(Event::Start(Self::element(name, attributes)));
+    }
+
+    fn leaf(&mut self, name: &str, attributes: &[(&str, String)]) {
+        self.event(Event::Empty(Self::element(name, attributes)));
+    }
+
+    fn close(&mut self, name: &str) {
+        self.event(Event::End(BytesEnd::new(name)));
+    }
+
+    fn drone(&mut self, index: usize, drone: &DroneBody) {
+        let name = World::drone_name(index);
+        let params = &drone.params;
+        self.open(
+            "body",
+            &[
+                ("name", name.clone()),
+                ("pos", vector(&drone.position)),
+                ("quat", numbers(&wxyz(&attitude_from_rpy(drone.rpy)))),
+            ],
+        );
+        self.leaf("freejoint", &[("name", name.clone())]);
+        self.leaf(
+            "inertial",
+            &[("pos", "0 0 0".into()), ("mass", params.mass.to_string()), ("diaginertia", numbers(&params.inertia))],
+        );
+        self.leaf(
+            "geom",
+            &[
+                ("name", name),
+                ("type", "cylinder".into()),
+                ("size", numbers(&[params.collision_radius, params.collision_height / 2.0])),
+            ],
+        );
+        self.close("body");
+    }
+
+    fn finish(self) -> String {
+        String::from_utf8(self.writer.into_inner().into_inner()).expect("only text was written")
+    }
+}
+
+/// Numbers as MJCF reads them; Rust prints the shortest text that reads back to the same bits.
+fn numbers(values: &[f64]) -> String {
+    values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
+}
+
+fn vector(values: &Vector3<f64>) -> String {
+    numbers(values.as_slice())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Medium;
+    use super::*;
+    use crate::drone::DroneModel;
+    use mujoco_rs::{BodyId, Data, Model, WarningKind};
+    use proptest::prelude::*;
+
+    fn body(model: DroneModel, position: Vector3<f64>) -> DroneBody {
+        DroneBody { params: model.params(), position, rpy: Vector3::zeros() }
+    }
+
+    #[test]
+    fn the_compiled_scene_has_the_parameters_to_the_last_bit() {
+        let mut params = DroneModel::Race.params();
+        params.mass = 0.1 + 0.2;
+        params.inertia = [1.0 / 3.0 * 1e-4, 2.0 / 7.0 * 1e-4, 1e-4 * std::f64::consts::FRAC_1_SQRT_2 * 0.7];
+        let drone =
+            DroneBody { params: params.clone(), position: Vector3::new(0.1, -0.7, 1e-3), rpy: Vector3::zeros() };
+        let mut world = World::new(vec![body(DroneModel::Cf2x, Vector3::z()), drone]);
+        world.timestep = 1.0 / 333.0;
+        world.medium = Some(Medium::AIR);
+        let model = Model::from_xml(&world.to_mjcf().unwrap()).unwrap();
+        let id: BodyId = model.find("drone1").unwrap();
+        assert_eq!(model.timestep(), 1.0 / 333.0);
+        assert_eq!((model.density(), model.viscosity()), (1.225, 1.8e-5));
+        assert_eq!(model.integrator(), Some(Integrator::Rk4));
+        assert_eq!(model.gravity(), [0.0, 0.0, -9.81]);
+        assert_eq!(model.body_mass()[id.index()], params.mass);
+        assert_eq!(model.body_inertia()[3 * id.index()..][..3], params.inertia);
+        assert_eq!(model.body_pos()[3 * id.index()..][..3], [0.1, -0.7, 1e-3]);
+        assert_eq!(model.body_ipos()[3 * id.index()..][..3], [0.0; 3]);
+    }
+
+    /// Every drone dropped onto the floor in a pile, neighbours on all sides and on top.
+    #[test]
+    fn buffers_hold_the_fullest_scene() {
+        for count in [1, 2, 7, 30, 64] {
+            let side = (count as f64).sqrt().ceil() as usize;
+            let drones = (0..count)
+                .map(|i| {
+                    let (x, y) = ((i % side) as f64, (i / side) as f64);
+                    body(
+                        DroneModel::Cf2x,
+                        Vector3::new(0.119 * x + 0.05 * (y % 2.0), 0.105 * y, 0.016 + 0.031 * (i % 2) as f64),
+                    )
+                })
+                .collect();
+            let world = World::new(drones);
+            let sizes = Sizes::of(&world);
+            let mut data = Data::new(Model::from_xml(&world.to_mjcf().unwrap()).unwrap()).unwrap();
+            for _ in 0..240 {
+                data.step().unwrap();
+            }
+            assert!(data.max_contacts_used() >= count, "the drones are not in touch");
+            for warning in [WarningKind::ContactFull, WarningKind::ConstraintFull] {
+                assert_eq!(data.warning(warning).count, 0, "{warning:?} with {count} drones");
+            }
+            let (used, have) = (data.max_stack_used(), sizes.stack);
+            println!(
+                "{count} drones: contacts {}/{}, constraints {}/{}, stack {used}/{have}, {} KB",
+                data.max_contacts_used(),
+                sizes.contacts,
+                data.max_constraints_used(),
+                sizes.constraints,
+                data.bytes() / 1000,
+            );
+            assert!(used * 4 < have * 3, "stack {used} of {have} with {count} drones leaves too little room");
+        }
+    }
+
+    #[test]
+    fn one_drone_takes_a_quarter_of_a_megabyte_at_most() {
+        let world = World::new(vec![body(DroneModel::Cf2x, Vector3::z())]);
+        let data = Data::new(Model::from_xml(&world.to_mjcf().unwrap()).unwrap()).unwrap();
+        assert!(data.bytes() < 250_000, "{}", data.bytes());
+    }
+
+    proptest! {
+        #[test]
+        fn bad_numbers_are_refused_by_name(at in 0usize..8, bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY])) {
+            let mut world = World::new(vec![body(DroneModel::Cf2p, Vector3::z())]);
+            match at {
+                0 => world.timestep = bad,
+                1 => world.gravity = bad,
+                2 => world.medium = Some(Medium { density: bad, viscosity: 0.0 }),
+                3 => world.medium = Some(Medium { density: 0.0, viscosity: bad }),
+                4 | 5 => world.drones[0].position[at - 4] = bad,
+                _ => world.drones[0].rpy[at - 6] = bad,
+            }
+            let text = world.to_mjcf().unwrap_err().to_string();
+            prop_assert!(text.contains(&bad.to_string()) && text.contains("expected"), "{}", text);
+        }
+    }
+}

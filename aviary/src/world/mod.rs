@@ -1,0 +1,66 @@
+//! The scene as typed values, and as MJCF text.
+
+mod mjcf;
+
+use nalgebra::Vector3;
+
+use crate::drone::{DroneParams, GRAVITY};
+
+pub use mjcf::SceneError;
+pub use mujoco_rs::Integrator;
+
+/// The air, as MuJoCo's own fluid model sees it.
+///
+/// Off by default: the physics modes say which aerodynamic effects there are, and MuJoCo's drag on top of them would
+/// count it twice.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Medium {
+    /// kg/m³.
+    pub density: f64,
+    /// Pa·s.
+    pub viscosity: f64,
+}
+
+impl Medium {
+    /// Air at sea level, as MuJoCo Menagerie's Crazyflie has it.
+    pub const AIR: Self = Self { density: 1.225, viscosity: 1.8e-5 };
+}
+
+/// One drone in the scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DroneBody {
+    /// Airframe.
+    pub params: DroneParams,
+    /// Position in the compiled scene, world frame, m.
+    pub position: Vector3<f64>,
+    /// Roll, pitch, yaw in the compiled scene, rad.
+    pub rpy: Vector3<f64>,
+}
+
+/// A scene: a floor and drones above it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct World {
+    /// Length of a physics step, s.
+    pub timestep: f64,
+    /// MuJoCo's integrator; the paper's is RK4.
+    pub integrator: Integrator,
+    /// Acceleration of gravity, downwards, m/s².
+    pub gravity: f64,
+    /// The air; `None` for MuJoCo's vacuum.
+    pub medium: Option<Medium>,
+    /// The drones, in order: drone i is the body `drone{i}`.
+    pub drones: Vec<DroneBody>,
+}
+
+impl World {
+    /// A floor and these drones, at 240 Hz, RK4, without a medium.
+    pub fn new(drones: Vec<DroneBody>) -> Self {
+        Self { timestep: 1.0 / 240.0, integrator: Integrator::Rk4, gravity: GRAVITY, medium: None, drones }
+    }
+
+    /// Name of a drone's body in the scene.
+    pub fn drone_name(index: usize) -> String {
+        format!("drone{index}")
+    }
+}
