@@ -1,2 +1,106 @@
-//! x
-fn main() {}
+//! What a step costs beside the bare `mj_step`s in it, in one run on one machine.
+//!
+//! `cargo bench --bench step` prints the ratios first (alternating batches, median), then criterion's timings.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use criterion::{Criterion, criterion_group};
+use mujoco_drones_gym::mujoco::{Data, Model};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::world::{DroneBody, World};
+use nalgebra::Vector3;
+
+/// MuJoCo alone over the scene of the simulation: airborne, a wrench written every step.
+struct Bare {
+    data: Data,
+    hover: f64,
+}
+
+impl Bare {
+    fn new(count: usize) -> Self {
+        let params = DroneModel::Cf2x.params();
+        let hover = params.weight();
+        let drones = (0..count)
+            .map(|i| DroneBody {
+                params: params.clone(),
+                position: Vector3::new(i as f64, 0.0, 5.0),
+                rpy: Vector3::zeros(),
+            })
+            .collect();
+        let model = Model::from_xml(&World::new(drones).to_mjcf().expect("a scene")).expect("a model");
+        Self { data: Data::new(model).expect("a simulation"), hover }
+    }
+
+    fn steps(&mut self, count: usize) {
+        for _ in 0..count {
+            for row in self.data.xfrc_applied_mut().chunks_exact_mut(6).skip(1) {
+                row.copy_from_slice(&[0.0, 0.0, self.hover, 0.0, 0.0, 0.0]);
+            }
+            self.data.step().expect("a step");
+        }
+    }
+}
+
+fn simulation(count: usize) -> (Simulation, Vec<[f64; 4]>) {
+    let simulation = Simulation::builder(DroneModel::Cf2x)
+        .num_drones(count)
+        .initial_positions((0..count).map(|i| [i as f64, 0.0, 5.0]))
+        .build()
+        .expect("a simulation");
+    (simulation, vec![[DroneModel::Cf2x.params().hover_rpm(); 4]; count])
+}
+
+/// Median over alternating batches of the time of `a` divided by the time of `b`.
+fn ratio(mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
+    let time = |f: &mut dyn FnMut()| {
+        let start = Instant::now();
+        for _ in 0..200 {
+            f();
+        }
+        start.elapsed().as_secs_f64()
+    };
+    let mut ratios: Vec<_> = (0..101).map(|_| time(&mut a) / time(&mut b)).collect();
+    ratios.sort_by(f64::total_cmp);
+    ratios[ratios.len() / 2]
+}
+
+#[allow(clippy::print_stdout)]
+fn ratios() {
+    for count in [1, 4, 12] {
+        let mut bare = Bare::new(count);
+        let (mut simulation, commands) = simulation(count);
+        let step = ratio(|| simulation.step(black_box(&commands)).expect("a step"), || bare.steps(5));
+        println!("Simulation::step over its five mj_step, {count:>2} drones: {step:.3}");
+    }
+    let mut bare = Bare::new(1);
+    let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(1e6).build().expect("a task");
+    env.reset(None).expect("a reset");
+    let step = ratio(
+        || {
+            black_box(env.step(&[0.0; 4]).expect("a step").reward);
+        },
+        || bare.steps(5),
+    );
+    println!("Hover::step over its five mj_step:                 {step:.3}");
+}
+
+fn timings(c: &mut Criterion) {
+    let mut bare = Bare::new(1);
+    c.bench_function("five bare mj_step, 1 drone", |b| b.iter(|| bare.steps(5)));
+    let (mut one, commands) = simulation(1);
+    c.bench_function("Simulation::step, 1 drone", |b| b.iter(|| one.step(black_box(&commands)).expect("a step")));
+    c.bench_function("Simulation::reset, 1 drone", |b| b.iter(|| one.reset().expect("a reset")));
+    let mut env = Hover::builder().build().expect("a task");
+    c.bench_function("Hover::reset", |b| b.iter(|| env.reset(Some(1)).expect("a reset")[0]));
+    bare.data.reset().expect("a reset");
+    c.bench_function("mj_resetData, 1 drone", |b| b.iter(|| bare.data.reset().expect("a reset")));
+}
+
+criterion_group!(benches, timings);
+
+fn main() {
+    ratios();
+    benches();
+    Criterion::default().configure_from_args().final_summary();
+}

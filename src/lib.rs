@@ -1,1 +1,38 @@
-//! x
+//! Quadrotor simulation on MuJoCo, for control research and reinforcement learning.
+//!
+//! This crate gathers the workspace: everything of [`aviary`] is here, and the safe MuJoCo beneath it is [`mujoco`].
+//!
+//! ```
+//! use mujoco_drones_gym::prelude::*;
+//!
+//! let mut env = Hover::builder().drone(DroneModel::Cf2x).build()?;
+//! let mut pid = PidControl::new(&DroneModel::Cf2x.params());
+//! env.reset(Some(1))?;
+//! let mut action = [0.0; 4];
+//! while env.info().end.is_none() {
+//!     let output = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0));
+//!     env.action_of_motor_speeds(&[output.rpm], &mut action)?;
+//!     env.step(&action)?;
+//! }
+//! assert!(env.info().success);
+//! # Ok::<(), EnvError>(())
+//! ```
+
+pub use aviary::*;
+/// The safe MuJoCo beneath: models, simulations, errors.
+pub use mujoco_rs as mujoco;
+
+/// What most programs use.
+pub mod prelude {
+    pub use aviary::action::ActionType;
+    pub use aviary::control::{Controller, PidControl, Reference};
+    pub use aviary::drone::{DroneModel, DroneParams};
+    pub use aviary::env::{Aviary, Env, EnvError, Info, Step, Task};
+    pub use aviary::simulation::{Simulation, SimulationError};
+    pub use aviary::state::DroneState;
+    pub use aviary::tasks::Hover;
+}
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -6,12 +6,26 @@
 //!
 //! [`Simulation`](simulation::Simulation) is N drones in one world; an [`Env`](env::Env) is a task on top of it.
 //! SI units everywhere, rotor speeds in rpm where the name says so; frames are documented at every field.
+//!
+//! A module uses only modules above it in this list.
 
 pub mod drone;
 pub mod state;
 pub mod world;
 
 pub mod control;
+
+pub mod action;
 pub mod physics;
+
+pub mod engine;
+pub mod simulation;
+
+pub mod observation;
+
+pub mod env;
+pub mod tasks;
+
+pub mod record;
 
 mod error;

@@ -1,2 +1,49 @@
-//! x
-fn main() {}
+//! The command line of mujoco-drones-gym: parses, calls, prints.
+
+mod doctor;
+mod failure;
+mod fly;
+mod output;
+mod tasks;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+/// Quadrotors on MuJoCo.
+#[derive(Debug, Parser)]
+#[command(name = "aviary", version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Fly a task with a built-in controller and report how well
+    Fly(fly::Fly),
+    /// List the tasks
+    Tasks(tasks::Tasks),
+    /// Check what the program needs from this machine
+    Doctor(doctor::Doctor),
+}
+
+fn main() -> ExitCode {
+    tracing_subscriber::fmt()
+        .with_writer(std::io::stderr)
+        .with_env_filter(tracing_subscriber::EnvFilter::from_default_env())
+        .init();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return failure::usage(&error),
+    };
+    let done = match &cli.command {
+        Command::Fly(command) => command.run(),
+        Command::Tasks(command) => command.run(),
+        Command::Doctor(command) => command.run(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => failure::report(&error),
+    }
+}

@@ -143,6 +143,11 @@ impl Data {
         Ok(())
     }
 
+    /// Whether an error has left the simulation unusable until it is [reset](Self::reset).
+    pub fn is_broken(&self) -> bool {
+        self.broken.is_some()
+    }
+
     /// Simulated time, s.
     #[inline]
     pub fn time(&self) -> f64 {

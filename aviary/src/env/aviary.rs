@@ -1,0 +1,309 @@
+use rand::SeedableRng as _;
+
+use super::{BoxSpace, EndReason, Env, EnvError, Info, Rng, Step, Task};
+use crate::action::{ActionType, MotorScale};
+use crate::control::Reference;
+use crate::drone::{DroneModel, DroneParams};
+use crate::simulation::{Simulation, SimulationBuilder};
+use crate::world::{Integrator, Medium};
+
+/// A task made into an environment.
+#[derive(Debug)]
+pub struct Aviary<T> {
+    task: T,
+    simulation: Simulation,
+    action_type: ActionType,
+    scales: Vec<MotorScale>,
+    observation_space: BoxSpace,
+    action_space: BoxSpace,
+    episode_steps: u64,
+    rng: Rng,
+    phase: Phase,
+    end: Option<EndReason>,
+    observation: Vec<f64>,
+    commands: Vec<[f64; 4]>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    New,
+    Running,
+    Over,
+}
+
+/// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
+#[derive(Debug, Clone)]
+pub struct AviaryBuilder<T> {
+    task: T,
+    drone: DroneParams,
+    num_drones: usize,
+    episode_seconds: f64,
+    sim_freq: u32,
+    ctrl_freq: u32,
+    positions: Option<Vec<[f64; 3]>>,
+    rpys: Option<Vec<[f64; 3]>>,
+    action_type: ActionType,
+    integrator: Integrator,
+    medium: Option<Medium>,
+}
+
+impl<T: Task> AviaryBuilder<T> {
+    /// Options for a task.
+    pub fn new(task: T) -> Self {
+        let defaults = task.defaults();
+        Self {
+            task,
+            drone: DroneModel::Cf2x.params(),
+            num_drones: defaults.num_drones,
+            episode_seconds: defaults.episode_seconds,
+            sim_freq: 240,
+            ctrl_freq: 48,
+            positions: None,
+            rpys: None,
+            action_type: ActionType::default(),
+            integrator: Integrator::Rk4,
+            medium: None,
+        }
+    }
+
+    /// Changes the task's own options.
+    #[must_use]
+    pub fn task(mut self, change: impl FnOnce(&mut T)) -> Self {
+        change(&mut self.task);
+        self
+    }
+
+    /// Airframe of every drone; the Crazyflie (X) by default.
+    #[must_use]
+    pub fn drone(mut self, drone: impl Into<DroneParams>) -> Self {
+        self.drone = drone.into();
+        self
+    }
+
+    /// Number of drones.
+    #[must_use]
+    pub fn num_drones(mut self, count: usize) -> Self {
+        self.num_drones = count;
+        self
+    }
+
+    /// Length of an episode, s.
+    #[must_use]
+    pub fn episode_seconds(mut self, seconds: f64) -> Self {
+        self.episode_seconds = seconds;
+        self
+    }
+
+    /// Physics rate, Hz; 240 by default.
+    #[must_use]
+    pub fn sim_freq(mut self, hertz: u32) -> Self {
+        self.sim_freq = hertz;
+        self
+    }
+
+    /// Control rate, Hz, a divisor of the physics rate; 48 by default.
+    #[must_use]
+    pub fn ctrl_freq(mut self, hertz: u32) -> Self {
+        self.ctrl_freq = hertz;
+        self
+    }
+
+    /// Initial positions, world frame, m; the task's by default.
+    #[must_use]
+    pub fn initial_positions(mut self, positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.positions = Some(positions.into_iter().collect());
+        self
+    }
+
+    /// Initial roll, pitch, yaw, rad; level and facing x by default.
+    #[must_use]
+    pub fn initial_rpys(mut self, rpys: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.rpys = Some(rpys.into_iter().collect());
+        self
+    }
+
+    /// How the agent commands the drones; normalized motor speeds by default.
+    #[must_use]
+    pub fn action_type(mut self, action_type: ActionType) -> Self {
+        self.action_type = action_type;
+        self
+    }
+
+    /// MuJoCo's integrator; RK4 by default.
+    #[must_use]
+    pub fn integrator(mut self, integrator: Integrator) -> Self {
+        self.integrator = integrator;
+        self
+    }
+
+    /// MuJoCo's fluid forces; off by default.
+    #[must_use]
+    pub fn medium(mut self, medium: impl Into<Option<Medium>>) -> Self {
+        self.medium = medium.into();
+        self
+    }
+
+    /// Compiles the world. The environment must be [reset](Env::reset) before its first step.
+    ///
+    /// # Errors
+    /// [`EnvError`] naming the option that is impossible.
+    pub fn build(self) -> Result<Aviary<T>, EnvError> {
+        let count = self.num_drones;
+        self.task.check(count)?;
+        let seconds = self.episode_seconds;
+        // the shortest episode is one control step; a year of them still counts exactly
+        if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
+            return Err(EnvError::Option {
+                option: "the length of an episode",
+                got: format!("{seconds} s"),
+                expected: "a positive number of seconds",
+            });
+        }
+        let positions = self.positions.unwrap_or_else(|| self.task.initial_positions(count));
+        let mut options: SimulationBuilder = Simulation::builder(self.drone)
+            .num_drones(count)
+            .initial_positions(positions)
+            .sim_freq(self.sim_freq)
+            .ctrl_freq(self.ctrl_freq)
+            .integrator(self.integrator)
+            .medium(self.medium);
+        if let Some(rpys) = self.rpys {
+            options = options.initial_rpys(rpys);
+        }
+        let simulation = options.build()?;
+        let observation_space = self.task.observation_space(count);
+        Ok(Aviary {
+            observation: vec![0.0; observation_space.size()],
+            observation_space,
+            action_space: BoxSpace::new(vec![[-1.0, 1.0]; self.action_type.size() * count]),
+            action_type: self.action_type,
+            scales: (0..count).map(|drone| MotorScale::new(simulation.params(drone))).collect(),
+            episode_steps: ((seconds * f64::from(self.ctrl_freq)).round() as u64).max(1),
+            rng: Rng::seed_from_u64(0),
+            phase: Phase::New,
+            end: None,
+            commands: vec![[0.0; 4]; count],
+            task: self.task,
+            simulation,
+        })
+    }
+}
+
+impl<T: Task> Aviary<T> {
+    /// The task.
+    pub fn task(&self) -> &T {
+        &self.task
+    }
+
+    fn commands(&mut self, action: &[f64]) -> Result<(), EnvError> {
+        let expected = self.action_space.size();
+        if action.len() != expected {
+            return Err(EnvError::ActionLength { got: action.len(), expected });
+        }
+        if let Some((index, &got)) = action.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+            return Err(EnvError::Action { index, got, time: self.simulation.time() });
+        }
+        let parts = action.chunks_exact(self.action_type.size());
+        for ((command, scale), part) in self.commands.iter_mut().zip(&self.scales).zip(parts) {
+            *command = match (self.action_type, part) {
+                (ActionType::Rpm, &[a, b, c, d]) => [a, b, c, d].map(|x| scale.rpm(x)),
+                (ActionType::OneDRpm, &[x, ..]) | (ActionType::Rpm, &[x, ..]) => [scale.rpm(x); 4],
+                (_, []) => [0.0; 4],
+            };
+        }
+        Ok(())
+    }
+}
+
+impl<T: Task> Env for Aviary<T> {
+    fn name(&self) -> &'static str {
+        self.task.name()
+    }
+
+    fn observation_space(&self) -> &BoxSpace {
+        &self.observation_space
+    }
+
+    fn action_space(&self) -> &BoxSpace {
+        &self.action_space
+    }
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<&[f64], EnvError> {
+        if let Some(seed) = seed {
+            self.rng = Rng::seed_from_u64(seed);
+        }
+        self.simulation.reset()?;
+        self.task.reset(&self.simulation, &mut self.rng);
+        self.end = None;
+        self.phase = Phase::Running;
+        self.task.observe(&self.simulation, &mut self.observation);
+        Ok(&self.observation)
+    }
+
+    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
+        match self.phase {
+            Phase::Running => {}
+            Phase::New => return Err(EnvError::NeedsReset { when: "on a new environment" }),
+            Phase::Over => return Err(EnvError::NeedsReset { when: "after the end of the episode" }),
+        }
+        self.commands(action)?;
+        if let Err(error) = self.simulation.step(&self.commands) {
+            self.phase = Phase::Over;
+            return Err(error.into());
+        }
+        self.task.update(&self.simulation);
+
+        let end = self.task.end(&self.simulation);
+        let terminated = end.is_some();
+        let truncated = self.simulation.control_steps() >= self.episode_steps;
+        let reward = self.task.reward(&self.simulation, end);
+        self.task.observe(&self.simulation, &mut self.observation);
+
+        self.end = end.or(truncated.then_some(EndReason::TimeLimit));
+        if self.end.is_some() {
+            self.phase = Phase::Over;
+        }
+        Ok(Step { observation: &self.observation, reward, terminated, truncated })
+    }
+
+    fn info(&self) -> Info {
+        let position_error = (0..self.simulation.num_drones())
+            .map(|drone| self.simulation.distance(drone, &self.reference(drone).position))
+            .fold(0.0, f64::max);
+        Info {
+            time: self.simulation.time(),
+            success: self.phase != Phase::New && self.task.success(&self.simulation),
+            end: self.end,
+            position_error,
+            contacts: self.simulation.contacts().len(),
+        }
+    }
+
+    fn reference(&self, drone: usize) -> Reference {
+        self.task.reference(&self.simulation, drone)
+    }
+
+    fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
+        if self.action_type != ActionType::Rpm {
+            return Err(EnvError::Option {
+                option: "the action type",
+                got: self.action_type.to_string(),
+                expected: "rpm, which commands single motors",
+            });
+        }
+        let expected = self.action_space.size();
+        if action.len() != expected || speeds.len() * 4 != expected {
+            return Err(EnvError::ActionLength { got: action.len().min(4 * speeds.len()), expected });
+        }
+        for ((part, speeds), scale) in action.chunks_exact_mut(4).zip(speeds).zip(&self.scales) {
+            for (command, &rpm) in part.iter_mut().zip(speeds) {
+                *command = scale.command(rpm);
+            }
+        }
+        Ok(())
+    }
+
+    fn simulation(&self) -> &Simulation {
+        &self.simulation
+    }
+}

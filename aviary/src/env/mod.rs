@@ -1,0 +1,211 @@
+//! What an environment promises: Gymnasium's contract, in Rust.
+
+mod aviary;
+mod space;
+mod task;
+
+pub use aviary::{Aviary, AviaryBuilder};
+pub use space::BoxSpace;
+pub use task::{Task, TaskDefaults};
+
+use crate::control::Reference;
+use crate::simulation::{Simulation, SimulationError};
+
+/// The generator behind every random draw of an environment.
+pub type Rng = rand_chacha::ChaCha8Rng;
+
+/// What a step returns, beside the information that [`Env::info`] gives on demand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step<'a> {
+    /// What the agent sees now.
+    pub observation: &'a [f64],
+    /// Reward of this step.
+    pub reward: f64,
+    /// The episode has come to an end of its own: no more reward can follow.
+    pub terminated: bool,
+    /// The episode was cut off by its time limit: reward could have followed.
+    pub truncated: bool,
+}
+
+/// Why an episode ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum EndReason {
+    /// The time of the episode is over.
+    TimeLimit,
+    /// A drone fell below the floor's height.
+    BelowFloor,
+    /// A drone touched the floor after having been clear of it.
+    FloorContact,
+    /// A drone touched an obstacle.
+    ObstacleContact,
+    /// Two drones touched.
+    DroneContact,
+    /// A drone leaned past the task's limit.
+    Tilt,
+    /// A drone left the space of the task.
+    OutOfBounds,
+}
+
+impl EndReason {
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::TimeLimit => "time_limit",
+            Self::BelowFloor => "below_floor",
+            Self::FloorContact => "floor_contact",
+            Self::ObstacleContact => "obstacle_contact",
+            Self::DroneContact => "drone_contact",
+            Self::Tilt => "tilt",
+            Self::OutOfBounds => "out_of_bounds",
+        }
+    }
+
+    /// Whether the drone is lost: everything but the time limit and leaving the space.
+    pub fn is_crash(self) -> bool {
+        !matches!(self, Self::TimeLimit | Self::OutOfBounds)
+    }
+}
+
+impl std::fmt::Display for EndReason {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// How an episode stands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Info {
+    /// Simulated time of the episode, s.
+    pub time: f64,
+    /// Whether the task is fulfilled at this moment.
+    pub success: bool,
+    /// Why the episode ended; `None` while it runs.
+    pub end: Option<EndReason>,
+    /// Largest distance of a drone from where the task wants it now, m.
+    pub position_error: f64,
+    /// Contacts during the last step: pairs of a drone and what it touched.
+    pub contacts: usize,
+}
+
+impl Info {
+    /// Whether a drone crashed.
+    pub fn crashed(&self) -> bool {
+        self.end.is_some_and(EndReason::is_crash)
+    }
+
+    /// The same by name, truth values as 0 and 1.
+    pub fn values(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        [
+            ("time", self.time),
+            ("success", f64::from(u8::from(self.success))),
+            ("crashed", f64::from(u8::from(self.crashed()))),
+            ("position_error", self.position_error),
+            ("contacts", self.contacts as f64),
+        ]
+        .into_iter()
+    }
+}
+
+/// What can go wrong with an environment.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum EnvError {
+    /// An action of the wrong length.
+    #[error("the action has {got} numbers, expected {expected}")]
+    ActionLength {
+        /// Its length.
+        got: usize,
+        /// What the action space has.
+        expected: usize,
+    },
+    /// An action that is not a number.
+    #[error("action[{index}] is {got} at t = {time} s, expected a finite number")]
+    Action {
+        /// Which entry.
+        index: usize,
+        /// What it is.
+        got: f64,
+        /// Simulated time, s.
+        time: f64,
+    },
+    /// A step outside an episode.
+    #[error("step was called {when}, expected a call of reset first")]
+    NeedsReset {
+        /// When it was called.
+        when: &'static str,
+    },
+    /// An option of the task that is impossible.
+    #[error("{option} is {got}, expected {expected}")]
+    Option {
+        /// The option.
+        option: &'static str,
+        /// What it is.
+        got: String,
+        /// What is possible.
+        expected: &'static str,
+    },
+    /// The simulation underneath.
+    #[error(transparent)]
+    Simulation(#[from] SimulationError),
+}
+
+/// An environment: one agent that commands all drones of a task.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+///
+/// let mut env = Hover::builder().build()?;
+/// let mut observation = env.reset(Some(7))?.to_vec();
+/// loop {
+///     let step = env.step(&[0.01; 4])?;
+///     observation.copy_from_slice(step.observation);
+///     if step.terminated || step.truncated {
+///         break;
+///     }
+/// }
+/// assert!(env.info().end.is_some());
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub trait Env {
+    /// Name of the task, in lower snake case.
+    fn name(&self) -> &'static str;
+
+    /// What observations look like.
+    fn observation_space(&self) -> &BoxSpace;
+
+    /// What actions look like. Steps clip to its bounds.
+    fn action_space(&self) -> &BoxSpace;
+
+    /// Starts an episode. With a seed, everything random starts anew from it; without one it goes on from where it
+    /// was.
+    ///
+    /// # Errors
+    /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error.
+    fn reset(&mut self, seed: Option<u64>) -> Result<&[f64], EnvError>;
+
+    /// Advances by one control step.
+    ///
+    /// # Errors
+    /// [`EnvError::ActionLength`] and [`EnvError::Action`], and then nothing has moved; [`EnvError::NeedsReset`];
+    /// [`EnvError::Simulation`] where the state diverged.
+    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError>;
+
+    /// How the episode stands.
+    fn info(&self) -> Info;
+
+    /// What a controller flying this task would be asked to follow now.
+    fn reference(&self, drone: usize) -> Reference;
+
+    /// The normalized action (written to `action`) that commands these motor speeds (rpm), for controllers that
+    /// speak in motor speeds.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
+    fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError>;
+
+    /// The simulation underneath.
+    fn simulation(&self) -> &Simulation;
+}

@@ -1,0 +1,91 @@
+use rand::{Rng as _, RngExt as _};
+
+/// Vectors within bounds, one pair per entry; infinite where there is no bound.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BoxSpace {
+    low: Vec<f64>,
+    high: Vec<f64>,
+}
+
+impl BoxSpace {
+    /// From one pair `[low, high]` per entry.
+    ///
+    /// # Panics
+    /// If a bound is NaN or a pair is the wrong way round: spaces are made by tasks, not from input.
+    pub fn new(bounds: impl IntoIterator<Item = [f64; 2]>) -> Self {
+        let (low, high): (Vec<_>, Vec<_>) = bounds.into_iter().map(|[low, high]| (low, high)).unzip();
+        assert!(low.iter().zip(&high).all(|(low, high)| low <= high), "a space whose bounds are the wrong way round");
+        Self { low, high }
+    }
+
+    /// How many entries a vector has.
+    pub fn size(&self) -> usize {
+        self.low.len()
+    }
+
+    /// Least values.
+    pub fn low(&self) -> &[f64] {
+        &self.low
+    }
+
+    /// Greatest values.
+    pub fn high(&self) -> &[f64] {
+        &self.high
+    }
+
+    /// Whether a vector is of this space: right length, every entry a number within its bounds.
+    pub fn contains(&self, vector: &[f64]) -> bool {
+        vector.len() == self.size()
+            && vector.iter().zip(&self.low).zip(&self.high).all(|((x, low), high)| low <= x && x <= high)
+    }
+
+    /// A random vector: uniform where both bounds are finite, standard normal beyond them (shifted to a single
+    /// bound where there is one).
+    pub fn sample(&self, rng: &mut super::Rng) -> Vec<f64> {
+        (self.low.iter().zip(&self.high))
+            .map(|(&low, &high)| match (low.is_finite(), high.is_finite()) {
+                (true, true) => low + (high - low) * rng.random::<f64>(),
+                (true, false) => low + normal(rng).abs(),
+                (false, true) => high - normal(rng).abs(),
+                (false, false) => normal(rng),
+            })
+            .collect()
+    }
+}
+
+/// A standard normal draw (Box and Muller 1958).
+fn normal(rng: &mut super::Rng) -> f64 {
+    // 53 bits, never zero
+    let u = ((rng.next_u64() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64;
+    let v: f64 = rng.random();
+    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng as _;
+
+    #[test]
+    fn samples_are_contained_and_spread_over_the_space() {
+        let inf = f64::INFINITY;
+        let space = BoxSpace::new([[-1.0, 1.0], [2.0, inf], [-inf, -3.0], [-inf, inf]]);
+        let mut rng = super::super::Rng::seed_from_u64(5);
+        let mut seen = [[inf, -inf]; 4];
+        for _ in 0..1000 {
+            let sample = space.sample(&mut rng);
+            assert!(space.contains(&sample));
+            for (range, x) in seen.iter_mut().zip(sample) {
+                *range = [range[0].min(x), range[1].max(x)];
+            }
+        }
+        assert!(seen[0][0] < -0.9 && seen[0][1] > 0.9 && seen[3][0] < -2.0 && seen[3][1] > 2.0);
+    }
+
+    #[test]
+    fn vectors_outside_are_not_contained() {
+        let space = BoxSpace::new([[-1.0, 1.0]; 2]);
+        assert!(space.contains(&[1.0, -1.0]));
+        assert!(!space.contains(&[1.1, 0.0]) && !space.contains(&[0.0]) && !space.contains(&[f64::NAN, 0.0]));
+    }
+}

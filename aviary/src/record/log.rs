@@ -1,0 +1,108 @@
+use std::io::Write;
+
+use crate::simulation::Simulation;
+use crate::state::wxyz;
+
+/// Columns of a log: unit and frame in the name where the convention does not say it.
+const COLUMNS: [&str; 22] = [
+    "t", "drone", "x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz", "roll", "pitch", "yaw",
+    "rpm0", "rpm1", "rpm2", "rpm3",
+];
+
+/// A flight as CSV: one row per control step and drone.
+///
+/// `t` s, position m and velocity m/s in the world frame, quaternion body to world, angular velocity rad/s in the body
+/// frame, roll, pitch and yaw rad, motor speeds rpm. Numbers read back to the same bits.
+pub struct CsvLog<W: Write> {
+    writer: csv::Writer<W>,
+}
+
+/// What can go wrong with a log.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// It cannot be written.
+    #[error("the log cannot be written: {0}")]
+    Write(#[from] csv::Error),
+    /// What was written cannot be brought to where it belongs.
+    #[error("the log cannot be written: {0}")]
+    Flush(#[from] std::io::Error),
+}
+
+impl<W: Write> CsvLog<W> {
+    /// Begins a log with its header.
+    ///
+    /// # Errors
+    /// [`RecordError::Write`].
+    pub fn new(target: W) -> Result<Self, RecordError> {
+        let mut writer = csv::Writer::from_writer(target);
+        writer.write_record(COLUMNS)?;
+        Ok(Self { writer })
+    }
+
+    /// Writes a row for every drone as it is now.
+    ///
+    /// # Errors
+    /// [`RecordError::Write`].
+    pub fn record(&mut self, simulation: &Simulation) -> Result<(), RecordError> {
+        let time = simulation.time();
+        for (drone, (state, rpm)) in simulation.states().iter().zip(simulation.motor_speeds()).enumerate() {
+            self.writer.write_field(time.to_string())?;
+            self.writer.write_field(drone.to_string())?;
+            let rpy = state.rpy();
+            let numbers = (state.position.iter())
+                .chain(&wxyz(&state.attitude))
+                .chain(&state.velocity)
+                .chain(&state.angular_velocity)
+                .chain(&rpy)
+                .chain(rpm)
+                .map(f64::to_string)
+                .collect::<Vec<_>>();
+            self.writer.write_record(&numbers)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the log and gives the target back.
+    ///
+    /// # Errors
+    /// [`RecordError::Flush`].
+    pub fn finish(self) -> Result<W, RecordError> {
+        self.writer.into_inner().map_err(|error| RecordError::Flush(error.into_error()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+
+    #[test]
+    fn a_log_reads_back_to_the_same_bits() {
+        let mut simulation = Simulation::builder(DroneModel::Cf2x)
+            .num_drones(2)
+            .initial_rpys([[0.1, 0.2, 0.3], [-0.3, 0.2, 3.0]])
+            .build()
+            .unwrap();
+        let mut log = CsvLog::new(Vec::new()).unwrap();
+        log.record(&simulation).unwrap();
+        simulation.step(&[[14_000.0, 14_100.1, 1.0 / 3.0, 9e9]; 2]).unwrap();
+        log.record(&simulation).unwrap();
+        let bytes = log.finish().unwrap();
+
+        let mut reader = csv::Reader::from_reader(&bytes[..]);
+        assert_eq!(reader.headers().unwrap(), COLUMNS.to_vec());
+        let rows: Vec<Vec<f64>> =
+            reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect();
+        assert_eq!(rows.len(), 4);
+        for (drone, state) in simulation.states().iter().enumerate() {
+            let row = &rows[2 + drone];
+            assert_eq!((row[0], row[1]), (1.0 / 48.0, drone as f64));
+            assert_eq!(row[2..5], *state.position.as_slice());
+            assert_eq!(row[5..9], wxyz(&state.attitude));
+            assert_eq!(row[9..12], *state.velocity.as_slice());
+            assert_eq!(row[12..15], *state.angular_velocity.as_slice());
+            assert_eq!(row[18..], [14_000.0, 14_100.1, 1.0 / 3.0, simulation.params(drone).max_rpm()]);
+        }
+    }
+}

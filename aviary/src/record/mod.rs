@@ -1,0 +1,5 @@
+//! Flights as files.
+
+mod log;
+
+pub use log::{CsvLog, RecordError};

@@ -1,0 +1,76 @@
+use crate::engine::Touched;
+use crate::env::EndReason;
+use crate::simulation::Simulation;
+
+/// When a drone counts as crashed. All are on by default; each can be switched off.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CrashConditions {
+    /// The centre of a drone is below z = 0 (which only happens where no floor stops it).
+    pub below_floor: bool,
+    /// A drone touches the floor after having been clear of it: with a solid floor, what "z < 0" means.
+    pub floor_contact: bool,
+    /// A drone touches an obstacle.
+    pub obstacle_contact: bool,
+    /// Two drones touch.
+    pub drone_contact: bool,
+    /// Largest angle between body z and world z, rad.
+    pub max_tilt: f64,
+}
+
+impl CrashConditions {
+    /// All of them, with this limit of the tilt, rad.
+    pub fn with_max_tilt(max_tilt: f64) -> Self {
+        Self { below_floor: true, floor_contact: true, obstacle_contact: true, drone_contact: true, max_tilt }
+    }
+}
+
+/// Watches the drones of an episode for crashes.
+#[derive(Debug, Clone, Default)]
+pub(super) struct CrashWatch {
+    /// Which drones have been clear of the floor since the start.
+    airborne: Vec<bool>,
+    found: Option<EndReason>,
+}
+
+impl CrashWatch {
+    pub(super) fn reset(&mut self, simulation: &Simulation) {
+        self.airborne.clear();
+        self.airborne.resize(simulation.num_drones(), false);
+        self.found = None;
+    }
+
+    /// Looks at the last control step.
+    pub(super) fn update(&mut self, conditions: &CrashConditions, simulation: &Simulation) {
+        self.found = self.look(conditions, simulation);
+    }
+
+    fn look(&mut self, conditions: &CrashConditions, simulation: &Simulation) -> Option<EndReason> {
+        let mut found = None;
+        for (drone, (state, airborne)) in simulation.states().iter().zip(&mut self.airborne).enumerate() {
+            let mut on_floor = false;
+            for contact in simulation.contacts().iter().filter(|contact| contact.drone == drone) {
+                let reason = match contact.with {
+                    Touched::Floor => {
+                        on_floor = true;
+                        (conditions.floor_contact && *airborne).then_some(EndReason::FloorContact)
+                    }
+                    Touched::Obstacle => conditions.obstacle_contact.then_some(EndReason::ObstacleContact),
+                    Touched::Drone(_) => conditions.drone_contact.then_some(EndReason::DroneContact),
+                };
+                found = found.or(reason);
+            }
+            *airborne |= !on_floor;
+            if conditions.below_floor && state.position.z < 0.0 {
+                found = found.or(Some(EndReason::BelowFloor));
+            }
+            if state.tilt() > conditions.max_tilt {
+                found = found.or(Some(EndReason::Tilt));
+            }
+        }
+        found
+    }
+
+    pub(super) fn found(&self) -> Option<EndReason> {
+        self.found
+    }
+}

@@ -1,0 +1,139 @@
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::Vector3;
+
+use super::conditions::{CrashConditions, CrashWatch};
+use crate::control::Reference;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+
+/// One drone takes off and hovers (paper, §4.1 `HoverAviary`).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | (0, 0, 0.1) m, level, at rest |
+/// | Action | 4 normalized motor speeds in [−1, 1]; 0 hovers |
+/// | Reward | −\|z − z\*\| − 0.1·‖(x, y)‖ − 0.05·‖v‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at the target, − 100 for a crash |
+/// | At the target | \|z − z\*\| < 0.05 m and ‖(x, y)‖ < 0.05 m |
+/// | Terminated | crash (tilt over 90°, the floor touched after having been clear of it, z < 0) or z > 3 m |
+/// | Truncated | after 10 s |
+///
+/// | Observation | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–2 | position | m, world |
+/// | 3–5 | roll, pitch, yaw | rad |
+/// | 6–8 | velocity | m/s, world |
+/// | 9–11 | angular velocity | rad/s, body |
+#[derive(Debug, Clone)]
+pub struct Hover {
+    /// Height z\* to hover at, m; 1 by default.
+    pub target_height: f64,
+    /// Height above which the episode ends, m; 3 by default.
+    pub max_height: f64,
+    /// When the drone counts as crashed.
+    pub crash: CrashConditions,
+    watch: CrashWatch,
+}
+
+impl Default for Hover {
+    fn default() -> Self {
+        Self {
+            target_height: 1.0,
+            max_height: 3.0,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            watch: CrashWatch::default(),
+        }
+    }
+}
+
+impl Hover {
+    /// Distance from the target, in height and to the side, within which it counts as reached, m.
+    const AT_TARGET: f64 = 0.05;
+
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    fn at_target(&self, position: &Vector3<f64>) -> bool {
+        (position.z - self.target_height).abs() < Self::AT_TARGET && position.xy().norm() < Self::AT_TARGET
+    }
+}
+
+impl Task for Hover {
+    fn name(&self) -> &'static str {
+        "hover"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 10.0 }
+    }
+
+    fn initial_positions(&self, _num_drones: usize) -> Vec<[f64; 3]> {
+        vec![[0.0, 0.0, 0.1]]
+    }
+
+    fn observation_space(&self, _num_drones: usize) -> BoxSpace {
+        let unbounded = [f64::NEG_INFINITY, f64::INFINITY];
+        let mut bounds = [unbounded; STATE_SIZE];
+        bounds[3..6].copy_from_slice(&[[-PI, PI], [-FRAC_PI_2, FRAC_PI_2], [-PI, PI]]);
+        BoxSpace::new(bounds)
+    }
+
+    fn check(&self, num_drones: usize) -> Result<(), EnvError> {
+        if num_drones != 1 {
+            return Err(EnvError::Option {
+                option: "the number of drones of hover",
+                got: num_drones.to_string(),
+                expected: "1",
+            });
+        }
+        let (target, max) = (self.target_height, self.max_height);
+        if !(target.is_finite() && target > 0.0 && target < max) {
+            return Err(EnvError::Option {
+                option: "the target height",
+                got: format!("{target} m"),
+                expected: "a height above the floor and below the task's greatest",
+            });
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+    }
+
+    fn end(&self, simulation: &Simulation) -> Option<EndReason> {
+        let too_high = simulation.states()[0].position.z > self.max_height;
+        self.watch.found().or(too_high.then_some(EndReason::OutOfBounds))
+    }
+
+    fn reward(&self, simulation: &Simulation, end: Option<EndReason>) -> f64 {
+        let state = &simulation.states()[0];
+        let rpy = state.rpy();
+        let crashed = end.is_some_and(EndReason::is_crash);
+        -(state.position.z - self.target_height).abs()
+            - 0.1 * state.position.xy().norm()
+            - 0.05 * state.velocity.norm()
+            - 0.05 * (rpy.x.abs() + rpy.y.abs())
+            + if self.at_target(&state.position) { 0.5 } else { 0.0 }
+            - if crashed { 100.0 } else { 0.0 }
+    }
+
+    fn observe(&self, simulation: &Simulation, out: &mut [f64]) {
+        out.copy_from_slice(&state_vector(&simulation.states()[0]));
+    }
+
+    fn success(&self, simulation: &Simulation) -> bool {
+        self.watch.found().is_none() && self.at_target(&simulation.states()[0].position)
+    }
+
+    fn reference(&self, _simulation: &Simulation, _drone: usize) -> Reference {
+        Reference::hover(Vector3::new(0.0, 0.0, self.target_height), 0.0)
+    }
+}

@@ -1,0 +1,60 @@
+//! The same seed gives the same bits: again, after other episodes, and on another thread.
+
+use mujoco_drones_gym::prelude::*;
+
+/// A digest of a flight under a fixed pattern of commands that tumbles, falls and hits the floor.
+fn flight(env: &mut Aviary<Hover>, seed: u64, steps: usize) -> Vec<u64> {
+    let mut bits: Vec<u64> = env.reset(Some(seed)).unwrap().iter().map(|x| x.to_bits()).collect();
+    for k in 0..steps {
+        let phase = k as f64 * 0.7;
+        let action = [phase.sin() * 0.4, (1.3 * phase).cos() * 0.4, -0.1, 0.2 * phase.sin() - 0.1];
+        match env.step(&action) {
+            Ok(step) => bits.extend(step.observation.iter().chain([&step.reward]).map(|x| x.to_bits())),
+            Err(EnvError::NeedsReset { .. }) => break,
+            Err(error) => panic!("{error}"),
+        }
+    }
+    bits
+}
+
+fn env() -> Aviary<Hover> {
+    Hover::builder()
+        .initial_positions([[0.0, 0.0, 0.8]])
+        .initial_rpys([[0.2, -0.1, 2.0]])
+        // the contact with the floor shall be a part of the flight
+        .task(|hover| {
+            hover.crash.floor_contact = false;
+            hover.crash.max_tilt = 4.0;
+        })
+        .build()
+        .unwrap()
+}
+
+#[test]
+fn a_reset_environment_flies_as_a_new_one_does() {
+    let fresh = flight(&mut env(), 5, 300);
+    assert!(fresh.len() > 12 + 13 * 200, "the flight ended early");
+    let mut used = env();
+    for steps in [300, 7, 120] {
+        let _ = flight(&mut used, 9, steps);
+        assert_eq!(flight(&mut used, 5, 300), fresh, "after an episode of {steps} steps");
+    }
+}
+
+#[test]
+fn another_thread_gives_the_same_bits() {
+    let here = flight(&mut env(), 5, 300);
+    let threads: Vec<_> = (0..3).map(|_| std::thread::spawn(|| flight(&mut env(), 5, 300))).collect();
+    for thread in threads {
+        assert_eq!(thread.join().unwrap(), here);
+    }
+}
+
+#[test]
+fn an_error_in_between_leaves_no_trace_after_a_reset() {
+    let fresh = flight(&mut env(), 5, 100);
+    let mut used = env();
+    used.reset(None).unwrap();
+    assert!(used.step(&[f64::NAN; 4]).is_err());
+    assert_eq!(flight(&mut used, 5, 100), fresh);
+}

@@ -1,0 +1,125 @@
+//! Simulations of several drones: independence, contacts, errors.
+
+use mujoco_drones_gym::drone::GRAVITY;
+use mujoco_drones_gym::engine::{Contact, Touched};
+use mujoco_drones_gym::prelude::*;
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+#[test]
+fn drones_that_do_not_meet_fly_as_they_would_alone() {
+    let airframes = [DroneModel::Cf2x, DroneModel::Race, DroneModel::Cf2p];
+    let start = |i: usize| {
+        let i = i as f64;
+        DroneState {
+            velocity: Vector3::new(0.3 * i, -0.2, 0.5),
+            angular_velocity: Vector3::new(1.0 + i, -2.0, 0.5),
+            ..DroneState::at_rest(Vector3::new(3.0 * i, -i, 20.0), Vector3::new(0.2, -0.3 * i, 1.0 + i))
+        }
+    };
+    let command = |model: DroneModel, k: usize| {
+        let hover = model.params().hover_rpm();
+        let wave = 0.02 * (k as f64 * 0.3).sin();
+        [hover * (1.0 + wave), hover, hover * (1.0 - wave), hover * 1.01]
+    };
+    let mut together = Simulation::builder(DroneModel::Cf2x).drones(airframes.map(DroneModel::params)).build().unwrap();
+    together.reset_to(&[start(0), start(1), start(2)]).unwrap();
+    let mut alone: Vec<_> = airframes.iter().map(|&model| Simulation::builder(model).build().unwrap()).collect();
+    for (i, simulation) in alone.iter_mut().enumerate() {
+        simulation.reset_to(&[start(i)]).unwrap();
+    }
+    for k in 0..96 {
+        together.step(&airframes.map(|model| command(model, k))).unwrap();
+        for (i, simulation) in alone.iter_mut().enumerate() {
+            simulation.step(&[command(airframes[i], k)]).unwrap();
+            let offset = together.states()[i].position - simulation.states()[0].position;
+            assert!(offset.norm() < 1e-12, "drone {i} is off by {} m after {k} steps", offset.norm());
+            assert!(together.states()[i].attitude.angle_to(&simulation.states()[0].attitude) < 1e-7);
+        }
+    }
+}
+
+#[test]
+fn a_free_fall_is_the_closed_form_of_any_start() {
+    let mut simulation = Simulation::builder(DroneModel::Race).sim_freq(500).ctrl_freq(50).build().unwrap();
+    let start = DroneState {
+        velocity: Vector3::new(1.0, -2.0, 3.0),
+        ..DroneState::at_rest(Vector3::new(1.0, 2.0, 90.0), Vector3::new(0.4, 0.3, -2.0))
+    };
+    simulation.reset_to(&[start]).unwrap();
+    for _ in 0..100 {
+        simulation.step(&[[0.0; 4]]).unwrap();
+        let t = simulation.time();
+        let wanted = start.position + start.velocity * t - Vector3::new(0.0, 0.0, 0.5 * GRAVITY * t * t);
+        assert!(simulation.distance(0, &wanted) < 1e-11);
+    }
+}
+
+#[test]
+fn drones_report_what_they_touch_once_per_step() {
+    // one on top of another, and a third that stays clear
+    let mut simulation = Simulation::builder(DroneModel::Cf2x)
+        .num_drones(3)
+        .initial_positions([[0.0, 0.0, 0.02], [0.0, 0.0, 0.06], [1.0, 0.0, 5.0]])
+        .build()
+        .unwrap();
+    let mut seen = Vec::new();
+    for _ in 0..24 {
+        simulation.step(&[[0.0; 4]; 3]).unwrap();
+        let mut now = simulation.contacts().to_vec();
+        now.sort();
+        let length = now.len();
+        now.dedup();
+        assert_eq!(now.len(), length, "reported twice");
+        seen = now;
+    }
+    let contact = |drone, with| Contact { drone, with };
+    assert_eq!(seen, [contact(0, Touched::Floor), contact(0, Touched::Drone(1)), contact(1, Touched::Drone(0))],);
+    simulation.reset().unwrap();
+    assert!(simulation.contacts().is_empty());
+}
+
+#[test]
+fn bad_commands_are_errors_that_name_drone_motor_and_time() {
+    let mut simulation = Simulation::builder(DroneModel::Cf2x).num_drones(2).build().unwrap();
+    simulation.step(&[[14_000.0; 4]; 2]).unwrap();
+    let before = simulation.states().to_vec();
+    let error = simulation.step(&[[0.0; 4], [0.0, 0.0, 0.0, f64::NAN]]).unwrap_err();
+    assert!(matches!(error, SimulationError::Command { drone: 1, motor: 3, .. }));
+    assert!(error.to_string().contains("motor 3 of drone 1 is NaN at t = 0.0208"), "{error}");
+    assert!(simulation.step(&[[0.0; 4]; 3]).unwrap_err().to_string().contains("3 entries"));
+    assert_eq!(simulation.states(), before);
+    assert!(simulation.reset_to(&before[..1]).is_err());
+    let nowhere = DroneState { velocity: Vector3::new(0.0, f64::NAN, 0.0), ..before[0] };
+    assert_eq!(simulation.reset_to(&[before[0], nowhere]).unwrap_err(), SimulationError::State { drone: 1 });
+    assert_eq!(simulation.states(), before);
+}
+
+#[test]
+fn a_simulation_that_diverges_says_which_drone_and_when_and_keeps_the_last_state() {
+    let mut simulation = Simulation::builder(DroneModel::Cf2x).num_drones(2).build().unwrap();
+    let fast = DroneState { velocity: Vector3::new(9.9e9, 0.0, 0.0), ..simulation.states()[1] };
+    let calm = simulation.states()[0];
+    simulation.reset_to(&[calm, DroneState { position: Vector3::new(9.9e9, 0.0, 5.0), ..fast }]).unwrap();
+    let error = (0..48).find_map(|_| simulation.step(&[[0.0; 4]; 2]).err()).expect("it leaves the range of numbers");
+    assert!(matches!(error, SimulationError::Diverged { drone: 1, quantity: "position", .. }), "{error}");
+    assert!(simulation.states()[1].position.x > 9e9, "the state before can be read");
+    simulation.reset().unwrap();
+    simulation.step(&[[0.0; 4]; 2]).unwrap();
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    /// Whatever the commands, a flight stays finite and the quaternion of length one.
+    #[test]
+    fn any_commands_leave_a_finite_state(commands in prop::collection::vec(prop::array::uniform4(-1e9..1e9), 1..60)) {
+        let mut simulation = Simulation::builder(DroneModel::Race).build().unwrap();
+        for command in commands {
+            simulation.step(&[command]).unwrap();
+            let state = simulation.states()[0];
+            prop_assert!(state.is_finite());
+            prop_assert!((state.attitude.coords.norm() - 1.0).abs() < 1e-9);
+        }
+    }
+}
