@@ -278,6 +278,10 @@ impl Data {
         Ok(())
     }
 
+    pub(crate) fn as_ptr(&mut self) -> *mut mujoco_sys::mjData {
+        self.pointer.as_ptr()
+    }
+
     #[inline]
     pub(crate) fn raw(&self) -> &mujoco_sys::mjData {
         // SAFETY: valid from construction to drop.

@@ -1,3 +1,4 @@
+use crate::gl::GlBackend;
 use crate::id::ObjectKind;
 
 /// What can go wrong between a caller and MuJoCo.
@@ -58,12 +59,76 @@ pub enum Error {
         /// What is possible.
         expected: &'static str,
     },
+    /// An id that is not of this model.
+    #[error("{kind} {index} is not of this model, which has {count}")]
+    NotOfModel {
+        /// Kind of object.
+        kind: ObjectKind,
+        /// The index.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// A simulation, scene and renderer that are not of the same model.
+    #[error("the simulation, the scene and the renderer are not of the same model")]
+    OtherModel,
+    /// A scene that has not been looked at by a camera yet.
+    #[error("the scene has not been updated, so that there is no camera to draw it from")]
+    NoCamera,
+    /// Segmentation asked of a renderer that mixes colours.
+    #[error("segmentation needs a renderer with one sample per pixel")]
+    Multisampled,
+    /// A buffer of the wrong length.
+    #[error("the {what} buffer has {got} entries, expected {expected}")]
+    Buffer {
+        /// What it is for.
+        what: &'static str,
+        /// Its length.
+        got: usize,
+        /// The length for the size asked for.
+        expected: usize,
+    },
+    /// No OpenGL context can be made on this machine.
+    #[error("no OpenGL to draw with: {}; install it with `apt-get install {}`", answers(.attempts), packages(.attempts))]
+    NoGl {
+        /// What was tried and what it answered.
+        attempts: Vec<GlAttempt>,
+    },
+    /// `MUJOCO_GL` names nothing that is known.
+    #[error("MUJOCO_GL is `{got}`, expected egl or osmesa, or unset to try both")]
+    GlName {
+        /// Its value.
+        got: String,
+    },
+    /// OpenGL failed after it had worked.
+    #[error("OpenGL: {message}")]
+    Gl {
+        /// What it answered.
+        message: String,
+    },
     /// A string with a zero byte, which C cannot read.
     #[error("the {what} holds a zero byte")]
     Nul {
         /// What the string is.
         what: &'static str,
     },
+}
+
+/// One way to OpenGL that was tried in vain.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GlAttempt {
+    /// The library.
+    pub backend: GlBackend,
+    /// What it answered.
+    pub answer: String,
+}
+
+fn answers(attempts: &[GlAttempt]) -> String {
+    attempts.iter().map(|attempt| format!("{}: {}", attempt.backend, attempt.answer)).collect::<Vec<_>>().join("; ")
+}
+
+fn packages(attempts: &[GlAttempt]) -> String {
+    attempts.iter().map(|attempt| attempt.backend.packages()).collect::<Vec<_>>().join(" ")
 }
 
 fn dotted(version: &[u32; 3]) -> String {

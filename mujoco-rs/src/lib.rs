@@ -27,19 +27,25 @@ mod arrays;
 mod contact;
 mod data;
 mod error;
+mod gl;
 mod id;
 mod model;
+mod renderer;
 mod runtime;
+mod scene;
 
 pub use contact::Contact;
 pub use data::{Data, WarningKind, WarningStat};
-pub use error::{DivergedQuantity, Divergence, Error};
+pub use error::{DivergedQuantity, Divergence, Error, GlAttempt};
+pub use gl::{GlBackend, GlInfo, gl_info};
 pub use id::{
     ActuatorId, BodyId, CameraId, GeomId, JointId, LightId, MaterialId, MeshId, ObjectId, ObjectKind, SensorId, SiteId,
     TextureId,
 };
 pub use model::{Assets, Integrator, Model, ModelMut};
+pub use renderer::{ImageSize, Quality, Renderer};
 pub use runtime::{HEADER_VERSION, check_library, library_version};
+pub use scene::{Camera, Decor, Effects, Scene};
 
 #[doc(hidden)]
 pub mod testing {

@@ -81,6 +81,41 @@ int mjshim_ray(const mjModel* m, const mjData* d, const mjtNum* pnt, const mjtNu
   GUARDED(*distance = mj_ray(m, d, pnt, vec, geomgroup, flg_static, bodyexclude, geomid))
 }
 
+int mjshim_make_scene(const mjModel* m, mjvScene* scn, int maxgeom) {
+  GUARDED(mjv_makeScene(m, scn, maxgeom))
+}
+
+int mjshim_update_scene(const mjModel* m, mjData* d, const mjvOption* opt, mjvCamera* cam, mjvScene* scn) {
+  GUARDED(mjv_updateScene(m, d, opt, NULL, cam, mjCAT_ALL, scn))
+}
+
+static void look(const mjModel* m, mjData* d, mjvCamera* cam, mjvScene* scn) {
+  mjv_updateCamera(m, d, cam, scn);
+  mjv_makeLights(m, d, scn);
+}
+
+int mjshim_look(const mjModel* m, mjData* d, mjvCamera* cam, mjvScene* scn) {
+  GUARDED(look(m, d, cam, scn))
+}
+
+static void make_context(const mjModel* m, mjrContext* con) {
+  mjr_makeContext(m, con, mjFONTSCALE_50);
+  mjr_setBuffer(mjFB_OFFSCREEN, con);
+}
+
+int mjshim_make_context(const mjModel* m, mjrContext* con) {
+  GUARDED(make_context(m, con))
+}
+
+static void draw(mjrRect viewport, mjvScene* scn, mjrContext* con, unsigned char* rgb, float* depth) {
+  mjr_render(viewport, scn, con);
+  mjr_readPixels(rgb, depth, viewport, con);
+}
+
+int mjshim_draw(mjrRect viewport, mjvScene* scn, mjrContext* con, unsigned char* rgb, float* depth) {
+  GUARDED(draw(viewport, scn, con, rgb, depth))
+}
+
 static int raise_guarded(const char* message) {
   GUARDED(mju_error(message))
 }

@@ -30,6 +30,16 @@ int mjshim_copy_model(const mjModel* src, mjModel** out);
 int mjshim_ray(const mjModel* m, const mjData* d, const mjtNum* pnt, const mjtNum* vec, const mjtByte* geomgroup,
                mjtByte flg_static, int bodyexclude, int* geomid, mjtNum* distance);
 
+// Abstract scene: what is to be drawn. `mjshim_look` moves the camera, and the light that goes with it, of a scene that is
+// up to date.
+int mjshim_make_scene(const mjModel* m, mjvScene* scn, int maxgeom);
+int mjshim_update_scene(const mjModel* m, mjData* d, const mjvOption* opt, mjvCamera* cam, mjvScene* scn);
+int mjshim_look(const mjModel* m, mjData* d, mjvCamera* cam, mjvScene* scn);
+
+// Drawing; an OpenGL context must be current. `rgb` and `depth` may be NULL.
+int mjshim_make_context(const mjModel* m, mjrContext* con);
+int mjshim_draw(mjrRect viewport, mjvScene* scn, mjrContext* con, unsigned char* rgb, float* depth);
+
 // Raises an error on purpose: guarded != 0 under setjmp, otherwise as an unguarded call would.
 int mjshim_raise(const char* message, int guarded);
 

@@ -1,0 +1,346 @@
+//! EGL without a window system: device displays in turn, then Mesa's surfaceless platform.
+
+use std::ffi::{CStr, c_char, c_void};
+use std::ptr;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
+
+use super::without_rasteriser_threads;
+
+type Pointer = *mut c_void;
+type Int = i32;
+type Bool = u32;
+
+const NAMES: [&str; 2] = ["libEGL.so.1", "libEGL.so"];
+
+const NONE: Int = 0x3038;
+const EXTENSIONS: Int = 0x3055;
+const VENDOR: Int = 0x3053;
+const SURFACE_TYPE: Int = 0x3033;
+const PBUFFER_BIT: Int = 0x0001;
+const RENDERABLE_TYPE: Int = 0x3040;
+const OPENGL_BIT: Int = 0x0008;
+const RED_SIZE: Int = 0x3024;
+const GREEN_SIZE: Int = 0x3023;
+const BLUE_SIZE: Int = 0x3022;
+const ALPHA_SIZE: Int = 0x3021;
+const DEPTH_SIZE: Int = 0x3025;
+const STENCIL_SIZE: Int = 0x3026;
+const WIDTH: Int = 0x3057;
+const HEIGHT: Int = 0x3056;
+const OPENGL_API: u32 = 0x30A2;
+const PLATFORM_DEVICE: u32 = 0x313F;
+const PLATFORM_SURFACELESS: u32 = 0x31DD;
+
+type GetProcAddress = unsafe extern "C" fn(*const c_char) -> Pointer;
+type QueryDevices = unsafe extern "C" fn(Int, *mut Pointer, *mut Int) -> Bool;
+type GetPlatformDisplay = unsafe extern "C" fn(u32, Pointer, *const Int) -> Pointer;
+
+/// EGL's functions, and the displays that contexts are made on.
+pub(super) struct Egl {
+    functions: Functions,
+    displays: Vec<Display>,
+    next: AtomicUsize,
+    /// Never unloaded: drivers leave threads and handlers behind.
+    _library: Library,
+}
+
+#[derive(Clone, Copy)]
+struct Functions {
+    get_error: unsafe extern "C" fn() -> Int,
+    initialize: unsafe extern "C" fn(Pointer, *mut Int, *mut Int) -> Bool,
+    query_string: unsafe extern "C" fn(Pointer, Int) -> *const c_char,
+    bind_api: unsafe extern "C" fn(u32) -> Bool,
+    choose_config: unsafe extern "C" fn(Pointer, *const Int, *mut Pointer, Int, *mut Int) -> Bool,
+    create_context: unsafe extern "C" fn(Pointer, Pointer, Pointer, *const Int) -> Pointer,
+    destroy_context: unsafe extern "C" fn(Pointer, Pointer) -> Bool,
+    create_surface: unsafe extern "C" fn(Pointer, Pointer, *const Int) -> Pointer,
+    destroy_surface: unsafe extern "C" fn(Pointer, Pointer) -> Bool,
+    make_current: unsafe extern "C" fn(Pointer, Pointer, Pointer, Pointer) -> Bool,
+}
+
+#[derive(Clone)]
+struct Display {
+    handle: Pointer,
+    config: Pointer,
+    description: String,
+}
+
+// SAFETY: EGL's displays and functions may be used from any thread; it locks inside.
+unsafe impl Send for Egl {}
+// SAFETY: as above.
+unsafe impl Sync for Egl {}
+
+/// A context and the tiny surface it is bound with; MuJoCo draws into a framebuffer of its own.
+pub(super) struct Context {
+    functions: Functions,
+    display: Pointer,
+    context: Pointer,
+    surface: Pointer,
+}
+
+// SAFETY: current on no thread except inside a call on it.
+unsafe impl Send for Context {}
+
+impl Egl {
+    /// Loads EGL and finds a display that a context can be made on; the answers of all that were tried otherwise.
+    pub(super) fn load() -> Result<Self, String> {
+        let (name, library) = open(RTLD_LOCAL)?;
+        let functions = Functions::load(&library)?;
+        let displays = without_rasteriser_threads(|| displays(&library, functions));
+        // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
+        std::mem::forget(library);
+        let displays = displays?;
+        // from here on it is the one that MuJoCo sees
+        // SAFETY: already loaded; this only makes its symbols global.
+        let library =
+            unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| error.to_string())?;
+        Ok(Self { functions, displays, next: AtomicUsize::new(0), _library: library })
+    }
+
+    pub(super) fn description(&self) -> String {
+        self.displays.first().map(|display| display.description.clone()).unwrap_or_default()
+    }
+
+    /// A new context. Mesa's software rasteriser works for one context of a display at a time, so that they take
+    /// turns among the displays there are.
+    pub(super) fn context(&self) -> Result<Context, String> {
+        let turn = self.next.fetch_add(1, Ordering::Relaxed) % self.displays.len();
+        without_rasteriser_threads(|| self.displays[turn].context(self.functions))
+    }
+}
+
+fn open(visibility: i32) -> Result<(&'static str, Library), String> {
+    let mut answers = Vec::new();
+    for name in NAMES {
+        // SAFETY: a system library, whose initialisers are those of any program that draws.
+        match unsafe { Library::open(Some(name), RTLD_NOW | visibility) } {
+            Ok(library) => return Ok((name, library)),
+            Err(error) => answers.push(error.to_string()),
+        }
+    }
+    Err(answers.swap_remove(0))
+}
+
+impl Functions {
+    fn load(library: &Library) -> Result<Self, String> {
+        macro_rules! symbol {
+            ($name:literal) => {
+                // SAFETY: the type is the one that EGL's registry gives this name.
+                *unsafe { library.get($name) }.map_err(|error| error.to_string())?
+            };
+        }
+        Ok(Self {
+            get_error: symbol!(b"eglGetError\0"),
+            initialize: symbol!(b"eglInitialize\0"),
+            query_string: symbol!(b"eglQueryString\0"),
+            bind_api: symbol!(b"eglBindAPI\0"),
+            choose_config: symbol!(b"eglChooseConfig\0"),
+            create_context: symbol!(b"eglCreateContext\0"),
+            destroy_context: symbol!(b"eglDestroyContext\0"),
+            create_surface: symbol!(b"eglCreatePbufferSurface\0"),
+            destroy_surface: symbol!(b"eglDestroySurface\0"),
+            make_current: symbol!(b"eglMakeCurrent\0"),
+        })
+    }
+
+    fn failure(&self, call: &str) -> String {
+        // SAFETY: reads and clears this thread's error.
+        format!("{call} failed with EGL error {:#06x}", unsafe { (self.get_error)() })
+    }
+
+    fn string(&self, display: Pointer, name: Int) -> String {
+        // SAFETY: null or a display; the answer is null or a terminated string that lives as long as the display.
+        let text = unsafe { (self.query_string)(display, name) };
+        if text.is_null() {
+            return String::new();
+        }
+        // SAFETY: just so.
+        unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
+    }
+}
+
+/// Every display that a context can be made on and that is of the kind of the first one.
+fn displays(library: &Library, functions: Functions) -> Result<Vec<Display>, String> {
+    // SAFETY: the types are those of EGL's registry; extensions may be missing, which is a null pointer.
+    let (query_devices, platform_display) = unsafe {
+        let get_proc_address: GetProcAddress =
+            *library.get(b"eglGetProcAddress\0").map_err(|error| error.to_string())?;
+        let query = get_proc_address(c"eglQueryDevicesEXT".as_ptr());
+        let platform = get_proc_address(c"eglGetPlatformDisplayEXT".as_ptr());
+        (
+            std::mem::transmute::<Pointer, Option<QueryDevices>>(query),
+            std::mem::transmute::<Pointer, Option<GetPlatformDisplay>>(platform),
+        )
+    };
+    let Some(platform_display) = platform_display else {
+        return Err("this EGL has no eglGetPlatformDisplayEXT".into());
+    };
+
+    let wanted = match std::env::var("MUJOCO_EGL_DEVICE_ID") {
+        Ok(text) if !text.is_empty() => Some(
+            text.parse::<usize>().map_err(|_| format!("MUJOCO_EGL_DEVICE_ID is `{text}`, expected a number from 0"))?,
+        ),
+        _ => None,
+    };
+    let mut devices: [Pointer; 32] = [ptr::null_mut(); 32];
+    let mut count = 0;
+    if let Some(query_devices) = query_devices {
+        // SAFETY: room for 32 devices.
+        unsafe { query_devices(32, devices.as_mut_ptr(), &mut count) };
+    }
+    let devices = &devices[..usize::try_from(count).unwrap_or(0).min(32)];
+
+    let mut candidates: Vec<(String, u32, Pointer)> = match wanted {
+        Some(index) => match devices.get(index) {
+            Some(&device) => vec![(format!("device {index}"), PLATFORM_DEVICE, device)],
+            None => {
+                return Err(format!("MUJOCO_EGL_DEVICE_ID is {index}, but there are {} EGL devices", devices.len()));
+            }
+        },
+        None => (devices.iter().enumerate())
+            .map(|(index, &device)| (format!("device {index}"), PLATFORM_DEVICE, device))
+            .collect(),
+    };
+    if wanted.is_none() && functions.string(ptr::null_mut(), EXTENSIONS).contains("EGL_MESA_platform_surfaceless") {
+        candidates.push(("surfaceless".into(), PLATFORM_SURFACELESS, ptr::null_mut()));
+    }
+
+    let mut found: Vec<Display> = Vec::new();
+    let mut answers = Vec::new();
+    for (name, platform, native) in candidates {
+        // SAFETY: a device that EGL listed, or the surfaceless platform's null.
+        let handle = unsafe { platform_display(platform, native, ptr::null()) };
+        match Display::open(functions, handle, &name) {
+            // a second display serves only where it is software like the first: a GPU draws for all its contexts
+            Ok(display) if found.is_empty() || (display.is_software && found_software(&found)) => {
+                found.push(display.display);
+            }
+            Ok(_) => {}
+            Err(answer) => answers.push(format!("{name}: {answer}")),
+        }
+    }
+    if !found.is_empty() {
+        return Ok(found);
+    }
+    Err(if answers.is_empty() { "there is no EGL device".into() } else { answers.join(", ") })
+}
+
+fn found_software(found: &[Display]) -> bool {
+    found.iter().all(|display| display.description.contains("software"))
+}
+
+struct Opened {
+    display: Display,
+    is_software: bool,
+}
+
+impl Display {
+    /// Initialises a display and tries a context on it.
+    fn open(functions: Functions, handle: Pointer, name: &str) -> Result<Opened, String> {
+        if handle.is_null() {
+            return Err(functions.failure("eglGetPlatformDisplayEXT"));
+        }
+        // SAFETY: a display; versions are not asked for.
+        if unsafe { (functions.initialize)(handle, ptr::null_mut(), ptr::null_mut()) } == 0 {
+            return Err(functions.failure("eglInitialize"));
+        }
+        let attributes = [
+            [SURFACE_TYPE, PBUFFER_BIT],
+            [RENDERABLE_TYPE, OPENGL_BIT],
+            [RED_SIZE, 8],
+            [GREEN_SIZE, 8],
+            [BLUE_SIZE, 8],
+            [ALPHA_SIZE, 8],
+            [DEPTH_SIZE, 24],
+            [STENCIL_SIZE, 8],
+            [NONE, NONE],
+        ];
+        let (mut config, mut count) = (ptr::null_mut(), 0);
+        // SAFETY: a terminated list of attributes and room for one configuration.
+        let chosen =
+            unsafe { (functions.choose_config)(handle, attributes.as_ptr().cast(), &mut config, 1, &mut count) };
+        if chosen == 0 || count < 1 {
+            return Err("no configuration for OpenGL off screen".into());
+        }
+        let mut display = Self { handle, config, description: String::new() };
+        let context = display.context(functions)?;
+        context.make_current()?;
+        let renderer = renderer();
+        context.release();
+        let is_software = renderer.contains("llvmpipe") || renderer.contains("softpipe") || renderer.contains("swrast");
+        let kind = if is_software { "software" } else { "GPU" };
+        display.description = format!("{name}, {}, {renderer}, {kind}", functions.string(handle, VENDOR));
+        Ok(Opened { display, is_software })
+    }
+
+    fn context(&self, functions: Functions) -> Result<Context, String> {
+        // SAFETY: an initialised display and one of its configurations; the API is chosen per thread.
+        unsafe {
+            if (functions.bind_api)(OPENGL_API) == 0 {
+                return Err(functions.failure("eglBindAPI(EGL_OPENGL_API)"));
+            }
+            let context = (functions.create_context)(self.handle, self.config, ptr::null_mut(), ptr::null());
+            if context.is_null() {
+                return Err(functions.failure("eglCreateContext"));
+            }
+            let attributes = [[WIDTH, 8], [HEIGHT, 8], [NONE, NONE]];
+            let surface = (functions.create_surface)(self.handle, self.config, attributes.as_ptr().cast());
+            let context = Context { functions, display: self.handle, context, surface };
+            if surface.is_null() {
+                return Err(functions.failure("eglCreatePbufferSurface"));
+            }
+            Ok(context)
+        }
+    }
+}
+
+/// The name of what draws in the current context.
+fn renderer() -> String {
+    const GL_RENDERER: u32 = 0x1F01;
+    // EGL itself hands out OpenGL's functions; a second handle on the same library finds it
+    let name = || {
+        let (_, library) = open(RTLD_LOCAL).ok()?;
+        // SAFETY: the types are those of EGL's and OpenGL's registries; a context is current.
+        unsafe {
+            let get_proc_address: GetProcAddress = *library.get(b"eglGetProcAddress\0").ok()?;
+            let get_string = std::mem::transmute::<Pointer, Option<unsafe extern "C" fn(u32) -> *const c_char>>(
+                get_proc_address(c"glGetString".as_ptr()),
+            )?;
+            let text = get_string(GL_RENDERER);
+            (!text.is_null()).then(|| CStr::from_ptr(text).to_string_lossy().into_owned())
+        }
+    };
+    name().unwrap_or_else(|| "unknown renderer".into())
+}
+
+impl Context {
+    pub(super) fn make_current(&self) -> Result<(), String> {
+        // SAFETY: the parts of one context, which is current nowhere else.
+        unsafe {
+            (self.functions.bind_api)(OPENGL_API);
+            match (self.functions.make_current)(self.display, self.surface, self.surface, self.context) {
+                0 => Err(self.functions.failure("eglMakeCurrent")),
+                _ => Ok(()),
+            }
+        }
+    }
+
+    pub(super) fn release(&self) {
+        // SAFETY: leaves this thread without a context.
+        unsafe { (self.functions.make_current)(self.display, ptr::null_mut(), ptr::null_mut(), ptr::null_mut()) };
+    }
+}
+
+impl Drop for Context {
+    fn drop(&mut self) {
+        // SAFETY: current nowhere; each is destroyed once.
+        unsafe {
+            if !self.surface.is_null() {
+                (self.functions.destroy_surface)(self.display, self.surface);
+            }
+            (self.functions.destroy_context)(self.display, self.context);
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! An OpenGL context without a window, by EGL or OSMesa.
+//!
+//! MuJoCo looks OpenGL's functions up among the libraries that the process has made global, EGL's before OSMesa's. So
+//! exactly one of the two is made global, once it has shown that it can make a context; the other is unloaded.
+
+mod egl;
+mod osmesa;
+
+use std::fmt;
+use std::sync::{Mutex, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+
+use crate::error::{Error, GlAttempt};
+
+/// A way to an OpenGL context.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum GlBackend {
+    /// EGL: a GPU's driver, or Mesa's software rasteriser.
+    Egl,
+    /// Mesa's off-screen library, in software.
+    Osmesa,
+}
+
+impl GlBackend {
+    /// Both, in the order in which they are tried.
+    pub const ALL: [Self; 2] = [Self::Egl, Self::Osmesa];
+
+    /// The name that `MUJOCO_GL` has for it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Egl => "egl",
+            Self::Osmesa => "osmesa",
+        }
+    }
+
+    /// Debian's packages that bring it.
+    pub fn packages(self) -> &'static str {
+        match self {
+            Self::Egl => "libegl1 libgl1-mesa-dri",
+            Self::Osmesa => "libosmesa6",
+        }
+    }
+}
+
+impl fmt::Display for GlBackend {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// The library that this process draws with.
+enum Library {
+    Egl(egl::Egl),
+    Osmesa(osmesa::Osmesa),
+}
+
+/// A context of its own, current on no thread between calls of [`current`](Self::current), so that it can be moved.
+pub(crate) struct GlContext {
+    context: Context,
+}
+
+enum Context {
+    Egl(egl::Context),
+    Osmesa(osmesa::Context),
+}
+
+/// MuJoCo keeps OpenGL's functions in process-wide variables that it sets whenever a context is made: then nobody may
+/// draw.
+static FUNCTIONS: RwLock<()> = RwLock::new(());
+
+pub(crate) fn drawing() -> RwLockReadGuard<'static, ()> {
+    FUNCTIONS.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+pub(crate) fn loading() -> RwLockWriteGuard<'static, ()> {
+    FUNCTIONS.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The library, found at the first call. A failure is final for the process, as a success is.
+fn library() -> Result<&'static Library, Error> {
+    static LIBRARY: OnceLock<Result<Library, Error>> = OnceLock::new();
+    LIBRARY.get_or_init(find).as_ref().map_err(Clone::clone)
+}
+
+fn find() -> Result<Library, Error> {
+    let wanted = match std::env::var("MUJOCO_GL") {
+        Ok(name) if !name.is_empty() => match name.to_ascii_lowercase().as_str() {
+            "egl" => vec![GlBackend::Egl],
+            "osmesa" => vec![GlBackend::Osmesa],
+            _ => return Err(Error::GlName { got: name }),
+        },
+        _ => GlBackend::ALL.to_vec(),
+    };
+    let mut attempts = Vec::new();
+    for backend in wanted {
+        let found = match backend {
+            GlBackend::Egl => egl::Egl::load().map(Library::Egl),
+            GlBackend::Osmesa => osmesa::Osmesa::load().map(Library::Osmesa),
+        };
+        match found {
+            Ok(library) => return Ok(library),
+            Err(answer) => attempts.push(GlAttempt { backend, answer }),
+        }
+    }
+    Err(Error::NoGl { attempts })
+}
+
+/// What draws in this process, and on what.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GlInfo {
+    /// The library.
+    pub backend: GlBackend,
+    /// The device, where the library says which.
+    pub device: String,
+}
+
+/// Finds out what draws in this process, loading it if nothing has been drawn yet.
+///
+/// `MUJOCO_GL` (`egl` or `osmesa`) chooses the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; without them each is
+/// tried in turn.
+///
+/// # Errors
+/// [`Error::NoGl`] with what was tried and what each answered.
+pub fn gl_info() -> Result<GlInfo, Error> {
+    Ok(match library()? {
+        Library::Egl(egl) => GlInfo { backend: GlBackend::Egl, device: egl.description() },
+        Library::Osmesa(_) => GlInfo { backend: GlBackend::Osmesa, device: "software".into() },
+    })
+}
+
+impl GlContext {
+    pub(crate) fn new() -> Result<Self, Error> {
+        let context = match library()? {
+            Library::Egl(egl) => egl.context().map(Context::Egl),
+            Library::Osmesa(osmesa) => osmesa.context().map(Context::Osmesa),
+        };
+        context.map(|context| Self { context }).map_err(|message| Error::Gl { message })
+    }
+
+    /// Runs `draw` with this context current on the calling thread, and on none afterwards.
+    pub(crate) fn current<T>(&mut self, draw: impl FnOnce() -> T) -> Result<T, Error> {
+        struct Release<'a>(&'a Context);
+        impl Drop for Release<'_> {
+            fn drop(&mut self) {
+                match self.0 {
+                    Context::Egl(context) => context.release(),
+                    Context::Osmesa(context) => context.release(),
+                }
+            }
+        }
+        match &mut self.context {
+            Context::Egl(context) => context.make_current(),
+            Context::Osmesa(context) => context.make_current(),
+        }
+        .map_err(|message| Error::Gl { message })?;
+        let _release = Release(&self.context);
+        Ok(draw())
+    }
+}
+
+/// Runs `start`, in which a driver may bring up its rasteriser, so that a software rasteriser has no threads of its
+/// own unless `LP_NUM_THREADS` asks for them: at the size of observations waking them costs more than they draw, and
+/// whoever draws on several threads has one context for each.
+fn without_rasteriser_threads<T>(start: impl FnOnce() -> T) -> T {
+    const NAME: &str = "LP_NUM_THREADS";
+    static ENVIRONMENT: Mutex<()> = Mutex::new(());
+    let _lock = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
+    if std::env::var_os(NAME).is_some() {
+        return start();
+    }
+    // SAFETY: Rust's own readers and writers of the environment take a lock; the C code that runs meanwhile on other
+    // threads of this program (MuJoCo) does not read the environment.
+    unsafe { std::env::set_var(NAME, "0") };
+    let started = start();
+    // SAFETY: as above.
+    unsafe { std::env::remove_var(NAME) };
+    started
+}

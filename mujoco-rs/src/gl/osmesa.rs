@@ -1,0 +1,125 @@
+//! Mesa's off-screen library.
+
+use std::ffi::c_void;
+use std::ptr;
+
+use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
+
+use super::without_rasteriser_threads;
+
+type Pointer = *mut c_void;
+
+const NAMES: [&str; 3] = ["libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"];
+const RGBA: u32 = 0x1908;
+const UNSIGNED_BYTE: u32 = 0x1401;
+/// Side of the buffer that a context is bound with; MuJoCo draws into a framebuffer of its own.
+const SIDE: i32 = 8;
+
+pub(super) struct Osmesa {
+    functions: Functions,
+    /// Never unloaded: MuJoCo keeps its functions.
+    _library: Library,
+}
+
+#[derive(Clone, Copy)]
+struct Functions {
+    create: unsafe extern "C" fn(u32, i32, i32, i32, Pointer) -> Pointer,
+    destroy: unsafe extern "C" fn(Pointer),
+    make_current: unsafe extern "C" fn(Pointer, Pointer, u32, i32, i32) -> u8,
+}
+
+// SAFETY: Mesa's contexts may be made on any thread; it locks inside.
+unsafe impl Send for Osmesa {}
+// SAFETY: as above.
+unsafe impl Sync for Osmesa {}
+
+pub(super) struct Context {
+    functions: Functions,
+    context: Pointer,
+    buffer: Box<[u32]>,
+}
+
+// SAFETY: current on no thread except inside a call on it.
+unsafe impl Send for Context {}
+
+impl Osmesa {
+    pub(super) fn load() -> Result<Self, String> {
+        let mut answers = Vec::new();
+        for name in NAMES {
+            // SAFETY: a system library, whose initialisers are those of any program that draws.
+            match unsafe { Library::open(Some(name), RTLD_NOW | RTLD_LOCAL) } {
+                Ok(library) => return Self::try_out(name, library),
+                Err(error) => answers.push(error.to_string()),
+            }
+        }
+        Err(answers.swap_remove(0))
+    }
+
+    fn try_out(name: &str, library: Library) -> Result<Self, String> {
+        let functions = Functions::of(&library)?;
+        let tried = without_rasteriser_threads(|| functions.context()).and_then(|mut context| {
+            context.make_current()?;
+            context.release();
+            Ok(())
+        });
+        // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
+        std::mem::forget(library);
+        tried?;
+        // SAFETY: already loaded before; this makes its symbols global.
+        let library =
+            unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| error.to_string())?;
+        Ok(Self { functions: Functions::of(&library)?, _library: library })
+    }
+
+    pub(super) fn context(&self) -> Result<Context, String> {
+        without_rasteriser_threads(|| self.functions.context())
+    }
+}
+
+impl Functions {
+    fn of(library: &Library) -> Result<Self, String> {
+        macro_rules! symbol {
+            ($name:literal) => {
+                // SAFETY: the type is the one of Mesa's header.
+                *unsafe { library.get($name) }.map_err(|error| error.to_string())?
+            };
+        }
+        Ok(Self {
+            create: symbol!(b"OSMesaCreateContextExt\0"),
+            destroy: symbol!(b"OSMesaDestroyContext\0"),
+            make_current: symbol!(b"OSMesaMakeCurrent\0"),
+        })
+    }
+
+    fn context(self) -> Result<Context, String> {
+        // SAFETY: depth 24, stencil 8, no accumulation buffer, nothing shared.
+        let context = unsafe { (self.create)(RGBA, 24, 8, 0, ptr::null_mut()) };
+        if context.is_null() {
+            return Err("OSMesaCreateContextExt failed".into());
+        }
+        Ok(Context { functions: self, context, buffer: vec![0; (SIDE * SIDE) as usize].into() })
+    }
+}
+
+impl Context {
+    pub(super) fn make_current(&mut self) -> Result<(), String> {
+        let buffer = self.buffer.as_mut_ptr().cast();
+        // SAFETY: the buffer is as large as stated and lives as long as the context.
+        match unsafe { (self.functions.make_current)(self.context, buffer, UNSIGNED_BYTE, SIDE, SIDE) } {
+            0 => Err("OSMesaMakeCurrent failed".into()),
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn release(&self) {
+        // SAFETY: leaves this thread without a context.
+        unsafe { (self.functions.make_current)(ptr::null_mut(), ptr::null_mut(), UNSIGNED_BYTE, 0, 0) };
+    }
+}
+
+impl Drop for Context {
+    fn drop(&mut self) {
+        // SAFETY: current nowhere, destroyed once.
+        unsafe { (self.functions.destroy)(self.context) };
+    }
+}

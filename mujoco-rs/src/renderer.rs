@@ -1,0 +1,294 @@
+//! Pictures of scenes, drawn off screen into the caller's buffers.
+
+use std::mem::MaybeUninit;
+use std::sync::Arc;
+
+use crate::error::Error;
+use crate::gl::{GlContext, drawing, loading};
+use crate::model::Model;
+use crate::runtime::guarded;
+use crate::scene::Scene;
+
+/// Quality of a [`Renderer`], fixed when it is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quality {
+    /// Samples per pixel; 0 draws each pixel once.
+    pub samples: u32,
+    /// Side of the shadow map in texels; 0 for no shadows at all.
+    pub shadow_map: u32,
+}
+
+impl Quality {
+    /// For observations: one sample, no shadows.
+    pub const FAST: Self = Self { samples: 0, shadow_map: 0 };
+    /// For people: four samples, soft shadows.
+    pub const PRETTY: Self = Self { samples: 4, shadow_map: 2048 };
+}
+
+/// Width and height of a picture, pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct ImageSize {
+    /// Pixels in a row.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl ImageSize {
+    /// Largest side that can be asked for: what OpenGL implementations have at least.
+    pub const MAX_SIDE: u32 = 8192;
+
+    /// Pixels.
+    pub fn pixels(self) -> usize {
+        self.width as usize * self.height as usize
+    }
+}
+
+impl std::fmt::Display for ImageSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+/// An OpenGL context with the meshes and textures of one model.
+///
+/// It may be made, used and dropped on any thread, and several may draw at the same time, each on its own.
+pub struct Renderer {
+    // dropped in order: MuJoCo's objects need the context
+    raw: Raw,
+    gl: GlContext,
+    model: Arc<Model>,
+    quality: Quality,
+    size: ImageSize,
+    /// Bytes of the last picture before they are turned round, and colours of segments.
+    scratch: Vec<u8>,
+}
+
+struct Raw(Box<mujoco_sys::mjrContext>);
+
+// SAFETY: names of OpenGL objects, used only while their context is current.
+unsafe impl Send for Raw {}
+
+impl Renderer {
+    /// A renderer of a model's scenes. Its buffer grows to the largest picture asked for.
+    ///
+    /// # Errors
+    /// [`Error::NoGl`] with what was tried and what each answered, [`Error::Raised`] with MuJoCo's message.
+    pub fn new(model: impl Into<Arc<Model>>, quality: Quality) -> Result<Self, Error> {
+        crate::check_library()?;
+        let model = model.into();
+        let mut gl = GlContext::new()?;
+        let size = ImageSize { width: 64, height: 48 };
+        let raw = gl.current(|| make(&model, quality, size))??;
+        Ok(Self { raw, gl, model, quality, size, scratch: Vec::new() })
+    }
+
+    /// Draws a scene as RGB, three bytes per pixel, top row first.
+    ///
+    /// # Errors
+    /// [`Error::Buffer`] for a buffer of the wrong length, [`Error::OtherModel`] for a scene of another model,
+    /// [`Error::NoCamera`] for one that has not been updated.
+    pub fn rgb(&mut self, scene: &mut Scene, size: ImageSize, rgb: &mut [u8]) -> Result<(), Error> {
+        check_length("RGB", rgb.len(), 3 * size.pixels())?;
+        self.draw(scene, size, Some(rgb), None)?;
+        flip(rgb, 3 * size.width as usize, &mut self.scratch);
+        Ok(())
+    }
+
+    /// Draws a scene as RGBA, four bytes per pixel, top row first; alpha is 255.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb).
+    pub fn rgba(&mut self, scene: &mut Scene, size: ImageSize, rgba: &mut [u8]) -> Result<(), Error> {
+        check_length("RGBA", rgba.len(), 4 * size.pixels())?;
+        let mut rgb = std::mem::take(&mut self.scratch);
+        rgb.resize(3 * size.pixels(), 0);
+        let drawn = self.draw(scene, size, Some(&mut rgb), None);
+        if drawn.is_ok() && !rgb.is_empty() {
+            let width = size.width as usize;
+            for (from, to) in rgb.chunks_exact(3 * width).rev().zip(rgba.chunks_exact_mut(4 * width)) {
+                for (from, to) in from.chunks_exact(3).zip(to.chunks_exact_mut(4)) {
+                    to.copy_from_slice(&[from[0], from[1], from[2], 255]);
+                }
+            }
+        }
+        self.scratch = rgb;
+        drawn
+    }
+
+    /// Draws a scene as depth, m, top row first: the distance from the camera **along its axis** (not along the ray).
+    /// Where there is nothing it is the distance of the far plane.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb).
+    pub fn depth(&mut self, scene: &mut Scene, size: ImageSize, depth: &mut [f32]) -> Result<(), Error> {
+        check_length("depth", depth.len(), size.pixels())?;
+        self.draw(scene, size, None, Some(depth))?;
+        let [near, far] = scene.clip_planes();
+        // d = (1 − near/z) / (1 − near/far), the perspective projection's depth, solved for z
+        let slope = 1.0 - near / far;
+        for value in depth.iter_mut() {
+            *value = (near / (1.0 - f64::from(*value) * slope)) as f32;
+        }
+        let width = size.width as usize;
+        let rows = size.height as usize;
+        for row in 0..rows / 2 {
+            let (top, bottom) = depth.split_at_mut((rows - 1 - row) * width);
+            top[row * width..][..width].swap_with_slice(&mut bottom[..width]);
+        }
+        Ok(())
+    }
+
+    /// Draws which object each pixel shows: `[type, index]` (`mjtObj`; a geom is 5), −1 twice for nothing, top row
+    /// first.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb); [`Error::Multisampled`] for a renderer with several samples per pixel, which would
+    /// mix the numbers of neighbouring objects.
+    pub fn segmentation(&mut self, scene: &mut Scene, size: ImageSize, objects: &mut [[i32; 2]]) -> Result<(), Error> {
+        use mujoco_sys::mjtRndFlag_ as flag;
+        check_length("segmentation", objects.len(), size.pixels())?;
+        if self.quality.samples > 0 {
+            return Err(Error::Multisampled);
+        }
+        let mut rgb = std::mem::take(&mut self.scratch);
+        rgb.resize(3 * size.pixels(), 0);
+        for flag in [flag::mjRND_SEGMENT, flag::mjRND_IDCOLOR] {
+            scene.raw.flags[flag as usize] = 1;
+        }
+        let drawn = self.draw(scene, size, Some(&mut rgb), None);
+        for flag in [flag::mjRND_SEGMENT, flag::mjRND_IDCOLOR] {
+            scene.raw.flags[flag as usize] = 0;
+        }
+        if drawn.is_ok() {
+            let width = size.width as usize;
+            let mut last = (0, [-1, -1]);
+            for (from, to) in rgb.chunks_exact(3 * width).rev().zip(objects.chunks_exact_mut(width)) {
+                for (colour, object) in from.chunks_exact(3).zip(to) {
+                    let colour = u32::from_le_bytes([colour[0], colour[1], colour[2], 0]);
+                    if colour != last.0 {
+                        last = (colour, scene.object(colour));
+                    }
+                    *object = last.1;
+                }
+            }
+        }
+        self.scratch = rgb;
+        drawn
+    }
+
+    fn draw(
+        &mut self,
+        scene: &mut Scene,
+        size: ImageSize,
+        rgb: Option<&mut [u8]>,
+        depth: Option<&mut [f32]>,
+    ) -> Result<(), Error> {
+        if !std::ptr::eq(self.model.as_ptr(), scene.model().as_ptr()) {
+            return Err(Error::OtherModel);
+        }
+        if !scene.is_seen() {
+            return Err(Error::NoCamera);
+        }
+        self.grow(size)?;
+        let rgb = rgb.map_or(std::ptr::null_mut(), <[u8]>::as_mut_ptr);
+        let depth = depth.map_or(std::ptr::null_mut(), <[f32]>::as_mut_ptr);
+        let viewport = mujoco_sys::mjrRect { left: 0, bottom: 0, width: size.width as i32, height: size.height as i32 };
+        let raw = &mut self.raw.0;
+        self.gl.current(|| {
+            let _lock = drawing();
+            // SAFETY: the context is current, the scene is one of the context's model, and the buffers are null or
+            // have the length of the viewport, which their callers have checked.
+            let status = unsafe { mujoco_sys::mjshim_draw(viewport, &mut *scene.raw, &mut **raw, rgb, depth) };
+            guarded("mjr_render", status)
+        })?
+    }
+
+    /// Makes room for a picture of this size.
+    fn grow(&mut self, size: ImageSize) -> Result<(), Error> {
+        for side in [size.width, size.height] {
+            if !(1..=ImageSize::MAX_SIDE).contains(&side) {
+                return Err(Error::Value {
+                    what: "the side of a picture",
+                    got: side.into(),
+                    expected: "1 to 8192 pixels",
+                });
+            }
+        }
+        if size.width <= self.size.width && size.height <= self.size.height {
+            return Ok(());
+        }
+        let size = ImageSize { width: size.width.max(self.size.width), height: size.height.max(self.size.height) };
+        let (raw, model, quality) = (&mut self.raw, &self.model, self.quality);
+        self.gl.current(|| {
+            let larger = make(model, quality, size)?;
+            free(&mut std::mem::replace(raw, larger));
+            Ok(())
+        })??;
+        self.size = size;
+        Ok(())
+    }
+}
+
+impl Drop for Renderer {
+    fn drop(&mut self) {
+        let raw = &mut self.raw;
+        // a context that cannot be made current any more has taken its objects with it
+        let _ = self.gl.current(|| free(raw));
+    }
+}
+
+impl std::fmt::Debug for Renderer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Renderer").field("quality", &self.quality).field("size", &self.size).finish_non_exhaustive()
+    }
+}
+
+/// MuJoCo's objects in the current context.
+fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> {
+    let _lock = loading();
+    // MuJoCo reads sizes and quality from the model. This copy of its header shares the arrays, is only read, and is
+    // forgotten without being freed.
+    // SAFETY: a bitwise copy of plain C data.
+    let mut header = unsafe { MaybeUninit::new(std::ptr::read(model.as_ptr())).assume_init() };
+    header.vis.global.offwidth = size.width as i32;
+    header.vis.global.offheight = size.height as i32;
+    header.vis.quality.offsamples = quality.samples as i32;
+    header.vis.quality.shadowsize = quality.shadow_map as i32;
+    let mut raw: Box<MaybeUninit<mujoco_sys::mjrContext>> = Box::new_uninit();
+    // SAFETY: initialises the structure, then fills it; an OpenGL context is current.
+    let raw = unsafe {
+        mujoco_sys::mjr_defaultContext(raw.as_mut_ptr());
+        guarded("mjr_makeContext", mujoco_sys::mjshim_make_context(&header, raw.as_mut_ptr()))?;
+        Raw(raw.assume_init())
+    };
+    // SAFETY: reads the current context's error.
+    let error = unsafe { mujoco_sys::mjr_getError() };
+    if error != 0 {
+        return Err(Error::Gl { message: format!("OpenGL error {error:#06x} while the model was uploaded") });
+    }
+    Ok(raw)
+}
+
+/// Frees MuJoCo's objects in the current context.
+fn free(raw: &mut Raw) {
+    let _lock = drawing();
+    // SAFETY: made in this context; a second call finds nothing to free.
+    unsafe { mujoco_sys::mjr_freeContext(&mut *raw.0) };
+}
+
+fn check_length(what: &'static str, got: usize, expected: usize) -> Result<(), Error> {
+    if got == expected { Ok(()) } else { Err(Error::Buffer { what, got, expected }) }
+}
+
+/// Turns a picture upside down: OpenGL's first row is the lowest.
+fn flip(picture: &mut [u8], row: usize, scratch: &mut Vec<u8>) {
+    if row == 0 {
+        return;
+    }
+    scratch.clear();
+    scratch.extend_from_slice(picture);
+    for (from, to) in scratch.chunks_exact(row).rev().zip(picture.chunks_exact_mut(row)) {
+        to.copy_from_slice(from);
+    }
+}

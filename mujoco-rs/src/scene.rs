@@ -1,0 +1,332 @@
+//! What is to be drawn: MuJoCo's abstract scene, seen by a camera.
+
+use std::mem::MaybeUninit;
+use std::sync::Arc;
+
+use crate::data::Data;
+use crate::error::Error;
+use crate::id::{BodyId, CameraId, ObjectId};
+use crate::model::Model;
+use crate::runtime::guarded;
+
+/// From where a scene is seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Camera {
+    /// Looking at a point from a distance.
+    Free {
+        /// The point looked at, world frame, m.
+        lookat: [f64; 3],
+        /// Distance from it, m.
+        distance: f64,
+        /// Direction of sight about world z, degrees: 0 looks along +x, 90 along +y.
+        azimuth: f64,
+        /// Direction of sight above the horizon, degrees: negative looks down.
+        elevation: f64,
+    },
+    /// Following a body's centre of mass (that of its subtree).
+    Tracking {
+        /// The body.
+        body: BodyId,
+        /// Distance from it, m.
+        distance: f64,
+        /// As for `Free`, degrees.
+        azimuth: f64,
+        /// As for `Free`, degrees.
+        elevation: f64,
+    },
+    /// A camera of the model.
+    Fixed(CameraId),
+}
+
+impl Camera {
+    fn raw(&self, model: &Model) -> Result<mujoco_sys::mjvCamera, Error> {
+        let mut raw = MaybeUninit::uninit();
+        // SAFETY: initialises the structure it is given.
+        let mut raw = unsafe {
+            mujoco_sys::mjv_defaultCamera(raw.as_mut_ptr());
+            raw.assume_init()
+        };
+        let mut orbit = |distance: f64, azimuth: f64, elevation: f64| {
+            if !(distance.is_finite() && distance > 0.0) {
+                return Err(Error::Value {
+                    what: "the camera's distance",
+                    got: distance,
+                    expected: "a positive number of metres",
+                });
+            }
+            for (what, got) in [("the camera's azimuth", azimuth), ("the camera's elevation", elevation)] {
+                if !got.is_finite() {
+                    return Err(Error::Value { what, got, expected: "a finite number of degrees" });
+                }
+            }
+            (raw.distance, raw.azimuth, raw.elevation) = (distance, azimuth, elevation);
+            Ok(())
+        };
+        match *self {
+            Self::Free { lookat, distance, azimuth, elevation } => {
+                orbit(distance, azimuth, elevation)?;
+                if let Some(&got) = lookat.iter().find(|x| !x.is_finite()) {
+                    return Err(Error::Value { what: "the point a camera looks at", got, expected: "finite numbers" });
+                }
+                raw.type_ = mujoco_sys::mjtCamera_::mjCAMERA_FREE as i32;
+                raw.lookat = lookat;
+            }
+            Self::Tracking { body, distance, azimuth, elevation } => {
+                orbit(distance, azimuth, elevation)?;
+                raw.type_ = mujoco_sys::mjtCamera_::mjCAMERA_TRACKING as i32;
+                raw.trackbodyid = index(body, model.nbody())?;
+            }
+            Self::Fixed(camera) => {
+                raw.type_ = mujoco_sys::mjtCamera_::mjCAMERA_FIXED as i32;
+                raw.fixedcamid = index(camera, model.ncam())?;
+            }
+        }
+        Ok(raw)
+    }
+}
+
+fn index<I: ObjectId>(id: I, count: usize) -> Result<i32, Error> {
+    match i32::try_from(id.get()) {
+        Ok(raw) if id.get() < count => Ok(raw),
+        _ => Err(Error::NotOfModel { kind: I::KIND, index: id.get(), count }),
+    }
+}
+
+/// What costs time beyond the geoms themselves. Everything off is what observations want, [`pretty`](Self::pretty)
+/// what people want.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Effects {
+    /// Shadows of lights that cast them (the renderer needs a shadow map).
+    pub shadows: bool,
+    /// Mirror images in reflective geoms.
+    pub reflections: bool,
+    /// The sky's texture.
+    pub skybox: bool,
+    /// Haze at the horizon.
+    pub haze: bool,
+}
+
+impl Effects {
+    /// All of them.
+    pub fn pretty() -> Self {
+        Self { shadows: true, reflections: true, skybox: true, haze: true }
+    }
+}
+
+/// A shape drawn into a scene that is not in the model: trails, rings, arrows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Decor {
+    /// A ball.
+    Sphere {
+        /// Centre, world frame, m.
+        centre: [f64; 3],
+        /// Radius, m.
+        radius: f64,
+    },
+    /// A straight rod with round ends.
+    Rod {
+        /// One end, world frame, m.
+        from: [f64; 3],
+        /// The other, world frame, m.
+        to: [f64; 3],
+        /// Radius, m.
+        radius: f64,
+    },
+    /// An arrow.
+    Arrow {
+        /// Its tail, world frame, m.
+        from: [f64; 3],
+        /// Its tip, world frame, m.
+        to: [f64; 3],
+        /// Radius of the shaft, m.
+        radius: f64,
+    },
+}
+
+/// MuJoCo's abstract scene of one model.
+pub struct Scene {
+    pub(crate) raw: Box<mujoco_sys::mjvScene>,
+    options: mujoco_sys::mjvOption,
+    model: Arc<Model>,
+    camera_set: bool,
+}
+
+// SAFETY: plain memory without thread affinity, owned by this value alone.
+unsafe impl Send for Scene {}
+
+impl Scene {
+    /// A scene with room for `decor` shapes beside the model's own.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] where MuJoCo cannot allocate it.
+    pub fn new(model: impl Into<Arc<Model>>, decor: usize) -> Result<Self, Error> {
+        crate::check_library()?;
+        let model = model.into();
+        let mut raw: Box<MaybeUninit<mujoco_sys::mjvScene>> = Box::new_uninit();
+        let mut options = MaybeUninit::uninit();
+        // every geom twice: planes and meshes have one entry, but selection and frames may add some
+        let room = 2 * model.ngeom() + 2 * model.nsite() + decor + 100;
+        let room = i32::try_from(room).unwrap_or(i32::MAX);
+        // SAFETY: the first two initialise what they are given; the third allocates the scene's buffers for this model.
+        let (raw, options) = unsafe {
+            mujoco_sys::mjv_defaultScene(raw.as_mut_ptr());
+            mujoco_sys::mjv_defaultOption(options.as_mut_ptr());
+            let status = mujoco_sys::mjshim_make_scene(model.as_ptr(), raw.as_mut_ptr(), room);
+            guarded("mjv_makeScene", status)?;
+            (raw.assume_init(), options.assume_init())
+        };
+        Ok(Self { raw, options, model, camera_set: false })
+    }
+
+    /// Which of the six geom groups are drawn; MuJoCo's default is the first three.
+    pub fn show_groups(&mut self, groups: [bool; 6]) {
+        self.options.geomgroup = groups.map(u8::from);
+    }
+
+    /// Switches effects on and off.
+    pub fn set_effects(&mut self, effects: Effects) {
+        use mujoco_sys::mjtRndFlag_ as flag;
+        let flags = &mut self.raw.flags;
+        for (flag, on) in [
+            (flag::mjRND_SHADOW, effects.shadows),
+            (flag::mjRND_REFLECTION, effects.reflections),
+            (flag::mjRND_SKYBOX, effects.skybox),
+            (flag::mjRND_HAZE, effects.haze),
+            (flag::mjRND_FOG, false),
+            (flag::mjRND_CULL_FACE, true),
+        ] {
+            flags[flag as usize] = on.into();
+        }
+    }
+
+    /// Takes everything over from a simulation whose [kinematics](Data::kinematics) are up to date, and looks at it.
+    ///
+    /// # Errors
+    /// [`Error::OtherModel`] if the simulation is of another model, [`Error::Value`] for an impossible camera,
+    /// [`Error::Raised`] with MuJoCo's message.
+    pub fn update(&mut self, data: &mut Data, camera: &Camera) -> Result<(), Error> {
+        self.same_model(data)?;
+        let mut camera = camera.raw(&self.model)?;
+        // SAFETY: model, data and scene belong together.
+        let status = unsafe {
+            mujoco_sys::mjshim_update_scene(
+                self.model.as_ptr(),
+                data.as_ptr(),
+                &self.options,
+                &mut camera,
+                &mut *self.raw,
+            )
+        };
+        self.camera_set = status == 0;
+        guarded("mjv_updateScene", status)
+    }
+
+    /// Looks at the same things from another camera.
+    ///
+    /// # Errors
+    /// As for [`update`](Self::update).
+    pub fn look(&mut self, data: &mut Data, camera: &Camera) -> Result<(), Error> {
+        self.same_model(data)?;
+        let mut camera = camera.raw(&self.model)?;
+        // SAFETY: as for `update`.
+        let status =
+            unsafe { mujoco_sys::mjshim_look(self.model.as_ptr(), data.as_ptr(), &mut camera, &mut *self.raw) };
+        self.camera_set = status == 0;
+        guarded("mjv_updateCamera", status)
+    }
+
+    fn same_model(&self, data: &Data) -> Result<(), Error> {
+        if std::ptr::eq(self.model.as_ptr(), data.model().as_ptr()) { Ok(()) } else { Err(Error::OtherModel) }
+    }
+
+    /// Adds a shape until the next [`update`](Self::update); `false` where there was no room for it.
+    pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
+        use mujoco_sys::mjtGeom_ as geom;
+        let Some(slot) = usize::try_from(self.raw.ngeom).ok().filter(|_| self.raw.ngeom < self.raw.maxgeom) else {
+            return false;
+        };
+        let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        // SAFETY: the slot lies within the buffer of maxgeom entries; the calls fill it.
+        unsafe {
+            let target = self.raw.geoms.add(slot);
+            let init = |kind: u32, size: [f64; 3], position: [f64; 3]| {
+                mujoco_sys::mjv_initGeom(
+                    target,
+                    kind as i32,
+                    size.as_ptr(),
+                    position.as_ptr(),
+                    identity.as_ptr(),
+                    rgba.as_ptr(),
+                );
+            };
+            let connect = |kind: u32, width: f64, a: [f64; 3], b: [f64; 3]| {
+                mujoco_sys::mjv_makeConnector(target, kind as i32, width, a[0], a[1], a[2], b[0], b[1], b[2]);
+            };
+            match decor {
+                Decor::Sphere { centre, radius } => init(geom::mjGEOM_SPHERE, [radius; 3], centre),
+                Decor::Rod { from, to, radius } => {
+                    init(geom::mjGEOM_CAPSULE, [radius; 3], from);
+                    connect(geom::mjGEOM_CAPSULE, radius, from, to);
+                }
+                Decor::Arrow { from, to, radius } => {
+                    init(geom::mjGEOM_ARROW, [radius; 3], from);
+                    connect(geom::mjGEOM_ARROW, radius, from, to);
+                }
+            }
+            (*target).category = mujoco_sys::mjtCatBit_::mjCAT_DECOR as i32;
+            // decoration is no object: segmentation shows what is behind it
+            (*target).segid = -1;
+        }
+        self.raw.ngeom += 1;
+        true
+    }
+
+    /// Distances of the near and far plane from the camera, along its axis, m.
+    pub fn clip_planes(&self) -> [f64; 2] {
+        [f64::from(self.raw.camera[0].frustum_near), f64::from(self.raw.camera[0].frustum_far)]
+    }
+
+    /// Whether a camera has been set, without which there is nothing to draw.
+    pub(crate) fn is_seen(&self) -> bool {
+        self.camera_set
+    }
+
+    /// The model that is drawn.
+    pub fn model(&self) -> &Arc<Model> {
+        &self.model
+    }
+
+    /// Type (`mjtObj`) and index of what a segmentation colour stands for; −1 twice for nothing.
+    pub(crate) fn object(&self, colour: u32) -> [i32; 2] {
+        let count = usize::try_from(self.raw.ngeom).unwrap_or(0);
+        let geoms: &[mujoco_sys::mjvGeom] = if count == 0 {
+            &[]
+        } else {
+            // SAFETY: the first ngeom entries are initialised.
+            unsafe { std::slice::from_raw_parts(self.raw.geoms, count) }
+        };
+        let nothing = [-1, -1];
+        let Some(segment) = colour.checked_sub(1) else { return nothing };
+        // entries are numbered in the order in which they were added
+        match geoms.get(segment as usize) {
+            Some(geom) if geom.segid == segment as i32 => [geom.objtype, geom.objid],
+            _ => geoms
+                .iter()
+                .find(|geom| geom.segid == segment as i32)
+                .map_or(nothing, |geom| [geom.objtype, geom.objid]),
+        }
+    }
+}
+
+impl Drop for Scene {
+    fn drop(&mut self) {
+        // SAFETY: allocated by mjv_makeScene, freed once.
+        unsafe { mujoco_sys::mjv_freeScene(&mut *self.raw) };
+    }
+}
+
+impl std::fmt::Debug for Scene {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Scene").field("geoms", &self.raw.ngeom).finish_non_exhaustive()
+    }
+}
