@@ -93,6 +93,17 @@ impl YawConvention {
     }
 }
 
+/// Whose meshes an airframe is drawn with, scaled to its arm length. It changes nothing but pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Appearance {
+    /// The Crazyflie's.
+    #[default]
+    Crazyflie,
+    /// The racing quadcopter's.
+    Racer,
+}
+
 /// The parameters of an airframe. SI units; rotor speeds in revolutions per minute.
 ///
 /// `thrust_coefficient` and `torque_coefficient` are per rpm², although the header of the paper's table says
@@ -141,6 +152,9 @@ pub struct DroneParams {
     pub collision_height: f64,
     /// Top speed, m/s: the scale of velocity commands, not a limit that the physics knows.
     pub max_speed: f64,
+    /// What it looks like.
+    #[serde(default)]
+    pub appearance: Appearance,
     /// Where the numbers come from.
     #[serde(default)]
     pub provenance: String,

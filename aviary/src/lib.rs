@@ -21,6 +21,8 @@ pub mod physics;
 pub mod engine;
 pub mod simulation;
 
+pub mod vision;
+
 pub mod observation;
 
 pub mod env;

@@ -25,6 +25,7 @@ use crate::world::{DroneBody, Integrator, Medium, World};
 /// ```
 #[derive(Debug)]
 pub struct Simulation {
+    world: World,
     engine: MujocoEngine,
     drones: Vec<Drone>,
     sim_freq: u32,
@@ -244,6 +245,7 @@ impl SimulationBuilder {
             .map(|params| Drone { rotors: RotorModel::new(&params), max_rpm: params.max_rpm(), params })
             .collect();
         let mut simulation = Simulation {
+            world,
             engine,
             drones,
             sim_freq,
@@ -439,6 +441,11 @@ impl Simulation {
     /// Physics steps in a control step.
     pub fn substeps(&self) -> u32 {
         self.sim_freq / self.ctrl_freq
+    }
+
+    /// The scene.
+    pub fn world(&self) -> &World {
+        &self.world
     }
 
     /// The engine, for experts.

@@ -39,7 +39,8 @@ pub enum Camera {
 }
 
 impl Camera {
-    fn raw(&self, model: &Model) -> Result<mujoco_sys::mjvCamera, Error> {
+    fn raw(&self, data: &Data) -> Result<mujoco_sys::mjvCamera, Error> {
+        let model = data.model();
         let mut raw = MaybeUninit::uninit();
         // SAFETY: initialises the structure it is given.
         let mut raw = unsafe {
@@ -75,6 +76,8 @@ impl Camera {
                 orbit(distance, azimuth, elevation)?;
                 raw.type_ = mujoco_sys::mjtCamera_::mjCAMERA_TRACKING as i32;
                 raw.trackbodyid = index(body, model.nbody())?;
+                // MuJoCo goes only part of the way per update, for a person at a screen
+                raw.lookat.copy_from_slice(&data.subtree_com()[3 * body.index()..][..3]);
             }
             Self::Fixed(camera) => {
                 raw.type_ = mujoco_sys::mjtCamera_::mjCAMERA_FIXED as i32;
@@ -149,6 +152,10 @@ pub struct Scene {
     options: mujoco_sys::mjvOption,
     model: Arc<Model>,
     camera_set: bool,
+    /// All geoms of the scene, hidden ones included.
+    full: i32,
+    /// Type and index of the object of each segment.
+    objects: Vec<[i32; 2]>,
 }
 
 // SAFETY: plain memory without thread affinity, owned by this value alone.
@@ -175,7 +182,7 @@ impl Scene {
             guarded("mjv_makeScene", status)?;
             (raw.assume_init(), options.assume_init())
         };
-        Ok(Self { raw, options, model, camera_set: false })
+        Ok(Self { raw, options, model, camera_set: false, full: 0, objects: Vec::new() })
     }
 
     /// Which of the six geom groups are drawn; MuJoCo's default is the first three.
@@ -206,7 +213,7 @@ impl Scene {
     /// [`Error::Raised`] with MuJoCo's message.
     pub fn update(&mut self, data: &mut Data, camera: &Camera) -> Result<(), Error> {
         self.same_model(data)?;
-        let mut camera = camera.raw(&self.model)?;
+        let mut camera = camera.raw(data)?;
         // SAFETY: model, data and scene belong together.
         let status = unsafe {
             mujoco_sys::mjshim_update_scene(
@@ -218,7 +225,56 @@ impl Scene {
             )
         };
         self.camera_set = status == 0;
-        guarded("mjv_updateScene", status)
+        guarded("mjv_updateScene", status)?;
+        self.full = self.raw.ngeom;
+        self.objects.clear();
+        self.objects.resize(self.geoms().len(), [-1, -1]);
+        for slot in 0..self.objects.len() {
+            let geom = &self.geoms()[slot];
+            let (segment, object) = (geom.segid, [geom.objtype, geom.objid]);
+            if let Some(entry) = usize::try_from(segment).ok().and_then(|segment| self.objects.get_mut(segment)) {
+                *entry = object;
+            }
+        }
+        Ok(())
+    }
+
+    fn geoms(&self) -> &[mujoco_sys::mjvGeom] {
+        let count = usize::try_from(self.full).unwrap_or(0);
+        if count == 0 {
+            return &[];
+        }
+        // SAFETY: MuJoCo, or `add`, has filled this many entries.
+        unsafe { std::slice::from_raw_parts(self.raw.geoms, count) }
+    }
+
+    /// Leaves the geoms of one body out of what is drawn (or none), until the next [`update`](Self::update): what a
+    /// camera on that body is to see.
+    pub fn hide(&mut self, body: Option<BodyId>) {
+        self.raw.ngeom = self.full;
+        let count = usize::try_from(self.full).unwrap_or(0);
+        let (Some(body), true) = (body, count > 0) else { return };
+        let bodies = self.model.geom_bodyid();
+        // SAFETY: as for `geoms`, and borrowed mutably.
+        let geoms = unsafe { std::slice::from_raw_parts_mut(self.raw.geoms, count) };
+        let is_hidden = |geom: &mujoco_sys::mjvGeom| {
+            geom.objtype == mujoco_sys::mjtObj_::mjOBJ_GEOM as i32
+                && usize::try_from(geom.objid)
+                    .ok()
+                    .and_then(|id| bodies.get(id))
+                    .is_some_and(|&b| b as usize == body.index())
+        };
+        // hidden ones go to the end, where the renderer does not look; among the others, swapping keeps the order of those that are drawn
+        let mut drawn = 0;
+        for slot in 0..count {
+            if !is_hidden(&geoms[slot]) {
+                if slot != drawn {
+                    geoms.swap(slot, drawn);
+                }
+                drawn += 1;
+            }
+        }
+        self.raw.ngeom = drawn as i32;
     }
 
     /// Looks at the same things from another camera.
@@ -227,7 +283,7 @@ impl Scene {
     /// As for [`update`](Self::update).
     pub fn look(&mut self, data: &mut Data, camera: &Camera) -> Result<(), Error> {
         self.same_model(data)?;
-        let mut camera = camera.raw(&self.model)?;
+        let mut camera = camera.raw(data)?;
         // SAFETY: as for `update`.
         let status =
             unsafe { mujoco_sys::mjshim_look(self.model.as_ptr(), data.as_ptr(), &mut camera, &mut *self.raw) };
@@ -242,6 +298,8 @@ impl Scene {
     /// Adds a shape until the next [`update`](Self::update); `false` where there was no room for it.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
         use mujoco_sys::mjtGeom_ as geom;
+        // the end of the list is where hidden geoms are
+        self.hide(None);
         let Some(slot) = usize::try_from(self.raw.ngeom).ok().filter(|_| self.raw.ngeom < self.raw.maxgeom) else {
             return false;
         };
@@ -277,7 +335,8 @@ impl Scene {
             // decoration is no object: segmentation shows what is behind it
             (*target).segid = -1;
         }
-        self.raw.ngeom += 1;
+        self.full += 1;
+        self.raw.ngeom = self.full;
         true
     }
 
@@ -298,23 +357,8 @@ impl Scene {
 
     /// Type (`mjtObj`) and index of what a segmentation colour stands for; −1 twice for nothing.
     pub(crate) fn object(&self, colour: u32) -> [i32; 2] {
-        let count = usize::try_from(self.raw.ngeom).unwrap_or(0);
-        let geoms: &[mujoco_sys::mjvGeom] = if count == 0 {
-            &[]
-        } else {
-            // SAFETY: the first ngeom entries are initialised.
-            unsafe { std::slice::from_raw_parts(self.raw.geoms, count) }
-        };
-        let nothing = [-1, -1];
-        let Some(segment) = colour.checked_sub(1) else { return nothing };
-        // entries are numbered in the order in which they were added
-        match geoms.get(segment as usize) {
-            Some(geom) if geom.segid == segment as i32 => [geom.objtype, geom.objid],
-            _ => geoms
-                .iter()
-                .find(|geom| geom.segid == segment as i32)
-                .map_or(nothing, |geom| [geom.objtype, geom.objid]),
-        }
+        let segment = colour.checked_sub(1).and_then(|segment| self.objects.get(segment as usize));
+        segment.copied().unwrap_or([-1, -1])
     }
 }
 

@@ -6,7 +6,7 @@ use crate::{Asset, Request, assets, check, crazyflie, parse, racer, write};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::ffi::OsString;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Most triangles that the visual parts of one airframe may have.
 const BUDGET: usize = 3000;

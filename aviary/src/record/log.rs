@@ -1,5 +1,6 @@
 use std::io::Write;
 
+use super::RecordError;
 use crate::simulation::Simulation;
 use crate::state::wxyz;
 
@@ -15,18 +16,6 @@ const COLUMNS: [&str; 22] = [
 /// frame, roll, pitch and yaw rad, motor speeds rpm. Numbers read back to the same bits.
 pub struct CsvLog<W: Write> {
     writer: csv::Writer<W>,
-}
-
-/// What can go wrong with a log.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RecordError {
-    /// It cannot be written.
-    #[error("the log cannot be written: {0}")]
-    Write(#[from] csv::Error),
-    /// What was written cannot be brought to where it belongs.
-    #[error("the log cannot be written: {0}")]
-    Flush(#[from] std::io::Error),
 }
 
 impl<W: Write> CsvLog<W> {

@@ -1,5 +1,33 @@
-//! Flights as files.
+//! Flights and pictures as files.
 
 mod log;
+pub mod picture;
 
-pub use log::{CsvLog, RecordError};
+pub use log::CsvLog;
+
+use crate::vision::ImageSize;
+
+/// What can go wrong with a record.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RecordError {
+    /// A log cannot be written.
+    #[error("the log cannot be written: {0}")]
+    Write(#[from] csv::Error),
+    /// What was written cannot be brought to where it belongs.
+    #[error("the log cannot be written: {0}")]
+    Flush(#[from] std::io::Error),
+    /// A picture cannot be encoded or written.
+    #[error("the picture cannot be written: {0}")]
+    Encode(#[from] image::ImageError),
+    /// A buffer that is not a picture of this size.
+    #[error("a picture of {size} has {got} numbers, expected {expected}")]
+    Picture {
+        /// The size.
+        size: ImageSize,
+        /// Length of the buffer.
+        got: usize,
+        /// What the size needs.
+        expected: usize,
+    },
+}

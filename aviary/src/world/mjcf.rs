@@ -1,12 +1,15 @@
 //! A world as MJCF text.
 
+use std::collections::BTreeMap;
 use std::io;
+use std::path::PathBuf;
 
-use mujoco_rs::Integrator;
+use mujoco_rs::{Assets, Integrator};
 use nalgebra::Vector3;
 use quick_xml::Writer;
 use quick_xml::events::{BytesEnd, BytesStart, Event};
 
+use super::look::Look;
 use super::{DroneBody, World};
 use crate::state::{attitude_from_rpy, wxyz};
 
@@ -23,6 +26,14 @@ pub enum SceneError {
         got: f64,
         /// What is possible.
         expected: &'static str,
+    },
+    /// A mesh that cannot be read.
+    #[error("{}: {message}", path.display())]
+    Mesh {
+        /// The file.
+        path: PathBuf,
+        /// Why not.
+        message: String,
     },
 }
 
@@ -61,8 +72,129 @@ impl World {
         self.check()?;
         let mut xml = Xml::new();
         xml.open("mujoco", &[("model", "aviary".into())]);
-        xml.leaf("compiler", &[("angle", "radian".into()), ("inertiafromgeom", "false".into())]);
+        self.physics(&mut xml);
+        xml.open("worldbody", &[]);
+        xml.leaf("geom", &[("name", "floor".into()), ("type", "plane".into()), ("size", "0 0 1".into())]);
+        for (index, drone) in self.drones.iter().enumerate() {
+            xml.open_drone(index, drone);
+            xml.collision_geom(index, drone, &[]);
+            xml.close("body");
+        }
+        xml.close("worldbody");
+        xml.close("mujoco");
+        Ok(xml.finish())
+    }
 
+    /// The scene that is looked at: the same bodies with the same `qpos`, with meshes, materials, light, sky and
+    /// cameras, and the files that it refers to.
+    ///
+    /// # Errors
+    /// [`SceneError::Mesh`] where [`CF2_ASSETS`](super::CF2_ASSETS) names a directory without the meshes, and what
+    /// [`to_mjcf`](Self::to_mjcf) finds.
+    pub fn to_visible_mjcf(&self) -> Result<(String, Assets), SceneError> {
+        self.check()?;
+        let looks: Vec<_> = self.drones.iter().map(|drone| Look::of(&drone.params)).collect();
+        let mut xml = Xml::new();
+        xml.open("mujoco", &[("model", "aviary".into())]);
+        self.physics(&mut xml);
+        // cameras and fog are measured in extents: one metre
+        xml.leaf("statistic", &[("extent", "1".into()), ("center", "0 0 1".into())]);
+        xml.open("visual", &[]);
+        let [near, far] = World::CLIP_PLANES;
+        xml.leaf(
+            "map",
+            &[
+                ("znear", near.to_string()),
+                ("zfar", far.to_string()),
+                ("shadowclip", (1.2 + self.reach()).to_string()),
+                ("haze", "0.2".into()),
+            ],
+        );
+        xml.leaf(
+            "headlight",
+            &[
+                ("ambient", "0.45 0.45 0.45".into()),
+                ("diffuse", "0.25 0.25 0.25".into()),
+                ("specular", "0.1 0.1 0.1".into()),
+            ],
+        );
+        xml.leaf("rgba", &[("haze", "0.75 0.83 0.9 1".into())]);
+        xml.close("visual");
+
+        let files = xml.assets(&looks)?;
+
+        xml.open("worldbody", &[]);
+        xml.leaf(
+            "light",
+            &[
+                ("name", "sun".into()),
+                ("directional", "true".into()),
+                ("pos", "0 0 4".into()),
+                ("dir", "0.25 0.35 -1".into()),
+                ("diffuse", "0.55 0.55 0.52".into()),
+                ("specular", "0.3 0.3 0.3".into()),
+            ],
+        );
+        // The third size is the spacing of the grid that a plane is drawn with. Light comes from infinitely far away,
+        // so that one rectangle looks like ten thousand.
+        xml.leaf(
+            "geom",
+            &[
+                ("name", "floor".into()),
+                ("type", "plane".into()),
+                ("size", "100 100 200".into()),
+                ("material", "floor".into()),
+            ],
+        );
+        for (index, (drone, look)) in self.drones.iter().zip(&looks).enumerate() {
+            xml.open_drone(index, drone);
+            xml.collision_geom(
+                index,
+                drone,
+                &[("group", World::COLLISION_GROUP.to_string()), ("rgba", "1 0 0 0.3".into())],
+            );
+            let half = look.turn / 2.0;
+            for part in look.parts {
+                xml.leaf(
+                    "geom",
+                    &[
+                        ("name", format!("{}_{}", World::drone_name(index), part.name)),
+                        ("type", "mesh".into()),
+                        ("mesh", look.mesh_name(part)),
+                        ("material", Look::material_name(part)),
+                        ("group", World::VISUAL_GROUP.to_string()),
+                        ("contype", "0".into()),
+                        ("conaffinity", "0".into()),
+                        ("quat", numbers(&[half.cos(), 0.0, 0.0, half.sin()])),
+                    ],
+                );
+            }
+            xml.leaf(
+                "camera",
+                &[
+                    ("name", World::camera_name(index)),
+                    ("pos", numbers(&World::CAMERA_POSITION)),
+                    ("xyaxes", "0 -1 0 0 0 1".into()),
+                    ("fovy", World::CAMERA_FOVY.to_string()),
+                ],
+            );
+            xml.close("body");
+        }
+        xml.close("worldbody");
+        xml.close("mujoco");
+        Ok((xml.finish(), files))
+    }
+
+    /// Largest distance of a drone from the middle of all, m.
+    fn reach(&self) -> f64 {
+        let sum: Vector3<f64> = self.drones.iter().map(|drone| drone.position).sum();
+        let centre = sum / (self.drones.len().max(1) as f64);
+        self.drones.iter().map(|drone| (drone.position - centre).norm()).fold(0.0, f64::max)
+    }
+
+    /// Options and buffer sizes.
+    fn physics(&self, xml: &mut Xml) {
+        xml.leaf("compiler", &[("angle", "radian".into()), ("inertiafromgeom", "false".into())]);
         let medium = self.medium.map_or((0.0, 0.0), |medium| (medium.density, medium.viscosity));
         let integrator = match self.integrator {
             Integrator::Euler => "Euler",
@@ -88,15 +220,6 @@ impl World {
                 ("nstack", sizes.stack.to_string()),
             ],
         );
-
-        xml.open("worldbody", &[]);
-        xml.leaf("geom", &[("name", "floor".into()), ("type", "plane".into()), ("size", "0 0 1".into())]);
-        for (index, drone) in self.drones.iter().enumerate() {
-            xml.drone(index, drone);
-        }
-        xml.close("worldbody");
-        xml.close("mujoco");
-        Ok(xml.finish())
     }
 
     fn check(&self) -> Result<(), SceneError> {
@@ -161,7 +284,7 @@ impl Xml {
         self.event(Event::End(BytesEnd::new(name)));
     }
 
-    fn drone(&mut self, index: usize, drone: &DroneBody) {
+    fn open_drone(&mut self, index: usize, drone: &DroneBody) {
         let name = World::drone_name(index);
         let params = &drone.params;
         self.open(
@@ -172,20 +295,91 @@ impl Xml {
                 ("quat", numbers(&wxyz(&attitude_from_rpy(drone.rpy)))),
             ],
         );
-        self.leaf("freejoint", &[("name", name.clone())]);
+        self.leaf("freejoint", &[("name", name)]);
         self.leaf(
             "inertial",
             &[("pos", "0 0 0".into()), ("mass", params.mass.to_string()), ("diaginertia", numbers(&params.inertia))],
         );
+    }
+
+    fn collision_geom(&mut self, index: usize, drone: &DroneBody, more: &[(&str, String)]) {
+        let params = &drone.params;
+        let cylinder = [
+            ("name", World::drone_name(index)),
+            ("type", "cylinder".into()),
+            ("size", numbers(&[params.collision_radius, params.collision_height / 2.0])),
+        ];
+        self.leaf("geom", &[&cylinder, more].concat());
+    }
+
+    /// Sky, floor, and every mesh and material of these looks once.
+    fn assets(&mut self, looks: &[Look]) -> Result<Assets, SceneError> {
+        self.open("asset", &[]);
         self.leaf(
-            "geom",
+            "texture",
             &[
-                ("name", name),
-                ("type", "cylinder".into()),
-                ("size", numbers(&[params.collision_radius, params.collision_height / 2.0])),
+                ("type", "skybox".into()),
+                ("builtin", "gradient".into()),
+                ("rgb1", "0.75 0.83 0.9".into()),
+                ("rgb2", "0.3 0.48 0.68".into()),
+                ("width", "128".into()),
+                ("height", "768".into()),
             ],
         );
-        self.close("body");
+        self.leaf(
+            "texture",
+            &[
+                ("name", "floor".into()),
+                ("type", "2d".into()),
+                ("builtin", "checker".into()),
+                ("rgb1", "0.60 0.62 0.64".into()),
+                ("rgb2", "0.53 0.55 0.57".into()),
+                ("mark", "edge".into()),
+                ("markrgb", "0.68 0.70 0.72".into()),
+                ("width", "256".into()),
+                ("height", "256".into()),
+            ],
+        );
+        // two squares of half a metre per texture
+        self.leaf(
+            "material",
+            &[
+                ("name", "floor".into()),
+                ("texture", "floor".into()),
+                ("texuniform", "true".into()),
+                ("texrepeat", "1 1".into()),
+                ("specular", "0".into()),
+                ("reflectance", "0.1".into()),
+            ],
+        );
+        let mut files = Assets::new();
+        let (mut meshes, mut materials) = (BTreeMap::new(), BTreeMap::new());
+        for look in looks {
+            let mut is_new_file = false;
+            for part in look.parts {
+                meshes.entry(look.mesh_name(part)).or_insert((part.file, look.scale));
+                is_new_file |= materials.insert(Look::material_name(part), part).is_none();
+            }
+            if is_new_file {
+                look.add_files(&mut files)?;
+            }
+        }
+        for (name, (file, scale)) in meshes {
+            self.leaf("mesh", &[("name", name), ("file", file.to_string()), ("scale", numbers(&[scale; 3]))]);
+        }
+        for (name, part) in materials {
+            self.leaf(
+                "material",
+                &[
+                    ("name", name),
+                    ("rgba", numbers(&part.rgba)),
+                    ("specular", part.specular.to_string()),
+                    ("shininess", part.shininess.to_string()),
+                ],
+            );
+        }
+        self.close("asset");
+        Ok(files)
     }
 
     fn finish(self) -> String {

@@ -1,11 +1,13 @@
 //! The scene as typed values, and as MJCF text.
 
+mod look;
 mod mjcf;
 
 use nalgebra::Vector3;
 
 use crate::drone::{DroneParams, GRAVITY};
 
+pub use look::CF2_ASSETS;
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
 
@@ -59,8 +61,29 @@ impl World {
         Self { timestep: 1.0 / 240.0, integrator: Integrator::Rk4, gravity: GRAVITY, medium: None, drones }
     }
 
-    /// Name of a drone's body in the scene.
+    /// Name of a drone's body in the scene, and of its collision geom.
     pub fn drone_name(index: usize) -> String {
         format!("drone{index}")
     }
+
+    /// Name of a drone's onboard camera in the visible scene.
+    pub fn camera_name(index: usize) -> String {
+        format!("drone{index}_camera")
+    }
+
+    /// Vertical field of view of every onboard camera, degrees.
+    pub const CAMERA_FOVY: f64 = 60.0;
+
+    /// Where the onboard camera sits, body frame, m. It looks along body x, with body z up.
+    pub const CAMERA_POSITION: [f64; 3] = [0.02, 0.0, 0.0];
+
+    /// Nearest and farthest distance that cameras see, m.
+    pub const CLIP_PLANES: [f64; 2] = [0.01, 100.0];
+
+    /// Geom group of what is only to be looked at; collision geoms of drones are in
+    /// [`COLLISION_GROUP`](Self::COLLISION_GROUP).
+    pub const VISUAL_GROUP: usize = 2;
+
+    /// Geom group of the drones' collision geoms in the visible scene, which is not drawn.
+    pub const COLLISION_GROUP: usize = 3;
 }

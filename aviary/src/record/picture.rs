@@ -1,0 +1,223 @@
+//! Pictures as files: PNG in colour, 16-bit PNG for depth and object numbers, animated GIF.
+
+use std::io::{Cursor, Write};
+
+use image::codecs::gif::{GifEncoder, Repeat};
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{Delay, ExtendedColorType, Frame, ImageEncoder as _, RgbaImage};
+
+use super::RecordError;
+use crate::vision::ImageSize;
+
+/// RGB (three bytes per pixel, top row first) as PNG.
+///
+/// # Errors
+/// [`RecordError::Picture`] for a buffer that does not have the size's length.
+pub fn png_rgb(size: ImageSize, rgb: &[u8]) -> Result<Vec<u8>, RecordError> {
+    encode(size, rgb, ExtendedColorType::Rgb8, 3)
+}
+
+/// RGBA (four bytes per pixel, top row first) as PNG.
+///
+/// # Errors
+/// As for [`png_rgb`].
+pub fn png_rgba(size: ImageSize, rgba: &[u8]) -> Result<Vec<u8>, RecordError> {
+    encode(size, rgba, ExtendedColorType::Rgba8, 4)
+}
+
+/// Depth (m) as 16-bit PNG in millimetres; 0 where there is nothing within 65.535 m.
+///
+/// # Errors
+/// As for [`png_rgb`].
+pub fn png_depth(size: ImageSize, depth: &[f32]) -> Result<Vec<u8>, RecordError> {
+    let millimetres = depth.iter().map(|&metres| {
+        let rounded = (f64::from(metres) * 1000.0).round();
+        if (0.0..=65_535.0).contains(&rounded) { rounded as u16 } else { 0 }
+    });
+    png_u16(size, millimetres)
+}
+
+/// Object numbers (as [`Painter`](crate::vision::Painter) gives them) as 16-bit PNG: index plus one, 0 for nothing.
+///
+/// # Errors
+/// As for [`png_rgb`].
+pub fn png_segmentation(size: ImageSize, objects: &[[i32; 2]]) -> Result<Vec<u8>, RecordError> {
+    png_u16(size, objects.iter().map(|[_, index]| u16::try_from(index + 1).unwrap_or(0)))
+}
+
+fn png_u16(size: ImageSize, values: impl Iterator<Item = u16>) -> Result<Vec<u8>, RecordError> {
+    // the encoder takes native byte order and writes PNG's
+    let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
+    encode(size, &bytes, ExtendedColorType::L16, 2)
+}
+
+fn encode(size: ImageSize, bytes: &[u8], color: ExtendedColorType, per_pixel: usize) -> Result<Vec<u8>, RecordError> {
+    check(size, bytes.len(), per_pixel)?;
+    let mut out = Cursor::new(Vec::new());
+    PngEncoder::new_with_quality(&mut out, CompressionType::Fast, FilterType::Adaptive).write_image(
+        bytes,
+        size.width,
+        size.height,
+        color,
+    )?;
+    Ok(out.into_inner())
+}
+
+fn check(size: ImageSize, got: usize, per_pixel: usize) -> Result<(), RecordError> {
+    let expected = size.pixels() * per_pixel;
+    if got == expected { Ok(()) } else { Err(RecordError::Picture { size, got, expected }) }
+}
+
+/// Depth (m) in colours that people can tell apart, near to far from light to dark; nothing is black.
+///
+/// The scale is logarithmic between the nearest and the farthest thing in the picture: `far` is the distance that
+/// stands for nothing.
+pub fn depth_in_colour(depth: &[f32], far: f32) -> Vec<u8> {
+    // anchors of the perceptually even map "viridis", dark to light
+    const ANCHORS: [[f32; 3]; 9] = [
+        [68.0, 1.0, 84.0],
+        [71.0, 44.0, 122.0],
+        [59.0, 81.0, 139.0],
+        [44.0, 113.0, 142.0],
+        [33.0, 144.0, 141.0],
+        [39.0, 173.0, 129.0],
+        [92.0, 200.0, 99.0],
+        [170.0, 220.0, 50.0],
+        [253.0, 231.0, 37.0],
+    ];
+    let seen = |z: f32| z.is_finite() && z > 0.0 && z < 0.999 * far;
+    let (near, deep) = depth
+        .iter()
+        .filter(|&&z| seen(z))
+        .fold((f32::INFINITY, f32::NEG_INFINITY), |(near, deep), &z| (near.min(z), deep.max(z)));
+    let span = (deep / near).ln().max(1e-6);
+    let mut rgb = Vec::with_capacity(3 * depth.len());
+    for &z in depth {
+        if !seen(z) {
+            rgb.extend([0, 0, 0]);
+            continue;
+        }
+        let place = (1.0 - (z / near).ln() / span).clamp(0.0, 1.0) * (ANCHORS.len() - 1) as f32;
+        let below = (place as usize).min(ANCHORS.len() - 2);
+        let share = place - below as f32;
+        rgb.extend(ANCHORS[below].iter().zip(ANCHORS[below + 1]).map(|(a, b)| (a + (b - a) * share).round() as u8));
+    }
+    rgb
+}
+
+/// Objects in colours that people can tell apart; nothing is black.
+pub fn segmentation_in_colour(objects: &[[i32; 2]]) -> Vec<u8> {
+    let mut rgb = Vec::with_capacity(3 * objects.len());
+    for [_, index] in objects {
+        rgb.extend(match u32::try_from(*index) {
+            Err(_) => [0, 0, 0],
+            // the floor is what most of a picture shows
+            Ok(0) => [90, 90, 96],
+            // steps of the golden ratio round the colour circle come near none of those before
+            Ok(index) => hue((index as f32 * 0.618_034).fract(), if index % 2 == 0 { 0.95 } else { 0.7 }),
+        });
+    }
+    rgb
+}
+
+/// A saturated colour.
+fn hue(turn: f32, value: f32) -> [u8; 3] {
+    let channel = |offset: f32| {
+        let place = ((turn + offset).fract() * 6.0 - 3.0).abs() - 1.0;
+        ((0.15 + 0.85 * place.clamp(0.0, 1.0)) * value * 255.0).round() as u8
+    };
+    [channel(0.0), channel(2.0 / 3.0), channel(1.0 / 3.0)]
+}
+
+/// An animated GIF that repeats for ever.
+pub struct GifAnimation<W: Write> {
+    encoder: GifEncoder<W>,
+    size: ImageSize,
+    delay: Delay,
+}
+
+impl<W: Write> GifAnimation<W> {
+    /// Begins an animation with so many seconds per frame (in steps of 10 ms, as GIF counts).
+    ///
+    /// # Errors
+    /// [`RecordError::Encode`] where the target cannot be written.
+    pub fn new(target: W, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
+        let mut encoder = GifEncoder::new_with_speed(target, 10);
+        encoder.set_repeat(Repeat::Infinite)?;
+        let milliseconds = ((seconds_per_frame * 100.0).round() * 10.0).clamp(20.0, 60_000.0) as u32;
+        Ok(Self { encoder, size, delay: Delay::from_numer_denom_ms(milliseconds, 1) })
+    }
+
+    /// Adds a frame: RGB, three bytes per pixel, top row first.
+    ///
+    /// # Errors
+    /// [`RecordError::Picture`] for a buffer of the wrong length, [`RecordError::Encode`] where the target cannot be
+    /// written.
+    pub fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
+        check(self.size, rgb.len(), 3)?;
+        let rgba = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+        let expected = 4 * self.size.pixels();
+        let picture = RgbaImage::from_raw(self.size.width, self.size.height, rgba).ok_or(RecordError::Picture {
+            size: self.size,
+            got: rgb.len(),
+            expected,
+        })?;
+        self.encoder.encode_frame(Frame::from_parts(picture, 0, 0, self.delay))?;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: ImageSize = ImageSize { width: 3, height: 2 };
+
+    #[test]
+    fn depth_is_written_in_millimetres_and_nothing_as_zero() {
+        let depth = [0.0, 0.0014, 1.2345, 65.535, 65.54, f32::INFINITY];
+        let png = png_depth(SIZE, &depth).unwrap();
+        let back = image::load_from_memory(&png).unwrap();
+        assert_eq!(back.as_luma16().unwrap().as_raw()[..], [0, 1, 1235, 65_535, 0, 0]);
+    }
+
+    #[test]
+    fn objects_are_written_as_index_plus_one() {
+        let png = png_segmentation(SIZE, &[[-1, -1], [5, 0], [5, 7], [5, 65_534], [5, 65_535], [5, 1]]).unwrap();
+        let back = image::load_from_memory(&png).unwrap();
+        assert_eq!(back.as_luma16().unwrap().as_raw()[..], [0, 1, 8, 65_535, 0, 2]);
+    }
+
+    #[test]
+    fn colour_reads_back_as_it_was() {
+        let rgb: Vec<u8> = (0..18).map(|i| i * 14).collect();
+        assert_eq!(
+            image::load_from_memory(&png_rgb(SIZE, &rgb).unwrap()).unwrap().as_rgb8().unwrap().as_raw()[..],
+            rgb
+        );
+        assert!(png_rgb(SIZE, &rgb[1..]).unwrap_err().to_string().contains("17"));
+        let far = depth_in_colour(&[1.0, 2.0, 4.0, 100.0, f32::NAN, 0.0], 100.0);
+        assert!(far[0] > far[3] && far[9..] == [0; 9], "light is near, black is nothing");
+        let objects = segmentation_in_colour(&[[-1, -1], [5, 0], [5, 1], [5, 2], [5, 3], [5, 4]]);
+        let colours: std::collections::BTreeSet<_> = objects.chunks(3).collect();
+        assert_eq!(colours.len(), 6);
+    }
+
+    #[test]
+    fn an_animation_holds_its_frames() {
+        use image::AnimationDecoder as _;
+        let mut bytes = Vec::new();
+        let mut animation = GifAnimation::new(&mut bytes, SIZE, 1.0 / 24.0).unwrap();
+        animation.frame(&[255; 18]).unwrap();
+        animation.frame(&[0; 18]).unwrap();
+        assert!(animation.frame(&[0; 17]).is_err());
+        drop(animation);
+        let frames: Vec<_> = image::codecs::gif::GifDecoder::new(Cursor::new(bytes))
+            .unwrap()
+            .into_frames()
+            .map(Result::unwrap)
+            .collect();
+        assert_eq!(frames.len(), 2);
+        assert_eq!(frames[0].delay().numer_denom_ms().0, 40);
+    }
+}

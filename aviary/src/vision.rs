@@ -1,0 +1,359 @@
+//! Pictures of a world: onboard cameras for agents, views for people.
+//!
+//! They are drawn from a second model of the same scene with the same `qpos`, brought up to date when somebody looks,
+//! so that meshes and cameras cost the physics nothing.
+
+use std::fmt;
+use std::str::FromStr;
+
+use mujoco_rs::{
+    BodyId, Camera, CameraId, Data, Error, GeomId, JointId, LightId, Model, ObjectId as _, Quality, Renderer, Scene,
+};
+use nalgebra::Vector3;
+
+pub use mujoco_rs::{Decor, Effects, ImageSize};
+
+use crate::engine::BuildError;
+use crate::state::{DroneState, wxyz};
+use crate::world::World;
+
+/// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
+pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
+
+/// What a picture shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum ImageKind {
+    /// Colour.
+    Rgb,
+    /// Distance along the camera's axis.
+    Depth,
+    /// Which object.
+    Segmentation,
+}
+
+impl ImageKind {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Rgb, Self::Depth, Self::Segmentation];
+
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rgb => "rgb",
+            Self::Depth => "depth",
+            Self::Segmentation => "segmentation",
+        }
+    }
+}
+
+/// From where people look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum View {
+    /// Following the drones, from behind and above.
+    #[default]
+    Track,
+    /// Through the onboard camera of the first drone.
+    Fpv,
+    /// Over the whole scene, standing still.
+    Fixed,
+    /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
+    /// as seen from there.
+    Front,
+}
+
+impl View {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Track, Self::Fpv, Self::Fixed, Self::Front];
+
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Track => "track",
+            Self::Fpv => "fpv",
+            Self::Fixed => "fixed",
+            Self::Front => "front",
+        }
+    }
+}
+
+impl fmt::Display for View {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is no view's or kind's.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no {what} `{name}`, expected {expected}")]
+pub struct UnknownName {
+    what: &'static str,
+    name: String,
+    expected: &'static str,
+}
+
+impl FromStr for View {
+    type Err = UnknownName;
+
+    fn from_str(name: &str) -> Result<Self, UnknownName> {
+        let unknown = || UnknownName { what: "camera", name: name.into(), expected: "track, fpv, fixed or front" };
+        Self::ALL.into_iter().find(|view| view.name() == name).ok_or_else(unknown)
+    }
+}
+
+impl FromStr for ImageKind {
+    type Err = UnknownName;
+
+    fn from_str(name: &str) -> Result<Self, UnknownName> {
+        let unknown =
+            || UnknownName { what: "kind of picture", name: name.into(), expected: "rgb, depth or segmentation" };
+        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(unknown)
+    }
+}
+
+/// What a camera saw of an object: a geom of the scene.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct SeenObject {
+    /// The second number of a segmentation pixel.
+    pub index: i32,
+    /// Name in the scene: `floor`, `drone0_propellers`, …
+    pub name: String,
+    /// The drone it belongs to.
+    pub drone: Option<usize>,
+}
+
+/// Draws one world.
+#[derive(Debug)]
+pub struct Painter {
+    // dropped before the data whose model it draws
+    renderer: Renderer,
+    scene: Scene,
+    data: Data,
+    joints: Vec<usize>,
+    bodies: Vec<BodyId>,
+    cameras: Vec<CameraId>,
+    /// What the standing views look at: the middle of the drones where they started, and how far they reach from it.
+    stage: (Vector3<f64>, f64),
+    centre: Vector3<f64>,
+    spread: f64,
+    /// Distance from which the largest drone fills a good part of the picture, m.
+    size: f64,
+    sun: usize,
+    stale: bool,
+}
+
+impl Painter {
+    /// For onboard cameras: one sample per pixel, no shadows, no reflections, no sky (black).
+    ///
+    /// # Errors
+    /// [`BuildError`] where the scene does not compile or there is no OpenGL to draw with.
+    pub fn for_observations(world: &World) -> Result<Self, BuildError> {
+        Self::new(world, Quality::FAST, Effects::default())
+    }
+
+    /// For people: shadows, reflections, sky and several samples per pixel.
+    ///
+    /// # Errors
+    /// As for [`for_observations`](Self::for_observations).
+    pub fn for_people(world: &World) -> Result<Self, BuildError> {
+        Self::new(world, Quality::PRETTY, Effects::pretty())
+    }
+
+    /// With any quality and effects.
+    ///
+    /// # Errors
+    /// As for [`for_observations`](Self::for_observations).
+    pub fn new(world: &World, quality: Quality, effects: Effects) -> Result<Self, BuildError> {
+        let (xml, assets) = world.to_visible_mjcf()?;
+        let data = Data::new(Model::from_xml_with_assets(&xml, &assets)?)?;
+        let model = data.shared_model();
+        let mut scene = Scene::new(model.clone(), 20_000)?;
+        scene.set_effects(effects);
+        let (mut joints, mut bodies, mut cameras) = (Vec::new(), Vec::new(), Vec::new());
+        for index in 0..world.drones.len() {
+            let joint: JointId = model.find(&World::drone_name(index))?;
+            let body: BodyId = model.find(&World::drone_name(index))?;
+            joints
+                .push(usize::try_from(model.jnt_qposadr()[joint.index()]).expect("an address of a joint that exists"));
+            bodies.push(body);
+            cameras.push(model.find(&World::camera_name(index))?);
+        }
+        let sun: LightId = model.find("sun")?;
+        let sun = sun.index();
+        let renderer = Renderer::new(model, quality)?;
+        let stage = extent(world.drones.iter().map(|drone| drone.position));
+        Ok(Self {
+            renderer,
+            scene,
+            data,
+            joints,
+            bodies,
+            cameras,
+            stage,
+            centre: stage.0,
+            spread: stage.1,
+            size: world.drones.iter().map(|drone| 6.0 * drone.params.arm_length + 0.1).fold(0.0, f64::max),
+            sun,
+            stale: true,
+        })
+    }
+
+    /// Brings the scene up to date. What was [added](Self::add) before is gone.
+    ///
+    /// # Errors
+    /// MuJoCo's own.
+    pub fn update(&mut self, states: &[DroneState]) -> Result<(), Error> {
+        for (&address, state) in self.joints.iter().zip(states) {
+            let position = &mut self.data.qpos_mut()[address..][..7];
+            position[..3].copy_from_slice(state.position.as_slice());
+            position[3..].copy_from_slice(&wxyz(&state.attitude));
+        }
+        self.data.kinematics()?;
+        (self.centre, self.spread) = extent(states.iter().map(|state| state.position));
+        // the shadow map covers a square around the sun's place: it goes where the drones are
+        let above = [self.centre.x, self.centre.y, self.centre.z + 2.0];
+        self.data.light_xpos_mut()[3 * self.sun..][..3].copy_from_slice(&above);
+        let camera = Camera::Fixed(self.cameras[0]);
+        self.scene.update(&mut self.data, &camera)?;
+        self.stale = false;
+        Ok(())
+    }
+
+    /// Adds a shape to the scene until the next update; `false` where there is no room.
+    pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
+        self.scene.add(decor, rgba)
+    }
+
+    /// The camera of a view.
+    fn camera(&self, view: View) -> Camera {
+        let orbit = |centre: Vector3<f64>, distance: f64, azimuth: f64, elevation: f64| Camera::Free {
+            lookat: centre.into(),
+            distance,
+            azimuth,
+            elevation,
+        };
+        // a metre of scene beyond the outermost drones
+        let (stage, reach) = self.stage;
+        let stage = Vector3::new(stage.x, stage.y, stage.z.max(0.6));
+        match view {
+            View::Fpv => Camera::Fixed(self.cameras[0]),
+            View::Track => orbit(self.centre, self.size + 2.2 * self.spread, 35.0, -22.0),
+            View::Fixed => orbit(stage, 1.6 + 2.2 * reach, 50.0, -20.0),
+            View::Front => orbit(stage, 1.6 + 2.2 * reach, 180.0, -4.0),
+        }
+    }
+
+    /// Looks from a view for people.
+    fn look(&mut self, view: View) -> Result<(), Error> {
+        if view == View::Fpv {
+            return self.look_from_board(0);
+        }
+        let camera = self.camera(view);
+        self.seen_from(&camera, None)
+    }
+
+    /// Looks through a drone's camera, which does not see the drone that carries it: it sits inside the airframe.
+    fn look_from_board(&mut self, drone: usize) -> Result<(), Error> {
+        self.seen_from(&Camera::Fixed(self.cameras[drone]), Some(self.bodies[drone]))
+    }
+
+    fn seen_from(&mut self, camera: &Camera, hidden: Option<BodyId>) -> Result<(), Error> {
+        if self.stale {
+            return Err(Error::NoCamera);
+        }
+        self.scene.look(&mut self.data, camera)?;
+        self.scene.hide(hidden);
+        Ok(())
+    }
+
+    /// A picture from a view: RGB, three bytes per pixel, top row first.
+    ///
+    /// # Errors
+    /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong length.
+    pub fn rgb(&mut self, view: View, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
+        self.look(view)?;
+        self.renderer.rgb(&mut self.scene, size, out)
+    }
+
+    /// Depth from a view, m along the camera's axis, top row first; the far plane's distance where there is nothing.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb).
+    pub fn depth(&mut self, view: View, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
+        self.look(view)?;
+        self.renderer.depth(&mut self.scene, size, out)
+    }
+
+    /// Objects from a view, `[type, index]` per pixel, −1 twice where there is nothing, top row first.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb), and [`Error::Multisampled`] for a painter for people.
+    pub fn segmentation(&mut self, view: View, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
+        self.look(view)?;
+        self.renderer.segmentation(&mut self.scene, size, out)
+    }
+
+    /// What a drone's onboard camera sees: RGBA, four bytes per pixel, alpha 255, top row first.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb).
+    ///
+    /// # Panics
+    /// If there is no drone of that index; likewise below.
+    pub fn onboard_rgba(&mut self, drone: usize, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
+        self.look_from_board(drone)?;
+        self.renderer.rgba(&mut self.scene, size, out)
+    }
+
+    /// What a drone's onboard camera sees: depth, m along its axis, top row first.
+    ///
+    /// # Errors
+    /// As for [`rgb`](Self::rgb).
+    pub fn onboard_depth(&mut self, drone: usize, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
+        self.look_from_board(drone)?;
+        self.renderer.depth(&mut self.scene, size, out)
+    }
+
+    /// What a drone's onboard camera sees: objects, `[type, index]` per pixel, top row first.
+    ///
+    /// # Errors
+    /// As for [`segmentation`](Self::segmentation).
+    pub fn onboard_segmentation(&mut self, drone: usize, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
+        self.look_from_board(drone)?;
+        self.renderer.segmentation(&mut self.scene, size, out)
+    }
+
+    /// Every geom that can be seen, by the index that segmentation gives it.
+    pub fn objects(&self) -> Vec<SeenObject> {
+        let model = self.data.model();
+        (0..model.ngeom())
+            .filter(|&geom| model.geom_group()[geom] != World::COLLISION_GROUP as i32)
+            .map(|geom| {
+                let body = model.geom_bodyid()[geom];
+                SeenObject {
+                    index: geom as i32,
+                    name: model.name(GeomId::new(geom)).unwrap_or_default().to_string(),
+                    drone: self.bodies.iter().position(|drone| drone.index() as i32 == body),
+                }
+            })
+            .collect()
+    }
+
+    /// The visible scene's simulation, for rays.
+    pub fn data(&self) -> &Data {
+        &self.data
+    }
+}
+
+/// Middle and reach of points.
+fn extent(points: impl Iterator<Item = Vector3<f64>> + Clone) -> (Vector3<f64>, f64) {
+    let (sum, count) = points.clone().fold((Vector3::zeros(), 0.0), |(sum, count), point| (sum + point, count + 1.0));
+    let centre = sum / f64::max(count, 1.0);
+    (centre, points.map(|point| (point - centre).norm()).fold(0.0, f64::max))
+}
+
+/// Focal length and centre of a camera with square pixels, pixels: `[fx, fy, cx, cy]`; the centre is measured from the
+/// top left corner of the picture.
+pub fn intrinsics(size: ImageSize) -> [f64; 4] {
+    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let focal = height / 2.0 / (World::CAMERA_FOVY.to_radians() / 2.0).tan();
+    [focal, focal, width / 2.0, height / 2.0]
+}

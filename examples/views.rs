@@ -1,0 +1,53 @@
+//! Every view of a hovering Crazyflie, three drones together, and what an onboard camera measures.
+//!
+//! `cargo run --release --example views -- [DIRECTORY]` writes PNG files (by default to `out/views`).
+
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::picture;
+use mujoco_drones_gym::vision::{ImageSize, Painter, View};
+
+const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let directory = std::path::PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "out/views".into()));
+    std::fs::create_dir_all(&directory)?;
+    let save = |name: String, png: Vec<u8>| {
+        let path = directory.join(name);
+        println!("{}", path.display());
+        std::fs::write(path, png)
+    };
+    let mut rgb = vec![0; 3 * SIZE.pixels()];
+
+    for model in [DroneModel::Cf2x, DroneModel::Race] {
+        let simulation =
+            Simulation::builder(model).initial_positions([[0.0, 0.0, 1.0]]).initial_rpys([[0.05, 0.1, 0.3]]).build()?;
+        let mut painter = Painter::for_people(simulation.world())?;
+        painter.update(simulation.states())?;
+        for view in View::ALL {
+            painter.rgb(view, SIZE, &mut rgb)?;
+            save(format!("{model}_{view}.png"), picture::png_rgb(SIZE, &rgb)?)?;
+        }
+    }
+
+    let three = Simulation::builder(DroneModel::Cf2x)
+        .drones([DroneModel::Cf2x, DroneModel::Cf2p, DroneModel::Race].map(DroneModel::params))
+        .initial_positions([[0.0, 0.0, 0.8], [0.5, 0.25, 1.0], [0.6, -0.35, 1.1]])
+        .build()?;
+    let mut painter = Painter::for_people(three.world())?;
+    painter.update(three.states())?;
+    painter.rgb(View::Track, SIZE, &mut rgb)?;
+    save("three_track.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
+
+    let mut painter = Painter::for_observations(three.world())?;
+    painter.update(three.states())?;
+    painter.rgb(View::Fpv, SIZE, &mut rgb)?;
+    save("three_fpv.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
+    let mut depth = vec![0.0; SIZE.pixels()];
+    painter.depth(View::Fpv, SIZE, &mut depth)?;
+    save("three_fpv_depth.png".into(), picture::png_rgb(SIZE, &picture::depth_in_colour(&depth, 100.0))?)?;
+    let mut objects = vec![[0; 2]; SIZE.pixels()];
+    painter.segmentation(View::Fpv, SIZE, &mut objects)?;
+    save("three_fpv_segmentation.png".into(), picture::png_rgb(SIZE, &picture::segmentation_in_colour(&objects))?)?;
+    Ok(())
+}

@@ -1,0 +1,380 @@
+//! Pictures against closed forms and rays. Without a GL library every test here says so and passes: the program must
+//! work without one, and `.ci/run` installs one.
+
+use std::sync::Arc;
+
+use mujoco_rs::{
+    BodyId, Camera, CameraId, Data, Decor, Effects, Error, GeomId, GlBackend, ImageSize, Model, ObjectId as _, Quality,
+    Renderer, Scene, gl_info,
+};
+use proptest::prelude::*;
+
+/// A floor seen from 1.3 m, 35° downwards, with things standing on it.
+const ROOM: &str = r#"<mujoco><compiler angle="degree"/>
+  <visual><map znear="0.01" zfar="100"/></visual><statistic extent="1" center="0 0 0"/>
+  <worldbody>
+    <light directional="true" dir="0.3 0.2 -1" pos="0 0 4"/>
+    <geom name="floor" type="plane" size="50 50 100" rgba=".5 .6 .7 1"/>
+    <camera name="down" pos="0 0 1.3" euler="55 0 0" fovy="50"/>
+    <camera name="ahead" pos="0 -2 0.5" euler="90 0 0" fovy="60"/>
+    <body name="box" pos="0 0.1 0.5"><geom name="box" type="box" size=".3 .1 .2" rgba="1 0 0 1"/></body>
+    <body name="ball" pos="0.8 1 0.3"><freejoint/><geom name="ball" type="sphere" size=".3" rgba="0 1 0 1"/></body>
+    <body name="rod" pos="-0.9 0.7 0.4"><geom name="rod" type="capsule" size=".1 .3" euler="30 40 0"/></body>
+  </worldbody></mujoco>"#;
+
+struct Studio {
+    data: Data,
+    scene: Scene,
+    renderer: Renderer,
+}
+
+/// `None` where there is no OpenGL to draw with.
+fn studio(xml: &str, quality: Quality) -> Option<Studio> {
+    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+        return None;
+    }
+    let mut data = Data::new(Model::from_xml(xml).unwrap()).unwrap();
+    data.forward().unwrap();
+    let model = data.shared_model();
+    let mut scene = Scene::new(Arc::clone(&model), 100).unwrap();
+    scene.set_effects(Effects::default());
+    Some(Studio { data, scene, renderer: Renderer::new(model, quality).unwrap() })
+}
+
+impl Studio {
+    fn see(&mut self, camera: &str) -> Camera {
+        let camera = Camera::Fixed(self.data.model().find::<CameraId>(camera).unwrap());
+        self.scene.update(&mut self.data, &camera).unwrap();
+        camera
+    }
+
+    fn rgb(&mut self, size: ImageSize) -> Vec<u8> {
+        let mut rgb = vec![0; 3 * size.pixels()];
+        self.renderer.rgb(&mut self.scene, size, &mut rgb).unwrap();
+        rgb
+    }
+
+    fn depth(&mut self, size: ImageSize) -> Vec<f32> {
+        let mut depth = vec![0.0; size.pixels()];
+        self.renderer.depth(&mut self.scene, size, &mut depth).unwrap();
+        depth
+    }
+
+    fn segmentation(&mut self, size: ImageSize) -> Vec<[i32; 2]> {
+        let mut objects = vec![[0; 2]; size.pixels()];
+        self.renderer.segmentation(&mut self.scene, size, &mut objects).unwrap();
+        objects
+    }
+
+    /// The camera's place and, for every pixel's middle, the direction whose part along the camera's axis is one.
+    fn rays(&self, camera: &str, size: ImageSize) -> ([f64; 3], Vec<[f64; 3]>) {
+        let id: CameraId = self.data.model().find(camera).unwrap();
+        let at: [f64; 3] = self.data.cam_xpos()[3 * id.index()..][..3].try_into().unwrap();
+        let m: [f64; 9] = self.data.cam_xmat()[9 * id.index()..][..9].try_into().unwrap();
+        let half = (self.data.model().cam_fovy()[id.index()].to_radians() / 2.0).tan();
+        let (w, h) = (f64::from(size.width), f64::from(size.height));
+        let mut rays = Vec::new();
+        for row in 0..size.height {
+            for column in 0..size.width {
+                let x = (2.0 * (f64::from(column) + 0.5) - w) / h * half;
+                let y = (h - 2.0 * (f64::from(row) + 0.5)) / h * half;
+                rays.push(std::array::from_fn(|i| x * m[3 * i] + y * m[3 * i + 1] - m[3 * i + 2]));
+            }
+        }
+        (at, rays)
+    }
+}
+
+const SIZES: [ImageSize; 3] =
+    [ImageSize { width: 64, height: 48 }, ImageSize { width: 320, height: 240 }, ImageSize { width: 33, height: 71 }];
+
+#[test]
+fn the_depth_of_a_floor_is_the_rays_closed_form_to_a_millimetre_at_every_pixel() {
+    // without the things on it: a floor alone
+    let alone = ROOM.split("<body").next().unwrap().to_string() + "</worldbody></mujoco>";
+    let Some(mut studio) = studio(&alone, Quality::FAST) else { return };
+    studio.see("down");
+    for size in SIZES {
+        let depth = studio.depth(size);
+        let (at, rays) = studio.rays("down", size);
+        let mut seen = 0;
+        for (z, ray) in depth.iter().zip(&rays) {
+            let distance = -at[2] / ray[2];
+            if ray[2] < 0.0 && distance < 12.0 {
+                assert!((f64::from(*z) - distance).abs() < 1e-3, "{z} {distance}");
+                seen += 1;
+            }
+        }
+        assert!(seen * 10 > 9 * size.pixels(), "the floor fills the picture: {seen} of {}", size.pixels());
+    }
+}
+
+#[test]
+fn the_depth_of_a_box_face_is_its_distance_and_of_nothing_the_far_plane() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    studio.see("ahead");
+    for size in SIZES {
+        let depth = studio.depth(size);
+        let objects = studio.segmentation(size);
+        let the_box: GeomId = studio.data.model().find("box").unwrap();
+        let mut seen = 0;
+        for (z, object) in depth.iter().zip(&objects) {
+            if *object == [5, the_box.index() as i32] {
+                // the face at y = 0 stands square to the camera at y = −2; grazing pixels show the top
+                assert!((f64::from(*z) - 2.0).abs() < 1e-3, "{z}");
+                seen += 1;
+            } else if *object == [-1, -1] {
+                assert!((z - 100.0).abs() < 0.01, "{z}");
+            }
+        }
+        assert!(seen > 20);
+        assert_eq!(studio.scene.clip_planes().map(|x| (x * 1e4).round() / 1e4), [0.01, 100.0]);
+    }
+}
+
+#[test]
+fn segmentation_names_what_rays_hit() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    for camera in ["down", "ahead"] {
+        studio.see(camera);
+        for size in SIZES {
+            let objects = studio.segmentation(size);
+            let (at, rays) = studio.rays(camera, size);
+            let agree = (objects.iter().zip(&rays))
+                .filter(|(object, ray)| {
+                    let hit = studio.data.ray(at, **ray, [true; 6], None).unwrap();
+                    let wanted = hit.filter(|(_, t)| *t < 100.0).map_or([-1, -1], |(geom, _)| [5, geom.index() as i32]);
+                    **object == wanted
+                })
+                .count();
+            let share = agree as f64 / size.pixels() as f64;
+            assert!(share >= 0.99, "{camera} {size}: {share}");
+            for name in ["box", "ball", "floor"] {
+                let geom: GeomId = studio.data.model().find(name).unwrap();
+                assert!(camera == "down" || objects.contains(&[5, geom.index() as i32]), "{name} in {camera}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_first_row_is_the_top_and_the_first_column_the_left() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    studio.see("ahead");
+    let size = SIZES[1];
+    let rgb = studio.rgb(size);
+    let at = |x: usize, y: usize| -> [u8; 3] { rgb[3 * (y * 320 + x)..][..3].try_into().unwrap() };
+    assert_eq!(at(160, 5), [0, 0, 0], "above there is nothing");
+    let floor = at(160, 230);
+    assert!(floor[2] > floor[0] && floor[0] > 0, "below there is the blue floor: {floor:?}");
+    let middle = at(160, 120);
+    assert!(middle[0] > 2 * middle[1], "the red box in the middle: {middle:?}");
+    let green = |x: usize| (0..240).any(|y| at(x, y)[1] > 2 * at(x, y)[0].max(at(x, y)[2]).max(20));
+    assert!((200..320).any(green) && !(0..120).any(green), "the green ball on the right");
+
+    let mut rgba = vec![7; 4 * size.pixels()];
+    studio.renderer.rgba(&mut studio.scene, size, &mut rgba).unwrap();
+    for (a, b) in rgba.chunks(4).zip(rgb.chunks(3)) {
+        assert_eq!((&a[..3], a[3]), (b, 255));
+    }
+}
+
+#[test]
+fn the_same_state_gives_the_same_bytes_again_and_in_another_context_and_thread() {
+    let Some(mut first) = studio(ROOM, Quality::FAST) else { return };
+    first.see("ahead");
+    let size = SIZES[1];
+    let (rgb, depth, objects) = (first.rgb(size), first.depth(size), first.segmentation(size));
+    let small = first.rgb(SIZES[0]);
+    assert_eq!((first.rgb(size), first.segmentation(size)), (rgb.clone(), objects.clone()));
+    std::thread::scope(|scope| {
+        for _ in 0..3 {
+            scope.spawn(|| {
+                let mut other = studio(ROOM, Quality::FAST).unwrap();
+                other.see("ahead");
+                assert_eq!(other.rgb(SIZES[0]), small, "before the buffer has grown");
+                assert!(other.rgb(size) == rgb && other.segmentation(size) == objects);
+                assert!(other.depth(size).iter().zip(&depth).all(|(a, b)| a.to_bits() == b.to_bits()));
+            });
+        }
+    });
+    // made here, used there, dropped elsewhere
+    let moved = std::thread::spawn(move || {
+        assert!(first.rgb(size) == rgb);
+        first
+    });
+    let first = moved.join().unwrap();
+    std::thread::spawn(move || drop(first)).join().unwrap();
+}
+
+#[test]
+fn a_hidden_body_is_not_drawn_and_comes_back() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    studio.see("ahead");
+    let size = SIZES[0];
+    let (ball, body): (GeomId, BodyId) =
+        (studio.data.model().find("ball").unwrap(), studio.data.model().find("ball").unwrap());
+    let ball = [5, ball.index() as i32];
+    let before = studio.segmentation(size);
+    assert!(before.contains(&ball));
+    studio.scene.hide(Some(body));
+    let hidden = studio.segmentation(size);
+    assert!(!hidden.contains(&ball));
+    for (a, b) in before.iter().zip(&hidden) {
+        assert!(a == b || *a == ball, "everything else stays as it was");
+    }
+    studio.scene.hide(None);
+    assert_eq!(studio.segmentation(size), before);
+}
+
+#[test]
+fn decoration_is_seen_in_colour_but_is_no_object() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    studio.see("ahead");
+    let size = SIZES[0];
+    let (before, objects) = (studio.rgb(size), studio.segmentation(size));
+    let blue = [0.0, 0.0, 1.0, 1.0];
+    assert!(studio.scene.add(Decor::Sphere { centre: [0.0, -1.0, 0.5], radius: 0.1 }, blue));
+    assert!(studio.scene.add(Decor::Rod { from: [-0.5, -1.0, 0.7], to: [0.5, -1.0, 0.7], radius: 0.02 }, blue));
+    assert!(studio.scene.add(Decor::Arrow { from: [-0.5, -1.0, 0.3], to: [0.5, -1.0, 0.3], radius: 0.02 }, blue));
+    let with = studio.rgb(size);
+    let middle = 3 * (24 * 64 + 32);
+    assert!(with[middle + 2] > 100 && with[middle] < 60, "{:?}", &with[middle..middle + 3]);
+    assert!(with != before);
+    assert_eq!(studio.segmentation(size), objects);
+    let room =
+        (0..10_000).take_while(|_| studio.scene.add(Decor::Sphere { centre: [0.0; 3], radius: 0.1 }, blue)).count();
+    assert!((50..10_000).contains(&room), "room for {room} more, and no more");
+    studio.see("ahead");
+    assert_eq!(studio.rgb(size), before);
+}
+
+#[test]
+fn cameras_free_tracking_and_fixed_see_from_where_they_are() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    let size = SIZES[0];
+    let (ball, geom): (BodyId, GeomId) =
+        (studio.data.model().find("ball").unwrap(), studio.data.model().find("ball").unwrap());
+    let middle = |studio: &mut Studio| studio.segmentation(size)[24 * 64 + 32];
+    let tracking = Camera::Tracking { body: ball, distance: 2.0, azimuth: 90.0, elevation: -20.0 };
+    studio.scene.update(&mut studio.data, &tracking).unwrap();
+    assert_eq!(middle(&mut studio), [5, geom.index() as i32]);
+    let free = Camera::Free { lookat: [0.0, 0.0, 0.5], distance: 1.0, azimuth: 90.0, elevation: 0.0 };
+    studio.scene.look(&mut studio.data, &free).unwrap();
+    let the_box: GeomId = studio.data.model().find("box").unwrap();
+    assert_eq!(middle(&mut studio), [5, the_box.index() as i32]);
+    let (x, y) = (size.width as usize / 2, size.height as usize / 2);
+    assert!((studio.depth(size)[y * 64 + x] - 1.0).abs() < 1e-3, "from (0, −1, 0.5) to the face at y = 0");
+    for bad in [
+        Camera::Free { lookat: [f64::NAN, 0.0, 0.0], distance: 1.0, azimuth: 0.0, elevation: 0.0 },
+        Camera::Free { lookat: [0.0; 3], distance: 0.0, azimuth: 0.0, elevation: 0.0 },
+        Camera::Free { lookat: [0.0; 3], distance: 1.0, azimuth: f64::INFINITY, elevation: 0.0 },
+        Camera::Fixed(CameraId::new(9)),
+        Camera::Tracking { body: BodyId::new(99), distance: 1.0, azimuth: 0.0, elevation: 0.0 },
+    ] {
+        assert!(studio.scene.update(&mut studio.data, &bad).is_err());
+    }
+}
+
+#[test]
+fn wrong_buffers_scenes_and_sizes_are_errors() {
+    let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+    let size = SIZES[0];
+    let mut rgb = vec![0; 3 * size.pixels()];
+    let error = studio.renderer.rgb(&mut studio.scene, size, &mut rgb).unwrap_err();
+    assert_eq!(error, Error::NoCamera);
+    studio.see("ahead");
+    let error = studio.renderer.rgb(&mut studio.scene, size, &mut rgb[1..]).unwrap_err();
+    assert_eq!(error, Error::Buffer { what: "RGB", got: 9215, expected: 9216 });
+    let none = ImageSize { width: 0, height: 48 };
+    assert!(studio.renderer.rgb(&mut studio.scene, none, &mut []).unwrap_err().to_string().contains("0"));
+    let huge = ImageSize { width: 1, height: 10_000 };
+    assert!(studio.renderer.depth(&mut studio.scene, huge, &mut vec![0.0; 10_000]).is_err());
+    let mut other = self::studio(ROOM, Quality::PRETTY).unwrap();
+    other.see("ahead");
+    assert_eq!(studio.renderer.rgb(&mut other.scene, size, &mut rgb).unwrap_err(), Error::OtherModel);
+    assert_eq!(other.scene.update(&mut studio.data, &Camera::Fixed(CameraId::new(0))).unwrap_err(), Error::OtherModel);
+    let mut objects = vec![[0; 2]; size.pixels()];
+    assert_eq!(other.renderer.segmentation(&mut other.scene, size, &mut objects).unwrap_err(), Error::Multisampled);
+    assert_eq!(studio.rgb(size).len(), rgb.len(), "and everything still works");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, ..ProptestConfig::default() })]
+
+    /// Any size, in any order, draws a picture of that size.
+    #[test]
+    fn the_buffer_grows_to_any_size(sizes in prop::collection::vec((1u32..400, 1u32..400), 1..5)) {
+        let Some(mut studio) = studio(ROOM, Quality::FAST) else { return Ok(()) };
+        studio.see("down");
+        for (width, height) in sizes {
+            let size = ImageSize { width, height };
+            let objects = studio.segmentation(size);
+            let last = objects[size.pixels() - 1];
+            prop_assert!(last[0] == 5, "the floor fills the lower corner: {last:?}");
+        }
+    }
+}
+
+/// Draws with the other backend in a child process and compares.
+#[test]
+fn both_backends_draw_the_same_within_the_rasterisers_tolerance() {
+    const CHILD: &str = "MUJOCO_RS_TEST_PICTURE";
+    let size = SIZES[1];
+    if let Some(path) = std::env::var_os(CHILD) {
+        let mut studio = studio(ROOM, Quality::FAST).unwrap();
+        studio.see("ahead");
+        let mut bytes = studio.rgb(size);
+        bytes.extend(studio.segmentation(size).iter().map(|object| object[1] as u8));
+        bytes.extend(studio.depth(size).iter().flat_map(|z| z.to_le_bytes()));
+        std::fs::write(path, bytes).unwrap();
+        return;
+    }
+    let pictures: Vec<Vec<u8>> = GlBackend::ALL
+        .into_iter()
+        .filter_map(|backend| {
+            let path = std::env::temp_dir().join(format!("mujoco-rs-picture-{}-{backend}", std::process::id()));
+            let status = std::process::Command::new(std::env::current_exe().unwrap())
+                .args(["--exact", "both_backends_draw_the_same_within_the_rasterisers_tolerance"])
+                .env(CHILD, &path)
+                .env("MUJOCO_GL", backend.name())
+                .output()
+                .unwrap()
+                .status;
+            let picture = std::fs::read(&path).ok().filter(|_| status.success());
+            let _ = std::fs::remove_file(&path);
+            picture
+        })
+        .collect();
+    let [a, b] = &pictures[..] else { return };
+    let pixels = size.pixels();
+    let differing = |range: std::ops::Range<usize>, tolerance: u8| {
+        a[range.clone()].iter().zip(&b[range]).filter(|(a, b)| a.abs_diff(**b) > tolerance).count()
+    };
+    assert!(differing(0..3 * pixels, 2) * 1000 < 3 * pixels, "colours");
+    assert!(differing(3 * pixels..4 * pixels, 0) * 1000 < pixels, "objects");
+    let depth = |bytes: &[u8]| -> Vec<f32> {
+        bytes[4 * pixels..].chunks(4).map(|z| f32::from_le_bytes(z.try_into().unwrap())).collect()
+    };
+    let far = depth(a).iter().zip(&depth(b)).filter(|(a, b)| (**a - **b).abs() > 1e-3 * a.max(1.0)).count();
+    assert!(far * 1000 < pixels, "depth: {far}");
+}
+
+/// What a machine without any GL library answers: each way that was tried, and the package to install.
+#[test]
+fn an_unknown_backend_is_refused_by_name() {
+    const CHILD: &str = "MUJOCO_RS_TEST_BACKEND";
+    if std::env::var_os(CHILD).is_some() {
+        let error = gl_info().unwrap_err();
+        assert_eq!(error, Error::GlName { got: "glfw".into() });
+        assert!(error.to_string().contains("egl or osmesa"));
+        return;
+    }
+    let status = std::process::Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "an_unknown_backend_is_refused_by_name"])
+        .env(CHILD, "1")
+        .env("MUJOCO_GL", "glfw")
+        .status()
+        .unwrap();
+    assert!(status.success());
+}
