@@ -10,10 +10,11 @@ use std::{env, fs};
 
 const MEND: &str = "run `./setup`, or `apt-get install libmujoco-dev libclang-dev` on Debian 12, or set MUJOCO_DIR to an unpacked MuJoCo 2.2 release";
 
-/// Ends the build with one line.
+/// Ends the build with one line: `cargo::error` is what fails it, and an exit status would make Cargo print everything
+/// else that this script has said as well.
 fn fail(message: &str) -> ! {
     println!("cargo::error={message}");
-    exit(1);
+    exit(0);
 }
 
 struct Mujoco {
@@ -24,27 +25,22 @@ struct Mujoco {
 
 fn find() -> Mujoco {
     println!("cargo::rerun-if-env-changed=MUJOCO_DIR");
+    let triple = format!("{}-linux-gnu", env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default());
     let (includes, libraries, on_system_path) = match env::var_os("MUJOCO_DIR") {
         Some(dir) if !dir.is_empty() => {
-            let dir = PathBuf::from(dir);
+            // relative to the workspace, which is where people stand; this script runs one level below
+            let dir = Path::new("..").join(dir);
             let dir = dir.canonicalize().unwrap_or_else(|error| {
                 fail(&format!("MUJOCO_DIR is {} which cannot be read ({error}): unset it, or {MEND}", dir.display()))
             });
-            (vec![dir.join("include")], vec![dir.join("lib")], false)
+            let libraries = vec![dir.join("lib"), dir.join("lib").join(&triple), dir.join("lib64")];
+            (vec![dir.join("include")], libraries, false)
         }
-        _ => {
-            let arch = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();
-            (
-                vec!["/usr/include".into(), "/usr/local/include".into()],
-                vec![
-                    format!("/usr/lib/{arch}-linux-gnu").into(),
-                    "/usr/lib64".into(),
-                    "/usr/lib".into(),
-                    "/usr/local/lib".into(),
-                ],
-                true,
-            )
-        }
+        _ => (
+            vec!["/usr/include".into(), "/usr/local/include".into()],
+            vec![Path::new("/usr/lib").join(&triple), "/usr/lib64".into(), "/usr/lib".into(), "/usr/local/lib".into()],
+            true,
+        ),
     };
     let Some(include) = includes.iter().find(|dir| dir.join("mujoco/mujoco.h").is_file()) else {
         fail(&format!("no mujoco/mujoco.h in {}: {MEND}", list(&includes)));
@@ -135,9 +131,7 @@ fn fields(mujoco: &Mujoco) -> Vec<Field> {
         .include(&mujoco.include)
         .try_expand()
         .unwrap_or_else(|error| {
-            fail(&format!(
-                "no C compiler for MuJoCo's headers ({error}): run `./setup`, or `apt-get install gcc libc6-dev`"
-            ))
+            fail(&format!("no C compiler for MuJoCo's headers ({error}): run `./setup`, or `apt-get install g++`"))
         });
     let expanded = String::from_utf8_lossy(&expanded);
     let fields: Vec<Field> = expanded
@@ -213,15 +207,18 @@ fn main() {
     println!("cargo::metadata=INCLUDE={}", mujoco.include.display());
 
     bind(&mujoco, &out);
-    if let Err(error) = cc::Build::new()
+    // the handler throws through MuJoCo's frames and, on the way into the parser, through its own
+    let shim = || cc::Build::new().include(&mujoco.include).include(&out).warnings_into_errors(true).to_owned();
+    let built = shim()
         .file("shim/shim.c")
-        .include(&mujoco.include)
-        .include(&out)
         .std("c11")
-        .warnings_into_errors(true)
+        .flag("-fexceptions")
         .try_compile("mjshim")
-    {
-        fail(&format!("the C shim did not compile ({error}): run `./setup`, or `apt-get install gcc libc6-dev`"));
+        .and_then(|()| shim().cpp(true).std("c++17").file("shim/load.cc").try_compile("mjshim_load"));
+    if let Err(error) = built {
+        let error = error.to_string();
+        let reason = error.lines().next().unwrap_or_default();
+        fail(&format!("the C shim did not compile ({reason}): run `./setup`, or `apt-get install g++`"));
     }
 
     println!("cargo::rustc-link-search=native={}", mujoco.library.display());

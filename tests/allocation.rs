@@ -1,4 +1,4 @@
-//! After construction, stepping and resetting allocate nothing.
+//! After construction, stepping and resetting allocate nothing in Rust (MuJoCo itself works on buffers of its own).
 
 use allocation_counter::measure;
 use mujoco_drones_gym::prelude::*;

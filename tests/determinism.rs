@@ -52,9 +52,23 @@ fn another_thread_gives_the_same_bits() {
 
 #[test]
 fn an_error_in_between_leaves_no_trace_after_a_reset() {
-    let fresh = flight(&mut env(), 5, 100);
-    let mut used = env();
-    used.reset(None).unwrap();
-    assert!(used.step(&[f64::NAN; 4]).is_err());
-    assert_eq!(flight(&mut used, 5, 100), fresh);
+    let commands = |k: usize| [[9_000.0 + 40.0 * k as f64, 14_000.0, 13_000.0, 15_000.0]];
+    let fly = |simulation: &mut Simulation| -> Vec<DroneState> {
+        simulation.reset().unwrap();
+        (0..200)
+            .map(|k| {
+                simulation.step(&commands(k)).unwrap();
+                simulation.states()[0]
+            })
+            .collect()
+    };
+    let fresh = fly(&mut Simulation::builder(DroneModel::Cf2x).build().unwrap());
+    let mut used = Simulation::builder(DroneModel::Cf2x).build().unwrap();
+    assert!(used.step(&[[f64::NAN; 4]]).is_err());
+    let mut far = used.states()[0];
+    far.position.x = 9.999e9;
+    far.velocity.x = 9e9;
+    used.reset_to(&[far]).unwrap();
+    assert!(matches!((0..48).find_map(|k| used.step(&commands(k)).err()), Some(SimulationError::Diverged { .. })));
+    assert_eq!(fly(&mut used), fresh);
 }

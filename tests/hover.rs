@@ -4,6 +4,7 @@ use mujoco_drones_gym::drone::GRAVITY;
 use mujoco_drones_gym::env::EndReason;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::state::attitude_from_rpy;
+use mujoco_drones_gym::world::Integrator;
 use nalgebra::Vector3;
 
 /// Flies hover with the paper's PID and gives the heights and the largest distance from the axis.
@@ -144,9 +145,22 @@ fn episodes_end_as_the_paper_says() {
     assert!(end == EndReason::FloorContact && terminated && reward < -100.0);
     assert!(env.info().crashed() && env.info().contacts > 0 && !env.info().success);
 
-    // standing on the floor from the start is no crash
-    let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.015]]).episode_seconds(1.0).build().unwrap();
-    assert_eq!(end_of(&mut env, [-1.0; 4]).0, EndReason::TimeLimit);
+    // standing on the floor from the start is no crash, whatever the rate and the integrator
+    for (sim_freq, ctrl_freq) in [(240, 48), (240, 240), (1000, 1000), (100, 50)] {
+        for integrator in [Integrator::Rk4, Integrator::Euler, Integrator::Implicit] {
+            for height in [0.015, 0.0151, 0.02] {
+                let mut env = Hover::builder()
+                    .initial_positions([[0.0, 0.0, height]])
+                    .sim_freq(sim_freq)
+                    .ctrl_freq(ctrl_freq)
+                    .integrator(integrator)
+                    .episode_seconds(0.5)
+                    .build()
+                    .unwrap();
+                assert_eq!(end_of(&mut env, [-1.0; 4]).0, EndReason::TimeLimit, "{sim_freq} {integrator:?} {height}");
+            }
+        }
+    }
 
     // full thrust: out through the top, which ends the episode but is no crash
     let mut env = Hover::builder().build().unwrap();

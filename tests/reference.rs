@@ -16,7 +16,7 @@ fn open_loop_flight_of_the_crazyflie_agrees() {
     let start = DroneState::at_rest(Vector3::new(0.2, -0.1, 60.0), Vector3::new(0.1, -0.2, 0.7));
     simulation.reset_to(&[start]).unwrap();
     let (actions, expected) = (rows("mjc_cf2x.actions.csv"), rows("mjc_cf2x.expected.csv"));
-    assert_eq!(actions.len(), expected.len());
+    assert_eq!((actions.len(), expected.len()), (144, 144));
     let mut worst: f64 = 0.0;
     for (action, expected) in actions.iter().zip(&expected) {
         simulation.step(&[[action[0], action[1], action[2], action[3]]]).unwrap();

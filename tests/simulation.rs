@@ -77,6 +77,32 @@ fn drones_report_what_they_touch_once_per_step() {
     assert_eq!(seen, [contact(0, Touched::Floor), contact(0, Touched::Drone(1)), contact(1, Touched::Drone(0))],);
     simulation.reset().unwrap();
     assert!(simulation.contacts().is_empty());
+    simulation.engine().contacts(|contact| panic!("{contact:?} after a reset"));
+}
+
+#[test]
+fn a_hundred_drones_rest_on_the_floor_without_losing_a_contact() {
+    use mujoco_drones_gym::mujoco::WarningKind;
+    let mut simulation = Simulation::builder(DroneModel::Cf2x)
+        .num_drones(100)
+        .initial_positions((0..100).map(|i| [0.3 * f64::from(i % 10), 0.3 * f64::from(i / 10), 0.02]))
+        .build()
+        .unwrap();
+    for _ in 0..12 {
+        simulation.step(&[[0.0; 4]; 100]).unwrap();
+    }
+    assert_eq!(simulation.contacts().len(), 100);
+    for kind in [WarningKind::ContactFull, WarningKind::ConstraintFull] {
+        assert_eq!(simulation.engine().data().warning(kind).count, 0);
+    }
+}
+
+#[test]
+fn impossible_numbers_of_drones_are_errors() {
+    for count in [0, 257, usize::MAX] {
+        let text = Simulation::builder(DroneModel::Cf2x).num_drones(count).build().unwrap_err().to_string();
+        assert!(text.contains("expected 1 to 256"), "{text}");
+    }
 }
 
 #[test]
@@ -103,9 +129,12 @@ fn a_simulation_that_diverges_says_which_drone_and_when_and_keeps_the_last_state
     simulation.reset_to(&[calm, DroneState { position: Vector3::new(9.9e9, 0.0, 5.0), ..fast }]).unwrap();
     let error = (0..48).find_map(|_| simulation.step(&[[0.0; 4]; 2]).err()).expect("it leaves the range of numbers");
     assert!(matches!(error, SimulationError::Diverged { drone: 1, quantity: "position", .. }), "{error}");
-    assert!(simulation.states()[1].position.x > 9e9, "the state before can be read");
+    let last = simulation.states()[1].position.x;
+    assert!(last > 9.9e9 && last < 1e10, "the last good state can be read: {last}");
+    assert_eq!(simulation.step(&[[0.0; 4]; 2]).unwrap_err(), error, "until it is reset");
     simulation.reset().unwrap();
     simulation.step(&[[0.0; 4]; 2]).unwrap();
+    assert!(simulation.states()[0].position.z > 0.05);
 }
 
 proptest! {

@@ -188,41 +188,46 @@ impl DroneParams {
     /// # Errors
     /// [`DroneError::Parameter`] naming the field, what it is and what is expected.
     pub fn validate(&self) -> Result<(), DroneError> {
-        let positive = [
-            ("mass", self.mass),
-            ("inertia[0]", self.inertia[0]),
-            ("inertia[1]", self.inertia[1]),
-            ("inertia[2]", self.inertia[2]),
-            ("arm_length", self.arm_length),
-            ("thrust_coefficient", self.thrust_coefficient),
-            ("torque_coefficient", self.torque_coefficient),
-            ("propeller_radius", self.propeller_radius),
-            ("collision_radius", self.collision_radius),
-            ("collision_height", self.collision_height),
-            ("max_speed", self.max_speed),
+        // From a grain of sand to a freighter: what lies beyond is a slip of the unit, and past it the arithmetic of the
+        // mixer and of MuJoCo loses its footing.
+        let ranges = [
+            ("mass", self.mass, 1e-6, 1e6),
+            ("inertia[0]", self.inertia[0], 1e-12, 1e9),
+            ("inertia[1]", self.inertia[1], 1e-12, 1e9),
+            ("inertia[2]", self.inertia[2], 1e-12, 1e9),
+            ("arm_length", self.arm_length, 1e-4, 1e3),
+            ("thrust_coefficient", self.thrust_coefficient, 1e-18, 1e3),
+            ("torque_coefficient", self.torque_coefficient, 1e-18, 1e3),
+            ("thrust_to_weight", self.thrust_to_weight, 1.0, 1e3),
+            ("propeller_radius", self.propeller_radius, 1e-4, 1e3),
+            ("collision_radius", self.collision_radius, 1e-4, 1e3),
+            ("collision_height", self.collision_height, 1e-4, 1e3),
+            ("max_speed", self.max_speed, 1e-3, 1e4),
         ];
-        for (field, got) in positive {
-            if !(got.is_finite() && got > 0.0) {
-                return Err(DroneError::Parameter { field, got, expected: "a positive number" });
+        for (field, got, least, most) in ranges {
+            // NaN is in no range
+            if (least..=most).contains(&got) {
+                continue;
             }
+            return Err(match field {
+                "thrust_to_weight" if got < 1.0 => {
+                    DroneError::Parameter { field, got, expected: "at least 1, or the drone cannot hover" }
+                }
+                _ if !(got.is_finite() && got > 0.0) => {
+                    DroneError::Parameter { field, got, expected: "a positive number" }
+                }
+                _ => DroneError::Range { field, got, least, most },
+            });
         }
         let [x, y, z] = self.inertia;
         for (field, largest, others) in [("inertia[0]", x, y + z), ("inertia[1]", y, x + z), ("inertia[2]", z, x + y)] {
-            // a rounding error of a flat plate, whose largest moment is the sum of the others, is not a mistake
-            if largest > others * (1.0 + 1e-9) {
+            if largest > others {
                 return Err(DroneError::Parameter {
                     field,
                     got: largest,
                     expected: "at most the sum of the other two moments (no body of positive mass has more)",
                 });
             }
-        }
-        if !(self.thrust_to_weight.is_finite() && self.thrust_to_weight >= 1.0) {
-            return Err(DroneError::Parameter {
-                field: "thrust_to_weight",
-                got: self.thrust_to_weight,
-                expected: "at least 1, or the drone cannot hover",
-            });
         }
         let not_negative = [
             ("ground_effect_coefficient", self.ground_effect_coefficient),
@@ -232,8 +237,8 @@ impl DroneParams {
             ("downwash_coefficients[0]", self.downwash_coefficients[0]),
         ];
         for (field, got) in not_negative {
-            if !(got.is_finite() && got >= 0.0) {
-                return Err(DroneError::Parameter { field, got, expected: "zero or a positive number" });
+            if !(0.0..=1e9).contains(&got) {
+                return Err(DroneError::Parameter { field, got, expected: "zero or a positive number up to 1e9" });
             }
         }
         for (field, got) in [
@@ -336,6 +341,18 @@ pub enum DroneError {
         /// What is expected.
         expected: &'static str,
     },
+    /// A parameter so large or small that its unit must be wrong.
+    #[error("{field} is {got}, expected {least:e} to {most:e} (SI units, rotor speeds in rpm)")]
+    Range {
+        /// The field.
+        field: &'static str,
+        /// What it is.
+        got: f64,
+        /// Least value.
+        least: f64,
+        /// Greatest value.
+        most: f64,
+    },
     /// A name that cannot stand in a scene or a file name.
     #[error("name is `{name}`, expected letters, digits, `_` and `-`")]
     Name {
@@ -423,6 +440,9 @@ mod tests {
         refused(DroneParams { thrust_coefficient: f64::INFINITY, ..good() }, "thrust_coefficient");
         refused(DroneParams { drag_coefficients: [0.0, -1.0, 0.0], ..good() }, "drag_coefficients[1]");
         refused(DroneParams { name: "a<b".into(), ..good() }, "name");
+        refused(DroneParams { arm_length: 1e-300, ..good() }, "arm_length is 0.00");
+        refused(DroneParams { mass: 27e9, ..good() }, "mass is 27000000000, expected 1e-6 to 1e6");
+        refused(DroneParams { inertia: [0.1e-5, 0.2e-5, 0.300_000_000_000_000_09e-5], ..good() }, "inertia[2]");
         assert!(DroneParams { inertia: [1e-5, 1e-5, 2e-5], ..good() }.validate().is_ok(), "a flat plate");
     }
 
@@ -448,6 +468,27 @@ mod tests {
     }
 
     proptest! {
+        /// Whatever passes the check can be mixed, flown and compiled.
+        #[test]
+        fn valid_airframes_have_finite_constants_and_a_mixer(
+            exponents in prop::array::uniform8(-320.0..310.0f64), narrow in prop::bool::ANY, ratio in 0.0..1e4,
+        ) {
+            let value = |i: usize| 10f64.powf(if narrow { exponents[i] / 40.0 } else { exponents[i] });
+            let params = DroneParams {
+                mass: value(0), inertia: [value(1); 3], arm_length: value(2), thrust_coefficient: value(3),
+                torque_coefficient: value(4), thrust_to_weight: ratio, collision_radius: value(5),
+                collision_height: value(6), propeller_radius: value(7), ..DroneModel::Cf2x.params()
+            };
+            if params.validate().is_ok() {
+                for constant in [params.hover_rpm(), params.max_rpm(), params.max_thrust(), params.ground_effect_clip()] {
+                    prop_assert!(constant.is_finite() && constant > 0.0, "{params:?}");
+                }
+                let mixer = crate::control::Mixer::new(&params);
+                let rpm = mixer.rpm(params.weight(), Vector3::new(1e-3, -1e-3, 1e-4));
+                prop_assert!(rpm.iter().all(|n| (0.0..=params.max_rpm()).contains(n)), "{rpm:?} {params:?}");
+            }
+        }
+
         #[test]
         fn damaged_airframes_are_errors_or_valid(at in 0usize..600, letter in 32u8..127) {
             let mut bytes = include_str!("../../assets/airframes/race.toml").as_bytes().to_vec();

@@ -34,8 +34,11 @@ pub struct Simulation {
     initial: Vec<DroneState>,
     states: Vec<DroneState>,
     wrenches: Vec<Wrench>,
+    /// States before the last physics step.
+    previous: Vec<DroneState>,
     motor_speeds: Vec<[f64; 4]>,
     contacts: Vec<Contact>,
+    failed: Option<SimulationError>,
 }
 
 /// One drone's constants in the form the step wants them.
@@ -60,7 +63,8 @@ pub enum SimulationError {
     },
     /// Rates that do not fit together.
     #[error(
-        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected positive frequencies of which the first is a multiple of the second"
+        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected positive frequencies up to {} Hz of which the first is a multiple of the second",
+        Simulation::MAX_SIM_FREQ
     )]
     Rates {
         /// Physics rate, Hz.
@@ -78,9 +82,12 @@ pub enum SimulationError {
         /// Number of drones.
         expected: usize,
     },
-    /// No drones at all.
-    #[error("a simulation of 0 drones, expected at least 1")]
-    NoDrones,
+    /// No drones at all, or too many.
+    #[error("the number of drones is {got}, expected 1 to {}", Simulation::MAX_DRONES)]
+    NumDrones {
+        /// How many.
+        got: usize,
+    },
     /// A state with a number that is not one.
     #[error("the state of drone {drone} is not finite")]
     State {
@@ -146,7 +153,8 @@ impl SimulationBuilder {
     #[must_use]
     pub fn num_drones(mut self, count: usize) -> Self {
         let first = self.drones.first().cloned();
-        self.drones = first.into_iter().cycle().take(count).collect();
+        // one more than there can be is enough for `build` to say so
+        self.drones = first.into_iter().cycle().take(count.min(Simulation::MAX_DRONES + 1)).collect();
         self
     }
 
@@ -157,7 +165,8 @@ impl SimulationBuilder {
         self
     }
 
-    /// Initial positions, world frame, m; by default in a row along x at z = 0.1 m, four arm lengths apart.
+    /// Initial positions, world frame, m; by default in a row along x at z = 0.1 m, four times the largest arm or
+    /// collision radius apart.
     #[must_use]
     pub fn initial_positions(mut self, positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
         self.positions = Some(positions.into_iter().collect());
@@ -205,12 +214,13 @@ impl SimulationBuilder {
     /// [`SimulationError`] naming the option that is impossible.
     pub fn build(self) -> Result<Simulation, SimulationError> {
         let (sim_freq, ctrl_freq) = (self.sim_freq, self.ctrl_freq);
-        if sim_freq == 0 || ctrl_freq == 0 || !sim_freq.is_multiple_of(ctrl_freq) {
+        if sim_freq == 0 || sim_freq > Simulation::MAX_SIM_FREQ || ctrl_freq == 0 || !sim_freq.is_multiple_of(ctrl_freq)
+        {
             return Err(SimulationError::Rates { sim_freq, ctrl_freq });
         }
         let count = self.drones.len();
-        if count == 0 {
-            return Err(SimulationError::NoDrones);
+        if !(1..=Simulation::MAX_DRONES).contains(&count) {
+            return Err(SimulationError::NumDrones { got: count });
         }
         for (drone, params) in self.drones.iter().enumerate() {
             params.validate().map_err(|error| SimulationError::Drone { drone, error })?;
@@ -253,9 +263,11 @@ impl SimulationBuilder {
             control_steps: 0,
             states: initial.clone(),
             initial,
+            previous: vec![DroneState::default(); count],
             wrenches: vec![Wrench::ZERO; count],
             motor_speeds: vec![[0.0; 4]; count],
             contacts,
+            failed: None,
         };
         simulation.reset()?;
         Ok(simulation)
@@ -268,7 +280,26 @@ fn row(drones: &[DroneParams]) -> Vec<[f64; 3]> {
     (0..drones.len()).map(|index| [index as f64 * spacing, 0.0, 0.1]).collect()
 }
 
+/// What of a state is not a number or larger than MuJoCo works with.
+fn out_of_range(state: &DroneState) -> Option<&'static str> {
+    // MuJoCo's limit
+    let bad = |x: &f64| !(x.abs() < 1e10);
+    if state.position.iter().chain(state.attitude.coords.iter()).any(bad) {
+        Some("position")
+    } else if state.velocity.iter().chain(&state.angular_velocity).any(bad) {
+        Some("velocity")
+    } else {
+        None
+    }
+}
+
 impl Simulation {
+    /// Most drones in one world: MuJoCo's contact solver takes memory with the square of their number.
+    pub const MAX_DRONES: usize = 256;
+
+    /// Highest physics rate, Hz.
+    pub const MAX_SIM_FREQ: u32 = 1_000_000;
+
     /// Options for drones of one airframe.
     pub fn builder(drone: impl Into<DroneParams>) -> SimulationBuilder {
         SimulationBuilder {
@@ -286,9 +317,12 @@ impl Simulation {
     ///
     /// # Errors
     /// [`SimulationError::Command`] and [`Length`](SimulationError::Length) before anything has moved;
-    /// [`Diverged`](SimulationError::Diverged) and [`Engine`](SimulationError::Engine) after which the simulation
-    /// must be reset.
+    /// [`Diverged`](SimulationError::Diverged) and [`Engine`](SimulationError::Engine), which every further step
+    /// returns again until the simulation is reset.
     pub fn step(&mut self, commands: &[[f64; 4]]) -> Result<(), SimulationError> {
+        if let Some(error) = &self.failed {
+            return Err(error.clone());
+        }
         self.accept(commands)?;
         self.contacts.clear();
         for substep in 0..self.substeps() {
@@ -297,8 +331,10 @@ impl Simulation {
             {
                 *wrench = drone.rotors.wrench(rpm).in_world(&state.attitude);
             }
-            self.engine.advance(&self.wrenches).map_err(|error| self.failure(substep, error))?;
-            self.engine.states(&mut self.states);
+            if let Err(error) = self.engine.advance(&self.wrenches) {
+                return Err(self.failure(substep, error));
+            }
+            self.take_states(substep)?;
             self.note_contacts();
         }
         self.control_steps += 1;
@@ -331,20 +367,47 @@ impl Simulation {
         });
     }
 
-    #[cold]
-    fn failure(&self, substep: u32, error: mujoco_rs::Error) -> SimulationError {
-        let time = self.time() + f64::from(substep) / f64::from(self.sim_freq);
-        if let mujoco_rs::Error::Diverged(divergence) = &error
-            && let Some(drone) = self.engine.diverged_drone(divergence)
-        {
-            let quantity = match divergence.quantity {
-                mujoco_rs::DivergedQuantity::Position => "position",
-                mujoco_rs::DivergedQuantity::Velocity => "velocity",
-                mujoco_rs::DivergedQuantity::Acceleration => "acceleration",
-            };
-            return SimulationError::Diverged { drone, time, quantity };
+    /// Reads the states after a physics step, unless one of them has left the range of numbers: MuJoCo itself would
+    /// say so only at the next step.
+    fn take_states(&mut self, substep: u32) -> Result<(), SimulationError> {
+        std::mem::swap(&mut self.states, &mut self.previous);
+        self.engine.states(&mut self.states);
+        let lost = self.states.iter().enumerate().find_map(|(drone, state)| Some((drone, out_of_range(state)?)));
+        if let Some((drone, quantity)) = lost {
+            std::mem::swap(&mut self.states, &mut self.previous);
+            let error = SimulationError::Diverged { drone, time: self.substep_time(substep), quantity };
+            self.failed = Some(error.clone());
+            return Err(error);
         }
-        SimulationError::Engine { time, error }
+        Ok(())
+    }
+
+    fn substep_time(&self, substep: u32) -> f64 {
+        self.time() + f64::from(substep) / f64::from(self.sim_freq)
+    }
+
+    #[cold]
+    fn failure(&mut self, substep: u32, error: mujoco_rs::Error) -> SimulationError {
+        let time = self.substep_time(substep);
+        let diverged = match &error {
+            mujoco_rs::Error::Diverged(divergence) => {
+                self.engine.diverged_drone(divergence).map(|drone| (drone, divergence))
+            }
+            _ => None,
+        };
+        let error = match diverged {
+            Some((drone, divergence)) => {
+                let quantity = match divergence.quantity {
+                    mujoco_rs::DivergedQuantity::Position => "position",
+                    mujoco_rs::DivergedQuantity::Velocity => "velocity",
+                    mujoco_rs::DivergedQuantity::Acceleration => "acceleration",
+                };
+                SimulationError::Diverged { drone, time, quantity }
+            }
+            None => SimulationError::Engine { time, error },
+        };
+        self.failed = Some(error.clone());
+        error
     }
 
     /// Back to the initial states, time 0, motors standing still.
@@ -377,6 +440,7 @@ impl Simulation {
         self.motor_speeds.fill([0.0; 4]);
         self.contacts.clear();
         self.control_steps = 0;
+        self.failed = None;
         Ok(())
     }
 

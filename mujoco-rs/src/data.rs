@@ -96,7 +96,7 @@ impl Data {
     ///
     /// # Errors
     /// [`Error::Diverged`] where the state left the range of numbers: MuJoCo has then put the simulation back to the
-    /// model's initial state. [`Error::Raised`] with MuJoCo's message for its other errors: the simulation must be
+    /// model's initial state (and may have gone one step on from it). [`Error::Raised`] with MuJoCo's message for its other errors: the simulation must be
     /// [reset](Self::reset).
     pub fn step(&mut self) -> Result<(), Error> {
         self.usable()?;
@@ -143,6 +143,30 @@ impl Data {
         Ok(())
     }
 
+    /// Time 0, no applied forces, no warm start of the solver, no contacts and no warnings, with the state left to be
+    /// written by the caller.
+    ///
+    /// Followed by writing `qpos`, `qvel` and whatever else the model takes as input, this is a reset without what
+    /// takes most of its time: clearing buffers that the next step or forward pass computes afresh.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] where a [`reset`](Self::reset), which this does after an error, fails.
+    pub fn rewind(&mut self) -> Result<(), Error> {
+        if self.broken.is_some() {
+            self.reset()?;
+        }
+        self.qacc_warmstart_mut().fill(0.0);
+        self.xfrc_applied_mut().fill(0.0);
+        self.qfrc_applied_mut().fill(0.0);
+        let raw = self.raw_mut();
+        raw.time = 0.0;
+        (raw.ncon, raw.nefc, raw.ne, raw.nf) = (0, 0, 0, 0);
+        for warning in &mut raw.warning {
+            (warning.number, warning.lastinfo) = (0, 0);
+        }
+        Ok(())
+    }
+
     /// Whether an error has left the simulation unusable until it is [reset](Self::reset).
     pub fn is_broken(&self) -> bool {
         self.broken.is_some()
@@ -172,7 +196,8 @@ impl Data {
         contacts.iter().map(Contact)
     }
 
-    /// How often a warning was raised since the last reset.
+    /// How often a warning was raised since the last reset. Those of a diverging state are errors of the step that
+    /// raised them, and not counted here.
     pub fn warning(&self, kind: WarningKind) -> WarningStat {
         let stat = &self.raw().warning[kind.index()];
         WarningStat { count: usize::try_from(stat.number).unwrap_or(0), last_info: stat.lastinfo }

@@ -38,7 +38,7 @@ pub enum Error {
         /// MuJoCo's message.
         message: String,
     },
-    /// The simulation diverged; MuJoCo has already put it back to its initial state.
+    /// The simulation diverged; MuJoCo has already put it back to its initial state, or one step on from it.
     #[error(transparent)]
     Diverged(Divergence),
     /// No object of that kind has that name.

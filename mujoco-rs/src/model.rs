@@ -121,6 +121,9 @@ const TEXT_NAME: &str = "__scene__.xml";
 impl Model {
     /// Compiles a scene from MJCF text.
     ///
+    /// Mistakes in it are errors, but MuJoCo's parser does not guard against malice: sizes whose product overflows
+    /// (a height field or texture of 65,536 by 65,536, say) can crash it. Compile only scenes from sources you trust.
+    ///
     /// # Errors
     /// [`Error::Load`] with MuJoCo's message.
     pub fn from_xml(xml: &str) -> Result<Self, Error> {
@@ -164,10 +167,10 @@ impl Model {
     fn load(name: &str, files: Option<&FileSystem>, shown: &str) -> Result<Self, Error> {
         let c_name = CString::new(name).map_err(|_| Error::Nul { what: "path" })?;
         let mut message = [0 as c_char; 1000];
-        // SAFETY: terminated strings, a VFS or null, a buffer of the size stated. The parser and the compiler report
-        // through the buffer and catch the errors of the engine beneath them; they take MuJoCo's own lock.
+        // SAFETY: terminated strings, a VFS or null, a buffer of the size stated. Exceptions and errors end in the shim;
+        // the parser takes MuJoCo's own lock.
         let pointer = unsafe {
-            mujoco_sys::mj_loadXML(
+            mujoco_sys::mjshim_load_xml(
                 c_name.as_ptr(),
                 files.map_or(ptr::null(), |files| &*files.0),
                 message.as_mut_ptr(),

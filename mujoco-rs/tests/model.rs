@@ -102,6 +102,18 @@ fn assets_in_memory_are_used_and_bad_ones_refused() {
 }
 
 #[test]
+fn errors_of_the_engine_beneath_the_parser_are_errors_and_leave_it_usable() {
+    let long = format!("<mujoco><include file='{}'/></mujoco>", "x".repeat(1200));
+    let error = Model::from_xml(&long).unwrap_err().to_string();
+    assert!(error.contains("too long"), "{error}");
+    let path = "d/".repeat(3000) + "scene.xml";
+    assert!(matches!(Model::from_file(path), Err(Error::Load { .. })));
+    let huge = "<mujoco><asset><hfield name='h' nrow='50000' ncol='50000' size='1 1 1 1'/></asset></mujoco>";
+    assert!(Model::from_xml(huge).is_err());
+    assert!(Model::from_xml(SCENE).is_ok(), "the parser's lock is free");
+}
+
+#[test]
 fn files_are_loaded_by_path_and_missing_ones_named() {
     let path = std::env::temp_dir().join(format!("mujoco-rs-model-{}.xml", std::process::id()));
     std::fs::write(&path, SCENE).unwrap();

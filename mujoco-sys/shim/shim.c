@@ -17,15 +17,33 @@ static void on_error(const char* message) {
     longjmp(*guard, 1);
   }
 
+  // inside the parser: its own way out
+  if (mjshim_is_loading()) {
+    mjshim_throw();
+  }
+
   // elsewhere there may be Rust or C++ frames in between, which must not be jumped over
   fprintf(stderr, "mujoco: fatal error: %s\n", last_error);
   fflush(stderr);
   abort();
 }
 
+static mjshim_warning_fn warning_callback = NULL;
+
+// the callback is not MuJoCo's code: an error raised in it must not jump over its frames
+static void on_warning(const char* message) {
+  jmp_buf* const outer = guard;
+  guard = NULL;
+  if (warning_callback) {
+    warning_callback(message);
+  }
+  guard = outer;
+}
+
 void mjshim_install(mjshim_warning_fn warning) {
+  warning_callback = warning;
   mju_user_error = on_error;
-  mju_user_warning = warning;
+  mju_user_warning = on_warning;
 }
 
 const char* mjshim_last_error(void) {

@@ -19,6 +19,13 @@ void mjshim_install(mjshim_warning_fn warning);
 // The message of the last error on this thread (valid until the next guarded call on it).
 const char* mjshim_last_error(void);
 
+// Parses and compiles a scene as mj_loadXML does; an error of any kind is NULL and a message in `error`.
+mjModel* mjshim_load_xml(const char* filename, const mjVFS* vfs, char* error, int error_sz);
+
+// Between the two files of the shim: whether this thread is inside mjshim_load_xml, and the way out of it.
+int mjshim_is_loading(void);
+void mjshim_throw(void);
+
 // Guarded calls: 0 when done, 1 when MuJoCo raised an error, with the message in mjshim_last_error. After an error
 // the mjData must be reset before it is used again.
 int mjshim_step(const mjModel* m, mjData* d);

@@ -31,8 +31,12 @@ impl Mixer {
     /// Motor speeds (rpm, within [0, `MAX_RPM`]) that give a collective thrust (N) and a torque (body frame, N·m).
     ///
     /// What the motors cannot do together is given up in this order: yaw torque, then thrust, and roll and pitch
-    /// torque last and in proportion.
+    /// torque last and in proportion. What is not a number gives speeds that are not numbers, which a simulation
+    /// refuses, and never a plausible speed.
     pub fn rpm(&self, thrust: f64, torque_body: Vector3<f64>) -> [f64; 4] {
+        if !(thrust.is_finite() && torque_body.iter().all(|x| x.is_finite())) {
+            return [f64::NAN; 4];
+        }
         let forces = self.saturate(thrust, torque_body);
         let rpm = |force: f64| (force.max(0.0) / self.thrust_coefficient).sqrt().min(self.max_rpm);
         [rpm(forces[0]), rpm(forces[1]), rpm(forces[2]), rpm(forces[3])]
@@ -52,7 +56,8 @@ impl Mixer {
         let (low, high) = (roll_pitch.min(), roll_pitch.max());
         let scale = if high - low > max { max / (high - low) } else { 1.0 };
         let roll_pitch = roll_pitch * scale;
-        let collective = collective.clamp(-low * scale, (max - high * scale).max(-low * scale));
+        let (least, most) = (-low * scale, max - high * scale);
+        let collective = collective.min(most).max(least);
 
         // and as much of yaw as there is room for
         let mut share: f64 = 1.0;
@@ -77,6 +82,15 @@ mod tests {
 
     fn model() -> impl Strategy<Value = DroneModel> {
         prop::sample::select(DroneModel::ALL.to_vec())
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_no_speed() {
+        let mixer = Mixer::new(&DroneModel::Cf2x.params());
+        for (thrust, x) in [(f64::NAN, 0.0), (0.3, f64::NAN), (f64::INFINITY, 0.0), (0.3, f64::NEG_INFINITY)] {
+            assert!(mixer.rpm(thrust, Vector3::new(x, 0.0, 0.0)).iter().all(|n| n.is_nan()));
+        }
+        assert!(mixer.rpm(1e300, Vector3::new(1e300, -1e300, 1e300)).iter().all(|n| n.is_finite()));
     }
 
     proptest! {

@@ -30,6 +30,13 @@ impl Reference {
     pub fn hover(position: Vector3<f64>, yaw: f64) -> Self {
         Self { position, velocity: Vector3::zeros(), acceleration: Vector3::zeros(), yaw, yaw_rate: 0.0 }
     }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        (self.position.iter().chain(&self.velocity).chain(&self.acceleration)).all(|x| x.is_finite())
+            && self.yaw.is_finite()
+            && self.yaw_rate.is_finite()
+    }
 }
 
 /// What a controller answers.
@@ -48,6 +55,7 @@ pub trait Controller {
     /// Forgets integrals and everything else that an earlier episode left.
     fn reset(&mut self);
 
-    /// Motor speeds for the coming control step of `dt` seconds.
+    /// Motor speeds for the coming control step of `dt` seconds. A state or reference that is not finite gives speeds
+    /// that are not numbers, which a simulation refuses, and leaves the controller as it was.
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput;
 }

@@ -127,12 +127,14 @@ impl PidControl {
     fn position_loop(&mut self, dt: f64, error: &Vector3<f64>, velocity_error: &Vector3<f64>) -> Vector3<f64> {
         let gains = &self.gains.position;
         let clamp = gains.integral_clamp;
-        self.position_integral = (self.position_integral + error * dt).map(|x| x.clamp(-clamp, clamp));
+        self.position_integral = clamped(self.position_integral + error * dt, clamp);
         let mut wanted = gains.proportional.component_mul(error)
             + gains.integral.component_mul(&self.position_integral)
             + gains.derivative.component_mul(velocity_error)
             + Vector3::new(0.0, 0.0, GRAVITY);
-        wanted.z = wanted.z.max(Self::LEAST_LIFT * GRAVITY);
+        if wanted.z < Self::LEAST_LIFT * GRAVITY {
+            wanted.z = Self::LEAST_LIFT * GRAVITY;
+        }
         let sideways = wanted.xy().norm();
         let most = wanted.z * Self::MAX_TILT.tan();
         if sideways > most {
@@ -154,7 +156,7 @@ impl PidControl {
         let error = (state.attitude.inverse() * wanted).scaled_axis();
         let rate_error = Vector3::new(0.0, 0.0, yaw_rate) - state.angular_velocity;
         let clamp = gains.integral_clamp;
-        self.attitude_integral = (self.attitude_integral + error * dt).map(|x| x.clamp(-clamp, clamp));
+        self.attitude_integral = clamped(self.attitude_integral + error * dt, clamp);
         gains.proportional.component_mul(&error)
             + gains.integral.component_mul(&self.attitude_integral)
             + gains.derivative.component_mul(&rate_error)
@@ -170,15 +172,21 @@ impl Controller for PidControl {
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         let position_error = reference.position - state.position;
         let velocity_error = reference.velocity - state.velocity;
+        let yaw_error = wrap_angle(reference.yaw - rpy_from_attitude(&state.attitude).z);
+        if !(state.is_finite() && reference.is_finite()) {
+            // what is not a number must not enter the integrals, from which only a reset would remove it
+            return ControlOutput { rpm: [f64::NAN; 4], position_error, yaw_error };
+        }
         let acceleration = self.position_loop(dt, &position_error, &velocity_error);
         let wanted = attitude_along(&acceleration, reference.yaw);
         let torque = self.attitude_loop(dt, state, &wanted, reference.yaw_rate);
-        ControlOutput {
-            rpm: self.mixer.rpm(self.mass * acceleration.norm(), torque),
-            position_error,
-            yaw_error: wrap_angle(reference.yaw - rpy_from_attitude(&state.attitude).z),
-        }
+        ControlOutput { rpm: self.mixer.rpm(self.mass * acceleration.norm(), torque), position_error, yaw_error }
     }
+}
+
+/// Every component within ±`limit`.
+fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
+    vector.map(|x| x.clamp(-limit, limit))
 }
 
 /// The attitude whose z axis points along `up`, which lies above the horizon, and whose yaw is `yaw`.
@@ -246,6 +254,21 @@ mod tests {
         assert_eq!(pid.position_integral.z, 2.0);
         pid.reset();
         assert_eq!(pid.control(0.02, &DroneState::default(), &reference), first);
+    }
+
+    #[test]
+    fn a_reference_or_state_that_is_not_a_number_gives_no_speed() {
+        let mut pid = PidControl::new(&DroneModel::Cf2x.params());
+        for axis in 0..3 {
+            let mut target = Vector3::z();
+            target[axis] = f64::NAN;
+            pid.reset();
+            let output = pid.control(0.02, &DroneState::default(), &Reference::hover(target, 0.0));
+            assert!(output.rpm.iter().all(|n| n.is_nan()), "axis {axis}: {:?}", output.rpm);
+        }
+        pid.reset();
+        let output = pid.control(0.02, &DroneState::default(), &Reference::hover(Vector3::z(), f64::NAN));
+        assert!(output.rpm.iter().all(|n| n.is_nan()));
     }
 
     #[test]

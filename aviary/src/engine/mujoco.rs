@@ -90,12 +90,7 @@ impl MujocoEngine {
     /// # Errors
     /// Where MuJoCo cannot recover from an earlier error.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
-        if self.data.is_broken() {
-            self.data.reset()?;
-        }
-        self.data.set_time(0.0);
-        self.data.qacc_warmstart_mut().fill(0.0);
-        self.data.xfrc_applied_mut().fill(0.0);
+        self.data.rewind()?;
         self.write(states);
         Ok(())
     }
@@ -149,9 +144,9 @@ impl MujocoEngine {
         })
     }
 
-    /// Most contacts that can be reported at once.
+    /// More contacts than a control step of any drones can report.
     pub(crate) fn max_contacts(&self) -> usize {
-        2 * self.data.model().nconmax()
+        4 * self.data.model().nconmax()
     }
 
     /// Calls `found` for every drone in touch with something in the last step, once per point of contact and drone.

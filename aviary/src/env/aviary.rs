@@ -156,7 +156,7 @@ impl<T: Task> AviaryBuilder<T> {
             return Err(EnvError::Option {
                 option: "the length of an episode",
                 got: format!("{seconds} s"),
-                expected: "a positive number of seconds",
+                expected: "a positive number of seconds below 4e7",
             });
         }
         let positions = self.positions.unwrap_or_else(|| self.task.initial_positions(count));

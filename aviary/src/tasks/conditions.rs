@@ -1,6 +1,8 @@
+use crate::drone::DroneParams;
 use crate::engine::Touched;
 use crate::env::EndReason;
 use crate::simulation::Simulation;
+use crate::state::DroneState;
 
 /// When a drone counts as crashed. All are on by default; each can be switched off.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +24,16 @@ impl CrashConditions {
     pub fn with_max_tilt(max_tilt: f64) -> Self {
         Self { below_floor: true, floor_contact: true, obstacle_contact: true, drone_contact: true, max_tilt }
     }
+}
+
+/// Distance between a drone and the floor from which on it counts as airborne, m.
+const CLEAR_OF_FLOOR: f64 = 0.01;
+
+/// Height of the lowest point of a drone's collision cylinder over the floor, m.
+fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
+    let up = state.up().z;
+    let sideways = (1.0 - up * up).max(0.0).sqrt();
+    state.position.z - 0.5 * params.collision_height * up.abs() - params.collision_radius * sideways
 }
 
 /// Watches the drones of an episode for crashes.
@@ -59,7 +71,8 @@ impl CrashWatch {
                 };
                 found = found.or(reason);
             }
-            *airborne |= !on_floor;
+            // a drone that stands on the floor may do so without a point of contact for a step
+            *airborne |= !on_floor && clearance(simulation.params(drone), state) > CLEAR_OF_FLOOR;
             if conditions.below_floor && state.position.z < 0.0 {
                 found = found.or(Some(EndReason::BelowFloor));
             }

@@ -52,8 +52,9 @@ impl Sizes {
     /// Enough for the fullest scene: every drone lying on the floor, with neighbours touching it on all sides.
     fn of(world: &World) -> Self {
         let drones = world.drones.len();
-        // a cylinder meets a plane in up to four points; in a pile each has about four more contacts of its own
-        let contacts = 4 * drones + 4 * drones;
+        // a cylinder meets a plane in up to four points; in a pile each has about four more contacts of its own, and more
+        // than a few dozen do not pile up (memory grows with the square of this number)
+        let contacts = 4 * drones + 4 * drones.min(64);
         // a pyramidal friction cone has four edges
         let constraints = 4 * contacts;
         let freedoms = 6 * drones;
