@@ -92,7 +92,7 @@ fn timings(c: &mut Criterion) {
     c.bench_function("Simulation::step, 1 drone", |b| b.iter(|| one.step(black_box(&commands)).expect("a step")));
     c.bench_function("Simulation::reset, 1 drone", |b| b.iter(|| one.reset().expect("a reset")));
     let mut env = Hover::builder().build().expect("a task");
-    c.bench_function("Hover::reset", |b| b.iter(|| env.reset(Some(1)).expect("a reset")[0]));
+    c.bench_function("Hover::reset", |b| b.iter(|| env.reset(Some(1)).expect("a reset").vector[0]));
     bare.data.reset().expect("a reset");
     c.bench_function("mj_resetData, 1 drone", |b| b.iter(|| bare.data.reset().expect("a reset")));
 }

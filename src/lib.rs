@@ -28,9 +28,11 @@ pub mod prelude {
     pub use aviary::control::{Controller, PidControl, Reference};
     pub use aviary::drone::{DroneModel, DroneParams};
     pub use aviary::env::{Aviary, Env, EnvError, Info, Step, Task};
+    pub use aviary::observation::{Observation, ObservationType};
     pub use aviary::simulation::{Simulation, SimulationError};
     pub use aviary::state::DroneState;
     pub use aviary::tasks::Hover;
+    pub use aviary::vision::{ImageSize, View};
 }
 
 #[cfg(doctest)]

@@ -4,12 +4,12 @@ use mujoco_drones_gym::prelude::*;
 
 /// A digest of a flight under a fixed pattern of commands that tumbles, falls and hits the floor.
 fn flight(env: &mut Aviary<Hover>, seed: u64, steps: usize) -> Vec<u64> {
-    let mut bits: Vec<u64> = env.reset(Some(seed)).unwrap().iter().map(|x| x.to_bits()).collect();
+    let mut bits: Vec<u64> = env.reset(Some(seed)).unwrap().vector.iter().map(|x| x.to_bits()).collect();
     for k in 0..steps {
         let phase = k as f64 * 0.7;
         let action = [phase.sin() * 0.4, (1.3 * phase).cos() * 0.4, -0.1, 0.2 * phase.sin() - 0.1];
         match env.step(&action) {
-            Ok(step) => bits.extend(step.observation.iter().chain([&step.reward]).map(|x| x.to_bits())),
+            Ok(step) => bits.extend(step.observation.vector.iter().chain([&step.reward]).map(|x| x.to_bits())),
             Err(EnvError::NeedsReset { .. }) => break,
             Err(error) => panic!("{error}"),
         }

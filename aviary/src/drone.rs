@@ -442,7 +442,7 @@ mod tests {
         refused(DroneParams { name: "a<b".into(), ..good() }, "name");
         refused(DroneParams { arm_length: 1e-300, ..good() }, "arm_length is 0.00");
         refused(DroneParams { mass: 27e9, ..good() }, "mass is 27000000000, expected 1e-6 to 1e6");
-        refused(DroneParams { inertia: [0.1e-5, 0.2e-5, 0.300_000_000_000_000_09e-5], ..good() }, "inertia[2]");
+        refused(DroneParams { inertia: [0.1e-5, 0.2e-5, 3.000_000_000_000_001e-6], ..good() }, "inertia[2]");
         assert!(DroneParams { inertia: [1e-5, 1e-5, 2e-5], ..good() }.validate().is_ok(), "a flat plate");
     }
 

@@ -1,6 +1,137 @@
-//! What an agent sees: vectors made of a drone's state.
+//! What an agent sees: vectors made of a drone's state, and its cameras' pictures.
+
+use std::fmt;
+use std::str::FromStr;
+
+use mujoco_rs::Error;
 
 use crate::state::DroneState;
+use crate::vision::{ImageSize, Painter};
+
+/// What an observation is made of: the paper's `KIN`, `RGB` and `KIN_RGB`, and any other combination with depth and
+/// segmentation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct ObservationType {
+    /// The task's vector.
+    pub kinematic: bool,
+    /// Colour of every onboard camera.
+    pub rgb: bool,
+    /// Depth of every onboard camera.
+    pub depth: bool,
+    /// Objects in every onboard camera.
+    pub segmentation: bool,
+}
+
+impl ObservationType {
+    const NONE: Self = Self { kinematic: false, rgb: false, depth: false, segmentation: false };
+    /// The task's vector alone.
+    pub const KIN: Self = Self { kinematic: true, ..Self::NONE };
+    /// Colour alone.
+    pub const RGB: Self = Self { rgb: true, ..Self::NONE };
+    /// Vector and colour.
+    pub const KIN_RGB: Self = Self { kinematic: true, rgb: true, ..Self::NONE };
+    /// Depth alone.
+    pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
+    /// Objects alone.
+    pub const SEGMENTATION: Self = Self { segmentation: true, ..Self::NONE };
+
+    /// Whether it has pictures.
+    pub fn has_images(self) -> bool {
+        self.rgb || self.depth || self.segmentation
+    }
+
+    fn parts(self) -> [(&'static str, bool); 4] {
+        [("kin", self.kinematic), ("rgb", self.rgb), ("depth", self.depth), ("segmentation", self.segmentation)]
+    }
+}
+
+impl Default for ObservationType {
+    fn default() -> Self {
+        Self::KIN
+    }
+}
+
+impl fmt::Display for ObservationType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let parts: Vec<_> = self.parts().into_iter().filter(|(_, on)| *on).map(|(name, _)| name).collect();
+        f.write_str(&parts.join("_"))
+    }
+}
+
+/// A name that is no observation type's.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "no observation type `{0}`, expected kin, rgb, depth, segmentation or several of them joined by `_`, each once"
+)]
+pub struct UnknownObservationType(pub String);
+
+impl FromStr for ObservationType {
+    type Err = UnknownObservationType;
+
+    fn from_str(name: &str) -> Result<Self, UnknownObservationType> {
+        let unknown = || UnknownObservationType(name.to_string());
+        let mut kind = Self::NONE;
+        for part in name.split('_') {
+            let flag = match part {
+                "kin" => &mut kind.kinematic,
+                "rgb" => &mut kind.rgb,
+                "depth" => &mut kind.depth,
+                "segmentation" => &mut kind.segmentation,
+                _ => return Err(unknown()),
+            };
+            if std::mem::replace(flag, true) {
+                return Err(unknown());
+            }
+        }
+        Ok(kind)
+    }
+}
+
+/// What an agent sees. Parts that the observation type does not have are empty.
+///
+/// Pictures are drone after drone, row after row from the top, pixel after pixel from the left.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Observation {
+    /// The task's vector.
+    pub vector: Vec<f64>,
+    /// Colour, N × height × width × 4 (RGBA, alpha 255).
+    pub rgb: Vec<u8>,
+    /// Depth, N × height × width, m along the camera's axis; the far plane's distance (100 m) where there is nothing.
+    pub depth: Vec<f32>,
+    /// Objects, N × height × width, `[type, index]`; −1 twice where there is nothing.
+    pub segmentation: Vec<[i32; 2]>,
+}
+
+impl Observation {
+    /// Buffers for a vector of this length and the pictures of so many cameras.
+    pub fn with_sizes(kind: ObservationType, vector: usize, cameras: usize, size: ImageSize) -> Self {
+        let pixels = |on: bool| if on { cameras * size.pixels() } else { 0 };
+        Self {
+            vector: vec![0.0; if kind.kinematic { vector } else { 0 }],
+            rgb: vec![0; 4 * pixels(kind.rgb)],
+            depth: vec![0.0; pixels(kind.depth)],
+            segmentation: vec![[-1; 2]; pixels(kind.segmentation)],
+        }
+    }
+
+    /// Fills the pictures from a painter that is up to date.
+    ///
+    /// # Errors
+    /// The painter's.
+    pub fn take_pictures(&mut self, painter: &mut Painter, size: ImageSize) -> Result<(), Error> {
+        let pixels = size.pixels();
+        for (drone, rgb) in self.rgb.chunks_exact_mut(4 * pixels).enumerate() {
+            painter.onboard_rgba(drone, size, rgb)?;
+        }
+        for (drone, depth) in self.depth.chunks_exact_mut(pixels).enumerate() {
+            painter.onboard_depth(drone, size, depth)?;
+        }
+        for (drone, objects) in self.segmentation.chunks_exact_mut(pixels).enumerate() {
+            painter.onboard_segmentation(drone, size, objects)?;
+        }
+        Ok(())
+    }
+}
 
 /// Length of the kinematic vector per drone.
 pub const KIN_SIZE: usize = 20;
@@ -35,6 +166,17 @@ pub fn state_vector(state: &DroneState) -> [f64; STATE_SIZE] {
 mod tests {
     use super::*;
     use nalgebra::Vector3;
+
+    #[test]
+    fn names_are_parts_joined_in_any_order_each_once() {
+        for kind in [ObservationType::KIN, ObservationType::RGB, ObservationType::KIN_RGB, ObservationType::DEPTH] {
+            assert_eq!(kind.to_string().parse::<ObservationType>().unwrap(), kind);
+        }
+        assert_eq!("rgb_kin".parse::<ObservationType>().unwrap(), ObservationType::KIN_RGB);
+        for bad in ["", "kin_kin", "kin_", "KIN", "lidar"] {
+            assert!(bad.parse::<ObservationType>().is_err(), "{bad}");
+        }
+    }
 
     #[test]
     fn both_vectors_have_their_parts_in_the_papers_order() {

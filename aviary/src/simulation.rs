@@ -283,7 +283,7 @@ fn row(drones: &[DroneParams]) -> Vec<[f64; 3]> {
 /// What of a state is not a number or larger than MuJoCo works with.
 fn out_of_range(state: &DroneState) -> Option<&'static str> {
     // MuJoCo's limit
-    let bad = |x: &f64| !(x.abs() < 1e10);
+    let bad = |x: &f64| x.is_nan() || x.abs() >= 1e10;
     if state.position.iter().chain(state.attitude.coords.iter()).any(bad) {
         Some("position")
     } else if state.velocity.iter().chain(&state.angular_velocity).any(bad) {

@@ -1,10 +1,12 @@
 use rand::SeedableRng as _;
 
-use super::{BoxSpace, EndReason, Env, EnvError, Info, Rng, Step, Task};
+use super::{BoxSpace, EndReason, Env, EnvError, Info, ObservationSpace, Rng, Step, Task};
 use crate::action::{ActionType, MotorScale};
 use crate::control::Reference;
 use crate::drone::{DroneModel, DroneParams};
+use crate::observation::{Observation, ObservationType};
 use crate::simulation::{Simulation, SimulationBuilder};
+use crate::vision::{CAMERA_SIZE, ImageSize, Painter, View};
 use crate::world::{Integrator, Medium};
 
 /// A task made into an environment.
@@ -14,13 +16,17 @@ pub struct Aviary<T> {
     simulation: Simulation,
     action_type: ActionType,
     scales: Vec<MotorScale>,
-    observation_space: BoxSpace,
+    observation_space: ObservationSpace,
     action_space: BoxSpace,
     episode_steps: u64,
     rng: Rng,
     phase: Phase,
     end: Option<EndReason>,
-    observation: Vec<f64>,
+    observation: Observation,
+    /// Draws the onboard cameras, where they are observed.
+    cameras: Option<Painter>,
+    /// Draws for people, once they ask.
+    painter: Option<Painter>,
     commands: Vec<[f64; 4]>,
 }
 
@@ -43,6 +49,8 @@ pub struct AviaryBuilder<T> {
     positions: Option<Vec<[f64; 3]>>,
     rpys: Option<Vec<[f64; 3]>>,
     action_type: ActionType,
+    observation_type: ObservationType,
+    camera_size: ImageSize,
     integrator: Integrator,
     medium: Option<Medium>,
 }
@@ -61,6 +69,8 @@ impl<T: Task> AviaryBuilder<T> {
             positions: None,
             rpys: None,
             action_type: ActionType::default(),
+            observation_type: ObservationType::default(),
+            camera_size: CAMERA_SIZE,
             integrator: Integrator::Rk4,
             medium: None,
         }
@@ -129,6 +139,20 @@ impl<T: Task> AviaryBuilder<T> {
         self
     }
 
+    /// What the agent sees; the task's vector by default.
+    #[must_use]
+    pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
+        self.observation_type = observation_type;
+        self
+    }
+
+    /// Size of the onboard cameras' pictures; 64 × 48 by default.
+    #[must_use]
+    pub fn camera_size(mut self, size: ImageSize) -> Self {
+        self.camera_size = size;
+        self
+    }
+
     /// MuJoCo's integrator; RK4 by default.
     #[must_use]
     pub fn integrator(mut self, integrator: Integrator) -> Self {
@@ -171,10 +195,34 @@ impl<T: Task> AviaryBuilder<T> {
             options = options.initial_rpys(rpys);
         }
         let simulation = options.build()?;
-        let observation_space = self.task.observation_space(count);
+        let vector = self.task.observation_space(count);
+        let (kind, camera_size) = (self.observation_type, self.camera_size);
+        if !kind.kinematic && !kind.has_images() {
+            return Err(EnvError::Option {
+                option: "the observation type",
+                got: "empty".into(),
+                expected: "at least one part",
+            });
+        }
+        let sides = 1..=ImageSize::MAX_SIDE;
+        if !(sides.contains(&camera_size.width) && sides.contains(&camera_size.height)) {
+            return Err(EnvError::Option {
+                option: "the camera's size",
+                got: camera_size.to_string(),
+                expected: "sides of 1 to 8192 pixels",
+            });
+        }
+        let cameras = kind.has_images().then(|| Painter::for_observations(simulation.world())).transpose()?;
         Ok(Aviary {
-            observation: vec![0.0; observation_space.size()],
-            observation_space,
+            observation: Observation::with_sizes(kind, vector.size(), count, camera_size),
+            observation_space: ObservationSpace {
+                vector: if kind.kinematic { vector } else { BoxSpace::new([]) },
+                kind,
+                cameras: count,
+                camera_size,
+            },
+            cameras,
+            painter: None,
             action_space: BoxSpace::new(vec![[-1.0, 1.0]; self.action_type.size() * count]),
             action_type: self.action_type,
             scales: (0..count).map(|drone| MotorScale::new(simulation.params(drone))).collect(),
@@ -193,6 +241,17 @@ impl<T: Task> Aviary<T> {
     /// The task.
     pub fn task(&self) -> &T {
         &self.task
+    }
+
+    fn observe(&mut self) -> Result<(), EnvError> {
+        if self.observation_space.kind.kinematic {
+            self.task.observe(&self.simulation, &mut self.observation.vector);
+        }
+        if let Some(painter) = &mut self.cameras {
+            painter.update(self.simulation.states())?;
+            self.observation.take_pictures(painter, self.observation_space.camera_size)?;
+        }
+        Ok(())
     }
 
     fn commands(&mut self, action: &[f64]) -> Result<(), EnvError> {
@@ -220,7 +279,7 @@ impl<T: Task> Env for Aviary<T> {
         self.task.name()
     }
 
-    fn observation_space(&self) -> &BoxSpace {
+    fn observation_space(&self) -> &ObservationSpace {
         &self.observation_space
     }
 
@@ -228,7 +287,7 @@ impl<T: Task> Env for Aviary<T> {
         &self.action_space
     }
 
-    fn reset(&mut self, seed: Option<u64>) -> Result<&[f64], EnvError> {
+    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
         if let Some(seed) = seed {
             self.rng = Rng::seed_from_u64(seed);
         }
@@ -236,7 +295,7 @@ impl<T: Task> Env for Aviary<T> {
         self.task.reset(&self.simulation, &mut self.rng);
         self.end = None;
         self.phase = Phase::Running;
-        self.task.observe(&self.simulation, &mut self.observation);
+        self.observe()?;
         Ok(&self.observation)
     }
 
@@ -257,7 +316,7 @@ impl<T: Task> Env for Aviary<T> {
         let terminated = end.is_some();
         let truncated = self.simulation.control_steps() >= self.episode_steps;
         let reward = self.task.reward(&self.simulation, end);
-        self.task.observe(&self.simulation, &mut self.observation);
+        self.observe()?;
 
         self.end = end.or(truncated.then_some(EndReason::TimeLimit));
         if self.end.is_some() {
@@ -301,6 +360,15 @@ impl<T: Task> Env for Aviary<T> {
             }
         }
         Ok(())
+    }
+
+    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+        let painter = match &mut self.painter {
+            Some(painter) => painter,
+            none => none.insert(Painter::for_people(self.simulation.world())?),
+        };
+        painter.update(self.simulation.states())?;
+        Ok(painter.rgb(view, size, rgb)?)
     }
 
     fn simulation(&self) -> &Simulation {

@@ -5,11 +5,14 @@ mod space;
 mod task;
 
 pub use aviary::{Aviary, AviaryBuilder};
-pub use space::BoxSpace;
+pub use space::{BoxSpace, ObservationSpace};
 pub use task::{Task, TaskDefaults};
 
 use crate::control::Reference;
+use crate::engine::BuildError;
+use crate::observation::Observation;
 use crate::simulation::{Simulation, SimulationError};
+use crate::vision::{ImageSize, View};
 
 /// The generator behind every random draw of an environment.
 pub type Rng = rand_chacha::ChaCha8Rng;
@@ -18,7 +21,7 @@ pub type Rng = rand_chacha::ChaCha8Rng;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step<'a> {
     /// What the agent sees now.
-    pub observation: &'a [f64],
+    pub observation: &'a Observation,
     /// Reward of this step.
     pub reward: f64,
     /// The episode has come to an end of its own: no more reward can follow.
@@ -149,6 +152,15 @@ pub enum EnvError {
     /// The simulation underneath.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// Pictures cannot be drawn.
+    #[error(transparent)]
+    Vision(#[from] BuildError),
+}
+
+impl From<mujoco_rs::Error> for EnvError {
+    fn from(error: mujoco_rs::Error) -> Self {
+        Self::Vision(BuildError::Mujoco(error))
+    }
 }
 
 /// An environment: one agent that commands all drones of a task.
@@ -158,10 +170,10 @@ pub enum EnvError {
 /// use aviary::tasks::Hover;
 ///
 /// let mut env = Hover::builder().build()?;
-/// let mut observation = env.reset(Some(7))?.to_vec();
+/// let mut observation = env.reset(Some(7))?.vector.clone();
 /// loop {
 ///     let step = env.step(&[0.01; 4])?;
-///     observation.copy_from_slice(step.observation);
+///     observation.copy_from_slice(&step.observation.vector);
 ///     if step.terminated || step.truncated {
 ///         break;
 ///     }
@@ -174,7 +186,7 @@ pub trait Env {
     fn name(&self) -> &'static str;
 
     /// What observations look like.
-    fn observation_space(&self) -> &BoxSpace;
+    fn observation_space(&self) -> &ObservationSpace;
 
     /// What actions look like. Steps clip to its bounds.
     fn action_space(&self) -> &BoxSpace;
@@ -184,7 +196,7 @@ pub trait Env {
     ///
     /// # Errors
     /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error.
-    fn reset(&mut self, seed: Option<u64>) -> Result<&[f64], EnvError>;
+    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError>;
 
     /// Advances by one control step.
     ///
@@ -205,6 +217,12 @@ pub trait Env {
     /// # Errors
     /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError>;
+
+    /// Draws a picture for people: RGB, three bytes per pixel, top row first. The first one takes a while.
+    ///
+    /// # Errors
+    /// [`EnvError::Vision`] where there is no OpenGL to draw with or the buffer has the wrong length.
+    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError>;
 
     /// The simulation underneath.
     fn simulation(&self) -> &Simulation;

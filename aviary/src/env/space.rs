@@ -1,5 +1,9 @@
 use rand::{Rng as _, RngExt as _};
 
+use crate::observation::{Observation, ObservationType};
+use crate::vision::ImageSize;
+use crate::world::World;
+
 /// Vectors within bounds, one pair per entry; infinite where there is no bound.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoxSpace {
@@ -59,6 +63,54 @@ fn normal(rng: &mut super::Rng) -> f64 {
     let u = ((rng.next_u64() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64;
     let v: f64 = rng.random();
     (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+}
+
+/// What observations look like: the vector's space, and the shapes of the pictures that there are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ObservationSpace {
+    /// The task's vector; of size 0 where the observation type has none.
+    pub vector: BoxSpace,
+    /// Which parts there are.
+    pub kind: ObservationType,
+    /// Onboard cameras: one per drone.
+    pub cameras: usize,
+    /// Size of their pictures.
+    pub camera_size: ImageSize,
+}
+
+impl ObservationSpace {
+    /// Shape of the colour pictures, `[cameras, height, width, 4]`, each number in 0 to 255.
+    pub fn rgb_shape(&self) -> Option<[usize; 4]> {
+        let [cameras, height, width] = self.picture_shape();
+        self.kind.rgb.then_some([cameras, height, width, 4])
+    }
+
+    /// Shape of the depth pictures, `[cameras, height, width]`, each number in 0 to 100 m.
+    pub fn depth_shape(&self) -> Option<[usize; 3]> {
+        self.kind.depth.then_some(self.picture_shape())
+    }
+
+    /// Shape of the object pictures, `[cameras, height, width, 2]`.
+    pub fn segmentation_shape(&self) -> Option<[usize; 4]> {
+        let [cameras, height, width] = self.picture_shape();
+        self.kind.segmentation.then_some([cameras, height, width, 2])
+    }
+
+    fn picture_shape(&self) -> [usize; 3] {
+        [self.cameras, self.camera_size.height as usize, self.camera_size.width as usize]
+    }
+
+    /// Whether an observation is of this space.
+    pub fn contains(&self, observation: &Observation) -> bool {
+        let far = World::CLIP_PLANES[1] as f32 * 1.001;
+        let pixels = |on: bool| if on { self.cameras * self.camera_size.pixels() } else { 0 };
+        self.vector.contains(&observation.vector)
+            && observation.rgb.len() == 4 * pixels(self.kind.rgb)
+            && observation.depth.len() == pixels(self.kind.depth)
+            && observation.segmentation.len() == pixels(self.kind.segmentation)
+            && observation.depth.iter().all(|z| (0.0..=far).contains(z))
+            && observation.segmentation.iter().flatten().all(|&number| number >= -1)
+    }
 }
 
 #[cfg(test)]

@@ -1,0 +1,237 @@
+//! Onboard cameras and views end to end. Where there is no OpenGL library these tests pass without drawing:
+//! everything else must work there.
+
+use mujoco_drones_gym::mujoco::{Error, GeomId, ObjectId as _, gl_info};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::vision::{CAMERA_SIZE, Painter, intrinsics};
+use mujoco_drones_gym::world::World;
+use nalgebra::Vector3;
+
+fn no_gl() -> bool {
+    matches!(gl_info(), Err(Error::NoGl { .. }))
+}
+
+fn hovering(observation: ObservationType) -> Aviary<Hover> {
+    Hover::builder()
+        .initial_positions([[0.2, -0.3, 1.2]])
+        .initial_rpys([[0.1, 0.3, 2.0]])
+        .observation_type(observation)
+        .build()
+        .unwrap()
+}
+
+#[test]
+fn observations_have_the_papers_shapes() {
+    if no_gl() {
+        return;
+    }
+    let mut env = hovering(ObservationType::RGB);
+    assert_eq!(env.observation_space().rgb_shape(), Some([1, 48, 64, 4]));
+    let observation = env.reset(None).unwrap().clone();
+    assert_eq!((observation.rgb.len(), observation.vector.len()), (48 * 64 * 4, 0));
+    assert!(observation.rgb.chunks(4).all(|pixel| pixel[3] == 255));
+    assert!(env.observation_space().contains(&observation));
+
+    let everything = "kin_rgb_depth_segmentation".parse().unwrap();
+    let mut env = Hover::builder()
+        .observation_type(everything)
+        .camera_size(ImageSize { width: 100, height: 30 })
+        .build()
+        .unwrap();
+    let observation = env.reset(None).unwrap().clone();
+    let space = env.observation_space();
+    assert_eq!(space.depth_shape(), Some([1, 30, 100]));
+    assert_eq!(space.segmentation_shape(), Some([1, 30, 100, 2]));
+    assert!(space.contains(&observation) && observation.vector.len() == 12 && observation.depth.len() == 3000);
+    let step = env.step(&[0.3; 4]).unwrap();
+    assert!(step.observation.depth != observation.depth, "the camera has moved");
+
+    let error = Hover::builder().camera_size(ImageSize { width: 0, height: 48 }).build().unwrap_err();
+    assert!(error.to_string().contains("0x48"));
+}
+
+/// The paper's camera: [0.02, 0, 0] in the body, along body x, body z up, 60° of vertical field.
+#[test]
+fn the_onboard_camera_sees_the_floor_where_its_pose_and_field_of_view_say() {
+    if no_gl() {
+        return;
+    }
+    let mut env = hovering(ObservationType::DEPTH);
+    let depth = env.reset(None).unwrap().depth.clone();
+    let state = env.simulation().states()[0];
+    let eye = state.position + state.attitude * Vector3::new(0.02, 0.0, 0.0);
+    let [fx, fy, cx, cy] = intrinsics(CAMERA_SIZE);
+    assert!((2.0 * (24.0 / fy).atan() - 60_f64.to_radians()).abs() < 1e-12);
+    let mut seen = 0;
+    for row in 0..48 {
+        for column in 0..64 {
+            // right in the picture is −y of the body, down is −z
+            let (u, v) = ((f64::from(column) + 0.5 - cx) / fx, (f64::from(row) + 0.5 - cy) / fy);
+            let ray = state.attitude * Vector3::new(1.0, -u, -v);
+            let wanted = -eye.z / ray.z;
+            if ray.z < 0.0 && wanted < 10.0 {
+                let got = f64::from(depth[row as usize * 64 + column as usize]);
+                assert!((got - wanted).abs() < 1e-3, "({column}, {row}): {got} {wanted}");
+                seen += 1;
+            }
+        }
+    }
+    assert!(seen > 1500, "{seen} pixels of floor");
+}
+
+#[test]
+fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own() {
+    if no_gl() {
+        return;
+    }
+    let simulation = Simulation::builder(DroneModel::Cf2x)
+        .drones([DroneModel::Cf2x, DroneModel::Race, DroneModel::Cf2p].map(DroneModel::params))
+        .initial_positions([[0.0, 0.0, 1.0], [0.45, 0.05, 0.95], [0.3, -0.1, 1.05]])
+        .initial_rpys([[0.0, 0.0, 0.0], [0.2, 0.1, 1.0], [0.3, -0.5, 3.0]])
+        .build()
+        .unwrap();
+    let mut painter = Painter::for_observations(simulation.world()).unwrap();
+    painter.update(simulation.states()).unwrap();
+    let size = ImageSize { width: 160, height: 120 };
+    let mut objects = vec![[0; 2]; size.pixels()];
+    painter.onboard_segmentation(0, size, &mut objects).unwrap();
+    let names = painter.objects();
+    let name = |index: i32| names.iter().find(|object| object.index == index).map_or("?", |object| &object.name);
+    let seen: std::collections::BTreeSet<_> = objects.iter().filter(|o| o[0] == 5).map(|o| name(o[1])).collect();
+    for part in ["floor", "drone1_frame", "drone1_propellers", "drone2_frame", "drone2_propellers"] {
+        assert!(seen.contains(part), "{part} is not in {seen:?}");
+    }
+    assert!(!seen.iter().any(|name| name.starts_with("drone0") || *name == "?"), "{seen:?}");
+
+    let data = painter.data();
+    let own = data.model().find(&World::drone_name(0)).unwrap();
+    // what is drawn: everything but the group of the collision geoms
+    let groups = std::array::from_fn(|group| group != World::COLLISION_GROUP);
+    let state = simulation.states()[0];
+    let eye = state.position + state.attitude * Vector3::from(World::CAMERA_POSITION);
+    let [fx, fy, cx, cy] = intrinsics(size);
+    let mut agree = 0;
+    for (pixel, object) in objects.iter().enumerate() {
+        let (column, row) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
+        let ray = state.attitude * Vector3::new(1.0, -(column - cx) / fx, -(row - cy) / fy);
+        let hit = data.ray(eye.into(), ray.into(), groups, Some(own)).unwrap();
+        let wanted =
+            hit.filter(|(_, t)| *t < 100.0).map_or([-1, -1], |(geom, _): (GeomId, f64)| [5, geom.get() as i32]);
+        agree += usize::from(*object == wanted);
+    }
+    let share = agree as f64 / size.pixels() as f64;
+    assert!(share >= 0.99, "{share}");
+}
+
+#[test]
+fn the_same_state_is_the_same_picture_in_every_environment_and_after_a_reset() {
+    if no_gl() {
+        return;
+    }
+    let kind = "rgb_depth_segmentation".parse().unwrap();
+    let mut first = hovering(kind);
+    let start = first.reset(Some(1)).unwrap().clone();
+    for _ in 0..10 {
+        first.step(&[0.2, -0.1, 0.0, 0.1]).unwrap();
+    }
+    assert!(*first.reset(Some(2)).unwrap() == start);
+    assert!(*hovering(kind).reset(None).unwrap() == start);
+}
+
+#[test]
+fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
+    if no_gl() {
+        return;
+    }
+    let size = ImageSize { width: 320, height: 240 };
+    for model in DroneModel::ALL {
+        let simulation = Simulation::builder(model).initial_positions([[0.0, 0.0, 0.9]]).build().unwrap();
+        let mut painter = Painter::for_observations(simulation.world()).unwrap();
+        painter.update(simulation.states()).unwrap();
+        let drones: Vec<_> = painter.objects().into_iter().filter(|o| o.drone == Some(0)).map(|o| o.index).collect();
+        assert_eq!(drones.len(), 7);
+        for view in View::ALL {
+            let mut objects = vec![[0; 2]; size.pixels()];
+            painter.segmentation(view, size, &mut objects).unwrap();
+            let pixels = objects.iter().filter(|o| drones.contains(&o[1])).count();
+            let expected = match view {
+                View::Track => 1000..60_000,
+                View::Fpv => 0..1,
+                View::Fixed | View::Front => 30..20_000,
+            };
+            assert!(expected.contains(&pixels), "{model} {view}: {pixels} pixels");
+        }
+    }
+    let mut env = hovering(ObservationType::KIN);
+    env.reset(None).unwrap();
+    let mut rgb = vec![0; 3 * size.pixels()];
+    for view in View::ALL {
+        env.render(view, size, &mut rgb).unwrap();
+        let mut colours: Vec<_> = rgb.chunks(3).collect();
+        colours.sort();
+        colours.dedup();
+        assert!(colours.len() > 50, "{view} is nearly empty");
+    }
+    assert!(env.render(View::Track, size, &mut rgb[1..]).is_err());
+}
+
+/// Motor 0 is in front of a plus-frame Crazyflie and in front on the left of the other: so it is drawn, too.
+#[test]
+fn airframes_are_drawn_the_way_their_motors_sit() {
+    if no_gl() {
+        return;
+    }
+    for model in DroneModel::ALL {
+        let params = model.params();
+        let simulation = Simulation::builder(model).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
+        let mut painter = Painter::for_observations(simulation.world()).unwrap();
+        painter.update(simulation.states()).unwrap();
+        let data = painter.data();
+        // drawn motors may sit further out than L (92 mm between opposite ones), but on the same lines
+        let hits = |angle: f64| {
+            let groups = std::array::from_fn(|group| group == World::VISUAL_GROUP);
+            (0..70).any(|step| {
+                let radius = params.arm_length * (0.9 + 0.005 * f64::from(step));
+                let from = [radius * angle.cos(), radius * angle.sin(), 0.5];
+                data.ray(from, [0.0, 0.0, 1.0], groups, None).unwrap().is_some()
+            })
+        };
+        for [x, y] in params.motor_positions() {
+            assert!(hits(y.atan2(x)), "{model}: no motor is drawn towards ({x}, {y})");
+            assert!(!hits(y.atan2(x) + std::f64::consts::FRAC_PI_4), "{model}: a motor is drawn between two");
+        }
+    }
+}
+
+/// The directory is read when the scene is made, in a process of its own: the variable is the process's.
+#[test]
+fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
+    const CHILD: &str = "CAMERAS_TEST_OVERRIDE";
+    if let Ok(expected) = std::env::var(CHILD) {
+        let simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
+        match Painter::for_observations(simulation.world()) {
+            Ok(painter) => assert_eq!(painter.data().model().nmeshface().to_string(), expected),
+            Err(error) => assert!(error.to_string().contains(&expected), "{error}"),
+        }
+        return;
+    }
+    if no_gl() {
+        return;
+    }
+    let run = |directory: &std::path::Path, expected: &str| {
+        let status = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named"])
+            .env(CHILD, expected)
+            .env("MJ_DRONES_CF2_ASSETS", directory)
+            .status()
+            .unwrap();
+        assert!(status.success(), "{expected}");
+    };
+    let directory = tempfile::tempdir().unwrap();
+    run(directory.path(), "cf2_0.obj");
+    let tetrahedron = "v 0 0 0\nv .01 0 0\nv 0 .01 0\nv 0 0 .01\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+    for index in 0..7 {
+        std::fs::write(directory.path().join(format!("cf2_{index}.obj")), tetrahedron).unwrap();
+    }
+    run(directory.path(), "28");
+}
