@@ -92,8 +92,18 @@ struct Onboard {
 
 impl Onboard {
     fn new() -> Self {
-        let simulation =
-            Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build().expect("a simulation");
+        Self::among(1)
+    }
+
+    /// The first of so many drones, with the others in front of it.
+    fn among(count: usize) -> Self {
+        let simulation = Simulation::builder(DroneModel::Cf2x)
+            .num_drones(count)
+            .initial_positions(
+                (0..count).map(|i| [0.3 * i as f64, 0.1 * ((i % 3) as f64 - 1.0) * (i > 0) as u8 as f64, 1.0]),
+            )
+            .build()
+            .expect("a simulation");
         let painter = Painter::for_observations(simulation.world()).expect("a painter");
         Self { simulation, painter }
     }
@@ -165,7 +175,7 @@ fn main() {
     let mut depth = vec![0.0; SMALL.pixels()];
     let mut objects = vec![[0; 2]; SMALL.pixels()];
     let row = |name: &str, rate: f64, stock: f64| {
-        println!("{name:<28}{rate:>8.0} frames/s  {:>6.1} × stock on one core", rate / stock)
+        println!("{name:<30}{rate:>8.0} frames/s  {:>6.1} × stock on one core", rate / stock)
     };
     row(&format!("RGB {SMALL}"), rate(2.0, || onboard.rgb(SMALL, &mut small)), stock_one_core.0);
     let depth_rate = rate(2.0, || {
@@ -179,7 +189,9 @@ fn main() {
     });
     row(&format!("segmentation {SMALL}"), segmentation_rate, stock_one_core.0);
     row(&format!("RGB {LARGE}"), rate(2.0, || onboard.rgb(LARGE, &mut large)), stock_one_core.1);
-    drop(onboard);
+    let mut group = Onboard::among(4);
+    row(&format!("RGB {SMALL}, 3 drones ahead"), rate(2.0, || group.rgb(SMALL, &mut small)), stock_one_core.0);
+    drop((onboard, group));
 
     let mut ratios: Vec<_> = (0..5)
         .map(|_| {

@@ -32,7 +32,7 @@ fn main() -> anyhow::Result<()> {
 
     let three = Simulation::builder(DroneModel::Cf2x)
         .drones([DroneModel::Cf2x, DroneModel::Cf2p, DroneModel::Race].map(DroneModel::params))
-        .initial_positions([[0.0, 0.0, 0.8], [0.5, 0.25, 1.0], [0.6, -0.35, 1.1]])
+        .initial_positions([[0.0, 0.0, 0.8], [0.35, 0.12, 0.86], [0.8, -0.2, 0.78]])
         .build()?;
     let mut painter = Painter::for_people(three.world())?;
     painter.update(three.states())?;

@@ -103,6 +103,8 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
     }
     assert!(!seen.iter().any(|name| name.starts_with("drone0") || *name == "?"), "{seen:?}");
 
+    let mut depth = vec![0.0; size.pixels()];
+    painter.onboard_depth(0, size, &mut depth).unwrap();
     let data = painter.data();
     let own = data.model().find(&World::drone_name(0)).unwrap();
     // what is drawn: everything but the group of the collision geoms
@@ -110,7 +112,7 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
     let state = simulation.states()[0];
     let eye = state.position + state.attitude * Vector3::from(World::CAMERA_POSITION);
     let [fx, fy, cx, cy] = intrinsics(size);
-    let mut agree = 0;
+    let (mut agree, mut near) = (0, 0);
     for (pixel, object) in objects.iter().enumerate() {
         let (column, row) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
         let ray = state.attitude * Vector3::new(1.0, -(column - cx) / fx, -(row - cy) / fy);
@@ -118,9 +120,14 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
         let wanted =
             hit.filter(|(_, t)| *t < 100.0).map_or([-1, -1], |(geom, _): (GeomId, f64)| [5, geom.get() as i32]);
         agree += usize::from(*object == wanted);
+        let distance = hit.map_or(100.0, |(_, t)| t.min(100.0));
+        // far floor and silhouettes aside, depth is the ray's to a millimetre: propellers and pins included
+        near += usize::from((f64::from(depth[pixel]) - distance).abs() < 1e-3 * f64::max(1.0, distance));
     }
-    let share = agree as f64 / size.pixels() as f64;
-    assert!(share >= 0.99, "{share}");
+    for (what, count) in [("objects", agree), ("depth", near)] {
+        let share = count as f64 / size.pixels() as f64;
+        assert!(share >= 0.99, "{what}: {share}");
+    }
 }
 
 #[test]

@@ -149,7 +149,8 @@ impl Painter {
         Self::new(world, Quality::FAST, Effects::default())
     }
 
-    /// For people: shadows, reflections, sky and several samples per pixel.
+    /// For people: shadows, reflections, sky and several samples per pixel. Propellers are a little transparent, so
+    /// that depth leaves them out.
     ///
     /// # Errors
     /// As for [`for_observations`](Self::for_observations).
@@ -163,7 +164,11 @@ impl Painter {
     /// As for [`for_observations`](Self::for_observations).
     pub fn new(world: &World, quality: Quality, effects: Effects) -> Result<Self, BuildError> {
         let (xml, assets) = world.to_visible_mjcf()?;
-        let data = Data::new(Model::from_xml_with_assets(&xml, &assets)?)?;
+        let mut model = Model::from_xml_with_assets(&xml, &assets)?;
+        if effects.shadows {
+            thin_blades(&mut model, world)?;
+        }
+        let data = Data::new(model)?;
         let model = data.shared_model();
         let mut scene = Scene::new(model.clone(), 20_000)?;
         scene.set_effects(effects);
@@ -232,11 +237,11 @@ impl Painter {
         };
         // a metre of scene beyond the outermost drones
         let (stage, reach) = self.stage;
-        let stage = Vector3::new(stage.x, stage.y, stage.z.max(0.6));
+        let stage = Vector3::new(stage.x, stage.y, stage.z.max(0.75));
         match view {
             View::Fpv => Camera::Fixed(self.cameras[0]),
             View::Track => orbit(self.centre, self.size + 2.2 * self.spread, 35.0, -22.0),
-            View::Fixed => orbit(stage, 1.6 + 2.2 * reach, 50.0, -20.0),
+            View::Fixed => orbit(stage, 1.7 + 2.2 * reach, 50.0, -20.0),
             View::Front => orbit(stage, 1.6 + 2.2 * reach, 180.0, -4.0),
         }
     }
@@ -341,6 +346,18 @@ impl Painter {
     pub fn data(&self) -> &Data {
         &self.data
     }
+}
+
+/// Makes propellers a little transparent: a shadow map stripes their thin blades with their own shadows, and what is
+/// transparent receives none. (It has no depth either, which is why cameras for agents see them opaque.)
+fn thin_blades(model: &mut Model, world: &World) -> Result<(), Error> {
+    for index in 0..world.drones.len() {
+        let blades: GeomId = model.find(&format!("{}_propellers", World::drone_name(index)))?;
+        if let Ok(material) = usize::try_from(model.geom_matid()[blades.index()]) {
+            model.patch().mat_rgba_mut()[4 * material + 3] = 0.85;
+        }
+    }
+    Ok(())
 }
 
 /// Middle and reach of points.

@@ -1,32 +1,100 @@
-use anyhow::anyhow;
+use std::process::Command;
+
+use anyhow::{Context as _, anyhow};
 use clap::Args;
+use mujoco_rs::{Camera, Data, GlBackend, ImageSize, Model, Quality, Renderer, Scene};
 use serde_json::json;
 
 use crate::failure::Failure;
 use crate::output;
 
 /// What the program needs from this machine, and whether it is there
+///
+/// Exit status 1 if something needed is missing, with the command that mends it.
 #[derive(Debug, Args)]
 pub struct Doctor {
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
+    /// Draw with the library that MUJOCO_GL names and say how it went: what doctor asks of itself
+    #[arg(long, hide = true)]
+    probe: bool,
+}
+
+/// What a way to OpenGL answered.
+struct Answer {
+    backend: GlBackend,
+    works: bool,
+    detail: String,
 }
 
 impl Doctor {
     pub fn run(&self) -> Result<(), Failure> {
+        if self.probe {
+            return output::print(&draw().map_err(Failure::work)?);
+        }
         let checked = mujoco_rs::check_library();
         let [major, minor, patch] = mujoco_rs::library_version();
         let version = format!("{major}.{minor}.{patch}");
+        let answers = GlBackend::ALL.map(ask);
+        let drawn = answers.iter().any(|answer| answer.works);
+        let ok = checked.is_ok() && drawn;
+
         if self.json {
-            output::print_json(&json!({ "mujoco_version": version, "ok": checked.is_ok() }))?;
+            let gl: Vec<_> = answers
+                .iter()
+                .map(|answer| json!({ "backend": answer.backend.name(), "works": answer.works, "detail": answer.detail }))
+                .collect();
+            output::print_json(&json!({ "mujoco_version": version, "gl": gl, "ok": ok }))?;
         } else {
-            let answer = match &checked {
-                Ok(()) => "works".to_string(),
-                Err(error) => error.to_string(),
+            let state = |works: bool, detail: &str| format!("{} ({detail})", if works { "works" } else { "no" });
+            let mujoco = match &checked {
+                Ok(()) => state(true, &version),
+                Err(error) => state(false, &error.to_string()),
             };
-            output::print(&output::table(&[("MuJoCo", version), ("library", answer)]))?;
+            let mut rows = vec![("MuJoCo", mujoco)];
+            rows.extend(answers.iter().map(|answer| (answer.backend.name(), state(answer.works, &answer.detail))));
+            output::print(&output::table(&rows))?;
         }
-        checked.map_err(|error| Failure::work(anyhow!("{error}: run ./setup and build again")))
+        checked.map_err(|error| Failure::work(anyhow!("{error}: run `./setup` and build again")))?;
+        if !drawn {
+            let packages = GlBackend::ALL.map(GlBackend::packages).join(" ");
+            return Err(Failure::work(anyhow!("nothing to draw with: run `apt-get install {packages}`")));
+        }
+        Ok(())
     }
+}
+
+/// Asks about one library in a process of its own: a process keeps the first that works.
+fn ask(backend: GlBackend) -> Answer {
+    let tried = (|| {
+        let program = std::env::current_exe().context("this program's own file")?;
+        let output = Command::new(program).args(["doctor", "--probe"]).env("MUJOCO_GL", backend.name()).output()?;
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().trim_start_matches("error: ").to_string();
+        if output.status.success() {
+            Ok(text(&output.stdout))
+        } else {
+            let error = text(&output.stderr);
+            Err(anyhow!(if error.is_empty() { output.status.to_string() } else { error }))
+        }
+    })();
+    match tried {
+        Ok(detail) => Answer { backend, works: true, detail },
+        Err(error) => Answer { backend, works: false, detail: format!("{error:#}") },
+    }
+}
+
+/// Draws a ball and looks whether it is there.
+fn draw() -> anyhow::Result<String> {
+    let mut data = Data::new(Model::from_xml("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")?)?;
+    data.kinematics()?;
+    let model = data.shared_model();
+    let mut scene = Scene::new(model.clone(), 0)?;
+    let camera = Camera::Free { lookat: [0.0; 3], distance: 4.0, azimuth: 0.0, elevation: 0.0 };
+    scene.update(&mut data, &camera)?;
+    let size = ImageSize { width: 9, height: 9 };
+    let mut objects = vec![[0; 2]; size.pixels()];
+    Renderer::new(model, Quality::FAST)?.segmentation(&mut scene, size, &mut objects)?;
+    anyhow::ensure!(objects[40][1] == 0 && objects[0][1] == -1, "it draws, but not what it was given");
+    Ok(mujoco_rs::gl_info()?.device)
 }

@@ -1,50 +1,43 @@
-use std::path::{Path, PathBuf};
+use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::anyhow;
-use aviary::control::{Controller, PidControl};
-use aviary::drone::{DroneModel, DroneParams};
 use aviary::env::{Env, Info};
 use aviary::record::CsvLog;
-use aviary::tasks::Hover;
+use aviary::record::picture::GifAnimation;
+use aviary::vision::{ImageSize, View};
 use clap::Args;
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
-use crate::output::{self, OutputDir};
+use crate::options::{FlightOptions, named, size, vision_failure};
+use crate::output::{self, OutputDir, OutputFile};
+use crate::pilot::Pilot;
 
 /// Fly a task with a built-in controller and report how well
 ///
 /// Exit status 1 if a drone crashes.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Examples:\n  aviary fly --task hover\n  aviary fly --task hover --drone race --out out/hover --json"
-)]
+#[command(after_help = "Examples:
+  aviary fly --task hover
+  aviary fly --task hover --drone race --out out/hover --json
+  aviary fly --task hover --duration 3 --gif out/hover.gif --camera front")]
 pub struct Fly {
-    /// Task to fly; `aviary tasks` lists them
-    #[arg(long)]
-    task: String,
-    /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
-    #[arg(long, default_value = "cf2x")]
-    drone: String,
-    /// Controller: pid
-    #[arg(long, default_value = "pid")]
-    controller: String,
-    /// Simulated seconds; the task's episode by default
-    #[arg(long, allow_negative_numbers = true)]
-    duration: Option<f64>,
-    /// Physics rate, Hz, a multiple of the control rate
-    #[arg(long, default_value_t = 240)]
-    sim_freq: u32,
-    /// Control rate, Hz
-    #[arg(long, default_value_t = 48)]
-    ctrl_freq: u32,
-    /// Seed of everything random
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
+    #[command(flatten)]
+    options: FlightOptions,
     /// Directory for the flight's log (log.csv) and summary (summary.json)
     #[arg(long)]
     out: Option<PathBuf>,
+    /// Animation to write
+    #[arg(long)]
+    gif: Option<PathBuf>,
+    /// Camera of the animation: track, fpv, fixed, front
+    #[arg(long, default_value = "track")]
+    camera: String,
+    /// Size of the animation, pixels
+    #[arg(long, value_parser = size, default_value = "320x240")]
+    size: ImageSize,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -52,13 +45,13 @@ pub struct Fly {
 
 impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
-        let drone = drone(&self.drone)?;
-        one_of("controller", &self.controller, &["pid"])?;
-        let mut env = self.environment(drone)?;
+        let view = named::<View>("camera", &self.camera, &View::ALL.map(View::name))?;
+        let mut pilot = Pilot::new(&self.options)?;
         let out = self.out.as_deref().map(OutputDir::create).transpose()?;
-        let flight = self.flight(&mut *env, out.as_ref())?;
+        let film = self.gif.as_deref().map(|path| Film::begin(OutputFile::begin(path)?, &pilot, view, self.size));
+        let flight = self.flight(&mut pilot, out.as_ref(), film.transpose()?)?;
 
-        let summary = flight.json(&*env, self);
+        let summary = flight.json(pilot.env(), &self.options);
         if let Some(out) = &out {
             // what depends on the machine's speed stays out of the file: equal seeds give equal files
             let mut file = summary.clone();
@@ -68,9 +61,9 @@ impl Fly {
             out.write("summary.json", format!("{file:#}\n").as_bytes())?;
         }
         if self.json {
-            output::print_json(&summary)?
+            output::print_json(&summary)?;
         } else {
-            output::print(&flight.table(&*env))?
+            output::print(&flight.table(pilot.env()))?;
         }
         match flight.info.end {
             Some(end) if end.is_crash() => {
@@ -80,78 +73,121 @@ impl Fly {
         }
     }
 
-    fn environment(&self, drone: DroneParams) -> Result<Box<dyn Env>, Failure> {
-        one_of("task", &self.task, &aviary::tasks::all().iter().map(|task| task.name).collect::<Vec<_>>())?;
-        let mut builder = Hover::builder().drone(drone).sim_freq(self.sim_freq).ctrl_freq(self.ctrl_freq);
-        if let Some(seconds) = self.duration {
-            builder = builder.episode_seconds(seconds);
-        }
-        Ok(Box::new(builder.build().map_err(Failure::input)?))
-    }
-
     /// Flies one episode.
-    fn flight(&self, env: &mut dyn Env, out: Option<&OutputDir>) -> Result<Flight, Failure> {
-        let drones = env.simulation().num_drones();
-        let dt = env.simulation().control_period();
-        let mut controllers: Vec<_> =
-            (0..drones).map(|drone| PidControl::new(env.simulation().params(drone))).collect();
-        let mut speeds = vec![[0.0; 4]; drones];
-        let mut action = vec![0.0; env.action_space().size()];
+    fn flight(&self, pilot: &mut Pilot, out: Option<&OutputDir>, mut film: Option<Film>) -> Result<Flight, Failure> {
+        let mut log = match out {
+            Some(dir) => Some(CsvLog::new(dir.begin("log.csv")?.into_writer()).map_err(Failure::work)?),
+            None => None,
+        };
+        let steps = pilot.env().episode_steps();
+        let bar = output::progress(steps, "flying");
         let mut errors = Errors::default();
         let mut reward = 0.0;
-        let mut log = out.map(|dir| Ok((dir, CsvLog::new(dir.begin()?).map_err(Failure::work)?))).transpose()?;
-
-        let start = Instant::now();
-        env.reset(Some(self.seed)).map_err(Failure::work)?;
+        let mut wall_seconds = 0.0;
         loop {
-            if let Some((_, log)) = &mut log {
-                log.record(env.simulation()).map_err(Failure::work)?;
+            if let Some(log) = &mut log {
+                log.record(pilot.env().simulation()).map_err(Failure::work)?;
             }
-            for (drone, (controller, speeds)) in controllers.iter_mut().zip(&mut speeds).enumerate() {
-                *speeds = controller.control(dt, &env.simulation().states()[drone], &env.reference(drone)).rpm;
+            if let Some(film) = &mut film {
+                film.look(pilot.env_mut())?;
             }
-            env.action_of_motor_speeds(&speeds, &mut action).map_err(Failure::work)?;
-            let step = env.step(&action).map_err(Failure::work)?;
-            reward += step.reward;
-            let over = step.terminated || step.truncated;
-            errors.note(env);
-            if over {
+            let start = Instant::now();
+            let flown = pilot.step()?;
+            wall_seconds += start.elapsed().as_secs_f64();
+            reward += flown.reward;
+            errors.note(pilot.env());
+            if pilot.env().simulation().control_steps().is_multiple_of(64) {
+                bar.set_position(pilot.env().simulation().control_steps());
+            }
+            if flown.over {
                 break;
             }
         }
-        let wall_seconds = start.elapsed().as_secs_f64();
-        if let Some((dir, mut log)) = log {
-            log.record(env.simulation()).map_err(Failure::work)?;
-            dir.keep(log.finish().map_err(Failure::work)?, "log.csv")?;
+        bar.finish_and_clear();
+        if let Some(mut log) = log {
+            log.record(pilot.env().simulation()).map_err(Failure::work)?;
+            log.finish().map_err(Failure::work)?.keep()?;
         }
-        Ok(Flight { info: env.info(), reward, wall_seconds, errors })
+        if let Some(film) = film {
+            film.finish(pilot.env_mut())?;
+        }
+        Ok(Flight { info: pilot.env().info(), reward, wall_seconds, errors })
     }
 }
 
-/// Position errors over a flight, one entry per control step and drone.
+/// An animation being made: a frame every so many control steps, about 24 a second.
+struct Film {
+    animation: GifAnimation<output::FileWriter>,
+    view: View,
+    size: ImageSize,
+    every: u64,
+    next: u64,
+    rgb: Vec<u8>,
+}
+
+impl Film {
+    fn begin(file: OutputFile, pilot: &Pilot, view: View, size: ImageSize) -> Result<Self, Failure> {
+        let simulation = pilot.env().simulation();
+        let every = u64::from((simulation.ctrl_freq() / 24).max(1));
+        let seconds = every as f64 * simulation.control_period();
+        let animation = GifAnimation::new(file.into_writer(), size, seconds).map_err(Failure::work)?;
+        Ok(Self { animation, view, size, every, next: 0, rgb: vec![0; 3 * size.pixels()] })
+    }
+
+    /// Takes a frame if it is time for one.
+    fn look(&mut self, env: &mut dyn Env) -> Result<(), Failure> {
+        if env.simulation().control_steps() < self.next {
+            return Ok(());
+        }
+        self.next += self.every;
+        self.frame(env)
+    }
+
+    fn frame(&mut self, env: &mut dyn Env) -> Result<(), Failure> {
+        env.render(self.view, self.size, &mut self.rgb).map_err(vision_failure)?;
+        self.animation.frame(&self.rgb).map_err(Failure::work)
+    }
+
+    /// Adds the last moment and gives the file its name.
+    fn finish(mut self, env: &mut dyn Env) -> Result<(), Failure> {
+        self.frame(env)?;
+        self.animation.finish().map_err(Failure::work)?.keep()
+    }
+}
+
+/// Position errors over a flight, one sample per control step and drone.
 #[derive(Debug, Default)]
 struct Errors {
-    /// Time of the step's end and the drone's distance from its reference.
-    samples: Vec<(f64, f64)>,
+    squares: f64,
+    count: u64,
+    peak: f64,
+    /// Times and squared errors of the last two seconds.
+    recent: VecDeque<(f64, f64)>,
 }
 
 impl Errors {
     fn note(&mut self, env: &dyn Env) {
         let simulation = env.simulation();
+        let time = simulation.time();
         for drone in 0..simulation.num_drones() {
-            self.samples.push((simulation.time(), simulation.distance(drone, &env.reference(drone).position)));
+            let error = simulation.distance(drone, &env.reference(drone).position);
+            self.squares += error * error;
+            self.count += 1;
+            self.peak = self.peak.max(error);
+            self.recent.push_back((time, error * error));
+        }
+        while self.recent.front().is_some_and(|(t, _)| *t < time - 2.0) {
+            self.recent.pop_front();
         }
     }
 
-    fn rms_since(&self, time: f64) -> f64 {
-        let (sum, count) = (self.samples.iter())
-            .filter(|(t, _)| *t >= time)
-            .fold((0.0, 0_u32), |(sum, count), (_, error)| (sum + error * error, count + 1));
-        (sum / f64::from(count.max(1))).sqrt()
+    fn rms(&self) -> f64 {
+        (self.squares / self.count.max(1) as f64).sqrt()
     }
 
-    fn peak(&self) -> f64 {
-        self.samples.iter().map(|(_, error)| *error).fold(0.0, f64::max)
+    fn rms_last_2s(&self) -> f64 {
+        let sum: f64 = self.recent.iter().map(|(_, square)| square).sum();
+        (sum / self.recent.len().max(1) as f64).sqrt()
     }
 }
 
@@ -165,7 +201,7 @@ struct Flight {
 }
 
 impl Flight {
-    fn json(&self, env: &dyn Env, options: &Fly) -> Value {
+    fn json(&self, env: &dyn Env, options: &FlightOptions) -> Value {
         let simulation = env.simulation();
         let crashed = self.info.crashed();
         let drones: Vec<_> = (simulation.states().iter())
@@ -184,9 +220,9 @@ impl Flight {
             "simulated_seconds": self.info.time,
             "wall_seconds": self.wall_seconds,
             "final_position_error": self.info.position_error,
-            "rms_position_error": self.errors.rms_since(0.0),
-            "rms_position_error_last_2s": self.errors.rms_since(self.info.time - 2.0),
-            "peak_position_error": self.errors.peak(),
+            "rms_position_error": self.errors.rms(),
+            "rms_position_error_last_2s": self.errors.rms_last_2s(),
+            "peak_position_error": self.errors.peak,
             "drones": drones,
         })
     }
@@ -202,38 +238,10 @@ impl Flight {
             ("task", format!("{} with {}", env.name(), env.simulation().params(0).name)),
             ("success", success),
             ("final position error", centimetres(self.info.position_error)),
-            ("RMS position error, last 2 s", centimetres(self.errors.rms_since(self.info.time - 2.0))),
+            ("RMS position error, last 2 s", centimetres(self.errors.rms_last_2s())),
             ("reward", format!("{:.2}", self.reward)),
             ("simulated time", format!("{:.2} s", self.info.time)),
             ("simulated s per wall s", format!("{:.0}", self.info.time / self.wall_seconds.max(1e-9))),
         ])
     }
-}
-
-/// A built-in airframe by name, or one from a file.
-fn drone(name: &str) -> Result<DroneParams, Failure> {
-    if let Ok(model) = name.parse::<DroneModel>() {
-        return Ok(model.params());
-    }
-    if Path::new(name).extension().is_some_and(|extension| extension == "toml") {
-        return DroneParams::from_file(name).map_err(Failure::input);
-    }
-    let models: Vec<_> = DroneModel::ALL.iter().map(|model| model.name()).collect();
-    one_of("drone", name, &models)?;
-    Err(Failure::input(anyhow!("--drone is `{name}`")))
-}
-
-/// Refuses a name that is not in the list, with the nearest one that is.
-fn one_of(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
-    if names.contains(&name) {
-        return Ok(());
-    }
-    let near = names
-        .iter()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
-        .filter(|(likeness, _)| *likeness > 0.7)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
-        .unwrap_or_default();
-    Err(Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}{near}", names.join(", "))))
 }

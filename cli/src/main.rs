@@ -1,9 +1,13 @@
 //! The command line of mujoco-drones-gym: parses, calls, prints.
 
+mod capture;
 mod doctor;
 mod failure;
 mod fly;
+mod options;
 mod output;
+mod pilot;
+mod render;
 mod tasks;
 
 use std::process::ExitCode;
@@ -22,6 +26,10 @@ struct Cli {
 enum Command {
     /// Fly a task with a built-in controller and report how well
     Fly(fly::Fly),
+    /// Write camera observations of a flight: colour, depth, objects and states
+    Capture(capture::Capture),
+    /// Draw one picture of a task's scene
+    Render(render::Render),
     /// List the tasks
     Tasks(tasks::Tasks),
     /// Check what the program needs from this machine
@@ -39,6 +47,8 @@ fn main() -> ExitCode {
     };
     let done = match &cli.command {
         Command::Fly(command) => command.run(),
+        Command::Capture(command) => command.run(),
+        Command::Render(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Doctor(command) => command.run(),
     };

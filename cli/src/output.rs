@@ -1,10 +1,11 @@
-//! Standard output and output files.
+//! Standard output, output files, and progress.
 
 use std::fs;
-use std::io::Write as _;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressStyle};
 use tempfile::NamedTempFile;
 
 use crate::failure::Failure;
@@ -30,6 +31,96 @@ pub fn table(rows: &[(&str, String)]) -> String {
     rows.iter().map(|(label, value)| format!("{label:width$}  {value}\n")).collect()
 }
 
+/// A bar on a terminal, nothing where standard error is piped.
+pub fn progress(length: u64, what: &'static str) -> ProgressBar {
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {per_sec} {eta}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(length).with_style(style).with_message(what)
+}
+
+/// A file that appears under its name when it is finished, whole, or not at all.
+#[derive(Debug)]
+pub struct OutputFile {
+    file: NamedTempFile,
+    path: PathBuf,
+}
+
+impl OutputFile {
+    /// Begins a file, before any work is done for it.
+    pub fn begin(path: &Path) -> Result<Self, Failure> {
+        let directory = match path.parent() {
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
+        };
+        let begin = || {
+            if path.file_name().is_none() || path.is_dir() {
+                return Err(std::io::Error::from(std::io::ErrorKind::IsADirectory));
+            }
+            fs::create_dir_all(directory)?;
+            NamedTempFile::new_in(directory)
+        };
+        let file = begin().with_context(|| path.display().to_string()).map_err(Failure::work)?;
+        Ok(Self { file, path: path.to_path_buf() })
+    }
+
+    /// To be written through a buffer, piece by piece.
+    pub fn into_writer(self) -> FileWriter {
+        let file = BufWriter::new(self.file);
+        FileWriter { file, path: self.path }
+    }
+
+    /// Gives the finished file its name.
+    fn keep(self) -> Result<(), Failure> {
+        let Self { file, path } = self;
+        let keep = || {
+            // temporary files are private to their owner; output files are like any other
+            #[cfg(unix)]
+            {
+                use std::os::unix::fs::PermissionsExt as _;
+                file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
+            }
+            file.persist(&path).map_err(|error| error.error).map(drop)
+        };
+        keep().with_context(|| path.display().to_string()).map_err(Failure::work)
+    }
+
+    /// Writes it whole.
+    pub fn write(mut self, bytes: &[u8]) -> Result<(), Failure> {
+        self.file.write_all(bytes).with_context(|| self.path.display().to_string()).map_err(Failure::work)?;
+        self.keep()
+    }
+}
+
+/// An [`OutputFile`] that is being written.
+#[derive(Debug)]
+pub struct FileWriter {
+    file: BufWriter<NamedTempFile>,
+    path: PathBuf,
+}
+
+impl FileWriter {
+    /// Gives the finished file its name.
+    pub fn keep(self) -> Result<(), Failure> {
+        let Self { file, path } = self;
+        let file = file
+            .into_inner()
+            .map_err(|error| error.into_error())
+            .with_context(|| path.display().to_string())
+            .map_err(Failure::work)?;
+        OutputFile { file, path }.keep()
+    }
+}
+
+impl Write for FileWriter {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.file.flush()
+    }
+}
+
 /// A directory for output files, made where it is missing.
 #[derive(Debug)]
 pub struct OutputDir(PathBuf);
@@ -45,33 +136,13 @@ impl OutputDir {
         Ok(Self(path.to_path_buf()))
     }
 
-    /// Begins a file that appears under its name when it is [kept](Self::keep), whole, or not at all.
-    pub fn begin(&self) -> Result<NamedTempFile, Failure> {
-        NamedTempFile::new_in(&self.0).with_context(|| self.0.display().to_string()).map_err(Failure::work)
+    /// Begins a file in it.
+    pub fn begin(&self, name: &str) -> Result<OutputFile, Failure> {
+        OutputFile::begin(&self.0.join(name))
     }
 
-    /// Gives a finished file its name.
-    pub fn keep(&self, file: NamedTempFile, name: &str) -> Result<PathBuf, Failure> {
-        let path = self.0.join(name);
-        let kept = (|| {
-            // temporary files are private to their owner; output files are like any other
-            #[cfg(unix)]
-            {
-                use std::os::unix::fs::PermissionsExt as _;
-                file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
-            }
-            file.persist(&path).map_err(|error| error.error)?;
-            Ok::<_, std::io::Error>(())
-        })();
-        kept.with_context(|| path.display().to_string()).map_err(Failure::work)?;
-        Ok(path)
-    }
-
-    /// Writes a whole file.
-    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<PathBuf, Failure> {
-        let mut file = self.begin()?;
-        let path = self.0.join(name);
-        file.write_all(bytes).with_context(|| path.display().to_string()).map_err(Failure::work)?;
-        self.keep(file, name)
+    /// Writes a whole file in it.
+    pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
+        self.begin(name)?.write(bytes)
     }
 }

@@ -134,6 +134,148 @@ fn an_output_that_cannot_be_written_is_status_1_before_anything_is_flown() {
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "in the way");
 }
 
+fn has_gl() -> bool {
+    let doctor: Value = serde_json::from_slice(&aviary(&["doctor", "--json"]).stdout).unwrap();
+    doctor["gl"].as_array().unwrap().iter().any(|answer| answer["works"] == true)
+}
+
+#[test]
+fn pictures_are_drawn_from_every_camera_in_every_kind_and_size() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("pictures");
+    for camera in ["track", "fpv", "fixed", "front"] {
+        for kind in ["rgb", "depth", "segmentation"] {
+            let path = dir.join(format!("{camera}_{kind}.png"));
+            let arguments = ["render", "--task", "hover", "--at", "0.5", "--size", "80x50"];
+            let output =
+                aviary(&[&arguments[..], &["--camera", camera, "--kind", kind, "--out", text(&path)]].concat());
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let picture = image::open(&path).unwrap().into_rgb8();
+            assert_eq!(picture.dimensions(), (80, 50));
+            let first = picture.get_pixel(0, 0);
+            assert!(picture.pixels().any(|pixel| pixel != first), "{camera} {kind} is empty");
+        }
+    }
+    let again = dir.join("again.png");
+    aviary(&["render", "--task", "hover", "--at", "0.5", "--size", "80x50", "--out", text(&again)]);
+    assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(dir.join("track_rgb.png")).unwrap());
+}
+
+#[test]
+fn a_capture_has_pictures_states_and_what_they_mean() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("capture");
+    let frames = ["--task", "hover", "--duration", "1", "--frames", "7", "--every", "10", "--size", "40x30"];
+    let output = aviary(&[&["capture", "--out", text(&dir)], &frames[..]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    let mut rows = csv::Reader::from_path(dir.join("frames.csv")).unwrap();
+    let header: Vec<_> = rows.headers().unwrap().iter().map(str::to_string).collect();
+    let column = |name: &str| header.iter().position(|column| column == name).unwrap();
+    let rows: Vec<_> = rows.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 7);
+    let camera: Value = serde_json::from_slice(&std::fs::read(dir.join("camera.json")).unwrap()).unwrap();
+    assert_eq!((&camera["width"], &camera["height"]), (&40.into(), &30.into()));
+    assert_eq!(camera["position_in_body"], serde_json::json!([0.02, 0.0, 0.0]));
+    let names: Value = serde_json::from_slice(&std::fs::read(dir.join("segmentation.json")).unwrap()).unwrap();
+    let fy = camera["fy"].as_f64().unwrap();
+
+    for (frame, row) in rows.iter().enumerate() {
+        assert_eq!(row[column("frame")], frame.to_string());
+        // an episode of a second has 48 steps, so that the sixth frame begins the next one
+        let (episode, step) = if frame < 5 { ("0", frame * 10) } else { ("1", (frame - 5) * 10) };
+        assert_eq!((&row[column("episode")], &row[column("t")]), (episode, &*(step as f64 / 48.0).to_string()));
+        let rgb = image::open(dir.join(&row[column("rgb")])).unwrap().into_rgb8();
+        let depth = image::open(dir.join(&row[column("depth")])).unwrap();
+        let depth = depth.as_luma16().expect("16 bit");
+        let objects = image::open(dir.join(&row[column("segmentation")])).unwrap();
+        let objects = objects.as_luma16().expect("16 bit");
+        assert_eq!((rgb.dimensions(), depth.dimensions(), objects.dimensions()), ((40, 30), (40, 30), (40, 30)));
+        // the drone is level: the lowest row of pixels looks down at the floor by atan(14.5 / fy)
+        let z: f64 = row[column("z")].parse().unwrap();
+        let wanted = z / (14.5 / fy) * 1000.0;
+        assert!((f64::from(depth.get_pixel(20, 29)[0]) - wanted).abs() < 2.0, "frame {frame}: {wanted}");
+        assert_eq!(depth.get_pixel(20, 0)[0], 0, "nothing above");
+        assert_eq!(names[objects.get_pixel(20, 29)[0].to_string()]["name"], "floor");
+        assert_eq!(names[objects.get_pixel(20, 0)[0].to_string()]["type"], "background");
+    }
+    let entries = |path: &Path| std::fs::read_dir(path).unwrap().count();
+    assert_eq!((entries(&dir), entries(&dir.join("rgb"))), (6, 7), "no temporary file is left");
+}
+
+#[test]
+fn an_animation_is_written_whole_or_not_at_all() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("animation");
+    let path = dir.join("hover.gif");
+    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--size", "64x48", "--camera", "front"];
+    let output = aviary(&[&fly[..], &["--gif", text(&path)]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bytes = std::fs::read(&path).unwrap();
+    assert!(bytes.starts_with(b"GIF89a") && bytes.ends_with(b";"));
+    let blocked = dir.join("hover.gif").join("x.gif");
+    refused(&[&fly[..], &["--gif", text(&blocked)]].concat(), 1, &["x.gif"]);
+    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1, "no temporary file is left");
+}
+
+#[test]
+fn impossible_pictures_are_refused_on_one_line() {
+    let out = directory("refused").join("x.png");
+    let render = |more: &[&str], status: i32, texts: &[&str]| {
+        refused(&[&["render", "--task", "hover", "--out", text(&out)], more].concat(), status, texts);
+        assert!(!out.exists());
+    };
+    render(&["--camera", "frnt"], 2, &["--camera is `frnt`", "did you mean `front`?"]);
+    render(&["--kind", "lidar"], 2, &["--kind is `lidar`", "depth"]);
+    render(&["--size", "0x48"], 2, &["0x48", "WIDTHxHEIGHT"]);
+    render(&["--size", "64"], 2, &["WIDTHxHEIGHT"]);
+    render(&["--at", "-1"], 2, &["--at is -1 s"]);
+    render(&["--at", "99"], 2, &["--at is 99 s", "time_limit"]);
+    refused(&["capture", "--task", "hover", "--frames", "0", "--out", "x"], 2, &["--frames is 0"]);
+    refused(&["capture", "--task", "hover", "--frames", "1", "--every", "0", "--out", "x"], 2, &["--every is 0"]);
+}
+
+/// Where the libraries cannot be found: what was tried, and the packages that bring them.
+#[test]
+fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
+    // a search path on which libraries of those names are not libraries
+    let dir = directory("no-gl");
+    std::fs::create_dir_all(&dir).unwrap();
+    for name in ["libEGL.so.1", "libEGL.so", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"] {
+        std::fs::write(dir.join(name), "no library").unwrap();
+    }
+    let run = |arguments: &[&str]| {
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env("LD_LIBRARY_PATH", &dir).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    for command in ["doctor", "render", "capture"] {
+        let out = dir.join(command);
+        let arguments = match command {
+            "doctor" => vec!["doctor"],
+            "render" => vec!["render", "--task", "hover", "--out", text(&out)],
+            _ => vec!["capture", "--task", "hover", "--frames", "1", "--out", text(&out)],
+        };
+        let (status, _, error) = run(&arguments);
+        assert_eq!((status, error.lines().count()), (Some(1), 1), "{error}");
+        assert!(error.contains("apt-get install libegl1 libgl1-mesa-dri libosmesa6"), "{error}");
+        assert!(!out.exists());
+    }
+    let (status, doctor, _) = run(&["doctor", "--json"]);
+    let doctor: Value = serde_json::from_str(&doctor).unwrap();
+    assert_eq!((status, &doctor["ok"]), (Some(1), &false.into()));
+    for answer in doctor["gl"].as_array().unwrap() {
+        assert!(answer["works"] == false && answer["detail"].as_str().unwrap().contains("lib"), "{answer}");
+    }
+    assert_eq!(run(&["fly", "--task", "hover"]).0, Some(0));
+}
+
 #[test]
 fn tasks_and_doctor_answer_in_json_and_as_tables() {
     let tasks: Value = serde_json::from_slice(&aviary(&["tasks", "--json"]).stdout).unwrap();
@@ -144,10 +286,13 @@ fn tasks_and_doctor_answer_in_json_and_as_tables() {
         })
     );
     assert!(String::from_utf8(aviary(&["tasks"]).stdout).unwrap().contains("hover"));
-    let doctor: Value = serde_json::from_slice(&aviary(&["doctor", "--json"]).stdout).unwrap();
-    assert_eq!(doctor["ok"], true);
+    let output = aviary(&["doctor", "--json"]);
+    let doctor: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(doctor["mujoco_version"].as_str().unwrap().starts_with("2.2."));
-    assert!(aviary(&["doctor"]).status.success());
+    let backends: Vec<_> = doctor["gl"].as_array().unwrap().iter().map(|answer| &answer["backend"]).collect();
+    assert_eq!(backends, ["egl", "osmesa"]);
+    assert_eq!(doctor["ok"], output.status.success());
+    assert!(String::from_utf8(aviary(&["doctor"]).stdout).unwrap().contains("MuJoCo"));
 }
 
 #[test]

@@ -338,6 +338,10 @@ impl<T: Task> Env for Aviary<T> {
         }
     }
 
+    fn episode_steps(&self) -> u64 {
+        self.episode_steps
+    }
+
     fn reference(&self, drone: usize) -> Reference {
         self.task.reference(&self.simulation, drone)
     }

@@ -208,6 +208,9 @@ pub trait Env {
     /// How the episode stands.
     fn info(&self) -> Info;
 
+    /// Control steps after which an episode is cut off.
+    fn episode_steps(&self) -> u64;
+
     /// What a controller flying this task would be asked to follow now.
     fn reference(&self, drone: usize) -> Reference;
 

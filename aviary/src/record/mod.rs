@@ -20,6 +20,9 @@ pub enum RecordError {
     /// A picture cannot be encoded or written.
     #[error("the picture cannot be written: {0}")]
     Encode(#[from] image::ImageError),
+    /// An animation cannot be written.
+    #[error("the animation cannot be written: {0}")]
+    Animation(#[from] gif::EncodingError),
     /// A buffer that is not a picture of this size.
     #[error("a picture of {size} has {got} numbers, expected {expected}")]
     Picture {

@@ -2,9 +2,8 @@
 
 use std::io::{Cursor, Write};
 
-use image::codecs::gif::{GifEncoder, Repeat};
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use image::{Delay, ExtendedColorType, Frame, ImageEncoder as _, RgbaImage};
+use image::{ExtendedColorType, ImageEncoder as _};
 
 use super::RecordError;
 use crate::vision::ImageSize;
@@ -129,41 +128,55 @@ fn hue(turn: f32, value: f32) -> [u8; 3] {
     [channel(0.0), channel(2.0 / 3.0), channel(1.0 / 3.0)]
 }
 
-/// An animated GIF that repeats for ever.
+/// An animated GIF that repeats for ever, written frame by frame.
 pub struct GifAnimation<W: Write> {
-    encoder: GifEncoder<W>,
+    encoder: gif::Encoder<W>,
     size: ImageSize,
-    delay: Delay,
+    /// In hundredths of a second.
+    delay: u16,
 }
 
 impl<W: Write> GifAnimation<W> {
     /// Begins an animation with so many seconds per frame (in steps of 10 ms, as GIF counts).
     ///
     /// # Errors
-    /// [`RecordError::Encode`] where the target cannot be written.
+    /// [`RecordError::Animation`] where the target cannot be written.
     pub fn new(target: W, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
-        let mut encoder = GifEncoder::new_with_speed(target, 10);
-        encoder.set_repeat(Repeat::Infinite)?;
-        let milliseconds = ((seconds_per_frame * 100.0).round() * 10.0).clamp(20.0, 60_000.0) as u32;
-        Ok(Self { encoder, size, delay: Delay::from_numer_denom_ms(milliseconds, 1) })
+        let [width, height] = sides(size)?;
+        let mut encoder = gif::Encoder::new(target, width, height, &[])?;
+        encoder.set_repeat(gif::Repeat::Infinite)?;
+        // viewers show anything shorter than two hundredths as a tenth
+        let delay = (seconds_per_frame * 100.0).round().clamp(2.0, 6000.0) as u16;
+        Ok(Self { encoder, size, delay })
     }
 
     /// Adds a frame: RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`RecordError::Picture`] for a buffer of the wrong length, [`RecordError::Encode`] where the target cannot be
-    /// written.
+    /// [`RecordError::Picture`] for a buffer of the wrong length, [`RecordError::Animation`] where the target cannot
+    /// be written.
     pub fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
         check(self.size, rgb.len(), 3)?;
-        let rgba = rgb.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
-        let expected = 4 * self.size.pixels();
-        let picture = RgbaImage::from_raw(self.size.width, self.size.height, rgba).ok_or(RecordError::Picture {
-            size: self.size,
-            got: rgb.len(),
-            expected,
-        })?;
-        self.encoder.encode_frame(Frame::from_parts(picture, 0, 0, self.delay))?;
-        Ok(())
+        let [width, height] = sides(self.size)?;
+        // speed against colours: a palette of its own for every frame, from every tenth pixel
+        let mut frame = gif::Frame::from_rgb_speed(width, height, rgb, 10);
+        frame.delay = self.delay;
+        Ok(self.encoder.write_frame(&frame)?)
+    }
+
+    /// Ends the animation and gives the target back.
+    ///
+    /// # Errors
+    /// [`RecordError::Animation`] where the target cannot be written.
+    pub fn finish(self) -> Result<W, RecordError> {
+        Ok(self.encoder.into_inner()?)
+    }
+}
+
+fn sides(size: ImageSize) -> Result<[u16; 2], RecordError> {
+    match (u16::try_from(size.width), u16::try_from(size.height)) {
+        (Ok(width), Ok(height)) if width > 0 && height > 0 => Ok([width, height]),
+        _ => Err(RecordError::Picture { size, got: 0, expected: size.pixels() }),
     }
 }
 
@@ -205,19 +218,18 @@ mod tests {
 
     #[test]
     fn an_animation_holds_its_frames() {
-        use image::AnimationDecoder as _;
-        let mut bytes = Vec::new();
-        let mut animation = GifAnimation::new(&mut bytes, SIZE, 1.0 / 24.0).unwrap();
+        let mut animation = GifAnimation::new(Vec::new(), SIZE, 1.0 / 24.0).unwrap();
         animation.frame(&[255; 18]).unwrap();
-        animation.frame(&[0; 18]).unwrap();
         assert!(animation.frame(&[0; 17]).is_err());
-        drop(animation);
-        let frames: Vec<_> = image::codecs::gif::GifDecoder::new(Cursor::new(bytes))
-            .unwrap()
-            .into_frames()
-            .map(Result::unwrap)
-            .collect();
-        assert_eq!(frames.len(), 2);
-        assert_eq!(frames[0].delay().numer_denom_ms().0, 40);
+        animation.frame(&[0; 18]).unwrap();
+        let bytes = animation.finish().unwrap();
+        let mut options = gif::DecodeOptions::new();
+        options.set_color_output(gif::ColorOutput::RGBA);
+        let mut decoder = options.read_info(&bytes[..]).unwrap();
+        let mut frames = Vec::new();
+        while let Some(frame) = decoder.read_next_frame().unwrap() {
+            frames.push((frame.delay, frame.buffer[..4].to_vec()));
+        }
+        assert_eq!(frames, [(4, vec![255; 4]), (4, vec![0, 0, 0, 255])]);
     }
 }

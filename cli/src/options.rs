@@ -1,0 +1,114 @@
+//! Options that several commands share, and what they stand for.
+
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::anyhow;
+use aviary::drone::{DroneModel, DroneParams};
+use aviary::engine::BuildError;
+use aviary::env::{Env, EnvError};
+use aviary::tasks::Hover;
+use aviary::vision::ImageSize;
+use clap::Args;
+
+use crate::failure::Failure;
+
+/// Which flight it is.
+#[derive(Debug, Args)]
+pub struct FlightOptions {
+    /// Task to fly; `aviary tasks` lists them
+    #[arg(long)]
+    pub task: String,
+    /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
+    #[arg(long, default_value = "cf2x")]
+    pub drone: String,
+    /// Controller: pid
+    #[arg(long, default_value = "pid")]
+    pub controller: String,
+    /// Simulated seconds of an episode; the task's by default
+    #[arg(long, allow_negative_numbers = true)]
+    pub duration: Option<f64>,
+    /// Physics rate, Hz, a multiple of the control rate
+    #[arg(long, default_value_t = 240)]
+    pub sim_freq: u32,
+    /// Control rate, Hz
+    #[arg(long, default_value_t = 48)]
+    pub ctrl_freq: u32,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 0)]
+    pub seed: u64,
+}
+
+impl FlightOptions {
+    /// The environment they describe.
+    pub fn environment(&self) -> Result<Box<dyn Env>, Failure> {
+        one_of("controller", &self.controller, &["pid"])?;
+        one_of("task", &self.task, &aviary::tasks::all().iter().map(|task| task.name).collect::<Vec<_>>())?;
+        let mut builder = Hover::builder().drone(drone(&self.drone)?).sim_freq(self.sim_freq).ctrl_freq(self.ctrl_freq);
+        if let Some(seconds) = self.duration {
+            builder = builder.episode_seconds(seconds);
+        }
+        let env = builder.build().map_err(|error| match (&error, self.duration) {
+            (EnvError::Option { option: "the length of an episode", expected, .. }, Some(seconds)) => {
+                Failure::input(anyhow!("--duration is {seconds} s, expected {expected}"))
+            }
+            _ => Failure::input(error),
+        })?;
+        Ok(Box::new(env))
+    }
+}
+
+/// A built-in airframe by name, or one from a file.
+fn drone(name: &str) -> Result<DroneParams, Failure> {
+    if let Ok(model) = name.parse::<DroneModel>() {
+        return Ok(model.params());
+    }
+    if Path::new(name).extension().is_some_and(|extension| extension == "toml") {
+        return DroneParams::from_file(name).map_err(Failure::input);
+    }
+    let models: Vec<_> = DroneModel::ALL.iter().map(|model| model.name()).collect();
+    one_of("drone", name, &models)?;
+    Err(Failure::input(anyhow!("--drone is `{name}`")))
+}
+
+/// Refuses a name that is not in the list, with the nearest one that is.
+pub fn one_of(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
+    if names.contains(&name) {
+        return Ok(());
+    }
+    let near = names
+        .iter()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .filter(|(likeness, _)| *likeness > 0.7)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
+        .unwrap_or_default();
+    Err(Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}{near}", names.join(", "))))
+}
+
+/// A value with a name from a list.
+pub fn named<T: FromStr + Copy>(option: &str, name: &str, names: &[&str]) -> Result<T, Failure> {
+    one_of(option, name, names)?;
+    name.parse().map_err(|_| Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}", names.join(", "))))
+}
+
+/// Width and height as `640x480`.
+pub fn size(text: &str) -> Result<ImageSize, String> {
+    let expected = || format!("expected WIDTHxHEIGHT in pixels, each from 1 to {}", ImageSize::MAX_SIDE);
+    let (width, height) = text.split_once('x').ok_or_else(expected)?;
+    let side =
+        |text: &str| text.parse().ok().filter(|side| (1..=ImageSize::MAX_SIDE).contains(side)).ok_or_else(expected);
+    Ok(ImageSize { width: side(width)?, height: side(height)? })
+}
+
+/// A picture that cannot be drawn: the machine's fault, or that of what was asked for.
+pub fn vision_failure(error: impl Into<EnvError>) -> Failure {
+    let error = error.into();
+    match &error {
+        EnvError::Vision(BuildError::Scene(_)) => Failure::input(error),
+        EnvError::Vision(BuildError::Mujoco(mujoco_rs::Error::GlName { .. } | mujoco_rs::Error::Load { .. })) => {
+            Failure::input(error)
+        }
+        _ => Failure::work(error),
+    }
+}

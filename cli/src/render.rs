@@ -1,0 +1,94 @@
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use aviary::record::picture;
+use aviary::vision::{ImageKind, ImageSize, Painter, View};
+use aviary::world::World;
+use clap::Args;
+
+use crate::failure::Failure;
+use crate::options::{FlightOptions, named, size, vision_failure};
+use crate::output::OutputFile;
+use crate::pilot::Pilot;
+
+/// One picture of a task's scene as PNG
+///
+/// Depth and segmentation are drawn in colours for people; `aviary capture` writes them as numbers.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  aviary render --task hover --at 5 --out out/hover.png
+  aviary render --task hover --camera fpv --kind depth --out out/depth.png")]
+pub struct Render {
+    #[command(flatten)]
+    options: FlightOptions,
+    /// File to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Camera: track, fpv, fixed, front
+    #[arg(long, default_value = "track")]
+    camera: String,
+    /// What to show: rgb, depth, segmentation
+    #[arg(long, default_value = "rgb")]
+    kind: String,
+    /// Size, pixels
+    #[arg(long, value_parser = size, default_value = "640x480")]
+    size: ImageSize,
+    /// Moment of the flight, s
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    at: f64,
+}
+
+impl Render {
+    pub fn run(&self) -> Result<(), Failure> {
+        let view = named::<View>("camera", &self.camera, &View::ALL.map(View::name))?;
+        let kind = named::<ImageKind>("kind", &self.kind, &ImageKind::ALL.map(ImageKind::name))?;
+        if !(self.at.is_finite() && self.at >= 0.0) {
+            return Err(Failure::input(anyhow!(
+                "--at is {} s, expected zero or a positive number of seconds",
+                self.at
+            )));
+        }
+        let mut pilot = Pilot::new(&self.options)?;
+        let file = OutputFile::begin(&self.out)?;
+        // half a step early or late is as near as a control step can be
+        let until = self.at - 0.5 * pilot.env().simulation().control_period();
+        while pilot.env().simulation().time() < until {
+            let over = pilot.step()?.over;
+            if over && pilot.env().simulation().time() < until {
+                let (time, end) = (pilot.env().info().time, pilot.env().info().end);
+                let end = end.map_or("", |end| end.name());
+                return Err(Failure::input(anyhow!("--at is {} s, but the flight ends ({end}) at {time} s", self.at)));
+            }
+        }
+        file.write(&self.picture(&pilot, view, kind)?)
+    }
+
+    fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind) -> Result<Vec<u8>, Failure> {
+        let simulation = pilot.env().simulation();
+        let painter = match kind {
+            ImageKind::Rgb => Painter::for_people(simulation.world()),
+            ImageKind::Depth | ImageKind::Segmentation => Painter::for_observations(simulation.world()),
+        };
+        let mut painter = painter.map_err(vision_failure)?;
+        painter.update(simulation.states()).map_err(vision_failure)?;
+        let pixels = self.size.pixels();
+        let rgb = match kind {
+            ImageKind::Rgb => {
+                let mut rgb = vec![0; 3 * pixels];
+                painter.rgb(view, self.size, &mut rgb).map_err(vision_failure)?;
+                rgb
+            }
+            ImageKind::Depth => {
+                let mut depth = vec![0.0; pixels];
+                painter.depth(view, self.size, &mut depth).map_err(vision_failure)?;
+                picture::depth_in_colour(&depth, World::CLIP_PLANES[1] as f32)
+            }
+            ImageKind::Segmentation => {
+                let mut objects = vec![[0; 2]; pixels];
+                painter.segmentation(view, self.size, &mut objects).map_err(vision_failure)?;
+                picture::segmentation_in_colour(&objects)
+            }
+        };
+        picture::png_rgb(self.size, &rgb).map_err(Failure::work)
+    }
+}
