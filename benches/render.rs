@@ -99,9 +99,10 @@ impl Onboard {
     fn among(count: usize) -> Self {
         let simulation = Simulation::builder(DroneModel::Cf2x)
             .num_drones(count)
-            .initial_positions(
-                (0..count).map(|i| [0.3 * i as f64, 0.1 * ((i % 3) as f64 - 1.0) * (i > 0) as u8 as f64, 1.0]),
-            )
+            .initial_positions((0..count).map(|i| match i {
+                0 => [0.0, 0.0, 1.0],
+                _ => [0.3 * i as f64, 0.1 * ((i % 3) as f64 - 1.0), 1.0],
+            }))
             .build()
             .expect("a simulation");
         let painter = Painter::for_observations(simulation.world()).expect("a painter");
