@@ -11,6 +11,12 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{DroneBody, World};
 use nalgebra::Vector3;
 
+/// Where a drone of a swarm hovers: half a metre apart in layers of sixteen, half a metre above each other.
+fn place(index: usize) -> [f64; 3] {
+    let (column, row, layer) = (index % 4, index / 4 % 4, index / 16);
+    [0.5 * column as f64, 0.5 * row as f64, 5.0 + 0.5 * layer as f64]
+}
+
 /// MuJoCo alone over the scene of the simulation: airborne, a wrench written every step.
 struct Bare {
     data: Data,
@@ -22,11 +28,7 @@ impl Bare {
         let params = DroneModel::Cf2x.params();
         let hover = params.weight();
         let drones = (0..count)
-            .map(|i| DroneBody {
-                params: params.clone(),
-                position: Vector3::new(i as f64, 0.0, 5.0),
-                rpy: Vector3::zeros(),
-            })
+            .map(|i| DroneBody { params: params.clone(), position: place(i).into(), rpy: Vector3::zeros() })
             .collect();
         let model = Model::from_xml(&World::new(drones).to_mjcf().expect("a scene")).expect("a model");
         Self { data: Data::new(model).expect("a simulation"), hover }
@@ -42,20 +44,21 @@ impl Bare {
     }
 }
 
-fn simulation(count: usize) -> (Simulation, Vec<[f64; 4]>) {
+fn simulation(count: usize, physics: Physics) -> (Simulation, Vec<[f64; 4]>) {
     let simulation = Simulation::builder(DroneModel::Cf2x)
+        .physics(physics)
         .num_drones(count)
-        .initial_positions((0..count).map(|i| [i as f64, 0.0, 5.0]))
+        .initial_positions((0..count).map(place))
         .build()
         .expect("a simulation");
     (simulation, vec![[DroneModel::Cf2x.params().hover_rpm(); 4]; count])
 }
 
 /// Median over alternating batches of the time of `a` divided by the time of `b`.
-fn ratio(mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
+fn ratio(batch: usize, mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
     let time = |f: &mut dyn FnMut()| {
         let start = Instant::now();
-        for _ in 0..200 {
+        for _ in 0..batch {
             f();
         }
         start.elapsed().as_secs_f64()
@@ -67,16 +70,25 @@ fn ratio(mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
 
 #[allow(clippy::print_stdout)]
 fn ratios() {
-    for count in [1, 4, 12] {
+    println!("Simulation::step over its five mj_step");
+    println!("{:>7}{:>9}{:>17}{:>20}", "drones", "mjc", "mjc_gnd_drag_dw", "µs per mj_step");
+    for count in [1, 2, 4, 8, 12, 16, 32, 64, 128] {
         let mut bare = Bare::new(count);
-        let (mut simulation, commands) = simulation(count);
-        let step = ratio(|| simulation.step(black_box(&commands)).expect("a step"), || bare.steps(5));
-        println!("Simulation::step over its five mj_step, {count:>2} drones: {step:.3}");
+        let batch = (400 / count).max(3);
+        let ratios = [Physics::Mjc, Physics::MjcGndDragDw].map(|physics| {
+            let (mut simulation, commands) = simulation(count, physics);
+            ratio(batch, || simulation.step(black_box(&commands)).expect("a step"), || bare.steps(5))
+        });
+        let start = Instant::now();
+        bare.steps(batch);
+        let alone = start.elapsed().as_secs_f64() / batch as f64 * 1e6;
+        println!("{count:>7}{:>9.3}{:>17.3}{alone:>20.1}", ratios[0], ratios[1]);
     }
     let mut bare = Bare::new(1);
     let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(1e6).build().expect("a task");
     env.reset(None).expect("a reset");
     let step = ratio(
+        200,
         || {
             black_box(env.step(&[0.0; 4]).expect("a step").reward);
         },
@@ -88,7 +100,7 @@ fn ratios() {
 fn timings(c: &mut Criterion) {
     let mut bare = Bare::new(1);
     c.bench_function("five bare mj_step, 1 drone", |b| b.iter(|| bare.steps(5)));
-    let (mut one, commands) = simulation(1);
+    let (mut one, commands) = simulation(1, Physics::Mjc);
     c.bench_function("Simulation::step, 1 drone", |b| b.iter(|| one.step(black_box(&commands)).expect("a step")));
     c.bench_function("Simulation::reset, 1 drone", |b| b.iter(|| one.reset().expect("a reset")));
     let mut env = Hover::builder().build().expect("a task");

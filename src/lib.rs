@@ -29,6 +29,7 @@ pub mod prelude {
     pub use aviary::drone::{DroneModel, DroneParams};
     pub use aviary::env::{Aviary, Env, EnvError, Info, Step, Task};
     pub use aviary::observation::{Observation, ObservationType};
+    pub use aviary::physics::{Effects, Physics};
     pub use aviary::simulation::{Simulation, SimulationError};
     pub use aviary::state::DroneState;
     pub use aviary::tasks::Hover;

@@ -1,34 +1,62 @@
 //! Flights of an independent implementation of the paper's equations over another MuJoCo, flown again.
 
 use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::{Scenario, read_actions};
 use mujoco_drones_gym::state::wxyz;
-use nalgebra::Vector3;
 
-fn rows(name: &str) -> Vec<Vec<f64>> {
-    let path = format!("{}/tests/reference/{name}", env!("CARGO_MANIFEST_DIR"));
-    let mut reader = csv::Reader::from_path(path).unwrap();
-    reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect()
+fn path(name: &str) -> String {
+    format!("{}/tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Flies a scenario and gives the largest difference of any number of the state from what is expected.
+fn worst_difference(name: &str) -> f64 {
+    let text = std::fs::read_to_string(path(&format!("{name}.toml"))).unwrap();
+    let scenario = Scenario::from_toml(&text).unwrap();
+    let mut simulation = scenario.simulation().unwrap();
+    let actions = std::fs::File::open(path(&format!("{name}.actions.csv"))).unwrap();
+    let actions = read_actions(actions, scenario.num_drones).unwrap();
+    let mut reader = csv::Reader::from_path(path(&format!("{name}.expected.csv"))).unwrap();
+    let expected: Vec<Vec<f64>> =
+        reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect();
+    assert_eq!(expected.len(), actions.len() * scenario.num_drones);
+    assert!(actions.len() >= 24, "a flight of at least half a second");
+
+    let mut worst: f64 = 0.0;
+    for (action, expected) in actions.iter().zip(expected.chunks(scenario.num_drones)) {
+        simulation.step(action).unwrap();
+        for (drone, (state, expected)) in simulation.states().iter().zip(expected).enumerate() {
+            assert_eq!((simulation.time(), drone as f64), (expected[0], expected[1]));
+            let numbers = (state.position.iter().chain(&wxyz(&state.attitude)).copied())
+                .chain(state.velocity.iter().copied())
+                .chain(state.angular_velocity.iter().copied())
+                .collect::<Vec<_>>();
+            for (got, wanted) in numbers.iter().zip(&expected[2..]) {
+                worst = worst.max((got - wanted).abs());
+            }
+        }
+    }
+    worst
 }
 
 #[test]
-fn open_loop_flight_of_the_crazyflie_agrees() {
-    let mut simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
-    let start = DroneState::at_rest(Vector3::new(0.2, -0.1, 60.0), Vector3::new(0.1, -0.2, 0.7));
-    simulation.reset_to(&[start]).unwrap();
-    let (actions, expected) = (rows("mjc_cf2x.actions.csv"), rows("mjc_cf2x.expected.csv"));
-    assert_eq!((actions.len(), expected.len()), (144, 144));
-    let mut worst: f64 = 0.0;
-    for (action, expected) in actions.iter().zip(&expected) {
-        simulation.step(&[[action[0], action[1], action[2], action[3]]]).unwrap();
-        let state = simulation.states()[0];
-        assert_eq!(simulation.time(), expected[0]);
-        let numbers = (state.position.iter().chain(&wxyz(&state.attitude)).copied())
-            .chain(state.velocity.iter().copied())
-            .chain(state.angular_velocity.iter().copied())
-            .collect::<Vec<_>>();
-        for (got, wanted) in numbers.iter().zip(&expected[2..]) {
-            worst = worst.max((got - wanted).abs());
-        }
+fn every_reference_flight_agrees_in_position_attitude_velocity_and_rate() {
+    for name in ["mjc_cf2x", "mjc_gnd_race", "mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
+        let worst = worst_difference(name);
+        assert!(worst < 1e-8, "{name}: largest difference {worst:e}");
     }
-    assert!(worst < 1e-8, "largest difference {worst:e}");
+}
+
+/// The comparison can fail: the same flight under another mode does not agree.
+#[test]
+fn another_mode_is_another_flight() {
+    let text = std::fs::read_to_string(path("mjc_gnd_race.toml")).unwrap();
+    let scenario = Scenario::from_toml(&text.replace("mjc_gnd", "mjc")).unwrap();
+    let with = Scenario::from_toml(&text).unwrap();
+    let (mut without, mut with) = (scenario.simulation().unwrap(), with.simulation().unwrap());
+    let hover = DroneModel::Race.params().hover_rpm();
+    for _ in 0..48 {
+        without.step(&[[hover; 4]]).unwrap();
+        with.step(&[[hover; 4]]).unwrap();
+    }
+    assert!(with.states()[0].position.z > without.states()[0].position.z + 1e-3);
 }

@@ -93,7 +93,7 @@ fn a_hundred_drones_rest_on_the_floor_without_losing_a_contact() {
     }
     assert_eq!(simulation.contacts().len(), 100);
     for kind in [WarningKind::ContactFull, WarningKind::ConstraintFull] {
-        assert_eq!(simulation.engine().data().warning(kind).count, 0);
+        assert_eq!(simulation.mujoco().unwrap().warning(kind).count, 0);
     }
 }
 

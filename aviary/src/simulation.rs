@@ -3,11 +3,14 @@
 use nalgebra::Vector3;
 
 use crate::drone::{DroneError, DroneModel, DroneParams};
-use crate::engine::{BuildError, Contact, MujocoEngine};
-use crate::physics::Wrench;
+use crate::engine::{BuildError, Contact, Engine, ExplicitEngine, Load, MujocoEngine};
+use crate::physics::actuators::{ActuatorError, ActuatorParams, Actuators};
+use crate::physics::downwash::{self, Wake};
+use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
+use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
-use crate::world::{DroneBody, Integrator, Medium, World};
+use crate::world::{DroneBody, Forcing, Integrator, Medium, Obstacle, World};
 
 /// N drones in one world.
 ///
@@ -26,14 +29,20 @@ use crate::world::{DroneBody, Integrator, Medium, World};
 #[derive(Debug)]
 pub struct Simulation {
     world: World,
-    engine: MujocoEngine,
+    physics: Physics,
+    effects: Effects,
+    engine: Engine,
     drones: Vec<Drone>,
+    actuators: Vec<Actuators>,
+    wakes: Vec<Wake>,
     sim_freq: u32,
     ctrl_freq: u32,
     control_steps: u64,
     initial: Vec<DroneState>,
     states: Vec<DroneState>,
-    wrenches: Vec<Wrench>,
+    loads: Vec<Load>,
+    /// Force of the wakes on every drone, along world z, N.
+    downwash: Vec<f64>,
     /// States before the last physics step.
     previous: Vec<DroneState>,
     motor_speeds: Vec<[f64; 4]>,
@@ -46,6 +55,7 @@ pub struct Simulation {
 struct Drone {
     params: DroneParams,
     rotors: RotorModel,
+    ground: GroundEffect,
     max_rpm: f64,
 }
 
@@ -88,6 +98,9 @@ pub enum SimulationError {
         /// How many.
         got: usize,
     },
+    /// Motors that cannot be.
+    #[error(transparent)]
+    Actuators(#[from] ActuatorError),
     /// A state with a number that is not one.
     #[error("the state of drone {drone} is not finite")]
     State {
@@ -138,6 +151,13 @@ pub struct SimulationBuilder {
     rpys: Option<Vec<[f64; 3]>>,
     sim_freq: u32,
     ctrl_freq: u32,
+    velocities: Option<Vec<[f64; 3]>>,
+    angular_velocities: Option<Vec<[f64; 3]>>,
+    physics: Physics,
+    effects: Option<Effects>,
+    forcing: Forcing,
+    actuators: ActuatorParams,
+    obstacles: Vec<Obstacle>,
     integrator: Integrator,
     medium: Option<Medium>,
 }
@@ -177,6 +197,55 @@ impl SimulationBuilder {
     #[must_use]
     pub fn initial_rpys(mut self, rpys: impl IntoIterator<Item = [f64; 3]>) -> Self {
         self.rpys = Some(rpys.into_iter().collect());
+        self
+    }
+
+    /// Initial velocities, world frame, m/s; at rest by default.
+    #[must_use]
+    pub fn initial_velocities(mut self, velocities: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.velocities = Some(velocities.into_iter().collect());
+        self
+    }
+
+    /// Initial body rates, body frame, rad/s; none by default.
+    #[must_use]
+    pub fn initial_angular_velocities(mut self, rates: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.angular_velocities = Some(rates.into_iter().collect());
+        self
+    }
+
+    /// The physics mode; MuJoCo without aerodynamic effects by default.
+    #[must_use]
+    pub fn physics(mut self, physics: Physics) -> Self {
+        self.physics = physics;
+        self
+    }
+
+    /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+    #[must_use]
+    pub fn effects(mut self, effects: Effects) -> Self {
+        self.effects = Some(effects);
+        self
+    }
+
+    /// How the rotors' wrench acts during a physics step; frozen by default.
+    #[must_use]
+    pub fn forcing(mut self, forcing: Forcing) -> Self {
+        self.forcing = forcing;
+        self
+    }
+
+    /// How the motors answer to commands; at once and exactly by default.
+    #[must_use]
+    pub fn actuators(mut self, actuators: ActuatorParams) -> Self {
+        self.actuators = actuators;
+        self
+    }
+
+    /// Things that stand in the way; none by default.
+    #[must_use]
+    pub fn obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
+        self.obstacles = obstacles.into_iter().collect();
         self
     }
 
@@ -226,14 +295,21 @@ impl SimulationBuilder {
             params.validate().map_err(|error| SimulationError::Drone { drone, error })?;
         }
         let positions = self.positions.unwrap_or_else(|| row(&self.drones));
-        let rpys = self.rpys.unwrap_or_else(|| vec![[0.0; 3]; count]);
-        for (what, got) in
-            [("the list of initial positions", positions.len()), ("the list of initial attitudes", rpys.len())]
-        {
+        let zeros = || vec![[0.0; 3]; count];
+        let rpys = self.rpys.unwrap_or_else(zeros);
+        let velocities = self.velocities.unwrap_or_else(zeros);
+        let rates = self.angular_velocities.unwrap_or_else(zeros);
+        for (what, got) in [
+            ("the list of initial positions", positions.len()),
+            ("the list of initial attitudes", rpys.len()),
+            ("the list of initial velocities", velocities.len()),
+            ("the list of initial angular velocities", rates.len()),
+        ] {
             if got != count {
                 return Err(SimulationError::Length { what, got, expected: count });
             }
         }
+        self.actuators.validate()?;
 
         let bodies: Vec<_> = (self.drones.iter().zip(&positions).zip(&rpys))
             .map(|((params, &position), &rpy)| DroneBody {
@@ -242,29 +318,57 @@ impl SimulationBuilder {
                 rpy: rpy.into(),
             })
             .collect();
-        let initial: Vec<_> = bodies.iter().map(|body| DroneState::at_rest(body.position, body.rpy)).collect();
+        let initial: Vec<_> = (bodies.iter().zip(velocities).zip(rates))
+            .map(|((body, velocity), rate)| DroneState {
+                velocity: velocity.into(),
+                angular_velocity: rate.into(),
+                ..DroneState::at_rest(body.position, body.rpy)
+            })
+            .collect();
         let world = World {
             timestep: 1.0 / f64::from(sim_freq),
             integrator: self.integrator,
             medium: self.medium,
+            forcing: self.forcing,
+            obstacles: self.obstacles,
             ..World::new(bodies)
         };
-        let engine = MujocoEngine::new(&world)?;
-        let contacts = Vec::with_capacity(engine.max_contacts());
+        let engine = match self.physics {
+            Physics::Dyn => Engine::Explicit(ExplicitEngine::new(&world)?),
+            _ => Engine::Mujoco(MujocoEngine::new(&world)?),
+        };
+        if let Some(drone) = initial.iter().position(|state| !state.is_finite()) {
+            return Err(SimulationError::State { drone });
+        }
+        let contacts = Vec::with_capacity(engine.mujoco_engine().max_contacts());
+        let actuators =
+            (self.drones.iter()).map(|params| Actuators::new(params, &self.actuators, world.timestep)).collect();
+        let wakes = self.drones.iter().map(Wake::new).collect();
+        let no_load = Load { rotors: RotorModel::new(&self.drones[0]).wrench(&[0.0; 4]), external: Wrench::ZERO };
         let drones = (self.drones.into_iter())
-            .map(|params| Drone { rotors: RotorModel::new(&params), max_rpm: params.max_rpm(), params })
+            .map(|params| Drone {
+                rotors: RotorModel::new(&params),
+                ground: GroundEffect::new(&params),
+                max_rpm: params.max_rpm(),
+                params,
+            })
             .collect();
         let mut simulation = Simulation {
             world,
+            physics: self.physics,
+            effects: self.effects.unwrap_or_else(|| self.physics.effects()),
             engine,
             drones,
+            actuators,
+            wakes,
             sim_freq,
             ctrl_freq,
             control_steps: 0,
             states: initial.clone(),
             initial,
             previous: vec![DroneState::default(); count],
-            wrenches: vec![Wrench::ZERO; count],
+            loads: vec![no_load; count],
+            downwash: vec![0.0; count],
             motor_speeds: vec![[0.0; 4]; count],
             contacts,
             failed: None,
@@ -308,6 +412,13 @@ impl Simulation {
             rpys: None,
             sim_freq: 240,
             ctrl_freq: 48,
+            velocities: None,
+            angular_velocities: None,
+            physics: Physics::default(),
+            effects: None,
+            forcing: Forcing::default(),
+            actuators: ActuatorParams::default(),
+            obstacles: Vec::new(),
             integrator: Integrator::Rk4,
             medium: None,
         }
@@ -326,12 +437,8 @@ impl Simulation {
         self.accept(commands)?;
         self.contacts.clear();
         for substep in 0..self.substeps() {
-            for ((drone, state), (rpm, wrench)) in
-                self.drones.iter().zip(&self.states).zip(self.motor_speeds.iter().zip(&mut self.wrenches))
-            {
-                *wrench = drone.rotors.wrench(rpm).in_world(&state.attitude);
-            }
-            if let Err(error) = self.engine.advance(&self.wrenches) {
+            self.compute_loads();
+            if let Err(error) = self.engine.advance(&self.loads, &self.states) {
                 return Err(self.failure(substep, error));
             }
             self.take_states(substep)?;
@@ -339,6 +446,30 @@ impl Simulation {
         }
         self.control_steps += 1;
         Ok(())
+    }
+
+    /// Turns the rotors on by one physics step and computes what acts on every drone, from the states at its start.
+    fn compute_loads(&mut self) {
+        let effects = self.effects;
+        if effects.downwash {
+            self.downwash.fill(0.0);
+            downwash::add_forces(&self.wakes, &self.states, &mut self.downwash);
+        }
+        for (index, (drone, state)) in self.drones.iter().zip(&self.states).enumerate() {
+            let rpm = self.actuators[index].advance(&self.motor_speeds[index]);
+            let rotors = drone.rotors.wrench(rpm);
+            let mut force = Vector3::zeros();
+            if effects.ground {
+                force.z += drone.ground.force(state, rotors.thrust);
+            }
+            if effects.drag {
+                force += drag::force(&drone.params, state, rpm, &Vector3::zeros());
+            }
+            if effects.downwash {
+                force.z += self.downwash[index];
+            }
+            self.loads[index] = Load { rotors, external: Wrench { force_world: force, ..Wrench::ZERO } };
+        }
     }
 
     /// Takes motor commands over, clipped, if all of them are numbers.
@@ -391,7 +522,7 @@ impl Simulation {
         let time = self.substep_time(substep);
         let diverged = match &error {
             mujoco_rs::Error::Diverged(divergence) => {
-                self.engine.diverged_drone(divergence).map(|drone| (drone, divergence))
+                self.engine.mujoco_engine().diverged_drone(divergence).map(|drone| (drone, divergence))
             }
             _ => None,
         };
@@ -438,6 +569,9 @@ impl Simulation {
     fn restart(&mut self) -> Result<(), SimulationError> {
         self.engine.reset(&self.states).map_err(|error| SimulationError::Engine { time: 0.0, error })?;
         self.motor_speeds.fill([0.0; 4]);
+        for actuators in &mut self.actuators {
+            actuators.reset();
+        }
         self.contacts.clear();
         self.control_steps = 0;
         self.failed = None;
@@ -467,7 +601,15 @@ impl Simulation {
         &self.initial
     }
 
-    /// Motor speeds of all drones during the last control step, rpm.
+    /// Speeds at which the rotors of a drone turn, rpm: the commanded ones, unless the motors are slow or inexact.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn rotor_speeds(&self, drone: usize) -> &[f64; 4] {
+        self.actuators[drone].rpm()
+    }
+
+    /// Motor speeds commanded to all drones during the last control step, rpm.
     pub fn motor_speeds(&self) -> &[[f64; 4]] {
         &self.motor_speeds
     }
@@ -512,9 +654,48 @@ impl Simulation {
         &self.world
     }
 
+    /// The physics mode.
+    pub fn physics(&self) -> Physics {
+        self.physics
+    }
+
+    /// The aerodynamic effects that act.
+    pub fn effects(&self) -> Effects {
+        self.effects
+    }
+
+    /// What acted on every drone during the last physics step.
+    pub fn loads(&self) -> &[Load] {
+        &self.loads
+    }
+
     /// The engine, for experts.
-    pub fn engine(&self) -> &MujocoEngine {
+    pub fn engine(&self) -> &Engine {
         &self.engine
+    }
+
+    /// MuJoCo's data with the drones where they are now (in the `dyn` mode they are written there first).
+    ///
+    /// # Errors
+    /// MuJoCo's own.
+    pub fn mujoco(&mut self) -> Result<&mujoco_rs::Data, mujoco_rs::Error> {
+        self.engine.mujoco()
+    }
+
+    /// Which drones are within a neighbourhood: row i, column j of an N × N matrix is whether drones i and j are at
+    /// most `radius` metres apart. No drone is its own neighbour.
+    ///
+    /// # Panics
+    /// If `out` does not have N² entries.
+    pub fn adjacency(&self, radius: f64, out: &mut [bool]) {
+        let count = self.states.len();
+        assert_eq!(out.len(), count * count, "an adjacency matrix of {count} drones");
+        for i in 0..count {
+            for j in 0..count {
+                let apart = (self.states[i].position - self.states[j].position).norm();
+                out[i * count + j] = i != j && apart <= radius;
+            }
+        }
     }
 
     /// Distance of a drone from a point (world frame, m).

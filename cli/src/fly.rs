@@ -210,7 +210,7 @@ impl Flight {
         json!({
             "task": env.name(),
             "drone_model": simulation.params(0).name,
-            "physics": "mjc",
+            "physics": simulation.physics().name(),
             "engine": "mujoco",
             "controller": options.controller,
             "seed": options.seed,
@@ -236,6 +236,7 @@ impl Flight {
         };
         output::table(&[
             ("task", format!("{} with {}", env.name(), env.simulation().params(0).name)),
+            ("physics", env.simulation().physics().to_string()),
             ("success", success),
             ("final position error", centimetres(self.info.position_error)),
             ("RMS position error, last 2 s", centimetres(self.errors.rms_last_2s())),

@@ -8,6 +8,7 @@ mod options;
 mod output;
 mod pilot;
 mod render;
+mod replay;
 mod tasks;
 
 use std::process::ExitCode;
@@ -30,6 +31,8 @@ enum Command {
     Capture(capture::Capture),
     /// Draw one picture of a task's scene
     Render(render::Render),
+    /// Fly recorded motor speeds and write the states
+    Replay(replay::Replay),
     /// List the tasks
     Tasks(tasks::Tasks),
     /// Check what the program needs from this machine
@@ -49,6 +52,7 @@ fn main() -> ExitCode {
         Command::Fly(command) => command.run(),
         Command::Capture(command) => command.run(),
         Command::Render(command) => command.run(),
+        Command::Replay(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Doctor(command) => command.run(),
     };

@@ -7,6 +7,7 @@ use anyhow::anyhow;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::BuildError;
 use aviary::env::{Env, EnvError};
+use aviary::physics::Physics;
 use aviary::tasks::Hover;
 use aviary::vision::ImageSize;
 use clap::Args;
@@ -22,6 +23,9 @@ pub struct FlightOptions {
     /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
     #[arg(long, default_value = "cf2x")]
     pub drone: String,
+    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
+    #[arg(long, default_value = "mjc")]
+    pub physics: String,
     /// Controller: pid
     #[arg(long, default_value = "pid")]
     pub controller: String,
@@ -44,7 +48,12 @@ impl FlightOptions {
     pub fn environment(&self) -> Result<Box<dyn Env>, Failure> {
         one_of("controller", &self.controller, &["pid"])?;
         one_of("task", &self.task, &aviary::tasks::all().iter().map(|task| task.name).collect::<Vec<_>>())?;
-        let mut builder = Hover::builder().drone(drone(&self.drone)?).sim_freq(self.sim_freq).ctrl_freq(self.ctrl_freq);
+        let physics = named::<Physics>("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
+        let mut builder = Hover::builder()
+            .drone(drone(&self.drone)?)
+            .physics(physics)
+            .sim_freq(self.sim_freq)
+            .ctrl_freq(self.ctrl_freq);
         if let Some(seconds) = self.duration {
             builder = builder.episode_seconds(seconds);
         }

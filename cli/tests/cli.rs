@@ -134,6 +134,76 @@ fn an_output_that_cannot_be_written_is_status_1_before_anything_is_flown() {
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "in the way");
 }
 
+fn reference(name: &str) -> String {
+    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+#[test]
+fn a_recorded_flight_is_flown_again_to_the_reference() {
+    let out = directory("replay").join("flight.csv");
+    for name in ["mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
+        let (scenario, actions) = (reference(&format!("{name}.toml")), reference(&format!("{name}.actions.csv")));
+        let output = aviary(&["replay", "--scenario", &scenario, "--actions", &actions, "--out", text(&out)]);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let rows = |path: &str| -> (Vec<String>, Vec<Vec<f64>>) {
+            let mut reader = csv::Reader::from_path(path).unwrap();
+            let header = reader.headers().unwrap().iter().map(str::to_string).collect();
+            (header, reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect())
+        };
+        let ((header, got), (columns, wanted)) = (rows(text(&out)), rows(&reference(&format!("{name}.expected.csv"))));
+        assert_eq!((&header[..15], got.len()), (&columns[..], wanted.len()));
+        for (got, wanted) in got.iter().zip(&wanted) {
+            for (got, wanted) in got.iter().zip(wanted) {
+                assert!((got - wanted).abs() < 1e-8, "{name}");
+            }
+        }
+    }
+}
+
+#[test]
+fn replays_that_cannot_be_flown_are_refused_by_file_and_line() {
+    let dir = directory("replay-refused");
+    std::fs::create_dir_all(&dir).unwrap();
+    let out = dir.join("flight.csv");
+    let (scenario, actions) = (reference("mjc_cf2x.toml"), reference("mjc_cf2x.actions.csv"));
+    let good = std::fs::read_to_string(&scenario).unwrap();
+    let file = |name: &str, content: &str| {
+        std::fs::write(dir.join(name), content).unwrap();
+        text(&dir.join(name)).to_string()
+    };
+    let replay = |scenario: &str, actions: &str, texts: &[&str]| {
+        refused(&["replay", "--scenario", scenario, "--actions", actions, "--out", text(&out)], 2, texts);
+        assert!(!out.exists(), "a partial file");
+    };
+    let typo = file("typo.toml", &good.replace("sim_freq", "sim_frq"));
+    replay(&typo, &actions, &["typo.toml: line", "sim_frq"]);
+    replay(&file("two.toml", &good.replace("num_drones = 1", "num_drones = 2")), &actions, &["two.toml", "1 entries"]);
+    replay(text(&dir.join("none.toml")), &actions, &["none.toml", "No such file"]);
+    replay(&scenario, text(&dir.join("none.csv")), &["none.csv", "No such file"]);
+    let header = "drone0_rpm0,drone0_rpm1,drone0_rpm2,drone0_rpm3\n";
+    replay(&scenario, &file("short.csv", &format!("{header}1,2,3,4\n1,2\n")), &["short.csv: line 3", "2 numbers"]);
+    replay(&scenario, &file("nan.csv", &format!("{header}1,2,nan,4\n")), &["nan.csv: line 2", "drone0_rpm2 is `nan`"]);
+    replay(&scenario, &file("header.csv", "a,b,c,d\n1,2,3,4\n"), &["header.csv: line 1", "`a`"]);
+    let blocked = file("blocked", "in the way");
+    refused(
+        &["replay", "--scenario", &scenario, "--actions", &actions, "--out", &format!("{blocked}/x.csv")],
+        1,
+        &["x.csv"],
+    );
+}
+
+#[test]
+fn every_physics_mode_and_airframe_hovers() {
+    for physics in ["mjc", "mjc_gnd", "mjc_drag", "mjc_dw", "mjc_gnd_drag_dw", "dyn"] {
+        for drone in ["cf2x", "cf2p", "race"] {
+            let output = aviary(&["fly", "--task", "hover", "--physics", physics, "--drone", drone, "--json"]);
+            let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+            assert_eq!((&flight["physics"], &flight["success"]), (&physics.into(), &true.into()), "{physics} {drone}");
+        }
+    }
+    refused(&["fly", "--task", "hover", "--physics", "mjc_dg"], 2, &["--physics is `mjc_dg`", "did you mean"]);
+}
+
 fn has_gl() -> bool {
     let doctor: Value = serde_json::from_slice(&aviary(&["doctor", "--json"]).stdout).unwrap();
     doctor["gl"].as_array().unwrap().iter().any(|answer| answer["works"] == true)

@@ -143,7 +143,7 @@ impl Data {
         Ok(())
     }
 
-    /// Time 0, no applied forces, no warm start of the solver, no contacts and no warnings, with the state left to be
+    /// Time 0, no applied forces and controls, no warm start of the solver, no contacts and no warnings, with the state left to be
     /// written by the caller.
     ///
     /// Followed by writing `qpos`, `qvel` and whatever else the model takes as input, this is a reset without what
@@ -158,6 +158,7 @@ impl Data {
         self.qacc_warmstart_mut().fill(0.0);
         self.xfrc_applied_mut().fill(0.0);
         self.qfrc_applied_mut().fill(0.0);
+        self.ctrl_mut().fill(0.0);
         let raw = self.raw_mut();
         raw.time = 0.0;
         (raw.ncon, raw.nefc, raw.ne, raw.nf) = (0, 0, 0, 0);

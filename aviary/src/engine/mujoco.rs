@@ -1,12 +1,11 @@
 //! The reference engine: MuJoCo's `mj_step`, forces through `xfrc_applied`.
 
-use mujoco_rs::{BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model};
+use mujoco_rs::{ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model};
 use nalgebra::Vector3;
 
-use super::{Contact, Touched};
-use crate::physics::Wrench;
+use super::{Contact, Load, Touched};
 use crate::state::{DroneState, attitude_from_wxyz, wxyz};
-use crate::world::{SceneError, World};
+use crate::world::{Forcing, SceneError, World};
 
 /// Where one drone's numbers lie in MuJoCo's arrays.
 #[derive(Debug, Clone, Copy)]
@@ -17,14 +16,17 @@ struct Slot {
     position: usize,
     /// First of six numbers in `qvel`.
     velocity: usize,
+    /// First of four numbers in `ctrl`, where forcing is body-fixed.
+    control: Option<usize>,
 }
 
 /// What a geom belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Drone(usize),
+    Obstacle(usize),
     Floor,
-    Other,
+    Nobody,
 }
 
 /// N free bodies in a MuJoCo scene.
@@ -56,9 +58,13 @@ impl MujocoEngine {
         let mut model = Model::from_xml(&world.to_mjcf()?)?;
         // the text has the shortest decimals that read back to the same bits; this does not depend on the reader
         model.patch().set_timestep(world.timestep)?;
-        let mut owners = vec![Owner::Other; model.ngeom()];
+        let mut owners = vec![Owner::Nobody; model.ngeom()];
         let floor: GeomId = model.find("floor")?;
         owners[floor.index()] = Owner::Floor;
+        for index in 0..world.obstacles.len() {
+            let obstacle: GeomId = model.find(&World::obstacle_name(index))?;
+            owners[obstacle.index()] = Owner::Obstacle(index);
+        }
         let mut slots = Vec::with_capacity(world.drones.len());
         for index in 0..world.drones.len() {
             let name = World::drone_name(index);
@@ -67,6 +73,10 @@ impl MujocoEngine {
                 body: body.index(),
                 position: address(model.jnt_qposadr()[joint.index()]),
                 velocity: address(model.jnt_dofadr()[joint.index()]),
+                control: match world.forcing {
+                    Forcing::Frozen => None,
+                    Forcing::BodyFixed => Some(model.find::<ActuatorId>(&World::actuator_names(index)[0])?.index()),
+                },
             });
             for (geom, owner) in owners.iter_mut().enumerate() {
                 if address(model.geom_bodyid()[geom]) == body.index() {
@@ -120,13 +130,31 @@ impl MujocoEngine {
         }
     }
 
-    /// One `mj_step` under these wrenches, which are constant in the world frame through it.
+    /// Puts the drones into these states and computes everything that follows from them.
+    pub(super) fn show(&mut self, states: &[DroneState]) -> Result<&Data, Error> {
+        self.write(states);
+        self.data.forward()?;
+        Ok(&self.data)
+    }
+
+    /// One `mj_step` under these loads, from these states. What is external is constant in the world frame through it;
+    /// so are the rotors, or they turn with the body where forcing is body-fixed.
     ///
     /// # Errors
     /// [`Error::Diverged`] and MuJoCo's own errors; the drones must then be [reset](Self::reset).
-    pub fn advance(&mut self, wrenches: &[Wrench]) -> Result<(), Error> {
-        let forces = self.data.xfrc_applied_mut();
-        for (slot, wrench) in self.slots.iter().zip(wrenches) {
+    pub fn advance(&mut self, loads: &[Load], states: &[DroneState]) -> Result<(), Error> {
+        for ((slot, load), state) in self.slots.iter().zip(loads).zip(states) {
+            let wrench = match slot.control {
+                None => load.rotors.in_world(&state.attitude) + load.external,
+                Some(control) => {
+                    let torque = load.rotors.torque_body;
+                    let controls: &mut [f64; 4] =
+                        self.data.ctrl_mut()[control..].first_chunk_mut().expect("four actuators per drone");
+                    *controls = [load.rotors.thrust, torque.x, torque.y, torque.z];
+                    load.external
+                }
+            };
+            let forces = self.data.xfrc_applied_mut();
             let row: &mut [f64; 6] = forces[6 * slot.body..].first_chunk_mut().expect("a row of six per body");
             let (f, t) = (wrench.force_world, wrench.torque_world);
             *row = [f.x, f.y, f.z, t.x, t.y, t.z];
@@ -158,7 +186,8 @@ impl MujocoEngine {
                 let with = match other {
                     Owner::Drone(index) => Touched::Drone(index),
                     Owner::Floor => Touched::Floor,
-                    Owner::Other => Touched::Obstacle,
+                    Owner::Obstacle(index) => Touched::Obstacle(index),
+                    Owner::Nobody => continue,
                 };
                 found(Contact { drone, with });
             }

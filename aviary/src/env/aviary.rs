@@ -5,9 +5,11 @@ use crate::action::{ActionType, MotorScale};
 use crate::control::Reference;
 use crate::drone::{DroneModel, DroneParams};
 use crate::observation::{Observation, ObservationType};
+use crate::physics::actuators::ActuatorParams;
+use crate::physics::{Effects, Physics};
 use crate::simulation::{Simulation, SimulationBuilder};
 use crate::vision::{CAMERA_SIZE, ImageSize, Painter, View};
-use crate::world::{Integrator, Medium};
+use crate::world::{Forcing, Integrator, Medium, Obstacle};
 
 /// A task made into an environment.
 #[derive(Debug)]
@@ -48,6 +50,11 @@ pub struct AviaryBuilder<T> {
     ctrl_freq: u32,
     positions: Option<Vec<[f64; 3]>>,
     rpys: Option<Vec<[f64; 3]>>,
+    physics: Physics,
+    effects: Option<Effects>,
+    forcing: Forcing,
+    actuators: ActuatorParams,
+    obstacles: Vec<Obstacle>,
     action_type: ActionType,
     observation_type: ObservationType,
     camera_size: ImageSize,
@@ -68,6 +75,11 @@ impl<T: Task> AviaryBuilder<T> {
             ctrl_freq: 48,
             positions: None,
             rpys: None,
+            physics: Physics::default(),
+            effects: None,
+            forcing: Forcing::default(),
+            actuators: ActuatorParams::default(),
+            obstacles: Vec::new(),
             action_type: ActionType::default(),
             observation_type: ObservationType::default(),
             camera_size: CAMERA_SIZE,
@@ -132,6 +144,41 @@ impl<T: Task> AviaryBuilder<T> {
         self
     }
 
+    /// The physics mode; MuJoCo without aerodynamic effects by default.
+    #[must_use]
+    pub fn physics(mut self, physics: Physics) -> Self {
+        self.physics = physics;
+        self
+    }
+
+    /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+    #[must_use]
+    pub fn effects(mut self, effects: Effects) -> Self {
+        self.effects = Some(effects);
+        self
+    }
+
+    /// How the rotors' wrench acts during a physics step; frozen by default.
+    #[must_use]
+    pub fn forcing(mut self, forcing: Forcing) -> Self {
+        self.forcing = forcing;
+        self
+    }
+
+    /// How the motors answer to commands; at once and exactly by default.
+    #[must_use]
+    pub fn actuators(mut self, actuators: ActuatorParams) -> Self {
+        self.actuators = actuators;
+        self
+    }
+
+    /// Things that stand in the way; none by default.
+    #[must_use]
+    pub fn obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
+        self.obstacles = obstacles.into_iter().collect();
+        self
+    }
+
     /// How the agent commands the drones; normalized motor speeds by default.
     #[must_use]
     pub fn action_type(mut self, action_type: ActionType) -> Self {
@@ -189,8 +236,15 @@ impl<T: Task> AviaryBuilder<T> {
             .initial_positions(positions)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
+            .physics(self.physics)
+            .forcing(self.forcing)
+            .actuators(self.actuators)
+            .obstacles(self.obstacles)
             .integrator(self.integrator)
             .medium(self.medium);
+        if let Some(effects) = self.effects {
+            options = options.effects(effects);
+        }
         if let Some(rpys) = self.rpys {
             options = options.initial_rpys(rpys);
         }

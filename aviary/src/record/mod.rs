@@ -2,8 +2,11 @@
 
 mod log;
 pub mod picture;
+pub mod plot;
+mod replay;
 
 pub use log::CsvLog;
+pub use replay::{ReplayError, Scenario, read_actions};
 
 use crate::vision::ImageSize;
 
@@ -23,6 +26,9 @@ pub enum RecordError {
     /// An animation cannot be written.
     #[error("the animation cannot be written: {0}")]
     Animation(#[from] gif::EncodingError),
+    /// A plot cannot be drawn.
+    #[error("the plot cannot be drawn: {0}")]
+    Plot(String),
     /// A buffer that is not a picture of this size.
     #[error("a picture of {size} has {got} numbers, expected {expected}")]
     Picture {

@@ -66,7 +66,7 @@ impl CrashWatch {
                         on_floor = true;
                         (conditions.floor_contact && *airborne).then_some(EndReason::FloorContact)
                     }
-                    Touched::Obstacle => conditions.obstacle_contact.then_some(EndReason::ObstacleContact),
+                    Touched::Obstacle(_) => conditions.obstacle_contact.then_some(EndReason::ObstacleContact),
                     Touched::Drone(_) => conditions.drone_contact.then_some(EndReason::DroneContact),
                 };
                 found = found.or(reason);

@@ -10,7 +10,7 @@ use quick_xml::Writer;
 use quick_xml::events::{BytesEnd, BytesStart, Event};
 
 use super::look::Look;
-use super::{DroneBody, World};
+use super::{DroneBody, Forcing, Obstacle, World};
 use crate::state::{attitude_from_rpy, wxyz};
 
 /// What can be wrong with a scene before MuJoCo sees it.
@@ -54,7 +54,8 @@ impl Sizes {
         let drones = world.drones.len();
         // a cylinder meets a plane in up to four points; in a pile each has about four more contacts of its own, and more
         // than a few dozen do not pile up (memory grows with the square of this number)
-        let contacts = 4 * drones + 4 * drones.min(64);
+        let on_obstacles = if world.obstacles.is_empty() { 0 } else { 4 * drones.min(64) };
+        let contacts = 4 * drones + 4 * drones.min(64) + on_obstacles;
         // a pyramidal friction cone has four edges
         let constraints = 4 * contacts;
         let freedoms = 6 * drones;
@@ -76,12 +77,19 @@ impl World {
         self.physics(&mut xml);
         xml.open("worldbody", &[]);
         xml.leaf("geom", &[("name", "floor".into()), ("type", "plane".into()), ("size", "0 0 1".into())]);
+        xml.obstacles(&self.obstacles);
         for (index, drone) in self.drones.iter().enumerate() {
             xml.open_drone(index, drone);
             xml.collision_geom(index, drone, &[]);
+            if self.forcing == Forcing::BodyFixed {
+                xml.leaf("site", &[("name", World::drone_name(index))]);
+            }
             xml.close("body");
         }
         xml.close("worldbody");
+        if self.forcing == Forcing::BodyFixed {
+            xml.rotors(self.drones.len());
+        }
         xml.close("mujoco");
         Ok(xml.finish())
     }
@@ -147,6 +155,7 @@ impl World {
                 ("material", "floor".into()),
             ],
         );
+        xml.obstacles(&self.obstacles);
         for (index, (drone, look)) in self.drones.iter().zip(&looks).enumerate() {
             xml.open_drone(index, drone);
             xml.collision_geom(
@@ -244,6 +253,19 @@ impl World {
                 "zero or a positive number of Pa·s",
             )?;
         }
+        for (index, obstacle) in self.obstacles.iter().enumerate() {
+            for got in obstacle.shape.geom().1 {
+                let good = got.is_finite() && got > 0.0;
+                value(&format!("the size of obstacle {index}"), got, good, "positive numbers of metres")?;
+            }
+            for &got in obstacle.position.iter().chain(&obstacle.rpy) {
+                value(&format!("the pose of obstacle {index}"), got, got.is_finite(), "finite numbers")?;
+            }
+            for got in obstacle.rgba {
+                let good = (0.0..=1.0).contains(&got);
+                value(&format!("the colour of obstacle {index}"), got, good, "four numbers from 0 to 1")?;
+            }
+        }
         for (index, drone) in self.drones.iter().enumerate() {
             for (what, vector) in [("position", drone.position), ("attitude", drone.rpy)] {
                 for &got in vector.iter() {
@@ -301,6 +323,35 @@ impl Xml {
             "inertial",
             &[("pos", "0 0 0".into()), ("mass", params.mass.to_string()), ("diaginertia", numbers(&params.inertia))],
         );
+    }
+
+    fn obstacles(&mut self, obstacles: &[Obstacle]) {
+        for (index, obstacle) in obstacles.iter().enumerate() {
+            let (kind, size) = obstacle.shape.geom();
+            self.leaf(
+                "geom",
+                &[
+                    ("name", World::obstacle_name(index)),
+                    ("type", kind.into()),
+                    ("size", numbers(&size)),
+                    ("pos", vector(&obstacle.position)),
+                    ("quat", numbers(&wxyz(&attitude_from_rpy(obstacle.rpy)))),
+                    ("rgba", numbers(&obstacle.rgba)),
+                ],
+            );
+        }
+    }
+
+    /// Actuators that push and turn the drones' sites, whose frame turns with the body.
+    fn rotors(&mut self, drones: usize) {
+        self.open("actuator", &[]);
+        for index in 0..drones {
+            let gears = ["0 0 1 0 0 0", "0 0 0 1 0 0", "0 0 0 0 1 0", "0 0 0 0 0 1"];
+            for (name, gear) in World::actuator_names(index).into_iter().zip(gears) {
+                self.leaf("motor", &[("name", name), ("site", World::drone_name(index)), ("gear", gear.into())]);
+            }
+        }
+        self.close("actuator");
     }
 
     fn collision_geom(&mut self, index: usize, drone: &DroneBody, more: &[(&str, String)]) {

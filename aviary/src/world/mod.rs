@@ -2,6 +2,7 @@
 
 mod look;
 mod mjcf;
+mod obstacle;
 
 use nalgebra::Vector3;
 
@@ -10,6 +11,7 @@ use crate::drone::{DroneParams, GRAVITY};
 pub use look::CF2_ASSETS;
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
+pub use obstacle::{Obstacle, Shape};
 
 /// The air, as MuJoCo's own fluid model sees it.
 ///
@@ -29,6 +31,18 @@ impl Medium {
     pub const AIR: Self = Self { density: 1.225, viscosity: 1.8e-5 };
 }
 
+/// How the rotors' wrench acts during a physics step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Forcing {
+    /// Constant in the world frame, computed from the attitude at the start of the step: the paper's. While the body
+    /// turns, position is first order in the time step whatever the integrator.
+    #[default]
+    Frozen,
+    /// Fixed to the body, which turns with it inside every stage of the integrator: RK4 keeps its fourth order.
+    BodyFixed,
+}
+
 /// One drone in the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DroneBody {
@@ -40,7 +54,7 @@ pub struct DroneBody {
     pub rpy: Vector3<f64>,
 }
 
-/// A scene: a floor and drones above it.
+/// A scene: a floor, things standing around, and drones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct World {
     /// Length of a physics step, s.
@@ -51,6 +65,10 @@ pub struct World {
     pub gravity: f64,
     /// The air; `None` for MuJoCo's vacuum.
     pub medium: Option<Medium>,
+    /// How the rotors' wrench acts during a physics step.
+    pub forcing: Forcing,
+    /// Things that do not move, in order: obstacle i is the geom `obstacle{i}`.
+    pub obstacles: Vec<Obstacle>,
     /// The drones, in order: drone i is the body `drone{i}`.
     pub drones: Vec<DroneBody>,
 }
@@ -58,12 +76,31 @@ pub struct World {
 impl World {
     /// A floor and these drones, at 240 Hz, RK4, without a medium.
     pub fn new(drones: Vec<DroneBody>) -> Self {
-        Self { timestep: 1.0 / 240.0, integrator: Integrator::Rk4, gravity: GRAVITY, medium: None, drones }
+        Self {
+            timestep: 1.0 / 240.0,
+            integrator: Integrator::Rk4,
+            gravity: GRAVITY,
+            medium: None,
+            forcing: Forcing::Frozen,
+            obstacles: Vec::new(),
+            drones,
+        }
     }
 
     /// Name of a drone's body in the scene, and of its collision geom.
     pub fn drone_name(index: usize) -> String {
         format!("drone{index}")
+    }
+
+    /// Name of an obstacle's geom in the scene.
+    pub fn obstacle_name(index: usize) -> String {
+        format!("obstacle{index}")
+    }
+
+    /// Names of the four actuators through which a drone's rotors act where forcing is body-fixed: thrust along body z
+    /// (N), and torques about body x, y and z (N·m).
+    pub fn actuator_names(index: usize) -> [String; 4] {
+        ["thrust", "roll", "pitch", "yaw"].map(|what| format!("drone{index}_{what}"))
     }
 
     /// Name of a drone's onboard camera in the visible scene.

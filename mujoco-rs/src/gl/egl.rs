@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
 
-use super::without_rasteriser_threads;
+use super::{reason, without_rasteriser_threads};
 
 type Pointer = *mut c_void;
 type Int = i32;
@@ -94,8 +94,7 @@ impl Egl {
         let displays = displays?;
         // from here on it is the one that MuJoCo sees
         // SAFETY: already loaded; this only makes its symbols global.
-        let library =
-            unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| error.to_string())?;
+        let library = unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| reason(&error))?;
         Ok(Self { functions, displays, next: AtomicUsize::new(0), _library: library })
     }
 
@@ -117,7 +116,7 @@ fn open(visibility: i32) -> Result<(&'static str, Library), String> {
         // SAFETY: a system library, whose initialisers are those of any program that draws.
         match unsafe { Library::open(Some(name), RTLD_NOW | visibility) } {
             Ok(library) => return Ok((name, library)),
-            Err(error) => answers.push(error.to_string()),
+            Err(error) => answers.push(reason(&error)),
         }
     }
     Err(answers.swap_remove(0))
@@ -128,7 +127,7 @@ impl Functions {
         macro_rules! symbol {
             ($name:literal) => {
                 // SAFETY: the type is the one that EGL's registry gives this name.
-                *unsafe { library.get($name) }.map_err(|error| error.to_string())?
+                *unsafe { library.get($name) }.map_err(|error| reason(&error))?
             };
         }
         Ok(Self {
@@ -165,8 +164,7 @@ impl Functions {
 fn displays(library: &Library, functions: Functions) -> Result<Vec<Display>, String> {
     // SAFETY: the types are those of EGL's registry; extensions may be missing, which is a null pointer.
     let (query_devices, platform_display) = unsafe {
-        let get_proc_address: GetProcAddress =
-            *library.get(b"eglGetProcAddress\0").map_err(|error| error.to_string())?;
+        let get_proc_address: GetProcAddress = *library.get(b"eglGetProcAddress\0").map_err(|error| reason(&error))?;
         let query = get_proc_address(c"eglQueryDevicesEXT".as_ptr());
         let platform = get_proc_address(c"eglGetPlatformDisplayEXT".as_ptr());
         (

@@ -157,6 +157,12 @@ impl GlContext {
     }
 }
 
+/// What the loader says, down to the system's own words.
+fn reason(error: &libloading::Error) -> String {
+    use std::error::Error as _;
+    error.source().map_or_else(|| error.to_string(), |source| source.to_string())
+}
+
 /// Runs `start`, in which a driver may bring up its rasteriser, so that a software rasteriser has no threads of its
 /// own unless `LP_NUM_THREADS` asks for them: at the size of observations waking them costs more than they draw, and
 /// whoever draws on several threads has one context for each.

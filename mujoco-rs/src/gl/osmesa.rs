@@ -5,7 +5,7 @@ use std::ptr;
 
 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
 
-use super::without_rasteriser_threads;
+use super::{reason, without_rasteriser_threads};
 
 type Pointer = *mut c_void;
 
@@ -49,7 +49,7 @@ impl Osmesa {
             // SAFETY: a system library, whose initialisers are those of any program that draws.
             match unsafe { Library::open(Some(name), RTLD_NOW | RTLD_LOCAL) } {
                 Ok(library) => return Self::try_out(name, library),
-                Err(error) => answers.push(error.to_string()),
+                Err(error) => answers.push(reason(&error)),
             }
         }
         Err(answers.swap_remove(0))
@@ -66,8 +66,7 @@ impl Osmesa {
         std::mem::forget(library);
         tried?;
         // SAFETY: already loaded before; this makes its symbols global.
-        let library =
-            unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| error.to_string())?;
+        let library = unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| reason(&error))?;
         Ok(Self { functions: Functions::of(&library)?, _library: library })
     }
 
@@ -81,7 +80,7 @@ impl Functions {
         macro_rules! symbol {
             ($name:literal) => {
                 // SAFETY: the type is the one of Mesa's header.
-                *unsafe { library.get($name) }.map_err(|error| error.to_string())?
+                *unsafe { library.get($name) }.map_err(|error| reason(&error))?
             };
         }
         Ok(Self {

@@ -1,0 +1,201 @@
+//! Motors that do not do at once, or exactly, what they are told. All of it is off by default.
+
+use crate::drone::DroneParams;
+
+/// How the motors of a drone answer to commands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActuatorParams {
+    /// Time constant of the rotor speed's first-order lag, s; 0 for none.
+    pub lag: f64,
+    /// Time until a command arrives, s, rounded to whole physics steps; 0 for none.
+    pub latency: f64,
+    /// Factor on each motor's commanded speed.
+    pub gains: [f64; 4],
+    /// Factor on `MAX_RPM`, at which speeds saturate.
+    pub saturation: f64,
+}
+
+impl Default for ActuatorParams {
+    fn default() -> Self {
+        Self { lag: 0.0, latency: 0.0, gains: [1.0; 4], saturation: 1.0 }
+    }
+}
+
+/// A setting of the actuators that is impossible.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("the actuators' {field} is {got}, expected {expected}")]
+pub struct ActuatorError {
+    field: &'static str,
+    got: f64,
+    expected: &'static str,
+}
+
+impl ActuatorParams {
+    /// Longest latency, s.
+    pub const MAX_LATENCY: f64 = 10.0;
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`ActuatorError`] naming one that is impossible.
+    pub fn validate(&self) -> Result<(), ActuatorError> {
+        let check = |field, got: f64, range: std::ops::RangeInclusive<f64>, expected| {
+            if range.contains(&got) { Ok(()) } else { Err(ActuatorError { field, got, expected }) }
+        };
+        check("lag", self.lag, 0.0..=1e3, "0 to 1000 s")?;
+        check("latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 10 s")?;
+        check("saturation", self.saturation, 1e-3..=1e3, "a positive factor up to 1000")?;
+        for gain in self.gains {
+            check("gain", gain, 0.0..=1e3, "a factor from 0 to 1000")?;
+        }
+        Ok(())
+    }
+}
+
+/// The motors of one drone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Actuators {
+    gains: [f64; 4],
+    max_rpm: f64,
+    /// Speed at which the rotors turn when an episode begins, rpm.
+    initial_rpm: f64,
+    /// Share of the way to the command that the speed goes in one physics step: 1 − exp(−dt/τ).
+    share: f64,
+    /// Commands on their way, a ring of one per physics step of latency.
+    queue: Vec<[f64; 4]>,
+    next: usize,
+    rpm: [f64; 4],
+}
+
+impl Actuators {
+    /// The motors of an airframe at a physics step of `dt` seconds.
+    ///
+    /// Motors with lag or latency turn at hover speed when an episode begins: a drone that starts in the air was
+    /// flying before.
+    pub fn new(params: &DroneParams, actuators: &ActuatorParams, dt: f64) -> Self {
+        let steps = (actuators.latency / dt).round() as usize;
+        let slow = actuators.lag > 0.0 || steps > 0;
+        let initial_rpm = if slow { params.hover_rpm() } else { 0.0 };
+        Self {
+            gains: actuators.gains,
+            max_rpm: params.max_rpm() * actuators.saturation,
+            initial_rpm,
+            share: if actuators.lag > 0.0 { -(-dt / actuators.lag).exp_m1() } else { 1.0 },
+            queue: vec![[initial_rpm; 4]; steps],
+            next: 0,
+            rpm: [initial_rpm; 4],
+        }
+    }
+
+    /// As at the start of an episode.
+    pub fn reset(&mut self) {
+        self.queue.fill([self.initial_rpm; 4]);
+        self.next = 0;
+        self.rpm = [self.initial_rpm; 4];
+    }
+
+    /// Rotor speeds, rpm.
+    #[inline]
+    pub fn rpm(&self) -> &[f64; 4] {
+        &self.rpm
+    }
+
+    /// Goes through one physics step under these commanded speeds (rpm) and gives the rotor speeds that act in it:
+    /// n += (n_cmd − n)·(1 − exp(−dt/τ)).
+    #[inline]
+    pub fn advance(&mut self, command: &[f64; 4]) -> &[f64; 4] {
+        let mut arrived = *command;
+        if let Some(slot) = self.queue.get_mut(self.next) {
+            std::mem::swap(slot, &mut arrived);
+            self.next = (self.next + 1) % self.queue.len();
+        }
+        for ((rpm, command), gain) in self.rpm.iter_mut().zip(arrived).zip(self.gains) {
+            let target = (command * gain).clamp(0.0, self.max_rpm);
+            // without lag exactly the command, not a rounding error beside it
+            *rpm = if self.share == 1.0 { target } else { *rpm + (target - *rpm) * self.share };
+        }
+        &self.rpm
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+    use proptest::prelude::*;
+
+    const DT: f64 = 1.0 / 240.0;
+
+    fn motors(params: ActuatorParams) -> Actuators {
+        params.validate().unwrap();
+        Actuators::new(&DroneModel::Cf2x.params(), &params, DT)
+    }
+
+    #[test]
+    fn by_default_commands_are_speeds_at_once_to_the_last_bit() {
+        let mut motors = motors(ActuatorParams::default());
+        for command in [[0.1, 1.0 / 3.0, 14_000.1, 21_000.0], [0.0; 4]] {
+            assert_eq!(*motors.advance(&command), command);
+        }
+        let max = DroneModel::Cf2x.params().max_rpm();
+        assert_eq!(*motors.advance(&[-5.0, 1e9, 0.0, max]), [0.0, max, 0.0, max]);
+    }
+
+    #[test]
+    fn after_one_time_constant_the_speed_is_63_percent_there() {
+        for lag in [0.005, 0.05, 0.0123] {
+            let mut motors = motors(ActuatorParams { lag, ..ActuatorParams::default() });
+            let start = motors.rpm()[0];
+            let steps = 40;
+            for _ in 0..steps {
+                motors.advance(&[20_000.0; 4]);
+            }
+            let wanted = start + (20_000.0 - start) * (1.0 - (-f64::from(steps) * DT / lag).exp());
+            assert!((motors.rpm()[0] - wanted).abs() < 1e-6, "{lag}");
+        }
+    }
+
+    #[test]
+    fn commands_arrive_after_their_latency_in_whole_steps() {
+        for (latency, steps) in [(0.0, 0), (0.4 * DT, 0), (0.6 * DT, 1), (5.0 * DT, 5), (0.05, 12)] {
+            let mut motors = motors(ActuatorParams { latency, ..ActuatorParams::default() });
+            let before = motors.rpm()[0];
+            for step in 0..20 {
+                let rpm = motors.advance(&[1000.0 + f64::from(step); 4])[0];
+                let wanted = if step < steps { before } else { 1000.0 + f64::from(step - steps) };
+                assert_eq!(rpm, wanted, "latency {latency}, step {step}");
+            }
+            motors.reset();
+            assert_eq!(motors.rpm()[0], before);
+        }
+    }
+
+    #[test]
+    fn gains_and_saturation_are_the_motors_own() {
+        let mut motors =
+            motors(ActuatorParams { gains: [1.0, 0.5, 2.0, 0.0], saturation: 0.5, ..ActuatorParams::default() });
+        let max = 0.5 * DroneModel::Cf2x.params().max_rpm();
+        assert_eq!(*motors.advance(&[8000.0; 4]), [8000.0, 4000.0, max, 0.0]);
+        for bad in [
+            ActuatorParams { lag: -1.0, ..ActuatorParams::default() },
+            ActuatorParams { latency: f64::NAN, ..ActuatorParams::default() },
+            ActuatorParams { saturation: 0.0, ..ActuatorParams::default() },
+            ActuatorParams { gains: [1.0, 1.0, -0.1, 1.0], ..ActuatorParams::default() },
+        ] {
+            assert!(bad.validate().unwrap_err().to_string().contains("expected"));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn speeds_stay_within_the_motors_range(
+            lag in 0.0..0.1, latency in 0.0..0.1, commands in prop::collection::vec(prop::array::uniform4(-1e6..1e6), 1..50),
+        ) {
+            let mut motors = motors(ActuatorParams { lag, latency, ..ActuatorParams::default() });
+            let max = DroneModel::Cf2x.params().max_rpm();
+            for command in commands {
+                prop_assert!(motors.advance(&command).iter().all(|n| (0.0..=max).contains(n)));
+            }
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! Ground effect: near the floor every rotor gives more thrust (paper, eq. 2, after Shi et al. 2019).
+//!
+//! ΔF_z = C_gnd · Σ k_f·nᵢ² · (r_p / 4h)²,  h = max(p_z, h_clip)
+//!
+//! along world z, and nothing for a drone whose belly points up. h_clip keeps the force of the faintest hover from
+//! growing without bound as h → 0: see [`DroneParams::ground_effect_clip`].
+
+use crate::drone::DroneParams;
+use crate::state::DroneState;
+
+/// The constants of the effect for one airframe.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GroundEffect {
+    /// C_gnd·(r_p / 4)², m².
+    coefficient: f64,
+    /// Least height that counts, m.
+    clip: f64,
+}
+
+impl GroundEffect {
+    /// Of an airframe.
+    pub fn new(params: &DroneParams) -> Self {
+        let quarter = params.propeller_radius / 4.0;
+        Self { coefficient: params.ground_effect_coefficient * quarter * quarter, clip: params.ground_effect_clip() }
+    }
+
+    /// Additional force along world z, N, for rotors that give this thrust (N) together.
+    #[inline]
+    pub fn force(&self, state: &DroneState, thrust: f64) -> f64 {
+        // |roll| and |pitch| below 90° are the same as body z pointing upwards
+        if state.up().z <= 0.0 {
+            return 0.0;
+        }
+        let height = state.position.z.max(self.clip);
+        thrust * self.coefficient / (height * height)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+    use nalgebra::Vector3;
+    use proptest::prelude::*;
+
+    fn at(z: f64, rpy: [f64; 3]) -> DroneState {
+        DroneState::at_rest(Vector3::new(3.0, -2.0, z), rpy.into())
+    }
+
+    #[test]
+    fn it_is_the_papers_formula() {
+        for model in DroneModel::ALL {
+            let p = model.params();
+            let rpm = [1.1, 0.9, 1.05, 0.8].map(|share| share * p.hover_rpm());
+            let thrust: f64 = rpm.iter().map(|n| p.thrust_coefficient * n * n).sum();
+            for z in [0.2, 0.5, 3.0] {
+                let ratio = p.propeller_radius / (4.0 * z);
+                let wanted = p.ground_effect_coefficient * thrust * ratio * ratio;
+                let got = GroundEffect::new(&p).force(&at(z, [0.3, -0.2, 2.0]), thrust);
+                assert!((got - wanted).abs() < 1e-12 * wanted, "{model} at {z} m");
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn it_falls_with_height_is_bounded_and_nothing_upside_down(
+            low in -1.0..5.0, more in 0.0..5.0, roll in -3.1..3.1, pitch in -1.5..1.5, yaw in -3.1..3.1,
+        ) {
+            let params = DroneModel::Cf2x.params();
+            let effect = GroundEffect::new(&params);
+            let thrust = params.weight();
+            let (near, far) = (effect.force(&at(low, [0.0; 3]), thrust), effect.force(&at(low + more, [0.0; 3]), thrust));
+            prop_assert!(near >= far && far > 0.0);
+            // at the clip the force is C·r²/16 / (r²/16·15/4·C) = 4/15 of the thrust
+            prop_assert!(near <= thrust * 4.0 / 15.0 * (1.0 + 1e-12));
+            let turned = effect.force(&at(low, [roll, pitch, yaw]), thrust);
+            prop_assert_eq!(turned > 0.0, roll.abs() < std::f64::consts::FRAC_PI_2);
+        }
+    }
+}

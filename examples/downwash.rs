@@ -1,0 +1,64 @@
+//! The paper's downwash figure: a Crazyflie flies over another one, whose thrust rises while it is in the wake.
+//!
+//! `cargo run --release --example downwash -- [DIRECTORY] [SECONDS]` writes `downwash.svg` and `downwash.png` (by default
+//! to `out/downwash`, 10 s).
+
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::plot::{Series, time_series};
+use mujoco_drones_gym::vision::Painter;
+use nalgebra::Vector3;
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/downwash".into()));
+    let seconds: f64 = arguments.next().map_or(Ok(10.0), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+
+    let (low, high) = (Vector3::new(0.0, 0.0, 0.6), Vector3::new(0.0, 0.0, 1.1));
+    let start = Vector3::new(-0.6, 0.0, 1.1);
+    let params = DroneModel::Cf2x.params();
+    let mut simulation = Simulation::builder(DroneModel::Cf2x)
+        .num_drones(2)
+        .physics(Physics::MjcGndDragDw)
+        .initial_positions([low.into(), start.into()])
+        .build()?;
+    let mut pilots = [PidControl::new(&params), PidControl::new(&params)];
+    let (mut heights, mut thrusts) = ([vec![], vec![]], [vec![], vec![]]);
+    let dt = simulation.control_period();
+    let size = ImageSize { width: 640, height: 480 };
+    let mut picture = vec![0; 3 * size.pixels()];
+    let mut painter = Painter::for_people(simulation.world())?;
+    while simulation.time() < seconds {
+        // the upper drone comes in over the lower one after two seconds
+        let t = simulation.time();
+        let share = ((t - 2.0) / 2.0).clamp(0.0, 1.0);
+        let references = [low, start + (high - start) * share].map(|at| Reference::hover(at, 0.0));
+        let commands: Vec<_> = (0..2)
+            .map(|drone| pilots[drone].control(dt, &simulation.states()[drone], &references[drone]).rpm)
+            .collect();
+        simulation.step(&commands)?;
+        for drone in 0..2 {
+            heights[drone].push((simulation.time(), simulation.states()[drone].position.z));
+            let share = simulation.loads()[drone].rotors.thrust / params.weight();
+            thrusts[drone].push((simulation.time(), share));
+        }
+        if t < 0.6 * seconds {
+            painter.update(simulation.states())?;
+        }
+    }
+    painter.rgb(View::Fixed, size, &mut picture)?;
+    let names = ["lower drone", "upper drone"];
+    let lines = |points: [Vec<(f64, f64)>; 2]| {
+        names.iter().zip(points).map(|(name, points)| Series { name: name.to_string(), points }).collect::<Vec<_>>()
+    };
+    let (first, last) = (thrusts[0][0].1, thrusts[0][thrusts[0].len() - 1].1);
+    let plot = time_series("Downwash", &[("height (m)", lines(heights)), ("thrust / weight", lines(thrusts))])?;
+    for (name, bytes) in [("downwash.svg", plot.into_bytes()), ("downwash.png", png_rgb(size, &picture)?)] {
+        std::fs::write(directory.join(name), bytes)?;
+        println!("{}", directory.join(name).display());
+    }
+    println!("thrust of the lower drone over its weight: {first:.3} at the start, {last:.3} at the end");
+    Ok(())
+}
