@@ -3,6 +3,7 @@
 //! `cargo run --release --example downwash -- [DIRECTORY] [SECONDS]` writes `downwash.svg` and `downwash.png` (by default
 //! to `out/downwash`, 10 s).
 
+use mujoco_drones_gym::control::PidGains;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::{Series, time_series};
@@ -16,15 +17,20 @@ fn main() -> anyhow::Result<()> {
     let seconds: f64 = arguments.next().map_or(Ok(10.0), |text| text.parse())?;
     std::fs::create_dir_all(&directory)?;
 
-    let (low, high) = (Vector3::new(0.0, 0.0, 0.6), Vector3::new(0.0, 0.0, 1.1));
-    let start = Vector3::new(-0.6, 0.0, 1.1);
+    let (low, high) = (Vector3::new(0.0, 0.0, 0.6), Vector3::new(0.0, 0.0, 1.6));
+    let start = Vector3::new(-0.6, 0.0, 1.6);
     let params = DroneModel::Cf2x.params();
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .num_drones(2)
         .physics(Physics::MjcGndDragDw)
         .initial_positions([low.into(), start.into()])
         .build()?;
-    let mut pilots = [PidControl::new(&params), PidControl::new(&params)];
+    // the paper's gains answer a steady push only with metres of error
+    let mut gains = PidGains::paper(&params);
+    gains.position.proportional = Vector3::new(3.0, 3.0, 12.0);
+    gains.position.integral = Vector3::new(0.5, 0.5, 6.0);
+    gains.position.derivative = Vector3::new(3.0, 3.0, 6.0);
+    let mut pilots = [(); 2].map(|()| PidControl::with_gains(&params, gains));
     let (mut heights, mut thrusts) = ([vec![], vec![]], [vec![], vec![]]);
     let dt = simulation.control_period();
     let size = ImageSize { width: 640, height: 480 };
@@ -44,11 +50,9 @@ fn main() -> anyhow::Result<()> {
             let share = simulation.loads()[drone].rotors.thrust / params.weight();
             thrusts[drone].push((simulation.time(), share));
         }
-        if t < 0.6 * seconds {
-            painter.update(simulation.states())?;
-        }
     }
-    painter.rgb(View::Fixed, size, &mut picture)?;
+    painter.update(simulation.states())?;
+    painter.rgb(View::Track, size, &mut picture)?;
     let names = ["lower drone", "upper drone"];
     let lines = |points: [Vec<(f64, f64)>; 2]| {
         names.iter().zip(points).map(|(name, points)| Series { name: name.to_string(), points }).collect::<Vec<_>>()

@@ -119,7 +119,8 @@ impl Observation {
     /// # Errors
     /// The painter's.
     pub fn take_pictures(&mut self, painter: &mut Painter, size: ImageSize) -> Result<(), Error> {
-        let pixels = size.pixels();
+        // a size of nothing has no pictures
+        let pixels = size.pixels().max(1);
         for (drone, rgb) in self.rgb.chunks_exact_mut(4 * pixels).enumerate() {
             painter.onboard_rgba(drone, size, rgb)?;
         }

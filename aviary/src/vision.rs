@@ -15,7 +15,7 @@ pub use mujoco_rs::{Decor, Effects, ImageSize};
 
 use crate::engine::BuildError;
 use crate::state::{DroneState, wxyz};
-use crate::world::World;
+use crate::world::{SceneError, World};
 
 /// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
 pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
@@ -163,6 +163,10 @@ impl Painter {
     /// # Errors
     /// As for [`for_observations`](Self::for_observations).
     pub fn new(world: &World, quality: Quality, effects: Effects) -> Result<Self, BuildError> {
+        if world.drones.is_empty() {
+            let what = "the number of drones to draw".into();
+            return Err(SceneError::Value { what, got: 0.0, expected: "at least 1" }.into());
+        }
         let (xml, assets) = world.to_visible_mjcf()?;
         let mut model = Model::from_xml_with_assets(&xml, &assets)?;
         if effects.shadows {
@@ -206,6 +210,10 @@ impl Painter {
     /// # Errors
     /// MuJoCo's own.
     pub fn update(&mut self, states: &[DroneState]) -> Result<(), Error> {
+        self.stale = true;
+        if states.iter().any(|state| !state.is_finite()) {
+            return Err(Error::Value { what: "a drone's state", got: f64::NAN, expected: "finite numbers" });
+        }
         for (&address, state) in self.joints.iter().zip(states) {
             let position = &mut self.data.qpos_mut()[address..][..7];
             position[..3].copy_from_slice(state.position.as_slice());

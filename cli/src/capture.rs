@@ -17,7 +17,7 @@ use crate::pilot::Pilot;
 ///
 /// DIR/frames.csv has one row per frame and drone. Depth is 16-bit PNG in millimetres (0: nothing within 65.5 m),
 /// segmentation 16-bit PNG of numbers that DIR/segmentation.json names. DIR/camera.json has the intrinsics and the
-/// pose in the body. When an episode ends, the next one begins.
+/// pose in the body. When an episode ends, the next one begins. An earlier capture in DIR is replaced.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   aviary capture --task hover --frames 100 --out out/frames
@@ -37,6 +37,9 @@ pub struct Capture {
     /// Control steps from one frame to the next
     #[arg(long, default_value_t = 1)]
     every: u64,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
 }
 
 const STATE: [&str; 13] = ["x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz"];
@@ -52,6 +55,7 @@ impl Capture {
         let world = pilot.env().simulation().world().clone();
         let mut painter = Painter::for_observations(&world).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;
+        self.clear()?;
 
         let mut rows = csv::Writer::from_writer(out.begin("frames.csv")?.into_writer());
         let table = |error: csv::Error| Failure::work(anyhow::Error::new(error).context("frames.csv"));
@@ -96,12 +100,53 @@ impl Capture {
         out.write("camera.json", &pretty(&self.camera()))?;
         let file = rows.into_inner().map_err(|error| Failure::work(anyhow!("frames.csv: {}", error.error())))?;
         file.keep()?;
+        if self.json {
+            return output::print_json(&json!({
+                "task": pilot.env().name(),
+                "frames": self.frames,
+                "episodes": episode + 1,
+                "width": self.size.width,
+                "height": self.size.height,
+                "directory": self.out,
+                "seed": self.options.seed,
+            }));
+        }
         output::print(&output::table(&[
             ("frames", self.frames.to_string()),
             ("episodes", (episode + 1).to_string()),
             ("size", self.size.to_string()),
             ("directory", self.out.display().to_string()),
         ]))
+    }
+
+    /// Removes an earlier capture from the directory: its tables would describe other pictures than are there.
+    fn clear(&self) -> Result<(), Failure> {
+        let remove = |path: PathBuf| match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(Failure::work(anyhow!("{}: {error}", path.display())))
+            }
+            _ => Ok(()),
+        };
+        for table in ["frames.csv", "camera.json", "segmentation.json"] {
+            remove(self.out.join(table))?;
+        }
+        for kind in ["rgb", "depth", "segmentation"] {
+            for entry in std::fs::read_dir(self.out.join(kind)).into_iter().flatten().flatten() {
+                let name = entry.file_name();
+                // FRAME_DRONE.png, and nothing else that somebody may have put there
+                let ours = name.to_str().and_then(|name| name.strip_suffix(".png")).is_some_and(|name| {
+                    name.split_once('_').is_some_and(|(frame, drone)| {
+                        [frame, drone]
+                            .iter()
+                            .all(|part| !part.is_empty() && part.bytes().all(|byte| byte.is_ascii_digit()))
+                    })
+                });
+                if ours {
+                    remove(entry.path())?;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// Flies on to the next frame.
@@ -146,6 +191,8 @@ impl Capture {
             "far": World::CLIP_PLANES[1],
             "depth_scale": 0.001,
             "depth": "distance along the optical axis, in units of depth_scale metres; 0 where there is nothing within 65.535 m",
+            // a step of the depth buffer is z^2 / near / 2^24
+            "depth_resolution": "0.6 mm at 10 m, 15 mm at 50 m",
             "position_in_body": World::CAMERA_POSITION,
             // columns: the picture's right, down and forward axes in the body frame
             "rotation_in_body": [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]],

@@ -36,8 +36,12 @@ impl Doctor {
         let checked = mujoco_rs::check_library();
         let [major, minor, patch] = mujoco_rs::library_version();
         let version = format!("{major}.{minor}.{patch}");
-        let answers = GlBackend::ALL.map(ask);
-        let drawn = answers.iter().any(|answer| answer.works);
+        let answers = GlBackend::ALL.map(|backend| {
+            let (works, detail) = ask(Some(backend));
+            Answer { backend, works, detail }
+        });
+        // what every other command will meet, MUJOCO_GL and MUJOCO_EGL_DEVICE_ID included
+        let (drawn, refusal) = ask(None);
         let ok = checked.is_ok() && drawn;
 
         if self.json {
@@ -58,18 +62,23 @@ impl Doctor {
         }
         checked.map_err(|error| Failure::work(anyhow!("{error}: run `./setup` and build again")))?;
         if !drawn {
-            let packages = GlBackend::ALL.map(GlBackend::packages).join(" ");
-            return Err(Failure::work(anyhow!("nothing to draw with: run `apt-get install {packages}`")));
+            return Err(Failure::work(anyhow!(refusal)));
         }
         Ok(())
     }
 }
 
-/// Asks about one library in a process of its own: a process keeps the first that works.
-fn ask(backend: GlBackend) -> Answer {
+/// Whether drawing works with one library, or as the environment has it, and what was answered. In a process of its
+/// own: a process keeps the first library that works.
+fn ask(backend: Option<GlBackend>) -> (bool, String) {
     let tried = (|| {
         let program = std::env::current_exe().context("this program's own file")?;
-        let output = Command::new(program).args(["doctor", "--probe"]).env("MUJOCO_GL", backend.name()).output()?;
+        let mut command = Command::new(program);
+        command.args(["doctor", "--probe"]);
+        if let Some(backend) = backend {
+            command.env("MUJOCO_GL", backend.name());
+        }
+        let output = command.output()?;
         let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).trim().trim_start_matches("error: ").to_string();
         if output.status.success() {
             Ok(text(&output.stdout))
@@ -79,8 +88,8 @@ fn ask(backend: GlBackend) -> Answer {
         }
     })();
     match tried {
-        Ok(detail) => Answer { backend, works: true, detail },
-        Err(error) => Answer { backend, works: false, detail: format!("{error:#}") },
+        Ok(detail) => (true, detail),
+        Err(error) => (false, format!("{error:#}")),
     }
 }
 

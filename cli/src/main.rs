@@ -48,6 +48,7 @@ fn main() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => return failure::usage(&error),
     };
+    output::clean_up_when_interrupted();
     let done = match &cli.command {
         Command::Fly(command) => command.run(),
         Command::Capture(command) => command.run(),

@@ -115,9 +115,9 @@ pub fn vision_failure(error: impl Into<EnvError>) -> Failure {
     let error = error.into();
     match &error {
         EnvError::Vision(BuildError::Scene(_)) => Failure::input(error),
-        EnvError::Vision(BuildError::Mujoco(mujoco_rs::Error::GlName { .. } | mujoco_rs::Error::Load { .. })) => {
-            Failure::input(error)
-        }
+        EnvError::Vision(BuildError::Mujoco(
+            mujoco_rs::Error::GlName { .. } | mujoco_rs::Error::GlDevice { .. } | mujoco_rs::Error::Load { .. },
+        )) => Failure::input(error),
         _ => Failure::work(error),
     }
 }

@@ -3,8 +3,9 @@
 use std::fs;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use anyhow::Context as _;
+use anyhow::{Context as _, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use tempfile::NamedTempFile;
 
@@ -38,6 +39,23 @@ pub fn progress(length: u64, what: &'static str) -> ProgressBar {
     ProgressBar::new(length).with_style(style).with_message(what)
 }
 
+/// Files that have been begun, some of which may have been finished since.
+fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
+    static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes unfinished files when the program is interrupted; a normal end removes its own.
+pub fn clean_up_when_interrupted() {
+    // without a handler an interruption leaves a file behind, which is no reason not to work
+    let _ = ctrlc::set_handler(|| {
+        for path in unfinished().iter() {
+            let _ = fs::remove_file(path);
+        }
+        std::process::exit(130);
+    });
+}
+
 /// A file that appears under its name when it is finished, whole, or not at all.
 #[derive(Debug)]
 pub struct OutputFile {
@@ -46,20 +64,24 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Begins a file, before any work is done for it.
+    /// Begins a file, before any work is done for it. What is there already and is no file is left alone.
     pub fn begin(path: &Path) -> Result<Self, Failure> {
+        let target = path.canonicalize();
+        if target.as_ref().is_ok_and(|target| !target.is_file()) {
+            return Err(Failure::work(anyhow!("{}: it exists and is not a file", path.display())));
+        }
+        // behind a link it is the file that is replaced, not the link
+        let path = target.as_deref().unwrap_or(path);
         let directory = match path.parent() {
             Some(parent) if !parent.as_os_str().is_empty() => parent,
             _ => Path::new("."),
         };
         let begin = || {
-            if path.file_name().is_none() || path.is_dir() {
-                return Err(std::io::Error::from(std::io::ErrorKind::IsADirectory));
-            }
             fs::create_dir_all(directory)?;
             NamedTempFile::new_in(directory)
         };
         let file = begin().with_context(|| path.display().to_string()).map_err(Failure::work)?;
+        unfinished().push(file.path().to_path_buf());
         Ok(Self { file, path: path.to_path_buf() })
     }
 
@@ -79,7 +101,10 @@ impl OutputFile {
                 use std::os::unix::fs::PermissionsExt as _;
                 file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
             }
-            file.persist(&path).map_err(|error| error.error).map(drop)
+            let begun = file.path().to_path_buf();
+            let kept = file.persist(&path).map_err(|error| error.error).map(drop);
+            unfinished().retain(|path| *path != begun);
+            kept
         };
         keep().with_context(|| path.display().to_string()).map_err(Failure::work)
     }

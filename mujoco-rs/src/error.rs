@@ -100,6 +100,14 @@ pub enum Error {
         /// Its value.
         got: String,
     },
+    /// `MUJOCO_EGL_DEVICE_ID` names no device.
+    #[error("MUJOCO_EGL_DEVICE_ID is `{got}`, expected {expected}")]
+    GlDevice {
+        /// Its value.
+        got: String,
+        /// What is possible.
+        expected: String,
+    },
     /// OpenGL failed after it had worked.
     #[error("OpenGL: {message}")]
     Gl {

@@ -35,7 +35,7 @@ pub struct ImageSize {
 }
 
 impl ImageSize {
-    /// Largest side that can be asked for: what OpenGL implementations have at least.
+    /// Largest side that can be asked for. Drivers may have less memory than such a picture takes.
     pub const MAX_SIDE: u32 = 8192;
 
     /// Pixels.
@@ -89,6 +89,7 @@ impl Renderer {
     /// [`Error::Buffer`] for a buffer of the wrong length, [`Error::OtherModel`] for a scene of another model,
     /// [`Error::NoCamera`] for one that has not been updated.
     pub fn rgb(&mut self, scene: &mut Scene, size: ImageSize, rgb: &mut [u8]) -> Result<(), Error> {
+        check_size(size)?;
         check_length("RGB", rgb.len(), 3 * size.pixels())?;
         self.draw(scene, size, Some(rgb), None)?;
         flip(rgb, 3 * size.width as usize, &mut self.scratch);
@@ -100,6 +101,7 @@ impl Renderer {
     /// # Errors
     /// As for [`rgb`](Self::rgb).
     pub fn rgba(&mut self, scene: &mut Scene, size: ImageSize, rgba: &mut [u8]) -> Result<(), Error> {
+        check_size(size)?;
         check_length("RGBA", rgba.len(), 4 * size.pixels())?;
         let mut rgb = std::mem::take(&mut self.scratch);
         rgb.resize(3 * size.pixels(), 0);
@@ -117,13 +119,25 @@ impl Renderer {
     }
 
     /// Draws a scene as depth, m, top row first: the distance from the camera **along its axis** (not along the ray).
-    /// Where there is nothing it is the distance of the far plane.
+    /// Where there is nothing it is the distance of the far plane; the sky is nothing.
+    ///
+    /// The depth buffer has 24 bits over a perspective scale: a step of it is z²/near · 2⁻²⁴, 0.6 mm at 10 m and 15 mm
+    /// at 50 m for a near plane at 1 cm.
     ///
     /// # Errors
     /// As for [`rgb`](Self::rgb).
     pub fn depth(&mut self, scene: &mut Scene, size: ImageSize, depth: &mut [f32]) -> Result<(), Error> {
+        use mujoco_sys::mjtRndFlag_ as flag;
+        check_size(size)?;
         check_length("depth", depth.len(), size.pixels())?;
-        self.draw(scene, size, None, Some(depth))?;
+        // the sky is drawn as a thing some metres away, and is none
+        let effects = scene.raw.flags;
+        for flag in [flag::mjRND_SKYBOX, flag::mjRND_HAZE, flag::mjRND_REFLECTION, flag::mjRND_SHADOW] {
+            scene.raw.flags[flag as usize] = 0;
+        }
+        let drawn = self.draw(scene, size, None, Some(depth));
+        scene.raw.flags = effects;
+        drawn?;
         let [near, far] = scene.clip_planes();
         // d = (1 − near/z) / (1 − near/far), the perspective projection's depth, solved for z
         let slope = 1.0 - near / far;
@@ -147,6 +161,7 @@ impl Renderer {
     /// mix the numbers of neighbouring objects.
     pub fn segmentation(&mut self, scene: &mut Scene, size: ImageSize, objects: &mut [[i32; 2]]) -> Result<(), Error> {
         use mujoco_sys::mjtRndFlag_ as flag;
+        check_size(size)?;
         check_length("segmentation", objects.len(), size.pixels())?;
         if self.quality.samples > 0 {
             return Err(Error::Multisampled);
@@ -206,15 +221,6 @@ impl Renderer {
 
     /// Makes room for a picture of this size.
     fn grow(&mut self, size: ImageSize) -> Result<(), Error> {
-        for side in [size.width, size.height] {
-            if !(1..=ImageSize::MAX_SIDE).contains(&side) {
-                return Err(Error::Value {
-                    what: "the side of a picture",
-                    got: side.into(),
-                    expected: "1 to 8192 pixels",
-                });
-            }
-        }
         if size.width <= self.size.width && size.height <= self.size.height {
             return Ok(());
         }
@@ -257,7 +263,7 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
     header.vis.quality.shadowsize = quality.shadow_map as i32;
     let mut raw: Box<MaybeUninit<mujoco_sys::mjrContext>> = Box::new_uninit();
     // SAFETY: initialises the structure, then fills it; an OpenGL context is current.
-    let raw = unsafe {
+    let mut raw = unsafe {
         mujoco_sys::mjr_defaultContext(raw.as_mut_ptr());
         guarded("mjr_makeContext", mujoco_sys::mjshim_make_context(&header, raw.as_mut_ptr()))?;
         Raw(raw.assume_init())
@@ -265,6 +271,8 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
     // SAFETY: reads the current context's error.
     let error = unsafe { mujoco_sys::mjr_getError() };
     if error != 0 {
+        // SAFETY: made just now in this context.
+        unsafe { mujoco_sys::mjr_freeContext(&mut *raw.0) };
         return Err(Error::Gl { message: format!("OpenGL error {error:#06x} while the model was uploaded") });
     }
     Ok(raw)
@@ -275,6 +283,15 @@ fn free(raw: &mut Raw) {
     let _lock = drawing();
     // SAFETY: made in this context; a second call finds nothing to free.
     unsafe { mujoco_sys::mjr_freeContext(&mut *raw.0) };
+}
+
+fn check_size(size: ImageSize) -> Result<(), Error> {
+    for side in [size.width, size.height] {
+        if !(1..=ImageSize::MAX_SIDE).contains(&side) {
+            return Err(Error::Value { what: "the side of a picture", got: side.into(), expected: "1 to 8192 pixels" });
+        }
+    }
+    Ok(())
 }
 
 fn check_length(what: &'static str, got: usize, expected: usize) -> Result<(), Error> {

@@ -370,12 +370,11 @@ impl<T: Task> Env for Aviary<T> {
         let terminated = end.is_some();
         let truncated = self.simulation.control_steps() >= self.episode_steps;
         let reward = self.task.reward(&self.simulation, end);
-        self.observe()?;
-
         self.end = end.or(truncated.then_some(EndReason::TimeLimit));
         if self.end.is_some() {
             self.phase = Phase::Over;
         }
+        self.observe()?;
         Ok(Step { observation: &self.observation, reward, terminated, truncated })
     }
 

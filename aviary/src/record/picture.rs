@@ -132,12 +132,13 @@ fn hue(turn: f32, value: f32) -> [u8; 3] {
 pub struct GifAnimation<W: Write> {
     encoder: gif::Encoder<W>,
     size: ImageSize,
-    /// In hundredths of a second.
-    delay: u16,
+    /// Length of a frame in the hundredths of a second that GIF counts in.
+    delay: f64,
+    frames: u32,
 }
 
 impl<W: Write> GifAnimation<W> {
-    /// Begins an animation with so many seconds per frame (in steps of 10 ms, as GIF counts).
+    /// Begins an animation with so many seconds per frame (20 ms at least, in steps of 10 ms that even out).
     ///
     /// # Errors
     /// [`RecordError::Animation`] where the target cannot be written.
@@ -146,8 +147,8 @@ impl<W: Write> GifAnimation<W> {
         let mut encoder = gif::Encoder::new(target, width, height, &[])?;
         encoder.set_repeat(gif::Repeat::Infinite)?;
         // viewers show anything shorter than two hundredths as a tenth
-        let delay = (seconds_per_frame * 100.0).round().clamp(2.0, 6000.0) as u16;
-        Ok(Self { encoder, size, delay })
+        let delay = (seconds_per_frame * 100.0).clamp(2.0, 6000.0);
+        Ok(Self { encoder, size, delay, frames: 0 })
     }
 
     /// Adds a frame: RGB, three bytes per pixel, top row first.
@@ -160,7 +161,10 @@ impl<W: Write> GifAnimation<W> {
         let [width, height] = sides(self.size)?;
         // speed against colours: a palette of its own for every frame, from every tenth pixel
         let mut frame = gif::Frame::from_rgb_speed(width, height, rgb, 10);
-        frame.delay = self.delay;
+        // what rounding takes from one frame it gives to a later one, so that the whole runs at its speed
+        let end = |frames: u32| (f64::from(frames) * self.delay).round();
+        frame.delay = (end(self.frames + 1) - end(self.frames)) as u16;
+        self.frames += 1;
         Ok(self.encoder.write_frame(&frame)?)
     }
 
@@ -221,7 +225,9 @@ mod tests {
         let mut animation = GifAnimation::new(Vec::new(), SIZE, 1.0 / 24.0).unwrap();
         animation.frame(&[255; 18]).unwrap();
         assert!(animation.frame(&[0; 17]).is_err());
-        animation.frame(&[0; 18]).unwrap();
+        for _ in 0..5 {
+            animation.frame(&[0; 18]).unwrap();
+        }
         let bytes = animation.finish().unwrap();
         let mut options = gif::DecodeOptions::new();
         options.set_color_output(gif::ColorOutput::RGBA);
@@ -230,6 +236,8 @@ mod tests {
         while let Some(frame) = decoder.read_next_frame().unwrap() {
             frames.push((frame.delay, frame.buffer[..4].to_vec()));
         }
-        assert_eq!(frames, [(4, vec![255; 4]), (4, vec![0, 0, 0, 255])]);
+        assert_eq!((frames.len(), &frames[0].1[..], &frames[1].1[..]), (6, &[255; 4][..], &[0, 0, 0, 255][..]));
+        // six frames of 1/24 s are a quarter of a second
+        assert_eq!(frames.iter().map(|(delay, _)| delay).sum::<u16>(), 25);
     }
 }

@@ -151,7 +151,7 @@ impl World {
             &[
                 ("name", "floor".into()),
                 ("type", "plane".into()),
-                ("size", "100 100 200".into()),
+                ("size", "0 0 1000".into()),
                 ("material", "floor".into()),
             ],
         );

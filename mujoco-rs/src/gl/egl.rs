@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
 
-use super::{reason, without_rasteriser_threads};
+use super::reason;
 
 type Pointer = *mut c_void;
 type Int = i32;
@@ -83,12 +83,28 @@ pub(super) struct Context {
 // SAFETY: current on no thread except inside a call on it.
 unsafe impl Send for Context {}
 
+/// Why there is no EGL to draw with.
+pub(super) enum Refusal {
+    /// What was tried, and what it answered.
+    Answer(String),
+    /// The device asked for is not there, among so many.
+    Device { count: usize },
+}
+
+impl From<String> for Refusal {
+    fn from(answer: String) -> Self {
+        Self::Answer(answer)
+    }
+}
+
 impl Egl {
     /// Loads EGL and finds a display that a context can be made on; the answers of all that were tried otherwise.
-    pub(super) fn load() -> Result<Self, String> {
+    ///
+    /// `device` is the only one that is tried, if there is one.
+    pub(super) fn load(device: Option<usize>) -> Result<Self, Refusal> {
         let (name, library) = open(RTLD_LOCAL)?;
         let functions = Functions::load(&library)?;
-        let displays = without_rasteriser_threads(|| displays(&library, functions));
+        let displays = displays(&library, functions, device);
         // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
         std::mem::forget(library);
         let displays = displays?;
@@ -106,7 +122,7 @@ impl Egl {
     /// turns among the displays there are.
     pub(super) fn context(&self) -> Result<Context, String> {
         let turn = self.next.fetch_add(1, Ordering::Relaxed) % self.displays.len();
-        without_rasteriser_threads(|| self.displays[turn].context(self.functions))
+        self.displays[turn].context(self.functions)
     }
 }
 
@@ -119,7 +135,7 @@ fn open(visibility: i32) -> Result<(&'static str, Library), String> {
             Err(error) => answers.push(reason(&error)),
         }
     }
-    Err(answers.swap_remove(0))
+    Err(answers.join(", "))
 }
 
 impl Functions {
@@ -161,7 +177,7 @@ impl Functions {
 }
 
 /// Every display that a context can be made on and that is of the kind of the first one.
-fn displays(library: &Library, functions: Functions) -> Result<Vec<Display>, String> {
+fn displays(library: &Library, functions: Functions, wanted: Option<usize>) -> Result<Vec<Display>, Refusal> {
     // SAFETY: the types are those of EGL's registry; extensions may be missing, which is a null pointer.
     let (query_devices, platform_display) = unsafe {
         let get_proc_address: GetProcAddress = *library.get(b"eglGetProcAddress\0").map_err(|error| reason(&error))?;
@@ -173,15 +189,9 @@ fn displays(library: &Library, functions: Functions) -> Result<Vec<Display>, Str
         )
     };
     let Some(platform_display) = platform_display else {
-        return Err("this EGL has no eglGetPlatformDisplayEXT".into());
+        return Err(String::from("this EGL has no eglGetPlatformDisplayEXT").into());
     };
 
-    let wanted = match std::env::var("MUJOCO_EGL_DEVICE_ID") {
-        Ok(text) if !text.is_empty() => Some(
-            text.parse::<usize>().map_err(|_| format!("MUJOCO_EGL_DEVICE_ID is `{text}`, expected a number from 0"))?,
-        ),
-        _ => None,
-    };
     let mut devices: [Pointer; 32] = [ptr::null_mut(); 32];
     let mut count = 0;
     if let Some(query_devices) = query_devices {
@@ -193,9 +203,7 @@ fn displays(library: &Library, functions: Functions) -> Result<Vec<Display>, Str
     let mut candidates: Vec<(String, u32, Pointer)> = match wanted {
         Some(index) => match devices.get(index) {
             Some(&device) => vec![(format!("device {index}"), PLATFORM_DEVICE, device)],
-            None => {
-                return Err(format!("MUJOCO_EGL_DEVICE_ID is {index}, but there are {} EGL devices", devices.len()));
-            }
+            None => return Err(Refusal::Device { count: devices.len() }),
         },
         None => (devices.iter().enumerate())
             .map(|(index, &device)| (format!("device {index}"), PLATFORM_DEVICE, device))
@@ -222,7 +230,7 @@ fn displays(library: &Library, functions: Functions) -> Result<Vec<Display>, Str
     if !found.is_empty() {
         return Ok(found);
     }
-    Err(if answers.is_empty() { "there is no EGL device".into() } else { answers.join(", ") })
+    Err(Refusal::Answer(if answers.is_empty() { "there is no EGL device".into() } else { answers.join(", ") }))
 }
 
 fn found_software(found: &[Display]) -> bool {

@@ -1,13 +1,13 @@
 //! An OpenGL context without a window, by EGL or OSMesa.
 //!
 //! MuJoCo looks OpenGL's functions up among the libraries that the process has made global, EGL's before OSMesa's. So
-//! exactly one of the two is made global, once it has shown that it can make a context; the other is unloaded.
+//! exactly one of the two is made global, once it has shown that it can make a context; the other stays invisible.
 
 mod egl;
 mod osmesa;
 
 use std::fmt;
-use std::sync::{Mutex, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use crate::error::{Error, GlAttempt};
 
@@ -90,10 +90,27 @@ fn find() -> Result<Library, Error> {
         },
         _ => GlBackend::ALL.to_vec(),
     };
+    let device = match std::env::var("MUJOCO_EGL_DEVICE_ID") {
+        Ok(text) if !text.is_empty() => {
+            Some(text.parse::<usize>().map_err(|_| Error::GlDevice { got: text, expected: "a number from 0".into() })?)
+        }
+        _ => None,
+    };
     let mut attempts = Vec::new();
     for backend in wanted {
         let found = match backend {
-            GlBackend::Egl => egl::Egl::load().map(Library::Egl),
+            GlBackend::Egl => match egl::Egl::load(device) {
+                // who names a device does not want another one
+                Err(egl::Refusal::Device { count }) => {
+                    let got = device.map_or_else(String::new, |index| index.to_string());
+                    return Err(Error::GlDevice {
+                        got,
+                        expected: format!("a number below {count}, the number of EGL devices"),
+                    });
+                }
+                Err(egl::Refusal::Answer(answer)) => Err(answer),
+                Ok(egl) => Ok(Library::Egl(egl)),
+            },
             GlBackend::Osmesa => osmesa::Osmesa::load().map(Library::Osmesa),
         };
         match found {
@@ -161,23 +178,4 @@ impl GlContext {
 fn reason(error: &libloading::Error) -> String {
     use std::error::Error as _;
     error.source().map_or_else(|| error.to_string(), |source| source.to_string())
-}
-
-/// Runs `start`, in which a driver may bring up its rasteriser, so that a software rasteriser has no threads of its
-/// own unless `LP_NUM_THREADS` asks for them: at the size of observations waking them costs more than they draw, and
-/// whoever draws on several threads has one context for each.
-fn without_rasteriser_threads<T>(start: impl FnOnce() -> T) -> T {
-    const NAME: &str = "LP_NUM_THREADS";
-    static ENVIRONMENT: Mutex<()> = Mutex::new(());
-    let _lock = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
-    if std::env::var_os(NAME).is_some() {
-        return start();
-    }
-    // SAFETY: Rust's own readers and writers of the environment take a lock; the C code that runs meanwhile on other
-    // threads of this program (MuJoCo) does not read the environment.
-    unsafe { std::env::set_var(NAME, "0") };
-    let started = start();
-    // SAFETY: as above.
-    unsafe { std::env::remove_var(NAME) };
-    started
 }

@@ -5,7 +5,7 @@ use std::ptr;
 
 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
 
-use super::{reason, without_rasteriser_threads};
+use super::reason;
 
 type Pointer = *mut c_void;
 
@@ -52,12 +52,12 @@ impl Osmesa {
                 Err(error) => answers.push(reason(&error)),
             }
         }
-        Err(answers.swap_remove(0))
+        Err(answers.join(", "))
     }
 
     fn try_out(name: &str, library: Library) -> Result<Self, String> {
         let functions = Functions::of(&library)?;
-        let tried = without_rasteriser_threads(|| functions.context()).and_then(|mut context| {
+        let tried = functions.context().and_then(|mut context| {
             context.make_current()?;
             context.release();
             Ok(())
@@ -71,7 +71,7 @@ impl Osmesa {
     }
 
     pub(super) fn context(&self) -> Result<Context, String> {
-        without_rasteriser_threads(|| self.functions.context())
+        self.functions.context()
     }
 }
 
