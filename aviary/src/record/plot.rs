@@ -67,6 +67,7 @@ pub fn time_series(title: &str, panels: &[(&str, Vec<Series>)]) -> Result<String
             if lines.len() > 1 {
                 chart
                     .configure_series_labels()
+                    .position(SeriesLabelPosition::UpperLeft)
                     .background_style(WHITE.mix(0.8))
                     .border_style(RGBColor(200, 200, 200))
                     .label_font(("sans-serif", 14))

@@ -151,7 +151,7 @@ impl World {
             &[
                 ("name", "floor".into()),
                 ("type", "plane".into()),
-                ("size", "0 0 1000".into()),
+                ("size", "1000 1000 2000".into()),
                 ("material", "floor".into()),
             ],
         );
