@@ -11,10 +11,11 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{DroneBody, World};
 use nalgebra::Vector3;
 
-/// Where a drone of a swarm hovers: half a metre apart in layers of sixteen, half a metre above each other.
+/// Where a drone of a swarm hovers: half a metre apart, at heights that differ by a little. Every wake is computed and
+/// none is strong enough to push a drone into another one, whose contact would cost more than all of this.
 fn place(index: usize) -> [f64; 3] {
-    let (column, row, layer) = (index % 4, index / 4 % 4, index / 16);
-    [0.5 * column as f64, 0.5 * row as f64, 5.0 + 0.5 * layer as f64]
+    let (column, row) = (index % 12, index / 12);
+    [0.5 * column as f64, 0.5 * row as f64, 5.0 + 0.03 * (index % 7) as f64]
 }
 
 /// MuJoCo alone over the scene of the simulation: airborne, a wrench written every step.

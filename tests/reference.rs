@@ -60,3 +60,21 @@ fn another_mode_is_another_flight() {
     }
     assert!(with.states()[0].position.z > without.states()[0].position.z + 1e-3);
 }
+
+/// The airframe in the README is one.
+#[test]
+fn the_airframe_of_the_readme_flies() {
+    let readme = include_str!("../README.md");
+    let text = readme.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).expect("an airframe");
+    let params = DroneParams::from_toml(text).unwrap();
+    let mut env = Hover::builder().drone(params.clone()).build().unwrap();
+    env.reset(None).unwrap();
+    let mut pid = PidControl::new(&params);
+    let mut action = [0.0; 4];
+    while env.info().end.is_none() {
+        let rpm = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
+        env.action_of_motor_speeds(&[rpm], &mut action).unwrap();
+        env.step(&action).unwrap();
+    }
+    assert!(env.info().success);
+}
