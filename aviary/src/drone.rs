@@ -321,6 +321,12 @@ impl DroneParams {
     }
 }
 
+impl From<DroneModel> for DroneParams {
+    fn from(model: DroneModel) -> Self {
+        model.params()
+    }
+}
+
 /// What can be wrong with an airframe.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]

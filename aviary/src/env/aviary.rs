@@ -43,23 +43,24 @@ enum Phase {
 #[derive(Debug, Clone)]
 pub struct AviaryBuilder<T> {
     task: T,
-    drone: DroneParams,
+    simulation: SimulationBuilder,
     num_drones: usize,
     episode_seconds: f64,
-    sim_freq: u32,
-    ctrl_freq: u32,
-    positions: Option<Vec<[f64; 3]>>,
-    rpys: Option<Vec<[f64; 3]>>,
-    physics: Physics,
-    effects: Option<Effects>,
-    forcing: Forcing,
-    actuators: ActuatorParams,
-    obstacles: Vec<Obstacle>,
     action_type: ActionType,
     observation_type: ObservationType,
     camera_size: ImageSize,
-    integrator: Integrator,
-    medium: Option<Medium>,
+}
+
+/// Options that are the simulation's.
+macro_rules! forward {
+    ($($(#[$doc:meta])* $name:ident($argument:ident: $kind:ty);)*) => {$(
+        $(#[$doc])*
+        #[must_use]
+        pub fn $name(mut self, $argument: $kind) -> Self {
+            self.simulation = self.simulation.$name($argument);
+            self
+        }
+    )*};
 }
 
 impl<T: Task> AviaryBuilder<T> {
@@ -68,23 +69,12 @@ impl<T: Task> AviaryBuilder<T> {
         let defaults = task.defaults();
         Self {
             task,
-            drone: DroneModel::Cf2x.params(),
+            simulation: Simulation::builder(DroneModel::Cf2x),
             num_drones: defaults.num_drones,
             episode_seconds: defaults.episode_seconds,
-            sim_freq: 240,
-            ctrl_freq: 48,
-            positions: None,
-            rpys: None,
-            physics: Physics::default(),
-            effects: None,
-            forcing: Forcing::default(),
-            actuators: ActuatorParams::default(),
-            obstacles: Vec::new(),
             action_type: ActionType::default(),
             observation_type: ObservationType::default(),
             camera_size: CAMERA_SIZE,
-            integrator: Integrator::Rk4,
-            medium: None,
         }
     }
 
@@ -98,7 +88,7 @@ impl<T: Task> AviaryBuilder<T> {
     /// Airframe of every drone; the Crazyflie (X) by default.
     #[must_use]
     pub fn drone(mut self, drone: impl Into<DroneParams>) -> Self {
-        self.drone = drone.into();
+        self.simulation = self.simulation.drones([drone.into()]);
         self
     }
 
@@ -116,67 +106,33 @@ impl<T: Task> AviaryBuilder<T> {
         self
     }
 
-    /// Physics rate, Hz; 240 by default.
-    #[must_use]
-    pub fn sim_freq(mut self, hertz: u32) -> Self {
-        self.sim_freq = hertz;
-        self
-    }
-
-    /// Control rate, Hz, a divisor of the physics rate; 48 by default.
-    #[must_use]
-    pub fn ctrl_freq(mut self, hertz: u32) -> Self {
-        self.ctrl_freq = hertz;
-        self
-    }
-
-    /// Initial positions, world frame, m; the task's by default.
-    #[must_use]
-    pub fn initial_positions(mut self, positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
-        self.positions = Some(positions.into_iter().collect());
-        self
-    }
-
-    /// Initial roll, pitch, yaw, rad; level and facing x by default.
-    #[must_use]
-    pub fn initial_rpys(mut self, rpys: impl IntoIterator<Item = [f64; 3]>) -> Self {
-        self.rpys = Some(rpys.into_iter().collect());
-        self
-    }
-
-    /// The physics mode; MuJoCo without aerodynamic effects by default.
-    #[must_use]
-    pub fn physics(mut self, physics: Physics) -> Self {
-        self.physics = physics;
-        self
-    }
-
-    /// Any subset of the aerodynamic effects, in place of the physics mode's own.
-    #[must_use]
-    pub fn effects(mut self, effects: Effects) -> Self {
-        self.effects = Some(effects);
-        self
-    }
-
-    /// How the rotors' wrench acts during a physics step; frozen by default.
-    #[must_use]
-    pub fn forcing(mut self, forcing: Forcing) -> Self {
-        self.forcing = forcing;
-        self
-    }
-
-    /// How the motors answer to commands; at once and exactly by default.
-    #[must_use]
-    pub fn actuators(mut self, actuators: ActuatorParams) -> Self {
-        self.actuators = actuators;
-        self
-    }
-
-    /// Things that stand in the way; none by default.
-    #[must_use]
-    pub fn obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
-        self.obstacles = obstacles.into_iter().collect();
-        self
+    forward! {
+        /// The physics mode; MuJoCo without aerodynamic effects by default.
+        physics(physics: Physics);
+        /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+        effects(effects: Effects);
+        /// Physics rate, Hz; 240 by default.
+        sim_freq(hertz: u32);
+        /// Control rate, Hz, a divisor of the physics rate; 48 by default.
+        ctrl_freq(hertz: u32);
+        /// Initial positions, world frame, m; the task's by default.
+        initial_positions(positions: impl IntoIterator<Item = [f64; 3]>);
+        /// Initial roll, pitch, yaw, rad; level and facing x by default.
+        initial_rpys(rpys: impl IntoIterator<Item = [f64; 3]>);
+        /// Initial velocities, world frame, m/s; at rest by default.
+        initial_velocities(velocities: impl IntoIterator<Item = [f64; 3]>);
+        /// Initial body rates, body frame, rad/s; none by default.
+        initial_angular_velocities(rates: impl IntoIterator<Item = [f64; 3]>);
+        /// How the rotors' wrench acts during a physics step; frozen by default.
+        forcing(forcing: Forcing);
+        /// How the motors answer to commands; at once and exactly by default.
+        actuators(actuators: ActuatorParams);
+        /// Things that stand in the way; none by default.
+        obstacles(obstacles: impl IntoIterator<Item = Obstacle>);
+        /// MuJoCo's integrator; RK4 by default.
+        integrator(integrator: Integrator);
+        /// MuJoCo's fluid forces; off by default.
+        medium(medium: impl Into<Option<Medium>>);
     }
 
     /// How the agent commands the drones; normalized motor speeds by default.
@@ -200,20 +156,6 @@ impl<T: Task> AviaryBuilder<T> {
         self
     }
 
-    /// MuJoCo's integrator; RK4 by default.
-    #[must_use]
-    pub fn integrator(mut self, integrator: Integrator) -> Self {
-        self.integrator = integrator;
-        self
-    }
-
-    /// MuJoCo's fluid forces; off by default.
-    #[must_use]
-    pub fn medium(mut self, medium: impl Into<Option<Medium>>) -> Self {
-        self.medium = medium.into();
-        self
-    }
-
     /// Compiles the world. The environment must be [reset](Env::reset) before its first step.
     ///
     /// # Errors
@@ -230,25 +172,8 @@ impl<T: Task> AviaryBuilder<T> {
                 expected: "a positive number of seconds below 4e7",
             });
         }
-        let positions = self.positions.unwrap_or_else(|| self.task.initial_positions(count));
-        let mut options: SimulationBuilder = Simulation::builder(self.drone)
-            .num_drones(count)
-            .initial_positions(positions)
-            .sim_freq(self.sim_freq)
-            .ctrl_freq(self.ctrl_freq)
-            .physics(self.physics)
-            .forcing(self.forcing)
-            .actuators(self.actuators)
-            .obstacles(self.obstacles)
-            .integrator(self.integrator)
-            .medium(self.medium);
-        if let Some(effects) = self.effects {
-            options = options.effects(effects);
-        }
-        if let Some(rpys) = self.rpys {
-            options = options.initial_rpys(rpys);
-        }
-        let simulation = options.build()?;
+        let positions = self.task.initial_positions(count);
+        let simulation = self.simulation.num_drones(count).initial_positions_or(positions).build()?;
         let vector = self.task.observation_space(count);
         let (kind, camera_size) = (self.observation_type, self.camera_size);
         if !kind.kinematic && !kind.has_images() {
@@ -280,7 +205,7 @@ impl<T: Task> AviaryBuilder<T> {
             action_space: BoxSpace::new(vec![[-1.0, 1.0]; self.action_type.size() * count]),
             action_type: self.action_type,
             scales: (0..count).map(|drone| MotorScale::new(simulation.params(drone))).collect(),
-            episode_steps: ((seconds * f64::from(self.ctrl_freq)).round() as u64).max(1),
+            episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
             rng: Rng::seed_from_u64(0),
             phase: Phase::New,
             end: None,

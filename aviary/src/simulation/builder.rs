@@ -1,0 +1,271 @@
+use super::{Drone, Simulation, SimulationError};
+use crate::drone::DroneParams;
+use crate::engine::{Engine, ExplicitEngine, Load, MujocoEngine};
+use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::downwash::Wake;
+use crate::physics::ground_effect::GroundEffect;
+use crate::physics::rotor::RotorModel;
+use crate::physics::{Effects, Physics, Wrench};
+use crate::state::DroneState;
+use crate::world::{DroneBody, Forcing, Integrator, Medium, Obstacle, World};
+
+/// The options of a [`Simulation`]; what is not said is the paper's default.
+#[derive(Debug, Clone)]
+pub struct SimulationBuilder {
+    drones: Vec<DroneParams>,
+    positions: Option<Vec<[f64; 3]>>,
+    rpys: Option<Vec<[f64; 3]>>,
+    sim_freq: u32,
+    ctrl_freq: u32,
+    velocities: Option<Vec<[f64; 3]>>,
+    angular_velocities: Option<Vec<[f64; 3]>>,
+    physics: Physics,
+    effects: Option<Effects>,
+    forcing: Forcing,
+    actuators: ActuatorParams,
+    obstacles: Vec<Obstacle>,
+    integrator: Integrator,
+    medium: Option<Medium>,
+}
+
+impl SimulationBuilder {
+    /// The defaults, for one drone of an airframe.
+    pub fn new(drone: DroneParams) -> Self {
+        Self {
+            drones: vec![drone],
+            positions: None,
+            rpys: None,
+            sim_freq: 240,
+            ctrl_freq: 48,
+            velocities: None,
+            angular_velocities: None,
+            physics: Physics::default(),
+            effects: None,
+            forcing: Forcing::default(),
+            actuators: ActuatorParams::default(),
+            obstacles: Vec::new(),
+            integrator: Integrator::Rk4,
+            medium: None,
+        }
+    }
+
+    /// How many drones of the same airframe; 1 by default.
+    #[must_use]
+    pub fn num_drones(mut self, count: usize) -> Self {
+        let first = self.drones.first().cloned();
+        // one more than there can be is enough for `build` to say so
+        self.drones = first.into_iter().cycle().take(count.min(Simulation::MAX_DRONES + 1)).collect();
+        self
+    }
+
+    /// Airframes of all drones, where they differ.
+    #[must_use]
+    pub fn drones(mut self, drones: impl IntoIterator<Item = DroneParams>) -> Self {
+        self.drones = drones.into_iter().collect();
+        self
+    }
+
+    /// Initial positions, world frame, m; by default in a row along x at z = 0.1 m, four times the largest arm or
+    /// collision radius apart.
+    #[must_use]
+    pub fn initial_positions(mut self, positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.positions = Some(positions.into_iter().collect());
+        self
+    }
+
+    /// Initial positions for callers that have their own idea of a default.
+    pub(crate) fn initial_positions_or(mut self, positions: Vec<[f64; 3]>) -> Self {
+        self.positions.get_or_insert(positions);
+        self
+    }
+
+    /// Initial roll, pitch, yaw, rad; level and facing x by default.
+    #[must_use]
+    pub fn initial_rpys(mut self, rpys: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.rpys = Some(rpys.into_iter().collect());
+        self
+    }
+
+    /// Initial velocities, world frame, m/s; at rest by default.
+    #[must_use]
+    pub fn initial_velocities(mut self, velocities: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.velocities = Some(velocities.into_iter().collect());
+        self
+    }
+
+    /// Initial body rates, body frame, rad/s; none by default.
+    #[must_use]
+    pub fn initial_angular_velocities(mut self, rates: impl IntoIterator<Item = [f64; 3]>) -> Self {
+        self.angular_velocities = Some(rates.into_iter().collect());
+        self
+    }
+
+    /// The physics mode; MuJoCo without aerodynamic effects by default.
+    #[must_use]
+    pub fn physics(mut self, physics: Physics) -> Self {
+        self.physics = physics;
+        self
+    }
+
+    /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+    #[must_use]
+    pub fn effects(mut self, effects: Effects) -> Self {
+        self.effects = Some(effects);
+        self
+    }
+
+    /// How the rotors' wrench acts during a physics step; frozen by default.
+    #[must_use]
+    pub fn forcing(mut self, forcing: Forcing) -> Self {
+        self.forcing = forcing;
+        self
+    }
+
+    /// How the motors answer to commands; at once and exactly by default.
+    #[must_use]
+    pub fn actuators(mut self, actuators: ActuatorParams) -> Self {
+        self.actuators = actuators;
+        self
+    }
+
+    /// Things that stand in the way; none by default.
+    #[must_use]
+    pub fn obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
+        self.obstacles = obstacles.into_iter().collect();
+        self
+    }
+
+    /// Physics rate, Hz; 240 by default.
+    #[must_use]
+    pub fn sim_freq(mut self, hertz: u32) -> Self {
+        self.sim_freq = hertz;
+        self
+    }
+
+    /// Control rate, Hz, a divisor of the physics rate; 48 by default.
+    #[must_use]
+    pub fn ctrl_freq(mut self, hertz: u32) -> Self {
+        self.ctrl_freq = hertz;
+        self
+    }
+
+    /// MuJoCo's integrator; RK4 by default.
+    #[must_use]
+    pub fn integrator(mut self, integrator: Integrator) -> Self {
+        self.integrator = integrator;
+        self
+    }
+
+    /// MuJoCo's fluid forces; off by default.
+    #[must_use]
+    pub fn medium(mut self, medium: impl Into<Option<Medium>>) -> Self {
+        self.medium = medium.into();
+        self
+    }
+
+    /// Compiles the world.
+    ///
+    /// # Errors
+    /// [`SimulationError`] naming the option that is impossible.
+    pub fn build(self) -> Result<Simulation, SimulationError> {
+        let (sim_freq, ctrl_freq) = (self.sim_freq, self.ctrl_freq);
+        if sim_freq == 0 || sim_freq > Simulation::MAX_SIM_FREQ || ctrl_freq == 0 || !sim_freq.is_multiple_of(ctrl_freq)
+        {
+            return Err(SimulationError::Rates { sim_freq, ctrl_freq });
+        }
+        let count = self.drones.len();
+        if !(1..=Simulation::MAX_DRONES).contains(&count) {
+            return Err(SimulationError::NumDrones { got: count });
+        }
+        for (drone, params) in self.drones.iter().enumerate() {
+            params.validate().map_err(|error| SimulationError::Drone { drone, error })?;
+        }
+        let positions = self.positions.unwrap_or_else(|| row(&self.drones));
+        let zeros = || vec![[0.0; 3]; count];
+        let rpys = self.rpys.unwrap_or_else(zeros);
+        let velocities = self.velocities.unwrap_or_else(zeros);
+        let rates = self.angular_velocities.unwrap_or_else(zeros);
+        for (what, got) in [
+            ("the list of initial positions", positions.len()),
+            ("the list of initial attitudes", rpys.len()),
+            ("the list of initial velocities", velocities.len()),
+            ("the list of initial angular velocities", rates.len()),
+        ] {
+            if got != count {
+                return Err(SimulationError::Length { what, got, expected: count });
+            }
+        }
+        self.actuators.validate()?;
+
+        let bodies: Vec<_> = (self.drones.iter().zip(&positions).zip(&rpys))
+            .map(|((params, &position), &rpy)| DroneBody {
+                params: params.clone(),
+                position: position.into(),
+                rpy: rpy.into(),
+            })
+            .collect();
+        let initial: Vec<_> = (bodies.iter().zip(velocities).zip(rates))
+            .map(|((body, velocity), rate)| DroneState {
+                velocity: velocity.into(),
+                angular_velocity: rate.into(),
+                ..DroneState::at_rest(body.position, body.rpy)
+            })
+            .collect();
+        let world = World {
+            timestep: 1.0 / f64::from(sim_freq),
+            integrator: self.integrator,
+            medium: self.medium,
+            forcing: self.forcing,
+            obstacles: self.obstacles,
+            ..World::new(bodies)
+        };
+        let engine = match self.physics {
+            Physics::Dyn => Engine::Explicit(ExplicitEngine::new(&world)?),
+            _ => Engine::Mujoco(MujocoEngine::new(&world)?),
+        };
+        if let Some(drone) = initial.iter().position(|state| !state.is_finite()) {
+            return Err(SimulationError::State { drone });
+        }
+        let contacts = Vec::with_capacity(engine.mujoco_engine().max_contacts());
+        let actuators =
+            (self.drones.iter()).map(|params| Actuators::new(params, &self.actuators, world.timestep)).collect();
+        let wakes = self.drones.iter().map(Wake::new).collect();
+        let no_load = Load { rotors: RotorModel::new(&self.drones[0]).wrench(&[0.0; 4]), external: Wrench::ZERO };
+        let drones = (self.drones.into_iter())
+            .map(|params| Drone {
+                rotors: RotorModel::new(&params),
+                ground: GroundEffect::new(&params),
+                max_rpm: params.max_rpm(),
+                params,
+            })
+            .collect();
+        let mut simulation = Simulation {
+            world,
+            physics: self.physics,
+            effects: self.effects.unwrap_or_else(|| self.physics.effects()),
+            engine,
+            drones,
+            actuators,
+            wakes,
+            sim_freq,
+            ctrl_freq,
+            control_steps: 0,
+            states: initial.clone(),
+            initial,
+            previous: vec![DroneState::default(); count],
+            loads: vec![no_load; count],
+            downwash: vec![0.0; count],
+            motor_speeds: vec![[0.0; 4]; count],
+            contacts,
+            failed: None,
+        };
+        simulation.reset()?;
+        Ok(simulation)
+    }
+}
+
+/// Drones side by side on a line along x, far enough apart that their wakes and bodies do not meet.
+fn row(drones: &[DroneParams]) -> Vec<[f64; 3]> {
+    let spacing = drones.iter().map(|params| 4.0 * params.arm_length.max(params.collision_radius)).fold(0.0, f64::max);
+    (0..drones.len()).map(|index| [index as f64 * spacing, 0.0, 0.1]).collect()
+}
