@@ -11,8 +11,8 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{DroneBody, World};
 use nalgebra::Vector3;
 
-/// Where a drone of a swarm hovers: half a metre apart, at heights that differ by a little. Every wake is computed and
-/// none is strong enough to push a drone into another one, whose contact would cost more than all of this.
+/// Where a drone of a swarm hovers: half a metre apart, at heights that differ by a little. Neighbours are in each
+/// other's wakes, too weakly to fall on each other within a batch: a contact would cost more than all of this.
 fn place(index: usize) -> [f64; 3] {
     let (column, row) = (index % 12, index / 12);
     [0.5 * column as f64, 0.5 * row as f64, 5.0 + 0.03 * (index % 7) as f64]
@@ -56,7 +56,7 @@ fn simulation(count: usize, physics: Physics) -> (Simulation, Vec<[f64; 4]>) {
 }
 
 /// Median over alternating batches of the time of `a` divided by the time of `b`.
-fn ratio(batch: usize, mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
+fn ratio(batch: usize, mut restart: impl FnMut(), mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
     let time = |f: &mut dyn FnMut()| {
         let start = Instant::now();
         for _ in 0..batch {
@@ -64,7 +64,12 @@ fn ratio(batch: usize, mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
         }
         start.elapsed().as_secs_f64()
     };
-    let mut ratios: Vec<_> = (0..101).map(|_| time(&mut a) / time(&mut b)).collect();
+    let mut ratios: Vec<_> = (0..101)
+        .map(|_| {
+            restart();
+            time(&mut a) / time(&mut b)
+        })
+        .collect();
     ratios.sort_by(f64::total_cmp);
     ratios[ratios.len() / 2]
 }
@@ -78,7 +83,17 @@ fn ratios() {
         let batch = (400 / count).max(3);
         let ratios = [Physics::Mjc, Physics::MjcGndDragDw].map(|physics| {
             let (mut simulation, commands) = simulation(count, physics);
-            ratio(batch, || simulation.step(black_box(&commands)).expect("a step"), || bare.steps(5))
+            let simulation = std::cell::RefCell::new(&mut simulation);
+            let bare = std::cell::RefCell::new(&mut bare);
+            ratio(
+                batch,
+                || {
+                    simulation.borrow_mut().reset().expect("a reset");
+                    bare.borrow_mut().data.reset().expect("a reset");
+                },
+                || simulation.borrow_mut().step(black_box(&commands)).expect("a step"),
+                || bare.borrow_mut().steps(5),
+            )
         });
         let start = Instant::now();
         bare.steps(batch);
@@ -90,6 +105,7 @@ fn ratios() {
     env.reset(None).expect("a reset");
     let step = ratio(
         200,
+        || (),
         || {
             black_box(env.step(&[0.0; 4]).expect("a step").reward);
         },

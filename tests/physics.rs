@@ -82,7 +82,7 @@ fn a_tumble_about_a_moving_axis_is_second_order_body_fixed() {
     let body_fixed = |rate| manoeuvre(|_| (Physics::Mjc, Forcing::BodyFixed, Integrator::Rk4), rate);
     let second = orders(&[40, 80, 160, 320], body_fixed(8000).position, body_fixed);
     println!("observed orders about a moving axis: body_fixed {second:.3?}");
-    assert!(second.iter().all(|order| *order > 1.9), "{second:?}");
+    assert!(second.iter().all(|order| (1.9..2.3).contains(order)), "{second:?}");
 }
 
 #[test]
@@ -151,10 +151,10 @@ fn a_torque_free_tumbling_body_keeps_its_angular_momentum_and_energy() {
     };
     simulation.reset_to(&[start]).unwrap();
     let momentum = |s: &DroneState| s.attitude * params.inertia_vector().component_mul(&s.angular_velocity);
+    let rotation =
+        |s: &DroneState| 0.5 * s.angular_velocity.dot(&params.inertia_vector().component_mul(&s.angular_velocity));
     let energy = |s: &DroneState| {
-        0.5 * s.angular_velocity.dot(&params.inertia_vector().component_mul(&s.angular_velocity))
-            + 0.5 * params.mass * s.velocity.norm_squared()
-            + params.mass * GRAVITY * s.position.z
+        rotation(s) + 0.5 * params.mass * s.velocity.norm_squared() + params.mass * GRAVITY * s.position.z
     };
     let (l0, e0) = (momentum(&start), energy(&start));
     let (mut turned_over, mut length, mut direction, mut drift) = (false, 0.0_f64, 0.0_f64, 0.0_f64);
@@ -164,7 +164,8 @@ fn a_torque_free_tumbling_body_keeps_its_angular_momentum_and_energy() {
         let l = momentum(&state);
         length = length.max((l.norm() / l0.norm() - 1.0).abs());
         direction = direction.max(l.angle(&l0));
-        drift = drift.max((energy(&state) / e0 - 1.0).abs());
+        // the energy of the rotation by itself is small beside that of the flight
+        drift = drift.max((energy(&state) / e0 - 1.0).abs()).max((rotation(&state) / rotation(&start) - 1.0).abs());
         turned_over |= state.angular_velocity.y < -3.0;
     }
     println!(
@@ -275,8 +276,12 @@ fn a_drone_flown_into_a_wall_stops_there_and_says_so() {
     for _ in 0..48 {
         simulation.step(&[[hover; 4]]).unwrap();
         touched.extend(simulation.contacts().iter().copied());
-        assert!(simulation.states()[0].position.x < 1.0 - 0.05, "it went through the wall");
+        let x = simulation.states()[0].position.x;
+        // face minus collision radius; MuJoCo's contacts are soft, and give 1.4 cm at 2 m/s
+        assert!(x < 1.0 - 0.05 - 0.06 + 0.02, "it went into the wall: {x}");
     }
+    let speed = simulation.states()[0].velocity.x;
+    assert!(speed.abs() < 0.2, "it stops there: {speed} m/s of 2");
     assert!(touched.contains(&Contact { drone: 0, with: Touched::Obstacle(0) }), "{touched:?}");
     assert!(!touched.contains(&Contact { drone: 0, with: Touched::Obstacle(1) }));
 

@@ -3,6 +3,7 @@
 use mujoco_drones_gym::drone::GRAVITY;
 use mujoco_drones_gym::engine::{Contact, Touched};
 use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::world::Forcing;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -22,19 +23,26 @@ fn drones_that_do_not_meet_fly_as_they_would_alone() {
         let wave = 0.02 * (k as f64 * 0.3).sin();
         [hover * (1.0 + wave), hover, hover * (1.0 - wave), hover * 1.01]
     };
-    let mut together = Simulation::builder(DroneModel::Cf2x).drones(airframes.map(DroneModel::params)).build().unwrap();
-    together.reset_to(&[start(0), start(1), start(2)]).unwrap();
-    let mut alone: Vec<_> = airframes.iter().map(|&model| Simulation::builder(model).build().unwrap()).collect();
-    for (i, simulation) in alone.iter_mut().enumerate() {
-        simulation.reset_to(&[start(i)]).unwrap();
-    }
-    for k in 0..96 {
-        together.step(&airframes.map(|model| command(model, k))).unwrap();
+    for forcing in [Forcing::Frozen, Forcing::BodyFixed] {
+        let mut together = Simulation::builder(DroneModel::Cf2x)
+            .drones(airframes.map(DroneModel::params))
+            .forcing(forcing)
+            .build()
+            .unwrap();
+        together.reset_to(&[start(0), start(1), start(2)]).unwrap();
+        let mut alone: Vec<_> =
+            airframes.iter().map(|&model| Simulation::builder(model).forcing(forcing).build().unwrap()).collect();
         for (i, simulation) in alone.iter_mut().enumerate() {
-            simulation.step(&[command(airframes[i], k)]).unwrap();
-            let offset = together.states()[i].position - simulation.states()[0].position;
-            assert!(offset.norm() < 1e-12, "drone {i} is off by {} m after {k} steps", offset.norm());
-            assert!(together.states()[i].attitude.angle_to(&simulation.states()[0].attitude) < 1e-7);
+            simulation.reset_to(&[start(i)]).unwrap();
+        }
+        for k in 0..96 {
+            together.step(&airframes.map(|model| command(model, k))).unwrap();
+            for (i, simulation) in alone.iter_mut().enumerate() {
+                simulation.step(&[command(airframes[i], k)]).unwrap();
+                let offset = together.states()[i].position - simulation.states()[0].position;
+                assert!(offset.norm() < 1e-12, "drone {i} is off by {} m after {k} steps", offset.norm());
+                assert!(together.states()[i].attitude.angle_to(&simulation.states()[0].attitude) < 1e-7);
+            }
         }
     }
 }

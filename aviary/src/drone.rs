@@ -125,6 +125,7 @@ pub struct DroneParams {
     /// Mass m, kg.
     pub mass: f64,
     /// Principal moments of inertia `[Jxx, Jyy, Jzz]` about the centre of mass, body frame, kg·m².
+    #[serde(deserialize_with = "crate::error::triple")]
     pub inertia: [f64; 3],
     /// Distance L of each motor from the centre, m.
     pub arm_length: f64,
@@ -143,8 +144,10 @@ pub struct DroneParams {
     /// Ground-effect coefficient C_gnd, dimensionless.
     pub ground_effect_coefficient: f64,
     /// Blade drag `[c_xy, c_xy, c_z]` in the body frame, N/(m/s)/(rad/s).
+    #[serde(deserialize_with = "crate::error::triple")]
     pub drag_coefficients: [f64; 3],
     /// Downwash `[C1, C2, C3]`: N, dimensionless, m.
+    #[serde(deserialize_with = "crate::error::triple")]
     pub downwash_coefficients: [f64; 3],
     /// Radius of the collision cylinder, m.
     pub collision_radius: f64,
@@ -469,6 +472,7 @@ mod tests {
         assert!(error("mass = 0.027", "mass = 0.027\nwings = 2").contains("wings"));
         assert!(error("layout = \"x\"", "layout = \"y\"").contains("line 6"));
         assert!(error("mass = 0.027", "mass = ").contains("line 3"));
+        assert!(error("2.17e-5]", "2.17e-5, 1.0]").contains("4 numbers, expected 3"));
         let missing = DroneParams::from_file("no/such/file.toml").unwrap_err().to_string();
         assert!(missing.starts_with("no/such/file.toml: No such file"), "{missing}");
     }

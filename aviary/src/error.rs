@@ -1,4 +1,6 @@
-//! Helpers for errors that several subsystems share.
+//! Helpers for reading input, and for saying what is wrong with it, that several subsystems share.
+
+use serde::{Deserialize, Deserializer};
 
 /// A TOML error on one line: where it is and what was expected, without the drawing of the source.
 pub(crate) fn toml_message(text: &str, error: &toml::de::Error) -> String {
@@ -11,5 +13,33 @@ pub(crate) fn toml_message(text: &str, error: &toml::de::Error) -> String {
             format!("line {line}, column {column}: {message}")
         }
         None => message,
+    }
+}
+
+/// Exactly three numbers: serde's own arrays take the first three of a longer list.
+pub(crate) fn triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 3], D::Error> {
+    Ok(Triple::deserialize(deserializer)?.0)
+}
+
+/// A list of exactly three numbers each.
+pub(crate) fn triples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 3]>, D::Error> {
+    Ok(Vec::<Triple>::deserialize(deserializer)?.into_iter().map(|triple| triple.0).collect())
+}
+
+/// The same where there may be none.
+pub(crate) fn optional_triples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<[f64; 3]>>, D::Error> {
+    triples(deserializer).map(Some)
+}
+
+#[derive(Deserialize)]
+#[serde(try_from = "Vec<f64>")]
+struct Triple([f64; 3]);
+
+impl TryFrom<Vec<f64>> for Triple {
+    type Error = String;
+
+    fn try_from(numbers: Vec<f64>) -> Result<Self, String> {
+        let count = numbers.len();
+        numbers.try_into().map(Self).map_err(|_| format!("{count} numbers, expected 3"))
     }
 }

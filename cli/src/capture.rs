@@ -26,7 +26,7 @@ pub struct Capture {
     #[command(flatten)]
     options: FlightOptions,
     /// Number of frames
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     frames: u64,
     /// Directory to write
     #[arg(long)]
@@ -35,7 +35,7 @@ pub struct Capture {
     #[arg(long, value_parser = size, default_value_t = CAMERA_SIZE)]
     size: ImageSize,
     /// Control steps from one frame to the next
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
     every: u64,
     /// Print JSON instead of a table
     #[arg(long)]

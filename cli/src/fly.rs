@@ -33,10 +33,10 @@ pub struct Fly {
     #[arg(long)]
     gif: Option<PathBuf>,
     /// Camera of the animation: track, fpv, fixed, front
-    #[arg(long, default_value = "track")]
+    #[arg(long, default_value = "track", requires = "gif")]
     camera: String,
     /// Size of the animation, pixels
-    #[arg(long, value_parser = size, default_value = "320x240")]
+    #[arg(long, value_parser = size, default_value = "320x240", requires = "gif")]
     size: ImageSize,
     /// Print JSON instead of a table
     #[arg(long)]

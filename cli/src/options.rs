@@ -33,13 +33,13 @@ pub struct FlightOptions {
     #[arg(long, allow_negative_numbers = true)]
     pub duration: Option<f64>,
     /// Physics rate, Hz, a multiple of the control rate
-    #[arg(long, default_value_t = 240)]
+    #[arg(long, default_value_t = 240, allow_negative_numbers = true)]
     pub sim_freq: u32,
     /// Control rate, Hz
-    #[arg(long, default_value_t = 48)]
+    #[arg(long, default_value_t = 48, allow_negative_numbers = true)]
     pub ctrl_freq: u32,
-    /// Seed of everything random
-    #[arg(long, default_value_t = 0)]
+    /// Seed of everything random: equal seeds give equal files (hover by itself has nothing random)
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     pub seed: u64,
 }
 
@@ -85,8 +85,10 @@ pub fn one_of(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
     if names.contains(&name) {
         return Ok(());
     }
+    // the first of several that are equally near
     let near = names
         .iter()
+        .rev()
         .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
         .filter(|(likeness, _)| *likeness > 0.7)
         .max_by(|a, b| a.0.total_cmp(&b.0))

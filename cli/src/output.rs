@@ -78,7 +78,8 @@ impl OutputFile {
         };
         let begin = || {
             fs::create_dir_all(directory)?;
-            NamedTempFile::new_in(directory)
+            // the name of the temporary file in it is nobody's business
+            NamedTempFile::new_in(directory).map_err(|error| std::io::Error::from(error.kind()))
         };
         let file = begin().with_context(|| path.display().to_string()).map_err(Failure::work)?;
         unfinished().push(file.path().to_path_buf());
@@ -155,7 +156,7 @@ impl OutputDir {
     pub fn create(path: &Path) -> Result<Self, Failure> {
         let prepare = || {
             fs::create_dir_all(path)?;
-            NamedTempFile::new_in(path).map(drop)
+            NamedTempFile::new_in(path).map(drop).map_err(|error| std::io::Error::from(error.kind()))
         };
         prepare().with_context(|| path.display().to_string()).map_err(Failure::work)?;
         Ok(Self(path.to_path_buf()))

@@ -2,7 +2,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow};
-use aviary::record::{CsvLog, Scenario, read_actions};
+use aviary::record::{CsvLog, RecordError, Scenario, read_actions};
 use clap::Args;
 
 use crate::failure::Failure;
@@ -40,13 +40,17 @@ impl Replay {
         let file = OutputFile::begin(&self.out)?;
         let mut log = CsvLog::new(file.into_writer()).map_err(Failure::work)?;
         let bar = output::progress(actions.len() as u64, "flying");
-        for row in &actions {
-            simulation.step(row).map_err(Failure::work)?;
-            log.record(&simulation).map_err(Failure::work)?;
+        let unwritten = |error: RecordError| Failure::Work(anyhow!(error).context(self.out.display().to_string()));
+        for (index, row) in actions.iter().enumerate() {
+            // the header is the first line
+            simulation
+                .step(row)
+                .map_err(|error| Failure::Work(anyhow!("{}: line {}: {error}", self.actions.display(), index + 2)))?;
+            log.record(&simulation).map_err(unwritten)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
-        log.finish().map_err(Failure::work)?.keep()
+        log.finish().map_err(unwritten)?.keep()
     }
 }
 

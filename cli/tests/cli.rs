@@ -92,6 +92,9 @@ fn wrong_command_lines_are_one_line_and_status_2() {
     refused(&["fly", "--task", "hover", "--controller", "none"], 2, &["--controller is `none`", "pid"]);
     refused(&["fly", "--task", "hover", "--drone", "cf3x"], 2, &["--drone is `cf3x`", "cf2x"]);
     refused(&["fly", "--task", "hover", "--wings", "2"], 2, &["--wings"]);
+    refused(&["fly", "--task", "hover", "--seed", "-1"], 2, &["--seed", "-1"]);
+    refused(&["fly", "--task", "hover", "--camera", "front"], 2, &["--gif"]);
+    refused(&["fly", "--task", "hover", "--drone", "cf2"], 2, &["did you mean `cf2x`?"]);
     refused(&["land"], 2, &["land"]);
     refused(&[], 2, &["--help"]);
 }

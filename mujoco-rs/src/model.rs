@@ -122,7 +122,7 @@ impl Model {
     /// Compiles a scene from MJCF text.
     ///
     /// Mistakes in it are errors, but MuJoCo's parser does not guard against malice: sizes whose product overflows
-    /// (a height field or texture of 65,536 by 65,536, say) can crash it. Compile only scenes from sources you trust.
+    /// (a height field or texture of 65,536 by 65,536, say) or meshes without faces can crash it. Compile only scenes from sources you trust.
     ///
     /// # Errors
     /// [`Error::Load`] with MuJoCo's message.

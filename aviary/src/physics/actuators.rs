@@ -32,7 +32,7 @@ pub struct ActuatorError {
 
 impl ActuatorParams {
     /// Longest latency, s.
-    pub const MAX_LATENCY: f64 = 10.0;
+    pub const MAX_LATENCY: f64 = 1.0;
 
     /// Checks every setting.
     ///
@@ -43,7 +43,7 @@ impl ActuatorParams {
             if range.contains(&got) { Ok(()) } else { Err(ActuatorError { field, got, expected }) }
         };
         check("lag", self.lag, 0.0..=1e3, "0 to 1000 s")?;
-        check("latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 10 s")?;
+        check("latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 1 s")?;
         check("saturation", self.saturation, 1e-3..=1e3, "a positive factor up to 1000")?;
         for gain in self.gains {
             check("gain", gain, 0.0..=1e3, "a factor from 0 to 1000")?;
@@ -75,10 +75,11 @@ impl Actuators {
     pub fn new(params: &DroneParams, actuators: &ActuatorParams, dt: f64) -> Self {
         let steps = (actuators.latency / dt).round() as usize;
         let slow = actuators.lag > 0.0 || steps > 0;
-        let initial_rpm = if slow { params.hover_rpm() } else { 0.0 };
+        let max_rpm = params.max_rpm() * actuators.saturation;
+        let initial_rpm = if slow { params.hover_rpm().min(max_rpm) } else { 0.0 };
         Self {
             gains: actuators.gains,
-            max_rpm: params.max_rpm() * actuators.saturation,
+            max_rpm,
             initial_rpm,
             share: if actuators.lag > 0.0 { -(-dt / actuators.lag).exp_m1() } else { 1.0 },
             queue: vec![[initial_rpm; 4]; steps],
@@ -189,10 +190,11 @@ mod tests {
     proptest! {
         #[test]
         fn speeds_stay_within_the_motors_range(
-            lag in 0.0..0.1, latency in 0.0..0.1, commands in prop::collection::vec(prop::array::uniform4(-1e6..1e6), 1..50),
+            lag in 0.0..0.1, latency in 0.0..0.1, saturation in 0.1..2.0, commands in prop::collection::vec(prop::array::uniform4(-1e6..1e6), 1..50),
         ) {
-            let mut motors = motors(ActuatorParams { lag, latency, ..ActuatorParams::default() });
-            let max = DroneModel::Cf2x.params().max_rpm();
+            let mut motors = motors(ActuatorParams { lag, latency, saturation, ..ActuatorParams::default() });
+            let max = DroneModel::Cf2x.params().max_rpm() * saturation;
+            prop_assert!(motors.rpm()[0] <= max);
             for command in commands {
                 prop_assert!(motors.advance(&command).iter().all(|n| (0.0..=max).contains(n)));
             }

@@ -15,8 +15,15 @@ use crate::state::DroneState;
 /// Lateral distance beyond which there is no downwash, m.
 pub const REACH: f64 = 10.0;
 
-/// (Δxy / β)² beyond which exp(−½ (Δxy / β)²) is below 1e-17, and with it less than the last bit of any other force.
-const NEGLIGIBLE: f64 = 80.0;
+/// (Δxy / β)² beyond which the force of a drone that is lower by more than [`CLOSE`] is below 1e-20 N, and less than the
+/// last bit of any other: no exponential is computed for it.
+const NEGLIGIBLE: f64 = 120.0;
+
+/// Difference in height below which α is so large that the exponential counts as far as it is a number, m.
+const CLOSE: f64 = 0.01;
+
+/// (Δxy / β)² beyond which the exponential is zero.
+const VANISHING: f64 = 1491.0;
 
 /// The wake of one airframe.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,7 +53,8 @@ impl Wake {
         let beta = self.spread * below + self.offset;
         let beta_squared = beta * beta;
         // false for NaN, which is then no force
-        let inside = below > 0.0 && sideways_squared < REACH * REACH && sideways_squared <= NEGLIGIBLE * beta_squared;
+        let limit = if below > CLOSE { NEGLIGIBLE } else { VANISHING };
+        let inside = below > 0.0 && sideways_squared < REACH * REACH && sideways_squared <= limit * beta_squared;
         if !inside {
             return 0.0;
         }
@@ -108,6 +116,14 @@ mod tests {
         let wake = Wake::new(&params);
         for below in [f64::MIN_POSITIVE, 1e-300, 1e-9, 0.2] {
             assert_eq!(wake.force(below, 0.0), -params.max_thrust(), "{below}");
+        }
+        // beside each other, but for a rounding error: the published formula still counts
+        for below in [1e-15, 1e-9, 1e-6, 1e-3, 0.009, 0.011] {
+            for sideways in [0.24_f64, 0.5, 1.0, 1.5] {
+                let wanted = published(&params, below, sideways).max(-params.max_thrust());
+                let got = wake.force(below, sideways * sideways);
+                assert!((got - wanted).abs() < 1e-12, "{below} {sideways}: {got} {wanted}");
+            }
         }
         let vanishing = 0.11 / 0.16;
         assert!((wake.force(vanishing, 0.0) - published(&params, vanishing * (1.0 + 1e-9), 0.0)).abs() < 1e-6);

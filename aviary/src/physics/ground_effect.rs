@@ -28,7 +28,8 @@ impl GroundEffect {
     #[inline]
     pub fn force(&self, state: &DroneState, thrust: f64) -> f64 {
         // |roll| and |pitch| below 90° are the same as body z pointing upwards
-        if state.up().z <= 0.0 {
+        // (and an airframe without the effect has no clip either, so that its height may be zero)
+        if state.up().z <= 0.0 || self.coefficient == 0.0 {
             return 0.0;
         }
         let height = state.position.z.max(self.clip);
@@ -59,6 +60,14 @@ mod tests {
                 let got = GroundEffect::new(&p).force(&at(z, [0.3, -0.2, 2.0]), thrust);
                 assert!((got - wanted).abs() < 1e-12 * wanted, "{model} at {z} m");
             }
+        }
+    }
+
+    #[test]
+    fn an_airframe_without_the_effect_has_none_at_any_height() {
+        let params = DroneParams { ground_effect_coefficient: 0.0, ..DroneModel::Cf2x.params() };
+        for z in [-1.0, 0.0, 1.0] {
+            assert_eq!(GroundEffect::new(&params).force(&at(z, [0.0; 3]), 0.3), 0.0);
         }
     }
 

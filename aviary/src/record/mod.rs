@@ -15,16 +15,16 @@ use crate::vision::ImageSize;
 #[non_exhaustive]
 pub enum RecordError {
     /// A log cannot be written.
-    #[error("the log cannot be written: {0}")]
+    #[error("the log cannot be written")]
     Write(#[from] csv::Error),
     /// What was written cannot be brought to where it belongs.
-    #[error("the log cannot be written: {0}")]
+    #[error("the log cannot be written")]
     Flush(#[from] std::io::Error),
     /// A picture cannot be encoded or written.
-    #[error("the picture cannot be written: {0}")]
+    #[error("the picture cannot be written")]
     Encode(#[from] image::ImageError),
     /// An animation cannot be written.
-    #[error("the animation cannot be written: {0}")]
+    #[error("the animation cannot be written")]
     Animation(#[from] gif::EncodingError),
     /// A plot cannot be drawn.
     #[error("the plot cannot be drawn: {0}")]

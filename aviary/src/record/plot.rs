@@ -111,7 +111,10 @@ mod tests {
         for text in ["<svg", "title", "height (m)", "force (N)", "time (s)", "a line", "another"] {
             assert!(svg.contains(text), "{text}");
         }
-        assert_eq!(svg.matches("<polyline").filter(|_| true).count() % 2, 0);
+        for colour in ["#0072B2", "#D55E00"] {
+            // a line and its place in the legend, in each of two panels
+            assert_eq!(svg.matches(colour).count(), 4, "{colour}");
+        }
     }
 
     #[test]

@@ -264,7 +264,7 @@ impl SimulationBuilder {
     }
 }
 
-/// Drones side by side on a line along x, far enough apart that their wakes and bodies do not meet.
+/// Drones side by side on a line along x, far enough apart that their bodies do not meet.
 fn row(drones: &[DroneParams]) -> Vec<[f64; 3]> {
     let spacing = drones.iter().map(|params| 4.0 * params.arm_length.max(params.collision_radius)).fold(0.0, f64::max);
     (0..drones.len()).map(|index| [index as f64 * spacing, 0.0, 0.1]).collect()

@@ -207,7 +207,7 @@ impl Simulation {
         error
     }
 
-    /// Back to the initial states, time 0, motors standing still.
+    /// Back to the initial states, time 0, no command given; slow motors turn at hover speed.
     ///
     /// # Errors
     /// Where MuJoCo cannot recover from an earlier error.
@@ -235,8 +235,9 @@ impl Simulation {
     fn restart(&mut self) -> Result<(), SimulationError> {
         self.engine.reset(&self.states).map_err(|error| SimulationError::Engine { time: 0.0, error })?;
         self.motor_speeds.fill([0.0; 4]);
-        for actuators in &mut self.actuators {
+        for (actuators, (drone, load)) in self.actuators.iter_mut().zip(self.drones.iter().zip(&mut self.loads)) {
             actuators.reset();
+            *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
         self.contacts.clear();
         self.control_steps = 0;
@@ -340,7 +341,8 @@ impl Simulation {
         &self.engine
     }
 
-    /// MuJoCo's data with the drones where they are now (in the `dyn` mode they are written there first).
+    /// MuJoCo's data, with `qpos` and `qvel` as the drones are now. What `mj_step` derives from them (`xpos`, contacts) is
+    /// that of its last stage; in the `dyn` mode the drones are written there first and everything is computed forward.
     ///
     /// # Errors
     /// MuJoCo's own.

@@ -105,11 +105,98 @@ impl Look {
                 None => part.embedded.to_vec(),
                 Some(directory) => {
                     let path = directory.join(part.file);
-                    std::fs::read(&path).map_err(|error| SceneError::Mesh { path, message: error.to_string() })?
+                    let bytes = std::fs::read(&path)
+                        .map_err(|error| SceneError::Mesh { path: path.clone(), message: error.to_string() })?;
+                    check_obj(&bytes).map_err(|message| SceneError::Mesh { path, message })?;
+                    bytes
                 }
             };
             assets.insert(part.file, bytes);
         }
         Ok(())
+    }
+}
+
+/// Checks what MuJoCo's reader takes on trust: it crashes on a mesh without faces and reads past the end of its
+/// vertices where a face names one that is not there.
+fn check_obj(bytes: &[u8]) -> Result<(), String> {
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is no OBJ file (not text)".to_string())?;
+    let count = |key: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(key)).count();
+    let (vertices, textures, normals) = (count("v"), count("vt"), count("vn"));
+    let mut faces = 0;
+    for (number, line) in text.lines().enumerate() {
+        let wrong = |what: &str| Err(format!("line {}: {what}", number + 1));
+        let mut words = line.split_whitespace();
+        match words.next() {
+            Some("v" | "vn") => {
+                let numbers: Vec<_> = words.take(3).map(str::parse::<f64>).collect();
+                if numbers.len() < 3 || numbers.iter().any(|x| !x.as_ref().is_ok_and(|x| x.is_finite())) {
+                    return wrong("expected three finite numbers");
+                }
+            }
+            Some("f") => {
+                let mut corners = 0;
+                for corner in words {
+                    corners += 1;
+                    for (index, most) in corner.split('/').zip([vertices, textures, normals]) {
+                        // a corner without texture or normal leaves its place empty
+                        let there = match index.parse::<i64>() {
+                            Ok(index) => index != 0 && index.unsigned_abs() <= most as u64,
+                            Err(_) => index.is_empty(),
+                        };
+                        if !there {
+                            return wrong(&format!("corner `{corner}` names nothing that is there"));
+                        }
+                    }
+                }
+                if corners < 3 {
+                    return wrong("expected a face of at least three corners");
+                }
+                faces += 1;
+            }
+            _ => {}
+        }
+    }
+    if vertices < 4 || faces < 4 {
+        return Err(format!("{vertices} vertices and {faces} faces, expected at least 4 of each"));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn meshes_that_would_crash_the_reader_are_refused_by_line() {
+        for part in CRAZYFLIE.iter().chain(&RACER) {
+            check_obj(part.embedded).unwrap_or_else(|message| panic!("{}: {message}", part.file));
+        }
+        let solid = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+        assert!(check_obj(solid.as_bytes()).is_ok());
+        let refused = |from: &str, to: &str| check_obj(solid.replace(from, to).as_bytes()).unwrap_err();
+        assert!(refused("v 0 0 1", "v 0 0 nan").starts_with("line 4"));
+        assert!(refused("v 0 0 1", "v 0 0").starts_with("line 4"));
+        assert!(refused("f 2 3 4", "f 2 3 9").starts_with("line 8"));
+        assert!(refused("f 2 3 4", "f 2 3 0").starts_with("line 8"));
+        assert!(refused("f 2 3 4", "f 2//1 3//1 4//1").starts_with("line 8"));
+        assert!(refused("f 2 3 4", "f 2 3").starts_with("line 8"));
+        assert!(refused("f 2 3 4\n", "").contains("3 faces"));
+        assert!(check_obj(b"v 0 0 0").unwrap_err().contains("1 vertices") && check_obj(&[0xff, 0xfe]).is_err());
+    }
+
+    proptest! {
+        /// What passes the check compiles or is an error of MuJoCo's, and never a crash.
+        #[test]
+        fn damaged_meshes_are_refused_or_read(at in 0usize..120, letter in 32u8..127) {
+            let mut bytes = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nf 1//1 3//1 2//1\nf 1 2 4\nf 1 4 3\nf 2 3 4\n".to_vec();
+            let place = at % bytes.len();
+            bytes[place] = letter;
+            if check_obj(&bytes).is_ok() {
+                let xml = "<mujoco><asset><mesh name='m' file='m.obj'/></asset></mujoco>";
+                let _ = mujoco_rs::Model::from_xml_with_assets(xml, &Assets::new().with("m.obj", bytes));
+            }
+        }
     }
 }
