@@ -13,12 +13,10 @@ pub struct Mixer {
 }
 
 impl Mixer {
-    /// The mixer of an airframe.
+    /// The mixer of an airframe. One that [`validate`](DroneParams::validate) refuses may have none, and then every
+    /// speed is not a number.
     pub fn new(params: &DroneParams) -> Self {
-        let inverse = params
-            .allocation()
-            .try_inverse()
-            .expect("the allocation of a layout with positive arm and coefficients is invertible");
+        let inverse = params.allocation().try_inverse().unwrap_or_else(|| Matrix4::repeat(f64::NAN));
         let max_rpm = params.max_rpm();
         Self {
             inverse,
@@ -34,7 +32,8 @@ impl Mixer {
     /// torque last and in proportion. What is not a number gives speeds that are not numbers, which a simulation
     /// refuses, and never a plausible speed.
     pub fn rpm(&self, thrust: f64, torque_body: Vector3<f64>) -> [f64; 4] {
-        if !(thrust.is_finite() && torque_body.iter().all(|x| x.is_finite())) {
+        let sound = self.inverse[0].is_finite() && self.max_rotor_thrust.is_finite();
+        if !(sound && thrust.is_finite() && torque_body.iter().all(|x| x.is_finite())) {
             return [f64::NAN; 4];
         }
         let forces = self.saturate(thrust, torque_body);
@@ -89,6 +88,14 @@ mod tests {
         let mixer = Mixer::new(&DroneModel::Cf2x.params());
         for (thrust, x) in [(f64::NAN, 0.0), (0.3, f64::NAN), (f64::INFINITY, 0.0), (0.3, f64::NEG_INFINITY)] {
             assert!(mixer.rpm(thrust, Vector3::new(x, 0.0, 0.0)).iter().all(|n| n.is_nan()));
+        }
+        for broken in [
+            DroneParams { arm_length: 0.0, ..DroneModel::Race.params() },
+            DroneParams { mass: f64::NAN, ..DroneModel::Race.params() },
+            DroneParams { torque_coefficient: f64::INFINITY, ..DroneModel::Cf2p.params() },
+            DroneParams { thrust_coefficient: 0.0, ..DroneModel::Cf2x.params() },
+        ] {
+            assert!(Mixer::new(&broken).rpm(0.3, Vector3::zeros()).iter().all(|n| n.is_nan()), "{broken:?}");
         }
         assert!(mixer.rpm(1e300, Vector3::new(1e300, -1e300, 1e300)).iter().all(|n| n.is_finite()));
     }
