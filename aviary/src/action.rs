@@ -1,38 +1,90 @@
 //! What an agent says, and the motor speeds that follow.
 
+use std::f64::consts::{FRAC_PI_6, PI};
 use std::fmt;
 use std::str::FromStr;
 
-use crate::drone::DroneParams;
+use nalgebra::Vector3;
 
-/// How an agent commands a drone (paper, action table).
+use crate::control::{
+    AnyController, AttitudeControl, Controller as _, ControllerKind, HeadingHold, RateControl, Reference,
+};
+use crate::drone::DroneParams;
+use crate::state::{DroneState, attitude_from_rpy, rpy_from_attitude};
+
+/// How an agent commands a drone (paper, action table), as so many numbers per drone.
+///
+/// | | numbers | bounds |
+/// | --- | --- | --- |
+/// | `rpm` | four motor speeds, normalized, see [`MotorScale`] | −1 to 1 |
+/// | `raw_rpm` | four motor speeds, rpm | 0 to `MAX_RPM` |
+/// | `one_d_rpm` | one normalized motor speed for all four | −1 to 1 |
+/// | `vel` | velocity x, y, z in the heading frame (the body frame without its roll and pitch), m/s; yaw rate, rad/s | ± [`max_speed`](crate::drone::DroneParams::max_speed); ± [`yaw_rate`](ActionLimits::yaw_rate) |
+/// | `pid` | a waypoint: position x, y, z in the world frame, m; yaw, rad | [`arena`](ActionLimits::arena); ± π |
+/// | `attitude` | collective thrust, as a normalized motor speed; roll, pitch; yaw rate | −1 to 1, which is ± [`tilt`](ActionLimits::tilt) and ± [`yaw_rate`](ActionLimits::yaw_rate) |
+/// | `ctbr` | collective thrust, as a normalized motor speed; body rates x, y, z | −1 to 1, which is ± [`body_rate`](ActionLimits::body_rate) |
+///
+/// What is out of bounds is clipped to them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum ActionType {
-    /// Four normalized motor speeds in [−1, 1], see [`MotorScale`].
+    /// Four normalized motor speeds.
     #[default]
     Rpm,
-    /// One normalized motor speed in [−1, 1] for all four motors.
+    /// Four motor speeds, rpm.
+    RawRpm,
+    /// One normalized motor speed for all four motors.
     OneDRpm,
+    /// Velocity in the heading frame and yaw rate, through a controller.
+    Vel,
+    /// A waypoint and yaw, through a controller.
+    Pid,
+    /// Thrust, roll, pitch and yaw rate, through the paper's attitude loop.
+    Attitude,
+    /// Collective thrust and body rates, through a rate loop.
+    Ctbr,
 }
 
 impl ActionType {
     /// All of them.
-    pub const ALL: [Self; 2] = [Self::Rpm, Self::OneDRpm];
+    pub const ALL: [Self; 7] =
+        [Self::Rpm, Self::RawRpm, Self::OneDRpm, Self::Vel, Self::Pid, Self::Attitude, Self::Ctbr];
 
     /// The name in lower snake case.
     pub fn name(self) -> &'static str {
         match self {
             Self::Rpm => "rpm",
+            Self::RawRpm => "raw_rpm",
             Self::OneDRpm => "one_d_rpm",
+            Self::Vel => "vel",
+            Self::Pid => "pid",
+            Self::Attitude => "attitude",
+            Self::Ctbr => "ctbr",
         }
     }
 
     /// Numbers per drone.
     pub fn size(self) -> usize {
         match self {
-            Self::Rpm => 4,
             Self::OneDRpm => 1,
+            _ => 4,
+        }
+    }
+
+    /// Least and greatest value of every number, for one drone.
+    pub fn bounds(self, params: &DroneParams, limits: &ActionLimits) -> Vec<[f64; 2]> {
+        let around_zero = |most: f64| [-most, most];
+        match self {
+            Self::Rpm | Self::OneDRpm | Self::Attitude | Self::Ctbr => vec![[-1.0, 1.0]; self.size()],
+            Self::RawRpm => vec![[0.0, params.max_rpm()]; 4],
+            Self::Vel => {
+                let speed = around_zero(params.max_speed);
+                vec![speed, speed, speed, around_zero(limits.yaw_rate)]
+            }
+            Self::Pid => {
+                let [x, y, z] = limits.arena;
+                vec![x, y, z, around_zero(PI)]
+            }
         }
     }
 }
@@ -53,8 +105,179 @@ impl FromStr for ActionType {
 
 /// A name that is no action type's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no action type `{0}`, expected rpm or one_d_rpm")]
+#[error("no action type `{0}`, expected rpm, raw_rpm, one_d_rpm, vel, pid, attitude or ctbr")]
 pub struct UnknownActionType(pub String);
+
+/// How far actions reach that are not motor speeds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ActionLimits {
+    /// Least and greatest x, y and z of a waypoint, world frame, m; ±10 m sideways and 0 to 10 m up by default.
+    pub arena: [[f64; 2]; 3],
+    /// Roll and pitch at 1, rad; 30° by default.
+    pub tilt: f64,
+    /// Yaw rate at its bound, rad/s; π by default.
+    pub yaw_rate: f64,
+    /// Body rates at 1, body frame, rad/s; 10, 10 and 5 by default.
+    pub body_rate: [f64; 3],
+}
+
+impl Default for ActionLimits {
+    fn default() -> Self {
+        Self {
+            arena: [[-10.0, 10.0], [-10.0, 10.0], [0.0, 10.0]],
+            tilt: FRAC_PI_6,
+            yaw_rate: PI,
+            body_rate: [10.0, 10.0, 5.0],
+        }
+    }
+}
+
+impl ActionLimits {
+    /// Checks that they are numbers, the right way round, and attitudes that can be held.
+    ///
+    /// # Errors
+    /// [`ActionLimitsError`] naming the field.
+    pub fn validate(&self) -> Result<(), ActionLimitsError> {
+        let error = |field, got, expected| Err(ActionLimitsError { field, got, expected });
+        for [low, high] in self.arena {
+            if !(low.is_finite() && high.is_finite() && low <= high) {
+                return error("arena", high - low, "finite bounds, the least before the greatest");
+            }
+        }
+        if !(self.tilt > 0.0 && self.tilt < 1.5) {
+            return error("tilt", self.tilt, "a positive angle below 1.5 rad");
+        }
+        for (field, got) in [("yaw_rate", self.yaw_rate)].into_iter().chain(self.body_rate.map(|x| ("body_rate", x))) {
+            if !(got > 0.0 && got <= 1e3) {
+                return error(field, got, "a positive rate up to 1000 rad/s");
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A limit of actions that is impossible.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("the action limit `{field}` is {got}, expected {expected}")]
+pub struct ActionLimitsError {
+    /// The field of [`ActionLimits`].
+    pub field: &'static str,
+    /// What it is.
+    pub got: f64,
+    /// What is possible.
+    pub expected: &'static str,
+}
+
+/// Turns one drone's actions into motor speeds. Its controllers live as long as an episode: they remember from step to
+/// step, and a reset clears them.
+///
+/// It is made from the nominal airframe, whatever is flown: an agent that trims for the true mass would have nothing
+/// to learn from a randomized one.
+#[derive(Debug, Clone)]
+pub struct ActionDecoder {
+    kind: ActionType,
+    limits: ActionLimits,
+    scale: MotorScale,
+    loops: Loops,
+}
+
+/// What stands between an action and the motors.
+#[derive(Debug, Clone)]
+enum Loops {
+    None,
+    Velocity { controller: AnyController, heading: HeadingHold },
+    Waypoint { controller: AnyController },
+    Attitude { control: AttitudeControl, heading: HeadingHold, thrust_coefficient: f64 },
+    Rates { control: RateControl, thrust_coefficient: f64 },
+}
+
+impl ActionDecoder {
+    /// For actions of a kind, with this controller beneath velocities and waypoints.
+    ///
+    /// # Errors
+    /// [`ActionLimitsError`].
+    pub fn new(
+        kind: ActionType,
+        controller: ControllerKind,
+        params: &DroneParams,
+        limits: &ActionLimits,
+    ) -> Result<Self, ActionLimitsError> {
+        limits.validate()?;
+        let thrust_coefficient = params.thrust_coefficient;
+        let loops = match kind {
+            ActionType::Rpm | ActionType::RawRpm | ActionType::OneDRpm => Loops::None,
+            ActionType::Vel => {
+                Loops::Velocity { controller: controller.build(params), heading: HeadingHold::default() }
+            }
+            ActionType::Pid => Loops::Waypoint { controller: controller.build(params) },
+            ActionType::Attitude => Loops::Attitude {
+                control: AttitudeControl::new(params),
+                heading: HeadingHold::default(),
+                thrust_coefficient,
+            },
+            ActionType::Ctbr => Loops::Rates { control: RateControl::new(params), thrust_coefficient },
+        };
+        Ok(Self { kind, limits: *limits, scale: MotorScale::new(params), loops })
+    }
+
+    /// The scale of normalized motor speeds.
+    pub fn scale(&self) -> &MotorScale {
+        &self.scale
+    }
+
+    /// Forgets everything that an earlier episode left.
+    pub fn reset(&mut self) {
+        match &mut self.loops {
+            Loops::None | Loops::Rates { .. } => {}
+            Loops::Velocity { controller, heading } => {
+                controller.reset();
+                heading.reset();
+            }
+            Loops::Waypoint { controller } => controller.reset(),
+            Loops::Attitude { control, heading, .. } => {
+                control.reset();
+                heading.reset();
+            }
+        }
+    }
+
+    /// Motor speeds (rpm) for the coming control step of `dt` seconds, from an action within its bounds.
+    ///
+    /// # Panics
+    /// If the action does not have [`size`](ActionType::size) numbers.
+    pub fn motor_speeds(&mut self, dt: f64, state: &DroneState, action: &[f64]) -> [f64; 4] {
+        if self.kind == ActionType::OneDRpm {
+            return [self.scale.rpm(action[0]); 4];
+        }
+        let [a, b, c, d] = *action else { panic!("an action of {} numbers, expected 4", action.len()) };
+        let (scale, limits) = (self.scale, &self.limits);
+        let collective = |command: f64, thrust_coefficient: f64| 4.0 * thrust_coefficient * scale.rpm(command).powi(2);
+        match &mut self.loops {
+            Loops::None if self.kind == ActionType::RawRpm => [a, b, c, d],
+            Loops::None => [a, b, c, d].map(|command| scale.rpm(command)),
+            Loops::Velocity { controller, heading } => {
+                let (sin, cos) = rpy_from_attitude(&state.attitude).z.sin_cos();
+                let velocity = Vector3::new(cos * a - sin * b, sin * a + cos * b, c);
+                let yaw = heading.advance(dt, state, d);
+                let reference = Reference { velocity, yaw, yaw_rate: d, ..Reference::default() };
+                controller.control_velocity(dt, state, &reference).rpm
+            }
+            Loops::Waypoint { controller } => {
+                controller.control(dt, state, &Reference::hover(Vector3::new(a, b, c), d)).rpm
+            }
+            Loops::Attitude { control, heading, thrust_coefficient } => {
+                let rate = d * limits.yaw_rate;
+                let rpy = Vector3::new(b * limits.tilt, c * limits.tilt, heading.advance(dt, state, rate));
+                let thrust = collective(a, *thrust_coefficient);
+                control.control(dt, state, thrust, &attitude_from_rpy(rpy), &Vector3::new(0.0, 0.0, rate))
+            }
+            Loops::Rates { control, thrust_coefficient } => {
+                let body_rate = Vector3::new(b, c, d).component_mul(&Vector3::from(limits.body_rate));
+                control.control(dt, state, collective(a, *thrust_coefficient), &body_rate)
+            }
+        }
+    }
+}
 
 /// The mapping between normalized commands and motor speeds:
 /// `a ≤ 0: (a + 1)·HOVER_RPM`, otherwise `HOVER_RPM + a·(MAX_RPM − HOVER_RPM)`.

@@ -22,6 +22,7 @@ use crate::pilot::Pilot;
 #[command(after_help = "Examples:
   aviary fly --task hover
   aviary fly --task hover --drone race --out out/hover --json
+  aviary fly --task hover --controller geometric --trajectory circle
   aviary fly --task hover --duration 3 --gif out/hover.gif --camera front")]
 pub struct Fly {
     #[command(flatten)]
@@ -95,7 +96,7 @@ impl Fly {
             let flown = pilot.step()?;
             wall_seconds += start.elapsed().as_secs_f64();
             reward += flown.reward;
-            errors.note(pilot.env());
+            errors.note(pilot);
             if pilot.env().simulation().control_steps().is_multiple_of(64) {
                 bar.set_position(pilot.env().simulation().control_steps());
             }
@@ -111,9 +112,18 @@ impl Fly {
         if let Some(film) = film {
             film.finish(pilot.env_mut())?;
         }
-        Ok(Flight { info: pilot.env().info(), reward, wall_seconds, errors })
+        let mut info = pilot.env().info();
+        if pilot.trajectory().is_some() {
+            // the trajectory, not the task, says where to be
+            info.position_error = pilot.position_error();
+            info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
+        }
+        Ok(Flight { info, reward, wall_seconds, errors })
     }
 }
+
+/// Position error below which a flight along a trajectory has ended where it should, m.
+const ON_TRAJECTORY: f64 = 0.05;
 
 /// An animation being made: a frame every so many control steps, about 24 a second.
 struct Film {
@@ -158,6 +168,7 @@ impl Film {
 /// Position errors over a flight, one sample per control step and drone.
 #[derive(Debug, Default)]
 struct Errors {
+    sum: f64,
     squares: f64,
     count: u64,
     peak: f64,
@@ -166,11 +177,12 @@ struct Errors {
 }
 
 impl Errors {
-    fn note(&mut self, env: &dyn Env) {
-        let simulation = env.simulation();
+    fn note(&mut self, pilot: &Pilot) {
+        let simulation = pilot.env().simulation();
         let time = simulation.time();
         for drone in 0..simulation.num_drones() {
-            let error = simulation.distance(drone, &env.reference(drone).position);
+            let error = simulation.distance(drone, &pilot.reference(drone).position);
+            self.sum += error;
             self.squares += error * error;
             self.count += 1;
             self.peak = self.peak.max(error);
@@ -179,6 +191,10 @@ impl Errors {
         while self.recent.front().is_some_and(|(t, _)| *t < time - 2.0) {
             self.recent.pop_front();
         }
+    }
+
+    fn mean(&self) -> f64 {
+        self.sum / self.count.max(1) as f64
     }
 
     fn rms(&self) -> f64 {
@@ -213,6 +229,7 @@ impl Flight {
             "physics": simulation.physics().name(),
             "engine": "mujoco",
             "controller": options.controller,
+            "trajectory": options.trajectory,
             "seed": options.seed,
             "success": self.info.success,
             "end": self.info.end.map(|end| end.name()),
@@ -222,6 +239,7 @@ impl Flight {
             "final_position_error": self.info.position_error,
             "rms_position_error": self.errors.rms(),
             "rms_position_error_last_2s": self.errors.rms_last_2s(),
+            "mean_position_error": self.errors.mean(),
             "peak_position_error": self.errors.peak,
             "drones": drones,
         })
@@ -240,6 +258,8 @@ impl Flight {
             ("success", success),
             ("final position error", centimetres(self.info.position_error)),
             ("RMS position error, last 2 s", centimetres(self.errors.rms_last_2s())),
+            ("mean position error", centimetres(self.errors.mean())),
+            ("peak position error", centimetres(self.errors.peak)),
             ("reward", format!("{:.2}", self.reward)),
             ("simulated time", format!("{:.2} s", self.info.time)),
             ("simulated s per wall s", format!("{:.0}", self.info.time / self.wall_seconds.max(1e-9))),

@@ -4,6 +4,8 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::anyhow;
+use aviary::control::ControllerKind;
+use aviary::control::trajectory::{self, Trajectory};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::BuildError;
 use aviary::env::{Env, EnvError};
@@ -26,10 +28,14 @@ pub struct FlightOptions {
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
     #[arg(long, default_value = "mjc")]
     pub physics: String,
-    /// Controller: pid
+    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories)
     #[arg(long, default_value = "pid")]
     pub controller: String,
-    /// Simulated seconds of an episode; the task's by default
+    /// Trajectory to follow in place of the task's own target: circle, lemniscate, helix, square, loop, or a TOML file.
+    /// The flight starts at rest where it starts, and lasts as long as it does
+    #[arg(long)]
+    pub trajectory: Option<String>,
+    /// Simulated seconds of an episode; the task's or the trajectory's by default
     #[arg(long, allow_negative_numbers = true)]
     pub duration: Option<f64>,
     /// Physics rate, Hz, a multiple of the control rate
@@ -44,9 +50,23 @@ pub struct FlightOptions {
 }
 
 impl FlightOptions {
+    /// The controller's kind.
+    pub fn controller(&self) -> Result<ControllerKind, Failure> {
+        named("controller", &self.controller, &ControllerKind::ALL.map(ControllerKind::name))
+    }
+
+    /// What to follow in place of the task's own reference.
+    pub fn trajectory(&self) -> Result<Option<Box<dyn Trajectory>>, Failure> {
+        let Some(name) = &self.trajectory else { return Ok(None) };
+        if Path::new(name).extension().is_some_and(|extension| extension == "toml") {
+            return trajectory::from_file(name).map(Some).map_err(Failure::input);
+        }
+        one_of("trajectory", name, &trajectory::NAMES)?;
+        Ok(trajectory::named(name))
+    }
+
     /// The environment they describe.
-    pub fn environment(&self) -> Result<Box<dyn Env>, Failure> {
-        one_of("controller", &self.controller, &["pid"])?;
+    pub fn environment(&self, trajectory: Option<&dyn Trajectory>) -> Result<Box<dyn Env>, Failure> {
         one_of("task", &self.task, &aviary::tasks::all().iter().map(|task| task.name).collect::<Vec<_>>())?;
         let physics = named::<Physics>("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
         let mut builder = Hover::builder()
@@ -54,6 +74,15 @@ impl FlightOptions {
             .physics(physics)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq);
+        if let Some(trajectory) = trajectory {
+            let start = trajectory.start();
+            builder = builder
+                .initial_positions([start.position.into()])
+                .initial_rpys([[0.0, 0.0, start.yaw]])
+                .episode_seconds(trajectory.duration())
+                // a trajectory may go upside down, and as high as it likes
+                .task(|hover| (hover.crash.max_tilt, hover.max_height) = (std::f64::consts::PI, f64::INFINITY));
+        }
         if let Some(seconds) = self.duration {
             builder = builder.episode_seconds(seconds);
         }

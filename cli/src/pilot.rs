@@ -1,6 +1,7 @@
 //! A task flown by a built-in controller, control step by control step.
 
-use aviary::control::{Controller, PidControl};
+use aviary::control::trajectory::Trajectory;
+use aviary::control::{AnyController, Controller as _, Reference};
 use aviary::env::Env;
 
 use crate::failure::Failure;
@@ -9,7 +10,8 @@ use crate::options::FlightOptions;
 /// An environment and one controller for each of its drones.
 pub struct Pilot {
     env: Box<dyn Env>,
-    controllers: Vec<Box<dyn Controller>>,
+    controllers: Vec<AnyController>,
+    trajectory: Option<Box<dyn Trajectory>>,
     speeds: Vec<[f64; 4]>,
     action: Vec<f64>,
     dt: f64,
@@ -24,14 +26,14 @@ pub struct Flown {
 impl Pilot {
     /// At the start of the first episode.
     pub fn new(options: &FlightOptions) -> Result<Self, Failure> {
-        let mut env = options.environment()?;
+        let kind = options.controller()?;
+        let trajectory = options.trajectory()?;
+        let mut env = options.environment(trajectory.as_deref())?;
         let drones = env.simulation().num_drones();
-        let controllers = (0..drones)
-            .map(|drone| Box::new(PidControl::new(env.simulation().params(drone))) as Box<dyn Controller>)
-            .collect();
+        let controllers = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
         let (dt, action) = (env.simulation().control_period(), vec![0.0; env.action_space().size()]);
         env.reset(Some(options.seed)).map_err(Failure::work)?;
-        Ok(Self { env, controllers, speeds: vec![[0.0; 4]; drones], action, dt })
+        Ok(Self { env, controllers, trajectory, speeds: vec![[0.0; 4]; drones], action, dt })
     }
 
     /// Starts the next episode, going on with the same random numbers.
@@ -43,11 +45,33 @@ impl Pilot {
         Ok(())
     }
 
+    /// What a drone is asked to follow now.
+    pub fn reference(&self, drone: usize) -> Reference {
+        match &self.trajectory {
+            Some(trajectory) => trajectory.reference(self.env.simulation().time()),
+            None => self.env.reference(drone),
+        }
+    }
+
+    /// Whether it follows a trajectory in place of the task's reference.
+    pub fn trajectory(&self) -> Option<&dyn Trajectory> {
+        self.trajectory.as_deref()
+    }
+
+    /// Largest distance of a drone from where it is asked to be now, m.
+    pub fn position_error(&self) -> f64 {
+        let simulation = self.env.simulation();
+        (0..simulation.num_drones())
+            .map(|drone| simulation.distance(drone, &self.reference(drone).position))
+            .fold(0.0, f64::max)
+    }
+
     /// Flies one control step.
     pub fn step(&mut self) -> Result<Flown, Failure> {
-        for (drone, (controller, speeds)) in self.controllers.iter_mut().zip(&mut self.speeds).enumerate() {
+        for drone in 0..self.controllers.len() {
+            let reference = self.reference(drone);
             let state = &self.env.simulation().states()[drone];
-            *speeds = controller.control(self.dt, state, &self.env.reference(drone)).rpm;
+            self.speeds[drone] = self.controllers[drone].control(self.dt, state, &reference).rpm;
         }
         self.env.action_of_motor_speeds(&self.speeds, &mut self.action).map_err(Failure::work)?;
         let step = self.env.step(&self.action).map_err(Failure::work)?;

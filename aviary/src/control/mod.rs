@@ -1,43 +1,36 @@
 //! Controllers: a state and a reference in, motor speeds out. They know an airframe, never an environment.
+//!
+//! | controller | for |
+//! | --- | --- |
+//! | [`PidControl`] | the paper's cascade and gains: soft, hover-grade |
+//! | [`DslPidControl`] | the cascade, stiffer, with rate limits and feed-forward: waypoints |
+//! | [`GeometricControl`] | SE(3) with full feed-forward: trajectories of any attitude, flips |
+//! | [`AttitudeControl`], [`RateControl`] | the inner loops alone: attitude or body rates under a thrust |
+//!
+//! [`trajectory`] has what they follow: positions with exact derivatives.
 
+mod attitude;
+mod dsl;
+mod geometric;
+mod kind;
 mod mixer;
 mod pid;
+mod rate;
+mod reference;
+pub mod trajectory;
 
+pub use attitude::{AttitudeControl, AttitudeGains, HeadingHold};
+pub use dsl::DslPidControl;
+pub use geometric::{Bandwidths, GeometricControl};
+pub use kind::{AnyController, ControllerKind, UnknownController};
 pub use mixer::Mixer;
-pub use pid::{AttitudeGains, PidControl, PidGains, PositionGains};
+pub use pid::{PidControl, PidGains, PositionGains};
+pub use rate::RateControl;
+pub use reference::Reference;
 
 use nalgebra::Vector3;
 
-use crate::state::DroneState;
-
-/// What a controller is to follow.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Reference {
-    /// Position, world frame, m.
-    pub position: Vector3<f64>,
-    /// Velocity, world frame, m/s.
-    pub velocity: Vector3<f64>,
-    /// Acceleration, world frame, m/s²: feed-forward, for controllers that use it.
-    pub acceleration: Vector3<f64>,
-    /// Yaw, rad.
-    pub yaw: f64,
-    /// Yaw rate, rad/s.
-    pub yaw_rate: f64,
-}
-
-impl Reference {
-    /// Standing still at a position (world, m) with a yaw (rad).
-    pub fn hover(position: Vector3<f64>, yaw: f64) -> Self {
-        Self { position, velocity: Vector3::zeros(), acceleration: Vector3::zeros(), yaw, yaw_rate: 0.0 }
-    }
-
-    /// Whether every number is finite.
-    pub fn is_finite(&self) -> bool {
-        (self.position.iter().chain(&self.velocity).chain(&self.acceleration)).all(|x| x.is_finite())
-            && self.yaw.is_finite()
-            && self.yaw_rate.is_finite()
-    }
-}
+use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
 
 /// What a controller answers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,12 +43,28 @@ pub struct ControlOutput {
     pub yaw_error: f64,
 }
 
+impl ControlOutput {
+    /// The errors, with motor speeds that are not numbers.
+    fn of_errors(state: &DroneState, reference: &Reference) -> Self {
+        Self {
+            rpm: [f64::NAN; 4],
+            position_error: reference.position - state.position,
+            yaw_error: wrap_angle(reference.yaw - rpy_from_attitude(&state.attitude).z),
+        }
+    }
+}
+
 /// A controller of one drone. It has memory: keep one per drone for an episode, and reset it between episodes.
-pub trait Controller {
+pub trait Controller: std::fmt::Debug + Send {
     /// Forgets integrals and everything else that an earlier episode left.
     fn reset(&mut self);
 
     /// Motor speeds for the coming control step of `dt` seconds. A state or reference that is not finite gives speeds
     /// that are not numbers, which a simulation refuses, and leaves the controller as it was.
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput;
+
+    /// The same for a velocity wherever the drone may be: the reference's position is left out.
+    fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+        self.control(dt, state, &Reference { position: state.position, ..*reference })
+    }
 }

@@ -1,8 +1,9 @@
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
-use super::{ControlOutput, Controller, Mixer, Reference};
-use crate::drone::{DroneModel, DroneParams, GRAVITY};
-use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
+use super::attitude::{attitude_along, clamped};
+use super::{AttitudeControl, AttitudeGains, ControlOutput, Controller, Reference};
+use crate::drone::{DroneParams, GRAVITY};
+use crate::state::DroneState;
 
 /// Gains of the position loop: accelerations per m, per m·s and per m/s.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,19 +15,6 @@ pub struct PositionGains {
     /// Derivative, 1/s.
     pub derivative: Vector3<f64>,
     /// Limit of each component of the integrated error, m·s.
-    pub integral_clamp: f64,
-}
-
-/// Gains of the attitude loop: torques per rad, per rad·s and per rad/s, about the body axes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AttitudeGains {
-    /// Proportional, N·m/rad.
-    pub proportional: Vector3<f64>,
-    /// Integral, N·m/(rad·s).
-    pub integral: Vector3<f64>,
-    /// Derivative, N·m/(rad/s).
-    pub derivative: Vector3<f64>,
-    /// Limit of each component of the integrated error, rad·s.
     pub integral_clamp: f64,
 }
 
@@ -45,9 +33,6 @@ impl PidGains {
     /// The torque gains belong to the Crazyflie; another airframe's are scaled by the ratio of the inertias, axis by
     /// axis, so that its attitude answers with the same time constants.
     pub fn paper(params: &DroneParams) -> Self {
-        let crazyflie = DroneModel::Cf2x.params().inertia_vector();
-        let ratio = params.inertia_vector().component_div(&crazyflie);
-        let torque = |gain: [f64; 3]| Vector3::from(gain).component_mul(&ratio);
         Self {
             position: PositionGains {
                 proportional: Vector3::new(0.4, 0.4, 1.0),
@@ -55,12 +40,7 @@ impl PidGains {
                 derivative: Vector3::new(0.9, 0.9, 2.0),
                 integral_clamp: 2.0,
             },
-            attitude: AttitudeGains {
-                proportional: torque([2e-3, 2e-3, 1e-3]),
-                integral: torque([0.0, 0.0, 1e-4]),
-                derivative: torque([5e-4, 5e-4, 2e-4]),
-                integral_clamp: 0.5,
-            },
+            attitude: AttitudeGains::paper(params),
         }
     }
 }
@@ -86,11 +66,10 @@ impl PidGains {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct PidControl {
-    gains: PidGains,
+    gains: PositionGains,
     mass: f64,
-    mixer: Mixer,
+    attitude: AttitudeControl,
     position_integral: Vector3<f64>,
-    attitude_integral: Vector3<f64>,
 }
 
 impl PidControl {
@@ -110,27 +89,58 @@ impl PidControl {
     /// With gains of one's own.
     pub fn with_gains(params: &DroneParams, gains: PidGains) -> Self {
         Self {
-            gains,
+            gains: gains.position,
             mass: params.mass,
-            mixer: Mixer::new(params),
+            attitude: AttitudeControl::with_gains(params, gains.attitude),
             position_integral: Vector3::zeros(),
-            attitude_integral: Vector3::zeros(),
         }
     }
 
     /// The gains.
-    pub fn gains(&self) -> &PidGains {
-        &self.gains
+    pub fn gains(&self) -> PidGains {
+        PidGains { position: self.gains, attitude: *self.attitude.gains() }
+    }
+
+    /// Follows a reference, with an acceleration (world, m/s²) added to what the position loop asks for; the position's
+    /// integral grows by the errors within `integrated` metres only.
+    pub(super) fn follow(
+        &mut self,
+        dt: f64,
+        state: &DroneState,
+        reference: &Reference,
+        feed_forward: &Vector3<f64>,
+        integrated: f64,
+    ) -> ControlOutput {
+        let output = ControlOutput::of_errors(state, reference);
+        if !(state.is_finite() && reference.is_finite() && dt.is_finite()) {
+            // what is not a number must not enter the integrals, from which only a reset would remove it
+            return output;
+        }
+        let velocity_error = reference.velocity - state.velocity;
+        let position_error = output.position_error;
+        if position_error.norm() <= integrated {
+            let clamp = self.gains.integral_clamp;
+            self.position_integral = clamped(self.position_integral + position_error * dt, clamp);
+        }
+        let acceleration = self.position_loop(&position_error, &velocity_error, feed_forward);
+        let wanted = attitude_along(&acceleration, reference.yaw);
+        let body_rate = Vector3::new(0.0, 0.0, reference.yaw_rate);
+        let rpm = self.attitude.control(dt, state, self.mass * acceleration.norm(), &wanted, &body_rate);
+        ControlOutput { rpm, ..output }
     }
 
     /// Acceleration to be produced by the thrust, world frame, m/s².
-    fn position_loop(&mut self, dt: f64, error: &Vector3<f64>, velocity_error: &Vector3<f64>) -> Vector3<f64> {
-        let gains = &self.gains.position;
-        let clamp = gains.integral_clamp;
-        self.position_integral = clamped(self.position_integral + error * dt, clamp);
+    fn position_loop(
+        &self,
+        error: &Vector3<f64>,
+        velocity_error: &Vector3<f64>,
+        feed_forward: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        let gains = &self.gains;
         let mut wanted = gains.proportional.component_mul(error)
             + gains.integral.component_mul(&self.position_integral)
             + gains.derivative.component_mul(velocity_error)
+            + feed_forward
             + Vector3::new(0.0, 0.0, GRAVITY);
         if wanted.z < Self::LEAST_LIFT * GRAVITY {
             wanted.z = Self::LEAST_LIFT * GRAVITY;
@@ -143,65 +153,23 @@ impl PidControl {
         }
         wanted
     }
-
-    /// Torque about the body axes, N·m.
-    fn attitude_loop(
-        &mut self,
-        dt: f64,
-        state: &DroneState,
-        wanted: &UnitQuaternion<f64>,
-        yaw_rate: f64,
-    ) -> Vector3<f64> {
-        let gains = &self.gains.attitude;
-        let error = (state.attitude.inverse() * wanted).scaled_axis();
-        let rate_error = Vector3::new(0.0, 0.0, yaw_rate) - state.angular_velocity;
-        let clamp = gains.integral_clamp;
-        self.attitude_integral = clamped(self.attitude_integral + error * dt, clamp);
-        gains.proportional.component_mul(&error)
-            + gains.integral.component_mul(&self.attitude_integral)
-            + gains.derivative.component_mul(&rate_error)
-    }
 }
 
 impl Controller for PidControl {
     fn reset(&mut self) {
         self.position_integral = Vector3::zeros();
-        self.attitude_integral = Vector3::zeros();
+        self.attitude.reset();
     }
 
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        let position_error = reference.position - state.position;
-        let velocity_error = reference.velocity - state.velocity;
-        let yaw_error = wrap_angle(reference.yaw - rpy_from_attitude(&state.attitude).z);
-        if !(state.is_finite() && reference.is_finite()) {
-            // what is not a number must not enter the integrals, from which only a reset would remove it
-            return ControlOutput { rpm: [f64::NAN; 4], position_error, yaw_error };
-        }
-        let acceleration = self.position_loop(dt, &position_error, &velocity_error);
-        let wanted = attitude_along(&acceleration, reference.yaw);
-        let torque = self.attitude_loop(dt, state, &wanted, reference.yaw_rate);
-        ControlOutput { rpm: self.mixer.rpm(self.mass * acceleration.norm(), torque), position_error, yaw_error }
+        self.follow(dt, state, reference, &Vector3::zeros(), f64::INFINITY)
     }
-}
-
-/// Every component within ±`limit`.
-fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
-    vector.map(|x| x.clamp(-limit, limit))
-}
-
-/// The attitude whose z axis points along `up`, which lies above the horizon, and whose yaw is `yaw`.
-fn attitude_along(up: &Vector3<f64>, yaw: f64) -> UnitQuaternion<f64> {
-    let z = up.normalize();
-    // body x has no part along the heading's left: only so is the yaw of roll-pitch-yaw the one asked for
-    let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
-    let x = left.cross(&z).normalize();
-    let y = z.cross(&x);
-    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::drone::DroneModel;
     use crate::physics::rotor::RotorModel;
     use crate::state::attitude_from_rpy;
     use proptest::prelude::*;
@@ -211,19 +179,10 @@ mod tests {
         fn thrust_direction_stays_above_the_horizon_for_any_error(
             x in -1e3..1e3, y in -1e3..1e3, z in -1e3..1e3, vx in -50.0..50.0, vz in -50.0..50.0,
         ) {
-            let mut pid = PidControl::new(&DroneModel::Cf2x.params());
-            let wanted = pid.position_loop(0.02, &Vector3::new(x, y, z), &Vector3::new(vx, 0.0, vz));
+            let pid = PidControl::new(&DroneModel::Cf2x.params());
+            let wanted = pid.position_loop(&Vector3::new(x, y, z), &Vector3::new(vx, 0.0, vz), &Vector3::zeros());
             let tilt = (wanted.z / wanted.norm()).acos();
             prop_assert!(tilt <= PidControl::MAX_TILT + 1e-9, "{tilt}");
-        }
-
-        #[test]
-        fn wanted_attitude_has_its_z_along_the_acceleration_and_its_yaw(x in -5.0..5.0, y in -5.0..5.0, yaw in -3.0..3.0) {
-            let up = Vector3::new(x, y, 9.81);
-            let attitude = attitude_along(&up, yaw);
-            prop_assert!((attitude * Vector3::z() - up.normalize()).norm() < 1e-9);
-            let forward = attitude * Vector3::x();
-            prop_assert!(wrap_angle(forward.y.atan2(forward.x) - yaw).abs() < 1e-9);
         }
 
         /// At every yaw an error in x leans the drone towards x, and the torque turns it the shorter way.

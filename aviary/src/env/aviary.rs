@@ -1,8 +1,8 @@
 use rand::SeedableRng as _;
 
 use super::{BoxSpace, EndReason, Env, EnvError, Info, ObservationSpace, Rng, Step, Task};
-use crate::action::{ActionType, MotorScale};
-use crate::control::Reference;
+use crate::action::{ActionDecoder, ActionLimits, ActionType};
+use crate::control::{ControllerKind, Reference};
 use crate::drone::{DroneModel, DroneParams};
 use crate::observation::{Observation, ObservationType};
 use crate::physics::actuators::ActuatorParams;
@@ -17,7 +17,7 @@ pub struct Aviary<T> {
     task: T,
     simulation: Simulation,
     action_type: ActionType,
-    scales: Vec<MotorScale>,
+    decoders: Vec<ActionDecoder>,
     observation_space: ObservationSpace,
     action_space: BoxSpace,
     episode_steps: u64,
@@ -29,6 +29,8 @@ pub struct Aviary<T> {
     cameras: Option<Painter>,
     /// Draws for people, once they ask.
     painter: Option<Painter>,
+    /// The action within its bounds.
+    clipped: Vec<f64>,
     commands: Vec<[f64; 4]>,
 }
 
@@ -47,6 +49,8 @@ pub struct AviaryBuilder<T> {
     num_drones: usize,
     episode_seconds: f64,
     action_type: ActionType,
+    action_limits: ActionLimits,
+    controller: ControllerKind,
     observation_type: ObservationType,
     camera_size: ImageSize,
 }
@@ -73,6 +77,8 @@ impl<T: Task> AviaryBuilder<T> {
             num_drones: defaults.num_drones,
             episode_seconds: defaults.episode_seconds,
             action_type: ActionType::default(),
+            action_limits: ActionLimits::default(),
+            controller: ControllerKind::default(),
             observation_type: ObservationType::default(),
             camera_size: CAMERA_SIZE,
         }
@@ -142,6 +148,20 @@ impl<T: Task> AviaryBuilder<T> {
         self
     }
 
+    /// How far actions reach that are not motor speeds.
+    #[must_use]
+    pub fn action_limits(mut self, limits: ActionLimits) -> Self {
+        self.action_limits = limits;
+        self
+    }
+
+    /// The controller beneath actions that are velocities or waypoints; the paper's PID by default.
+    #[must_use]
+    pub fn controller(mut self, controller: ControllerKind) -> Self {
+        self.controller = controller;
+        self
+    }
+
     /// What the agent sees; the task's vector by default.
     #[must_use]
     pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
@@ -191,6 +211,12 @@ impl<T: Task> AviaryBuilder<T> {
                 expected: "sides of 1 to 8192 pixels",
             });
         }
+        let limits = &self.action_limits;
+        let decoders = (0..count)
+            .map(|drone| ActionDecoder::new(self.action_type, self.controller, simulation.params(drone), limits))
+            .collect::<Result<Vec<_>, _>>()?;
+        let bounds = (0..count).flat_map(|drone| self.action_type.bounds(simulation.params(drone), limits));
+        let action_space = BoxSpace::new(bounds);
         let cameras = kind.has_images().then(|| Painter::for_observations(simulation.world())).transpose()?;
         Ok(Aviary {
             observation: Observation::with_sizes(kind, vector.size(), count, camera_size),
@@ -202,9 +228,10 @@ impl<T: Task> AviaryBuilder<T> {
             },
             cameras,
             painter: None,
-            action_space: BoxSpace::new(vec![[-1.0, 1.0]; self.action_type.size() * count]),
+            action_space,
             action_type: self.action_type,
-            scales: (0..count).map(|drone| MotorScale::new(simulation.params(drone))).collect(),
+            decoders,
+            clipped: vec![0.0; self.action_type.size() * count],
             episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
             rng: Rng::seed_from_u64(0),
             phase: Phase::New,
@@ -241,13 +268,15 @@ impl<T: Task> Aviary<T> {
         if let Some((index, &got)) = action.iter().enumerate().find(|(_, x)| !x.is_finite()) {
             return Err(EnvError::Action { index, got, time: self.simulation.time() });
         }
-        let parts = action.chunks_exact(self.action_type.size());
-        for ((command, scale), part) in self.commands.iter_mut().zip(&self.scales).zip(parts) {
-            *command = match (self.action_type, part) {
-                (ActionType::Rpm, &[a, b, c, d]) => [a, b, c, d].map(|x| scale.rpm(x)),
-                (ActionType::OneDRpm, &[x, ..]) | (ActionType::Rpm, &[x, ..]) => [scale.rpm(x); 4],
-                (_, []) => [0.0; 4],
-            };
+        let bounds = self.action_space.low().iter().zip(self.action_space.high());
+        for ((clipped, &x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
+            *clipped = x.clamp(low, high);
+        }
+        let dt = self.simulation.control_period();
+        let drones = self.decoders.iter_mut().zip(self.simulation.states());
+        let parts = self.clipped.chunks_exact(self.action_type.size());
+        for ((command, (decoder, state)), part) in self.commands.iter_mut().zip(drones).zip(parts) {
+            *command = decoder.motor_speeds(dt, state, part);
         }
         Ok(())
     }
@@ -272,6 +301,9 @@ impl<T: Task> Env for Aviary<T> {
         }
         self.simulation.reset()?;
         self.task.reset(&self.simulation, &mut self.rng);
+        for decoder in &mut self.decoders {
+            decoder.reset();
+        }
         self.end = None;
         self.phase = Phase::Running;
         self.observe()?;
@@ -325,20 +357,21 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
-        if self.action_type != ActionType::Rpm {
+        if !matches!(self.action_type, ActionType::Rpm | ActionType::RawRpm) {
             return Err(EnvError::Option {
                 option: "the action type",
                 got: self.action_type.to_string(),
-                expected: "rpm, which commands single motors",
+                expected: "rpm or raw_rpm, which command single motors",
             });
         }
         let expected = self.action_space.size();
         if action.len() != expected || speeds.len() * 4 != expected {
             return Err(EnvError::ActionLength { got: action.len().min(4 * speeds.len()), expected });
         }
-        for ((part, speeds), scale) in action.chunks_exact_mut(4).zip(speeds).zip(&self.scales) {
+        let raw = self.action_type == ActionType::RawRpm;
+        for ((part, speeds), decoder) in action.chunks_exact_mut(4).zip(speeds).zip(&self.decoders) {
             for (command, &rpm) in part.iter_mut().zip(speeds) {
-                *command = scale.command(rpm);
+                *command = if raw { rpm } else { decoder.scale().command(rpm) };
             }
         }
         Ok(())

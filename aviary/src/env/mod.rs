@@ -8,6 +8,7 @@ pub use aviary::{Aviary, AviaryBuilder};
 pub use space::{BoxSpace, ObservationSpace};
 pub use task::{Task, TaskDefaults};
 
+use crate::action::ActionLimitsError;
 use crate::control::Reference;
 use crate::engine::BuildError;
 use crate::observation::Observation;
@@ -149,6 +150,9 @@ pub enum EnvError {
         /// What is possible.
         expected: &'static str,
     },
+    /// Limits of actions that are impossible.
+    #[error(transparent)]
+    ActionLimits(#[from] ActionLimitsError),
     /// The simulation underneath.
     #[error(transparent)]
     Simulation(#[from] SimulationError),

@@ -1,0 +1,146 @@
+use std::f64::consts::PI;
+
+use nalgebra::Vector3;
+
+use super::{AttitudeGains, ControlOutput, Controller, PidControl, PidGains, PositionGains, Reference};
+use crate::drone::DroneParams;
+use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
+
+/// The paper's `DSLPIDControl`: the cascade of [`PidControl`] with stiffer gains, halved clamps of the integrals, a
+/// setpoint that moves at a limited rate, and the reference's acceleration as feed-forward.
+///
+/// The setpoint starts where the drone is and goes to the reference's position at no more than
+/// [`MAX_SPEED`](Self::MAX_SPEED), and to its yaw at no more than [`MAX_YAW_RATE`](Self::MAX_YAW_RATE), so that a
+/// waypoint far away does not lay the drone on its side. A reference that moves faster than that is left behind.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DslPidControl {
+    cascade: PidControl,
+    setpoint: Option<Setpoint>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Setpoint {
+    position: Vector3<f64>,
+    yaw: f64,
+}
+
+impl DslPidControl {
+    /// Limit of the setpoint's speed, m/s.
+    pub const MAX_SPEED: f64 = 2.0;
+
+    /// Limit of the setpoint's yaw rate, rad/s.
+    pub const MAX_YAW_RATE: f64 = PI;
+
+    /// Position errors beyond this are on their way home and do not enter the integral, m.
+    const INTEGRATED: f64 = 0.15;
+
+    /// With its own gains.
+    pub fn new(params: &DroneParams) -> Self {
+        Self { cascade: PidControl::with_gains(params, Self::gains(params)), setpoint: None }
+    }
+
+    /// Its gains for an airframe; torque gains follow the inertia as those of the paper's PID do.
+    pub fn gains(params: &DroneParams) -> PidGains {
+        PidGains {
+            position: PositionGains {
+                proportional: Vector3::new(8.0, 8.0, 16.0),
+                integral: Vector3::new(2.0, 2.0, 4.0),
+                derivative: Vector3::new(5.0, 5.0, 7.5),
+                integral_clamp: 1.0,
+            },
+            attitude: AttitudeGains::of_crazyflie(
+                params,
+                [4e-3, 4e-3, 1.2e-3],
+                [0.0, 0.0, 1e-4],
+                [4e-4, 4e-4, 2.5e-4],
+                0.25,
+            ),
+        }
+    }
+
+    fn advance(&self, dt: f64, state: &DroneState, reference: &Reference) -> Setpoint {
+        let here = Setpoint { position: state.position, yaw: rpy_from_attitude(&state.attitude).z };
+        let last = self.setpoint.unwrap_or(here);
+        let way = reference.position - last.position;
+        let share = (Self::MAX_SPEED * dt / way.norm()).min(1.0);
+        let turn = wrap_angle(reference.yaw - last.yaw).clamp(-Self::MAX_YAW_RATE * dt, Self::MAX_YAW_RATE * dt);
+        Setpoint {
+            position: if share < 1.0 { last.position + way * share } else { reference.position },
+            yaw: wrap_angle(last.yaw + turn),
+        }
+    }
+}
+
+impl Controller for DslPidControl {
+    fn reset(&mut self) {
+        self.cascade.reset();
+        self.setpoint = None;
+    }
+
+    fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+        let errors = ControlOutput::of_errors(state, reference);
+        if !(state.is_finite() && reference.is_finite() && dt.is_finite()) {
+            return errors;
+        }
+        let setpoint = self.advance(dt, state, reference);
+        self.setpoint = Some(setpoint);
+        let limited = Reference { position: setpoint.position, yaw: setpoint.yaw, ..*reference };
+        // against the setpoint, not the reference: that is what the loops are to hold
+        let feed_forward = &reference.acceleration;
+        let output = self.cascade.follow(dt, state, &limited, feed_forward, Self::INTEGRATED);
+        ControlOutput { rpm: output.rpm, ..errors }
+    }
+
+    /// Without a setpoint for the position, whose limit of speed would be the velocity's.
+    fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+        self.setpoint = self.setpoint.map(|setpoint| Setpoint { position: state.position, ..setpoint });
+        self.control(dt, state, &Reference { position: state.position, ..*reference })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn the_setpoint_moves_no_faster_than_its_limits_and_arrives(
+            x in -5.0..5.0, y in -5.0..5.0, z in -5.0..5.0, yaw in -10.0..10.0, dt in 0.001..0.1,
+        ) {
+            let mut control = DslPidControl::new(&DroneModel::Cf2x.params());
+            let state = DroneState::default();
+            let reference = Reference::hover(Vector3::new(x, y, z), yaw);
+            let mut last = Setpoint { position: state.position, yaw: 0.0 };
+            for _ in 0..(6.0 / dt) as usize {
+                control.control(dt, &state, &reference);
+                let setpoint = control.setpoint.unwrap();
+                prop_assert!((setpoint.position - last.position).norm() <= DslPidControl::MAX_SPEED * dt + 1e-9);
+                prop_assert!(wrap_angle(setpoint.yaw - last.yaw).abs() <= DslPidControl::MAX_YAW_RATE * dt + 1e-9);
+                last = setpoint;
+            }
+            prop_assert_eq!(last.position, reference.position);
+            prop_assert!(wrap_angle(last.yaw - yaw).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn clamps_are_half_of_the_papers_pid() {
+        let params = DroneModel::Race.params();
+        let (dsl, pid) = (DslPidControl::gains(&params), PidGains::paper(&params));
+        assert_eq!(2.0 * dsl.position.integral_clamp, pid.position.integral_clamp);
+        assert_eq!(2.0 * dsl.attitude.integral_clamp, pid.attitude.integral_clamp);
+    }
+
+    #[test]
+    fn the_references_acceleration_leans_the_drone_at_once() {
+        let params = DroneModel::Cf2x.params();
+        let moving = Reference { acceleration: Vector3::new(0.0, -3.0, 0.0), ..Reference::default() };
+        let state = DroneState::default();
+        let fed = DslPidControl::new(&params).control(0.02, &state, &moving).rpm;
+        assert!(fed[0] > fed[3], "rolls towards −y: {fed:?}");
+        let plain = PidControl::new(&params).control(0.02, &state, &moving).rpm;
+        assert!((plain[0] - plain[3]).abs() < 1e-9, "the plain PID has no feed-forward");
+    }
+}

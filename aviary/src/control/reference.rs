@@ -1,0 +1,43 @@
+use nalgebra::Vector3;
+
+/// What a controller is to follow at one moment. Controllers use as much of it as they can.
+///
+/// ```
+/// use aviary::control::Reference;
+/// use nalgebra::Vector3;
+///
+/// let cruise = Reference { velocity: Vector3::new(1.0, 0.0, 0.0), ..Reference::hover(Vector3::z(), 0.0) };
+/// assert_eq!(cruise.acceleration, Vector3::zeros());
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Reference {
+    /// Position, world frame, m.
+    pub position: Vector3<f64>,
+    /// Velocity, world frame, m/s.
+    pub velocity: Vector3<f64>,
+    /// Acceleration, world frame, m/s².
+    pub acceleration: Vector3<f64>,
+    /// Jerk, world frame, m/s³: what the body rates of a trajectory follow from.
+    pub jerk: Vector3<f64>,
+    /// Snap, world frame, m/s⁴: what the torques of a trajectory follow from.
+    pub snap: Vector3<f64>,
+    /// Yaw, rad.
+    pub yaw: f64,
+    /// Yaw rate, rad/s.
+    pub yaw_rate: f64,
+    /// Yaw acceleration, rad/s².
+    pub yaw_acceleration: f64,
+}
+
+impl Reference {
+    /// Standing still at a position (world, m) with a yaw (rad).
+    pub fn hover(position: Vector3<f64>, yaw: f64) -> Self {
+        Self { position, yaw, ..Self::default() }
+    }
+
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        [self.position, self.velocity, self.acceleration, self.jerk, self.snap].iter().flatten().all(|x| x.is_finite())
+            && [self.yaw, self.yaw_rate, self.yaw_acceleration].iter().all(|x| x.is_finite())
+    }
+}

@@ -1,0 +1,268 @@
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+
+use super::jet::Jet;
+use super::pace::Pace;
+use super::{Trajectory, TrajectoryError};
+use crate::control::Reference;
+use crate::state::wrap_angle;
+
+/// Where the drone looks along a curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Heading {
+    /// Always the same way: yaw, rad.
+    Fixed(f64),
+    /// Turning at a steady rate.
+    Turning {
+        /// Yaw at the start, rad.
+        yaw: f64,
+        /// Yaw rate, rad/s.
+        rate: f64,
+    },
+    /// Along the way.
+    Forward,
+}
+
+/// The plane of a curve, by the axes that its angle turns from and to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plane {
+    first: Vector3<f64>,
+    second: Vector3<f64>,
+}
+
+impl Plane {
+    /// Horizontal, from x to y.
+    pub const XY: Self = Self { first: Vector3::new(1.0, 0.0, 0.0), second: Vector3::new(0.0, 1.0, 0.0) };
+    /// Upright across x, from y to z.
+    pub const YZ: Self = Self { first: Vector3::new(0.0, 1.0, 0.0), second: Vector3::new(0.0, 0.0, 1.0) };
+    /// Upright along x, from x to z.
+    pub const XZ: Self = Self { first: Vector3::new(1.0, 0.0, 0.0), second: Vector3::new(0.0, 0.0, 1.0) };
+
+    /// With this normal (world frame, any length), about which the angle turns; it starts at the horizontal.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] for a normal of no length.
+    pub fn normal(normal: [f64; 3]) -> Result<Self, TrajectoryError> {
+        let normal = Vector3::from(normal);
+        let size = normal.norm();
+        TrajectoryError::check("the length of the normal", size, (1e-9..1e9).contains(&size), "a positive number")?;
+        let normal = normal / size;
+        let level = Vector3::z().cross(&normal);
+        let first = if level.norm() < 1e-9 { Vector3::x() } else { level.normalize() };
+        Ok(Self { first, second: normal.cross(&first) })
+    }
+
+    fn axis(&self) -> Vector3<f64> {
+        self.first.cross(&self.second)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Shape {
+    Circle { radius: f64 },
+    Lemniscate { half_length: f64, half_width: f64 },
+    Helix { radius: f64, climb: f64 },
+}
+
+/// A circle, a lemniscate (an eight) or a helix, at a steady pace or from rest to rest.
+///
+/// ```
+/// use aviary::control::trajectory::{Curve, Plane, Trajectory};
+///
+/// // the paper's vertical circle: 0.3 m, 8 s, in the YZ plane
+/// let circle = Curve::circle(0.3, 8.0)?.plane(Plane::YZ).centre([0.0, 0.0, 1.0]);
+/// let start = circle.reference(0.0);
+/// assert_eq!(start.position.as_slice(), [0.0, 0.3, 1.0]);
+/// assert!((start.velocity.z - 0.3 * std::f64::consts::TAU / 8.0).abs() < 1e-12);
+/// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    shape: Shape,
+    centre: Vector3<f64>,
+    plane: Plane,
+    heading: Heading,
+    pace: Pace,
+}
+
+impl Curve {
+    /// A circle: radius in m, seconds per turn (negative to turn the other way).
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] naming what is impossible; likewise below.
+    pub fn circle(radius: f64, period: f64) -> Result<Self, TrajectoryError> {
+        length("the radius", radius)?;
+        Self::new(Shape::Circle { radius }, period)
+    }
+
+    /// An eight: `half_length`·sin θ along the plane's first axis and `half_width`·sin 2θ along its second, m; seconds per
+    /// turn. It starts in the middle, where it is fastest.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn lemniscate(half_length: f64, half_width: f64, period: f64) -> Result<Self, TrajectoryError> {
+        length("the half length", half_length)?;
+        length("the half width", half_width)?;
+        Self::new(Shape::Lemniscate { half_length, half_width }, period)
+    }
+
+    /// An eight by its greatest speed, m/s, in place of its period.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn lemniscate_at(half_length: f64, half_width: f64, peak_speed: f64) -> Result<Self, TrajectoryError> {
+        length("the peak speed", peak_speed)?;
+        // ‖(A·cos θ, 2B·cos 2θ)‖ is greatest in the middle
+        let way = half_length.hypot(2.0 * half_width);
+        Self::lemniscate(half_length, half_width, TAU * way / peak_speed)
+    }
+
+    /// A helix: radius in m, seconds per turn, and the way along the axis per turn, m.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn helix(radius: f64, period: f64, climb: f64) -> Result<Self, TrajectoryError> {
+        length("the radius", radius)?;
+        TrajectoryError::check("the climb", climb, climb.is_finite(), "a finite number of metres")?;
+        Self::new(Shape::Helix { radius, climb }, period)
+    }
+
+    fn new(shape: Shape, period: f64) -> Result<Self, TrajectoryError> {
+        let pace = Pace { phase: 0.0, rate: TAU / period, ramp: 0.0, turns: f64::INFINITY };
+        pace.check()?;
+        let centre = Vector3::new(0.0, 0.0, 1.0);
+        Ok(Self { shape, centre, plane: Plane::XY, heading: Heading::Fixed(0.0), pace })
+    }
+
+    /// The middle, world frame, m; (0, 0, 1) by default. A helix starts in the plane through it.
+    #[must_use]
+    pub fn centre(self, centre: [f64; 3]) -> Self {
+        Self { centre: centre.into(), ..self }
+    }
+
+    /// The plane; horizontal by default.
+    #[must_use]
+    pub fn plane(self, plane: Plane) -> Self {
+        Self { plane, ..self }
+    }
+
+    /// The angle at the start, rad; 0 by default.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn phase(mut self, phase: f64) -> Result<Self, TrajectoryError> {
+        self.pace.phase = phase;
+        self.pace.check()?;
+        Ok(self)
+    }
+
+    /// Where the drone looks; along x by default.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] for [`Heading::Forward`] along a curve that goes straight up somewhere.
+    pub fn heading(self, heading: Heading) -> Result<Self, TrajectoryError> {
+        let (yaw, rate) = match heading {
+            Heading::Fixed(yaw) => (yaw, 0.0),
+            Heading::Turning { yaw, rate } => (yaw, rate),
+            Heading::Forward => (0.0, 0.0),
+        };
+        TrajectoryError::check("the yaw", yaw, yaw.is_finite(), "a finite angle, rad")?;
+        TrajectoryError::check("the yaw rate", rate, rate.is_finite(), "a finite rate, rad/s")?;
+        let slope = self.plane.axis().z.abs();
+        if heading == Heading::Forward {
+            let expected = "at least 0.1 for a forward heading: an upright curve goes straight up somewhere";
+            TrajectoryError::check("the vertical part of the plane's normal", slope, slope >= 0.1, expected)?;
+        }
+        Ok(Self { heading, ..self })
+    }
+
+    /// From rest to full speed in so many seconds, and back to rest in as many before the end; at full speed from the first
+    /// moment by default.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn ramp(mut self, seconds: f64) -> Result<Self, TrajectoryError> {
+        self.pace.ramp = seconds;
+        self.pace.check()?;
+        Ok(self)
+    }
+
+    /// How many turns until the end; without end by default.
+    ///
+    /// # Errors
+    /// As above.
+    pub fn turns(mut self, turns: f64) -> Result<Self, TrajectoryError> {
+        self.pace.turns = turns;
+        self.pace.check()?;
+        Ok(self)
+    }
+
+    /// Coordinates along the plane's axes and its normal, and the tangent's.
+    fn local(&self, angle: Jet) -> ([Jet; 3], [Jet; 3]) {
+        let (sin, cos) = angle.sin_cos();
+        let zero = Jet::constant(0.0);
+        match self.shape {
+            Shape::Circle { radius } => ([cos * radius, sin * radius, zero], [sin * -radius, cos * radius, zero]),
+            Shape::Lemniscate { half_length, half_width } => {
+                let (sin2, cos2) = (angle * 2.0).sin_cos();
+                ([sin * half_length, sin2 * half_width, zero], [cos * half_length, cos2 * (2.0 * half_width), zero])
+            }
+            Shape::Helix { radius, climb } => {
+                let rise = (angle - Jet::constant(self.pace.phase)) * (climb / TAU);
+                let step = Jet::constant(climb / TAU);
+                ([cos * radius, sin * radius, rise], [sin * -radius, cos * radius, step])
+            }
+        }
+    }
+
+    fn world(&self, local: &[Jet; 3]) -> [Jet; 3] {
+        let (u, v, n) = (self.plane.first, self.plane.second, self.plane.axis());
+        std::array::from_fn(|axis| local[0] * u[axis] + local[1] * v[axis] + local[2] * n[axis])
+    }
+}
+
+fn length(what: &'static str, metres: f64) -> Result<(), TrajectoryError> {
+    TrajectoryError::check(what, metres, metres > 0.0 && metres <= 1e6, "a positive number up to 1e6")
+}
+
+impl Trajectory for Curve {
+    fn reference(&self, time: f64) -> Reference {
+        let (position, tangent) = self.local(self.pace.angle(time));
+        let position = self.world(&position);
+        let derivative = |k: usize| Vector3::from_fn(|axis, _| position[axis].derivative(k));
+        let [yaw, yaw_rate, yaw_acceleration] = match self.heading {
+            Heading::Fixed(yaw) => [yaw, 0.0, 0.0],
+            Heading::Turning { yaw, rate } => [wrap_angle(yaw + rate * time.max(0.0)), rate, 0.0],
+            Heading::Forward => {
+                let [x, y, _] = self.world(&tangent.map(|part| part * self.pace.rate.signum()));
+                direction(x, y)
+            }
+        };
+        Reference {
+            position: self.centre + derivative(0),
+            velocity: derivative(1),
+            acceleration: derivative(2),
+            jerk: derivative(3),
+            snap: derivative(4),
+            yaw,
+            yaw_rate,
+            yaw_acceleration,
+        }
+    }
+
+    fn duration(&self) -> f64 {
+        let end = self.pace.end();
+        if end.is_finite() { end } else { TAU / self.pace.rate.abs() + self.pace.ramp }
+    }
+}
+
+/// atan2(y, x) with its first two derivatives.
+fn direction(x: Jet, y: Jet) -> [f64; 3] {
+    let [x0, x1, x2] = [0, 1, 2].map(|k| x.derivative(k));
+    let [y0, y1, y2] = [0, 1, 2].map(|k| y.derivative(k));
+    let size = x0 * x0 + y0 * y0;
+    let rate = (x0 * y1 - y0 * x1) / size;
+    let acceleration = (x0 * y2 - y0 * x2) / size - 2.0 * rate * (x0 * x1 + y0 * y1) / size;
+    [y0.atan2(x0), rate, acceleration]
+}

@@ -1,0 +1,234 @@
+use std::path::Path;
+
+use serde::Deserialize;
+use serde::de::IgnoredAny;
+
+use super::{Curve, Heading, Plane, Steps, Trajectory, TrajectoryError, Waypoints};
+use crate::error::{toml_message, triple, triples};
+
+/// Trajectories that have a name.
+pub const NAMES: [&str; 5] = ["circle", "lemniscate", "helix", "square", "loop"];
+
+/// A trajectory by name: the paper's vertical `circle` (0.3 m, 8 s, YZ plane, started at full speed), a `lemniscate` of 2 m by
+/// 1 m with 1.5 m/s at its middle, a `helix` of five turns from 0.5 m to 1.5 m, the paper's `square` of 1 m sides, and a
+/// `loop`, once around a vertical circle of 1 m radius, upside down at its top, which only a racer can fly.
+pub fn named(name: &str) -> Option<Box<dyn Trajectory>> {
+    let curve = match name {
+        "circle" => Curve::circle(0.3, 8.0).map(|curve| curve.plane(Plane::YZ)),
+        "lemniscate" => Curve::lemniscate_at(1.0, 0.5, 1.5).and_then(|curve| curve.turns(2.0)?.ramp(2.0)),
+        "helix" => Curve::helix(0.5, 4.0, 0.2)
+            .map(|curve| curve.centre([0.0, 0.0, 0.5]))
+            .and_then(|curve| curve.turns(5.0)?.ramp(2.0)),
+        // from the bottom: the ramps are the first and the last quarter
+        "loop" => Curve::circle(1.0, 1.6)
+            .map(|curve| curve.plane(Plane::YZ).centre([0.0, 0.0, 1.5]))
+            .and_then(|curve| curve.phase(-std::f64::consts::FRAC_PI_2)?.turns(1.0)?.ramp(0.8)),
+        "square" => return Steps::square(1.0, 4.0).ok().map(|steps| Box::new(steps) as Box<dyn Trajectory>),
+        _ => return None,
+    };
+    curve.ok().map(|curve| Box::new(curve) as Box<dyn Trajectory>)
+}
+
+/// Reads a trajectory from a TOML file.
+///
+/// # Errors
+/// [`TrajectoryError::File`] with the file, the line and what is expected.
+pub fn from_file(path: impl AsRef<Path>) -> Result<Box<dyn Trajectory>, TrajectoryError> {
+    let path = path.as_ref();
+    let in_file = |message: String| TrajectoryError::File { path: path.into(), message };
+    let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
+    from_toml(&text).map_err(|error| in_file(error.to_string()))
+}
+
+/// Reads a trajectory from TOML text. `kind` is `circle`, `lemniscate`, `helix`, `steps` or `waypoints`; the other keys are
+/// those of its constructor, SI units, angles in rad.
+///
+/// ```
+/// let circle = aviary::control::trajectory::from_toml(
+///     r#"
+///     kind = "circle"
+///     radius = 0.5
+///     period = 4.0
+///     plane = "xz"
+///     centre = [0.0, 0.0, 1.2]
+///     ramp = 2.0
+///     "#,
+/// )?;
+/// assert_eq!(circle.start().position.as_slice(), [0.5, 0.0, 1.2]);
+/// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
+/// ```
+///
+/// # Errors
+/// [`TrajectoryError::Toml`] with line and column, or what the constructor finds.
+pub fn from_toml(text: &str) -> Result<Box<dyn Trajectory>, TrajectoryError> {
+    match read::<OnlyKind>(text)?.kind {
+        Kind::Circle => {
+            let spec: Circle = read(text)?;
+            spec.placed(Curve::circle(spec.radius, spec.period)?)
+        }
+        Kind::Lemniscate => {
+            let spec: Lemniscate = read(text)?;
+            spec.placed(match (spec.period, spec.peak_speed) {
+                (Some(period), None) => Curve::lemniscate(spec.half_length, spec.half_width, period)?,
+                (None, Some(speed)) => Curve::lemniscate_at(spec.half_length, spec.half_width, speed)?,
+                _ => return Err(message("expected either period or peak_speed")),
+            })
+        }
+        Kind::Helix => {
+            let spec: Helix = read(text)?;
+            spec.placed(Curve::helix(spec.radius, spec.period, spec.climb)?)
+        }
+        Kind::Steps => {
+            let Places { start, points, yaws, hold, .. } = read(text)?;
+            let yaws = yaws.unwrap_or_else(|| vec![0.0; points.len()]);
+            let (count, expected) = (yaws.len() as f64, "one per point");
+            TrajectoryError::check("the number of yaws", count, yaws.len() == points.len(), expected)?;
+            let places: Vec<_> = points.into_iter().zip(yaws).collect();
+            Ok(Box::new(Steps::new(start, &places, hold)?))
+        }
+        Kind::Waypoints => {
+            let Way { points, yaws, times, max_speed, max_acceleration, .. } = read(text)?;
+            let mut way = Waypoints::through(&points);
+            match (times, max_speed, max_acceleration) {
+                (Some(times), None, None) => way = way.times(times),
+                (None, Some(speed), Some(acceleration)) => way = way.limits(speed, acceleration),
+                (None, None, None) => {}
+                _ => return Err(message("expected either times, or max_speed and max_acceleration")),
+            }
+            if let Some(yaws) = yaws {
+                way = way.yaws(yaws);
+            }
+            Ok(Box::new(way.build()?))
+        }
+    }
+}
+
+fn read<'a, T: Deserialize<'a>>(text: &'a str) -> Result<T, TrajectoryError> {
+    toml::from_str(text).map_err(|error| TrajectoryError::Toml { message: toml_message(text, &error) })
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Kind {
+    Circle,
+    Lemniscate,
+    Helix,
+    Steps,
+    Waypoints,
+}
+
+#[derive(Deserialize)]
+struct OnlyKind {
+    kind: Kind,
+}
+
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum PlaneName {
+    Xy,
+    Yz,
+    Xz,
+}
+
+/// The keys of a curve: its own, and those that all curves share. (Serde cannot flatten one struct into another and refuse
+/// unknown keys at once.)
+macro_rules! curve {
+    ($name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct $name {
+            #[serde(rename = "kind")]
+            _kind: IgnoredAny,
+            $($field: $kind,)*
+            #[serde(default, deserialize_with = "some_triple")]
+            centre: Option<[f64; 3]>,
+            plane: Option<PlaneName>,
+            #[serde(default, deserialize_with = "some_triple")]
+            normal: Option<[f64; 3]>,
+            phase: Option<f64>,
+            ramp: Option<f64>,
+            turns: Option<f64>,
+            yaw: Option<f64>,
+            yaw_rate: Option<f64>,
+            #[serde(default)]
+            forward: bool,
+        }
+
+        impl $name {
+            /// The curve in its place and at its pace.
+            fn placed(&self, mut curve: Curve) -> Result<Box<dyn Trajectory>, TrajectoryError> {
+                if let Some(centre) = self.centre {
+                    for x in centre {
+                        TrajectoryError::check("the centre", x, x.abs() <= 1e6, "finite numbers of metres up to 1e6")?;
+                    }
+                    curve = curve.centre(centre);
+                }
+                curve = match (self.plane, self.normal) {
+                    (None, None) => curve,
+                    (Some(PlaneName::Xy), None) => curve.plane(Plane::XY),
+                    (Some(PlaneName::Yz), None) => curve.plane(Plane::YZ),
+                    (Some(PlaneName::Xz), None) => curve.plane(Plane::XZ),
+                    (None, Some(normal)) => curve.plane(Plane::normal(normal)?),
+                    (Some(_), Some(_)) => return Err(message("expected either plane or normal")),
+                };
+                // turns before the ramp: it must fit into them
+                if let Some(turns) = self.turns {
+                    curve = curve.turns(turns)?;
+                }
+                if let Some(ramp) = self.ramp {
+                    curve = curve.ramp(ramp)?;
+                }
+                if let Some(phase) = self.phase {
+                    curve = curve.phase(phase)?;
+                }
+                let curve = match (self.forward, self.yaw, self.yaw_rate) {
+                    (true, None, None) => curve.heading(Heading::Forward)?,
+                    (true, ..) => return Err(message("expected either forward = true, or yaw and yaw_rate")),
+                    (false, yaw, Some(rate)) => {
+                        curve.heading(Heading::Turning { yaw: yaw.unwrap_or(0.0), rate })?
+                    }
+                    (false, yaw, None) => curve.heading(Heading::Fixed(yaw.unwrap_or(0.0)))?,
+                };
+                Ok(Box::new(curve))
+            }
+        }
+    };
+}
+
+curve!(Circle { radius: f64, period: f64 });
+curve!(Lemniscate { half_length: f64, half_width: f64, period: Option<f64>, peak_speed: Option<f64> });
+curve!(Helix { radius: f64, period: f64, climb: f64 });
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Places {
+    #[serde(rename = "kind")]
+    _kind: IgnoredAny,
+    #[serde(deserialize_with = "triple")]
+    start: [f64; 3],
+    #[serde(deserialize_with = "triples")]
+    points: Vec<[f64; 3]>,
+    yaws: Option<Vec<f64>>,
+    hold: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Way {
+    #[serde(rename = "kind")]
+    _kind: IgnoredAny,
+    #[serde(deserialize_with = "triples")]
+    points: Vec<[f64; 3]>,
+    yaws: Option<Vec<f64>>,
+    times: Option<Vec<f64>>,
+    max_speed: Option<f64>,
+    max_acceleration: Option<f64>,
+}
+
+fn some_triple<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 3]>, D::Error> {
+    triple(deserializer).map(Some)
+}
+
+fn message(text: &str) -> TrajectoryError {
+    TrajectoryError::Toml { message: text.into() }
+}

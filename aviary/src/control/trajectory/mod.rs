@@ -1,0 +1,72 @@
+//! What controllers follow: positions as functions of time, with exact derivatives up to the snap, and yaw.
+
+mod curve;
+mod file;
+mod jet;
+mod pace;
+mod steps;
+mod waypoints;
+
+use std::fmt;
+use std::path::PathBuf;
+
+use super::Reference;
+
+pub use curve::{Curve, Heading, Plane};
+pub use file::{NAMES, from_file, from_toml, named};
+pub use steps::Steps;
+pub use waypoints::{Waypoints, WaypointsBuilder};
+
+/// A reference that moves.
+pub trait Trajectory: fmt::Debug + Send + Sync {
+    /// What to follow at a time, s: before 0 the start, at rest, and after the end what was there.
+    fn reference(&self, time: f64) -> Reference;
+
+    /// When it is over, s; one turn (and its ramp) where it never is.
+    fn duration(&self) -> f64;
+
+    /// Where a drone should be that is about to follow it, at rest.
+    fn start(&self) -> Reference {
+        let first = self.reference(0.0);
+        Reference::hover(first.position, first.yaw)
+    }
+}
+
+/// What can be wrong with a trajectory.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrajectoryError {
+    /// A number that no trajectory has.
+    #[error("{what} is {got}, expected {expected}")]
+    Value {
+        /// What it is.
+        what: &'static str,
+        /// What was given.
+        got: f64,
+        /// What is possible.
+        expected: &'static str,
+    },
+    /// Waypoints whose times differ so much that the polynomials cannot be computed.
+    #[error("no polynomials go through these waypoints at these times, expected times of one order of magnitude")]
+    Unsolvable,
+    /// Text that is no trajectory in TOML.
+    #[error("{message}")]
+    Toml {
+        /// Line, column and what was expected.
+        message: String,
+    },
+    /// A file that holds no valid trajectory.
+    #[error("{}: {message}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        message: String,
+    },
+}
+
+impl TrajectoryError {
+    fn check(what: &'static str, got: f64, good: bool, expected: &'static str) -> Result<(), Self> {
+        if good { Ok(()) } else { Err(Self::Value { what, got, expected }) }
+    }
+}

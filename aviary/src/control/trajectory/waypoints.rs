@@ -1,0 +1,242 @@
+use nalgebra::{DMatrix, Vector3};
+
+use super::jet::Jet;
+use super::{Trajectory, TrajectoryError};
+use crate::control::Reference;
+use crate::state::wrap_angle;
+
+/// Through waypoints from rest to rest along the polynomials of least snap (Mellinger and Kumar 2011, *Minimum snap
+/// trajectory generation and control for quadrotors*).
+///
+/// Between two waypoints each coordinate is a polynomial of the seventh order. Positions are met, speed, acceleration and
+/// jerk are zero at both ends, and derivatives up to the sixth are continuous at the waypoints between, which is what
+/// makes the integral of the squared snap the least. Yaw goes the same way, by the shorter turns.
+///
+/// ```
+/// use aviary::control::trajectory::{Trajectory, Waypoints};
+///
+/// let way = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.5]])
+///     .limits(1.5, 4.0)
+///     .build()?;
+/// let end = way.reference(way.duration());
+/// assert!((end.position - nalgebra::Vector3::new(1.0, 1.0, 1.5)).norm() < 1e-9);
+/// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct Waypoints {
+    /// When each segment begins, s, and when the last one ends.
+    times: Vec<f64>,
+    segments: Vec<Segment>,
+}
+
+/// Coefficients of x, y, z and yaw over the segment's share of time in [0, 1].
+#[derive(Debug, Clone, PartialEq)]
+struct Segment {
+    coefficients: [[f64; 8]; 4],
+}
+
+/// The options of [`Waypoints`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct WaypointsBuilder {
+    points: Vec<[f64; 3]>,
+    yaws: Option<Vec<f64>>,
+    times: Option<Vec<f64>>,
+    max_speed: f64,
+    max_acceleration: f64,
+}
+
+impl WaypointsBuilder {
+    /// Yaw at every waypoint, rad; 0 by default.
+    #[must_use]
+    pub fn yaws(mut self, yaws: impl Into<Vec<f64>>) -> Self {
+        self.yaws = Some(yaws.into());
+        self
+    }
+
+    /// When to be at every waypoint, s, the first at 0; allocated by distance and limits by default.
+    #[must_use]
+    pub fn times(mut self, times: impl Into<Vec<f64>>) -> Self {
+        self.times = Some(times.into());
+        self
+    }
+
+    /// Speed (m/s) and acceleration (m/s²) that allocated times keep to; 1 and 2 by default.
+    #[must_use]
+    pub fn limits(mut self, max_speed: f64, max_acceleration: f64) -> Self {
+        (self.max_speed, self.max_acceleration) = (max_speed, max_acceleration);
+        self
+    }
+
+    /// Computes the polynomials.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`] naming what is impossible.
+    pub fn build(self) -> Result<Waypoints, TrajectoryError> {
+        let count = self.points.len();
+        let expected = "2 to 200";
+        TrajectoryError::check("the number of waypoints", count as f64, (2..=200).contains(&count), expected)?;
+        for &x in self.points.iter().flatten() {
+            TrajectoryError::check(
+                "a waypoint's coordinate",
+                x,
+                x.abs() <= 1e6,
+                "a finite number of metres up to 1e6",
+            )?;
+        }
+        let yaws = self.yaws.unwrap_or_else(|| vec![0.0; count]);
+        let expected = "one per waypoint";
+        TrajectoryError::check("the number of yaws", yaws.len() as f64, yaws.len() == count, expected)?;
+        for &yaw in &yaws {
+            TrajectoryError::check("a waypoint's yaw", yaw, yaw.is_finite(), "a finite angle, rad")?;
+        }
+        // by the shorter turns
+        let mut turned = vec![yaws[0]];
+        for yaw in &yaws[1..] {
+            let last = turned[turned.len() - 1];
+            turned.push(last + wrap_angle(yaw - last));
+        }
+        if let Some(times) = self.times {
+            TrajectoryError::check("the number of times", times.len() as f64, times.len() == count, expected)?;
+            TrajectoryError::check("the first waypoint's time", times[0], times[0] == 0.0, "0")?;
+            for pair in times.windows(2) {
+                let gap = pair[1] - pair[0];
+                let good = (1e-3..=1e6).contains(&gap);
+                TrajectoryError::check("the time between two waypoints", gap, good, "at least 1 ms, and up to 1e6 s")?;
+            }
+            return Waypoints::solve(&self.points, &turned, times);
+        }
+        let (speed, acceleration) = (self.max_speed, self.max_acceleration);
+        for (what, limit) in [("the greatest speed", speed), ("the greatest acceleration", acceleration)] {
+            TrajectoryError::check(what, limit, (1e-6..=1e6).contains(&limit), "a positive number")?;
+        }
+        // as long as a trapezoid of speed would take from rest to rest, or the turn at half a turn a second
+        let mut times = vec![0.0];
+        for (pair, yaw) in self.points.windows(2).zip(turned.windows(2)) {
+            let way = (Vector3::from(pair[1]) - Vector3::from(pair[0])).norm();
+            let seconds = if way * acceleration < speed * speed {
+                2.0 * (way / acceleration).sqrt()
+            } else {
+                way / speed + speed / acceleration
+            };
+            let turn = (yaw[1] - yaw[0]).abs() / std::f64::consts::PI;
+            times.push(times[times.len() - 1] + seconds.max(turn).max(0.1));
+        }
+        let way = Waypoints::solve(&self.points, &turned, times)?;
+        // scaling time by k divides speeds by k and accelerations by k²
+        let (fastest, hardest) = way.peaks();
+        let scale = (fastest / speed).max((hardest / acceleration).sqrt());
+        if scale > 0.0 { way.slower(scale) } else { Ok(way) }
+    }
+}
+
+impl Waypoints {
+    /// Options for a way through points, world frame, m.
+    pub fn through(points: &[[f64; 3]]) -> WaypointsBuilder {
+        WaypointsBuilder { points: points.to_vec(), yaws: None, times: None, max_speed: 1.0, max_acceleration: 2.0 }
+    }
+
+    /// When each waypoint is reached, s.
+    pub fn times(&self) -> &[f64] {
+        &self.times
+    }
+
+    /// Solves for all segments at once: 8 unknowns each, four coordinates on the right.
+    fn solve(points: &[[f64; 3]], yaws: &[f64], times: Vec<f64>) -> Result<Self, TrajectoryError> {
+        let count = points.len() - 1;
+        let spans: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        let mut matrix = DMatrix::zeros(8 * count, 8 * count);
+        let mut right = DMatrix::zeros(8 * count, 4);
+        // j!/(j−k)!, what the k-th derivative of τʲ is at τ = 1
+        let falling = |j: usize, k: usize| (j + 1 - k.min(j + 1)..=j).map(|x| x as f64).product::<f64>();
+        let mut row = 0;
+        for i in 0..count {
+            for (end, point) in [(0.0, i), (1.0, i + 1)] {
+                for j in 0..8 {
+                    matrix[(row, 8 * i + j)] = if j == 0 { 1.0 } else { end };
+                }
+                for axis in 0..3 {
+                    right[(row, axis)] = points[point][axis];
+                }
+                right[(row, 3)] = yaws[point];
+                row += 1;
+            }
+        }
+        for k in 1..=3 {
+            matrix[(row, k)] = 1.0;
+            for j in k..8 {
+                matrix[(row + 1, 8 * (count - 1) + j)] = falling(j, k);
+            }
+            row += 2;
+        }
+        for i in 1..count {
+            // in units of the geometric mean of the two spans, so that rows are of one size
+            let ratio = spans[i - 1] / spans[i];
+            for k in 1..=6 {
+                let (before, after) = (ratio.powf(-0.5 * k as f64), ratio.powf(0.5 * k as f64));
+                for j in k..8 {
+                    matrix[(row, 8 * (i - 1) + j)] = before * falling(j, k);
+                }
+                matrix[(row, 8 * i + k)] = -after * falling(k, k);
+                row += 1;
+            }
+        }
+        let solution = matrix.lu().solve(&right).filter(|solution| solution.iter().all(|x| x.is_finite()));
+        let Some(solution) = solution else {
+            return Err(TrajectoryError::Unsolvable);
+        };
+        let coefficients = |i: usize| std::array::from_fn(|axis| std::array::from_fn(|j| solution[(8 * i + j, axis)]));
+        Ok(Self { times, segments: (0..count).map(|i| Segment { coefficients: coefficients(i) }).collect() })
+    }
+
+    /// The same way, in `scale` times the time.
+    fn slower(mut self, scale: f64) -> Result<Self, TrajectoryError> {
+        for time in &mut self.times {
+            *time *= scale;
+        }
+        Ok(self)
+    }
+
+    /// Greatest speed (m/s) and acceleration (m/s²).
+    fn peaks(&self) -> (f64, f64) {
+        let (mut speed, mut acceleration) = (0.0_f64, 0.0_f64);
+        for pair in self.times.windows(2) {
+            for sample in 0..=200 {
+                let reference = self.reference(pair[0] + (pair[1] - pair[0]) * f64::from(sample) / 200.0);
+                speed = speed.max(reference.velocity.norm());
+                acceleration = acceleration.max(reference.acceleration.norm());
+            }
+        }
+        (speed, acceleration)
+    }
+}
+
+impl Trajectory for Waypoints {
+    fn reference(&self, time: f64) -> Reference {
+        let end = self.duration();
+        let inside = time.clamp(0.0, end);
+        // the segment that has begun, the last one at its end
+        let index = self.times.partition_point(|&start| start <= inside).clamp(1, self.segments.len()) - 1;
+        let span = self.times[index + 1] - self.times[index];
+        let share = if time == inside {
+            (Jet::time(time) - Jet::constant(self.times[index])) * (1.0 / span)
+        } else {
+            Jet::constant(if time < 0.0 { 0.0 } else { 1.0 })
+        };
+        let jets = self.segments[index].coefficients.map(|c| share.polynomial(&c));
+        let derivative = |k: usize| Vector3::from_fn(|axis, _| jets[axis].derivative(k));
+        Reference {
+            position: derivative(0),
+            velocity: derivative(1),
+            acceleration: derivative(2),
+            jerk: derivative(3),
+            snap: derivative(4),
+            yaw: wrap_angle(jets[3].value()),
+            yaw_rate: jets[3].derivative(1),
+            yaw_acceleration: jets[3].derivative(2),
+        }
+    }
+
+    fn duration(&self) -> f64 {
+        self.times[self.times.len() - 1]
+    }
+}

@@ -1,0 +1,409 @@
+//! Controllers on MuJoCo's dynamics: what they promise to hold, follow and recover from, and what actions make of them.
+
+use std::f64::consts::FRAC_PI_2;
+
+use mujoco_drones_gym::action::ActionLimits;
+use mujoco_drones_gym::control::trajectory::{Curve, Heading, Plane, Steps, Trajectory, Waypoints, named};
+use mujoco_drones_gym::control::{Bandwidths, ControllerKind, GeometricControl};
+use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::state::{attitude_from_rpy, wrap_angle};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+/// A flight along a trajectory from rest at its start.
+struct Flight {
+    mean: f64,
+    peak: f64,
+    last: f64,
+    /// Largest tilt, rad, and yaw error, rad.
+    tilt: f64,
+    yaw: f64,
+}
+
+fn fly(mut simulation: Simulation, controller: &mut dyn Controller, way: &dyn Trajectory, seconds: f64) -> Flight {
+    let dt = simulation.control_period();
+    let mut flight = Flight { mean: 0.0, peak: 0.0, last: 0.0, tilt: 0.0, yaw: 0.0 };
+    while simulation.time() < seconds - 0.5 * dt {
+        let output = controller.control(dt, &simulation.states()[0], &way.reference(simulation.time()));
+        simulation.step(&[output.rpm]).unwrap();
+        let (state, reference) = (simulation.states()[0], way.reference(simulation.time()));
+        flight.last = (state.position - reference.position).norm();
+        flight.mean += flight.last;
+        flight.peak = flight.peak.max(flight.last);
+        flight.tilt = flight.tilt.max(state.tilt());
+        flight.yaw = flight.yaw.max(wrap_angle(state.rpy().z - reference.yaw).abs());
+        assert!(simulation.contacts().is_empty(), "touched something at t = {}", simulation.time());
+    }
+    flight.mean /= simulation.control_steps() as f64;
+    flight
+}
+
+fn at_start(model: DroneModel, way: &dyn Trajectory) -> Simulation {
+    let start = way.start();
+    Simulation::builder(model)
+        .initial_positions([start.position.into()])
+        .initial_rpys([[0.0, 0.0, start.yaw]])
+        .build()
+        .unwrap()
+}
+
+/// The paper: mean 0.7 cm, peak 3.5 cm.
+#[test]
+fn the_papers_vertical_circle_is_followed_within_a_millimetre_on_average() {
+    let circle = Curve::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
+    for model in DroneModel::ALL {
+        let mut control = GeometricControl::new(&model.params());
+        let flight = fly(at_start(model, &circle), &mut control, &circle, 8.0);
+        assert!(flight.mean < 0.001 && flight.peak < 0.012, "{model}: {} {}", flight.mean, flight.peak);
+    }
+}
+
+#[test]
+fn a_loop_goes_over_the_top_in_every_vertical_plane_and_at_every_yaw() {
+    for (x, y) in [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8), (-0.6, 0.8), (0.02, 1.0), (1.0, -0.02)] {
+        for yaw in [0.0, 0.7, -2.0] {
+            let way = Curve::circle(1.0, 1.6)
+                .and_then(|curve| curve.phase(-FRAC_PI_2)?.turns(1.0)?.ramp(0.8)?.heading(Heading::Fixed(yaw)))
+                .unwrap()
+                .plane(Plane::normal([x, y, 0.0]).unwrap())
+                .centre([0.0, 0.0, 2.0]);
+            let mut control = GeometricControl::new(&DroneModel::Race.params());
+            let flight = fly(at_start(DroneModel::Race, &way), &mut control, &way, way.duration() + 1.0);
+            assert!(flight.tilt > 3.0, "upside down: {}", flight.tilt);
+            assert!(flight.peak < 0.05 && flight.last < 1e-3, "({x}, {y}) {yaw}: {} {}", flight.peak, flight.last);
+        }
+    }
+}
+
+#[test]
+fn a_lemniscate_at_three_metres_a_second_is_followed_looking_along_it() {
+    let way = Curve::lemniscate_at(2.0, 1.0, 3.0)
+        .and_then(|curve| curve.turns(2.0)?.ramp(2.0)?.heading(Heading::Forward))
+        .unwrap();
+    let fastest = (0..2000).map(|i| way.reference(f64::from(i) * 0.005).velocity.norm()).fold(0.0, f64::max);
+    assert!((fastest - 3.0).abs() < 1e-3, "{fastest}");
+    for model in DroneModel::ALL {
+        let flight = fly(at_start(model, &way), &mut GeometricControl::new(&model.params()), &way, way.duration());
+        assert!(flight.peak < 0.01 && flight.yaw < 0.05, "{model}: {} {}", flight.peak, flight.yaw);
+    }
+}
+
+#[test]
+fn every_controller_settles_on_a_step_and_dsl_and_geometric_on_a_square() {
+    let hover = Steps::step([0.0, 0.0, 0.1], [0.0, 0.0, 1.0], 10.0).unwrap();
+    let square = Steps::square(1.0, 4.0).unwrap();
+    for model in DroneModel::ALL {
+        for (kind, within) in
+            [(ControllerKind::Pid, 0.02), (ControllerKind::Dsl, 0.005), (ControllerKind::Geometric, 1e-4)]
+        {
+            let flight = fly(at_start(model, &hover), &mut kind.build(&model.params()), &hover, 10.0);
+            assert!(flight.last < within, "{model} with {kind}: {}", flight.last);
+        }
+        for (kind, within) in [(ControllerKind::Dsl, 0.02), (ControllerKind::Geometric, 1e-3)] {
+            let flight = fly(at_start(model, &square), &mut kind.build(&model.params()), &square, 16.0);
+            assert!(flight.last < within, "{model} with {kind}: {}", flight.last);
+        }
+    }
+}
+
+#[test]
+fn control_rates_from_24_to_240_hertz_and_slow_motors_are_flown_with_the_same_gains() {
+    let circle = Curve::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
+    for (ctrl_freq, lag) in [(24, 0.0), (30, 0.0), (120, 0.0), (240, 0.0), (48, 0.03), (240, 0.03)] {
+        for kind in [ControllerKind::Dsl, ControllerKind::Geometric] {
+            let simulation = Simulation::builder(DroneModel::Cf2x)
+                .ctrl_freq(ctrl_freq)
+                .actuators(ActuatorParams { lag, ..ActuatorParams::default() })
+                .initial_positions([circle.start().position.into()])
+                .build()
+                .unwrap();
+            let flight = fly(simulation, &mut kind.build(&DroneModel::Cf2x.params()), &circle, 8.0);
+            assert!(
+                flight.mean < 0.006 && flight.peak < 0.04,
+                "{kind} at {ctrl_freq} Hz, lag {lag} s: {}",
+                flight.peak
+            );
+        }
+    }
+}
+
+#[test]
+fn an_integral_takes_away_what_a_wrong_mass_leaves() {
+    let heavier = DroneParams { mass: 0.0297, ..DroneModel::Cf2x.params() };
+    let way = Steps::step([0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 12.0).unwrap();
+    let end = |integral| {
+        let simulation = Simulation::builder(heavier.clone()).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
+        let bandwidths = Bandwidths { integral, ..Bandwidths::default() };
+        let mut control = GeometricControl::with_bandwidths(&DroneModel::Cf2x.params(), bandwidths);
+        fly(simulation, &mut control, &way, 12.0).last
+    };
+    // a tenth of g over the stiffness of 11² 1/s², and a little less thrust per mass
+    assert!((end(0.0) - 9.81 * 0.1 / 1.1 / 121.0 * 1.1).abs() < 1e-3, "{}", end(0.0));
+    assert!(end(0.1) < 1e-4, "{}", end(0.1));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    /// Thrown in any attitude, turning, far from where it should be: it comes home.
+    #[test]
+    fn geometric_control_recovers_from_any_attitude(
+        roll in -3.1..3.1, pitch in -1.5..1.5, yaw in -3.1..3.1, target in -3.1..3.1,
+        velocity in prop::array::uniform3(-2.0..2.0), rate in prop::array::uniform3(-8.0..8.0),
+        x in -4.0..4.0, y in -4.0..4.0, race in prop::bool::ANY,
+    ) {
+        let model = if race { DroneModel::Race } else { DroneModel::Cf2p };
+        let mut simulation = Simulation::builder(model).build().unwrap();
+        simulation.reset_to(&[DroneState {
+            position: Vector3::new(x, y, 12.0),
+            attitude: attitude_from_rpy(Vector3::new(roll, pitch, yaw)),
+            velocity: velocity.into(),
+            angular_velocity: rate.into(),
+        }]).unwrap();
+        let reference = Reference::hover(Vector3::new(0.0, 0.0, 12.0), target);
+        let mut control = GeometricControl::new(&model.params());
+        let dt = simulation.control_period();
+        for _ in 0..48 * 8 {
+            let rpm = control.control(dt, &simulation.states()[0], &reference).rpm;
+            simulation.step(&[rpm]).unwrap();
+            prop_assert!(simulation.contacts().is_empty(), "fell to the floor");
+        }
+        let state = simulation.states()[0];
+        prop_assert!((state.position - reference.position).norm() < 0.01, "{}", state.position);
+        prop_assert!(wrap_angle(state.rpy().z - target).abs() < 0.02, "{}", state.rpy().z);
+    }
+
+    /// Through random waypoints, which are met on time, within the limits of speed and acceleration.
+    #[test]
+    fn waypoints_are_met_and_flown(
+        points in prop::collection::vec([-2.0..2.0, -2.0..2.0, 1.0..3.0], 2..7), yaws in prop::array::uniform7(-3.0..3.0),
+    ) {
+        let way = Waypoints::through(&points).yaws(&yaws[..points.len()]).limits(1.5, 3.0).build().unwrap();
+        for (point, &time) in points.iter().zip(way.times()) {
+            prop_assert!((way.reference(time).position - Vector3::from(*point)).norm() < 1e-6);
+        }
+        let samples = (0..=1000).map(|i| way.reference(way.duration() * f64::from(i) / 1000.0));
+        for reference in samples {
+            prop_assert!(reference.velocity.norm() < 1.51 && reference.acceleration.norm() < 3.02);
+        }
+        let mut control = GeometricControl::new(&DroneModel::Cf2x.params());
+        let flight = fly(at_start(DroneModel::Cf2x, &way), &mut control, &way, way.duration());
+        prop_assert!(flight.peak < 0.02, "{}", flight.peak);
+    }
+}
+
+/// The task is flown to its end through an action type, by an agent that sees the observation alone.
+fn hovers(action_type: ActionType, controller: ControllerKind, agent: impl Fn(&[f64]) -> Vec<f64>) {
+    for model in DroneModel::ALL {
+        let mut env = Hover::builder()
+            .drone(model)
+            .action_type(action_type)
+            .controller(controller)
+            .initial_rpys([[0.0, 0.0, 0.6]])
+            .initial_positions([[0.3, -0.2, 0.2]])
+            .build()
+            .unwrap();
+        let mut observation = env.reset(Some(3)).unwrap().vector.clone();
+        while env.info().end.is_none() {
+            let action = agent(&observation);
+            assert!(env.action_space().contains(&action), "{action_type}: {action:?}");
+            observation.copy_from_slice(&env.step(&action).unwrap().observation.vector);
+        }
+        let info = env.info();
+        assert!(info.success, "{model} through {action_type} with {controller}: {info:?}");
+    }
+}
+
+/// Acceleration wanted in the heading frame, m/s², for the agents below.
+fn wanted(o: &[f64]) -> [f64; 3] {
+    let (sin, cos) = o[5].sin_cos();
+    let (x, y) = (-2.0 * o[0] - 2.4 * o[6], -2.0 * o[1] - 2.4 * o[7]);
+    [(cos * x + sin * y).clamp(-3.0, 3.0), (cos * y - sin * x).clamp(-3.0, 3.0), 4.0 * (1.0 - o[2]) - 4.0 * o[8]]
+}
+
+#[test]
+fn every_action_type_flies_hover_through_its_own_interface() {
+    use ControllerKind::{Dsl, Geometric, Pid};
+    for controller in [Pid, Dsl, Geometric] {
+        hovers(ActionType::Vel, controller, |o| {
+            let (sin, cos) = o[5].sin_cos();
+            let (x, y) = (-0.7 * o[0], -0.7 * o[1]);
+            vec![cos * x + sin * y, cos * y - sin * x, 0.8 * (1.0 - o[2]), -o[5].clamp(-1.0, 1.0)]
+        });
+    }
+    for controller in [Dsl, Geometric] {
+        hovers(ActionType::Pid, controller, |_| vec![0.0, 0.0, 1.0, 0.2]);
+    }
+    // the paper's gains take longer than an episode from the side
+    hovers(ActionType::Pid, Pid, |o| vec![-0.3 * o[6] - 0.4 * o[0], -0.3 * o[7] - 0.4 * o[1], 1.01, 0.0]);
+    hovers(ActionType::Attitude, Pid, |o| {
+        let [x, y, z] = wanted(o);
+        let tilt = 30_f64.to_radians();
+        vec![(z / 9.81).clamp(-1.0, 1.0), -y / 9.81 / tilt, x / 9.81 / tilt, -(o[5] / 3.0).clamp(-1.0, 1.0)]
+    });
+    hovers(ActionType::Ctbr, Pid, |o| {
+        let [x, y, z] = wanted(o);
+        let (roll, pitch) = (-y / 9.81, x / 9.81);
+        let rates = [8.0 * (roll - o[3]) / 10.0, 8.0 * (pitch - o[4]) / 10.0, -o[5] / 5.0];
+        let mut action = vec![(z / 9.81).clamp(-1.0, 1.0)];
+        action.extend(rates.map(|x| x.clamp(-1.0, 1.0)));
+        action
+    });
+}
+
+#[test]
+fn raw_motor_speeds_and_normalized_ones_are_the_same_flight() {
+    let flight = |action_type| {
+        let mut env = Hover::builder().action_type(action_type).build().unwrap();
+        let mut pid = PidControl::new(&DroneModel::Cf2x.params());
+        env.reset(Some(1)).unwrap();
+        let mut action = [0.0; 4];
+        for _ in 0..200 {
+            let rpm = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
+            env.action_of_motor_speeds(&[rpm], &mut action).unwrap();
+            assert!(env.action_space().contains(&action));
+            env.step(&action).unwrap();
+        }
+        env.simulation().states()[0].position
+    };
+    assert!((flight(ActionType::Rpm) - flight(ActionType::RawRpm)).norm() < 1e-9);
+}
+
+#[test]
+fn one_command_for_all_motors_holds_a_height() {
+    let mut env = Hover::builder().action_type(ActionType::OneDRpm).build().unwrap();
+    let mut observation = env.reset(None).unwrap().vector.clone();
+    while env.info().end.is_none() {
+        let action = 1.2 * (1.0 - observation[2]) - 0.7 * observation[8];
+        observation.copy_from_slice(&env.step(&[action.clamp(-1.0, 1.0)]).unwrap().observation.vector);
+    }
+    assert!(env.info().success);
+}
+
+/// A velocity is one of the heading frame: forward is where the nose points, whatever the roll and pitch.
+#[test]
+fn forward_is_where_the_nose_points_and_a_yaw_rate_turns_at_that_rate() {
+    for yaw in [0.0, 1.2, -2.5] {
+        let mut env = Hover::builder()
+            .action_type(ActionType::Vel)
+            .controller(ControllerKind::Geometric)
+            .initial_positions([[0.0, 0.0, 1.0]])
+            .initial_rpys([[0.0, 0.0, yaw]])
+            .build()
+            .unwrap();
+        env.reset(None).unwrap();
+        for _ in 0..96 {
+            env.step(&[0.5, 0.0, 0.0, 0.0]).unwrap();
+        }
+        let state = env.simulation().states()[0];
+        let expected = Vector3::new(yaw.cos(), yaw.sin(), 0.0) * 0.5;
+        assert!((state.velocity - expected).norm() < 0.01, "{} at yaw {yaw}", state.velocity);
+        env.reset(None).unwrap();
+        for _ in 0..96 {
+            env.step(&[0.0, 0.0, 0.0, 1.0]).unwrap();
+        }
+        assert!((env.simulation().states()[0].angular_velocity.z - 1.0).abs() < 0.02);
+    }
+}
+
+#[test]
+fn attitudes_are_those_that_were_asked_for() {
+    let limits = ActionLimits { tilt: 0.4, yaw_rate: 1.0, ..ActionLimits::default() };
+    let mut env = Hover::builder()
+        .action_type(ActionType::Attitude)
+        .action_limits(limits)
+        .initial_positions([[0.0, 0.0, 2.0]])
+        .initial_rpys([[0.0, 0.0, 0.9]])
+        .build()
+        .unwrap();
+    for (roll, pitch) in [(0.5, 0.0), (0.0, -0.5), (-0.3, 0.7)] {
+        env.reset(None).unwrap();
+        for _ in 0..40 {
+            env.step(&[0.1, roll, pitch, 0.0]).unwrap();
+        }
+        let rpy = env.simulation().states()[0].rpy();
+        assert!((rpy - Vector3::new(0.4 * roll, 0.4 * pitch, 0.9)).norm() < 0.01, "{rpy}");
+    }
+}
+
+#[test]
+fn actions_that_are_not_numbers_are_errors_and_those_out_of_bounds_are_clipped() {
+    for action_type in ActionType::ALL {
+        let build = || Hover::builder().action_type(action_type).build().unwrap();
+        let (mut env, mut twin) = (build(), build());
+        env.reset(Some(1)).unwrap();
+        twin.reset(Some(1)).unwrap();
+        let size = env.action_space().size();
+        let zeros = vec![0.0; size];
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            let mut action = zeros.clone();
+            action[size - 1] = bad;
+            assert!(matches!(env.step(&action), Err(EnvError::Action { index, .. }) if index == size - 1));
+        }
+        for length in [0, size - 1, size + 1] {
+            assert!(matches!(env.step(&vec![0.0; length]), Err(EnvError::ActionLength { .. })));
+        }
+        // nothing of that has moved anything; then ten times out of bounds is the bound
+        let bounds = |factor: f64| env.action_space().high().iter().map(|x| factor * x).collect::<Vec<_>>();
+        let (far, most) = (bounds(10.0), bounds(1.0));
+        for _ in 0..3 {
+            env.step(&far).unwrap();
+            twin.step(&most).unwrap();
+        }
+        assert_eq!(env.simulation().states(), twin.simulation().states(), "{action_type}");
+    }
+}
+
+#[test]
+fn a_reset_clears_what_controllers_remember() {
+    for action_type in [ActionType::Vel, ActionType::Pid, ActionType::Attitude] {
+        for controller in ControllerKind::ALL {
+            let mut env = Hover::builder().action_type(action_type).controller(controller).build().unwrap();
+            let mut flight = || {
+                env.reset(Some(1)).unwrap();
+                for i in 0..60 {
+                    env.step(&[0.3, 0.2, 0.5, if i < 30 { 0.4 } else { -0.1 }]).unwrap();
+                }
+                env.simulation().states()[0]
+            };
+            assert_eq!(flight(), flight(), "{action_type} {controller}");
+        }
+    }
+}
+
+#[test]
+fn named_trajectories_start_at_rest_where_they_begin_and_their_derivatives_are_those_of_their_positions() {
+    for name in mujoco_drones_gym::control::trajectory::NAMES {
+        let way = named(name).unwrap();
+        assert!(way.start().velocity.norm() == 0.0 && way.duration() > 1.0);
+        if name == "square" {
+            continue;
+        }
+        let h = 1e-4;
+        for i in 1..200 {
+            let t = way.duration() * f64::from(i) / 201.0;
+            let [before, now, after] = [t - h, t, t + h].map(|t| way.reference(t));
+            let close =
+                |a: Vector3<f64>, b: Vector3<f64>| assert!((a - b).norm() < 1e-3 * (1.0 + a.norm()), "{name} {t}");
+            close((after.position - before.position) / (2.0 * h), now.velocity);
+            close((after.velocity - before.velocity) / (2.0 * h), now.acceleration);
+            close((after.acceleration - before.acceleration) / (2.0 * h), now.jerk);
+            close((after.jerk - before.jerk) / (2.0 * h), now.snap);
+        }
+    }
+    let forward = Curve::helix(1.0, -3.0, 0.3)
+        .and_then(|curve| {
+            curve.plane(Plane::normal([0.3, -0.4, 1.0])?).turns(3.0)?.ramp(1.0)?.heading(Heading::Forward)
+        })
+        .unwrap();
+    for i in 1..300 {
+        let (t, h) = (f64::from(i) * 0.03, 1e-4);
+        let [before, now, after] = [t - h, t, t + h].map(|t| forward.reference(t));
+        assert!((wrap_angle(after.yaw - before.yaw) / (2.0 * h) - now.yaw_rate).abs() < 1e-3);
+        assert!(((after.yaw_rate - before.yaw_rate) / (2.0 * h) - now.yaw_acceleration).abs() < 1e-3);
+        if now.velocity.norm() > 0.1 {
+            assert!(wrap_angle(now.velocity.y.atan2(now.velocity.x) - now.yaw).abs() < 1e-9, "looks where it goes");
+        }
+    }
+}
