@@ -1,6 +1,7 @@
 //! After construction, stepping and resetting allocate nothing in Rust (MuJoCo itself works on buffers of its own).
 
 use allocation_counter::measure;
+use mujoco_drones_gym::control::{ControllerKind, trajectory};
 use mujoco_drones_gym::prelude::*;
 
 #[test]
@@ -38,4 +39,33 @@ fn a_step_and_a_reset_of_the_environment_allocate_nothing() {
         env.step(&action).unwrap();
     });
     assert_eq!(allocations.count_total, 0);
+}
+
+#[test]
+fn controllers_trajectories_and_every_action_type_allocate_nothing() {
+    let params = DroneModel::Cf2x.params();
+    let way = trajectory::named("lemniscate").unwrap();
+    for kind in ControllerKind::ALL {
+        let mut control = kind.build(&params);
+        let state = DroneState::default();
+        let allocations = measure(|| {
+            control.reset();
+            for step in 0..100 {
+                let output = control.control(0.02, &state, &way.reference(0.02 * f64::from(step)));
+                assert!(output.rpm[0] >= 0.0);
+            }
+        });
+        assert_eq!(allocations.count_total, 0, "{kind}");
+    }
+    for action_type in ActionType::ALL {
+        let mut env = Hover::builder().action_type(action_type).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
+        let action = vec![0.1; env.action_space().size()];
+        env.reset(Some(1)).unwrap();
+        let allocations = measure(|| {
+            for _ in 0..5 {
+                env.step(&action).unwrap();
+            }
+        });
+        assert_eq!(allocations.count_total, 0, "{action_type}");
+    }
 }

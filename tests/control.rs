@@ -174,10 +174,11 @@ proptest! {
         prop_assert!(wrap_angle(state.rpy().z - target).abs() < 0.02, "{}", state.rpy().z);
     }
 
-    /// Through random waypoints, which are met on time, within the limits of speed and acceleration.
+    /// Through random waypoints, which are met on time, within the limits of speed and acceleration. (High up: polynomials
+    /// swing out beyond their waypoints.)
     #[test]
     fn waypoints_are_met_and_flown(
-        points in prop::collection::vec([-2.0..2.0, -2.0..2.0, 1.0..3.0], 2..7), yaws in prop::array::uniform7(-3.0..3.0),
+        points in prop::collection::vec([-2.0..2.0, -2.0..2.0, 6.0..8.0], 2..7), yaws in prop::array::uniform7(-3.0..3.0),
     ) {
         let way = Waypoints::through(&points).yaws(&yaws[..points.len()]).limits(1.5, 3.0).build().unwrap();
         for (point, &time) in points.iter().zip(way.times()) {

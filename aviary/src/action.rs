@@ -10,7 +10,7 @@ use crate::control::{
     AnyController, AttitudeControl, Controller as _, ControllerKind, HeadingHold, RateControl, Reference,
 };
 use crate::drone::DroneParams;
-use crate::state::{DroneState, attitude_from_rpy, rpy_from_attitude};
+use crate::state::{DroneState, attitude_from_rpy};
 
 /// How an agent commands a drone (paper, action table), as so many numbers per drone.
 ///
@@ -256,7 +256,7 @@ impl ActionDecoder {
             Loops::None if self.kind == ActionType::RawRpm => [a, b, c, d],
             Loops::None => [a, b, c, d].map(|command| scale.rpm(command)),
             Loops::Velocity { controller, heading } => {
-                let (sin, cos) = rpy_from_attitude(&state.attitude).z.sin_cos();
+                let (sin, cos) = state.yaw().sin_cos();
                 let velocity = Vector3::new(cos * a - sin * b, sin * a + cos * b, c);
                 let yaw = heading.advance(dt, state, d);
                 let reference = Reference { velocity, yaw, yaw_rate: d, ..Reference::default() };

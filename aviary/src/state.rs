@@ -40,6 +40,12 @@ impl DroneState {
         rpy_from_attitude(&self.attitude)
     }
 
+    /// Yaw alone, rad, in (−π, π].
+    pub fn yaw(&self) -> f64 {
+        let [w, x, y, z] = wxyz(&self.attitude);
+        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+    }
+
     /// Angle between the body's and the world's z axis, rad: 0 upright, π upside down.
     ///
     /// Unlike roll and pitch it cannot be mistaken: a pitch from an arcsine never exceeds π/2.
@@ -108,6 +114,9 @@ pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
 #[inline]
 pub fn wrap_angle(angle: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
+    if angle > -PI && angle <= PI {
+        return angle;
+    }
     let wrapped = angle.rem_euclid(TAU);
     if wrapped > PI { wrapped - TAU } else { wrapped }
 }
@@ -143,6 +152,7 @@ mod tests {
         fn up_and_tilt_are_those_of_the_rotation(roll in angle(), pitch in -1.5..1.5, yaw in angle()) {
             let state = DroneState::at_rest(Vector3::zeros(), Vector3::new(roll, pitch, yaw));
             prop_assert!((state.up() - state.attitude * Vector3::z()).norm() < 1e-12);
+            prop_assert_eq!(state.yaw(), state.rpy().z);
             prop_assert!((state.tilt().cos() - roll.cos() * pitch.cos()).abs() < 1e-12);
         }
 

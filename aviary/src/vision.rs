@@ -230,9 +230,28 @@ impl Painter {
         Ok(())
     }
 
+    /// What the standing views look at in place of the drones' starts: a point (world frame, m), and how far it reaches from
+    /// there, m.
+    pub fn set_stage(&mut self, centre: [f64; 3], reach: f64) {
+        self.stage = (centre.into(), reach);
+    }
+
     /// Adds a shape to the scene until the next update; `false` where there is no room.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
         self.scene.add(decor, rgba)
+    }
+
+    /// Adds a line through points (world frame, m), of a radius in m, until the next update; `false` where there is no room
+    /// for all of it.
+    pub fn add_line(&mut self, points: &[Vector3<f64>], radius: f64, rgba: [f32; 4]) -> bool {
+        let rod = |pair: &[Vector3<f64>]| Decor::Rod { from: pair[0].into(), to: pair[1].into(), radius };
+        points.windows(2).all(|pair| self.add(rod(pair), rgba))
+    }
+
+    /// Adds a dot at every point (world frame, m), of a radius in m, until the next update; `false` where there is no room
+    /// for all of them.
+    pub fn add_dots(&mut self, points: &[Vector3<f64>], radius: f64, rgba: [f32; 4]) -> bool {
+        points.iter().all(|&point| self.add(Decor::Sphere { centre: point.into(), radius }, rgba))
     }
 
     /// The camera of a view.

@@ -447,3 +447,43 @@ fn help_and_version_are_no_errors() {
     }
     assert!(String::from_utf8(aviary(&["fly", "--help"]).stdout).unwrap().contains("Examples:"));
 }
+
+#[test]
+fn trajectories_are_followed_by_every_controller_and_the_geometric_one_loops() {
+    for (trajectory, controller, drone, within) in [
+        ("circle", "geometric", "cf2x", 0.012),
+        ("circle", "dsl", "cf2p", 0.03),
+        ("helix", "geometric", "race", 0.005),
+        ("loop", "geometric", "race", 0.02),
+        ("square", "pid", "cf2x", 1.2),
+    ] {
+        let options =
+            ["fly", "--task", "hover", "--trajectory", trajectory, "--controller", controller, "--drone", drone];
+        let output = aviary(&[&options[..], &["--json"]].concat());
+        assert_eq!(output.status.code(), Some(0), "{trajectory}");
+        let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!((&flight["controller"], &flight["trajectory"]), (&controller.into(), &trajectory.into()));
+        assert!(flight["peak_position_error"].as_f64().unwrap() < within, "{trajectory}: {flight}");
+        assert_eq!(flight["success"], trajectory != "square", "{trajectory}: {flight}");
+    }
+}
+
+#[test]
+fn trajectory_files_are_followed_or_refused_by_file_line_and_key() {
+    let directory = directory("trajectories");
+    std::fs::create_dir_all(&directory).unwrap();
+    let path = directory.join("way.toml");
+    let write = |text: &str| std::fs::write(&path, text).unwrap();
+    let fly = ["fly", "--task", "hover", "--controller", "geometric", "--trajectory", text(&path)];
+    write("kind = \"waypoints\"\npoints = [[0, 0, 1], [1, 0, 1], [1, 1, 4]]\nyaws = [0, 1, 2]\n");
+    let output = aviary(&[&fly[..], &["--json"]].concat());
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(flight["success"], true);
+    assert!((flight["drones"][0]["final_position"][2].as_f64().unwrap() - 4.0).abs() < 0.01, "above the task's limit");
+    write("kind = \"circle\"\nradius = 0.5\nspeed = 1.0\n");
+    refused(&fly, 2, &["way.toml", "line 3", "speed"]);
+    write("kind = \"circle\"\nradius = 0.5\nperiod = 0.0\n");
+    refused(&fly, 2, &["way.toml", "period"]);
+    refused(&["fly", "--task", "hover", "--trajectory", "circel"], 2, &["did you mean `circle`"]);
+    refused(&["fly", "--task", "hover", "--trajectory", "no.toml"], 2, &["no.toml: No such file"]);
+}

@@ -2,7 +2,7 @@ use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use super::Mixer;
 use crate::drone::{DroneModel, DroneParams};
-use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
+use crate::state::{DroneState, wrap_angle};
 
 /// Gains of the attitude loop: torques per rad, per rad·s and per rad/s, about the body axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -135,7 +135,7 @@ impl HeadingHold {
 
     /// The yaw to hold (rad) at the end of a control step of `dt` seconds in which it turns at `rate` rad/s.
     pub fn advance(&mut self, dt: f64, state: &DroneState, rate: f64) -> f64 {
-        let actual = rpy_from_attitude(&state.attitude).z;
+        let actual = state.yaw();
         let lead = wrap_angle(self.yaw.unwrap_or(actual) + rate * dt - actual);
         let yaw = wrap_angle(actual + lead.clamp(-Self::MAX_LEAD, Self::MAX_LEAD));
         if yaw.is_finite() {

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::{AttitudeGains, ControlOutput, Controller, PidControl, PidGains, PositionGains, Reference};
 use crate::drone::DroneParams;
-use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
+use crate::state::{DroneState, wrap_angle};
 
 /// The paper's `DSLPIDControl`: the cascade of [`PidControl`] with stiffer gains, halved clamps of the integrals, a
 /// setpoint that moves at a limited rate, and the reference's acceleration as feed-forward.
@@ -59,7 +59,7 @@ impl DslPidControl {
     }
 
     fn advance(&self, dt: f64, state: &DroneState, reference: &Reference) -> Setpoint {
-        let here = Setpoint { position: state.position, yaw: rpy_from_attitude(&state.attitude).z };
+        let here = Setpoint { position: state.position, yaw: state.yaw() };
         let last = self.setpoint.unwrap_or(here);
         let way = reference.position - last.position;
         let share = (Self::MAX_SPEED * dt / way.norm()).min(1.0);

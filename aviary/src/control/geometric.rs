@@ -103,10 +103,9 @@ impl GeometricControl {
         Vector3::new(xy, xy, z)
     }
 
-    fn integrate(&mut self, dt: f64, error: &Vector3<f64>) {
+    fn integrate(&mut self, dt: f64, frequency: &Vector3<f64>, error: &Vector3<f64>) {
         if self.bandwidths.integral > 0.0 && error.norm() <= Self::INTEGRATED {
-            let frequency = self.frequency(dt);
-            let gain = self.bandwidths.integral * frequency.component_mul(&frequency).component_mul(&frequency);
+            let gain = self.bandwidths.integral * frequency.component_mul(frequency).component_mul(frequency);
             self.integral += gain.component_mul(error) * dt;
             let excess = self.integral.norm() / (0.5 * self.most_feedback);
             if excess > 1.0 {
@@ -115,34 +114,23 @@ impl GeometricControl {
         }
     }
 
-    /// The acceleration that errors ask for, and its first two derivatives as far as the errors' own are known.
-    fn feedback(&self, dt: f64, errors: &Errors) -> Motion {
-        let frequency = self.frequency(dt);
-        let (xy, z) = (frequency.x, frequency.z);
-        let stiffness = frequency.component_mul(&frequency);
-        let damping = 2.0 * Self::POSITION_DAMPING * frequency;
-
+    /// The acceleration that errors ask for, within what is allowed, and whether it still changes with them.
+    fn feedback(
+        &self,
+        gains: &[Vector3<f64>; 2],
+        position: &Vector3<f64>,
+        velocity: &Vector3<f64>,
+    ) -> (Vector3<f64>, bool) {
+        let [stiffness, damping] = gains;
         // an error so large that its way home would need more than the most feedback to brake at its end counts as that
-        let reach = |frequency: f64| 4.0 * self.most_feedback / (frequency * frequency);
-        let sideways = errors.position.xy().norm();
-        let share = (reach(xy) / sideways.max(1e-12)).min(1.0);
-        let position = Vector3::new(
-            errors.position.x * share,
-            errors.position.y * share,
-            errors.position.z.clamp(-reach(z), reach(z)),
-        );
-        let clipped = position != errors.position;
-        let value = stiffness.component_mul(&position) + damping.component_mul(&errors.velocity) + self.integral;
+        let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.most_feedback / stiffness);
+        let sideways = position.xy().norm();
+        let clipped = sideways > reach[0] || position.z.abs() > reach[1];
+        let share = if sideways > reach[0] { reach[0] / sideways } else { 1.0 };
+        let near = Vector3::new(position.x * share, position.y * share, position.z.clamp(-reach[1], reach[1]));
+        let value = stiffness.component_mul(&near) + damping.component_mul(velocity) + self.integral;
         let size = value.norm();
-        if clipped || size > self.most_feedback {
-            let held = value * (self.most_feedback / size).min(1.0);
-            return Motion { value: held, rate: Vector3::zeros(), acceleration: Vector3::zeros() };
-        }
-        Motion {
-            value,
-            rate: stiffness.component_mul(&errors.velocity) + damping.component_mul(&errors.acceleration),
-            acceleration: stiffness.component_mul(&errors.acceleration) + damping.component_mul(&errors.jerk),
-        }
+        if size > self.most_feedback { (value * (self.most_feedback / size), false) } else { (value, !clipped) }
     }
 
     /// Torque about the body axes, N·m, for a wanted attitude and its body rates and their derivative.
@@ -152,6 +140,7 @@ impl GeometricControl {
         let frequency = Vector3::new(tilt, tilt, yaw);
         let to_body = state.attitude.inverse() * wanted.attitude;
         let error = to_body.scaled_axis();
+        let to_body = to_body.to_rotation_matrix();
         let rate = to_body * wanted.body_rate;
         let omega = state.angular_velocity;
         let angular_acceleration = frequency.component_mul(&frequency).component_mul(&error)
@@ -177,41 +166,31 @@ impl Controller for GeometricControl {
         let up_rate = state.attitude * state.angular_velocity.cross(&Vector3::z());
         let gravity = Vector3::new(0.0, 0.0, GRAVITY);
 
-        let mut errors = Errors {
-            position: output.position_error,
-            velocity: reference.velocity - state.velocity,
-            acceleration: Vector3::zeros(),
-            jerk: Vector3::zeros(),
+        let frequency = self.frequency(dt);
+        self.integrate(dt, &frequency, &output.position_error);
+        let gains @ [stiffness, damping] =
+            [frequency.component_mul(&frequency), 2.0 * Self::POSITION_DAMPING * frequency];
+        let (position, velocity) = (output.position_error, reference.velocity - state.velocity);
+        let (feedback, live) = self.feedback(&gains, &position, &velocity);
+        let mut wanted = Motion {
+            value: reference.acceleration + gravity + feedback,
+            rate: reference.jerk,
+            acceleration: reference.snap,
         };
-        self.integrate(dt, &errors.position);
-        // the acceleration that the present attitude gives, then its jerk: what the errors' own derivatives are
-        let wanted = reference.acceleration + gravity + self.feedback(dt, &errors).value;
-        let thrust = wanted.dot(&up).max(0.0);
-        errors.acceleration = reference.acceleration - (up * thrust - gravity);
-        let wanted_rate = reference.jerk + self.feedback(dt, &errors).rate;
-        let thrust_rate = wanted_rate.dot(&up) + wanted.dot(&up_rate);
-        errors.jerk = reference.jerk - (up * thrust_rate + up_rate * thrust);
-        let feedback = self.feedback(dt, &errors);
-
-        let wanted = Motion {
-            value: reference.acceleration + gravity + feedback.value,
-            rate: reference.jerk + feedback.rate,
-            acceleration: reference.snap + feedback.acceleration,
-        };
+        let thrust = wanted.value.dot(&up).max(0.0);
+        if live {
+            // the acceleration and the jerk that the present thrust gives say how the errors change
+            let acceleration = reference.acceleration - (up * thrust - gravity);
+            wanted.rate += stiffness.component_mul(&velocity) + damping.component_mul(&acceleration);
+            let thrust_rate = wanted.rate.dot(&up) + wanted.value.dot(&up_rate);
+            let jerk = reference.jerk - (up * thrust_rate + up_rate * thrust);
+            wanted.acceleration += stiffness.component_mul(&acceleration) + damping.component_mul(&jerk);
+        }
         let direction = if wanted.value.norm() > Self::FREE_FALL { wanted.unit() } else { Motion::still(up) };
         let attitude = self.chart.attitude(&direction, reference);
         let torque = self.torque(dt, state, &attitude);
-        let thrust = self.mass * wanted.value.dot(&up).max(0.0);
-        ControlOutput { rpm: self.mixer.rpm(thrust, torque), ..output }
+        ControlOutput { rpm: self.mixer.rpm(self.mass * thrust, torque), ..output }
     }
-}
-
-/// Reference minus actual.
-struct Errors {
-    position: Vector3<f64>,
-    velocity: Vector3<f64>,
-    acceleration: Vector3<f64>,
-    jerk: Vector3<f64>,
 }
 
 /// A vector with its first two time derivatives.

@@ -30,7 +30,7 @@ pub use reference::Reference;
 
 use nalgebra::Vector3;
 
-use crate::state::{DroneState, rpy_from_attitude, wrap_angle};
+use crate::state::{DroneState, wrap_angle};
 
 /// What a controller answers.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -49,7 +49,7 @@ impl ControlOutput {
         Self {
             rpm: [f64::NAN; 4],
             position_error: reference.position - state.position,
-            yaw_error: wrap_angle(reference.yaw - rpy_from_attitude(&state.attitude).z),
+            yaw_error: wrap_angle(reference.yaw - state.yaw()),
         }
     }
 }

@@ -232,3 +232,61 @@ fn some_triple<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Opti
 fn message(text: &str) -> TrajectoryError {
     TrajectoryError::Toml { message: text.into() }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const FILES: [&str; 5] = [
+        "kind = \"circle\"\nradius = 0.5\nperiod = 4.0\nplane = \"yz\"\nramp = 1.0\nphase = 1.0\nturns = 2.0\n",
+        "kind = \"lemniscate\"\nhalf_length = 1.0\nhalf_width = 0.5\npeak_speed = 2.0\nforward = true\n",
+        "kind = \"helix\"\nradius = 0.5\nperiod = 4.0\nclimb = 0.2\nnormal = [0.1, 0.0, 1.0]\nyaw_rate = 0.3\n",
+        "kind = \"steps\"\nstart = [0.0, 0.0, 0.1]\npoints = [[0, 0, 1], [1, 0, 1]]\nhold = 2.0\nyaws = [0.0, 1.0]\n",
+        "kind = \"waypoints\"\npoints = [[0, 0, 1], [1, 0, 1], [1, 1, 1]]\nmax_speed = 1.0\nmax_acceleration = 2.0\n",
+    ];
+
+    #[test]
+    fn every_kind_is_read() {
+        for text in FILES {
+            let way = from_toml(text).unwrap();
+            assert!(way.reference(0.4).is_finite() && way.duration() > 1.0, "{text}");
+        }
+        assert!(NAMES.iter().all(|name| named(name).is_some()));
+        assert!(named("nosuch").is_none());
+    }
+
+    #[test]
+    fn errors_name_the_line_and_what_is_expected() {
+        let error = |index: usize, from: &str, to: &str| {
+            let text = from_toml(&FILES[index].replace(from, to)).unwrap_err().to_string();
+            assert!(!text.contains('\n'), "{text}");
+            text
+        };
+        assert!(error(0, "radius = 0.5", "radius = \"wide\"").contains("line 2"));
+        assert!(error(0, "radius = 0.5", "").contains("radius"));
+        assert!(error(0, "ramp", "rampp").contains("line 5"));
+        assert!(error(0, "radius = 0.5", "radius = -0.5").contains("the radius is -0.5"));
+        assert!(error(0, "ramp = 1.0", "ramp = 99.0").contains("full speed is never reached"));
+        assert!(error(0, "period = 4.0", "period = nan").contains("period"));
+        assert!(error(0, "ramp", "forward = true\nramp").contains("straight up"));
+        assert!(error(0, "circle", "square").contains("line 1"));
+        assert!(error(1, "peak_speed", "period = 1.0\npeak_speed").contains("either"));
+        assert!(error(2, "normal = [0.1, 0.0, 1.0]", "normal = [0, 0, 0]").contains("normal"));
+        assert!(error(3, "[1, 0, 1]]", "[1, 0]]").contains("2 numbers, expected 3"));
+        assert!(error(4, "max_speed = 1.0", "times = [0.0]").contains("either"));
+        assert!(from_file("no/such.toml").unwrap_err().to_string().starts_with("no/such.toml: No such file"));
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_are_errors_or_finite(file in 0usize..5, at in 0usize..90, letter in 32u8..127, t in -1.0..9.0) {
+            let mut bytes = FILES[file].as_bytes().to_vec();
+            let at = at % bytes.len();
+            bytes[at] = letter;
+            if let Ok(text) = std::str::from_utf8(&bytes) && let Ok(way) = from_toml(text) {
+                prop_assert!(way.reference(t).is_finite(), "{text}");
+            }
+        }
+    }
+}

@@ -240,3 +240,103 @@ impl Trajectory for Waypoints {
         self.times[self.times.len() - 1]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn between_two_points_it_is_the_known_polynomial() {
+        let way = Waypoints::through(&[[0.0; 3], [1.0, -2.0, 0.5]]).times([0.0, 2.0]).build().unwrap();
+        for i in 0..=20 {
+            let tau = f64::from(i) / 20.0;
+            let share = 35.0 * tau.powi(4) - 84.0 * tau.powi(5) + 70.0 * tau.powi(6) - 20.0 * tau.powi(7);
+            let expected = Vector3::new(1.0, -2.0, 0.5) * share;
+            assert!((way.reference(2.0 * tau).position - expected).norm() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn it_rests_before_its_start_and_after_its_end() {
+        let way =
+            Waypoints::through(&[[0.0; 3], [1.0, 0.0, 1.0], [2.0, 1.0, 0.0]]).yaws([3.0, -3.0, 0.0]).build().unwrap();
+        let end = way.duration() + 1.0;
+        for (time, position, yaw) in [(-1.0, Vector3::zeros(), 3.0), (end, Vector3::new(2.0, 1.0, 0.0), 0.0)] {
+            let reference = way.reference(time);
+            assert!((reference.position - position).norm() < 1e-9 && wrap_angle(reference.yaw - yaw).abs() < 1e-9);
+            assert_eq!((reference.velocity.norm(), reference.snap.norm(), reference.yaw_rate), (0.0, 0.0, 0.0));
+        }
+        let turn = Waypoints::through(&[[0.0; 3], [1.0; 3]]).yaws([3.0, -3.0]).build().unwrap();
+        assert!(turn.reference(turn.duration() / 2.0).yaw.abs() > 3.1, "by the shorter turn, across π");
+    }
+
+    proptest! {
+        /// The integral of snap times the fourth derivative of any change of the way that keeps ends and waypoints is
+        /// zero: no neighbouring way has less snap.
+        #[test]
+        fn snap_is_least(seed in prop::array::uniform32(-1.0..1.0f64)) {
+            let points: Vec<_> = seed.chunks_exact(3).take(4).map(|c| [c[0], c[1], c[2]]).collect();
+            let mut times = vec![0.0];
+            for i in 0..3 {
+                times.push(times[i] + 1.0 + 0.5 * seed[20 + i]);
+            }
+            let way = Waypoints::through(&points).times(times.clone()).build().unwrap();
+            let end = way.duration();
+            let (mut inner, mut size) = (0.0, 0.0);
+            for i in 0..4000 {
+                let t = end * (f64::from(i) + 0.5) / 4000.0;
+                let x = Jet::time(t);
+                let mut change = Jet::constant(1.0);
+                for _ in 0..4 {
+                    change = change * x * (x - Jet::constant(end)) * (1.0 / end / end);
+                }
+                for &knot in &times[1..3] {
+                    change = change * (x - Jet::constant(knot)) * (1.0 / end);
+                }
+                let product = way.reference(t).snap.x * change.derivative(4);
+                inner += product;
+                size += product.abs();
+            }
+            prop_assert!(inner.abs() < 1e-4 * size, "{inner} of {size}");
+        }
+
+        #[test]
+        fn derivatives_are_continuous_at_waypoints(seed in prop::array::uniform32(-1.0..1.0f64)) {
+            let points: Vec<_> = seed.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
+            let way = Waypoints::through(&points).limits(2.0, 4.0).build().unwrap();
+            for &time in &way.times()[1..way.times().len() - 1] {
+                let [before, after] = [-1e-9, 1e-9].map(|h| way.reference(time + h));
+                prop_assert!((before.jerk - after.jerk).norm() < 1e-4 * (1.0 + after.jerk.norm()));
+                prop_assert!((before.snap - after.snap).norm() < 1e-4 * (1.0 + after.snap.norm()));
+            }
+        }
+    }
+
+    #[test]
+    fn impossible_waypoints_are_refused() {
+        let refused = |builder: WaypointsBuilder, what: &str| {
+            let text = builder.build().unwrap_err().to_string();
+            assert!(text.contains(what), "{text}");
+        };
+        let two = || Waypoints::through(&[[0.0; 3], [1.0; 3]]);
+        refused(Waypoints::through(&[[0.0; 3]]), "2 to 200");
+        refused(Waypoints::through(&[[0.0; 3], [f64::NAN; 3]]), "coordinate is NaN");
+        refused(two().yaws([0.0]), "one per waypoint");
+        refused(two().times([0.0, 0.0]), "at least 1 ms");
+        refused(two().times([1.0, 2.0]), "first waypoint's time is 1");
+        refused(two().limits(0.0, 1.0), "greatest speed is 0");
+        refused(two().limits(1.0, f64::INFINITY), "greatest acceleration is inf");
+    }
+
+    #[test]
+    fn two_hundred_waypoints_and_equal_neighbours_are_solved() {
+        let points: Vec<_> = (0..200).map(|i| [f64::from(i / 2 % 7), f64::from(i % 3), 1.0]).collect();
+        let way = Waypoints::through(&points).build().unwrap();
+        for (point, &time) in points.iter().zip(way.times()) {
+            assert!((way.reference(time).position - Vector3::from(*point)).norm() < 1e-6);
+        }
+        let still = Waypoints::through(&[[1.0; 3], [1.0; 3]]).build().unwrap();
+        assert!((still.reference(0.05).position - Vector3::repeat(1.0)).norm() < 1e-12);
+    }
+}
