@@ -246,10 +246,11 @@ impl ActionDecoder {
     /// # Panics
     /// If the action does not have [`size`](ActionType::size) numbers.
     pub fn motor_speeds(&mut self, dt: f64, state: &DroneState, action: &[f64]) -> [f64; 4] {
-        if self.kind == ActionType::OneDRpm {
-            return [self.scale.rpm(action[0]); 4];
-        }
-        let [a, b, c, d] = *action else { panic!("an action of {} numbers, expected 4", action.len()) };
+        let [a, b, c, d] = match (self.kind, action) {
+            (ActionType::OneDRpm, &[x]) => return [self.scale.rpm(x); 4],
+            (kind, &[a, b, c, d]) if kind.size() == 4 => [a, b, c, d],
+            (kind, _) => panic!("an action of {} numbers, expected {}", action.len(), kind.size()),
+        };
         let (scale, limits) = (self.scale, &self.limits);
         let collective = |command: f64, thrust_coefficient: f64| 4.0 * thrust_coefficient * scale.rpm(command).powi(2);
         match &mut self.loops {
@@ -259,7 +260,9 @@ impl ActionDecoder {
                 let (sin, cos) = state.yaw().sin_cos();
                 let velocity = Vector3::new(cos * a - sin * b, sin * a + cos * b, c);
                 let yaw = heading.advance(dt, state, d);
-                let reference = Reference { velocity, yaw, yaw_rate: d, ..Reference::default() };
+                // the heading frame turns, and the velocity with it
+                let acceleration = Vector3::new(-d * velocity.y, d * velocity.x, 0.0);
+                let reference = Reference { velocity, acceleration, yaw, yaw_rate: d, ..Reference::default() };
                 controller.control_velocity(dt, state, &reference).rpm
             }
             Loops::Waypoint { controller } => {
@@ -268,8 +271,10 @@ impl ActionDecoder {
             Loops::Attitude { control, heading, thrust_coefficient } => {
                 let rate = d * limits.yaw_rate;
                 let rpy = Vector3::new(b * limits.tilt, c * limits.tilt, heading.advance(dt, state, rate));
-                let thrust = collective(a, *thrust_coefficient);
-                control.control(dt, state, thrust, &attitude_from_rpy(rpy), &Vector3::new(0.0, 0.0, rate))
+                let wanted = attitude_from_rpy(rpy);
+                // yaw turns about world z, whatever the roll and pitch
+                let body_rate = wanted.inverse_transform_vector(&Vector3::new(0.0, 0.0, rate));
+                control.control(dt, state, collective(a, *thrust_coefficient), &wanted, &body_rate)
             }
             Loops::Rates { control, thrust_coefficient } => {
                 let body_rate = Vector3::new(b, c, d).component_mul(&Vector3::from(limits.body_rate));

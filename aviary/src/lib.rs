@@ -28,6 +28,9 @@ pub mod observation;
 pub mod env;
 pub mod tasks;
 
+pub mod multi_agent;
+pub mod wrappers;
+
 pub mod record;
 
 mod error;

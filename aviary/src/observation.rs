@@ -20,10 +20,12 @@ pub struct ObservationType {
     pub depth: bool,
     /// Objects in every onboard camera.
     pub segmentation: bool,
+    /// Which drones are within the neighbourhood's radius of each other.
+    pub adjacency: bool,
 }
 
 impl ObservationType {
-    const NONE: Self = Self { kinematic: false, rgb: false, depth: false, segmentation: false };
+    const NONE: Self = Self { kinematic: false, rgb: false, depth: false, segmentation: false, adjacency: false };
     /// The task's vector alone.
     pub const KIN: Self = Self { kinematic: true, ..Self::NONE };
     /// Colour alone.
@@ -34,14 +36,27 @@ impl ObservationType {
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
     /// Objects alone.
     pub const SEGMENTATION: Self = Self { segmentation: true, ..Self::NONE };
+    /// Vector and adjacency.
+    pub const KIN_ADJACENCY: Self = Self { kinematic: true, adjacency: true, ..Self::NONE };
+
+    /// Whether there is nothing in it.
+    pub fn is_empty(self) -> bool {
+        self == Self::NONE
+    }
 
     /// Whether it has pictures.
     pub fn has_images(self) -> bool {
         self.rgb || self.depth || self.segmentation
     }
 
-    fn parts(self) -> [(&'static str, bool); 4] {
-        [("kin", self.kinematic), ("rgb", self.rgb), ("depth", self.depth), ("segmentation", self.segmentation)]
+    fn parts(self) -> [(&'static str, bool); 5] {
+        [
+            ("kin", self.kinematic),
+            ("rgb", self.rgb),
+            ("depth", self.depth),
+            ("segmentation", self.segmentation),
+            ("adjacency", self.adjacency),
+        ]
     }
 }
 
@@ -61,7 +76,7 @@ impl fmt::Display for ObservationType {
 /// A name that is no observation type's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "no observation type `{0}`, expected kin, rgb, depth, segmentation or several of them joined by `_`, each once"
+    "no observation type `{0}`, expected kin, rgb, depth, segmentation, adjacency or several of them joined by `_`, each once"
 )]
 pub struct UnknownObservationType(pub String);
 
@@ -77,6 +92,7 @@ impl FromStr for ObservationType {
                 "rgb" => &mut kind.rgb,
                 "depth" => &mut kind.depth,
                 "segmentation" => &mut kind.segmentation,
+                "adjacency" => &mut kind.adjacency,
                 _ => return Err(unknown()),
             };
             if std::mem::replace(flag, true) {
@@ -100,10 +116,12 @@ pub struct Observation {
     pub depth: Vec<f32>,
     /// Objects, N × height × width, `[type, index]`; −1 twice where there is nothing.
     pub segmentation: Vec<[i32; 2]>,
+    /// N × N: whether drones i and j are within the neighbourhood's radius of each other; no drone is its own neighbour.
+    pub adjacency: Vec<bool>,
 }
 
 impl Observation {
-    /// Buffers for a vector of this length and the pictures of so many cameras.
+    /// Buffers for a vector of this length and the pictures of so many cameras, one per drone.
     pub fn with_sizes(kind: ObservationType, vector: usize, cameras: usize, size: ImageSize) -> Self {
         let pixels = |on: bool| if on { cameras * size.pixels() } else { 0 };
         Self {
@@ -111,6 +129,36 @@ impl Observation {
             rgb: vec![0; 4 * pixels(kind.rgb)],
             depth: vec![0.0; pixels(kind.depth)],
             segmentation: vec![[-1; 2]; pixels(kind.segmentation)],
+            adjacency: vec![false; if kind.adjacency { cameras * cameras } else { 0 }],
+        }
+    }
+
+    /// Copies the vector into a buffer of single precision, as batches and policies want it.
+    ///
+    /// # Panics
+    /// If the buffer has another length than the vector.
+    pub fn write_vector(&self, out: &mut [f32]) {
+        assert_eq!(out.len(), self.vector.len(), "a buffer for the observation's vector");
+        for (out, &x) in out.iter_mut().zip(&self.vector) {
+            *out = x as f32;
+        }
+    }
+
+    /// One drone's part, where the vector is made of equal blocks: its block, its pictures, its row of the adjacency.
+    ///
+    /// # Panics
+    /// If there are not so many drones.
+    pub fn of_drone(&self, drone: usize, drones: usize) -> Self {
+        fn part<T: Clone>(all: &[T], drone: usize, drones: usize) -> Vec<T> {
+            let size = all.len() / drones;
+            all[drone * size..(drone + 1) * size].to_vec()
+        }
+        Self {
+            vector: part(&self.vector, drone, drones),
+            rgb: part(&self.rgb, drone, drones),
+            depth: part(&self.depth, drone, drones),
+            segmentation: part(&self.segmentation, drone, drones),
+            adjacency: part(&self.adjacency, drone, drones),
         }
     }
 

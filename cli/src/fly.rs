@@ -3,6 +3,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::anyhow;
+use aviary::control::ControllerKind;
 use aviary::env::{Env, Info};
 use aviary::record::CsvLog;
 use aviary::record::picture::GifAnimation;
@@ -113,12 +114,17 @@ impl Fly {
             film.finish(pilot.env_mut())?;
         }
         let mut info = pilot.env().info();
+        if pilot.has_plan() {
+            // the error that is told is that from the way flown
+            info.position_error = pilot.position_error();
+        }
         if pilot.trajectory().is_some() {
             // the trajectory, not the task, says where to be
             info.position_error = pilot.position_error();
+            info.progress = 1.0;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }
-        Ok(Flight { info, reward, wall_seconds, errors })
+        Ok(Flight { controller: pilot.kind(), info, reward, wall_seconds, errors })
     }
 }
 
@@ -210,6 +216,7 @@ impl Errors {
 /// How a flight went.
 #[derive(Debug)]
 struct Flight {
+    controller: ControllerKind,
     info: Info,
     reward: f64,
     wall_seconds: f64,
@@ -219,16 +226,20 @@ struct Flight {
 impl Flight {
     fn json(&self, env: &dyn Env, options: &FlightOptions) -> Value {
         let simulation = env.simulation();
-        let crashed = self.info.crashed();
-        let drones: Vec<_> = (simulation.states().iter())
-            .map(|state| json!({ "final_position": state.position.as_slice(), "crashed": crashed }))
+        let drones: Vec<_> = (simulation.states().iter().enumerate())
+            .map(|(drone, state)| {
+                let crashed = env.drone_end(drone).is_some_and(|end| end.is_crash());
+                json!({ "final_position": state.position.as_slice(), "crashed": crashed })
+            })
             .collect();
+        let measures: serde_json::Map<_, _> =
+            env.info_map().into_iter().map(|(name, value)| (name.to_string(), json!(value))).collect();
         json!({
             "task": env.name(),
             "drone_model": simulation.params(0).name,
             "physics": simulation.physics().name(),
             "engine": "mujoco",
-            "controller": options.controller,
+            "controller": self.controller.name(),
             "trajectory": options.trajectory,
             "seed": options.seed,
             "success": self.info.success,
@@ -241,6 +252,8 @@ impl Flight {
             "rms_position_error_last_2s": self.errors.rms_last_2s(),
             "mean_position_error": self.errors.mean(),
             "peak_position_error": self.errors.peak,
+            "progress": self.info.progress,
+            "info": measures,
             "drones": drones,
         })
     }
@@ -252,8 +265,14 @@ impl Flight {
             (false, Some(end)) => format!("no ({end})"),
             (false, None) => "no".to_string(),
         };
-        output::table(&[
-            ("task", format!("{} with {}", env.name(), env.simulation().params(0).name)),
+        let mut measures: Vec<_> = Vec::new();
+        env.measures(&mut |name, value| measures.push((name.replace('_', " "), format!("{value:.3}"))));
+        let mut rows = vec![
+            (
+                "task",
+                format!("{} with {} {}", env.name(), env.simulation().num_drones(), env.simulation().params(0).name),
+            ),
+            ("controller", self.controller.to_string()),
             ("physics", env.simulation().physics().to_string()),
             ("success", success),
             ("final position error", centimetres(self.info.position_error)),
@@ -263,6 +282,8 @@ impl Flight {
             ("reward", format!("{:.2}", self.reward)),
             ("simulated time", format!("{:.2} s", self.info.time)),
             ("simulated s per wall s", format!("{:.0}", self.info.time / self.wall_seconds.max(1e-9))),
-        ])
+        ];
+        rows.extend(measures.iter().map(|(name, value)| (&**name, value.clone())));
+        output::table(&rows)
     }
 }

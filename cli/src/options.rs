@@ -4,14 +4,16 @@ use std::path::Path;
 use std::str::FromStr;
 
 use anyhow::anyhow;
-use aviary::control::ControllerKind;
+use aviary::action::ActionType;
 use aviary::control::trajectory::{self, Trajectory};
+use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::BuildError;
-use aviary::env::{Env, EnvError};
+use aviary::env::{Env, EnvConfig, EnvError};
 use aviary::physics::Physics;
-use aviary::tasks::Hover;
+use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
 use aviary::vision::ImageSize;
+use aviary::wrappers::SafetyWrapper;
 use clap::Args;
 
 use crate::failure::Failure;
@@ -28,9 +30,12 @@ pub struct FlightOptions {
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
     #[arg(long, default_value = "mjc")]
     pub physics: String,
-    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories)
-    #[arg(long, default_value = "pid")]
-    pub controller: String,
+    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories); the task's by default
+    #[arg(long)]
+    pub controller: Option<String>,
+    /// Number of drones; the task's by default
+    #[arg(long, allow_negative_numbers = true)]
+    pub num_drones: Option<usize>,
     /// Trajectory to follow in place of the task's own target: circle, lemniscate, helix, square, loop, or a TOML file.
     /// The flight starts at rest where it starts, and lasts as long as it does
     #[arg(long)]
@@ -44,20 +49,35 @@ pub struct FlightOptions {
     /// Control rate, Hz
     #[arg(long, default_value_t = 48, allow_negative_numbers = true)]
     pub ctrl_freq: u32,
-    /// Seed of everything random: equal seeds give equal files (hover by itself has nothing random)
+    /// Seed of everything random: equal seeds give equal files (only velocity has something random by itself)
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     pub seed: u64,
 }
 
 impl FlightOptions {
+    /// The task's summary.
+    fn summary(&self) -> Result<TaskSummary, Failure> {
+        one_of("task", &self.task, &tasks::NAMES)?;
+        tasks::summary(&self.task).ok_or_else(|| Failure::input(anyhow!("--task is `{}`", self.task)))
+    }
+
     /// The controller's kind.
     pub fn controller(&self) -> Result<ControllerKind, Failure> {
-        named("controller", &self.controller, &ControllerKind::ALL.map(ControllerKind::name))
+        match &self.controller {
+            Some(name) => named("controller", name, &ControllerKind::ALL.map(ControllerKind::name)),
+            None => Ok(self.summary()?.defaults.controller),
+        }
     }
 
     /// What to follow in place of the task's own reference.
     pub fn trajectory(&self) -> Result<Option<Box<dyn Trajectory>>, Failure> {
         let Some(name) = &self.trajectory else { return Ok(None) };
+        if self.summary()?.name != "hover" {
+            return Err(Failure::input(anyhow!(
+                "--trajectory goes with --task hover, whose target it replaces, not with `{}`",
+                self.task
+            )));
+        }
         if Path::new(name).extension().is_some_and(|extension| extension == "toml") {
             return trajectory::from_file(name).map(Some).map_err(Failure::input);
         }
@@ -67,33 +87,55 @@ impl FlightOptions {
 
     /// The environment they describe.
     pub fn environment(&self, trajectory: Option<&dyn Trajectory>) -> Result<Box<dyn Env>, Failure> {
-        one_of("task", &self.task, &aviary::tasks::all().iter().map(|task| task.name).collect::<Vec<_>>())?;
+        let summary = self.summary()?;
         let physics = named::<Physics>("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
-        let mut builder = Hover::builder()
+        let mut config = EnvConfig::default()
             .drone(drone(&self.drone)?)
             .physics(physics)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq);
-        if let Some(trajectory) = trajectory {
-            let start = trajectory.start();
-            builder = builder
-                .initial_positions([start.position.into()])
-                .initial_rpys([[0.0, 0.0, start.yaw]])
-                .episode_seconds(trajectory.duration())
-                // a trajectory may go upside down, and as high as it likes
-                .task(|hover| (hover.crash.max_tilt, hover.max_height) = (std::f64::consts::PI, f64::INFINITY));
+        if let Some(count) = self.num_drones {
+            config = config.num_drones(count);
         }
-        if let Some(seconds) = self.duration {
-            builder = builder.episode_seconds(seconds);
+        if let Some(seconds) = self.duration.or(trajectory.map(Trajectory::duration)) {
+            config = config.episode_seconds(seconds);
         }
-        let env = builder.build().map_err(|error| match (&error, self.duration) {
+        let env = match (trajectory, summary.name) {
+            (Some(trajectory), _) => {
+                let start = trajectory.start();
+                config
+                    .with_task(Hover::default())
+                    .initial_positions([start.position.into()])
+                    .initial_rpys([[0.0, 0.0, start.yaw]])
+                    // a trajectory may go upside down, and as high as it likes
+                    .task(|hover| (hover.crash.max_tilt, hover.max_height) = (std::f64::consts::PI, f64::INFINITY))
+                    .build()
+                    .map(|env| Box::new(env) as Box<dyn Env>)
+            }
+            (None, "antipodal") => antipodal(config, self.controller()?),
+            (None, name) => tasks::make(name, config),
+        };
+        env.map_err(|error| match (&error, self.duration) {
             (EnvError::Option { option: "the length of an episode", expected, .. }, Some(seconds)) => {
                 Failure::input(anyhow!("--duration is {seconds} s, expected {expected}"))
             }
             _ => Failure::input(error),
-        })?;
-        Ok(Box::new(env))
+        })
     }
+}
+
+/// Velocities behind a safety filter, which is what the task is for.
+fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn Env>, EnvError> {
+    let response = match controller {
+        ControllerKind::Pid => 0.9,
+        ControllerKind::Dsl => 5.0,
+        ControllerKind::Geometric => 10.0,
+    };
+    let task = Antipodal::default();
+    // a drone has somewhat left of the way to its setpoint when the filter speaks
+    let filter = CollisionCone::new(1.2 * task.safety_radius);
+    let env = config.with_task(task).action_type(ActionType::Vel).controller(controller).build()?;
+    Ok(Box::new(SafetyWrapper::new(env, filter)?.response(response)?))
 }
 
 /// A built-in airframe by name, or one from a file.

@@ -1,7 +1,8 @@
 //! A task flown by a built-in controller, control step by control step.
 
+use aviary::action::ActionType;
 use aviary::control::trajectory::Trajectory;
-use aviary::control::{AnyController, Controller as _, Reference};
+use aviary::control::{AnyController, Controller as _, ControllerKind, Reference};
 use aviary::env::Env;
 
 use crate::failure::Failure;
@@ -11,7 +12,10 @@ use crate::options::FlightOptions;
 pub struct Pilot {
     env: Box<dyn Env>,
     controllers: Vec<AnyController>,
+    kind: ControllerKind,
     trajectory: Option<Box<dyn Trajectory>>,
+    /// Each drone's way through the task, where it has one.
+    plans: Vec<Option<Box<dyn Trajectory>>>,
     speeds: Vec<[f64; 4]>,
     action: Vec<f64>,
     dt: f64,
@@ -33,7 +37,21 @@ impl Pilot {
         let controllers = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
         let (dt, action) = (env.simulation().control_period(), vec![0.0; env.action_space().size()]);
         env.reset(Some(options.seed)).map_err(Failure::work)?;
-        Ok(Self { env, controllers, trajectory, speeds: vec![[0.0; 4]; drones], action, dt })
+        let speeds = vec![[0.0; 4]; drones];
+        let mut pilot = Self { env, controllers, kind, trajectory, plans: Vec::new(), speeds, action, dt };
+        pilot.plan();
+        Ok(pilot)
+    }
+
+    /// Looks for a way through the task from where the drones are now.
+    fn plan(&mut self) {
+        let planned = |drone| if self.trajectory.is_none() { self.env.plan(drone) } else { None };
+        self.plans = (0..self.controllers.len()).map(planned).collect();
+    }
+
+    /// The kind of controller.
+    pub fn kind(&self) -> ControllerKind {
+        self.kind
     }
 
     /// Starts the next episode, going on with the same random numbers.
@@ -42,13 +60,14 @@ impl Pilot {
             controller.reset();
         }
         self.env.reset(None).map_err(Failure::work)?;
+        self.plan();
         Ok(())
     }
 
     /// What a drone is asked to follow now.
     pub fn reference(&self, drone: usize) -> Reference {
-        match &self.trajectory {
-            Some(trajectory) => trajectory.reference(self.env.simulation().time()),
+        match self.trajectory.as_ref().or(self.plans[drone].as_ref()) {
+            Some(way) => way.reference(self.env.simulation().time()),
             None => self.env.reference(drone),
         }
     }
@@ -56,6 +75,11 @@ impl Pilot {
     /// Whether it follows a trajectory in place of the task's reference.
     pub fn trajectory(&self) -> Option<&dyn Trajectory> {
         self.trajectory.as_deref()
+    }
+
+    /// Whether drones follow ways through the task that it gave them.
+    pub fn has_plan(&self) -> bool {
+        self.plans.iter().any(Option::is_some)
     }
 
     /// Largest distance of a drone from where it is asked to be now, m.
@@ -68,12 +92,40 @@ impl Pilot {
 
     /// Flies one control step.
     pub fn step(&mut self) -> Result<Flown, Failure> {
+        if self.env.action_type() == ActionType::Vel {
+            self.command_velocities();
+            return self.advance();
+        }
         for drone in 0..self.controllers.len() {
             let reference = self.reference(drone);
             let state = &self.env.simulation().states()[drone];
             self.speeds[drone] = self.controllers[drone].control(self.dt, state, &reference).rpm;
         }
         self.env.action_of_motor_speeds(&self.speeds, &mut self.action).map_err(Failure::work)?;
+        self.advance()
+    }
+
+    /// Velocities towards where the drones are asked to be, a little to the right of it while it is far: somebody has to
+    /// give way first.
+    fn command_velocities(&mut self) {
+        const SPEED: f64 = 1.0;
+        for drone in 0..self.controllers.len() {
+            let (state, reference) = (&self.env.simulation().states()[drone], self.reference(drone));
+            let way = reference.position - state.position;
+            let aside = 0.25 * (way.xy().norm() - 0.3).clamp(0.0, 1.0);
+            let (x, y) = (way.x + aside * way.y, way.y - aside * way.x);
+            let fast = 1.5 * x.hypot(y);
+            let share = 1.5 * (SPEED / fast.max(SPEED));
+            let (sin, cos) = state.yaw().sin_cos();
+            let command = &mut self.action[4 * drone..][..4];
+            command[0] = share * (cos * x + sin * y);
+            command[1] = share * (cos * y - sin * x);
+            command[2] = (2.0 * way.z).clamp(-SPEED, SPEED);
+            command[3] = 0.0;
+        }
+    }
+
+    fn advance(&mut self) -> Result<Flown, Failure> {
         let step = self.env.step(&self.action).map_err(Failure::work)?;
         Ok(Flown { reward: step.reward, over: step.terminated || step.truncated })
     }

@@ -21,21 +21,37 @@ impl Tasks {
                 .map(|task| {
                     json!({
                         "name": task.name,
-                        "drones": task.drones,
-                        "episode_seconds": task.episode_seconds,
-                        "observation_size": task.observation_size,
-                        "action_size": task.action_size,
+                        "drones": task.defaults.num_drones,
+                        "episode_seconds": task.defaults.episode_seconds,
+                        "observation_size": task.observation_size(),
+                        "action_size": task.action_size(),
+                        "per_agent": task.multi_agent,
+                        "controller": task.defaults.controller.name(),
                     })
                 })
                 .collect();
             return output::print_json(&json!(list));
         }
-        let mut text =
-            format!("{:<14}{:>7}{:>13}{:>13}{:>8}\n", "task", "drones", "episode (s)", "observation", "action");
+        let mut text = format!(
+            "{:<13}{:>7}{:>13}{:>15}{:>15}  {}\n",
+            "task", "drones", "episode (s)", "action", "observation", "controller"
+        );
         for task in tasks {
+            let drones = task.defaults.num_drones;
+            // sizes of tasks for any number of drones as the paper writes them
+            let size = |total: usize| match (task.multi_agent, task.name) {
+                (true, _) => format!("{total} per agent"),
+                (_, "hover" | "velocity") => total.to_string(),
+                _ => format!("{total} = {}N", total / drones),
+            };
             text += &format!(
-                "{:<14}{:>7}{:>13}{:>13}{:>8}\n",
-                task.name, task.drones, task.episode_seconds, task.observation_size, task.action_size
+                "{:<13}{:>7}{:>13}{:>15}{:>15}  {}\n",
+                task.name,
+                drones,
+                task.defaults.episode_seconds,
+                size(task.action_size()),
+                size(task.observation_size()),
+                task.defaults.controller
             );
         }
         output::print(&text)

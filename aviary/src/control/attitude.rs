@@ -147,7 +147,7 @@ impl HeadingHold {
 
 /// Every component within ±`limit`.
 pub(super) fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
-    vector.map(|x| x.clamp(-limit, limit))
+    vector.map(|x| x.max(-limit).min(limit))
 }
 
 /// The attitude whose z axis points along `up`, which lies above the horizon, and whose yaw is `yaw`.

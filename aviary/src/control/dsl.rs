@@ -79,12 +79,20 @@ impl Controller for DslPidControl {
 
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         let errors = ControlOutput::of_errors(state, reference);
-        if !(state.is_finite() && reference.is_finite() && dt.is_finite()) {
+        if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
             return errors;
         }
         let setpoint = self.advance(dt, state, reference);
         self.setpoint = Some(setpoint);
-        let limited = Reference { position: setpoint.position, yaw: setpoint.yaw, ..*reference };
+        // nor may the drone be asked to move faster than its setpoint can
+        let speed = reference.velocity.norm();
+        let limited = Reference {
+            position: setpoint.position,
+            velocity: reference.velocity * (Self::MAX_SPEED / speed.max(Self::MAX_SPEED)),
+            yaw: setpoint.yaw,
+            yaw_rate: reference.yaw_rate.clamp(-Self::MAX_YAW_RATE, Self::MAX_YAW_RATE),
+            ..*reference
+        };
         // against the setpoint, not the reference: that is what the loops are to hold
         let feed_forward = &reference.acceleration;
         let output = self.cascade.follow(dt, state, &limited, feed_forward, Self::INTEGRATED);
@@ -93,8 +101,16 @@ impl Controller for DslPidControl {
 
     /// Without a setpoint for the position, whose limit of speed would be the velocity's.
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        self.setpoint = self.setpoint.map(|setpoint| Setpoint { position: state.position, ..setpoint });
-        self.control(dt, state, &Reference { position: state.position, ..*reference })
+        let here = Reference { position: state.position, ..*reference };
+        let errors = ControlOutput::of_errors(state, &here);
+        if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
+            return errors;
+        }
+        let setpoint = Setpoint { position: state.position, ..self.advance(dt, state, &here) };
+        self.setpoint = Some(setpoint);
+        let limited = Reference { yaw: setpoint.yaw, ..here };
+        let output = self.cascade.follow(dt, state, &limited, &reference.acceleration, Self::INTEGRATED);
+        ControlOutput { rpm: output.rpm, ..errors }
     }
 }
 

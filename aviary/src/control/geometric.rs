@@ -31,11 +31,12 @@ impl Default for Bandwidths {
 ///
 /// The thrust is to produce A = a\* + g·ẑ + k_x·e_x + k_v·e_v, per unit of mass. Body z is to point along A, and A's first and
 /// second derivatives, with the accelerations that the present thrust gives, say at which body rates and angular
-/// accelerations it does so. The torque is that of the paper's equation 16, with the whole rotation vector of the attitude
+/// accelerations it does so. The torque is that of the paper, with the whole rotation vector of the attitude
 /// error in place of its sine: the two agree for small errors, and this one does not fade for large ones.
 ///
-/// It flies any attitude: where body z leans towards the reference's heading or away from it, a second chart of the
-/// attitude takes over (the paper's desired heading must never be parallel to the thrust).
+/// It flies any attitude: where body z comes near the heading's left or right, where yaw says nothing, a second chart of the
+/// attitude takes over, and back where it comes near the heading (the paper's desired heading must never be parallel to
+/// the thrust).
 ///
 /// ```
 /// use aviary::control::{Controller, GeometricControl, Reference};
@@ -56,6 +57,8 @@ pub struct GeometricControl {
     /// Most acceleration that errors of position and velocity may ask for, m/s².
     most_feedback: f64,
     chart: Chart,
+    /// Whether its bandwidths are positive numbers.
+    sound: bool,
     integral: Vector3<f64>,
 }
 
@@ -77,7 +80,8 @@ impl GeometricControl {
         Self::with_bandwidths(params, Bandwidths::default())
     }
 
-    /// With loops that answer as fast as one wants them to, within what the control rate carries.
+    /// With loops that answer as fast as one wants them to, within what the control rate carries. Frequencies that are not
+    /// positive numbers, and shares of the integral outside 0 to 1, give speeds that are not numbers.
     pub fn with_bandwidths(params: &DroneParams, bandwidths: Bandwidths) -> Self {
         Self {
             bandwidths,
@@ -87,6 +91,10 @@ impl GeometricControl {
             // less than g, so that errors never turn a level drone over, and within what the motors have to spare
             most_feedback: GRAVITY * (0.8 * (params.thrust_to_weight - 1.0)).clamp(0.1, 0.7),
             chart: Chart::Left(1.0),
+            sound: [bandwidths.horizontal, bandwidths.vertical, bandwidths.tilt, bandwidths.yaw]
+                .iter()
+                .all(|&frequency| frequency > 0.0 && frequency.is_finite())
+                && (0.0..=1.0).contains(&bandwidths.integral),
             integral: Vector3::zeros(),
         }
     }
@@ -123,11 +131,11 @@ impl GeometricControl {
     ) -> (Vector3<f64>, bool) {
         let [stiffness, damping] = gains;
         // an error so large that its way home would need more than the most feedback to brake at its end counts as that
-        let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.most_feedback / stiffness);
+        let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.most_feedback / stiffness.max(1e-9));
         let sideways = position.xy().norm();
         let clipped = sideways > reach[0] || position.z.abs() > reach[1];
         let share = if sideways > reach[0] { reach[0] / sideways } else { 1.0 };
-        let near = Vector3::new(position.x * share, position.y * share, position.z.clamp(-reach[1], reach[1]));
+        let near = Vector3::new(position.x * share, position.y * share, position.z.max(-reach[1]).min(reach[1]));
         let value = stiffness.component_mul(&near) + damping.component_mul(velocity) + self.integral;
         let size = value.norm();
         if size > self.most_feedback { (value * (self.most_feedback / size), false) } else { (value, !clipped) }
@@ -149,17 +157,11 @@ impl GeometricControl {
             - omega.cross(&rate);
         self.inertia.component_mul(&angular_acceleration) + omega.cross(&self.inertia.component_mul(&omega))
     }
-}
 
-impl Controller for GeometricControl {
-    fn reset(&mut self) {
-        self.chart = Chart::Left(1.0);
-        self.integral = Vector3::zeros();
-    }
-
-    fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+    /// Follows a reference, or its velocity alone.
+    fn follow(&mut self, dt: f64, state: &DroneState, reference: &Reference, position_held: bool) -> ControlOutput {
         let output = ControlOutput::of_errors(state, reference);
-        if !(state.is_finite() && reference.is_finite() && dt.is_finite() && dt > 0.0) {
+        if !(self.sound && state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
             return output;
         }
         let up = body_z(&state.attitude);
@@ -168,8 +170,9 @@ impl Controller for GeometricControl {
 
         let frequency = self.frequency(dt);
         self.integrate(dt, &frequency, &output.position_error);
-        let gains @ [stiffness, damping] =
-            [frequency.component_mul(&frequency), 2.0 * Self::POSITION_DAMPING * frequency];
+        let stiffness = if position_held { frequency.component_mul(&frequency) } else { Vector3::zeros() };
+        let damping = 2.0 * Self::POSITION_DAMPING * frequency;
+        let gains = [stiffness, damping];
         let (position, velocity) = (output.position_error, reference.velocity - state.velocity);
         let (feedback, live) = self.feedback(&gains, &position, &velocity);
         let mut wanted = Motion {
@@ -177,6 +180,9 @@ impl Controller for GeometricControl {
             rate: reference.jerk,
             acceleration: reference.snap,
         };
+        if !wanted.value.iter().all(|x| x.is_finite()) {
+            return output;
+        }
         let thrust = wanted.value.dot(&up).max(0.0);
         if live {
             // the acceleration and the jerk that the present thrust gives say how the errors change
@@ -190,6 +196,21 @@ impl Controller for GeometricControl {
         let attitude = self.chart.attitude(&direction, reference);
         let torque = self.torque(dt, state, &attitude);
         ControlOutput { rpm: self.mixer.rpm(self.mass * thrust, torque), ..output }
+    }
+}
+
+impl Controller for GeometricControl {
+    fn reset(&mut self) {
+        self.chart = Chart::Left(1.0);
+        self.integral = Vector3::zeros();
+    }
+
+    fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+        self.follow(dt, state, reference, true)
+    }
+
+    fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
+        self.follow(dt, state, &Reference { position: state.position, ..*reference }, false)
     }
 }
 
@@ -289,8 +310,9 @@ impl Chart {
 
     /// Keeps the chart while it is good, and otherwise goes on in the other one, to the nearer of its two attitudes.
     fn choose(&mut self, z: &Vector3<f64>, forward: &Vector3<f64>, left: &Vector3<f64>) {
-        if z.z > 0.99 {
-            // nearly upright both agree, and this one is what yaw means
+        let turned = matches!(*self, Self::Left(sign) | Self::Forward(sign) if sign < 0.0);
+        if z.z > 0.99 || (turned && z.z > 0.5) {
+            // nearly upright both agree, and this one is what yaw means; and upright none may point backwards
             *self = Self::Left(1.0);
         }
         match *self {

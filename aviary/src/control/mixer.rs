@@ -37,6 +37,10 @@ impl Mixer {
             return [f64::NAN; 4];
         }
         let forces = self.saturate(thrust, torque_body);
+        if forces.iter().any(|force| force.is_nan()) {
+            // so large that it is beyond counting
+            return [f64::NAN; 4];
+        }
         let rpm = |force: f64| (force.max(0.0) / self.thrust_coefficient).sqrt().min(self.max_rpm);
         [rpm(forces[0]), rpm(forces[1]), rpm(forces[2]), rpm(forces[3])]
     }

@@ -7,7 +7,7 @@
 //! | [`GeometricControl`] | SE(3) with full feed-forward: trajectories of any attitude, flips |
 //! | [`AttitudeControl`], [`RateControl`] | the inner loops alone: attitude or body rates under a thrust |
 //!
-//! [`trajectory`] has what they follow: positions with exact derivatives.
+//! [`CollisionCone`] keeps drones apart; [`trajectory`] has what they follow: positions with exact derivatives.
 
 mod attitude;
 mod dsl;
@@ -17,6 +17,7 @@ mod mixer;
 mod pid;
 mod rate;
 mod reference;
+mod safety;
 pub mod trajectory;
 
 pub use attitude::{AttitudeControl, AttitudeGains, HeadingHold};
@@ -27,6 +28,7 @@ pub use mixer::Mixer;
 pub use pid::{PidControl, PidGains, PositionGains};
 pub use rate::RateControl;
 pub use reference::Reference;
+pub use safety::{CollisionCone, SafetyError};
 
 use nalgebra::Vector3;
 

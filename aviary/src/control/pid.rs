@@ -112,7 +112,7 @@ impl PidControl {
         integrated: f64,
     ) -> ControlOutput {
         let output = ControlOutput::of_errors(state, reference);
-        if !(state.is_finite() && reference.is_finite() && dt.is_finite()) {
+        if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
             // what is not a number must not enter the integrals, from which only a reset would remove it
             return output;
         }
@@ -124,7 +124,8 @@ impl PidControl {
         }
         let acceleration = self.position_loop(&position_error, &velocity_error, feed_forward);
         let wanted = attitude_along(&acceleration, reference.yaw);
-        let body_rate = Vector3::new(0.0, 0.0, reference.yaw_rate);
+        // yaw turns about world z, whatever the roll and pitch
+        let body_rate = wanted.inverse_transform_vector(&Vector3::new(0.0, 0.0, reference.yaw_rate));
         let rpm = self.attitude.control(dt, state, self.mass * acceleration.norm(), &wanted, &body_rate);
         ControlOutput { rpm, ..output }
     }
@@ -185,7 +186,7 @@ mod tests {
             prop_assert!(tilt <= PidControl::MAX_TILT + 1e-9, "{tilt}");
         }
 
-        /// At every yaw an error in x leans the drone towards x, and the torque turns it the shorter way.
+        /// From any attitude the torque turns the drone upright the shorter way.
         #[test]
         fn torques_turn_the_body_towards_the_error(roll in -1.0..1.0, pitch in -1.0..1.0, yaw in -3.0..3.0) {
             let params = DroneModel::Race.params();

@@ -20,7 +20,7 @@ impl RateControl {
     /// step cannot be held any harder.
     const FASTEST: f64 = 1.5;
 
-    /// For an airframe: 1/30 s about roll and pitch, 1/60 s about yaw, where motors have less to push with.
+    /// For an airframe: 1/30 s about roll and pitch, 1/15 s about yaw, where motors have less to push with.
     pub fn new(params: &DroneParams) -> Self {
         Self { bandwidth: Vector3::new(30.0, 30.0, 15.0), inertia: params.inertia_vector(), mixer: Mixer::new(params) }
     }
@@ -28,6 +28,9 @@ impl RateControl {
     /// Motor speeds (rpm) for the coming control step of `dt` seconds: a collective thrust (N) along body z, and torques
     /// that bring the body to `body_rate` (body frame, rad/s). What is not a number gives speeds that are not numbers.
     pub fn control(&self, dt: f64, state: &DroneState, thrust: f64, body_rate: &Vector3<f64>) -> [f64; 4] {
+        if !(dt > 0.0 && dt.is_finite()) {
+            return [f64::NAN; 4];
+        }
         let bandwidth = self.bandwidth.map(|k| k.min(1.0 / (Self::FASTEST * dt)));
         let momentum = self.inertia.component_mul(&state.angular_velocity);
         let torque = self.inertia.component_mul(&bandwidth).component_mul(&(body_rate - state.angular_velocity))

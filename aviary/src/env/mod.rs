@@ -1,15 +1,22 @@
 //! What an environment promises: Gymnasium's contract, in Rust.
 
 mod aviary;
+mod builder;
+mod checker;
 mod space;
 mod task;
 
-pub use aviary::{Aviary, AviaryBuilder};
-pub use space::{BoxSpace, ObservationSpace};
+pub use aviary::Aviary;
+pub use builder::{AviaryBuilder, EnvConfig};
+pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
+pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
 pub use task::{Task, TaskDefaults};
 
-use crate::action::ActionLimitsError;
-use crate::control::Reference;
+use std::collections::BTreeMap;
+
+use crate::action::{ActionLimitsError, ActionType};
+use crate::control::trajectory::Trajectory;
+use crate::control::{Reference, SafetyError};
 use crate::engine::BuildError;
 use crate::observation::Observation;
 use crate::simulation::{Simulation, SimulationError};
@@ -49,6 +56,8 @@ pub enum EndReason {
     Tilt,
     /// A drone left the space of the task.
     OutOfBounds,
+    /// Everything that the task asks for is done.
+    Completed,
 }
 
 impl EndReason {
@@ -62,12 +71,13 @@ impl EndReason {
             Self::DroneContact => "drone_contact",
             Self::Tilt => "tilt",
             Self::OutOfBounds => "out_of_bounds",
+            Self::Completed => "completed",
         }
     }
 
-    /// Whether the drone is lost: everything but the time limit and leaving the space.
+    /// Whether the drone is lost: everything but the time limit, leaving the space and completion.
     pub fn is_crash(self) -> bool {
-        !matches!(self, Self::TimeLimit | Self::OutOfBounds)
+        !matches!(self, Self::TimeLimit | Self::OutOfBounds | Self::Completed)
     }
 }
 
@@ -83,8 +93,10 @@ impl std::fmt::Display for EndReason {
 pub struct Info {
     /// Simulated time of the episode, s.
     pub time: f64,
-    /// Whether the task is fulfilled at this moment.
+    /// Whether the task is fulfilled at this moment, by every drone.
     pub success: bool,
+    /// How much of the task is done, from 0 to 1, on average over the drones.
+    pub progress: f64,
     /// Why the episode ended; `None` while it runs.
     pub end: Option<EndReason>,
     /// Largest distance of a drone from where the task wants it now, m.
@@ -104,6 +116,7 @@ impl Info {
         [
             ("time", self.time),
             ("success", f64::from(u8::from(self.success))),
+            ("progress", self.progress),
             ("crashed", f64::from(u8::from(self.crashed()))),
             ("position_error", self.position_error),
             ("contacts", self.contacts as f64),
@@ -156,6 +169,19 @@ pub enum EnvError {
     /// The simulation underneath.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
+    /// The safety filter.
+    #[error(transparent)]
+    Safety(#[from] SafetyError),
+    /// An action for an agent that is not there, or none for one that is.
+    #[error("{what} the agent `{agent}`, expected one for each of: {expected}")]
+    Agent {
+        /// What was done.
+        what: &'static str,
+        /// Its name.
+        agent: String,
+        /// The live agents.
+        expected: String,
+    },
     /// Pictures cannot be drawn.
     #[error(transparent)]
     Vision(#[from] BuildError),
@@ -209,8 +235,34 @@ pub trait Env {
     /// [`EnvError::Simulation`] where the state diverged.
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError>;
 
+    /// What the last reset or step returned as observation; zeros before the first.
+    fn observation(&self) -> &Observation;
+
     /// How the episode stands.
     fn info(&self) -> Info;
+
+    /// Reports further numbers of the task by name: gates passed, formation error.
+    fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
+        let _ = report;
+    }
+
+    /// Everything that [`info`](Self::info) and [`measures`](Self::measures) say, by name; truth values as 0 and 1.
+    fn info_map(&self) -> BTreeMap<&'static str, f64> {
+        let mut map: BTreeMap<_, _> = self.info().values().collect();
+        self.measures(&mut |name, value| {
+            map.insert(name, value);
+        });
+        map
+    }
+
+    /// How the last step ended for a drone.
+    ///
+    /// # Panics
+    /// If there is no drone of that index; likewise below.
+    fn drone_end(&self, drone: usize) -> Option<EndReason>;
+
+    /// What the numbers of an action mean.
+    fn action_type(&self) -> ActionType;
 
     /// Control steps after which an episode is cut off.
     fn episode_steps(&self) -> u64;
@@ -218,7 +270,20 @@ pub trait Env {
     /// What a controller flying this task would be asked to follow now.
     fn reference(&self, drone: usize) -> Reference;
 
-    /// The normalized action (written to `action`) that commands these motor speeds (rpm), for controllers that
+    /// A way that fulfils the task from a drone's present state, for controllers that follow trajectories; `None` where
+    /// following [`reference`](Self::reference) does.
+    fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
+        let _ = drone;
+        None
+    }
+
+    /// Whether an entry of the observation's vector may stay the same for a whole episode, as a target does.
+    fn may_be_constant(&self, entry: usize) -> bool {
+        let _ = entry;
+        false
+    }
+
+    /// The action, normalized or raw as its type has it (written to `action`) that commands these motor speeds (rpm), for controllers that
     /// speak in motor speeds.
     ///
     /// # Errors

@@ -22,6 +22,12 @@ impl BoxSpace {
         Self { low, high }
     }
 
+    /// The same bounds so many times, one after the other.
+    #[must_use]
+    pub fn repeated(&self, times: usize) -> Self {
+        Self { low: self.low.repeat(times), high: self.high.repeat(times) }
+    }
+
     /// How many entries a vector has.
     pub fn size(&self) -> usize {
         self.low.len()
@@ -72,8 +78,10 @@ pub struct ObservationSpace {
     pub vector: BoxSpace,
     /// Which parts there are.
     pub kind: ObservationType,
-    /// Onboard cameras: one per drone.
+    /// Onboard cameras, one for each drone that it is about.
     pub cameras: usize,
+    /// Columns of the adjacency: all drones.
+    pub neighbours: usize,
     /// Size of their pictures.
     pub camera_size: ImageSize,
 }
@@ -96,6 +104,40 @@ impl ObservationSpace {
         self.kind.segmentation.then_some([cameras, height, width, 2])
     }
 
+    /// Shape of the adjacency matrix, `[drones it is about, all drones]`, each entry true or false.
+    pub fn adjacency_shape(&self) -> Option<[usize; 2]> {
+        self.kind.adjacency.then_some([self.cameras, self.neighbours])
+    }
+
+    /// Every part by name, with its shape, type and bounds: the dictionary that Gymnasium would have.
+    pub fn parts(&self) -> Vec<Part> {
+        let far = World::CLIP_PLANES[1];
+        let mut parts = Vec::new();
+        let mut add = |name, shape: Option<Vec<usize>>, dtype, bounds| {
+            parts.extend(shape.map(|shape| Part { name, shape, dtype, bounds }));
+        };
+        let least = self.vector.low().iter().copied().fold(f64::INFINITY, f64::min);
+        let most = self.vector.high().iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        add("vector", self.kind.kinematic.then(|| vec![self.vector.size()]), Dtype::F64, [least, most]);
+        add("rgb", self.rgb_shape().map(Vec::from), Dtype::U8, [0.0, 255.0]);
+        add("depth", self.depth_shape().map(Vec::from), Dtype::F32, [0.0, far]);
+        add("segmentation", self.segmentation_shape().map(Vec::from), Dtype::I32, [-1.0, f64::from(i32::MAX)]);
+        add("adjacency", self.adjacency_shape().map(Vec::from), Dtype::Bool, [0.0, 1.0]);
+        parts
+    }
+
+    /// A random observation of this space.
+    pub fn sample(&self, rng: &mut super::Rng) -> Observation {
+        let mut sample = Observation::with_sizes(self.kind, self.vector.size(), self.cameras, self.camera_size);
+        sample.vector = self.vector.sample(rng);
+        sample.adjacency.resize(self.adjacency_shape().map_or(0, |shape| shape.iter().product()), false);
+        sample.rgb.fill_with(|| rng.random());
+        sample.depth.fill_with(|| rng.random_range(0.0..=World::CLIP_PLANES[1] as f32));
+        sample.segmentation.fill_with(|| [rng.random_range(-1..10), rng.random_range(-1..10)]);
+        sample.adjacency.fill_with(|| rng.random());
+        sample
+    }
+
     fn picture_shape(&self) -> [usize; 3] {
         [self.cameras, self.camera_size.height as usize, self.camera_size.width as usize]
     }
@@ -108,9 +150,38 @@ impl ObservationSpace {
             && observation.rgb.len() == 4 * pixels(self.kind.rgb)
             && observation.depth.len() == pixels(self.kind.depth)
             && observation.segmentation.len() == pixels(self.kind.segmentation)
+            && observation.adjacency.len() == if self.kind.adjacency { self.cameras * self.neighbours } else { 0 }
             && observation.depth.iter().all(|z| (0.0..=far).contains(z))
             && observation.segmentation.iter().flatten().all(|&number| number >= -1)
     }
+}
+
+/// The type of the numbers in a part of an observation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Dtype {
+    /// Double precision.
+    F64,
+    /// Single precision.
+    F32,
+    /// Bytes.
+    U8,
+    /// Whole numbers.
+    I32,
+    /// True or false.
+    Bool,
+}
+
+/// A part of an observation, by name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Part {
+    /// The field of [`Observation`].
+    pub name: &'static str,
+    /// Lengths of its dimensions.
+    pub shape: Vec<usize>,
+    /// The type of its numbers.
+    pub dtype: Dtype,
+    /// The least and the greatest number of all; a vector's entries have bounds of their own.
+    pub bounds: [f64; 2],
 }
 
 #[cfg(test)]

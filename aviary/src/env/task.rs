@@ -1,6 +1,10 @@
 use super::{BoxSpace, EndReason, EnvError, Rng};
-use crate::control::Reference;
+use crate::control::trajectory::Trajectory;
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
+use crate::world::Marker;
 
 /// What a task starts from unless the caller says otherwise.
 #[derive(Debug, Clone, PartialEq)]
@@ -9,30 +13,45 @@ pub struct TaskDefaults {
     pub num_drones: usize,
     /// Length of an episode, s.
     pub episode_seconds: f64,
+    /// The built-in controller that flies it.
+    pub controller: ControllerKind,
 }
 
-/// A task: what is seen, what is rewarded and when it ends. [`Aviary`](super::Aviary) makes an environment of it.
+/// A task: what is seen, what is rewarded and when it ends, drone by drone. [`Aviary`](super::Aviary) makes an environment
+/// of it, in which one agent commands all drones, sees their blocks of numbers one after the other and is paid the
+/// sum of their rewards; [`ParallelAviary`](crate::multi_agent::ParallelAviary) one in which every drone is an agent.
 ///
 /// The order of calls is `reset`, `observe` at the start of an episode, and after every control step `update`,
 /// `end`, `reward`, `observe`: what `update` changes (a waypoint that was reached) is seen by all that follow.
-pub trait Task {
+///
+/// A worked example is `examples/custom_task.rs`.
+pub trait Task: std::fmt::Debug {
     /// Name, in lower snake case.
     fn name(&self) -> &'static str;
 
     /// Where it starts from.
     fn defaults(&self) -> TaskDefaults;
 
-    /// Initial positions for so many drones, world frame, m.
-    fn initial_positions(&self, num_drones: usize) -> Vec<[f64; 3]>;
+    /// Initial positions for these drones, world frame, m.
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]>;
 
-    /// What its observations look like for so many drones.
-    fn observation_space(&self, num_drones: usize) -> BoxSpace;
+    /// What the observation of one drone looks like. Entries 0 to 11 are those of
+    /// [`state_vector`](crate::observation::state_vector) in every task that comes with this crate.
+    fn observation_space(&self) -> BoxSpace;
 
-    /// Checks the task's own options against the number of drones.
+    /// Checks the task's own options against the drones.
     ///
     /// # Errors
     /// [`EnvError::Option`] naming one that is impossible.
-    fn check(&self, num_drones: usize) -> Result<(), EnvError>;
+    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        let _ = drones;
+        Ok(())
+    }
+
+    /// What is to be seen of it: gates, waypoints.
+    fn markers(&self) -> Vec<Marker> {
+        Vec::new()
+    }
 
     /// Starts an episode; every random draw comes from `rng`.
     fn reset(&mut self, simulation: &Simulation, rng: &mut Rng);
@@ -40,18 +59,41 @@ pub trait Task {
     /// Looks at the new state after a control step.
     fn update(&mut self, simulation: &Simulation);
 
-    /// Why the episode is over, if it is (the time limit is not the task's).
-    fn end(&self, simulation: &Simulation) -> Option<EndReason>;
+    /// Why the episode is over for a drone, if it is (the time limit is not the task's).
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason>;
 
-    /// Reward of the last control step, whose end was `end`.
-    fn reward(&self, simulation: &Simulation, end: Option<EndReason>) -> f64;
+    /// A drone's share of the last control step's reward; `end` is how that step ended for it.
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64;
 
-    /// Writes the observation.
-    fn observe(&self, simulation: &Simulation, out: &mut [f64]);
+    /// Writes a drone's observation.
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]);
 
-    /// Whether the task is fulfilled at this moment.
-    fn success(&self, simulation: &Simulation) -> bool;
+    /// Whether a drone fulfils its part of the task at this moment.
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool;
 
-    /// What a controller flying this task would be asked to follow now.
+    /// How much of its part a drone has done, from 0 to 1.
+    fn progress(&self, simulation: &Simulation, drone: usize) -> f64 {
+        f64::from(u8::from(self.success(simulation, drone)))
+    }
+
+    /// Where the task wants a drone to be now.
     fn reference(&self, simulation: &Simulation, drone: usize) -> Reference;
+
+    /// A way that fulfils the task from the drone's present state, for controllers that follow trajectories; `None` where
+    /// following [`reference`](Self::reference) does.
+    fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
+        let _ = (simulation, drone);
+        None
+    }
+
+    /// Reports further numbers by name: gates passed, formation error.
+    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        let _ = (simulation, report);
+    }
+
+    /// Whether an entry of a drone's observation may stay the same for a whole episode, as a target does. The checker
+    /// complains of every other one that does.
+    fn may_be_constant(&self, entry: usize) -> bool {
+        entry >= STATE_SIZE
+    }
 }

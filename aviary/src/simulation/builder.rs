@@ -7,7 +7,7 @@ use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
 use crate::physics::{Effects, Physics, Wrench};
 use crate::state::DroneState;
-use crate::world::{DroneBody, Forcing, Integrator, Medium, Obstacle, World};
+use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, World};
 
 /// The options of a [`Simulation`]; what is not said is the paper's default.
 #[derive(Debug, Clone)]
@@ -24,6 +24,7 @@ pub struct SimulationBuilder {
     forcing: Forcing,
     actuators: ActuatorParams,
     obstacles: Vec<Obstacle>,
+    markers: Vec<Marker>,
     integrator: Integrator,
     medium: Option<Medium>,
 }
@@ -44,6 +45,7 @@ impl SimulationBuilder {
             forcing: Forcing::default(),
             actuators: ActuatorParams::default(),
             obstacles: Vec::new(),
+            markers: Vec::new(),
             integrator: Integrator::Rk4,
             medium: None,
         }
@@ -135,6 +137,18 @@ impl SimulationBuilder {
         self
     }
 
+    /// Things that are seen and not touched, beside those that are there already.
+    #[must_use]
+    pub fn markers(mut self, markers: impl IntoIterator<Item = Marker>) -> Self {
+        self.markers.extend(markers);
+        self
+    }
+
+    /// Airframes so far, in order.
+    pub(crate) fn airframes(&self) -> &[DroneParams] {
+        &self.drones
+    }
+
     /// Physics rate, Hz; 240 by default.
     #[must_use]
     pub fn sim_freq(mut self, hertz: u32) -> Self {
@@ -217,6 +231,7 @@ impl SimulationBuilder {
             medium: self.medium,
             forcing: self.forcing,
             obstacles: self.obstacles,
+            markers: self.markers,
             ..World::new(bodies)
         };
         let engine = match self.physics {

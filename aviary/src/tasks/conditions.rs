@@ -26,6 +26,11 @@ impl CrashConditions {
     }
 }
 
+/// What every task takes off the reward for a crash.
+pub(super) fn crash_penalty(end: Option<EndReason>) -> f64 {
+    if end.is_some_and(EndReason::is_crash) { 100.0 } else { 0.0 }
+}
+
 /// Distance between a drone and the floor from which on it counts as airborne, m.
 const CLEAR_OF_FLOOR: f64 = 0.01;
 
@@ -36,54 +41,59 @@ fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
     state.position.z - 0.5 * params.collision_height * up.abs() - params.collision_radius * sideways
 }
 
-/// Watches the drones of an episode for crashes.
+/// Watches the drones of an episode for crashes: what a task asks in its `end`.
 #[derive(Debug, Clone, Default)]
-pub(super) struct CrashWatch {
+pub struct CrashWatch {
     /// Which drones have been clear of the floor since the start.
     airborne: Vec<bool>,
-    found: Option<EndReason>,
+    found: Vec<Option<EndReason>>,
 }
 
 impl CrashWatch {
-    pub(super) fn reset(&mut self, simulation: &Simulation) {
+    /// Starts an episode.
+    pub fn reset(&mut self, simulation: &Simulation) {
         self.airborne.clear();
         self.airborne.resize(simulation.num_drones(), false);
-        self.found = None;
+        self.found.clear();
+        self.found.resize(simulation.num_drones(), None);
     }
 
     /// Looks at the last control step.
-    pub(super) fn update(&mut self, conditions: &CrashConditions, simulation: &Simulation) {
-        self.found = self.look(conditions, simulation);
-    }
-
-    fn look(&mut self, conditions: &CrashConditions, simulation: &Simulation) -> Option<EndReason> {
-        let mut found = None;
-        for (drone, (state, airborne)) in simulation.states().iter().zip(&mut self.airborne).enumerate() {
+    pub fn update(&mut self, conditions: &CrashConditions, simulation: &Simulation) {
+        for (drone, state) in simulation.states().iter().enumerate() {
+            let mut found = None;
             let mut on_floor = false;
-            for contact in simulation.contacts().iter().filter(|contact| contact.drone == drone) {
+            for contact in simulation.contacts() {
+                // two drones that touch are one contact, named after the first of them
                 let reason = match contact.with {
-                    Touched::Floor => {
-                        on_floor = true;
-                        (conditions.floor_contact && *airborne).then_some(EndReason::FloorContact)
+                    Touched::Drone(other) if contact.drone == drone || other == drone => {
+                        conditions.drone_contact.then_some(EndReason::DroneContact)
                     }
-                    Touched::Obstacle(_) => conditions.obstacle_contact.then_some(EndReason::ObstacleContact),
-                    Touched::Drone(_) => conditions.drone_contact.then_some(EndReason::DroneContact),
+                    Touched::Floor if contact.drone == drone => {
+                        on_floor = true;
+                        (conditions.floor_contact && self.airborne[drone]).then_some(EndReason::FloorContact)
+                    }
+                    Touched::Obstacle(_) if contact.drone == drone => {
+                        conditions.obstacle_contact.then_some(EndReason::ObstacleContact)
+                    }
+                    _ => None,
                 };
                 found = found.or(reason);
             }
             // a drone that stands on the floor may do so without a point of contact for a step
-            *airborne |= !on_floor && clearance(simulation.params(drone), state) > CLEAR_OF_FLOOR;
+            self.airborne[drone] |= !on_floor && clearance(simulation.params(drone), state) > CLEAR_OF_FLOOR;
             if conditions.below_floor && state.position.z < 0.0 {
                 found = found.or(Some(EndReason::BelowFloor));
             }
             if state.tilt() > conditions.max_tilt {
                 found = found.or(Some(EndReason::Tilt));
             }
+            self.found[drone] = found;
         }
-        found
     }
 
-    pub(super) fn found(&self) -> Option<EndReason> {
-        self.found
+    /// How a drone crashed during the last control step, if it did.
+    pub fn end(&self, drone: usize) -> Option<EndReason> {
+        self.found.get(drone).copied().flatten()
     }
 }

@@ -1,12 +1,15 @@
-use std::f64::consts::{FRAC_PI_2, PI};
+use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
 
-use super::conditions::{CrashConditions, CrashWatch};
-use crate::control::Reference;
+use super::STATE_BOUNDS;
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::state_vector;
 use crate::simulation::Simulation;
+use crate::state::DroneState;
 
 /// One drone takes off and hovers (paper, §4.1 `HoverAviary`).
 ///
@@ -48,16 +51,13 @@ impl Default for Hover {
 }
 
 impl Hover {
-    /// Distance from the target, in height and to the side, within which it counts as reached, m.
-    const AT_TARGET: f64 = 0.05;
-
     /// Options of the task as an environment.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    fn at_target(&self, position: &Vector3<f64>) -> bool {
-        (position.z - self.target_height).abs() < Self::AT_TARGET && position.xy().norm() < Self::AT_TARGET
+    fn target(&self) -> Vector3<f64> {
+        Vector3::new(0.0, 0.0, self.target_height)
     }
 }
 
@@ -67,25 +67,22 @@ impl Task for Hover {
     }
 
     fn defaults(&self) -> TaskDefaults {
-        TaskDefaults { num_drones: 1, episode_seconds: 10.0 }
+        TaskDefaults { num_drones: 1, episode_seconds: 10.0, controller: ControllerKind::Pid }
     }
 
-    fn initial_positions(&self, _num_drones: usize) -> Vec<[f64; 3]> {
+    fn initial_positions(&self, _drones: &[DroneParams]) -> Vec<[f64; 3]> {
         vec![[0.0, 0.0, 0.1]]
     }
 
-    fn observation_space(&self, _num_drones: usize) -> BoxSpace {
-        let unbounded = [f64::NEG_INFINITY, f64::INFINITY];
-        let mut bounds = [unbounded; STATE_SIZE];
-        bounds[3..6].copy_from_slice(&[[-PI, PI], [-FRAC_PI_2, FRAC_PI_2], [-PI, PI]]);
-        BoxSpace::new(bounds)
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS)
     }
 
-    fn check(&self, num_drones: usize) -> Result<(), EnvError> {
-        if num_drones != 1 {
+    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        if drones.len() != 1 {
             return Err(EnvError::Option {
                 option: "the number of drones of hover",
-                got: num_drones.to_string(),
+                got: drones.len().to_string(),
                 expected: "1",
             });
         }
@@ -108,32 +105,42 @@ impl Task for Hover {
         self.watch.update(&self.crash, simulation);
     }
 
-    fn end(&self, simulation: &Simulation) -> Option<EndReason> {
-        let too_high = simulation.states()[0].position.z > self.max_height;
-        self.watch.found().or(too_high.then_some(EndReason::OutOfBounds))
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        let too_high = simulation.states()[drone].position.z > self.max_height;
+        self.watch.end(drone).or(too_high.then_some(EndReason::OutOfBounds))
     }
 
-    fn reward(&self, simulation: &Simulation, end: Option<EndReason>) -> f64 {
-        let state = &simulation.states()[0];
-        let rpy = state.rpy();
-        let crashed = end.is_some_and(EndReason::is_crash);
-        -(state.position.z - self.target_height).abs()
-            - 0.1 * state.position.xy().norm()
-            - 0.05 * state.velocity.norm()
-            - 0.05 * (rpy.x.abs() + rpy.y.abs())
-            + if self.at_target(&state.position) { 0.5 } else { 0.0 }
-            - if crashed { 100.0 } else { 0.0 }
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        hover_reward(&simulation.states()[drone], &self.target(), end)
     }
 
-    fn observe(&self, simulation: &Simulation, out: &mut [f64]) {
-        out.copy_from_slice(&state_vector(&simulation.states()[0]));
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        out.copy_from_slice(&state_vector(&simulation.states()[drone]));
     }
 
-    fn success(&self, simulation: &Simulation) -> bool {
-        self.watch.found().is_none() && self.at_target(&simulation.states()[0].position)
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && at_target(&simulation.states()[drone].position, &self.target())
     }
 
     fn reference(&self, _simulation: &Simulation, _drone: usize) -> Reference {
-        Reference::hover(Vector3::new(0.0, 0.0, self.target_height), 0.0)
+        Reference::hover(self.target(), 0.0)
     }
+}
+
+/// Distance from the target, in height and to the side, within which it counts as reached, m.
+const AT_TARGET: f64 = 0.05;
+
+pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool {
+    (position.z - target.z).abs() < AT_TARGET && (position - target).xy().norm() < AT_TARGET
+}
+
+/// The paper's reward of a drone that is to hover at a target.
+pub(super) fn hover_reward(state: &DroneState, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
+    let rpy = state.rpy();
+    -(state.position.z - target.z).abs()
+        - 0.1 * (state.position - target).xy().norm()
+        - 0.05 * state.velocity.norm()
+        - 0.05 * (rpy.x.abs() + rpy.y.abs())
+        + if at_target(&state.position, target) { 0.5 } else { 0.0 }
+        - crash_penalty(end)
 }

@@ -156,6 +156,13 @@ impl World {
             ],
         );
         xml.obstacles(&self.obstacles);
+        for marker in &self.markers {
+            xml.shape(
+                marker.name.clone(),
+                &marker.body,
+                &[("group", World::VISUAL_GROUP.to_string()), ("contype", "0".into()), ("conaffinity", "0".into())],
+            );
+        }
         for (index, (drone, look)) in self.drones.iter().zip(&looks).enumerate() {
             xml.open_drone(index, drone);
             xml.collision_geom(
@@ -253,17 +260,20 @@ impl World {
                 "zero or a positive number of Pa·s",
             )?;
         }
-        for (index, obstacle) in self.obstacles.iter().enumerate() {
+        let named = |(index, obstacle): (usize, _)| (format!("obstacle {index}"), obstacle);
+        let obstacles = self.obstacles.iter().enumerate().map(named);
+        let markers = self.markers.iter().map(|marker| (format!("the marker `{}`", marker.name), &marker.body));
+        for (name, obstacle) in obstacles.chain(markers) {
             for got in obstacle.shape.geom().1 {
                 let good = got.is_finite() && got > 0.0;
-                value(&format!("the size of obstacle {index}"), got, good, "positive numbers of metres")?;
+                value(&format!("the size of {name}"), got, good, "positive numbers of metres")?;
             }
             for &got in obstacle.position.iter().chain(&obstacle.rpy) {
-                value(&format!("the pose of obstacle {index}"), got, got.is_finite(), "finite numbers")?;
+                value(&format!("the pose of {name}"), got, got.is_finite(), "finite numbers")?;
             }
             for got in obstacle.rgba {
                 let good = (0.0..=1.0).contains(&got);
-                value(&format!("the colour of obstacle {index}"), got, good, "four numbers from 0 to 1")?;
+                value(&format!("the colour of {name}"), got, good, "four numbers from 0 to 1")?;
             }
         }
         for (index, drone) in self.drones.iter().enumerate() {
@@ -327,22 +337,23 @@ impl Xml {
 
     fn obstacles(&mut self, obstacles: &[Obstacle]) {
         for (index, obstacle) in obstacles.iter().enumerate() {
-            let (kind, size) = obstacle.shape.geom();
-            self.leaf(
-                "geom",
-                &[
-                    ("name", World::obstacle_name(index)),
-                    ("type", kind.into()),
-                    ("size", numbers(&size)),
-                    ("pos", vector(&obstacle.position)),
-                    ("quat", numbers(&wxyz(&attitude_from_rpy(obstacle.rpy)))),
-                    ("rgba", numbers(&obstacle.rgba)),
-                ],
-            );
+            self.shape(World::obstacle_name(index), obstacle, &[]);
         }
     }
 
-    /// Actuators that push and turn the drones' sites, whose frame turns with the body.
+    fn shape(&mut self, name: String, obstacle: &Obstacle, more: &[(&str, String)]) {
+        let (kind, size) = obstacle.shape.geom();
+        let own = [
+            ("name", name),
+            ("type", kind.into()),
+            ("size", numbers(&size)),
+            ("pos", vector(&obstacle.position)),
+            ("quat", numbers(&wxyz(&attitude_from_rpy(obstacle.rpy)))),
+            ("rgba", numbers(&obstacle.rgba)),
+        ];
+        self.leaf("geom", &[&own[..], more].concat());
+    }
+
     fn rotors(&mut self, drones: usize) {
         self.open("actuator", &[]);
         for index in 0..drones {

@@ -11,7 +11,7 @@ use crate::drone::{DroneParams, GRAVITY};
 pub use look::CF2_ASSETS;
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
-pub use obstacle::{Obstacle, Shape};
+pub use obstacle::{Marker, Obstacle, Shape};
 
 /// The air, as MuJoCo's own fluid model sees it.
 ///
@@ -69,6 +69,8 @@ pub struct World {
     pub forcing: Forcing,
     /// Things that do not move, in order: obstacle i is the geom `obstacle{i}`.
     pub obstacles: Vec<Obstacle>,
+    /// Things that are seen and not touched.
+    pub markers: Vec<Marker>,
     /// The drones, in order: drone i is the body `drone{i}`.
     pub drones: Vec<DroneBody>,
 }
@@ -83,6 +85,7 @@ impl World {
             medium: None,
             forcing: Forcing::Frozen,
             obstacles: Vec::new(),
+            markers: Vec::new(),
             drones,
         }
     }

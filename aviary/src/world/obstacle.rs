@@ -60,3 +60,12 @@ impl Obstacle {
         Self { shape, position, rpy: Vector3::zeros(), rgba: [0.62, 0.48, 0.34, 1.0] }
     }
 }
+
+/// Something that is seen and not touched: a gate, a waypoint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Marker {
+    /// Its name in the visible scene; letters, digits and `_`, unlike any other's.
+    pub name: String,
+    /// What it looks like and where it is.
+    pub body: Obstacle,
+}

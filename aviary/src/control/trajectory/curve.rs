@@ -20,7 +20,7 @@ pub enum Heading {
         /// Yaw rate, rad/s.
         rate: f64,
     },
-    /// Along the way.
+    /// Along the way; along x where it goes straight up or down.
     Forward,
 }
 
@@ -124,7 +124,7 @@ impl Curve {
     /// As above.
     pub fn helix(radius: f64, period: f64, climb: f64) -> Result<Self, TrajectoryError> {
         length("the radius", radius)?;
-        TrajectoryError::check("the climb", climb, climb.is_finite(), "a finite number of metres")?;
+        TrajectoryError::check("the climb", climb, climb.abs() <= 1e6, "a finite number of metres up to 1e6")?;
         Self::new(Shape::Helix { radius, climb }, period)
     }
 
@@ -167,8 +167,8 @@ impl Curve {
             Heading::Turning { yaw, rate } => (yaw, rate),
             Heading::Forward => (0.0, 0.0),
         };
-        TrajectoryError::check("the yaw", yaw, yaw.is_finite(), "a finite angle, rad")?;
-        TrajectoryError::check("the yaw rate", rate, rate.is_finite(), "a finite rate, rad/s")?;
+        TrajectoryError::check("the yaw", yaw, yaw.abs() <= 1e6, "a finite angle, rad")?;
+        TrajectoryError::check("the yaw rate", rate, rate.abs() <= 1e3, "a finite rate, rad/s, up to 1000")?;
         let slope = self.plane.axis().z.abs();
         if heading == Heading::Forward {
             let expected = "at least 0.1 for a forward heading: an upright curve goes straight up somewhere";
@@ -209,8 +209,10 @@ impl Curve {
                 ([sin * half_length, sin2 * half_width, zero], [cos * half_length, cos2 * (2.0 * half_width), zero])
             }
             Shape::Helix { radius, climb } => {
-                let rise = (angle - Jet::constant(self.pace.phase)) * (climb / TAU);
-                let step = Jet::constant(climb / TAU);
+                // up with every turn, whichever way round
+                let step = climb / TAU * self.pace.rate.signum();
+                let rise = (angle - Jet::constant(self.pace.phase)) * step;
+                let step = Jet::constant(step);
                 ([cos * radius, sin * radius, rise], [sin * -radius, cos * radius, step])
             }
         }
@@ -233,7 +235,10 @@ impl Trajectory for Curve {
         let derivative = |k: usize| Vector3::from_fn(|axis, _| position[axis].derivative(k));
         let [yaw, yaw_rate, yaw_acceleration] = match self.heading {
             Heading::Fixed(yaw) => [yaw, 0.0, 0.0],
-            Heading::Turning { yaw, rate } => [wrap_angle(yaw + rate * time.max(0.0)), rate, 0.0],
+            Heading::Turning { yaw, rate } => {
+                let inside = time.max(0.0).min(self.pace.end());
+                [wrap_angle(yaw + rate * inside), if time == inside { rate } else { 0.0 }, 0.0]
+            }
             Heading::Forward => {
                 let [x, y, _] = self.world(&tangent.map(|part| part * self.pace.rate.signum()));
                 direction(x, y)
@@ -262,6 +267,10 @@ fn direction(x: Jet, y: Jet) -> [f64; 3] {
     let [x0, x1, x2] = [0, 1, 2].map(|k| x.derivative(k));
     let [y0, y1, y2] = [0, 1, 2].map(|k| y.derivative(k));
     let size = x0 * x0 + y0 * y0;
+    if size < 1e-12 {
+        // straight up or down: no way to look
+        return [0.0; 3];
+    }
     let rate = (x0 * y1 - y0 * x1) / size;
     let acceleration = (x0 * y2 - y0 * x2) / size - 2.0 * rate * (x0 * x1 + y0 * y1) / size;
     [y0.atan2(x0), rate, acceleration]

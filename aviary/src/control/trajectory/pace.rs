@@ -24,12 +24,12 @@ impl Pace {
 
     pub(super) fn check(&self) -> Result<(), TrajectoryError> {
         let Self { phase, rate, ramp, turns } = *self;
-        TrajectoryError::check("the phase", phase, phase.is_finite(), "a finite angle, rad")?;
+        TrajectoryError::check("the phase", phase, phase.abs() <= 1e6, "a finite angle, rad")?;
         TrajectoryError::check(
             "the period",
             TAU / rate,
             rate.is_finite() && (1e-6..=1e6).contains(&rate.abs()),
-            "a positive number of seconds up to a few days",
+            "a number of seconds up to a few days, negative to turn the other way",
         )?;
         TrajectoryError::check("the ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
         TrajectoryError::check("the number of turns", turns, turns > 0.0, "a positive number")?;
@@ -51,6 +51,9 @@ impl Pace {
     pub(super) fn angle(&self, time: f64) -> Jet {
         let (rate, ramp, end) = (self.rate, self.ramp, self.end());
         let total = self.turns * TAU * rate.signum();
+        if time.is_nan() {
+            return Jet::constant(f64::NAN);
+        }
         let ramped = |tau: Jet| tau.polynomial(&Self::RAMP) * (rate * ramp);
         let angle = if time <= 0.0 && (ramp > 0.0 || time < 0.0) {
             Jet::constant(0.0)

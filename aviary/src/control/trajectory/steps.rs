@@ -58,8 +58,11 @@ impl Steps {
 
 impl Trajectory for Steps {
     fn reference(&self, time: f64) -> Reference {
-        let (position, yaw) =
-            if time < 0.0 { self.start } else { self.places[((time / self.hold) as usize).min(self.places.len() - 1)] };
+        let (position, yaw) = if time < 0.0 {
+            self.start
+        } else {
+            self.places[((time / self.hold + 1e-9) as usize).min(self.places.len() - 1)]
+        };
         Reference::hover(position, yaw)
     }
 

@@ -60,7 +60,8 @@ impl WaypointsBuilder {
         self
     }
 
-    /// Speed (m/s) and acceleration (m/s²) that allocated times keep to; 1 and 2 by default.
+    /// Speed (m/s) and acceleration (m/s²) that allocated times keep to; 1 and 2 by default. Yaw turns at no more than half
+    /// a turn a second.
     #[must_use]
     pub fn limits(mut self, max_speed: f64, max_acceleration: f64) -> Self {
         (self.max_speed, self.max_acceleration) = (max_speed, max_acceleration);
@@ -109,23 +110,7 @@ impl WaypointsBuilder {
         for (what, limit) in [("the greatest speed", speed), ("the greatest acceleration", acceleration)] {
             TrajectoryError::check(what, limit, (1e-6..=1e6).contains(&limit), "a positive number")?;
         }
-        // as long as a trapezoid of speed would take from rest to rest, or the turn at half a turn a second
-        let mut times = vec![0.0];
-        for (pair, yaw) in self.points.windows(2).zip(turned.windows(2)) {
-            let way = (Vector3::from(pair[1]) - Vector3::from(pair[0])).norm();
-            let seconds = if way * acceleration < speed * speed {
-                2.0 * (way / acceleration).sqrt()
-            } else {
-                way / speed + speed / acceleration
-            };
-            let turn = (yaw[1] - yaw[0]).abs() / std::f64::consts::PI;
-            times.push(times[times.len() - 1] + seconds.max(turn).max(0.1));
-        }
-        let way = Waypoints::solve(&self.points, &turned, times)?;
-        // scaling time by k divides speeds by k and accelerations by k²
-        let (fastest, hardest) = way.peaks();
-        let scale = (fastest / speed).max((hardest / acceleration).sqrt());
-        if scale > 0.0 { way.slower(scale) } else { Ok(way) }
+        Waypoints::allocate(&self.points, &turned, speed, acceleration)
     }
 }
 
@@ -185,28 +170,96 @@ impl Waypoints {
             return Err(TrajectoryError::Unsolvable);
         };
         let coefficients = |i: usize| std::array::from_fn(|axis| std::array::from_fn(|j| solution[(8 * i + j, axis)]));
-        Ok(Self { times, segments: (0..count).map(|i| Segment { coefficients: coefficients(i) }).collect() })
+        let way = Self { times, segments: (0..count).map(|i| Segment { coefficients: coefficients(i) }).collect() };
+        // times that differ by orders of magnitude leave no digits
+        let missed = points.iter().zip(&way.times).any(|(point, &time)| {
+            let off = (way.reference(time).position - Vector3::from(*point)).norm();
+            off > 1e-6 * (1.0 + Vector3::from(*point).norm())
+        });
+        if missed { Err(TrajectoryError::Unsolvable) } else { Ok(way) }
     }
 
-    /// The same way, in `scale` times the time.
-    fn slower(mut self, scale: f64) -> Result<Self, TrajectoryError> {
-        for time in &mut self.times {
-            *time *= scale;
-        }
-        Ok(self)
-    }
+    /// Most yaw rate of allocated times, rad/s.
+    const MAX_YAW_RATE: f64 = std::f64::consts::PI;
 
-    /// Greatest speed (m/s) and acceleration (m/s²).
-    fn peaks(&self) -> (f64, f64) {
-        let (mut speed, mut acceleration) = (0.0_f64, 0.0_f64);
-        for pair in self.times.windows(2) {
-            for sample in 0..=200 {
-                let reference = self.reference(pair[0] + (pair[1] - pair[0]) * f64::from(sample) / 200.0);
-                speed = speed.max(reference.velocity.norm());
-                acceleration = acceleration.max(reference.acceleration.norm());
+    /// Most segments whose times are sought one against the other: every trial solves for all of them.
+    const SOUGHT: usize = 24;
+
+    /// Chooses times: such shares of the duration as make it shortest within the limits. A bad share makes the way swing
+    /// out, and a way that swings out is long.
+    fn allocate(points: &[[f64; 3]], yaws: &[f64], speed: f64, acceleration: f64) -> Result<Self, TrajectoryError> {
+        // as long as a trapezoid of speed would take from rest to rest, or the turn
+        let legs = points.windows(2).zip(yaws.windows(2)).map(|(pair, yaw)| {
+            let way = (Vector3::from(pair[1]) - Vector3::from(pair[0])).norm();
+            let seconds = if way * acceleration < speed * speed {
+                2.0 * (way / acceleration).sqrt()
+            } else {
+                way / speed + speed / acceleration
+            };
+            seconds.max(2.0 * (yaw[1] - yaw[0]).abs() / Self::MAX_YAW_RATE)
+        });
+        let mut spans: Vec<f64> = legs.collect();
+        // neighbours that differ much swing the way out, and make the equations ill to solve
+        let longest = spans.iter().copied().fold(0.0, f64::max);
+        spans.iter_mut().for_each(|span| *span = span.max(1e-3 * longest).max(0.01));
+        for _ in 0..spans.len() {
+            for i in 1..spans.len() {
+                let (a, b) = (spans[i - 1], spans[i]);
+                (spans[i - 1], spans[i]) = (a.max(b / 4.0), b.max(a / 4.0));
             }
         }
-        (speed, acceleration)
+        let within = |spans: &[f64], samples: u32| -> Result<Self, TrajectoryError> {
+            let mut times = vec![0.0];
+            for span in spans {
+                times.push(times[times.len() - 1] + span);
+            }
+            let mut way = Self::solve(points, yaws, times)?;
+            // scaling time by k divides speeds by k and accelerations by k²
+            let [fastest, hardest, turning] = way.peaks(samples);
+            let scale = (fastest / speed).max((hardest / acceleration).sqrt()).max(turning / Self::MAX_YAW_RATE);
+            if scale > 0.0 {
+                way.times.iter_mut().for_each(|time| *time *= scale);
+            }
+            Ok(way)
+        };
+        if (2..=Self::SOUGHT).contains(&spans.len()) {
+            let mut shortest = within(&spans, 24)?.duration();
+            for factor in [1.6, 1.25, 1.1] {
+                for _ in 0..4 {
+                    let before = shortest;
+                    for i in 0..spans.len() {
+                        for factor in [factor, 1.0 / factor] {
+                            let span = spans[i];
+                            spans[i] = span * factor;
+                            match within(&spans, 24) {
+                                Ok(way) if way.duration() < shortest => shortest = way.duration(),
+                                _ => spans[i] = span,
+                            }
+                        }
+                    }
+                    if shortest > 0.99 * before {
+                        break;
+                    }
+                }
+            }
+        }
+        within(&spans, 200)
+    }
+
+    /// Greatest speed (m/s), acceleration (m/s²) and yaw rate (rad/s), from so many samples per segment.
+    fn peaks(&self, samples: u32) -> [f64; 3] {
+        let mut peaks = [0.0_f64; 3];
+        for pair in self.times.windows(2) {
+            for sample in 0..=samples {
+                let share = f64::from(sample) / f64::from(samples);
+                let reference = self.reference(pair[0] + (pair[1] - pair[0]) * share);
+                let now = [reference.velocity.norm(), reference.acceleration.norm(), reference.yaw_rate.abs()];
+                for (peak, now) in peaks.iter_mut().zip(now) {
+                    *peak = peak.max(now);
+                }
+            }
+        }
+        peaks
     }
 }
 
@@ -217,7 +270,9 @@ impl Trajectory for Waypoints {
         // the segment that has begun, the last one at its end
         let index = self.times.partition_point(|&start| start <= inside).clamp(1, self.segments.len()) - 1;
         let span = self.times[index + 1] - self.times[index];
-        let share = if time == inside {
+        let share = if time.is_nan() {
+            Jet::constant(f64::NAN)
+        } else if time == inside {
             (Jet::time(time) - Jet::constant(self.times[index])) * (1.0 / span)
         } else {
             Jet::constant(if time < 0.0 { 0.0 } else { 1.0 })

@@ -1,0 +1,315 @@
+use clarabel::algebra::CscMatrix;
+use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver as _, NonnegativeConeT, SolverStatus};
+use nalgebra::{Vector2, Vector3};
+
+/// Keeps drones apart sideways by changing the accelerations that they are about to be commanded, as little as that takes.
+///
+/// For every pair the relative velocity is to stay out of the cone of directions that lead into a circle of `radius` about
+/// the other drone: a collision-cone control barrier function (Tayal et al. 2024), with p and v the relative position
+/// and velocity in the horizontal plane and r the radius,
+///
+/// h = p·v + ‖v‖·√(‖p‖² − r²), ḣ + γ·h ≥ 0.
+///
+/// Beside it stands the plain distance barrier b = ‖p‖² − r², b̈ + 2·k·ḃ + k²·b ≥ 0, which also parts drones that are too near
+/// already. A quadratic program finds the nearest accelerations that satisfy all pairs at once, each within
+/// `max_acceleration`; where that is impossible, the barriers give way by as little as possible.
+///
+/// Heights are left alone: in the wake of another drone there is no passing below it.
+///
+/// ```
+/// use aviary::control::CollisionCone;
+/// use nalgebra::Vector3;
+///
+/// let filter = CollisionCone::new(0.3);
+/// let positions = [Vector3::zeros(), Vector3::new(1.0, 0.02, 0.0)];
+/// let velocities = [Vector3::new(1.0, 0.0, 0.0), Vector3::new(-1.0, 0.0, 0.0)];
+/// let mut accelerations = [Vector3::zeros(); 2];
+/// filter.filter(&positions, &velocities, &mut accelerations)?;
+/// assert!(accelerations[0].y < 0.0 && accelerations[1].y > 0.0, "each goes round the other");
+/// # Ok::<(), aviary::control::SafetyError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CollisionCone {
+    /// Least distance of two drones' centres, sideways, m.
+    pub radius: f64,
+    /// γ: how fast the cone's barrier may be approached, 1/s.
+    pub decay: f64,
+    /// k: how fast the distance's barrier may be approached, 1/s.
+    pub approach: f64,
+    /// Largest acceleration along x and along y, m/s².
+    pub max_acceleration: f64,
+    /// Pairs further apart than this do not see each other, m.
+    pub sight: f64,
+}
+
+/// What can go wrong with a safety filter.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SafetyError {
+    /// An option that is impossible.
+    #[error("the safety filter's {option} is {got}, expected {expected}")]
+    Option {
+        /// Which.
+        option: &'static str,
+        /// What it is.
+        got: f64,
+        /// What is possible.
+        expected: &'static str,
+    },
+    /// Lists of different lengths, or numbers that are none.
+    #[error("the safety filter was given {what}")]
+    Input {
+        /// What.
+        what: &'static str,
+    },
+    /// The solver found nothing.
+    #[error("the safety filter's quadratic program was not solved ({status})")]
+    Unsolved {
+        /// What the solver says.
+        status: String,
+    },
+}
+
+/// One linear condition on the relative acceleration u_j − u_i: g·(u_j − u_i) ≥ least.
+struct Condition {
+    pair: (usize, usize),
+    gradient: Vector2<f64>,
+    least: f64,
+}
+
+impl CollisionCone {
+    /// With a safety radius (m), and other options that suit drones of a Crazyflie's size.
+    pub fn new(radius: f64) -> Self {
+        Self { radius, decay: 2.0, approach: 4.0, max_acceleration: 5.0, sight: 4.0 }
+    }
+
+    /// Checks the options.
+    ///
+    /// # Errors
+    /// [`SafetyError::Option`].
+    pub fn validate(&self) -> Result<(), SafetyError> {
+        for (option, got) in [
+            ("radius", self.radius),
+            ("decay", self.decay),
+            ("approach", self.approach),
+            ("largest acceleration", self.max_acceleration),
+            ("sight", self.sight),
+        ] {
+            if !(got > 0.0 && got <= 1e6) {
+                return Err(SafetyError::Option { option, got, expected: "a positive number" });
+            }
+        }
+        Ok(())
+    }
+
+    /// Changes accelerations (world frame, m/s²) so that the drones at these positions (m) and velocities (m/s) keep apart, and
+    /// says whether it had to. Accelerations that are safe already are left as they are.
+    ///
+    /// # Errors
+    /// [`SafetyError`], and then nothing has changed.
+    pub fn filter(
+        &self,
+        positions: &[Vector3<f64>],
+        velocities: &[Vector3<f64>],
+        accelerations: &mut [Vector3<f64>],
+    ) -> Result<bool, SafetyError> {
+        self.validate()?;
+        let count = positions.len();
+        if velocities.len() != count || accelerations.len() != count {
+            return Err(SafetyError::Input { what: "lists of different lengths" });
+        }
+        let mut numbers = positions.iter().chain(velocities).chain(accelerations.iter()).flatten();
+        if !numbers.all(|x| x.abs() < 1e9) {
+            return Err(SafetyError::Input { what: "what is not a number, or beyond 1e9" });
+        }
+        let mut conditions = Vec::new();
+        for j in 0..count {
+            for i in 0..j {
+                let relative = (positions[j] - positions[i]).xy();
+                if relative.norm() < self.sight {
+                    conditions.extend(self.conditions((i, j), relative, (velocities[j] - velocities[i]).xy()));
+                }
+            }
+        }
+        let holds = |condition: &Condition| {
+            let (i, j) = condition.pair;
+            condition.gradient.dot(&(accelerations[j] - accelerations[i]).xy()) >= condition.least
+        };
+        if conditions.iter().all(holds) {
+            return Ok(false);
+        }
+        self.solve(&conditions, accelerations)?;
+        Ok(true)
+    }
+
+    /// What both barriers ask of a pair.
+    fn conditions(&self, pair: (usize, usize), p: Vector2<f64>, v: Vector2<f64>) -> Vec<Condition> {
+        let mut conditions = Vec::with_capacity(2);
+        let (distance2, r2, k) = (p.norm_squared(), self.radius * self.radius, self.approach);
+        // drones at the very same place part along x
+        let away = if distance2 > 1e-12 { p } else { Vector2::new(1e-6, 0.0) };
+        let least = -v.norm_squared() - 2.0 * k * p.dot(&v) - 0.5 * k * k * (distance2 - r2);
+        conditions.push(scaled(pair, away, least));
+        // outside the circle, on the way towards each other
+        let tangent2 = distance2 - r2;
+        let speed = v.norm();
+        if tangent2 > 0.02 * r2 && speed > 1e-3 && p.dot(&v) < 0.0 {
+            let tangent = tangent2.sqrt();
+            let h = p.dot(&v) + speed * tangent;
+            let gradient = p + v * (tangent / speed);
+            let least = -v.norm_squared() - speed * p.dot(&v) / tangent - self.decay * h;
+            // straight at its middle the cone says nothing of the side to pass on
+            if gradient.norm() > 1e-6 {
+                conditions.push(scaled(pair, gradient, least));
+            }
+        }
+        conditions
+    }
+
+    /// minimise ½·Σ‖u − u*‖² + penalty·Σ slack, under all conditions.
+    fn solve(&self, conditions: &[Condition], accelerations: &mut [Vector3<f64>]) -> Result<(), SafetyError> {
+        const PENALTY: f64 = 1e3;
+        let (inputs, slacks) = (2 * accelerations.len(), conditions.len());
+        let columns = inputs + slacks;
+        let mut rows = (Vec::new(), Vec::new(), Vec::new());
+        let mut right = Vec::with_capacity(2 * slacks + 2 * inputs);
+        let mut entry = |row: usize, column: usize, value: f64| {
+            rows.0.push(row);
+            rows.1.push(column);
+            rows.2.push(value);
+        };
+        for (index, condition) in conditions.iter().enumerate() {
+            let (i, j) = condition.pair;
+            for axis in 0..2 {
+                entry(right.len(), 2 * j + axis, -condition.gradient[axis]);
+                entry(right.len(), 2 * i + axis, condition.gradient[axis]);
+            }
+            entry(right.len(), inputs + index, -1.0);
+            right.push(-condition.least);
+            entry(right.len(), inputs + index, -1.0);
+            right.push(0.0);
+        }
+        for column in 0..inputs {
+            for sign in [1.0, -1.0] {
+                entry(right.len(), column, sign);
+                right.push(self.max_acceleration);
+            }
+        }
+        let (rows, cols, values) = rows;
+        let a = CscMatrix::new_from_triplets(right.len(), columns, rows, cols, values);
+        let diagonal: Vec<_> = (0..columns).collect();
+        let weights = (0..columns).map(|column| if column < inputs { 1.0 } else { PENALTY }).collect();
+        let p = CscMatrix::new_from_triplets(columns, columns, diagonal.clone(), diagonal, weights);
+        let mut q = vec![0.0; columns];
+        for (pair, acceleration) in q[..inputs].chunks_exact_mut(2).zip(accelerations.iter()) {
+            pair.copy_from_slice(&[-acceleration.x, -acceleration.y]);
+        }
+        let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(60).build();
+        let unsolved = |status: &dyn std::fmt::Debug| SafetyError::Unsolved { status: format!("{status:?}") };
+        let settings = settings.map_err(|error| unsolved(&error))?;
+        let cones = [NonnegativeConeT(right.len())];
+        let mut solver = DefaultSolver::new(&p, &q, &a, &right, &cones, settings).map_err(|error| unsolved(&error))?;
+        solver.solve();
+        let status = solver.solution.status;
+        if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
+            return Err(unsolved(&status));
+        }
+        for (acceleration, pair) in accelerations.iter_mut().zip(solver.solution.x.chunks_exact(2)) {
+            acceleration.x = pair[0];
+            acceleration.y = pair[1];
+        }
+        Ok(())
+    }
+}
+
+/// With a gradient of length one, so that slacks of all conditions weigh the same.
+fn scaled(pair: (usize, usize), gradient: Vector2<f64>, least: f64) -> Condition {
+    let size = gradient.norm();
+    Condition { pair, gradient: gradient / size, least: least / size }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Double integrators that go straight for the place opposite.
+    fn swap(count: usize, turn: f64) -> (f64, f64) {
+        let filter = CollisionCone::new(0.3);
+        let place = |i: usize| {
+            let (sin, cos) = (turn + std::f64::consts::TAU * i as f64 / count as f64).sin_cos();
+            Vector3::new(2.0 * cos, 2.0 * sin, 1.0)
+        };
+        let mut positions: Vec<_> = (0..count).map(place).collect();
+        let mut velocities = vec![Vector3::zeros(); count];
+        let (dt, mut nearest) = (1.0 / 48.0, f64::MAX);
+        for _ in 0..48 * 25 {
+            let mut accelerations: Vec<_> = (0..count)
+                .map(|i| {
+                    let goal = Vector3::new(-place(i).x, -place(i).y, 1.0);
+                    let way: Vector3<f64> = goal - positions[i];
+                    // a little to the right, or nobody gives way first
+                    let way = Vector3::new(way.x + 0.2 * way.y, way.y - 0.2 * way.x, way.z);
+                    let wanted = way * (1.0 / way.norm().max(1.0));
+                    2.0 * (wanted - velocities[i])
+                })
+                .collect();
+            filter.filter(&positions, &velocities, &mut accelerations).unwrap();
+            for i in 0..count {
+                velocities[i] += accelerations[i] * dt;
+                positions[i] += velocities[i] * dt;
+            }
+            for i in 0..count {
+                for j in 0..i {
+                    nearest = f64::min(nearest, (positions[i] - positions[j]).norm());
+                }
+            }
+        }
+        let goals = (0..count).map(|i| (positions[i] + place(i) - Vector3::new(0.0, 0.0, 2.0)).norm());
+        (nearest, goals.fold(0.0, f64::max))
+    }
+
+    #[test]
+    fn drones_that_swap_places_arrive_and_keep_apart() {
+        for count in [2, 3, 7, 12] {
+            let (nearest, off) = swap(count, 0.3);
+            assert!(nearest > 0.3 - 0.005 && off < 0.1, "{count}: nearest {nearest} m, {off} m from the goal");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_answer_keeps_to_its_bounds_and_changes_nothing_that_is_safe(
+            numbers in prop::collection::vec(-2.0..2.0f64, 24), wish in prop::collection::vec(-3.0..3.0f64, 12),
+        ) {
+            let filter = CollisionCone::new(0.3);
+            let vectors = |x: &[f64]| x.chunks_exact(3).map(|c| Vector3::new(c[0], c[1], c[2])).collect::<Vec<_>>();
+            let (positions, velocities, asked) = (vectors(&numbers[..12]), vectors(&numbers[12..]), vectors(&wish));
+            let mut given = asked.clone();
+            let changed = filter.filter(&positions, &velocities, &mut given).unwrap();
+            prop_assert_eq!(changed, given != asked);
+            for (given, asked) in given.iter().zip(&asked) {
+                prop_assert_eq!(given.z, asked.z);
+                prop_assert!(given.xy().amax() < filter.max_acceleration + 1e-4);
+            }
+            // what is given is safe: a second pass has nothing to change, but for the solver's tolerance
+            let mut again = given.clone();
+            let _ = filter.filter(&positions, &velocities, &mut again).unwrap();
+            let slack = given.iter().zip(&again).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            prop_assert!(slack < 1e-2, "{slack}");
+        }
+    }
+
+    #[test]
+    fn impossible_options_and_numbers_are_refused() {
+        let mut none = [Vector3::zeros(); 2];
+        let here = [Vector3::zeros(); 2];
+        assert!(CollisionCone::new(-1.0).filter(&here, &here, &mut none).is_err());
+        assert!(CollisionCone::new(0.3).filter(&here[..1], &here, &mut none).is_err());
+        let mut nan = [Vector3::repeat(f64::NAN); 2];
+        assert!(CollisionCone::new(0.3).filter(&here, &here, &mut nan).is_err());
+        // at the very same place: they part
+        CollisionCone::new(0.3).filter(&here, &here, &mut none).unwrap();
+        assert!((none[1] - none[0]).norm() > 1.0);
+    }
+}

@@ -1,0 +1,266 @@
+use rand::SeedableRng as _;
+
+use super::aviary::{Aviary, Phase};
+use super::{BoxSpace, EnvError, ObservationSpace, Rng, Task};
+use crate::action::{ActionDecoder, ActionLimits, ActionType};
+use crate::control::ControllerKind;
+use crate::drone::{DroneModel, DroneParams};
+use crate::observation::{Observation, ObservationType};
+use crate::physics::actuators::ActuatorParams;
+use crate::physics::{Effects, Physics};
+use crate::simulation::{Simulation, SimulationBuilder};
+use crate::vision::{CAMERA_SIZE, ImageSize, Painter};
+use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle};
+
+/// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
+#[derive(Debug, Clone)]
+pub struct AviaryBuilder<T> {
+    task: T,
+    simulation: SimulationBuilder,
+    num_drones: Option<usize>,
+    episode_seconds: Option<f64>,
+    neighbourhood_radius: f64,
+    action_type: ActionType,
+    action_limits: ActionLimits,
+    controller: ControllerKind,
+    observation_type: ObservationType,
+    camera_size: ImageSize,
+}
+
+/// Options that are the simulation's.
+macro_rules! forward {
+    ($($(#[$doc:meta])* $name:ident($argument:ident: $kind:ty);)*) => {$(
+        $(#[$doc])*
+        #[must_use]
+        pub fn $name(mut self, $argument: $kind) -> Self {
+            self.simulation = self.simulation.$name($argument);
+            self
+        }
+    )*};
+}
+
+/// Options without a task, for [`make`](crate::tasks::make).
+pub type EnvConfig = AviaryBuilder<()>;
+
+impl Default for EnvConfig {
+    fn default() -> Self {
+        Self::new(())
+    }
+}
+
+impl<T> AviaryBuilder<T> {
+    /// Options for a task.
+    pub fn new(task: T) -> Self {
+        Self {
+            task,
+            simulation: Simulation::builder(DroneModel::Cf2x),
+            num_drones: None,
+            episode_seconds: None,
+            neighbourhood_radius: f64::INFINITY,
+            action_type: ActionType::default(),
+            action_limits: ActionLimits::default(),
+            controller: ControllerKind::default(),
+            observation_type: ObservationType::default(),
+            camera_size: CAMERA_SIZE,
+        }
+    }
+
+    /// The same options for another task.
+    pub fn with_task<U>(self, task: U) -> AviaryBuilder<U> {
+        AviaryBuilder {
+            task,
+            simulation: self.simulation,
+            num_drones: self.num_drones,
+            episode_seconds: self.episode_seconds,
+            neighbourhood_radius: self.neighbourhood_radius,
+            action_type: self.action_type,
+            action_limits: self.action_limits,
+            controller: self.controller,
+            observation_type: self.observation_type,
+            camera_size: self.camera_size,
+        }
+    }
+
+    /// Changes the task's own options.
+    #[must_use]
+    pub fn task(mut self, change: impl FnOnce(&mut T)) -> Self {
+        change(&mut self.task);
+        self
+    }
+
+    /// Airframe of every drone; the Crazyflie (X) by default.
+    #[must_use]
+    pub fn drone(mut self, drone: impl Into<DroneParams>) -> Self {
+        self.simulation = self.simulation.drones([drone.into()]);
+        self
+    }
+
+    /// Number of drones; the task's by default.
+    #[must_use]
+    pub fn num_drones(mut self, count: usize) -> Self {
+        self.num_drones = Some(count);
+        self
+    }
+
+    /// Length of an episode, s; the task's by default.
+    #[must_use]
+    pub fn episode_seconds(mut self, seconds: f64) -> Self {
+        self.episode_seconds = Some(seconds);
+        self
+    }
+
+    /// Distance within which drones are neighbours in [`Observation::adjacency`], m; any by default.
+    #[must_use]
+    pub fn neighbourhood_radius(mut self, metres: f64) -> Self {
+        self.neighbourhood_radius = metres;
+        self
+    }
+
+    forward! {
+        /// The physics mode; MuJoCo without aerodynamic effects by default.
+        physics(physics: Physics);
+        /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+        effects(effects: Effects);
+        /// Physics rate, Hz; 240 by default.
+        sim_freq(hertz: u32);
+        /// Control rate, Hz, a divisor of the physics rate; 48 by default.
+        ctrl_freq(hertz: u32);
+        /// Initial positions, world frame, m; the task's by default.
+        initial_positions(positions: impl IntoIterator<Item = [f64; 3]>);
+        /// Initial roll, pitch, yaw, rad; level and facing x by default.
+        initial_rpys(rpys: impl IntoIterator<Item = [f64; 3]>);
+        /// Initial velocities, world frame, m/s; at rest by default.
+        initial_velocities(velocities: impl IntoIterator<Item = [f64; 3]>);
+        /// Initial body rates, body frame, rad/s; none by default.
+        initial_angular_velocities(rates: impl IntoIterator<Item = [f64; 3]>);
+        /// How the rotors' wrench acts during a physics step; frozen by default.
+        forcing(forcing: Forcing);
+        /// How the motors answer to commands; at once and exactly by default.
+        actuators(actuators: ActuatorParams);
+        /// Things that are seen and not touched, beside the task's own.
+        markers(markers: impl IntoIterator<Item = Marker>);
+        /// Things that stand in the way; none by default.
+        obstacles(obstacles: impl IntoIterator<Item = Obstacle>);
+        /// MuJoCo's integrator; RK4 by default.
+        integrator(integrator: Integrator);
+        /// MuJoCo's fluid forces; off by default.
+        medium(medium: impl Into<Option<Medium>>);
+    }
+
+    /// How the agent commands the drones; normalized motor speeds by default.
+    #[must_use]
+    pub fn action_type(mut self, action_type: ActionType) -> Self {
+        self.action_type = action_type;
+        self
+    }
+
+    /// How far actions reach that are not motor speeds.
+    #[must_use]
+    pub fn action_limits(mut self, limits: ActionLimits) -> Self {
+        self.action_limits = limits;
+        self
+    }
+
+    /// The controller beneath actions that are velocities or waypoints; the paper's PID by default.
+    #[must_use]
+    pub fn controller(mut self, controller: ControllerKind) -> Self {
+        self.controller = controller;
+        self
+    }
+
+    /// What the agent sees; the task's vector by default.
+    #[must_use]
+    pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
+        self.observation_type = observation_type;
+        self
+    }
+
+    /// Size of the onboard cameras' pictures; 64 × 48 by default.
+    #[must_use]
+    pub fn camera_size(mut self, size: ImageSize) -> Self {
+        self.camera_size = size;
+        self
+    }
+}
+
+impl<T: Task> AviaryBuilder<T> {
+    /// Compiles the world. The environment must be [reset](Env::reset) before its first step.
+    ///
+    /// # Errors
+    /// [`EnvError`] naming the option that is impossible.
+    pub fn build(self) -> Result<Aviary<T>, EnvError> {
+        let defaults = self.task.defaults();
+        let count = self.num_drones.unwrap_or(defaults.num_drones);
+        let simulation = self.simulation.num_drones(count);
+        self.task.check(simulation.airframes())?;
+        let seconds = self.episode_seconds.unwrap_or(defaults.episode_seconds);
+        // the shortest episode is one control step; a year of them still counts exactly
+        if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
+            return Err(EnvError::Option {
+                option: "the length of an episode",
+                got: format!("{seconds} s"),
+                expected: "a positive number of seconds below 4e7",
+            });
+        }
+        if self.neighbourhood_radius.is_nan() || self.neighbourhood_radius < 0.0 {
+            return Err(EnvError::Option {
+                option: "the neighbourhood's radius",
+                got: format!("{} m", self.neighbourhood_radius),
+                expected: "zero or a positive number of metres",
+            });
+        }
+        let positions = self.task.initial_positions(simulation.airframes());
+        let simulation = simulation.initial_positions_or(positions).markers(self.task.markers()).build()?;
+        let block = self.task.observation_space();
+        let vector = block.repeated(count);
+        let (kind, camera_size) = (self.observation_type, self.camera_size);
+        if kind.is_empty() {
+            return Err(EnvError::Option {
+                option: "the observation type",
+                got: "empty".into(),
+                expected: "at least one part",
+            });
+        }
+        let sides = 1..=ImageSize::MAX_SIDE;
+        if !(sides.contains(&camera_size.width) && sides.contains(&camera_size.height)) {
+            return Err(EnvError::Option {
+                option: "the camera's size",
+                got: camera_size.to_string(),
+                expected: "sides of 1 to 8192 pixels",
+            });
+        }
+        let limits = &self.action_limits;
+        let decoders = (0..count)
+            .map(|drone| ActionDecoder::new(self.action_type, self.controller, simulation.params(drone), limits))
+            .collect::<Result<Vec<_>, _>>()?;
+        let bounds = (0..count).flat_map(|drone| self.action_type.bounds(simulation.params(drone), limits));
+        let action_space = BoxSpace::new(bounds);
+        let cameras = kind.has_images().then(|| Painter::for_observations(simulation.world())).transpose()?;
+        Ok(Aviary {
+            block: block.size(),
+            neighbourhood_radius: self.neighbourhood_radius,
+            observation: Observation::with_sizes(kind, vector.size(), count, camera_size),
+            observation_space: ObservationSpace {
+                vector: if kind.kinematic { vector } else { BoxSpace::new([]) },
+                kind,
+                cameras: count,
+                neighbours: count,
+                camera_size,
+            },
+            cameras,
+            painter: None,
+            action_space,
+            action_type: self.action_type,
+            decoders,
+            clipped: vec![0.0; self.action_type.size() * count],
+            episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
+            rng: Rng::seed_from_u64(0),
+            phase: Phase::New,
+            end: None,
+            ends: vec![None; count],
+            commands: vec![[0.0; 4]; count],
+            task: self.task,
+            simulation,
+        })
+    }
+}

@@ -1,0 +1,300 @@
+use rand::SeedableRng as _;
+
+use super::{Env, EnvError, Rng};
+use crate::action::ActionType;
+
+/// What an environment does that it must not.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CheckFailure {
+    /// A promise that was not kept.
+    #[error("{task}: {what}")]
+    Broken {
+        /// The task.
+        task: &'static str,
+        /// What happened and what was expected.
+        what: String,
+    },
+    /// An error where none was expected.
+    #[error("{task}: {during}: {error}")]
+    Error {
+        /// The task.
+        task: &'static str,
+        /// What was being done.
+        during: &'static str,
+        /// The error.
+        error: EnvError,
+    },
+}
+
+/// What a check looked at.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CheckReport {
+    /// Control steps taken.
+    pub steps: u64,
+    /// Episodes that ended.
+    pub episodes: u64,
+    /// Entries of the observation's vector that never changed, which they may.
+    pub constant: Vec<usize>,
+}
+
+/// What one episode under random actions looked like.
+#[derive(Debug, PartialEq)]
+struct Episode {
+    observations: Vec<Vec<f64>>,
+    rewards: Vec<f64>,
+    initial: Vec<f64>,
+}
+
+struct Checker<'a> {
+    env: &'a mut dyn Env,
+    task: &'static str,
+    report: CheckReport,
+}
+
+/// Most control steps that an episode of the checker takes before it starts another.
+const LONGEST: usize = 400;
+
+/// Checks that an environment, of this crate or of one's own, keeps the contract of [`Env`] (in the spirit of Gymnasium's
+/// `check_env`): it flies a few episodes under random actions.
+///
+/// - observations are of their space, rewards are numbers, and so is everything in [`info`](Env::info)
+/// - the same seed gives the same episode to the bit, and an episode leaves nothing behind
+/// - after a reset time is zero, nothing has ended and the drones are where the simulation says they start
+/// - what should move moves: no entry of the observation stays the same, unless it may
+/// - an episode that ends says why, the right way (terminated or truncated), and takes no further step
+/// - actions of the wrong length or that are not numbers are errors that change nothing; those out of bounds are clipped
+///
+/// ```
+/// use aviary::env::check_env;
+/// use aviary::tasks::Hover;
+///
+/// let report = check_env(&mut Hover::builder().build()?)?;
+/// assert!(report.episodes > 0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// The first promise that was not kept.
+pub fn check_env(env: &mut dyn Env) -> Result<CheckReport, CheckFailure> {
+    let task = env.name();
+    let mut checker = Checker { env, task, report: CheckReport { steps: 0, episodes: 0, constant: Vec::new() } };
+    checker.spaces()?;
+    let first = checker.episode(1, 11, LONGEST)?;
+    let again = checker.episode(1, 11, LONGEST)?;
+    if first != again {
+        let step = first.rewards.iter().zip(&again.rewards).position(|(a, b)| a != b);
+        return checker.broken(format!("two episodes with one seed differ, from step {step:?} on"));
+    }
+    let mut episodes = vec![first];
+    for seed in 2..6 {
+        episodes.push(checker.episode(seed, seed + 10, LONGEST)?);
+    }
+    checker.movement(&episodes)?;
+    checker.actions()?;
+    checker.end()?;
+    Ok(checker.report)
+}
+
+/// Checks that two environments that were made alike do not touch each other: one is flown while the other stands still,
+/// and both in turns.
+///
+/// # Errors
+/// [`CheckFailure`], naming where they differ.
+pub fn check_independence(first: &mut dyn Env, second: &mut dyn Env) -> Result<(), CheckFailure> {
+    let task = first.name();
+    let failed = |error| CheckFailure::Error { task, during: "two instances in turns", error };
+    let alone = Checker::of(first).episode(7, 3, 60)?;
+    let mut rng = Rng::seed_from_u64(3);
+    first.reset(Some(7)).map_err(failed)?;
+    second.reset(Some(8)).map_err(failed)?;
+    let mut over = false;
+    for (step, observation) in alone.observations.iter().enumerate() {
+        let action = first.action_space().sample(&mut rng);
+        let same = first.step(&action).map_err(failed)?.observation.vector == *observation;
+        if !same {
+            let what = format!("a second instance beside it changes what happens at step {step}");
+            return Err(CheckFailure::Broken { task, what });
+        }
+        if over {
+            second.reset(None).map_err(failed)?;
+        }
+        let far: Vec<_> = second.action_space().high().to_vec();
+        let other = second.step(&far).map_err(failed)?;
+        over = other.terminated || other.truncated;
+    }
+    Ok(())
+}
+
+impl<'a> Checker<'a> {
+    fn of(env: &'a mut dyn Env) -> Self {
+        let task = env.name();
+        Self { env, task, report: CheckReport { steps: 0, episodes: 0, constant: Vec::new() } }
+    }
+
+    fn broken<T>(&self, what: String) -> Result<T, CheckFailure> {
+        Err(CheckFailure::Broken { task: self.task, what })
+    }
+
+    fn error(&self, during: &'static str) -> impl Fn(EnvError) -> CheckFailure + use<> {
+        let task = self.task;
+        move |error| CheckFailure::Error { task, during, error }
+    }
+
+    fn spaces(&self) -> Result<(), CheckFailure> {
+        let (actions, kind) = (self.env.action_space(), self.env.action_type());
+        let drones = self.env.simulation().num_drones();
+        if actions.size() != kind.size() * drones {
+            return self.broken(format!("{} numbers in an action of {drones} drones by {kind}", actions.size()));
+        }
+        if actions.low().iter().chain(actions.high()).any(|x| !x.is_finite()) {
+            return self.broken("the action space has an infinite bound".into());
+        }
+        let space = self.env.observation_space();
+        let mut rng = Rng::seed_from_u64(0);
+        if !space.contains(&space.sample(&mut rng)) {
+            return self.broken("the observation space does not contain its own sample".into());
+        }
+        if space.parts().iter().any(|part| part.shape.contains(&0)) {
+            return self.broken(format!("a part of the observation is empty: {:?}", space.parts()));
+        }
+        Ok(())
+    }
+
+    /// Flies one episode under random actions, at most so many steps.
+    fn episode(&mut self, seed: u64, actions: u64, steps: usize) -> Result<Episode, CheckFailure> {
+        let failed = self.error("an episode under random actions");
+        let mut rng = Rng::seed_from_u64(actions);
+        let initial = self.env.reset(Some(seed)).map_err(&failed)?.vector.clone();
+        self.started()?;
+        let mut episode = Episode { observations: Vec::new(), rewards: Vec::new(), initial };
+        // noise about a command of its own for every motor: white noise alone would hardly lift or turn anything
+        let space = self.env.action_space().clone();
+        let drift = space.sample(&mut rng);
+        for _ in 0..steps {
+            let noise = space.sample(&mut rng);
+            let action: Vec<_> = drift.iter().zip(&noise).map(|(a, b)| 0.5 * (a + b)).collect();
+            let step = self.env.step(&action).map_err(&failed)?;
+            let (reward, terminated, truncated) = (step.reward, step.terminated, step.truncated);
+            episode.observations.push(step.observation.vector.clone());
+            episode.rewards.push(reward);
+            self.report.steps += 1;
+            self.looks_right(reward)?;
+            let info = self.env.info();
+            let at_limit = self.env.simulation().control_steps() >= self.env.episode_steps();
+            if truncated != at_limit {
+                return self.broken(format!("truncated is {truncated} at t = {} s", info.time));
+            }
+            let said = info.end.map(|end| end == super::EndReason::TimeLimit);
+            let expected = if terminated { Some(false) } else { truncated.then_some(true) };
+            if said != expected {
+                return self.broken(format!(
+                    "terminated is {terminated} and truncated {truncated}, but the end in its info is {:?}",
+                    info.end
+                ));
+            }
+            if terminated || truncated {
+                self.report.episodes += 1;
+                if !matches!(self.env.step(&action), Err(EnvError::NeedsReset { .. })) {
+                    return self.broken("it takes a step after the end of the episode".into());
+                }
+                break;
+            }
+        }
+        Ok(episode)
+    }
+
+    /// What must hold right after a reset.
+    fn started(&self) -> Result<(), CheckFailure> {
+        let (info, simulation) = (self.env.info(), self.env.simulation());
+        if info.end.is_some() || info.time != 0.0 || simulation.control_steps() != 0 {
+            return self.broken(format!("a reset leaves {info:?}"));
+        }
+        if simulation.states() != simulation.initial_states() {
+            return self.broken("after a reset the drones are not where the simulation says they start".into());
+        }
+        self.looks_right(0.0)
+    }
+
+    /// What must hold at any time.
+    fn looks_right(&self, reward: f64) -> Result<(), CheckFailure> {
+        let observation = self.env.observation();
+        if !self.env.observation_space().contains(observation) {
+            let space = &self.env.observation_space().vector;
+            let bounds = space.low().iter().zip(space.high());
+            let out = observation.vector.iter().zip(bounds).position(|(x, (low, high))| !(low <= x && x <= high));
+            return self.broken(match out {
+                Some(entry) => format!("observation[{entry}] is {}, out of its space", observation.vector[entry]),
+                None => "an observation is not of its space".into(),
+            });
+        }
+        if !reward.is_finite() {
+            return self.broken(format!("a reward is {reward}"));
+        }
+        if let Some((name, value)) = self.env.info_map().into_iter().find(|(_, value)| !value.is_finite()) {
+            return self.broken(format!("`{name}` in its info is {value}"));
+        }
+        let progress = self.env.info().progress;
+        if !(0.0..=1.0).contains(&progress) {
+            return self.broken(format!("its progress is {progress}, expected 0 to 1"));
+        }
+        Ok(())
+    }
+
+    /// Whether everything moves that should.
+    fn movement(&mut self, episodes: &[Episode]) -> Result<(), CheckFailure> {
+        if !self.env.observation_space().kind.kinematic {
+            return Ok(());
+        }
+        // one speed for all motors turns and tilts nothing
+        let straight = self.env.action_type() == ActionType::OneDRpm;
+        for entry in 0..self.env.observation_space().vector.size() {
+            let start = episodes[0].initial[entry];
+            if episodes.iter().flat_map(|episode| &episode.observations).all(|vector| vector[entry] == start) {
+                self.report.constant.push(entry);
+                if !(straight || self.env.may_be_constant(entry)) {
+                    return self.broken(format!("observation[{entry}] is always {start}"));
+                }
+            }
+        }
+        let moved = episodes.iter().any(|episode| episode.observations.iter().any(|o| *o != episode.initial));
+        if moved { Ok(()) } else { self.broken("nothing in the observation ever changes".into()) }
+    }
+
+    /// Bad actions and those out of bounds.
+    fn actions(&mut self) -> Result<(), CheckFailure> {
+        let failed = self.error("an action out of bounds");
+        let space = self.env.action_space().clone();
+        let mut outcomes = Vec::new();
+        for factor in [1.0, 10.0] {
+            self.env.reset(Some(5)).map_err(&failed)?;
+            let mut bad = space.high().to_vec();
+            bad[0] = f64::NAN;
+            if !matches!(self.env.step(&bad), Err(EnvError::Action { index: 0, .. })) {
+                return self.broken("it takes an action that is not a number".into());
+            }
+            if !matches!(self.env.step(&space.high()[1..]), Err(EnvError::ActionLength { .. })) {
+                return self.broken("it takes an action of the wrong length".into());
+            }
+            let far: Vec<_> = space.high().iter().map(|x| factor * x).collect();
+            let step = self.env.step(&far).map_err(&failed)?;
+            outcomes.push((step.observation.vector.clone(), step.reward));
+        }
+        if outcomes[0] == outcomes[1] {
+            Ok(())
+        } else {
+            self.broken("an action out of bounds is not clipped to them".into())
+        }
+    }
+
+    /// An episode that is left in its middle leaves nothing behind.
+    fn end(&mut self) -> Result<(), CheckFailure> {
+        let one = self.episode(9, 9, 20)?;
+        self.episode(10, 10, 7)?;
+        if one == self.episode(9, 9, 20)? {
+            Ok(())
+        } else {
+            self.broken("an episode depends on the one before it".into())
+        }
+    }
+}

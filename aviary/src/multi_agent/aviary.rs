@@ -1,0 +1,179 @@
+use super::{Agent, AgentInfo, AgentMap, ParallelEnv, ParallelStep};
+use crate::env::{Aviary, BoxSpace, EndReason, Env, EnvError, ObservationSpace, Task};
+use crate::observation::{Observation, state_vector};
+use crate::simulation::Simulation;
+use crate::tasks::MultiHover;
+use crate::vision::{ImageSize, View};
+
+/// A task whose drones are agents of their own: each sees its own block of the observation, commands its own motors, is paid
+/// its own share of the reward, and leaves when its own episode ends. A drone that has left stays in the world with its
+/// motors off.
+#[derive(Debug)]
+pub struct ParallelAviary<T> {
+    env: Aviary<T>,
+    possible: Vec<Agent>,
+    live: Vec<Agent>,
+    /// Index of the drone of each live agent.
+    drones: Vec<usize>,
+    observation_space: ObservationSpace,
+    action_spaces: Vec<BoxSpace>,
+    action: Vec<f64>,
+}
+
+/// The paper's `MultiAgentAviary`.
+pub type MultiAgentAviary = ParallelAviary<MultiHover>;
+
+impl<T: Task> ParallelAviary<T> {
+    /// The agents' view of an environment.
+    pub fn new(env: Aviary<T>) -> Self {
+        let count = env.simulation().num_drones();
+        let joint = env.observation_space();
+        let vector = if joint.kind.kinematic { env.task().observation_space() } else { BoxSpace::new([]) };
+        let bounds = |drone: usize| {
+            let (space, size) = (env.action_space(), env.action_type().size());
+            let own = drone * size..(drone + 1) * size;
+            BoxSpace::new(space.low()[own.clone()].iter().zip(&space.high()[own]).map(|(&low, &high)| [low, high]))
+        };
+        Self {
+            possible: (0..count).map(|drone| format!("drone{drone}").into()).collect(),
+            live: Vec::new(),
+            drones: Vec::new(),
+            observation_space: ObservationSpace { vector, cameras: 1, neighbours: count, ..joint.clone() },
+            action_spaces: (0..count).map(bounds).collect(),
+            action: vec![0.0; env.action_space().size()],
+            env,
+        }
+    }
+
+    /// One agent's view of the same.
+    pub fn into_inner(self) -> Aviary<T> {
+        self.env
+    }
+
+    /// The task.
+    pub fn task(&self) -> &T {
+        self.env.task()
+    }
+
+    fn index(&self, agent: &str) -> Option<usize> {
+        self.possible.iter().position(|name| **name == *agent)
+    }
+
+    /// Something for every live agent.
+    fn each<V>(&self, value: impl Fn(usize) -> V) -> AgentMap<V> {
+        self.drones.iter().map(|&drone| (self.possible[drone].clone(), value(drone))).collect()
+    }
+
+    fn observations(&self) -> AgentMap<Observation> {
+        self.each(|drone| self.env.observation().of_drone(drone, self.possible.len()))
+    }
+
+    fn infos(&self, end: impl Fn(usize) -> Option<EndReason>) -> AgentMap<AgentInfo> {
+        let (task, simulation) = (self.env.task(), self.env.simulation());
+        self.each(|drone| AgentInfo {
+            time: simulation.time(),
+            success: task.success(simulation, drone),
+            progress: task.progress(simulation, drone),
+            end: end(drone),
+            position_error: simulation.distance(drone, &task.reference(simulation, drone).position),
+        })
+    }
+
+    /// Puts the agents' actions into one.
+    fn gather(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<(), EnvError> {
+        let wrong = |what, agent: &str| {
+            let expected = self.live.iter().map(|agent| &**agent).collect::<Vec<_>>().join(", ");
+            Err(EnvError::Agent { what, agent: agent.into(), expected })
+        };
+        if let Some(agent) = actions.agents().find(|agent| !self.live.contains(agent)) {
+            return wrong("there is an action for", agent);
+        }
+        let size = self.env.action_type().size();
+        // those who have left command what cannot be heard: something within the bounds
+        self.action.copy_from_slice(self.env.action_space().low());
+        for (agent, &drone) in self.live.iter().zip(&self.drones) {
+            let Some(action) = actions.get(agent) else { return wrong("there is no action for", agent) };
+            if action.len() != size {
+                return Err(EnvError::ActionLength { got: action.len(), expected: size });
+            }
+            self.action[drone * size..][..size].copy_from_slice(action);
+        }
+        Ok(())
+    }
+}
+
+impl<T: Task> ParallelEnv for ParallelAviary<T> {
+    fn name(&self) -> &'static str {
+        self.env.name()
+    }
+
+    fn possible_agents(&self) -> &[Agent] {
+        &self.possible
+    }
+
+    fn agents(&self) -> &[Agent] {
+        &self.live
+    }
+
+    fn observation_space(&self, agent: &str) -> Option<&ObservationSpace> {
+        self.index(agent).map(|_| &self.observation_space)
+    }
+
+    fn action_space(&self, agent: &str) -> Option<&BoxSpace> {
+        self.index(agent).map(|drone| &self.action_spaces[drone])
+    }
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<(AgentMap<Observation>, AgentMap<AgentInfo>), EnvError> {
+        self.live.clear();
+        self.drones.clear();
+        self.env.reset(seed)?;
+        self.live.extend_from_slice(&self.possible);
+        self.drones.extend(0..self.possible.len());
+        Ok((self.observations(), self.infos(|_| None)))
+    }
+
+    fn step(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<ParallelStep, EnvError> {
+        if self.live.is_empty() {
+            return Err(EnvError::NeedsReset { when: "while no agent is live" });
+        }
+        self.gather(actions)?;
+        let drones = &self.drones;
+        if let Err(error) = self.env.advance(&self.action, |drone| drones.contains(&drone)) {
+            if matches!(error, EnvError::Simulation(_)) {
+                self.live.clear();
+                self.drones.clear();
+            }
+            return Err(error);
+        }
+        let out_of_time = self.env.is_out_of_time();
+        self.env.observe()?;
+        let end = |drone: usize| self.env.drone_end(drone);
+        let step = ParallelStep {
+            observations: self.observations(),
+            rewards: self.each(|drone| self.env.reward_of(drone)),
+            terminated: self.each(|drone| end(drone).is_some()),
+            truncated: self.each(|_| out_of_time),
+            infos: self.infos(|drone| end(drone).or(out_of_time.then_some(EndReason::TimeLimit))),
+        };
+        let stays = |drone: &usize| !out_of_time && self.env.drone_end(*drone).is_none();
+        self.drones.retain(stays);
+        self.live.clear();
+        self.live.extend(self.drones.iter().map(|&drone| self.possible[drone].clone()));
+        if self.live.is_empty() {
+            self.env.finish(EndReason::TimeLimit);
+        }
+        Ok(step)
+    }
+
+    fn state(&self) -> Vec<f64> {
+        self.env.simulation().states().iter().flat_map(state_vector).collect()
+    }
+
+    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+        self.env.render(view, size, rgb)
+    }
+
+    fn simulation(&self) -> &Simulation {
+        self.env.simulation()
+    }
+}

@@ -1,0 +1,179 @@
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use nalgebra::Vector3;
+
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::{STATE_BOUNDS, UNBOUNDED};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+
+/// Drones on a circle swap places with those opposite, without coming near each other (the benchmark of the paper's
+/// multi-agent figure).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | twelve drones evenly on a circle of radius 2 m at a height of 1 m |
+/// | Goal | the opposite point of the circle |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone; made for velocities behind a [`SafetyWrapper`](crate::wrappers::SafetyWrapper) |
+/// | Reward, per drone | − 0.1·(distance to the goal), + 0.5 within 10 cm of it, − 1 for each drone nearer than the safety radius, − 100 for a crash |
+/// | Terminated | one drone crashes |
+/// | Truncated | after 20 s |
+/// | Success | every drone within 10 cm of its goal, and no two ever nearer than the safety radius |
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12–14 | goal | m, world |
+/// | 15–17 | goal minus position | m, world |
+#[derive(Debug, Clone)]
+pub struct Antipodal {
+    /// Radius of the circle, m; 2 by default.
+    pub radius: f64,
+    /// Height, m; 1 by default.
+    pub height: f64,
+    /// Least distance of two drones' centres, m; 0.3 by default.
+    pub safety_radius: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    watch: CrashWatch,
+    /// Smallest distance of two drones so far, m.
+    nearest: f64,
+}
+
+impl Default for Antipodal {
+    fn default() -> Self {
+        Self {
+            radius: 2.0,
+            height: 1.0,
+            safety_radius: 0.3,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            watch: CrashWatch::default(),
+            nearest: f64::INFINITY,
+        }
+    }
+}
+
+impl Antipodal {
+    /// Distance from the goal within which it counts as reached, m.
+    pub const AT_GOAL: f64 = 0.1;
+
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    fn place(&self, drone: usize, count: usize) -> Vector3<f64> {
+        let (sin, cos) = (TAU * drone as f64 / count as f64).sin_cos();
+        Vector3::new(self.radius * cos, self.radius * sin, self.height)
+    }
+
+    fn goal(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
+        let place = self.place(drone, simulation.num_drones());
+        Vector3::new(-place.x, -place.y, place.z)
+    }
+
+    /// Smallest distance of two drones' centres in this episode so far, m; infinite for a single drone.
+    pub fn minimum_distance(&self) -> f64 {
+        self.nearest
+    }
+
+    fn at_goal(&self, simulation: &Simulation, drone: usize) -> bool {
+        simulation.distance(drone, &self.goal(simulation, drone)) < Self::AT_GOAL
+    }
+}
+
+impl Task for Antipodal {
+    fn name(&self) -> &'static str {
+        "antipodal"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 12, episode_seconds: 20.0, controller: ControllerKind::Geometric }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        (0..drones.len()).map(|drone| self.place(drone, drones.len()).into()).collect()
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
+    }
+
+    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        for (option, got) in [
+            ("the circle's radius", self.radius),
+            ("the height", self.height),
+            ("the safety radius", self.safety_radius),
+        ] {
+            if !(got > 0.0 && got <= 1e3) {
+                let expected = "a positive number of metres up to 1000";
+                return Err(EnvError::Option { option, got: format!("{got} m"), expected });
+            }
+        }
+        let apart = 2.0 * self.radius * (TAU / (2.0 * drones.len() as f64)).sin();
+        if drones.len() > 1 && apart <= self.safety_radius {
+            return Err(EnvError::Option {
+                option: "the distance of neighbours on the circle",
+                got: format!("{apart:.3} m for {} drones", drones.len()),
+                expected: "more than the safety radius",
+            });
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+        self.nearest = f64::INFINITY;
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+        let states = simulation.states();
+        for (i, a) in states.iter().enumerate() {
+            for b in &states[..i] {
+                self.nearest = self.nearest.min((a.position - b.position).norm());
+            }
+        }
+    }
+
+    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone)
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let here = simulation.states()[drone].position;
+        let near = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
+        -0.1 * simulation.distance(drone, &self.goal(simulation, drone))
+            + if self.at_goal(simulation, drone) { 0.5 } else { 0.0 }
+            - (0..simulation.num_drones()).filter(near).count() as f64
+            - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        let (state, goal) = (&simulation.states()[drone], self.goal(simulation, drone));
+        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[12..15].copy_from_slice(goal.as_slice());
+        out[15..18].copy_from_slice((goal - state.position).as_slice());
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && self.nearest >= self.safety_radius && self.at_goal(simulation, drone)
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        Reference::hover(self.goal(simulation, drone), simulation.initial_states()[drone].yaw())
+    }
+
+    fn measures(&self, _simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        if self.nearest.is_finite() {
+            report("minimum_distance", self.nearest);
+        }
+    }
+
+    fn may_be_constant(&self, entry: usize) -> bool {
+        (12..15).contains(&entry)
+    }
+}

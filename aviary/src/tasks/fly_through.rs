@@ -1,0 +1,160 @@
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::Vector3;
+
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::course::{self, Course};
+use super::{STATE_BOUNDS, UNBOUNDED, side_by_side};
+use crate::control::trajectory::Trajectory;
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+use crate::world::{Marker, Obstacle, Shape};
+
+/// A drone visits waypoints, one after the other (paper, §4.1 `FlyThroughAviary`).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | (0, 0, 0.1) m; several drones side by side along −y, each with the whole course before it |
+/// | Waypoints | (0, 0, 1), (1, 0, 1), (1, 1, 1.5), (0, 1, 1), (0, 0, 0.5) m, captured within 0.1 m |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward | + 10 for a capture, − 0.1·(distance to the waypoint flown to), − 0.01·‖ω‖, − 100 for a crash |
+/// | Terminated | crash (tilt over 90°, contact, z < 0), or every drone has captured all |
+/// | Truncated | after 20 s |
+/// | Success, progress | all captured; the share that is |
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12–14 | next waypoint (after the last one, the last one) | m, world |
+/// | 15–17 | next waypoint as seen from the drone | m, body |
+#[derive(Debug, Clone)]
+pub struct FlyThrough {
+    /// The waypoints, world frame, m.
+    pub waypoints: Vec<[f64; 3]>,
+    /// Distance within which a waypoint is captured, m.
+    pub radius: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    course: Course,
+    watch: CrashWatch,
+}
+
+impl Default for FlyThrough {
+    fn default() -> Self {
+        Self {
+            waypoints: vec![[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.5], [0.0, 1.0, 1.0], [0.0, 0.0, 0.5]],
+            radius: 0.1,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            course: Course::default(),
+            watch: CrashWatch::default(),
+        }
+    }
+}
+
+impl FlyThrough {
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    /// How many waypoints a drone has captured.
+    pub fn captured(&self, drone: usize) -> usize {
+        self.course.passed(drone)
+    }
+
+    fn target(&self, drone: usize) -> Vector3<f64> {
+        let last = self.waypoints.len() - 1;
+        self.waypoints[self.course.passed(drone).min(last)].into()
+    }
+}
+
+impl Task for FlyThrough {
+    fn name(&self) -> &'static str {
+        "fly_through"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 20.0, controller: ControllerKind::Geometric }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        side_by_side(drones)
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
+    }
+
+    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+        course::check(&self.waypoints, 1, self.radius)
+    }
+
+    fn markers(&self) -> Vec<Marker> {
+        let marker = |(index, point): (usize, &[f64; 3])| Marker {
+            name: format!("waypoint{index}"),
+            body: Obstacle {
+                rgba: [1.0, 0.55, 0.1, 1.0],
+                ..Obstacle::new(Shape::Sphere { radius: 0.03 }, (*point).into())
+            },
+        };
+        self.waypoints.iter().enumerate().map(marker).collect()
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+        self.course.reset(simulation);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+        self.course.update(simulation, &self.waypoints, 1, self.radius);
+    }
+
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone).or(self.success(simulation, drone).then_some(EndReason::Completed))
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let capture = if self.course.just_passed(drone) { 10.0 } else { 0.0 };
+        capture
+            - 0.1 * self.course.distance(drone)
+            - 0.01 * simulation.states()[drone].angular_velocity.norm()
+            - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        let (state, target) = (&simulation.states()[drone], self.target(drone));
+        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[12..15].copy_from_slice(target.as_slice());
+        out[15..18].copy_from_slice(state.attitude.inverse_transform_vector(&(target - state.position)).as_slice());
+    }
+
+    fn success(&self, _simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && self.course.passed(drone) == self.waypoints.len()
+    }
+
+    fn progress(&self, _simulation: &Simulation, drone: usize) -> f64 {
+        self.course.passed(drone) as f64 / self.waypoints.len() as f64
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        Reference::hover(self.target(drone), simulation.initial_states()[drone].yaw())
+    }
+
+    fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
+        self.course.plan(simulation, drone, &self.waypoints, 1)
+    }
+
+    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        let captured = (0..simulation.num_drones()).map(|drone| self.captured(drone));
+        report("waypoints_captured", captured.sum::<usize>() as f64);
+    }
+
+    fn may_be_constant(&self, entry: usize) -> bool {
+        // the next waypoint in the world, until it is captured
+        (12..15).contains(&entry)
+    }
+}

@@ -1,0 +1,209 @@
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use nalgebra::Vector3;
+
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::{STATE_BOUNDS, UNBOUNDED};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+
+/// Drones keep a formation whose middle goes along a closed path (paper, §4.1 `FormationAviary`).
+///
+/// | | |
+/// | --- | --- |
+/// | Formation | evenly on a circle of radius 0.3 m, three drones |
+/// | Start | in formation about the first point of the path |
+/// | Path of the middle | (0, 0, 1), (1, 0, 1), (1, 1, 1.2), (0, 1, 1) m and back, at 0.048 m/s |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward | − Σ_i ‖p_i − slot_i‖ − 0.5·Σ_{i<j} \|d_ij − desired d_ij\|, − 100 for each crash |
+/// | Terminated | one drone crashes |
+/// | Truncated | after 30 s |
+/// | Success | the mean distance of the drones from their slots has been below 5 cm over the episode |
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12–14 | the drone's slot | m, world |
+/// | 15–17 | slot minus position | m, world |
+#[derive(Debug, Clone)]
+pub struct Formation {
+    /// Radius of the circle, m; 0.3 by default.
+    pub radius: f64,
+    /// Places relative to the middle, world frame, m, one per drone; the circle by default.
+    pub offsets: Option<Vec<[f64; 3]>>,
+    /// Corners of the path of the middle, world frame, m; the last one leads back to the first.
+    pub path: Vec<[f64; 3]>,
+    /// Speed of the middle, m/s; 0.048 by default.
+    pub speed: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    watch: CrashWatch,
+    /// Sum of the distances from the slots over drones and control steps, m, and their number.
+    errors: (f64, f64),
+}
+
+impl Default for Formation {
+    fn default() -> Self {
+        Self {
+            radius: 0.3,
+            offsets: None,
+            path: vec![[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.2], [0.0, 1.0, 1.0]],
+            speed: 0.048,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            watch: CrashWatch::default(),
+            errors: (0.0, 0.0),
+        }
+    }
+}
+
+impl Formation {
+    /// Mean distance from the slots below which the formation is kept, m.
+    const KEPT: f64 = 0.05;
+
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    /// Place of a drone relative to the middle.
+    fn offset(&self, drone: usize, count: usize) -> Vector3<f64> {
+        match &self.offsets {
+            Some(offsets) => offsets[drone].into(),
+            None => {
+                let (sin, cos) = (TAU * drone as f64 / count as f64).sin_cos();
+                Vector3::new(cos, sin, 0.0) * self.radius
+            }
+        }
+    }
+
+    /// The middle at a time, and its velocity.
+    fn middle(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let sides = self.path.iter().zip(self.path.iter().cycle().skip(1));
+        let sides = sides.map(|(from, to)| (Vector3::from(*from), Vector3::from(*to)));
+        let length: f64 = sides.clone().map(|(from, to)| (to - from).norm()).sum();
+        let mut way = if length > 0.0 { (self.speed * time).rem_euclid(length) } else { 0.0 };
+        for (from, to) in sides {
+            let side = (to - from).norm();
+            if way < side {
+                let direction = (to - from) / side;
+                return (from + direction * way, direction * self.speed);
+            }
+            way -= side;
+        }
+        (self.path[0].into(), Vector3::zeros())
+    }
+
+    fn slot(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
+        self.middle(simulation.time()).0 + self.offset(drone, simulation.num_drones())
+    }
+
+    /// Mean distance of the drones from their slots over the episode so far, m.
+    pub fn mean_error(&self) -> f64 {
+        self.errors.0 / self.errors.1.max(1.0)
+    }
+}
+
+impl Task for Formation {
+    fn name(&self) -> &'static str {
+        "formation"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 3, episode_seconds: 30.0, controller: ControllerKind::Dsl }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        let (middle, _) = self.middle(0.0);
+        (0..drones.len()).map(|drone| (middle + self.offset(drone, drones.len())).into()).collect()
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
+    }
+
+    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
+        if self.path.is_empty() || self.path.iter().flatten().any(|x| !(-1e4..=1e4).contains(x)) {
+            return wrong("the path", format!("{:?}", self.path), "at least one corner, finite metres up to 10 km");
+        }
+        if !(0.0..=1e3).contains(&self.speed) {
+            return wrong("the speed of the middle", format!("{} m/s", self.speed), "zero or a positive number");
+        }
+        if let Some(offsets) = &self.offsets {
+            if offsets.len() != drones.len() {
+                return wrong("the number of places", offsets.len().to_string(), "one per drone");
+            }
+        } else if !(self.radius >= 0.0 && self.radius <= 1e3) {
+            return wrong("the radius", format!("{} m", self.radius), "zero or a positive number of metres");
+        }
+        let places: Vec<_> = (0..drones.len()).map(|drone| self.offset(drone, drones.len())).collect();
+        for (i, (a, first)) in places.iter().zip(drones).enumerate() {
+            for (b, second) in places[..i].iter().zip(drones) {
+                let apart = (a - b).norm();
+                let least = first.collision_radius + second.collision_radius;
+                if apart.is_nan() || apart <= least {
+                    let got = format!("{apart:.3} m for {least:.3} m of drones");
+                    return wrong("the distance of two places in the formation", got, "room between the drones");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+        self.errors = (0.0, 0.0);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+        for drone in 0..simulation.num_drones() {
+            self.errors.0 += simulation.distance(drone, &self.slot(simulation, drone));
+            self.errors.1 += 1.0;
+        }
+    }
+
+    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone)
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let (states, count) = (simulation.states(), simulation.num_drones());
+        let (here, place) = (states[drone].position, self.offset(drone, count));
+        let others = (0..count).filter(|&other| other != drone).map(|other| {
+            let desired = (self.offset(other, count) - place).norm();
+            ((states[other].position - here).norm() - desired).abs()
+        });
+        // every pair is shared by two drones
+        -simulation.distance(drone, &self.slot(simulation, drone)) - 0.25 * others.sum::<f64>() - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        let (state, slot) = (&simulation.states()[drone], self.slot(simulation, drone));
+        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[12..15].copy_from_slice(slot.as_slice());
+        out[15..18].copy_from_slice((slot - state.position).as_slice());
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && simulation.control_steps() > 0 && self.mean_error() < Self::KEPT
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        let (middle, velocity) = self.middle(simulation.time());
+        let place = middle + self.offset(drone, simulation.num_drones());
+        Reference { velocity, ..Reference::hover(place, simulation.initial_states()[drone].yaw()) }
+    }
+
+    fn measures(&self, _simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        report("mean_formation_error", self.mean_error());
+    }
+
+    fn may_be_constant(&self, entry: usize) -> bool {
+        // the slot, where the path is a point or level
+        (12..15).contains(&entry)
+    }
+}

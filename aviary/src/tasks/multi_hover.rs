@@ -1,0 +1,147 @@
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::Vector3;
+
+use super::conditions::{CrashConditions, CrashWatch};
+use super::hover::{at_target, hover_reward};
+use super::{STATE_BOUNDS, UNBOUNDED};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+
+/// Drones on a line take off, each to a height of its own (paper, §4.1 `MultiHoverAviary`).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | on a line along x, 0.5 m apart (further for larger airframes), z = 0.1 m |
+/// | Target | straight above the start, heights evenly from 0.7 m to 1.2 m |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward | sum over the drones of [`Hover`](super::Hover)'s, the distance to the side measured from the start |
+/// | Terminated | one drone crashes or is above 3 m |
+/// | Truncated | after 10 s |
+/// | Success | every drone within 5 cm of its height and within 5 cm of its start to the side |
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12 | target height | m, world |
+#[derive(Debug, Clone)]
+pub struct MultiHover {
+    /// Height for every drone, m; evenly from 0.7 to 1.2 by default.
+    pub target_heights: Option<Vec<f64>>,
+    /// Height above which the episode ends, m; 3 by default.
+    pub max_height: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    name: &'static str,
+    num_drones: usize,
+    watch: CrashWatch,
+}
+
+impl Default for MultiHover {
+    fn default() -> Self {
+        Self {
+            target_heights: None,
+            max_height: 3.0,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            name: "multi_hover",
+            num_drones: 2,
+            watch: CrashWatch::default(),
+        }
+    }
+}
+
+impl MultiHover {
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    /// The paper's `MultiAgentAviary`: the same with three drones, each of which is an agent in a
+    /// [`ParallelAviary`](crate::multi_agent::ParallelAviary).
+    pub fn multi_agent() -> Self {
+        Self { name: "multi_agent", num_drones: 3, ..Self::default() }
+    }
+
+    fn target(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
+        let start = simulation.initial_states()[drone].position;
+        let height = match &self.target_heights {
+            Some(heights) => heights[drone],
+            // numpy.linspace(0.7, 1.2, N)
+            None => 0.7 + 0.5 * drone as f64 / (simulation.num_drones() - 1).max(1) as f64,
+        };
+        Vector3::new(start.x, start.y, height)
+    }
+}
+
+impl Task for MultiHover {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: self.num_drones, episode_seconds: 10.0, controller: ControllerKind::Pid }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
+        let spacing = (4.0 * widest).max(0.5);
+        (0..drones.len()).map(|drone| [spacing * drone as f64, 0.0, 0.1]).collect()
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED]))
+    }
+
+    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        let Some(heights) = &self.target_heights else { return Ok(()) };
+        if heights.len() != drones.len() {
+            return Err(EnvError::Option {
+                option: "the number of target heights",
+                got: heights.len().to_string(),
+                expected: "one per drone",
+            });
+        }
+        match heights.iter().find(|&&height| !(height > 0.0 && height < self.max_height)) {
+            Some(height) => Err(EnvError::Option {
+                option: "a target height",
+                got: format!("{height} m"),
+                expected: "a height above the floor and below the task's greatest",
+            }),
+            None => Ok(()),
+        }
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+    }
+
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        let too_high = simulation.states()[drone].position.z > self.max_height;
+        self.watch.end(drone).or(too_high.then_some(EndReason::OutOfBounds))
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        hover_reward(&simulation.states()[drone], &self.target(simulation, drone), end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        out[..STATE_SIZE].copy_from_slice(&state_vector(&simulation.states()[drone]));
+        out[STATE_SIZE] = self.target(simulation, drone).z;
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        let target = self.target(simulation, drone);
+        self.watch.end(drone).is_none() && at_target(&simulation.states()[drone].position, &target)
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        Reference::hover(self.target(simulation, drone), simulation.initial_states()[drone].yaw())
+    }
+}

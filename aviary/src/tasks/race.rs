@@ -1,0 +1,215 @@
+use nalgebra::Vector3;
+
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::course::{self, Course};
+use super::{STATE_BOUNDS, UNBOUNDED, side_by_side};
+use crate::control::trajectory::Trajectory;
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+use crate::world::{Marker, Obstacle, Shape};
+
+/// A drone flies two laps through six gates, as fast as it can (paper, §4.1 `RaceAviary`).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | (0, 0, 0.1) m; several drones side by side along −y |
+/// | Gates | (1, 0, 1), (2, 1, 1.2), (1, 2, 1.5), (0, 2, 1.3), (−1, 1, 1), (0, 0, 0.8) m, passed within 0.2 m of the middle |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the gate flown to), − 100 for a crash |
+/// | Terminated | crash (tilt over 2 rad, contact, z < 0), or every drone has completed two laps |
+/// | Truncated | after 30 s |
+/// | Success, progress | two laps; the share of gates passed |
+///
+/// The frames of the gates are seen and not touched.
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12–14 | next gate (after the last one, the first) | m, world |
+/// | 15–17 | next gate as seen from the drone | m, body |
+/// | 18–20 | the gate after it as seen from the drone | m, body |
+#[derive(Debug, Clone)]
+pub struct Race {
+    /// Middles of the gates, world frame, m.
+    pub gates: Vec<[f64; 3]>,
+    /// Distance from the middle within which a gate is passed, m.
+    pub radius: f64,
+    /// How many laps.
+    pub laps: usize,
+    /// Reward for a gate; 20 by default.
+    pub gate_reward: f64,
+    /// Reward per control step and m/s; 2 by default.
+    pub speed_reward: f64,
+    /// Reward per control step and m of distance from the gate, taken off; 0.05 by default.
+    pub distance_penalty: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    course: Course,
+    watch: CrashWatch,
+}
+
+impl Default for Race {
+    fn default() -> Self {
+        Self {
+            gates: vec![
+                [1.0, 0.0, 1.0],
+                [2.0, 1.0, 1.2],
+                [1.0, 2.0, 1.5],
+                [0.0, 2.0, 1.3],
+                [-1.0, 1.0, 1.0],
+                [0.0, 0.0, 0.8],
+            ],
+            radius: 0.2,
+            laps: 2,
+            gate_reward: 20.0,
+            speed_reward: 2.0,
+            distance_penalty: 0.05,
+            crash: CrashConditions::with_max_tilt(2.0),
+            course: Course::default(),
+            watch: CrashWatch::default(),
+        }
+    }
+}
+
+impl Race {
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    /// How many gates a drone has passed, over all laps.
+    pub fn gates_passed(&self, drone: usize) -> usize {
+        self.course.passed(drone)
+    }
+
+    /// The gate so many after the next one.
+    fn gate(&self, drone: usize, ahead: usize) -> Vector3<f64> {
+        self.gates[(self.course.passed(drone) + ahead) % self.gates.len()].into()
+    }
+}
+
+impl Task for Race {
+    fn name(&self) -> &'static str {
+        "race"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 30.0, controller: ControllerKind::Geometric }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        side_by_side(drones)
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 9]))
+    }
+
+    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+        course::check(&self.gates, self.laps, self.radius)?;
+        for (option, got) in [
+            ("the reward for a gate", self.gate_reward),
+            ("the reward for speed", self.speed_reward),
+            ("the penalty for distance", self.distance_penalty),
+        ] {
+            if !got.is_finite() {
+                return Err(EnvError::Option { option, got: got.to_string(), expected: "a finite number" });
+            }
+        }
+        Ok(())
+    }
+
+    /// Square frames that stand across the way from the gate before to the gate after.
+    fn markers(&self) -> Vec<Marker> {
+        const INSIDE: f64 = 0.25;
+        const BAR: f64 = 0.015;
+        let count = self.gates.len();
+        let mut bars = Vec::new();
+        for (index, &middle) in self.gates.iter().enumerate() {
+            let (before, after) = (self.gates[(index + count - 1) % count], self.gates[(index + 1) % count]);
+            let yaw = (after[1] - before[1]).atan2(after[0] - before[0]);
+            let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
+            let reach = INSIDE + BAR;
+            for (side, offset, half_size) in [
+                ("left", left * reach, [BAR, BAR, reach + BAR]),
+                ("right", left * -reach, [BAR, BAR, reach + BAR]),
+                ("top", Vector3::z() * reach, [BAR, reach + BAR, BAR]),
+                ("bottom", Vector3::z() * -reach, [BAR, reach + BAR, BAR]),
+            ] {
+                let position = Vector3::from(middle) + offset;
+                bars.push(Marker {
+                    name: format!("gate{index}_{side}"),
+                    body: Obstacle {
+                        shape: Shape::Box { half_size },
+                        position,
+                        rpy: Vector3::new(0.0, 0.0, yaw),
+                        rgba: if index == 0 { [0.1, 0.65, 0.35, 1.0] } else { [0.9, 0.35, 0.1, 1.0] },
+                    },
+                });
+            }
+        }
+        bars
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+        self.course.reset(simulation);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+        self.course.update(simulation, &self.gates, self.laps, self.radius);
+    }
+
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone).or(self.success(simulation, drone).then_some(EndReason::Completed))
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let gate = if self.course.just_passed(drone) { self.gate_reward } else { 0.0 };
+        gate + self.speed_reward * simulation.states()[drone].velocity.norm()
+            - self.distance_penalty * self.course.distance(drone)
+            - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        let state = &simulation.states()[drone];
+        let (next, second) = (self.gate(drone, 0), self.gate(drone, 1));
+        let seen = |point: Vector3<f64>| state.attitude.inverse_transform_vector(&(point - state.position));
+        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[12..15].copy_from_slice(next.as_slice());
+        out[15..18].copy_from_slice(seen(next).as_slice());
+        out[18..21].copy_from_slice(seen(second).as_slice());
+    }
+
+    fn success(&self, _simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && self.course.passed(drone) == self.gates.len() * self.laps
+    }
+
+    fn progress(&self, _simulation: &Simulation, drone: usize) -> f64 {
+        self.course.passed(drone) as f64 / (self.gates.len() * self.laps) as f64
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        // after the last gate the drone may stay there
+        let point = course::next(&self.gates, self.course.passed(drone), self.laps);
+        let last = self.gates[self.gates.len() - 1].into();
+        Reference::hover(point.unwrap_or(last), simulation.initial_states()[drone].yaw())
+    }
+
+    fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
+        self.course.plan(simulation, drone, &self.gates, self.laps)
+    }
+
+    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        let passed: usize = (0..simulation.num_drones()).map(|drone| self.gates_passed(drone)).sum();
+        report("gates_passed", passed as f64);
+    }
+
+    fn may_be_constant(&self, entry: usize) -> bool {
+        (12..15).contains(&entry)
+    }
+}

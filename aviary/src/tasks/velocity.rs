@@ -1,0 +1,162 @@
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::Vector3;
+use rand::RngExt as _;
+
+use super::STATE_BOUNDS;
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::{STATE_SIZE, state_vector};
+use crate::simulation::Simulation;
+use crate::state::wrap_angle;
+
+/// A drone flies at a velocity and a yaw rate that are drawn anew for every episode (paper, §4.1 `VelocityAviary`).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | (0, 0, 6) m, level, at rest: high enough that no target leads into the floor before the time is over |
+/// | Target | velocity v\* uniform in ±0.5 m/s along each axis, yaw rate ω\* in ±0.25 rad/s |
+/// | Action | 4 normalized motor speeds in [−1, 1] |
+/// | Reward | −‖v − v\*‖ − 0.1·\|ω_z − ω\*\| − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
+/// | Tracked, success | ‖v − v\*‖ < 0.05 m/s |
+/// | Terminated | crash (tilt over 90°, contact, z < 0) |
+/// | Truncated | after 10 s |
+/// | Reference | moves from the start at v\*, turning at ω\* |
+///
+/// | Observation | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12–14 | target velocity v\* | m/s, world |
+/// | 15 | target yaw rate ω\* | rad/s, body |
+#[derive(Debug, Clone)]
+pub struct Velocity {
+    /// Largest component of the target velocity, m/s; 0.5 by default.
+    pub max_speed: f64,
+    /// Largest target yaw rate, rad/s; 0.25 by default.
+    pub max_yaw_rate: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    watch: CrashWatch,
+    /// Velocity and yaw rate for every drone.
+    targets: Vec<(Vector3<f64>, f64)>,
+}
+
+impl Default for Velocity {
+    fn default() -> Self {
+        Self {
+            max_speed: 0.5,
+            max_yaw_rate: 0.25,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            watch: CrashWatch::default(),
+            targets: Vec::new(),
+        }
+    }
+}
+
+impl Velocity {
+    /// Error of the velocity below which it counts as tracked, m/s.
+    const TRACKED: f64 = 0.05;
+
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    /// The target of a drone in this episode: velocity (world, m/s) and yaw rate (rad/s).
+    ///
+    /// # Panics
+    /// Before the first reset and if there is no drone of that index.
+    pub fn target(&self, drone: usize) -> (Vector3<f64>, f64) {
+        self.targets[drone]
+    }
+
+    fn error(&self, simulation: &Simulation, drone: usize) -> f64 {
+        (simulation.states()[drone].velocity - self.targets[drone].0).norm()
+    }
+}
+
+impl Task for Velocity {
+    fn name(&self) -> &'static str {
+        "velocity"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 10.0, controller: ControllerKind::Dsl }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        // further apart than two drones can come in an episode's time
+        (0..drones.len()).map(|drone| [12.0 * drone as f64, 0.0, 6.0]).collect()
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        let (speed, rate) = ([-self.max_speed, self.max_speed], [-self.max_yaw_rate, self.max_yaw_rate]);
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([speed, speed, speed, rate]))
+    }
+
+    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+        for (option, got) in [("the largest speed", self.max_speed), ("the largest yaw rate", self.max_yaw_rate)] {
+            if !(0.0..=1e3).contains(&got) {
+                let expected = "zero or a positive number up to 1000";
+                return Err(EnvError::Option { option, got: got.to_string(), expected });
+            }
+        }
+        Ok(())
+    }
+
+    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
+        self.watch.reset(simulation);
+        self.targets.clear();
+        for _ in 0..simulation.num_drones() {
+            let mut within = |most: f64| most * (2.0 * rng.random::<f64>() - 1.0);
+            let velocity = Vector3::new(within(self.max_speed), within(self.max_speed), within(self.max_speed));
+            self.targets.push((velocity, within(self.max_yaw_rate)));
+        }
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+    }
+
+    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone)
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let state = &simulation.states()[drone];
+        let (rpy, error) = (state.rpy(), self.error(simulation, drone));
+        -error - 0.1 * (state.angular_velocity.z - self.targets[drone].1).abs() - 0.05 * (rpy.x.abs() + rpy.y.abs())
+            + if error < Self::TRACKED { 0.5 } else { 0.0 }
+            - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        let (state, target) = out.split_at_mut(STATE_SIZE);
+        state.copy_from_slice(&state_vector(&simulation.states()[drone]));
+        target[..3].copy_from_slice(self.targets[drone].0.as_slice());
+        target[3] = self.targets[drone].1;
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && self.error(simulation, drone) < Self::TRACKED
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        let start = &simulation.initial_states()[drone];
+        // before the first reset nothing has been drawn
+        let (velocity, yaw_rate) = self.targets.get(drone).copied().unwrap_or_default();
+        let time = simulation.time();
+        Reference {
+            velocity,
+            yaw_rate,
+            ..Reference::hover(start.position + velocity * time, wrap_angle(start.yaw() + yaw_rate * time))
+        }
+    }
+
+    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        let errors = (0..simulation.num_drones()).map(|drone| self.error(simulation, drone));
+        report("velocity_error", errors.fold(0.0, f64::max));
+    }
+}

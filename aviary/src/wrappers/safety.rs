@@ -1,0 +1,143 @@
+use nalgebra::Vector3;
+
+use super::forward_env;
+use crate::action::ActionType;
+use crate::control::CollisionCone;
+use crate::env::{Env, EnvError, Step};
+use crate::observation::Observation;
+
+/// Keeps drones apart whatever the agent commands: a [`CollisionCone`] on the commanded velocities.
+///
+/// A velocity command v\* stands for the acceleration `response`·(v\* − v) that the controller beneath will give. Those are
+/// filtered, and what comes out goes on as velocities. Commands that are safe pass unchanged.
+///
+/// ```
+/// use aviary::action::ActionType;
+/// use aviary::control::{CollisionCone, ControllerKind};
+/// use aviary::env::Env;
+/// use aviary::tasks::Antipodal;
+/// use aviary::wrappers::SafetyWrapper;
+///
+/// let env = Antipodal::builder().action_type(ActionType::Vel).controller(ControllerKind::Geometric).build()?;
+/// let mut env = SafetyWrapper::new(env, CollisionCone::new(0.4))?;
+/// env.reset(Some(1))?;
+/// env.step(&[0.5, 0.0, 0.0, 0.0].repeat(12))?;
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+#[derive(Debug)]
+pub struct SafetyWrapper<E> {
+    env: E,
+    filter: CollisionCone,
+    response: f64,
+    positions: Vec<Vector3<f64>>,
+    velocities: Vec<Vector3<f64>>,
+    accelerations: Vec<Vector3<f64>>,
+    action: Vec<f64>,
+    /// Control steps of this episode in which it had to change something.
+    interventions: u64,
+}
+
+impl<E: Env> SafetyWrapper<E> {
+    /// Around an environment whose actions are velocities ([`ActionType::Vel`]).
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for other actions, [`EnvError::Safety`] for a filter that cannot be.
+    pub fn new(env: E, filter: CollisionCone) -> Result<Self, EnvError> {
+        filter.validate()?;
+        if env.action_type() != ActionType::Vel {
+            return Err(EnvError::Option {
+                option: "the action type under a safety filter",
+                got: env.action_type().to_string(),
+                expected: "vel",
+            });
+        }
+        let count = env.simulation().num_drones();
+        let vectors = || vec![Vector3::zeros(); count];
+        let action = vec![0.0; env.action_space().size()];
+        Ok(Self {
+            env,
+            filter,
+            response: 10.0,
+            positions: vectors(),
+            velocities: vectors(),
+            accelerations: vectors(),
+            action,
+            interventions: 0,
+        })
+    }
+
+    /// How fast the controller beneath takes up a velocity, 1/s; 10 by default, which is the geometric controller's.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for what is not a positive number.
+    pub fn response(mut self, response: f64) -> Result<Self, EnvError> {
+        if !(response > 0.0 && response <= 1e6) {
+            return Err(EnvError::Option {
+                option: "the response under a safety filter",
+                got: format!("{response} 1/s"),
+                expected: "a positive number",
+            });
+        }
+        self.response = response;
+        Ok(self)
+    }
+
+    /// The environment within.
+    pub fn inner(&self) -> &E {
+        &self.env
+    }
+
+    /// Control steps of this episode in which it had to change something.
+    pub fn interventions(&self) -> u64 {
+        self.interventions
+    }
+
+    /// Writes the safe action for this one.
+    fn safe(&mut self, action: &[f64]) -> Result<bool, EnvError> {
+        self.action.copy_from_slice(action);
+        let bounds = self.env.action_space();
+        for ((x, low), high) in self.action.iter_mut().zip(bounds.low()).zip(bounds.high()) {
+            *x = x.clamp(*low, *high);
+        }
+        let states = self.env.simulation().states();
+        for (drone, (state, command)) in states.iter().zip(self.action.chunks_exact(4)).enumerate() {
+            let (sin, cos) = state.yaw().sin_cos();
+            let (x, y) = (command[0], command[1]);
+            let wanted = Vector3::new(cos * x - sin * y, sin * x + cos * y, command[2]);
+            self.positions[drone] = state.position;
+            self.velocities[drone] = state.velocity;
+            self.accelerations[drone] = self.response * (wanted - state.velocity);
+        }
+        if !self.filter.filter(&self.positions, &self.velocities, &mut self.accelerations)? {
+            return Ok(false);
+        }
+        for (drone, (state, command)) in states.iter().zip(self.action.chunks_exact_mut(4)).enumerate() {
+            let (sin, cos) = state.yaw().sin_cos();
+            let velocity = state.velocity + self.accelerations[drone] / self.response;
+            command[0] = cos * velocity.x + sin * velocity.y;
+            command[1] = cos * velocity.y - sin * velocity.x;
+        }
+        Ok(true)
+    }
+}
+
+impl<E: Env> Env for SafetyWrapper<E> {
+    forward_env!(self => self.env);
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        self.interventions = 0;
+        self.env.reset(seed)
+    }
+
+    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
+        // what is wrong with an action the environment itself says best
+        let sound = action.len() == self.action.len() && action.iter().all(|x| x.is_finite());
+        if !sound || self.env.info().end.is_some() {
+            return self.env.step(action);
+        }
+        if self.safe(action)? {
+            self.interventions += 1;
+        }
+        self.env.step(&self.action)
+    }
+}
