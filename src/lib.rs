@@ -22,17 +22,21 @@ pub use aviary::*;
 /// The safe MuJoCo beneath: models, simulations, errors.
 pub use mujoco_rs as mujoco;
 
+/// The generator behind every random draw, and what seeds it.
+pub use aviary::env::Rng;
+pub use rand::SeedableRng;
+
 /// What most programs use.
 pub mod prelude {
     pub use aviary::action::ActionType;
     pub use aviary::control::{Controller, PidControl, Reference};
     pub use aviary::drone::{DroneModel, DroneParams};
-    pub use aviary::env::{Aviary, Env, EnvError, Info, Step, Task};
+    pub use aviary::env::{Aviary, Env, EnvConfig, EnvError, Info, Step, Task};
     pub use aviary::observation::{Observation, ObservationType};
     pub use aviary::physics::{Effects, Physics};
     pub use aviary::simulation::{Simulation, SimulationError};
     pub use aviary::state::DroneState;
-    pub use aviary::tasks::Hover;
+    pub use aviary::tasks::{FlyThrough, Formation, Hover, MultiHover, Race, Velocity, make};
     pub use aviary::vision::{ImageSize, View};
 }
 

@@ -145,9 +145,17 @@ impl HeadingHold {
     }
 }
 
-/// Every component within ±`limit`.
+/// Every component within ±`limit`; what is not a number stays that.
 pub(super) fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
-    vector.map(|x| x.max(-limit).min(limit))
+    vector.map(|x| {
+        if x > limit {
+            limit
+        } else if x < -limit {
+            -limit
+        } else {
+            x
+        }
+    })
 }
 
 /// The attitude whose z axis points along `up`, which lies above the horizon, and whose yaw is `yaw`.

@@ -149,7 +149,7 @@ impl CollisionCone {
         // drones at the very same place part along x
         let away = if distance2 > 1e-12 { p } else { Vector2::new(1e-6, 0.0) };
         let least = -v.norm_squared() - 2.0 * k * p.dot(&v) - 0.5 * k * k * (distance2 - r2);
-        conditions.push(scaled(pair, away, least));
+        conditions.extend(self.scaled(pair, away, least));
         // outside the circle, on the way towards each other
         let tangent2 = distance2 - r2;
         let speed = v.norm();
@@ -160,15 +160,23 @@ impl CollisionCone {
             let least = -v.norm_squared() - speed * p.dot(&v) / tangent - self.decay * h;
             // straight at its middle the cone says nothing of the side to pass on
             if gradient.norm() > 1e-6 {
-                conditions.push(scaled(pair, gradient, least));
+                conditions.extend(self.scaled(pair, gradient, least));
             }
         }
         conditions
     }
 
+    /// With a gradient of length one, so that slacks of all conditions weigh the same, and asking for no more than two drones
+    /// can give together; `None` where they satisfy it whatever they do.
+    fn scaled(&self, pair: (usize, usize), gradient: Vector2<f64>, least: f64) -> Option<Condition> {
+        let (size, most) = (gradient.norm(), 3.0 * self.max_acceleration);
+        let least = least / size;
+        (least > -most).then(|| Condition { pair, gradient: gradient / size, least: least.min(most) })
+    }
+
     /// minimise ½·Σ‖u − u*‖² + penalty·Σ slack, under all conditions.
     fn solve(&self, conditions: &[Condition], accelerations: &mut [Vector3<f64>]) -> Result<(), SafetyError> {
-        const PENALTY: f64 = 1e3;
+        const PENALTY: f64 = 1e4;
         let (inputs, slacks) = (2 * accelerations.len(), conditions.len());
         let columns = inputs + slacks;
         let mut rows = (Vec::new(), Vec::new(), Vec::new());
@@ -220,12 +228,6 @@ impl CollisionCone {
         }
         Ok(())
     }
-}
-
-/// With a gradient of length one, so that slacks of all conditions weigh the same.
-fn scaled(pair: (usize, usize), gradient: Vector2<f64>, least: f64) -> Condition {
-    let size = gradient.norm();
-    Condition { pair, gradient: gradient / size, least: least / size }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 use rand::SeedableRng as _;
 
-use super::{Env, EnvError, Rng};
+use super::{BoxSpace, Env, EnvError, Rng};
 use crate::action::ActionType;
 
 /// What an environment does that it must not.
@@ -105,13 +105,12 @@ pub fn check_independence(first: &mut dyn Env, second: &mut dyn Env) -> Result<(
     let task = first.name();
     let failed = |error| CheckFailure::Error { task, during: "two instances in turns", error };
     let alone = Checker::of(first).episode(7, 3, 60)?;
-    let mut rng = Rng::seed_from_u64(3);
+    let mut agent = RandomAgent::new(first.action_space(), 3);
     first.reset(Some(7)).map_err(failed)?;
     second.reset(Some(8)).map_err(failed)?;
     let mut over = false;
     for (step, observation) in alone.observations.iter().enumerate() {
-        let action = first.action_space().sample(&mut rng);
-        let same = first.step(&action).map_err(failed)?.observation.vector == *observation;
+        let same = first.step(&agent.action()).map_err(failed)?.observation.vector == *observation;
         if !same {
             let what = format!("a second instance beside it changes what happens at step {step}");
             return Err(CheckFailure::Broken { task, what });
@@ -124,6 +123,25 @@ pub fn check_independence(first: &mut dyn Env, second: &mut dyn Env) -> Result<(
         over = other.terminated || other.truncated;
     }
     Ok(())
+}
+
+/// Noise about a command of its own for every number: white noise alone would hardly lift or turn anything.
+struct RandomAgent {
+    space: BoxSpace,
+    drift: Vec<f64>,
+    rng: Rng,
+}
+
+impl RandomAgent {
+    fn new(space: &BoxSpace, seed: u64) -> Self {
+        let mut rng = Rng::seed_from_u64(seed);
+        Self { space: space.clone(), drift: space.sample(&mut rng), rng }
+    }
+
+    fn action(&mut self) -> Vec<f64> {
+        let noise = self.space.sample(&mut self.rng);
+        self.drift.iter().zip(&noise).map(|(a, b)| 0.5 * (a + b)).collect()
+    }
 }
 
 impl<'a> Checker<'a> {
@@ -164,16 +182,12 @@ impl<'a> Checker<'a> {
     /// Flies one episode under random actions, at most so many steps.
     fn episode(&mut self, seed: u64, actions: u64, steps: usize) -> Result<Episode, CheckFailure> {
         let failed = self.error("an episode under random actions");
-        let mut rng = Rng::seed_from_u64(actions);
         let initial = self.env.reset(Some(seed)).map_err(&failed)?.vector.clone();
         self.started()?;
         let mut episode = Episode { observations: Vec::new(), rewards: Vec::new(), initial };
-        // noise about a command of its own for every motor: white noise alone would hardly lift or turn anything
-        let space = self.env.action_space().clone();
-        let drift = space.sample(&mut rng);
+        let mut agent = RandomAgent::new(self.env.action_space(), actions);
         for _ in 0..steps {
-            let noise = space.sample(&mut rng);
-            let action: Vec<_> = drift.iter().zip(&noise).map(|(a, b)| 0.5 * (a + b)).collect();
+            let action = agent.action();
             let step = self.env.step(&action).map_err(&failed)?;
             let (reward, terminated, truncated) = (step.reward, step.terminated, step.truncated);
             episode.observations.push(step.observation.vector.clone());

@@ -185,8 +185,8 @@ impl Waypoints {
     /// Most segments whose times are sought one against the other: every trial solves for all of them.
     const SOUGHT: usize = 24;
 
-    /// Chooses times: such shares of the duration as make it shortest within the limits. A bad share makes the way swing
-    /// out, and a way that swings out is long.
+    /// Chooses times: such shares of the duration as make it short within the limits, and the way straight. A bad share makes
+    /// it swing out far.
     fn allocate(points: &[[f64; 3]], yaws: &[f64], speed: f64, acceleration: f64) -> Result<Self, TrajectoryError> {
         // as long as a trapezoid of speed would take from rest to rest, or the turn
         let legs = points.windows(2).zip(yaws.windows(2)).map(|(pair, yaw)| {
@@ -223,27 +223,43 @@ impl Waypoints {
             Ok(way)
         };
         if (2..=Self::SOUGHT).contains(&spans.len()) {
-            let mut shortest = within(&spans, 24)?.duration();
+            // a detour counts as the time to fly it there and back, and as much again
+            let cost = |way: &Self| way.duration() + 4.0 * way.detour(points) / speed;
+            let mut least = cost(&within(&spans, 24)?);
             for factor in [1.6, 1.25, 1.1] {
                 for _ in 0..4 {
-                    let before = shortest;
+                    let before = least;
                     for i in 0..spans.len() {
                         for factor in [factor, 1.0 / factor] {
                             let span = spans[i];
                             spans[i] = span * factor;
                             match within(&spans, 24) {
-                                Ok(way) if way.duration() < shortest => shortest = way.duration(),
+                                Ok(way) if cost(&way) < least => least = cost(&way),
                                 _ => spans[i] = span,
                             }
                         }
                     }
-                    if shortest > 0.99 * before {
+                    if least > 0.99 * before {
                         break;
                     }
                 }
             }
         }
         within(&spans, 200)
+    }
+
+    /// Greatest distance from the straight way between two waypoints, m.
+    fn detour(&self, points: &[[f64; 3]]) -> f64 {
+        let legs = self.times.windows(2).zip(points.windows(2));
+        let samples = legs.flat_map(|(times, points)| {
+            let (from, way) = (Vector3::from(points[0]), Vector3::from(points[1]) - Vector3::from(points[0]));
+            (1..12).map(move |sample| {
+                let position = self.reference(times[0] + (times[1] - times[0]) * f64::from(sample) / 12.0).position;
+                let share = ((position - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+                (from + way * share - position).norm()
+            })
+        });
+        samples.fold(0.0, f64::max)
     }
 
     /// Greatest speed (m/s), acceleration (m/s²) and yaw rate (rad/s), from so many samples per segment.

@@ -1,0 +1,577 @@
+//! The tasks: the paper's table and rewards, their ends, and the contract that all of them keep, alone and as agents.
+
+use mujoco_drones_gym::control::trajectory::Trajectory;
+use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
+use mujoco_drones_gym::env::{BoxSpace, EndReason, EnvConfig, TaskDefaults, check_env, check_independence};
+use mujoco_drones_gym::mujoco::{Error, gl_info};
+use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, check_parallel_env};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::state::attitude_from_rpy;
+use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, Race, Velocity, make};
+use mujoco_drones_gym::wrappers::SafetyWrapper;
+use mujoco_drones_gym::{Rng, SeedableRng};
+use nalgebra::Vector3;
+
+/// Flies a task to its end with a controller, and gives its reward.
+fn fly(env: &mut dyn Env, kind: ControllerKind, seed: u64) -> f64 {
+    env.reset(Some(seed)).unwrap();
+    let drones = env.simulation().num_drones();
+    let mut controllers: Vec<_> = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
+    let plans: Vec<_> = (0..drones).map(|drone| env.plan(drone)).collect();
+    let (dt, mut action, mut sum) = (env.simulation().control_period(), vec![0.0; env.action_space().size()], 0.0);
+    while env.info().end.is_none() {
+        let speeds: Vec<_> = (0..drones)
+            .map(|drone| {
+                let time = env.simulation().time();
+                let reference = plans[drone].as_ref().map_or_else(|| env.reference(drone), |way| way.reference(time));
+                controllers[drone].control(dt, &env.simulation().states()[drone], &reference).rpm
+            })
+            .collect();
+        env.action_of_motor_speeds(&speeds, &mut action).unwrap();
+        sum += env.step(&action).unwrap().reward;
+    }
+    sum
+}
+
+#[test]
+fn the_table_is_the_papers() {
+    let table: Vec<_> = tasks::all()
+        .iter()
+        .map(|task| {
+            let defaults = &task.defaults;
+            (task.name, defaults.num_drones, defaults.episode_seconds, task.action_size(), task.observation_size())
+        })
+        .collect();
+    let paper = [
+        ("hover", 1, 10.0, 4, 12),
+        ("velocity", 1, 10.0, 4, 16),
+        ("multi_hover", 2, 10.0, 8, 26),
+        ("fly_through", 1, 20.0, 4, 18),
+        ("formation", 3, 30.0, 12, 54),
+        ("race", 1, 30.0, 4, 21),
+        ("multi_agent", 3, 10.0, 4, 13),
+    ];
+    assert_eq!(table[..7], paper);
+    for name in tasks::NAMES {
+        let summary = tasks::summary(name).unwrap();
+        let env = make(name, EnvConfig::default()).unwrap();
+        assert_eq!(env.name(), name);
+        let agents = if summary.multi_agent { 3 } else { 1 };
+        assert_eq!(env.observation_space().vector.size(), agents * summary.observation_size());
+        assert_eq!(env.action_space().size(), agents * summary.action_size());
+        assert_eq!(env.episode_steps() as f64, 48.0 * summary.defaults.episode_seconds);
+    }
+    assert!(make("nosuch", EnvConfig::default()).err().unwrap().to_string().contains("expected hover, velocity"));
+}
+
+#[test]
+fn every_task_keeps_the_contract_with_every_action_type_and_number_of_drones() {
+    for name in tasks::NAMES {
+        for action_type in ActionType::ALL {
+            let config = EnvConfig::default().action_type(action_type).episode_seconds(5.0);
+            let mut env = make(name, config).unwrap();
+            check_env(&mut *env).unwrap_or_else(|error| panic!("{action_type}: {error}"));
+        }
+        let drones = if name == "hover" { 1 } else { 4 };
+        let config = || {
+            EnvConfig::default()
+                .num_drones(drones)
+                .drone(DroneModel::Race)
+                .physics(Physics::MjcGndDragDw)
+                .sim_freq(300)
+                .ctrl_freq(100)
+                .episode_seconds(1.0)
+                .observation_type(ObservationType::KIN_ADJACENCY)
+                .neighbourhood_radius(1.0)
+        };
+        // four racers in a formation that has room for them
+        let build = || match name {
+            "formation" => {
+                Box::new(config().with_task(Formation::default()).task(|task| task.radius = 0.6).build().unwrap())
+            }
+            _ => make(name, config()).unwrap() as Box<dyn Env>,
+        };
+        let report = check_env(&mut *build()).unwrap();
+        assert!(report.episodes >= 5, "{name}: {report:?}");
+        check_independence(&mut *build(), &mut *build()).unwrap();
+    }
+}
+
+#[test]
+fn cameras_keep_the_contract() {
+    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+        return;
+    }
+    let all = "kin_rgb_depth_segmentation_adjacency".parse::<ObservationType>().unwrap();
+    let size = ImageSize { width: 16, height: 12 };
+    let config = EnvConfig::default().observation_type(all).camera_size(size).episode_seconds(0.3);
+    let mut env = make("race", config.clone().num_drones(2)).unwrap();
+    check_env(&mut *env).unwrap();
+    let names: Vec<_> = env.observation_space().parts().iter().map(|part| (part.name, part.shape.clone())).collect();
+    assert_eq!(names[1], ("rgb", vec![2, 12, 16, 4]));
+    assert_eq!(names[4], ("adjacency", vec![2, 2]));
+    let multi = config.with_task(MultiHover::multi_agent()).build().unwrap();
+    check_parallel_env(&mut ParallelAviary::new(multi), 1).unwrap();
+}
+
+#[test]
+fn the_checker_finds_what_is_wrong() {
+    /// A task with one fault.
+    #[derive(Debug, Default)]
+    struct Faulty {
+        fault: &'static str,
+        episodes: f64,
+    }
+    impl Task for Faulty {
+        fn name(&self) -> &'static str {
+            "faulty"
+        }
+        fn defaults(&self) -> TaskDefaults {
+            TaskDefaults { num_drones: 1, episode_seconds: 2.0, controller: ControllerKind::Pid }
+        }
+        fn initial_positions(&self, _: &[DroneParams]) -> Vec<[f64; 3]> {
+            vec![[0.0, 0.0, 1.0]]
+        }
+        fn observation_space(&self) -> BoxSpace {
+            BoxSpace::new([[-10.0, 10.0], [-1.0, 1.0]])
+        }
+        fn reset(&mut self, _: &Simulation, _: &mut Rng) {
+            self.episodes += 1.0;
+        }
+        fn update(&mut self, _: &Simulation) {}
+        fn end(&self, simulation: &Simulation, _: usize) -> Option<EndReason> {
+            let low = simulation.states()[0].position.z < 0.5;
+            low.then_some(if self.fault == "reason" { EndReason::TimeLimit } else { EndReason::FloorContact })
+        }
+        fn reward(&self, simulation: &Simulation, _: usize, _: Option<EndReason>) -> f64 {
+            match self.fault {
+                "memory" => self.episodes,
+                "nan" if simulation.time() > 0.1 => f64::NAN,
+                _ => 0.0,
+            }
+        }
+        fn observe(&self, simulation: &Simulation, _: usize, out: &mut [f64]) {
+            let state = &simulation.states()[0];
+            out[0] = if self.fault == "bounds" { 11.0 * state.position.z } else { state.position.z };
+            out[1] = if self.fault == "constant" { 0.3 } else { state.up().x };
+        }
+        fn success(&self, _: &Simulation, _: usize) -> bool {
+            false
+        }
+        fn progress(&self, _: &Simulation, _: usize) -> f64 {
+            if self.fault == "progress" { 1.5 } else { 0.0 }
+        }
+        fn reference(&self, _: &Simulation, _: usize) -> Reference {
+            Reference::default()
+        }
+        fn may_be_constant(&self, _: usize) -> bool {
+            false
+        }
+    }
+    let mut sound = EnvConfig::default().with_task(Faulty::default()).build().unwrap();
+    check_env(&mut sound).unwrap();
+    for (fault, said) in [
+        ("memory", "two episodes with one seed differ"),
+        ("nan", "a reward is NaN"),
+        ("bounds", "observation[0]"),
+        ("constant", "observation[1] is always 0.3"),
+        ("reason", "the end in its info"),
+        ("progress", "progress is 1.5"),
+    ] {
+        let task = Faulty { fault, ..Faulty::default() };
+        let mut env = EnvConfig::default().with_task(task).build().unwrap();
+        let error = check_env(&mut env).unwrap_err().to_string();
+        assert!(error.contains(said), "{fault}: {error}");
+    }
+}
+
+#[test]
+fn every_task_is_flown_to_success_by_a_controller() {
+    for name in tasks::NAMES {
+        let summary = tasks::summary(name).unwrap();
+        for model in DroneModel::ALL {
+            // racers need more room than a circle of 0.3 m has; and the circle of twelve is flown behind a filter
+            if name == "antipodal" || (name == "formation" && model == DroneModel::Race) {
+                continue;
+            }
+            for seed in [1, 8] {
+                let mut env = make(name, EnvConfig::default().drone(model)).unwrap();
+                fly(&mut *env, summary.defaults.controller, seed);
+                assert!(env.info().success, "{name} with {model}: {:?}", env.info_map());
+                assert_eq!(env.info().progress, 1.0);
+            }
+        }
+    }
+    let mut env = MultiHover::builder().num_drones(8).physics(Physics::MjcGndDragDw).build().unwrap();
+    fly(&mut env, ControllerKind::Dsl, 1);
+    assert!(env.info().success, "{:?}", env.info());
+    let mut env = Formation::builder().build().unwrap();
+    fly(&mut env, ControllerKind::Dsl, 1);
+    assert!(env.task().mean_error() < 0.05, "{}", env.task().mean_error());
+    for (model, seconds) in [(DroneModel::Cf2x, 30.0), (DroneModel::Race, 12.0)] {
+        let mut env = Race::builder().drone(model).build().unwrap();
+        fly(&mut env, ControllerKind::Geometric, 1);
+        assert!(env.task().gates_passed(0) == 12 && env.info().time < seconds, "{model}: {:?}", env.info());
+        assert_eq!(env.info().end, Some(EndReason::Completed));
+    }
+}
+
+/// Twelve swap places and nobody comes near another, in still air and in the others' wakes.
+#[test]
+fn twelve_drones_swap_places_behind_the_filter_with_and_without_downwash() {
+    for physics in [Physics::Mjc, Physics::MjcDw] {
+        let env = Antipodal::builder()
+            .physics(physics)
+            .action_type(ActionType::Vel)
+            .controller(ControllerKind::Geometric)
+            .build()
+            .unwrap();
+        let mut env = SafetyWrapper::new(env, CollisionCone::new(0.36)).unwrap();
+        env.reset(Some(1)).unwrap();
+        let mut action = vec![0.0; 48];
+        while env.info().end.is_none() {
+            for drone in 0..12 {
+                let state = &env.simulation().states()[drone];
+                let way = env.reference(drone).position - state.position;
+                // a little to the right of the goal, or nobody gives way first
+                let aside = 0.25 * (way.xy().norm() - 0.3).clamp(0.0, 1.0);
+                let along = Vector3::new(way.x + aside * way.y, way.y - aside * way.x, 0.0);
+                let (sin, cos) = state.yaw().sin_cos();
+                let share = 1.5 / (1.5 * along.norm()).max(1.0);
+                action[4 * drone] = share * (cos * along.x + sin * along.y);
+                action[4 * drone + 1] = share * (cos * along.y - sin * along.x);
+                action[4 * drone + 2] = (2.0 * way.z).clamp(-1.0, 1.0);
+            }
+            env.step(&action).unwrap();
+        }
+        let nearest = env.inner().task().minimum_distance();
+        assert!(env.info().success && nearest > 0.3, "{physics}: {nearest} {:?}", env.info());
+        assert!(env.interventions() > 10);
+    }
+    let rpm = Antipodal::builder().build().unwrap();
+    assert!(SafetyWrapper::new(rpm, CollisionCone::new(0.3)).unwrap_err().to_string().contains("expected vel"));
+}
+
+#[test]
+fn the_safety_wrapper_keeps_the_contract_and_changes_nothing_that_is_safe() {
+    for name in ["multi_hover", "antipodal", "formation"] {
+        let build = || {
+            let config = EnvConfig::default().action_type(ActionType::Vel).episode_seconds(2.0);
+            SafetyWrapper::new(make(name, config).unwrap(), CollisionCone::new(0.2)).unwrap()
+        };
+        check_env(&mut build()).unwrap();
+        check_independence(&mut build(), &mut build()).unwrap();
+    }
+    let plain = || MultiHover::builder().num_drones(2).action_type(ActionType::Vel).build().unwrap();
+    let mut bare = plain();
+    let mut safe = SafetyWrapper::new(plain(), CollisionCone::new(0.2)).unwrap();
+    bare.reset(Some(1)).unwrap();
+    safe.reset(Some(1)).unwrap();
+    for _ in 0..100 {
+        let action = [0.1, 0.0, 0.2, 0.0, 0.1, 0.0, 0.2, 0.0];
+        assert_eq!(bare.step(&action).unwrap(), safe.step(&action).unwrap());
+    }
+    assert_eq!(safe.interventions(), 0);
+}
+
+/// A simulation of so many drones that started where the task says and is now in these states.
+fn at(task: &dyn Task, states: &[DroneState]) -> Simulation {
+    let params = vec![DroneModel::Cf2x.params(); states.len()];
+    let mut simulation = Simulation::builder(DroneModel::Cf2x)
+        .num_drones(states.len())
+        .initial_positions(task.initial_positions(&params))
+        .build()
+        .unwrap();
+    simulation.reset_to(states).unwrap();
+    simulation
+}
+
+/// Reward of all drones together when these states follow on these.
+fn reward(task: &mut dyn Task, before: &[DroneState], after: &[DroneState], end: Option<EndReason>) -> f64 {
+    task.reset(&at(task, before), &mut Rng::seed_from_u64(1));
+    let simulation = at(task, after);
+    task.update(&simulation);
+    (0..after.len()).map(|drone| task.reward(&simulation, drone, end)).sum()
+}
+
+fn state(position: [f64; 3], rpy: [f64; 3], velocity: [f64; 3], rates: [f64; 3]) -> DroneState {
+    DroneState {
+        position: position.into(),
+        attitude: attitude_from_rpy(rpy.into()),
+        velocity: velocity.into(),
+        angular_velocity: rates.into(),
+    }
+}
+
+fn still(position: [f64; 3]) -> DroneState {
+    state(position, [0.0; 3], [0.0; 3], [0.0; 3])
+}
+
+#[test]
+fn rewards_are_the_papers_computed_by_hand() {
+    let close = |got: f64, expected: f64| assert!((got - expected).abs() < 1e-9, "{got}, by hand {expected}");
+    let crash = Some(EndReason::FloorContact);
+
+    // |z − 1| = 0.5, ‖(3, 4)‖ = 5, ‖v‖ = 2, |φ| + |θ| = 0.3
+    let leaning = state([3.0, 4.0, 1.5], [0.1, -0.2, 2.0], [0.0, 2.0, 0.0], [1.0; 3]);
+    let mut hover = Hover::default();
+    close(reward(&mut hover, &[leaning], &[leaning], None), -0.5 - 0.5 - 0.1 - 0.015);
+    close(reward(&mut hover, &[leaning], &[leaning], crash), -0.5 - 0.5 - 0.1 - 0.015 - 100.0);
+    close(reward(&mut hover, &[still([0.0; 3])], &[still([0.03, 0.0, 1.04])], None), -0.04 - 0.003 + 0.5);
+    close(reward(&mut hover, &[still([0.0; 3])], &[still([0.0, 0.06, 1.0])], None), -0.006);
+    close(reward(&mut hover, &[leaning], &[still([0.0, 0.0, 3.5])], Some(EndReason::OutOfBounds)), -2.5);
+
+    // a target of zero: ‖v‖ = 2 (and 0.04), ω_z = 1
+    let mut velocity = Velocity::default();
+    (velocity.max_speed, velocity.max_yaw_rate) = (0.0, 0.0);
+    close(reward(&mut velocity, &[leaning], &[leaning], None), -2.0 - 0.1 - 0.015);
+    close(reward(&mut velocity, &[leaning], &[leaning], crash), -2.0 - 0.1 - 0.015 - 100.0);
+    let slow = state([0.0, 0.0, 6.0], [0.0, 0.3, 0.0], [0.04, 0.0, 0.0], [0.0, 0.0, -0.2]);
+    close(reward(&mut velocity, &[slow], &[slow], None), -0.04 - 0.02 - 0.015 + 0.5);
+
+    // drone 0 at its 0.7 m; drone 1 (start x = 0.5 m, target 1.2 m) 0.3 m to the side and 0.2 m low, at 1 m/s
+    let mut multi = MultiHover::default();
+    let pair = [still([0.0, 0.0, 0.7]), state([0.5, 0.3, 1.0], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3])];
+    close(reward(&mut multi, &pair, &pair, None), 0.5 - 0.2 - 0.03 - 0.05);
+    close(reward(&mut multi, &pair, &pair, crash), 0.5 - 0.2 - 0.03 - 0.05 - 200.0);
+    let both = [still([0.0, 0.0, 0.7]), still([0.5, 0.0, 1.2])];
+    close(reward(&mut multi, &both, &both, None), 1.0);
+
+    // first waypoint (0, 0, 1): 0.5 m away; then captured at 0.08 m, turning at 3 rad/s
+    let mut through = FlyThrough::default();
+    let turning = state([0.0, 0.08, 1.0], [0.0; 3], [0.0; 3], [0.0, 3.0, 0.0]);
+    close(reward(&mut through, &[still([0.0, 0.0, 0.1])], &[still([0.0, 0.0, 0.5])], None), -0.05);
+    close(reward(&mut through, &[still([0.0, 0.0, 0.5])], &[turning], None), 10.0 - 0.008 - 0.03);
+    close(reward(&mut through, &[turning], &[still([0.0, 0.0, 1.4])], crash), 10.0 - 0.04 - 100.0);
+
+    // gate (1, 0, 1) 2 m ahead at 3 m/s; then passed with 4 m/s at 0.1 m
+    let mut race = Race::default();
+    let fast = |x: f64, v: f64| state([x, 0.0, 1.0], [0.0; 3], [v, 0.0, 0.0], [0.0; 3]);
+    close(reward(&mut race, &[fast(-1.1, 3.0)], &[fast(-1.0, 3.0)], None), 6.0 - 0.1);
+    close(reward(&mut race, &[fast(0.7, 4.0)], &[fast(0.9, 4.0)], None), 20.0 + 8.0 - 0.005);
+    close(reward(&mut race, &[fast(0.0, 4.0)], &[fast(2.0, 0.0)], crash), 20.0 - 0.05 - 100.0);
+
+    // three drones on their circle; then all of them 0.1 m too high; then one of them 0.3 m out along its radius
+    let mut formation = Formation::default();
+    let place = |drone: f64, out: f64, up: f64| {
+        let (sin, cos) = (std::f64::consts::TAU * drone / 3.0).sin_cos();
+        still([(0.3 + out) * cos, (0.3 + out) * sin, 1.0 + up])
+    };
+    let kept = [place(0.0, 0.0, 0.0), place(1.0, 0.0, 0.0), place(2.0, 0.0, 0.0)];
+    close(reward(&mut formation, &kept, &kept, None), 0.0);
+    let high = [place(0.0, 0.0, 0.1), place(1.0, 0.0, 0.1), place(2.0, 0.0, 0.1)];
+    close(reward(&mut formation, &kept, &high, None), -0.3);
+    // the two distances to it: √(0.6² + 0.3² + 0.6·0.3) where they should be 0.3·√3
+    let out = [place(0.0, 0.3, 0.0), place(1.0, 0.0, 0.0), place(2.0, 0.0, 0.0)];
+    let longer = 0.63_f64.sqrt() - 0.3 * 3.0_f64.sqrt();
+    close(reward(&mut formation, &kept, &out, None), -0.3 - 0.5 * 2.0 * longer);
+    close(reward(&mut formation, &kept, &kept, crash), -300.0);
+
+    // 4 m from the goal; at the goal beside another one
+    let mut antipodal = Antipodal::default();
+    let apart = [still([2.0, 0.0, 1.0]), still([-2.0, 0.0, 1.0])];
+    close(reward(&mut antipodal, &apart, &apart, None), -0.8);
+    let swapped = [still([-2.0, 0.05, 1.0]), still([-2.0, 0.25, 1.0])];
+    let away = 4.0_f64.hypot(0.25);
+    close(reward(&mut antipodal, &apart, &swapped, None), -0.005 + 0.5 - 1.0 - 0.1 * away - 1.0);
+    close(reward(&mut antipodal, &apart, &swapped, crash), -0.005 + 0.5 - 1.0 - 0.1 * away - 1.0 - 200.0);
+}
+
+#[test]
+fn a_crash_costs_a_hundred_in_every_task_and_ends_it() {
+    for name in tasks::NAMES {
+        let mut env = make(name, EnvConfig::default()).unwrap();
+        env.reset(Some(1)).unwrap();
+        let drones = env.simulation().num_drones();
+        let rest = vec![0.0; 4 * drones];
+        let mut last = env.step(&vec![1.0; 4 * drones]).unwrap().reward;
+        for _ in 0..12 {
+            env.step(&vec![1.0; 4 * drones]).unwrap();
+        }
+        // one motor stands still: over it goes
+        let mut action = rest.clone();
+        action[0] = -1.0;
+        loop {
+            let step = env.step(&action).unwrap();
+            let (reward, over) = (step.reward, step.terminated);
+            assert!(!step.truncated, "{name}");
+            if over {
+                assert!(reward < last - 90.0, "{name}: {reward} after {last}");
+                break;
+            }
+            last = reward;
+        }
+        assert!(env.info().crashed() && !env.info().success, "{name}: {:?}", env.info());
+        assert!(env.drone_end(0).is_some_and(EndReason::is_crash));
+        assert!((1..drones).all(|drone| env.drone_end(drone).is_none()), "{name}: the others are well");
+    }
+}
+
+#[test]
+fn equal_seeds_give_equal_bits_on_every_thread_and_others_differ() {
+    let episode = |name: &str, seed: u64| {
+        let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw)).unwrap();
+        env.reset(Some(seed)).unwrap();
+        let mut rng = Rng::seed_from_u64(5);
+        let mut bits = Vec::new();
+        for _ in 0..60 {
+            let action: Vec<_> = env.action_space().sample(&mut rng).iter().map(|x| 0.3 * x).collect();
+            let step = env.step(&action).unwrap();
+            bits.push(step.reward.to_bits());
+            bits.extend(step.observation.vector.iter().map(|x| x.to_bits()));
+            if step.terminated {
+                break;
+            }
+        }
+        bits
+    };
+    for name in tasks::NAMES {
+        let here = episode(name, 4);
+        let there = std::thread::scope(|scope| scope.spawn(|| episode(name, 4)).join().unwrap());
+        assert_eq!(here, there, "{name}");
+    }
+    // the paper's tasks have nothing random but for the target velocity
+    assert_ne!(episode("velocity", 4), episode("velocity", 5));
+    let mut env = Velocity::builder().build().unwrap();
+    let mut targets = Vec::new();
+    env.reset(Some(1)).unwrap();
+    for _ in 0..200 {
+        let seen = env.reset(None).unwrap().vector.clone();
+        let (velocity, rate) = env.task().target(0);
+        assert_eq!((&seen[12..15], seen[15]), (velocity.as_slice(), rate), "what is seen is what is rewarded");
+        assert!(velocity.amax() <= 0.5 && rate.abs() <= 0.25);
+        targets.push(velocity.x);
+    }
+    assert!(targets.iter().any(|x| *x > 0.4) && targets.iter().any(|x| *x < -0.4));
+}
+
+#[test]
+fn a_captured_waypoint_is_seen_as_such_at_once_by_the_drone_that_captured_it() {
+    let mut env = FlyThrough::builder()
+        .num_drones(2)
+        .initial_positions([[0.0, 0.0, 0.85], [0.0, -0.5, 0.85]])
+        .initial_velocities([[0.0, 0.0, 1.0], [0.0; 3]])
+        .initial_rpys([[0.0, 0.0, 1.0], [0.0; 3]])
+        .build()
+        .unwrap();
+    let first = env.reset(Some(1)).unwrap().vector.clone();
+    assert_eq!(first[12..15], [0.0, 0.0, 1.0]);
+    // as seen from a drone that looks to the left a little: straight up all the same
+    assert!((Vector3::new(first[15], first[16], first[17]) - Vector3::new(0.0, 0.0, 0.15)).norm() < 1e-12);
+    let mut captured = 0;
+    while captured == 0 {
+        let step = env.step(&[0.0; 8]).unwrap();
+        let (seen, reward) = (step.observation.vector.clone(), step.reward);
+        captured = env.task().captured(0);
+        assert_eq!(reward > 9.0, captured == 1);
+        assert_eq!(seen[12..15], if captured == 1 { [1.0, 0.0, 1.0] } else { [0.0, 0.0, 1.0] });
+        assert_eq!(seen[18 + 12..18 + 15], [0.0, 0.0, 1.0], "the other one has it before it still");
+    }
+    let (x, yaw) = (env.observation().vector[15], 1.0_f64);
+    assert!((x - yaw.cos()).abs() < 0.05, "seen in the body's frame");
+    assert!((env.info().progress - 0.1).abs() < 1e-12);
+    assert_eq!(env.info_map()["waypoints_captured"], 1.0);
+}
+
+#[test]
+fn agents_keep_their_contract_in_every_task() {
+    for drones in [1, 2, 3] {
+        let multi = MultiHover::builder().num_drones(drones).episode_seconds(4.0).build().unwrap();
+        check_parallel_env(&mut MultiAgentAviary::new(multi), 3).unwrap();
+    }
+    let config = || EnvConfig::default().num_drones(3).episode_seconds(3.0);
+    check_parallel_env(&mut ParallelAviary::new(config().with_task(FlyThrough::default()).build().unwrap()), 2)
+        .unwrap();
+    check_parallel_env(&mut ParallelAviary::new(config().with_task(Race::default()).build().unwrap()), 2).unwrap();
+    check_parallel_env(&mut ParallelAviary::new(config().with_task(Formation::default()).build().unwrap()), 2).unwrap();
+    check_parallel_env(&mut ParallelAviary::new(config().with_task(Velocity::default()).build().unwrap()), 2).unwrap();
+    let attitudes = config().action_type(ActionType::Attitude).with_task(Antipodal::default()).build().unwrap();
+    check_parallel_env(&mut ParallelAviary::new(attitudes), 2).unwrap();
+}
+
+#[test]
+fn an_agent_that_crashes_leaves_and_the_others_fly_on() {
+    let mut env = MultiAgentAviary::new(MultiHover::builder().num_drones(3).build().unwrap());
+    let (observations, infos) = env.reset(Some(1)).unwrap();
+    assert!(observations.iter().all(|(_, seen)| seen.vector.len() == 13));
+    assert!(infos.iter().all(|(_, info)| info.end.is_none()));
+    assert_eq!(env.state().len(), 36);
+    let mut pids: Vec<_> = (0..3).map(|_| PidControl::new(&DroneModel::Cf2x.params())).collect();
+    let scale = mujoco_drones_gym::action::MotorScale::new(&DroneModel::Cf2x.params());
+    let mut left = Vec::new();
+    let mut sums = [0.0; 3];
+    while !env.agents().is_empty() {
+        let mut actions = Vec::new();
+        for agent in env.agents() {
+            let drone: usize = agent.trim_start_matches("drone").parse().unwrap();
+            let state = env.simulation().states()[drone];
+            let reference = Reference::hover(Vector3::new(0.5 * drone as f64, 0.0, 0.7 + 0.25 * drone as f64), 0.0);
+            let mut rpm = pids[drone].control(1.0 / 48.0, &state, &reference).rpm;
+            if drone == 1 && env.simulation().time() > 2.0 {
+                rpm = [0.0; 4];
+            }
+            actions.push((agent.clone(), rpm.map(|rpm| scale.command(rpm)).to_vec()));
+        }
+        let step = env.step(&actions.into_iter().collect::<AgentMap<_>>()).unwrap();
+        for (agent, reward) in step.rewards.iter() {
+            sums[agent.trim_start_matches("drone").parse::<usize>().unwrap()] += reward;
+            if step.terminated.get(agent) == Some(&true) {
+                left.push((agent.to_string(), step.infos.get(agent).unwrap().end.unwrap()));
+                assert!(*reward < -90.0);
+            }
+        }
+    }
+    assert_eq!(left, [("drone1".to_string(), EndReason::FloorContact)]);
+    assert_eq!(env.simulation().time(), 10.0);
+    assert!(sums[0] > 0.0 && sums[2] > 0.0 && sums[1] < -90.0, "{sums:?}");
+    assert!((env.simulation().states()[2].position.z - 1.2).abs() < 0.05);
+}
+
+#[test]
+fn impossible_options_are_refused_by_name() {
+    let said = |result: Result<Box<dyn Env>, EnvError>, text: &str| {
+        let error = result.err().expect(text).to_string();
+        assert!(error.contains(text) && !error.contains('\n'), "{error}");
+    };
+    let config = EnvConfig::default;
+    said(make("hover", config().num_drones(2)), "the number of drones of hover is 2");
+    said(make("race", config().num_drones(0)), "drones");
+    said(make("race", config().episode_seconds(f64::NAN)), "length of an episode");
+    said(make("race", config().neighbourhood_radius(-1.0)), "neighbourhood");
+    said(make("formation", config().num_drones(40)), "two places in the formation");
+    said(make("formation", config().drone(DroneModel::Race).num_drones(8)), "two places in the formation");
+    said(make("antipodal", config().num_drones(60)), "neighbours on the circle");
+    let boxed = |env: Result<Aviary<FlyThrough>, EnvError>| env.map(|env| Box::new(env) as Box<dyn Env>);
+    said(boxed(FlyThrough::builder().task(|task| task.waypoints.clear()).build()), "number of points to pass is 0");
+    said(boxed(FlyThrough::builder().task(|task| task.radius = 0.0).build()), "radius of a point is 0 m");
+    said(boxed(FlyThrough::builder().task(|task| task.waypoints[2][1] = f64::NAN).build()), "coordinate is NaN");
+    let heights = MultiHover::builder().task(|task| task.target_heights = Some(vec![1.0])).build();
+    assert!(heights.unwrap_err().to_string().contains("target heights is 1, expected one per drone"));
+    let laps = Race::builder().task(|task| task.laps = 0).build();
+    assert!(laps.unwrap_err().to_string().contains("number of points"));
+}
+
+#[test]
+fn a_plan_goes_on_from_where_the_drone_is() {
+    let mut env = Race::builder().build().unwrap();
+    env.reset(Some(1)).unwrap();
+    let whole = env.plan(0).unwrap();
+    fly(&mut env, ControllerKind::Geometric, 1);
+    assert!(env.plan(0).is_none(), "nothing is left to fly");
+    env.reset(Some(1)).unwrap();
+    for _ in 0..20 {
+        env.step(&[0.1; 4]).unwrap();
+    }
+    let rest: Box<dyn Trajectory> = env.plan(0).unwrap();
+    assert!((rest.start().position - env.simulation().states()[0].position).norm() < 1e-9);
+    assert!((rest.duration() - whole.duration()).abs() < 3.0);
+}
+
+#[test]
+fn gates_are_in_the_picture_and_not_in_the_way() {
+    let env = Race::builder().build().unwrap();
+    let (visible, _) = env.simulation().world().to_visible_mjcf().unwrap();
+    let physical = env.simulation().world().to_mjcf().unwrap();
+    assert_eq!(visible.matches("name=\"gate").count(), 24);
+    assert_eq!(physical.matches("name=\"gate").count(), 0);
+}
