@@ -100,18 +100,39 @@ fn ratios() {
         let alone = start.elapsed().as_secs_f64() / batch as f64 * 1e6;
         println!("{count:>7}{:>9.3}{:>17.3}{alone:>20.1}", ratios[0], ratios[1]);
     }
-    let mut bare = Bare::new(1);
-    let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(1e6).build().expect("a task");
-    env.reset(None).expect("a reset");
-    let step = ratio(
-        200,
-        || (),
-        || {
-            black_box(env.step(&[0.0; 4]).expect("a step").reward);
-        },
-        || bare.steps(5),
-    );
-    println!("Hover::step over its five mj_step:                 {step:.3}");
+    println!("a task's step over the five mj_step in it");
+    for (name, count) in [("hover", 1), ("multi_hover", 12), ("formation", 3), ("race", 1), ("antipodal", 12)] {
+        let mut bare = Bare::new(count);
+        let config = EnvConfig::default().num_drones(count).initial_positions((0..count).map(place));
+        let config = config.episode_seconds(1e6);
+        // high up, where nothing is left to hit and no height is too great
+        let env: Result<Box<dyn Env>, EnvError> = match name {
+            "hover" => {
+                config.with_task(Hover::default()).task(|t| t.max_height = 1e9).build().map(|e| Box::new(e) as _)
+            }
+            "multi_hover" => {
+                config.with_task(MultiHover::default()).task(|t| t.max_height = 1e9).build().map(|e| Box::new(e) as _)
+            }
+            _ => make(name, config),
+        };
+        let mut env = env.expect("a task");
+        env.reset(None).expect("a reset");
+        let action = vec![0.0; 4 * count];
+        let env = std::cell::RefCell::new(&mut env);
+        let bare = std::cell::RefCell::new(&mut bare);
+        let step = ratio(
+            (400 / count).max(3),
+            || {
+                env.borrow_mut().reset(None).expect("a reset");
+                bare.borrow_mut().data.reset().expect("a reset");
+            },
+            || {
+                black_box(env.borrow_mut().step(&action).expect("a step").reward);
+            },
+            || bare.borrow_mut().steps(5),
+        );
+        println!("{name:>12} with {count:>2}: {step:.3}");
+    }
 }
 
 fn timings(c: &mut Criterion) {

@@ -22,9 +22,9 @@ pub use aviary::*;
 /// The safe MuJoCo beneath: models, simulations, errors.
 pub use mujoco_rs as mujoco;
 
-/// The generator behind every random draw, and what seeds it.
+/// The generator behind every random draw, what seeds it and what it draws.
 pub use aviary::env::Rng;
-pub use rand::SeedableRng;
+pub use rand::{RngExt, SeedableRng};
 
 /// What most programs use.
 pub mod prelude {

@@ -3,6 +3,7 @@
 use allocation_counter::measure;
 use mujoco_drones_gym::control::{ControllerKind, trajectory};
 use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::tasks;
 
 #[test]
 fn a_step_of_the_simulation_allocates_nothing_in_the_air_and_on_the_floor() {
@@ -67,5 +68,23 @@ fn controllers_trajectories_and_every_action_type_allocate_nothing() {
             }
         });
         assert_eq!(allocations.count_total, 0, "{action_type}");
+    }
+}
+
+#[test]
+fn no_task_allocates_in_a_step_or_a_reset() {
+    for name in tasks::NAMES {
+        let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw)).unwrap();
+        env.reset(Some(1)).unwrap();
+        let action = vec![0.01; env.action_space().size()];
+        let allocations = measure(|| {
+            for _ in 0..20 {
+                env.step(&action).unwrap();
+                assert!(env.info().progress <= 1.0);
+            }
+            env.reset(Some(2)).unwrap();
+            env.step(&action).unwrap();
+        });
+        assert_eq!(allocations.count_total, 0, "{name}");
     }
 }

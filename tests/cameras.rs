@@ -164,7 +164,7 @@ fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
             let expected = match view {
                 View::Track => 1000..60_000,
                 View::Fpv => 0..1,
-                View::Fixed | View::Front => 30..20_000,
+                View::Fixed | View::Front | View::Top => 30..20_000,
             };
             assert!(expected.contains(&pixels), "{model} {view}: {pixels} pixels");
         }

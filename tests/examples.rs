@@ -69,6 +69,19 @@ fn the_vertical_circle_is_drawn_and_its_errors_printed() {
 }
 
 #[test]
+fn a_task_of_ones_own_keeps_the_contract_and_is_flown() {
+    let Some(printed) = print("custom_task", &[]) else { return };
+    assert!(printed.contains("checked") && printed.contains("success: true"), "{printed}");
+}
+
+#[test]
+fn antipodal_swaps_places_in_six_pictures() {
+    let Some((directory, printed)) = run("antipodal", &["1.5"]) else { return };
+    assert!(directory.path().join("antipodal.png").metadata().unwrap().len() > 50_000);
+    assert!(printed.contains("minimum distance: 0."), "{printed}");
+}
+
+#[test]
 fn the_table_of_tracking_errors_is_the_one_in_the_documentation() {
     let Some(printed) = print("tracking", &[]) else { return };
     let documented = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/control.md")).unwrap();

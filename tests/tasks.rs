@@ -6,6 +6,7 @@ use mujoco_drones_gym::env::{BoxSpace, EndReason, EnvConfig, TaskDefaults, check
 use mujoco_drones_gym::mujoco::{Error, gl_info};
 use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, check_parallel_env};
 use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::Recorded;
 use mujoco_drones_gym::state::attitude_from_rpy;
 use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, Race, Velocity, make};
 use mujoco_drones_gym::wrappers::SafetyWrapper;
@@ -574,4 +575,24 @@ fn gates_are_in_the_picture_and_not_in_the_way() {
     let physical = env.simulation().world().to_mjcf().unwrap();
     assert_eq!(visible.matches("name=\"gate").count(), 24);
     assert_eq!(physical.matches("name=\"gate").count(), 0);
+}
+
+#[test]
+fn a_recorded_environment_is_the_same_and_leaves_a_file_per_episode() {
+    let directory = tempfile::tempdir().unwrap();
+    let build = || Hover::builder().episode_seconds(1.0).build().unwrap();
+    check_env(&mut Recorded::new(build(), directory.path().join("checked")).unwrap()).unwrap();
+    let (mut plain, mut recorded) = (build(), Recorded::new(build(), directory.path()).unwrap());
+    for _ in 0..3 {
+        plain.reset(None).unwrap();
+        recorded.reset(None).unwrap();
+        while recorded.info().end.is_none() {
+            assert_eq!(plain.step(&[0.1; 4]).unwrap(), recorded.step(&[0.1; 4]).unwrap());
+        }
+    }
+    recorded.finish().unwrap();
+    for episode in 0..3 {
+        let text = std::fs::read_to_string(directory.path().join(format!("episode_000{episode}.csv"))).unwrap();
+        assert_eq!(text.lines().count(), 1 + 1 + 48, "a header, the start, and every step");
+    }
 }

@@ -58,11 +58,13 @@ pub enum View {
     /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
     /// as seen from there.
     Front,
+    /// From straight above, over the whole scene, standing still: x to the right, y up.
+    Top,
 }
 
 impl View {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Track, Self::Fpv, Self::Fixed, Self::Front];
+    pub const ALL: [Self; 5] = [Self::Track, Self::Fpv, Self::Fixed, Self::Front, Self::Top];
 
     /// The name in lower snake case.
     pub fn name(self) -> &'static str {
@@ -71,6 +73,7 @@ impl View {
             Self::Fpv => "fpv",
             Self::Fixed => "fixed",
             Self::Front => "front",
+            Self::Top => "top",
         }
     }
 }
@@ -94,7 +97,7 @@ impl FromStr for View {
     type Err = UnknownName;
 
     fn from_str(name: &str) -> Result<Self, UnknownName> {
-        let unknown = || UnknownName { what: "camera", name: name.into(), expected: "track, fpv, fixed or front" };
+        let unknown = || UnknownName { what: "camera", name: name.into(), expected: "track, fpv, fixed, front or top" };
         Self::ALL.into_iter().find(|view| view.name() == name).ok_or_else(unknown)
     }
 }
@@ -130,7 +133,8 @@ pub struct Painter {
     joints: Vec<usize>,
     bodies: Vec<BodyId>,
     cameras: Vec<CameraId>,
-    /// What the standing views look at: the middle of the drones where they started, and how far they reach from it.
+    /// What the standing views look at: the middle of the drones where they started and of the markers, and how far they
+    /// reach from it.
     stage: (Vector3<f64>, f64),
     centre: Vector3<f64>,
     spread: f64,
@@ -188,7 +192,8 @@ impl Painter {
         let sun: LightId = model.find("sun")?;
         let sun = sun.index();
         let renderer = Renderer::new(model, quality)?;
-        let stage = extent(world.drones.iter().map(|drone| drone.position));
+        let markers = world.markers.iter().map(|marker| marker.body.position);
+        let stage = extent(world.drones.iter().map(|drone| drone.position).chain(markers));
         Ok(Self {
             renderer,
             scene,
@@ -270,6 +275,7 @@ impl Painter {
             View::Track => orbit(self.centre, self.size + 2.2 * self.spread, 35.0, -22.0),
             View::Fixed => orbit(stage, 1.7 + 2.2 * reach, 50.0, -20.0),
             View::Front => orbit(stage, 1.6 + 2.2 * reach, 180.0, -4.0),
+            View::Top => orbit(stage, 1.6 + 2.8 * reach, 90.0, -90.0),
         }
     }
 

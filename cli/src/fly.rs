@@ -34,7 +34,7 @@ pub struct Fly {
     /// Animation to write
     #[arg(long)]
     gif: Option<PathBuf>,
-    /// Camera of the animation: track, fpv, fixed, front
+    /// Camera of the animation: track, fpv, fixed, front, top
     #[arg(long, default_value = "track", requires = "gif")]
     camera: String,
     /// Size of the animation, pixels

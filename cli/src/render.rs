@@ -24,7 +24,7 @@ pub struct Render {
     /// File to write
     #[arg(long)]
     out: PathBuf,
-    /// Camera: track, fpv, fixed, front
+    /// Camera: track, fpv, fixed, front, top
     #[arg(long, default_value = "track")]
     camera: String,
     /// What to show: rgb, depth, segmentation

@@ -423,12 +423,11 @@ fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
 #[test]
 fn tasks_and_doctor_answer_in_json_and_as_tables() {
     let tasks: Value = serde_json::from_slice(&aviary(&["tasks", "--json"]).stdout).unwrap();
-    assert_eq!(
-        tasks[0],
-        serde_json::json!({
-            "name": "hover", "drones": 1, "episode_seconds": 10.0, "observation_size": 12, "action_size": 4,
-        })
-    );
+    let numbers = |task: usize| {
+        ["drones", "episode_seconds", "observation_size", "action_size"].map(|key| tasks[task][key].as_f64().unwrap())
+    };
+    assert_eq!((&tasks[0]["name"], numbers(0)), (&"hover".into(), [1.0, 10.0, 12.0, 4.0]));
+    assert_eq!((&tasks[6]["name"], numbers(6)), (&"multi_agent".into(), [3.0, 10.0, 13.0, 4.0]));
     assert!(String::from_utf8(aviary(&["tasks"]).stdout).unwrap().contains("hover"));
     let output = aviary(&["doctor", "--json"]);
     let doctor: Value = serde_json::from_slice(&output.stdout).unwrap();
@@ -486,4 +485,40 @@ fn trajectory_files_are_followed_or_refused_by_file_line_and_key() {
     refused(&fly, 2, &["way.toml", "period"]);
     refused(&["fly", "--task", "hover", "--trajectory", "circel"], 2, &["did you mean `circle`"]);
     refused(&["fly", "--task", "hover", "--trajectory", "no.toml"], 2, &["no.toml: No such file"]);
+}
+
+#[test]
+fn every_task_is_flown_to_success() {
+    for (task, drone, seconds) in [
+        ("velocity", "cf2x", 10.0),
+        ("multi_hover", "cf2p", 10.0),
+        ("multi_agent", "cf2x", 10.0),
+        ("fly_through", "cf2x", 20.0),
+        ("fly_through", "race", 20.0),
+        ("formation", "cf2x", 30.0),
+        ("race", "cf2x", 30.0),
+        ("race", "race", 12.0),
+        ("antipodal", "cf2x", 20.0),
+    ] {
+        let output = aviary(&["fly", "--task", task, "--drone", drone, "--seed", "5", "--json"]);
+        assert_eq!(output.status.code(), Some(0), "{task}");
+        let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(
+            (&flight["success"], &flight["progress"]),
+            (&true.into(), &1.0.into()),
+            "{task} with {drone}: {flight}"
+        );
+        assert!(flight["simulated_seconds"].as_f64().unwrap() <= seconds, "{task} with {drone}");
+        assert!(flight["drones"].as_array().unwrap().iter().all(|drone| drone["crashed"] == false));
+    }
+    let output = aviary(&["fly", "--task", "multi_hover", "--num-drones", "8", "--json"]);
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&flight["success"], flight["drones"].as_array().unwrap().len()), (&true.into(), 8));
+    let output = aviary(&["fly", "--task", "antipodal", "--physics", "mjc_gnd_drag_dw", "--json"]);
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(flight["success"], true, "{flight}");
+    assert!(flight["info"]["minimum_distance"].as_f64().unwrap() > 0.3);
+    refused(&["fly", "--task", "race", "--trajectory", "circle"], 2, &["--trajectory goes with --task hover"]);
+    refused(&["fly", "--task", "hover", "--num-drones", "2"], 2, &["number of drones of hover is 2"]);
+    refused(&["fly", "--task", "flythrough"], 2, &["did you mean `fly_through`"]);
 }

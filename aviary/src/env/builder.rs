@@ -184,7 +184,7 @@ impl<T> AviaryBuilder<T> {
 }
 
 impl<T: Task> AviaryBuilder<T> {
-    /// Compiles the world. The environment must be [reset](Env::reset) before its first step.
+    /// Compiles the world. The environment must be [reset](super::Env::reset) before its first step.
     ///
     /// # Errors
     /// [`EnvError`] naming the option that is impossible.

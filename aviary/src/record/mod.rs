@@ -3,9 +3,11 @@
 mod log;
 pub mod picture;
 pub mod plot;
+mod recorded;
 mod replay;
 
 pub use log::CsvLog;
+pub use recorded::Recorded;
 pub use replay::{ReplayError, Scenario, read_actions};
 
 use crate::vision::ImageSize;

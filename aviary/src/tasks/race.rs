@@ -136,8 +136,8 @@ impl Task for Race {
             for (side, offset, half_size) in [
                 ("left", left * reach, [BAR, BAR, reach + BAR]),
                 ("right", left * -reach, [BAR, BAR, reach + BAR]),
-                ("top", Vector3::z() * reach, [BAR, reach + BAR, BAR]),
-                ("bottom", Vector3::z() * -reach, [BAR, reach + BAR, BAR]),
+                ("top", Vector3::z() * reach, [BAR, reach - BAR, BAR]),
+                ("bottom", Vector3::z() * -reach, [BAR, reach - BAR, BAR]),
             ] {
                 let position = Vector3::from(middle) + offset;
                 bars.push(Marker {

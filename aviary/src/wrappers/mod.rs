@@ -80,7 +80,7 @@ macro_rules! forward_env {
         }
     };
 }
-use forward_env;
+pub(crate) use forward_env;
 
 /// A boxed environment is one, so that wrappers go around what [`make`](crate::tasks::make) gives.
 impl<E: Env + ?Sized> Env for Box<E> {

@@ -1,0 +1,71 @@
+//! The paper's antipodal figure: twelve drones on a circle swap places behind a collision-cone safety filter.
+//!
+//! `cargo run --release --example antipodal -- [DIRECTORY] [SECONDS]` writes six top-down snapshots side by side,
+//! `antipodal.png` (by default to `out/antipodal`, the last one after 7.5 s), with safety rings and goals.
+
+use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
+use mujoco_drones_gym::mujoco::Quality;
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::tasks::Antipodal;
+use mujoco_drones_gym::vision::{Effects, Painter};
+use mujoco_drones_gym::wrappers::SafetyWrapper;
+use nalgebra::Vector3;
+
+const SIDE: u32 = 400;
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/antipodal".into()));
+    let seconds: f64 = arguments.next().map_or(Ok(7.5), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+
+    let task = Antipodal::builder().action_type(ActionType::Vel).controller(ControllerKind::Geometric);
+    let mut env = SafetyWrapper::new(task.build()?, CollisionCone::new(0.36))?;
+    env.reset(Some(1))?;
+    // without shadows and reflections: twelve drones with rings are enough to look at
+    let mut painter = Painter::new(env.simulation().world(), Quality::PRETTY, Effects::default())?;
+    painter.set_stage([0.0, 0.0, 1.0], 1.3);
+    let (tile, sheet) = (ImageSize { width: SIDE, height: SIDE }, ImageSize { width: 3 * SIDE, height: 2 * SIDE });
+    let (mut rgb, mut picture) = (vec![0; 3 * tile.pixels()], vec![0; 3 * sheet.pixels()]);
+    let colour = |drone: usize| {
+        let wave = |shift: f32| 0.55 + 0.45 * (std::f32::consts::TAU * (drone as f32 / 12.0 + shift)).cos();
+        [wave(0.0), wave(0.33), wave(0.66), 1.0]
+    };
+    let mut action = vec![0.0; 48];
+    for shot in 0..6 {
+        while env.simulation().time() < seconds * shot as f64 / 5.0 {
+            for drone in 0..12 {
+                // to the goal at 1 m/s, a little to its right while it is far: somebody has to give way first
+                let way = env.reference(drone).position - env.simulation().states()[drone].position;
+                let aside = 0.25 * (way.xy().norm() - 0.3).clamp(0.0, 1.0);
+                let way = Vector3::new(way.x + aside * way.y, way.y - aside * way.x, way.z);
+                let velocity = way * 1.5 / (1.5 * way.norm()).max(1.0);
+                action[4 * drone..][..3].copy_from_slice(velocity.as_slice());
+            }
+            env.step(&action)?;
+        }
+        painter.update(env.simulation().states())?;
+        for drone in 0..12 {
+            let (here, goal) = (env.simulation().states()[drone].position, env.reference(drone).position);
+            let ring = |i: i32| (std::f64::consts::TAU * f64::from(i) / 32.0).sin_cos();
+            let ring: Vec<_> = (0..=32).map(|i| here + 0.15 * Vector3::new(ring(i).1, ring(i).0, 0.0)).collect();
+            painter.add_line(&ring, 0.012, colour(drone));
+            painter.add_dots(&[goal], 0.04, colour(drone));
+        }
+        painter.rgb(View::Top, tile, &mut rgb)?;
+        for (row, line) in rgb.chunks_exact(3 * SIDE as usize).enumerate() {
+            let start = 3 * ((shot / 3 * SIDE as usize + row) * sheet.width as usize + shot % 3 * SIDE as usize);
+            let line = if row < 3 { &[255; 3 * SIDE as usize][..] } else { line };
+            picture[start..][..line.len()].copy_from_slice(line);
+            picture[start..][..9].fill(255);
+        }
+    }
+    let path = directory.join("antipodal.png");
+    std::fs::write(&path, png_rgb(sheet, &picture)?)?;
+    println!("{}", path.display());
+    println!("success: {}", env.info().success);
+    println!("minimum distance: {:.3} m (safety radius 0.3 m)", env.inner().task().minimum_distance());
+    Ok(())
+}
