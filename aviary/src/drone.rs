@@ -155,6 +155,10 @@ pub struct DroneParams {
     pub collision_height: f64,
     /// Top speed, m/s: the scale of velocity commands, not a limit that the physics knows.
     pub max_speed: f64,
+    /// What wind pushes against: drag coefficient times area C_d·A, m²; by default that of the collision cylinder from the
+    /// side with C_d = 1.
+    #[serde(default, rename = "drag_area", skip_serializing_if = "Option::is_none")]
+    pub drag_area_override: Option<f64>,
     /// What it looks like.
     #[serde(default)]
     pub appearance: Appearance,
@@ -238,6 +242,7 @@ impl DroneParams {
             ("drag_coefficients[1]", self.drag_coefficients[1]),
             ("drag_coefficients[2]", self.drag_coefficients[2]),
             ("downwash_coefficients[0]", self.downwash_coefficients[0]),
+            ("drag_area", self.drag_area()),
         ];
         for (field, got) in not_negative {
             if !(0.0..=1e9).contains(&got) {
@@ -256,6 +261,11 @@ impl DroneParams {
             return Err(DroneError::Name { name: self.name.clone() });
         }
         Ok(())
+    }
+
+    /// What wind pushes against: drag coefficient times area C_d·A, m².
+    pub fn drag_area(&self) -> f64 {
+        self.drag_area_override.unwrap_or(2.0 * self.collision_radius * self.collision_height)
     }
 
     /// Weight m·g, N.

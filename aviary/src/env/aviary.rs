@@ -1,10 +1,11 @@
-use rand::SeedableRng as _;
+use rand::{Rng as _, SeedableRng as _};
 
 use super::{BoxSpace, EndReason, Env, EnvError, Info, ObservationSpace, Rng, Step, Task};
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::observation::Observation;
+use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
 use crate::vision::{ImageSize, Painter, View};
 
@@ -77,6 +78,10 @@ impl<T: Task> Aviary<T> {
             self.rng = Rng::seed_from_u64(seed);
         }
         self.simulation.reset()?;
+        if self.simulation.wind().is_some() {
+            let seed = self.rng.next_u64();
+            self.simulation.reset_wind(seed);
+        }
         self.task.reset(&self.simulation, &mut self.rng);
         for decoder in &mut self.decoders {
             decoder.reset();
@@ -226,6 +231,11 @@ impl<T: Task> Env for Aviary<T> {
 
     fn may_be_constant(&self, entry: usize) -> bool {
         self.task.may_be_constant(entry % self.block.max(1))
+    }
+
+    fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
+        let seed = self.rng.next_u64();
+        Ok(self.simulation.set_wind(wind, seed)?)
     }
 
     fn episode_steps(&self) -> u64 {

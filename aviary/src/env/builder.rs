@@ -7,6 +7,7 @@ use crate::control::ControllerKind;
 use crate::drone::{DroneModel, DroneParams};
 use crate::observation::{Observation, ObservationType};
 use crate::physics::actuators::ActuatorParams;
+use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
 use crate::simulation::{Simulation, SimulationBuilder};
 use crate::vision::{CAMERA_SIZE, ImageSize, Painter};
@@ -143,6 +144,8 @@ impl<T> AviaryBuilder<T> {
         obstacles(obstacles: impl IntoIterator<Item = Obstacle>);
         /// MuJoCo's integrator; RK4 by default.
         integrator(integrator: Integrator);
+        /// The wind; still air by default. Every episode has its own, drawn from the environment's seed.
+        wind(wind: impl Into<Option<WindConfig>>);
         /// MuJoCo's fluid forces; off by default.
         medium(medium: impl Into<Option<Medium>>);
     }

@@ -19,11 +19,11 @@ use crate::control::trajectory::Trajectory;
 use crate::control::{Reference, SafetyError};
 use crate::engine::BuildError;
 use crate::observation::Observation;
+use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationError};
 use crate::vision::{ImageSize, View};
 
-/// The generator behind every random draw of an environment.
-pub type Rng = rand_chacha::ChaCha8Rng;
+pub use crate::random::Rng;
 
 /// What a step returns, beside the information that [`Env::info`] gives on demand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -263,6 +263,12 @@ pub trait Env {
 
     /// What the numbers of an action mean.
     fn action_type(&self) -> ActionType;
+
+    /// Changes the wind from now on and for the episodes to come; `None` for still air.
+    ///
+    /// # Errors
+    /// [`EnvError::Simulation`] naming a setting that is impossible.
+    fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
 
     /// Control steps after which an episode is cut off.
     fn episode_steps(&self) -> u64;

@@ -1,6 +1,7 @@
-use rand::{Rng as _, RngExt as _};
+use rand::RngExt as _;
 
 use crate::observation::{Observation, ObservationType};
+use crate::random::normal;
 use crate::vision::ImageSize;
 use crate::world::World;
 
@@ -61,14 +62,6 @@ impl BoxSpace {
             })
             .collect()
     }
-}
-
-/// A standard normal draw (Box and Muller 1958).
-fn normal(rng: &mut super::Rng) -> f64 {
-    // 53 bits, never zero
-    let u = ((rng.next_u64() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64;
-    let v: f64 = rng.random();
-    (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
 }
 
 /// What observations look like: the vector's space, and the shapes of the pictures that there are.

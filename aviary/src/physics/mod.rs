@@ -5,6 +5,7 @@ pub mod downwash;
 pub mod drag;
 pub mod ground_effect;
 pub mod rotor;
+pub mod wind;
 
 use std::fmt;
 use std::str::FromStr;

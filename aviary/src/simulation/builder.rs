@@ -5,6 +5,7 @@ use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
+use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics, Wrench};
 use crate::state::DroneState;
 use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, World};
@@ -27,6 +28,7 @@ pub struct SimulationBuilder {
     markers: Vec<Marker>,
     integrator: Integrator,
     medium: Option<Medium>,
+    wind: Option<WindConfig>,
 }
 
 impl SimulationBuilder {
@@ -48,6 +50,7 @@ impl SimulationBuilder {
             markers: Vec::new(),
             integrator: Integrator::Rk4,
             medium: None,
+            wind: None,
         }
     }
 
@@ -177,6 +180,13 @@ impl SimulationBuilder {
         self
     }
 
+    /// The wind; still air by default.
+    #[must_use]
+    pub fn wind(mut self, wind: impl Into<Option<WindConfig>>) -> Self {
+        self.wind = wind.into();
+        self
+    }
+
     /// Compiles the world.
     ///
     /// # Errors
@@ -262,6 +272,7 @@ impl SimulationBuilder {
             drones,
             actuators,
             wakes,
+            wind: None,
             sim_freq,
             ctrl_freq,
             control_steps: 0,
@@ -275,6 +286,7 @@ impl SimulationBuilder {
             failed: None,
         };
         simulation.reset()?;
+        simulation.set_wind(self.wind, 0)?;
         Ok(simulation)
     }
 }

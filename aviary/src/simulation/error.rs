@@ -2,11 +2,15 @@ use super::Simulation;
 use crate::drone::DroneError;
 use crate::engine::BuildError;
 use crate::physics::actuators::ActuatorError;
+use crate::physics::wind::WindError;
 
 /// What can go wrong with a simulation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
+    /// A wind that cannot blow.
+    #[error(transparent)]
+    Wind(#[from] WindError),
     /// An airframe that cannot fly.
     #[error("drone {drone}: {error}")]
     Drone {

@@ -14,6 +14,7 @@ use crate::physics::actuators::Actuators;
 use crate::physics::downwash::{self, Wake};
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
+use crate::physics::wind::{WindConfig, WindField, WindModel};
 use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
 use crate::world::World;
@@ -41,6 +42,7 @@ pub struct Simulation {
     drones: Vec<Drone>,
     actuators: Vec<Actuators>,
     wakes: Vec<Wake>,
+    wind: Option<WindField>,
     sim_freq: u32,
     ctrl_freq: u32,
     control_steps: u64,
@@ -116,7 +118,7 @@ impl Simulation {
 
     /// Turns the rotors on by one physics step and computes what acts on every drone, from the states at its start.
     fn compute_loads(&mut self) {
-        let effects = self.effects;
+        let (effects, dt) = (self.effects, self.world.timestep);
         if effects.downwash {
             self.downwash.fill(0.0);
             downwash::add_forces(&self.wakes, &self.states, &mut self.downwash);
@@ -124,12 +126,15 @@ impl Simulation {
         for (index, (drone, state)) in self.drones.iter().zip(&self.states).enumerate() {
             let rpm = self.actuators[index].advance(&self.motor_speeds[index]);
             let rotors = drone.rotors.wrench(rpm);
-            let mut force = Vector3::zeros();
+            let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
+            if let Some(wind) = &mut self.wind {
+                (force, air) = wind.advance(dt, index, state);
+            }
             if effects.ground {
                 force.z += drone.ground.force(state, rotors.thrust);
             }
             if effects.drag {
-                force += drag::force(&drone.params, state, rpm, &Vector3::zeros());
+                force += drag::force(&drone.params, state, rpm, &air);
             }
             if effects.downwash {
                 force.z += self.downwash[index];
@@ -243,6 +248,32 @@ impl Simulation {
         self.control_steps = 0;
         self.failed = None;
         Ok(())
+    }
+
+    /// Changes the wind, from now on; `None` for still air. It starts anew, from this seed.
+    ///
+    /// # Errors
+    /// [`SimulationError::Wind`], and then nothing has changed.
+    pub fn set_wind(&mut self, wind: impl Into<Option<WindConfig>>, seed: u64) -> Result<(), SimulationError> {
+        let drones = self.drones.iter().map(|drone| drone.params.clone()).collect::<Vec<_>>();
+        self.wind = match wind.into().filter(|wind| wind.model != WindModel::None) {
+            Some(config) => Some(WindField::new(config, &drones)?),
+            None => None,
+        };
+        self.reset_wind(seed);
+        Ok(())
+    }
+
+    /// The wind that blows.
+    pub fn wind(&self) -> Option<&WindConfig> {
+        self.wind.as_ref().map(WindField::config)
+    }
+
+    /// Starts the wind anew from a seed, which a reset by itself does not.
+    pub fn reset_wind(&mut self, seed: u64) {
+        if let Some(wind) = &mut self.wind {
+            wind.reset(seed, &self.states);
+        }
     }
 
     /// How many drones there are.

@@ -1,8 +1,10 @@
 //! Environments around environments: each changes one thing and passes the rest on.
 
 mod safety;
+mod wind;
 
 pub use safety::SafetyWrapper;
+pub use wind::WindWrapper;
 
 use crate::env::{Env, EnvError, Step};
 use crate::observation::Observation;
@@ -40,6 +42,10 @@ macro_rules! forward_env {
 
         fn action_type(&$self) -> $crate::action::ActionType {
             $inner.action_type()
+        }
+
+        fn set_wind(&mut $self, wind: Option<$crate::physics::wind::WindConfig>) -> Result<(), $crate::env::EnvError> {
+            $inner.set_wind(wind)
         }
 
         fn episode_steps(&$self) -> u64 {

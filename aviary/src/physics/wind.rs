@@ -1,0 +1,462 @@
+//! Wind: forces of moving air on the airframe, and the velocity of the air that blades meet (paper, §3.5.1).
+
+use std::fmt;
+use std::str::FromStr;
+
+use nalgebra::Vector3;
+use rand::{RngExt as _, SeedableRng as _};
+use serde::{Deserialize, Serialize};
+
+use crate::drone::DroneParams;
+use crate::random::{Rng, normals};
+use crate::state::DroneState;
+
+/// Which winds blow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WindModel {
+    /// Still air.
+    #[default]
+    None,
+    /// Steady wind, through the drag law.
+    Constant,
+    /// Pushes at random moments.
+    Gust,
+    /// Dryden turbulence, through the drag law.
+    Dryden,
+    /// A force that goes round.
+    Sinusoidal,
+    /// The sum of the four.
+    Combined,
+}
+
+impl WindModel {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::None, Self::Constant, Self::Gust, Self::Dryden, Self::Sinusoidal, Self::Combined];
+
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Constant => "constant",
+            Self::Gust => "gust",
+            Self::Dryden => "dryden",
+            Self::Sinusoidal => "sinusoidal",
+            Self::Combined => "combined",
+        }
+    }
+
+    fn has(self, part: Self) -> bool {
+        self == part || self == Self::Combined
+    }
+}
+
+impl fmt::Display for WindModel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is no wind's.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no wind `{0}`, expected none, constant, gust, dryden, sinusoidal or combined")]
+pub struct UnknownWind(pub String);
+
+impl FromStr for WindModel {
+    type Err = UnknownWind;
+
+    fn from_str(name: &str) -> Result<Self, UnknownWind> {
+        Self::ALL.into_iter().find(|model| model.name() == name).ok_or_else(|| UnknownWind(name.to_string()))
+    }
+}
+
+/// A wind. Every drone has its own gusts and its own turbulence; the steady and the sinusoidal wind are the same for all.
+///
+/// ```
+/// use aviary::physics::wind::{WindConfig, WindModel};
+///
+/// let wind = WindConfig { velocity: [3.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+/// assert!(wind.validate().is_ok());
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct WindConfig {
+    /// Which winds blow.
+    pub model: WindModel,
+    /// Velocity of the steady wind, world frame, m/s; 0.9 m/s along y by default, the paper's figure. Turbulence is along and
+    /// across it.
+    #[serde(deserialize_with = "crate::error::triple")]
+    pub velocity: [f64; 3],
+    /// Largest force of a gust, N; each one's is uniform up to it, its direction uniform over all.
+    pub gust_force: f64,
+    /// Length of a gust, s; its force follows sin(π·s), s from 0 to 1.
+    pub gust_duration: f64,
+    /// Gusts per second on average while there is none: one begins in a physics step with this probability times its length.
+    pub gust_rate: f64,
+    /// Mean wind 20 feet (6 m) above the ground that the turbulence belongs to, m/s: MIL-F-8785C makes σ_w a tenth of it.
+    pub turbulence: f64,
+    /// Amplitude A of the sinusoidal force, N.
+    pub sinusoidal_force: f64,
+    /// Its angular frequency ω, rad/s.
+    pub sinusoidal_frequency: f64,
+    /// Density of the air, kg/m³.
+    pub air_density: f64,
+}
+
+impl Default for WindConfig {
+    fn default() -> Self {
+        Self {
+            model: WindModel::None,
+            velocity: [0.0, 0.9, 0.0],
+            gust_force: 0.02,
+            gust_duration: 0.5,
+            gust_rate: 0.3,
+            turbulence: 3.0,
+            sinusoidal_force: 0.002,
+            sinusoidal_frequency: 1.0,
+            air_density: 1.225,
+        }
+    }
+}
+
+/// A setting of the wind that is impossible.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("the wind's {field} is {got}, expected {expected}")]
+pub struct WindError {
+    field: &'static str,
+    got: f64,
+    expected: &'static str,
+}
+
+impl WindConfig {
+    /// The defaults of a wind.
+    pub fn new(model: WindModel) -> Self {
+        Self { model, ..Self::default() }
+    }
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`WindError`] naming one that is impossible.
+    pub fn validate(&self) -> Result<(), WindError> {
+        let check = |field, got: f64, least: f64, expected| {
+            if (least..=1e3).contains(&got) { Ok(()) } else { Err(WindError { field, got, expected }) }
+        };
+        for got in self.velocity {
+            check("velocity", got, -1e3, "finite numbers up to 1000 m/s")?;
+        }
+        check("gust_duration", self.gust_duration, 1e-3, "1 ms to 1000 s")?;
+        for (field, got) in [
+            ("gust_force", self.gust_force),
+            ("gust_rate", self.gust_rate),
+            ("turbulence", self.turbulence),
+            ("sinusoidal_force", self.sinusoidal_force),
+            ("sinusoidal_frequency", self.sinusoidal_frequency),
+            ("air_density", self.air_density),
+        ] {
+            check(field, got, 0.0, "0 to 1000")?;
+        }
+        Ok(())
+    }
+}
+
+/// Force of air that moves at `relative` (velocity of the air minus that of the drone, m/s): ½·ρ·C_d·A·‖v‖²·v̂, N.
+#[inline]
+pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Vector3<f64> {
+    0.5 * air_density * drag_area * relative.norm() * relative
+}
+
+/// Low-altitude turbulence of MIL-F-8785C (§3.7.2.5): standard deviations (m/s) and length scales (m) along the mean wind,
+/// across it and upwards, at a height (m) and for a mean wind at 20 feet (m/s). Heights below 10 and above 1,000 feet, where
+/// the model ends, count as those.
+pub fn dryden(height: f64, turbulence: f64) -> ([f64; 3], [f64; 3]) {
+    const FOOT: f64 = 0.3048;
+    let h = (height / FOOT).clamp(10.0, 1000.0);
+    let shape = 0.177 + 8.23e-4 * h;
+    let horizontal = h / shape.powf(1.2) * FOOT;
+    let vertical = 0.1 * turbulence;
+    let sideways = vertical / shape.powf(0.4);
+    ([sideways, sideways, vertical], [horizontal, horizontal, h * FOOT])
+}
+
+/// One drone's gust and turbulence.
+#[derive(Debug, Clone)]
+struct Local {
+    rng: Rng,
+    drag_area: f64,
+    /// Velocity of the turbulence along the mean wind, across it and upwards, m/s.
+    turbulence: [f64; 3],
+    /// Force at its height (world frame, N) and how much of it is over, 0 to 1; 1 while there is none.
+    gust: (Vector3<f64>, f64),
+}
+
+/// The wind about the drones of a simulation.
+#[derive(Debug, Clone)]
+pub struct WindField {
+    config: WindConfig,
+    velocity: Vector3<f64>,
+    /// Axes of the turbulence: along the mean wind, to its left, up.
+    axes: [Vector3<f64>; 3],
+    locals: Vec<Local>,
+    /// Steps since the episode began.
+    steps: u64,
+}
+
+impl WindField {
+    /// Speed of a drone through the turbulence that is assumed at least, m/s: in still air it would otherwise stand.
+    const LEAST_AIRSPEED: f64 = 0.5;
+
+    /// About these drones.
+    ///
+    /// # Errors
+    /// [`WindError`].
+    pub fn new(config: WindConfig, drones: &[DroneParams]) -> Result<Self, WindError> {
+        config.validate()?;
+        let velocity = Vector3::from(config.velocity);
+        let level = Vector3::new(velocity.x, velocity.y, 0.0);
+        let along = if level.norm() > 1e-9 { level.normalize() } else { Vector3::x() };
+        let local = |params: &DroneParams| Local {
+            rng: Rng::seed_from_u64(0),
+            drag_area: params.drag_area(),
+            turbulence: [0.0; 3],
+            gust: (Vector3::zeros(), 1.0),
+        };
+        let mut field = Self {
+            config,
+            velocity,
+            axes: [along, Vector3::z().cross(&along), Vector3::z()],
+            locals: drones.iter().map(local).collect(),
+            steps: 0,
+        };
+        field.reset(0, &[]);
+        Ok(field)
+    }
+
+    /// The settings.
+    pub fn config(&self) -> &WindConfig {
+        &self.config
+    }
+
+    /// Starts an episode: a random stream of its own for every drone, and turbulence that has always been there.
+    pub fn reset(&mut self, seed: u64, states: &[DroneState]) {
+        self.steps = 0;
+        for (drone, local) in self.locals.iter_mut().enumerate() {
+            local.rng = Rng::seed_from_u64(seed);
+            local.rng.set_stream(1 + drone as u64);
+            local.gust = (Vector3::zeros(), 1.0);
+            let height = states.get(drone).map_or(0.0, |state| state.position.z);
+            let (sigma, _) = dryden(height, self.config.turbulence);
+            let [a, b] = normals(&mut local.rng);
+            let [c, _] = normals(&mut local.rng);
+            local.turbulence = [a * sigma[0], b * sigma[1], c * sigma[2]];
+        }
+    }
+
+    /// Goes through a physics step of `dt` seconds with a drone: the force on its airframe (world frame, N) and the
+    /// velocity of the air about it (world frame, m/s). Call it once per drone and step, the last drone last.
+    pub fn advance(&mut self, dt: f64, drone: usize, state: &DroneState) -> (Vector3<f64>, Vector3<f64>) {
+        let Self { config, velocity, axes, locals, steps } = self;
+        let last = drone + 1 == locals.len();
+        let Some(local) = locals.get_mut(drone) else { return (Vector3::zeros(), Vector3::zeros()) };
+        let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
+        let law = |air: &Vector3<f64>| drag_law(config.air_density, local.drag_area, &(air - state.velocity));
+        if config.model.has(WindModel::Constant) {
+            force += law(velocity);
+            air += *velocity;
+        }
+        if config.model.has(WindModel::Dryden) {
+            let airspeed = (*velocity - state.velocity).norm().max(Self::LEAST_AIRSPEED);
+            let (sigma, length) = dryden(state.position.z, config.turbulence);
+            let [a, b] = normals(&mut local.rng);
+            let [c, _] = normals(&mut local.rng);
+            let mut turbulence = Vector3::zeros();
+            for (axis, noise) in [a, b, c].into_iter().enumerate() {
+                // x ← α·x + σ·√(1 − α²)·ξ, α = exp(−dt·V/L)
+                let decay = -dt * airspeed / length[axis];
+                let spread = sigma[axis] * (-(2.0 * decay).exp_m1()).sqrt();
+                local.turbulence[axis] = decay.exp() * local.turbulence[axis] + spread * noise;
+                turbulence += axes[axis] * local.turbulence[axis];
+            }
+            force += law(&turbulence);
+            air += turbulence;
+        }
+        if config.model.has(WindModel::Gust) {
+            let (peak, over) = &mut local.gust;
+            if *over >= 1.0 {
+                if local.rng.random::<f64>() < config.gust_rate * dt {
+                    // uniform over the sphere: height and azimuth are
+                    let (up, azimuth) = (2.0 * local.rng.random::<f64>() - 1.0, local.rng.random::<f64>());
+                    let (sin, cos) = (std::f64::consts::TAU * azimuth).sin_cos();
+                    let level = (1.0 - up * up).sqrt();
+                    *peak = Vector3::new(level * cos, level * sin, up) * config.gust_force * local.rng.random::<f64>();
+                    *over = 0.0;
+                }
+            } else {
+                *over = (*over + dt / config.gust_duration).min(1.0);
+            }
+            if *over < 1.0 {
+                force += *peak * (std::f64::consts::PI * *over).sin();
+            }
+        }
+        if config.model.has(WindModel::Sinusoidal) {
+            let phase = config.sinusoidal_frequency * *steps as f64 * dt;
+            let (sin, cos) = phase.sin_cos();
+            force += config.sinusoidal_force * Vector3::new(sin, cos, 0.3 * (2.0 * phase).sin());
+        }
+        *steps += u64::from(last);
+        (force, air)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+    use proptest::prelude::*;
+
+    const DT: f64 = 1.0 / 240.0;
+
+    fn field(config: WindConfig, drones: usize) -> WindField {
+        let mut field = WindField::new(config, &vec![DroneModel::Cf2x.params(); drones]).unwrap();
+        field.reset(11, &vec![DroneState::default(); drones]);
+        field
+    }
+
+    /// σ² within three standard errors, and the autocorrelation at lags of half and one length scale.
+    #[test]
+    fn turbulence_has_the_variance_and_the_memory_of_its_closed_form() {
+        // long steps, so that 10⁵ of them are many lengths of the turbulence
+        let dt = 0.5;
+        let config = WindConfig { velocity: [6.0, 8.0, 0.0], turbulence: 4.0, ..WindConfig::new(WindModel::Dryden) };
+        let mut field = field(config, 1);
+        let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
+        let count = 100_000;
+        let mut samples = [vec![], vec![], vec![]];
+        for _ in 0..count {
+            let (_, air) = field.advance(dt, 0, &state);
+            // along the mean wind (0.6, 0.8, 0), to its left, up
+            let parts = [0.6 * air.x + 0.8 * air.y, 0.6 * air.y - 0.8 * air.x, air.z];
+            samples.iter_mut().zip(parts).for_each(|(samples, x)| samples.push(x));
+        }
+        let (sigma, length) = dryden(30.0, 4.0);
+        assert!((length[0] - 0.3048 * 98.425 / (0.177 + 8.23e-4 * 98.425_f64).powf(1.2)).abs() < 0.01);
+        assert!((sigma[2] - 0.4).abs() < 1e-12 && (length[2] - 30.0).abs() < 1e-9);
+        for axis in 0..3 {
+            let alpha = (-dt * 10.0 / length[axis]).exp();
+            let x = &samples[axis];
+            let variance = x.iter().map(|x| x * x).sum::<f64>() / f64::from(count);
+            // a Gaussian AR(1): the mean of x² has variance 2σ⁴/n·(1 + α²)/(1 − α²)
+            let error = (2.0 / f64::from(count) * (1.0 + alpha * alpha) / (1.0 - alpha * alpha)).sqrt();
+            let expected = sigma[axis] * sigma[axis];
+            assert!((variance / expected - 1.0).abs() < 3.0 * error, "axis {axis}: {variance} for {expected}");
+            let lag = (length[axis] / 10.0 / dt).round() as usize;
+            for lag in [lag / 2, lag] {
+                let pairs = x.iter().zip(&x[lag..]).map(|(a, b)| a * b).sum::<f64>();
+                let correlation = pairs / (f64::from(count) - lag as f64) / expected;
+                let closed = alpha.powi(i32::try_from(lag).unwrap());
+                // no wider than the sum of everything correlated
+                let error = ((1.0 + alpha * alpha) / (1.0 - alpha * alpha) / f64::from(count)).sqrt();
+                assert!((correlation - closed).abs() < 3.0 * error, "axis {axis}, lag {lag}: {correlation}, {closed}");
+            }
+        }
+    }
+
+    #[test]
+    fn gusts_come_at_their_rate_rise_and_fall_as_a_half_sine_and_point_everywhere() {
+        let config = WindConfig { gust_rate: 2.0, gust_duration: 0.25, ..WindConfig::new(WindModel::Gust) };
+        let mut field = field(config, 1);
+        let state = DroneState::default();
+        let (mut gusts, mut idle, mut sum) = (0, 0, Vector3::zeros());
+        let mut current: Vec<Vector3<f64>> = Vec::new();
+        for _ in 0..200_000 {
+            let (force, air) = field.advance(DT, 0, &state);
+            assert_eq!(air, Vector3::zeros());
+            assert!(force.norm() <= config.gust_force);
+            // a gust begins with a force of zero
+            if field.locals[0].gust.1 < 1.0 {
+                current.push(force);
+                continue;
+            }
+            idle += 1;
+            if !current.is_empty() {
+                let peak = field.locals[0].gust.0;
+                assert_eq!(current.len(), 60, "0.25 s at 240 Hz");
+                for (step, force) in current.iter().enumerate() {
+                    let envelope = (std::f64::consts::PI * step as f64 / 60.0).sin();
+                    assert!((force - peak * envelope).norm() < 1e-12);
+                }
+                gusts += 1;
+                sum += peak.normalize();
+                current.clear();
+            }
+        }
+        // a geometric wait: one gust in 1/(rate·dt) idle steps
+        let expected = f64::from(idle) * config.gust_rate * DT;
+        assert!((f64::from(gusts) - expected).abs() < 4.0 * expected.sqrt(), "{gusts} for {expected}");
+        // the mean of n random directions has components of standard deviation 1/√(3n)
+        assert!((sum / f64::from(gusts)).amax() < 4.0 / (3.0 * f64::from(gusts)).sqrt());
+    }
+
+    #[test]
+    fn drones_have_winds_of_their_own_and_a_seed_brings_them_back() {
+        let states = [DroneState::at_rest(Vector3::z(), Vector3::zeros()); 2];
+        let record = |seed: u64| {
+            let mut field = field(WindConfig::new(WindModel::Combined), 2);
+            field.reset(seed, &states);
+            (0..500)
+                .map(|_| [field.advance(DT, 0, &states[0]).0, field.advance(DT, 1, &states[1]).0])
+                .collect::<Vec<_>>()
+        };
+        let first = record(3);
+        assert!(first.iter().all(|[a, b]| a != b));
+        assert_eq!(first, record(3));
+        assert_ne!(first, record(4));
+        // one drone more does not change the others' wind, nor run the clock faster
+        let mut alone = field(WindConfig::new(WindModel::Combined), 1);
+        alone.reset(3, &states[..1]);
+        assert!(first.iter().all(|[a, _]| *a == alone.advance(DT, 0, &states[0]).0));
+    }
+
+    #[test]
+    fn a_sinusoidal_force_is_the_papers() {
+        let config =
+            WindConfig { sinusoidal_force: 0.01, sinusoidal_frequency: 3.0, ..WindConfig::new(WindModel::Sinusoidal) };
+        let mut field = field(config, 1);
+        for step in 0..500 {
+            let phase = 3.0 * f64::from(step) * DT;
+            let expected = 0.01 * Vector3::new(phase.sin(), phase.cos(), 0.3 * (2.0 * phase).sin());
+            assert!((field.advance(DT, 0, &DroneState::default()).0 - expected).norm() < 1e-15);
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_combined_wind_is_the_sum_of_its_parts_where_nothing_is_random(
+            wind in prop::array::uniform3(-5.0..5.0), velocity in prop::array::uniform3(-5.0..5.0f64),
+        ) {
+            let config = WindConfig { velocity: wind, turbulence: 0.0, gust_rate: 0.0, ..WindConfig::default() };
+            let state = DroneState { velocity: velocity.into(), ..DroneState::default() };
+            let force = |model| field(WindConfig { model, ..config }, 1).advance(DT, 0, &state).0;
+            let parts = [WindModel::Constant, WindModel::Gust, WindModel::Dryden, WindModel::Sinusoidal].map(force);
+            let sum: Vector3<f64> = parts.iter().sum();
+            prop_assert!((force(WindModel::Combined) - sum).norm() < 1e-12);
+            // quadratic in the relative velocity, and along it
+            let relative = Vector3::from(wind) - state.velocity;
+            let area = DroneModel::Cf2x.params().drag_area();
+            prop_assert!((parts[0].norm() - 0.5 * 1.225 * area * relative.norm_squared()).abs() < 1e-12);
+            prop_assert!(parts[0].dot(&relative) >= 0.0);
+            prop_assert_eq!(force(WindModel::None), Vector3::zeros());
+        }
+    }
+
+    #[test]
+    fn impossible_winds_are_refused_by_field() {
+        let refused = |config: WindConfig, text: &str| {
+            assert!(config.validate().unwrap_err().to_string().starts_with(text));
+        };
+        refused(WindConfig { velocity: [0.0, f64::NAN, 0.0], ..WindConfig::default() }, "the wind's velocity is NaN");
+        refused(WindConfig { turbulence: -1.0, ..WindConfig::default() }, "the wind's turbulence is -1");
+        refused(WindConfig { gust_duration: 0.0, ..WindConfig::default() }, "the wind's gust_duration is 0");
+        refused(WindConfig { air_density: f64::INFINITY, ..WindConfig::default() }, "the wind's air_density is inf");
+    }
+}
