@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::contact::Contact;
 use crate::error::{DivergedQuantity, Divergence, Error};
 use crate::id::{GeomId, ObjectId};
-use crate::model::Model;
+use crate::model::{Model, ModelMut};
 use crate::runtime::{check_library, guarded};
 
 /// One simulation of a [`Model`].
@@ -85,6 +85,21 @@ impl Data {
     #[inline]
     pub fn model(&self) -> &Model {
         &self.model
+    }
+
+    /// Access to the numbers of the model that is simulated; what is written acts from the next step on. A model that others
+    /// share is copied first.
+    ///
+    /// # Errors
+    /// [`Error::Raised`] where MuJoCo cannot allocate the copy.
+    pub fn patch_model(&mut self) -> Result<ModelMut<'_>, Error> {
+        if Arc::get_mut(&mut self.model).is_none() {
+            self.model = Arc::new(self.model.try_clone()?);
+        }
+        // a copy has the same structure, so that this simulation's memory fits it as well
+        Arc::get_mut(&mut self.model)
+            .map(Model::patch)
+            .ok_or_else(|| Error::Raised { call: "mj_copyModel", message: "the model is shared".into() })
     }
 
     /// The model, to be shared with another simulation.

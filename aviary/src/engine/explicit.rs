@@ -82,6 +82,24 @@ impl ExplicitEngine {
         }
     }
 
+    /// Changes the mass (kg) and the moments of inertia (kg·m²) of a drone.
+    ///
+    /// # Errors
+    /// MuJoCo's, from the mirror.
+    pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
+        self.bodies[drone] = Body { mass, inertia: *inertia };
+        self.mirror.set_body(drone, mass, inertia)
+    }
+
+    /// Changes gravity, m/s² downwards.
+    ///
+    /// # Errors
+    /// MuJoCo's, from the mirror.
+    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
+        self.gravity = Vector3::new(0.0, 0.0, -gravity);
+        self.mirror.set_gravity(gravity)
+    }
+
     pub(super) fn synchronised(&mut self) -> Result<&Data, Error> {
         self.mirror.show(&self.states)
     }

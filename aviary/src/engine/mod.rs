@@ -7,6 +7,7 @@ pub use explicit::ExplicitEngine;
 pub use mujoco::{BuildError, MujocoEngine};
 
 use mujoco_rs::{Data, Error};
+use nalgebra::Vector3;
 
 use crate::physics::Wrench;
 use crate::physics::rotor::RotorWrench;
@@ -59,6 +60,28 @@ impl Engine {
         match self {
             Self::Mujoco(engine) => engine.reset(states),
             Self::Explicit(engine) => engine.reset(states),
+        }
+    }
+
+    /// Changes the mass (kg) and the moments of inertia (body frame, kg·m²) of a drone, from the next step on.
+    ///
+    /// # Errors
+    /// MuJoCo's, where it cannot copy a shared model.
+    pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
+        match self {
+            Self::Mujoco(engine) => engine.set_body(drone, mass, inertia),
+            Self::Explicit(engine) => engine.set_body(drone, mass, inertia),
+        }
+    }
+
+    /// Changes gravity (m/s² downwards), from the next step on.
+    ///
+    /// # Errors
+    /// As for [`set_body`](Self::set_body), and for what is not a number.
+    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
+        match self {
+            Self::Mujoco(engine) => engine.set_gravity(gravity),
+            Self::Explicit(engine) => engine.set_gravity(gravity),
         }
     }
 

@@ -105,6 +105,36 @@ impl MujocoEngine {
         Ok(())
     }
 
+    /// Changes the mass (kg) and the moments of inertia (kg·m²) of a drone, and what MuJoCo derives from them for a free body
+    /// (`mj_setConst`: the inverse weights are means of the diagonal of the inverse inertia).
+    ///
+    /// # Errors
+    /// MuJoCo's, where it cannot copy a shared model.
+    pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
+        let (body, dof) = (self.slots[drone].body, self.slots[drone].velocity);
+        let mut model = self.data.patch_model()?;
+        let old = model.body_mass_mut()[body];
+        model.body_mass_mut()[body] = mass;
+        model.body_inertia_mut()[3 * body..][..3].copy_from_slice(inertia.as_slice());
+        model.body_subtreemass_mut()[body] = mass;
+        model.body_subtreemass_mut()[0] += mass - old;
+        let turning = inertia.map(|moment| 1.0 / moment).mean();
+        model.body_invweight0_mut()[2 * body..][..2].copy_from_slice(&[1.0 / mass, turning]);
+        model.dof_invweight0_mut()[dof..][..3].fill(1.0 / mass);
+        model.dof_invweight0_mut()[dof + 3..][..3].fill(turning);
+        model.dof_M0_mut()[dof..][..3].fill(mass);
+        model.dof_M0_mut()[dof + 3..][..3].copy_from_slice(inertia.as_slice());
+        Ok(())
+    }
+
+    /// Changes gravity, m/s² downwards.
+    ///
+    /// # Errors
+    /// As for [`set_body`](Self::set_body), and for what is not a number.
+    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
+        self.data.patch_model()?.set_gravity([0.0, 0.0, -gravity])
+    }
+
     fn write(&mut self, states: &[DroneState]) {
         for (slot, state) in self.slots.iter().zip(states) {
             let position = &mut self.data.qpos_mut()[slot.position..][..7];

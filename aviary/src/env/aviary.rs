@@ -1,6 +1,7 @@
 use rand::{Rng as _, SeedableRng as _};
 
-use super::{BoxSpace, EndReason, Env, EnvError, Info, ObservationSpace, Rng, Step, Task};
+use super::randomization::Randomizer;
+use super::{BoxSpace, Draw, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Rng, Step, Task};
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
@@ -20,6 +21,7 @@ pub struct Aviary<T> {
     pub(super) action_space: BoxSpace,
     pub(super) episode_steps: u64,
     pub(super) rng: Rng,
+    pub(super) randomizer: Option<Randomizer>,
     pub(super) phase: Phase,
     /// Why the episode ended.
     pub(super) end: Option<EndReason>,
@@ -57,6 +59,11 @@ impl<T: Task> Aviary<T> {
     }
 
     pub(crate) fn observe(&mut self) -> Result<(), EnvError> {
+        // a task reads the simulation's states: for what is seen, they are what the sensors say
+        let mut measured = self.randomizer.as_mut().and_then(|randomizer| randomizer.measure(&self.simulation));
+        if let Some(states) = &mut measured {
+            self.simulation.swap_states(states);
+        }
         if self.observation_space.kind.kinematic {
             for (drone, part) in self.observation.vector.chunks_exact_mut(self.block.max(1)).enumerate() {
                 self.task.observe(&self.simulation, drone, part);
@@ -64,6 +71,9 @@ impl<T: Task> Aviary<T> {
         }
         if self.observation_space.kind.adjacency {
             self.simulation.adjacency(self.neighbourhood_radius, &mut self.observation.adjacency);
+        }
+        if let Some(states) = &mut measured {
+            self.simulation.swap_states(states);
         }
         if let Some(painter) = &mut self.cameras {
             painter.update(self.simulation.states())?;
@@ -77,7 +87,10 @@ impl<T: Task> Aviary<T> {
         if let Some(seed) = seed {
             self.rng = Rng::seed_from_u64(seed);
         }
-        self.simulation.reset()?;
+        match &mut self.randomizer {
+            Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.rng)?,
+            None => self.simulation.reset()?,
+        }
         if self.simulation.wind().is_some() {
             let seed = self.rng.next_u64();
             self.simulation.reset_wind(seed);
@@ -215,6 +228,21 @@ impl<T: Task> Env for Aviary<T> {
         if self.phase != Phase::New {
             self.task.measures(&self.simulation, report);
         }
+        if let Some(draw) = self.draw() {
+            let first = &draw.drones[0];
+            for (name, value) in [
+                ("drawn_mass", first.mass),
+                ("drawn_inertia", first.inertia),
+                ("drawn_arm_length", first.arm_length),
+                ("drawn_thrust", first.thrust),
+                ("drawn_torque", first.torque),
+                ("drawn_lag", first.actuators.lag),
+                ("drawn_latency", first.actuators.latency),
+                ("drawn_gravity", draw.gravity),
+            ] {
+                report(name, value);
+            }
+        }
     }
 
     fn drone_end(&self, drone: usize) -> Option<EndReason> {
@@ -236,6 +264,18 @@ impl<T: Task> Env for Aviary<T> {
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
         let seed = self.rng.next_u64();
         Ok(self.simulation.set_wind(wind, seed)?)
+    }
+
+    fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
+        let randomizer = randomization.map(|config| Randomizer::new(config, &self.simulation)).transpose()?;
+        if let Some(old) = std::mem::replace(&mut self.randomizer, randomizer) {
+            old.undo(&mut self.simulation)?;
+        }
+        Ok(())
+    }
+
+    fn draw(&self) -> Option<&Draw> {
+        self.randomizer.as_ref().map(|randomizer| &randomizer.draw)
     }
 
     fn episode_steps(&self) -> u64 {

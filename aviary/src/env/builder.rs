@@ -1,7 +1,8 @@
 use rand::SeedableRng as _;
 
 use super::aviary::{Aviary, Phase};
-use super::{BoxSpace, EnvError, ObservationSpace, Rng, Task};
+use super::randomization::Randomizer;
+use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
 use crate::control::ControllerKind;
 use crate::drone::{DroneModel, DroneParams};
@@ -26,6 +27,7 @@ pub struct AviaryBuilder<T> {
     controller: ControllerKind,
     observation_type: ObservationType,
     camera_size: ImageSize,
+    randomization: Option<Randomization>,
 }
 
 /// Options that are the simulation's.
@@ -63,6 +65,7 @@ impl<T> AviaryBuilder<T> {
             controller: ControllerKind::default(),
             observation_type: ObservationType::default(),
             camera_size: CAMERA_SIZE,
+            randomization: None,
         }
     }
 
@@ -79,6 +82,7 @@ impl<T> AviaryBuilder<T> {
             controller: self.controller,
             observation_type: self.observation_type,
             camera_size: self.camera_size,
+            randomization: self.randomization,
         }
     }
 
@@ -171,6 +175,13 @@ impl<T> AviaryBuilder<T> {
         self
     }
 
+    /// What is drawn anew for every episode; nothing by default.
+    #[must_use]
+    pub fn randomization(mut self, randomization: impl Into<Option<Randomization>>) -> Self {
+        self.randomization = randomization.into();
+        self
+    }
+
     /// What the agent sees; the task's vector by default.
     #[must_use]
     pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
@@ -250,6 +261,7 @@ impl<T: Task> AviaryBuilder<T> {
                 neighbours: count,
                 camera_size,
             },
+            randomizer: self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
             cameras,
             painter: None,
             action_space,

@@ -3,12 +3,17 @@
 mod aviary;
 mod builder;
 mod checker;
+mod randomization;
 mod space;
 mod task;
 
 pub use aviary::Aviary;
 pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
+pub use randomization::{
+    ActuatorRanges, AerodynamicRanges, BodyRanges, Draw, DroneDraw, EnvironmentRanges, InitialRanges, Randomization,
+    Range, SensorRanges,
+};
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
 pub use task::{Task, TaskDefaults};
 
@@ -163,6 +168,12 @@ pub enum EnvError {
         /// What is possible.
         expected: &'static str,
     },
+    /// Text that is no configuration in TOML.
+    #[error("{message}")]
+    Toml {
+        /// Line, column and what was expected.
+        message: String,
+    },
     /// Limits of actions that are impossible.
     #[error(transparent)]
     ActionLimits(#[from] ActionLimitsError),
@@ -269,6 +280,16 @@ pub trait Env {
     /// # Errors
     /// [`EnvError::Simulation`] naming a setting that is impossible.
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
+
+    /// Draws the body, the sensors, the start, … anew for every episode from the next reset on; `None` for the nominal
+    /// ones again.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming a range that is none.
+    fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
+
+    /// What was drawn for this episode; `None` without randomization.
+    fn draw(&self) -> Option<&Draw>;
 
     /// Control steps after which an episode is cut off.
     fn episode_steps(&self) -> u64;

@@ -281,6 +281,8 @@ impl SimulationBuilder {
             previous: vec![DroneState::default(); count],
             loads: vec![no_load; count],
             downwash: vec![0.0; count],
+            memory: Vec::new(),
+            oldest: 0,
             motor_speeds: vec![[0.0; 4]; count],
             contacts,
             failed: None,

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 
 use crate::drone::DroneParams;
 use crate::engine::{Contact, Engine, Load};
-use crate::physics::actuators::Actuators;
+use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::downwash::{self, Wake};
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -53,6 +53,10 @@ pub struct Simulation {
     downwash: Vec<f64>,
     /// States before the last physics step.
     previous: Vec<DroneState>,
+    /// States of earlier physics steps, a ring of one list after the other.
+    memory: Vec<DroneState>,
+    /// The oldest of them, by number of list.
+    oldest: usize,
     motor_speeds: Vec<[f64; 4]>,
     contacts: Vec<Contact>,
     failed: Option<SimulationError>,
@@ -105,6 +109,11 @@ impl Simulation {
         self.accept(commands)?;
         self.contacts.clear();
         for substep in 0..self.substeps() {
+            if !self.memory.is_empty() {
+                let count = self.states.len();
+                self.memory[self.oldest * count..][..count].copy_from_slice(&self.states);
+                self.oldest = (self.oldest + 1) % (self.memory.len() / count);
+            }
             self.compute_loads();
             if let Err(error) = self.engine.advance(&self.loads, &self.states) {
                 return Err(self.failure(substep, error));
@@ -244,10 +253,78 @@ impl Simulation {
             actuators.reset();
             *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
+        self.forget();
         self.contacts.clear();
         self.control_steps = 0;
         self.failed = None;
         Ok(())
+    }
+
+    /// Changes the airframe of a drone, from the next step on: the simulated body, its rotors and what the air does to it.
+    /// Motors stay as fast as those of the airframe it was built with, and the size that it collides with stays, too.
+    ///
+    /// # Errors
+    /// [`SimulationError::Engine`] where MuJoCo cannot.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn set_airframe(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
+        let engine = |error| SimulationError::Engine { time: 0.0, error };
+        self.engine.set_body(drone, params.mass, &params.inertia_vector()).map_err(engine)?;
+        self.wakes[drone] = Wake::new(&params);
+        let max_rpm = self.drones[drone].max_rpm;
+        self.drones[drone] =
+            Drone { rotors: RotorModel::new(&params), ground: GroundEffect::new(&params), max_rpm, params };
+        Ok(())
+    }
+
+    /// Changes how the motors of a drone answer; they start anew.
+    ///
+    /// # Errors
+    /// [`SimulationError::Actuators`] naming a setting that is impossible.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn set_actuators(&mut self, drone: usize, actuators: &ActuatorParams) -> Result<(), SimulationError> {
+        actuators.validate()?;
+        // motors are those of the airframe it was built with
+        let nominal = &self.world.drones[drone].params;
+        self.actuators[drone] = Actuators::new(nominal, actuators, self.world.timestep);
+        Ok(())
+    }
+
+    /// Changes gravity (m/s², downwards), from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Engine`] for what is not a number.
+    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
+        self.engine.set_gravity(gravity).map_err(|error| SimulationError::Engine { time: 0.0, error })
+    }
+
+    /// Remembers the states of so many seconds, in whole physics steps, for [`remembered`](Self::remembered).
+    pub fn remember(&mut self, seconds: f64) {
+        let steps = (seconds.max(0.0) / self.world.timestep).round() as usize;
+        self.memory.resize(steps * self.states.len(), DroneState::default());
+        self.forget();
+    }
+
+    /// The states as they were the [remembered](Self::remember) time ago; those of the start while there was none.
+    pub fn remembered(&self) -> &[DroneState] {
+        let count = self.states.len();
+        self.memory.get(self.oldest * count..(self.oldest + 1) * count).unwrap_or(&self.states)
+    }
+
+    /// As if the drones had always been where they are.
+    fn forget(&mut self) {
+        self.oldest = 0;
+        for states in self.memory.chunks_exact_mut(self.states.len()) {
+            states.copy_from_slice(&self.states);
+        }
+    }
+
+    /// Puts other states in place of the drones' own and gives those back: for looking at what sensors see.
+    pub(crate) fn swap_states(&mut self, states: &mut Vec<DroneState>) {
+        std::mem::swap(&mut self.states, states);
     }
 
     /// Changes the wind, from now on; `None` for still air. It starts anew, from this seed.

@@ -1,8 +1,10 @@
 //! Environments around environments: each changes one thing and passes the rest on.
 
+mod randomization;
 mod safety;
 mod wind;
 
+pub use randomization::RandomizationWrapper;
 pub use safety::SafetyWrapper;
 pub use wind::WindWrapper;
 
@@ -46,6 +48,17 @@ macro_rules! forward_env {
 
         fn set_wind(&mut $self, wind: Option<$crate::physics::wind::WindConfig>) -> Result<(), $crate::env::EnvError> {
             $inner.set_wind(wind)
+        }
+
+        fn set_randomization(
+            &mut $self,
+            randomization: Option<$crate::env::Randomization>,
+        ) -> Result<(), $crate::env::EnvError> {
+            $inner.set_randomization(randomization)
+        }
+
+        fn draw(&$self) -> Option<&$crate::env::Draw> {
+            $inner.draw()
         }
 
         fn episode_steps(&$self) -> u64 {

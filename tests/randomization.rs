@@ -1,0 +1,331 @@
+//! Domain randomization: what is drawn has its distribution, changes the simulated body, and comes back with the seed.
+
+use mujoco_drones_gym::env::{Draw, Randomization, SensorRanges, check_env, check_independence};
+use mujoco_drones_gym::mujoco::{Data, Model};
+use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::tasks::NAMES;
+use mujoco_drones_gym::world::{DroneBody, World};
+use mujoco_drones_gym::wrappers::{RandomizationWrapper, WindWrapper};
+use nalgebra::Vector3;
+
+/// Draws of so many episodes of two drones that hover high up.
+fn draws(config: Randomization, episodes: u64) -> Vec<Draw> {
+    let high = [[0.0, 0.0, 2.0], [3.0, 0.0, 2.0]];
+    let mut env = MultiHover::builder().initial_positions(high).randomization(config).build().unwrap();
+    (0..episodes)
+        .map(|seed| {
+            env.reset(Some(seed)).unwrap();
+            env.draw().unwrap().clone()
+        })
+        .collect()
+}
+
+/// The Kolmogorov-Smirnov statistic times √n against a distribution function: above 1.95 once in a thousand times.
+fn kolmogorov_smirnov(mut samples: Vec<f64>, cdf: impl Fn(f64) -> f64) -> f64 {
+    samples.sort_by(f64::total_cmp);
+    let n = samples.len() as f64;
+    let gaps = samples.iter().enumerate().map(|(i, &x)| {
+        let at = cdf(x);
+        (at - i as f64 / n).abs().max(((i + 1) as f64 / n - at).abs())
+    });
+    gaps.fold(0.0, f64::max) * n.sqrt()
+}
+
+fn uniform(low: f64, high: f64) -> impl Fn(f64) -> f64 {
+    move |x| ((x - low) / (high - low)).clamp(0.0, 1.0)
+}
+
+/// The normal distribution function (Abramowitz and Stegun 7.1.26, to 1.5e-7).
+fn normal(sigma: f64) -> impl Fn(f64) -> f64 {
+    move |x| {
+        let z = x.abs() / sigma / 2_f64.sqrt();
+        let t = 1.0 / (1.0 + 0.327_591_1 * z);
+        let poly =
+            t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+        let erf = 1.0 - poly * (-z * z).exp();
+        0.5 * (1.0 + erf.copysign(x))
+    }
+}
+
+#[test]
+fn every_parameter_has_the_papers_distribution() {
+    let draws = draws(Randomization::default(), 2000);
+    let each = |value: &dyn Fn(&mujoco_drones_gym::env::DroneDraw) -> f64| {
+        draws.iter().flat_map(|draw| &draw.drones).map(value).collect::<Vec<_>>()
+    };
+    let mut statistics = Vec::new();
+    let mut test = |name: String, samples: Vec<f64>, cdf: &dyn Fn(f64) -> f64| {
+        statistics.push((name, kolmogorov_smirnov(samples, cdf)));
+    };
+    type Value = fn(&mujoco_drones_gym::env::DroneDraw) -> f64;
+    let factors: [(&str, Value, [f64; 2]); 15] = [
+        ("mass", |d| d.mass, [0.8, 1.2]),
+        ("inertia", |d| d.inertia, [0.8, 1.2]),
+        ("arm length", |d| d.arm_length, [0.98, 1.02]),
+        ("thrust", |d| d.thrust, [0.85, 1.15]),
+        ("torque", |d| d.torque, [0.85, 1.15]),
+        ("drag xy", |d| d.drag[0], [0.7, 1.3]),
+        ("drag z", |d| d.drag[1], [0.7, 1.3]),
+        ("ground", |d| d.ground, [0.7, 1.3]),
+        ("downwash", |d| d.downwash, [0.7, 1.3]),
+        ("gain 0", |d| d.actuators.gains[0], [0.95, 1.05]),
+        ("gain 3", |d| d.actuators.gains[3], [0.95, 1.05]),
+        ("lag", |d| d.actuators.lag, [0.005, 0.05]),
+        ("latency", |d| d.actuators.latency, [0.0, 0.05]),
+        ("max rpm", |d| d.actuators.saturation, [0.95, 1.05]),
+        ("yaw", |d| d.initial.yaw(), [-0.1, 0.1]),
+    ];
+    for (name, value, [low, high]) in factors {
+        test(name.into(), each(&value), &uniform(low, high));
+    }
+    for axis in 0..3 {
+        for (what, sigma) in [0.01, 0.05, 1_f64.to_radians(), 0.05].into_iter().enumerate() {
+            test(format!("bias {what} {axis}"), each(&|d| d.bias[what][axis]), &normal(sigma));
+        }
+        let place = draws.iter().map(|draw| draw.drones[1].initial.position[axis] - [3.0, 0.0, 2.0][axis]).collect();
+        test(format!("position {axis}"), place, &uniform(-0.2, 0.2));
+        test(format!("velocity {axis}"), each(&|d| d.initial.velocity[axis]), &uniform(-0.5, 0.5));
+    }
+    test("gravity".into(), draws.iter().map(|draw| draw.gravity).collect(), &uniform(0.98, 1.02));
+    test("sensor latency".into(), draws.iter().map(|draw| draw.sensor_latency).collect(), &uniform(0.0, 0.02));
+    let wind = |draw: &Draw| Vector3::from(draw.wind.unwrap().velocity);
+    test("wind".into(), draws.iter().map(|draw| wind(draw).norm()).collect(), &uniform(0.0, 1.0));
+    let around = |draw: &Draw| wind(draw).y.atan2(wind(draw).x);
+    test("wind's direction".into(), draws.iter().map(around).collect(), &uniform(-3.141_592_7, 3.141_592_7));
+    for (name, statistic) in statistics {
+        assert!(statistic < 1.95, "{name}: {statistic}");
+    }
+    // and they are not one another
+    let correlation: f64 = each(&|d| (d.mass - 1.0) * (d.inertia - 1.0) * 75.0).iter().sum::<f64>() / 4000.0;
+    assert!(correlation.abs() < 0.06, "{correlation}");
+}
+
+/// One group alone, everything else nominal, nothing random but that.
+fn only(toml: &str) -> Randomization {
+    Randomization::from_toml(toml).unwrap()
+}
+
+/// The drone of a hover task high up, in an episode of this randomization.
+fn hovering(config: Randomization) -> Aviary<Hover> {
+    let mut env =
+        Hover::builder().initial_positions([[0.0, 0.0, 2.0]]).ctrl_freq(240).randomization(config).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    env
+}
+
+#[test]
+fn a_heavier_body_falls_under_the_nominal_hover_speed_as_newton_says() {
+    for factor in [0.8, 1.2] {
+        let mut env = hovering(only(&format!("[body]\nmass = [{factor}, {factor}]\n")));
+        for _ in 0..24 {
+            env.step(&[0.0; 4]).unwrap();
+        }
+        let acceleration = env.simulation().states()[0].velocity.z / 0.1;
+        let expected = -9.81 * (1.0 - 1.0 / factor);
+        assert!((acceleration / expected - 1.0).abs() < 0.01, "{acceleration}, expected {expected}");
+    }
+    let mut env = hovering(only("[aerodynamics]\nthrust = [1.1, 1.1]\n"));
+    for _ in 0..24 {
+        env.step(&[0.0; 4]).unwrap();
+    }
+    assert!((env.simulation().states()[0].velocity.z / 0.1 / 0.981 - 1.0).abs() < 0.01, "k_f a tenth larger: g/10 up");
+    let mut env = hovering(only("[environment]\ngravity = [0.9, 0.9]\nwind = [0.0, 0.0]\n"));
+    for _ in 0..24 {
+        env.step(&[0.0; 4]).unwrap();
+    }
+    assert!((env.simulation().states()[0].velocity.z / 0.1 / 0.981 - 1.0).abs() < 0.01, "g a tenth smaller: g/10 up");
+}
+
+#[test]
+fn a_body_that_is_harder_to_turn_turns_less_and_a_weaker_motor_turns_it() {
+    let turned = |config: Randomization| {
+        let mut env = hovering(config);
+        env.step(&[0.2, 0.2, -0.2, -0.2]).unwrap();
+        env.simulation().states()[0].angular_velocity
+    };
+    let nominal = turned(Randomization::NONE);
+    let heavy = turned(only("[body]\nmass = [1, 1]\narm_length = [1, 1]\ninertia = [1.2, 1.2]\n"));
+    assert!((heavy.x * 1.2 / nominal.x - 1.0).abs() < 1e-6, "{heavy} {nominal}");
+    let long = turned(only("[body]\nmass = [1, 1]\narm_length = [1.02, 1.02]\ninertia = [1, 1]\n"));
+    assert!((long.x / 1.02 / nominal.x - 1.0).abs() < 1e-6);
+    let mut env = hovering(only("[actuators]\ngain = [0.9, 1.1]\nlag = [0, 0]\nlatency = [0, 0]\n"));
+    env.step(&[0.0; 4]).unwrap();
+    assert!(env.simulation().states()[0].angular_velocity.norm() > 0.05, "unequal motors turn a drone");
+}
+
+/// 63 % of a step in rotor speed after one time constant, and nothing before the latency is over.
+#[test]
+fn motors_lag_and_wait_as_drawn() {
+    let hover = DroneModel::Cf2x.params().hover_rpm();
+    let step = 0.1 * (DroneModel::Cf2x.params().max_rpm() - hover);
+    let answer = |config: &str, steps: usize| {
+        let mut env = hovering(only(config));
+        for _ in 0..steps {
+            env.step(&[0.1; 4]).unwrap();
+        }
+        (env.simulation().rotor_speeds(0)[0] - hover) / step
+    };
+    let rest = "gain = [1, 1]\nmax_rpm = [1, 1]\n";
+    let lag = answer(&format!("[actuators]\nlag = [0.05, 0.05]\nlatency = [0, 0]\n{rest}"), 12);
+    assert!((lag - (1.0 - (-1_f64).exp())).abs() < 1e-9, "{lag}");
+    let late = format!("[actuators]\nlag = [0, 0]\nlatency = [0.025, 0.025]\n{rest}");
+    assert!(answer(&late, 6).abs() < 1e-12 && (answer(&late, 7) - 1.0).abs() < 1e-12);
+    let mut env = hovering(only(&format!(
+        "[actuators]\nlag = [0, 0]\nlatency = [0, 0]\ngain = [1, 1]\nmax_rpm = [0.95, 0.95]\n"
+    )));
+    env.step(&[1.0; 4]).unwrap();
+    let most = DroneModel::Cf2x.params().max_rpm();
+    assert!((env.simulation().rotor_speeds(0)[0] / most - 0.95).abs() < 1e-12);
+}
+
+#[test]
+fn what_is_seen_is_noisy_biased_and_late_and_the_drone_itself_is_not() {
+    let quiet = |more: &str| {
+        only(&format!("[sensors]\nposition = 0\nvelocity = 0\nattitude = 0\nangular_velocity = 0\nbias = 0\n{more}"))
+    };
+    // five physics steps late, at one per control step
+    let mut env = hovering(quiet("latency = [0.02083, 0.02083]\n"));
+    let mut heights = vec![2.0; 6];
+    for _ in 0..30 {
+        let seen = env.step(&[0.5; 4]).unwrap().observation.vector[2];
+        heights.push(env.simulation().states()[0].position.z);
+        assert_eq!(seen, heights[heights.len() - 6], "what was five steps ago");
+    }
+    // noise about a bias that stays: mean and standard deviation over an episode
+    let config = only("[sensors]\nlatency = [0, 0]\nposition = 0.02\nvelocity = 0.1\n");
+    let mut env = hovering(config);
+    let bias = env.draw().unwrap().drones[0].bias;
+    let mut differences = Vec::new();
+    for _ in 0..2000 {
+        let truth = env.simulation().states()[0];
+        let seen = &env.observation().vector;
+        differences.push([
+            seen[0] - truth.position.x,
+            seen[6] - truth.velocity.x,
+            seen[5] - truth.yaw(),
+            seen[9] - truth.angular_velocity.x,
+        ]);
+        env.step(&[0.0; 4]).unwrap();
+    }
+    for (what, sigma) in [0.02, 0.1, 1_f64.to_radians(), 0.05].into_iter().enumerate() {
+        let axis = if what == 2 { 2 } else { 0 };
+        let n = differences.len() as f64;
+        let mean = differences.iter().map(|d| d[what]).sum::<f64>() / n;
+        let spread = (differences.iter().map(|d| (d[what] - mean).powi(2)).sum::<f64>() / n).sqrt();
+        assert!((mean - bias[what][axis]).abs() < 4.0 * sigma / n.sqrt(), "{what}: {mean} {}", bias[what][axis]);
+        assert!((spread / sigma - 1.0).abs() < 0.08, "{what}: {spread}");
+    }
+    assert!((env.simulation().states()[0].position.z - 2.0).abs() < 1e-3, "the drone hovers all the same");
+    // targets in the observation are exact: noise is on the state alone
+    let mut env = Velocity::builder().randomization(only("[sensors]\n")).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    let (target, rate) = env.task().target(0);
+    assert_eq!((&env.observation().vector[12..15], env.observation().vector[15]), (target.as_slice(), rate));
+}
+
+/// MuJoCo's model of a patched drone is the one that it compiles for such an airframe.
+#[test]
+fn a_patched_model_is_the_compiled_one() {
+    let other = DroneParams { mass: 0.031, inertia: [1.7e-5, 1.6e-5, 2.9e-5], ..DroneModel::Cf2x.params() };
+    let body = |params: &DroneParams, x: f64| DroneBody {
+        params: params.clone(),
+        position: Vector3::new(x, 0.0, 1.0),
+        rpy: Vector3::zeros(),
+    };
+    let nominal = DroneModel::Cf2x.params();
+    let compiled =
+        Model::from_xml(&World::new(vec![body(&nominal, 0.0), body(&other, 1.0)]).to_mjcf().unwrap()).unwrap();
+    let mut simulation = Simulation::builder(nominal).num_drones(2).build().unwrap();
+    simulation.set_airframe(1, other.clone()).unwrap();
+    let data: &Data = simulation.mujoco().unwrap();
+    let patched = data.model();
+    let close = |a: &[f64], b: &[f64]| {
+        assert!(a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= 1e-9 * b.abs()), "{a:?} {b:?}");
+    };
+    close(patched.body_mass(), compiled.body_mass());
+    close(patched.body_inertia(), compiled.body_inertia());
+    close(patched.body_subtreemass(), compiled.body_subtreemass());
+    close(patched.body_invweight0(), compiled.body_invweight0());
+    close(patched.dof_invweight0(), compiled.dof_invweight0());
+    close(patched.dof_M0(), compiled.dof_M0());
+    assert_eq!(simulation.params(1), &other);
+}
+
+#[test]
+fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
+    for name in NAMES {
+        let config = || EnvConfig::default().physics(Physics::MjcGndDragDw).episode_seconds(3.0);
+        let build = || RandomizationWrapper::new(make(name, config()).unwrap(), Randomization::default()).unwrap();
+        check_env(&mut build()).unwrap_or_else(|error| panic!("{error}"));
+        check_independence(&mut build(), &mut build()).unwrap();
+        let wind = WindConfig::new(WindModel::Combined);
+        let some = only("[body]\n[actuators]\n[sensors]\n[initial]\n");
+        let stacked = || {
+            let windy = WindWrapper::new(make(name, config()).unwrap(), wind).unwrap();
+            RandomizationWrapper::new(windy, some.clone()).unwrap()
+        };
+        check_env(&mut stacked()).unwrap_or_else(|error| panic!("{error}"));
+    }
+}
+
+#[test]
+fn no_drone_starts_in_the_floor_or_in_another_one() {
+    let mut env =
+        Formation::builder().task(|task| task.radius = 0.12).randomization(only("[initial]\n")).build().unwrap();
+    let mut low = Hover::builder().randomization(only("[initial]\n")).build().unwrap();
+    for seed in 0..300 {
+        env.reset(Some(seed)).unwrap();
+        let states = env.simulation().states();
+        for i in 0..3 {
+            for j in 0..i {
+                assert!((states[i].position - states[j].position).norm() > 0.12, "seed {seed}");
+            }
+        }
+        low.reset(Some(seed)).unwrap();
+        low.step(&[0.3; 4]).unwrap();
+        assert!(low.simulation().contacts().is_empty() && low.info().end.is_none(), "seed {seed}");
+    }
+}
+
+#[test]
+fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
+    let flight = |env: &mut Aviary<Hover>| {
+        env.reset(Some(4)).unwrap();
+        (0..100).map(|_| env.step(&[0.03; 4]).unwrap().observation.vector.clone()).collect::<Vec<_>>()
+    };
+    let mut env = Hover::builder().build().unwrap();
+    let nominal = flight(&mut env);
+    env.set_randomization(Some(Randomization::default())).unwrap();
+    let drawn = flight(&mut env);
+    let draw = env.draw().unwrap().clone();
+    assert_ne!(drawn, nominal);
+    env.reset(None).unwrap();
+    assert_ne!(env.draw().unwrap(), &draw);
+    assert_eq!(flight(&mut env), drawn);
+    assert_eq!(env.draw().unwrap(), &draw);
+    assert_eq!(env.info_map()["drawn_mass"], draw.drones[0].mass);
+    env.set_randomization(None).unwrap();
+    assert!(env.draw().is_none());
+    assert_eq!(flight(&mut env), nominal);
+    assert_eq!(env.simulation().params(0), &DroneModel::Cf2x.params());
+}
+
+#[test]
+fn impossible_ranges_are_refused_by_field_and_bad_toml_by_line() {
+    let error = |text: &str| Randomization::from_toml(text).unwrap_err().to_string();
+    assert!(error("[body]\nmass = [1.2, 0.8]\n").contains("body.mass is [1.2, 0.8]"));
+    assert!(error("[body]\nmass = [0.0, 1.0]\n").contains("body.mass"));
+    assert!(error("[actuators]\nlatency = [0, 9]\n").contains("actuators.latency"));
+    assert!(error("[sensors]\nbias = -1\n").contains("sensors.bias is -1"));
+    assert!(error("[sensors]\nposition = nan\n").contains("sensors.position is NaN"));
+    assert!(error("[body]\nmass = [0.9, 1.1]\nweight = 2\n").contains("line 3"));
+    assert!(error("[boddy]\n").contains("line 1"));
+    let config = Randomization {
+        sensors: Some(SensorRanges { latency: [0.0, f64::INFINITY], ..SensorRanges::default() }),
+        ..Randomization::NONE
+    };
+    assert!(Hover::builder().randomization(config).build().is_err());
+    assert!(ActuatorParams::default().validate().is_ok());
+}
