@@ -191,8 +191,8 @@ fn every_task_is_flown_to_success_by_a_controller() {
     for name in tasks::NAMES {
         let summary = tasks::summary(name).unwrap();
         for model in DroneModel::ALL {
-            // racers need more room than a circle of 0.3 m has; and the circle of twelve is flown behind a filter
-            if name == "antipodal" || (name == "formation" && model == DroneModel::Race) {
+            // the circle of twelve is flown behind a filter
+            if name == "antipodal" {
                 continue;
             }
             for seed in [1, 8] {
@@ -202,6 +202,19 @@ fn every_task_is_flown_to_success_by_a_controller() {
                 assert_eq!(env.info().progress, 1.0);
             }
         }
+    }
+    for (name, drones, model) in [
+        ("fly_through", 2, DroneModel::Cf2x),
+        ("fly_through", 4, DroneModel::Cf2p),
+        ("race", 2, DroneModel::Cf2x),
+        ("race", 4, DroneModel::Cf2x),
+        ("race", 3, DroneModel::Race),
+        ("multi_agent", 3, DroneModel::Cf2x),
+    ] {
+        let physics = if name == "multi_agent" { Physics::MjcGndDragDw } else { Physics::Mjc };
+        let mut env = make(name, EnvConfig::default().drone(model).num_drones(drones).physics(physics)).unwrap();
+        fly(&mut *env, tasks::summary(name).unwrap().defaults.controller, 1);
+        assert!(env.info().success, "{drones} {model} in {name}: {:?}", env.info_map());
     }
     let mut env = MultiHover::builder().num_drones(8).physics(Physics::MjcGndDragDw).build().unwrap();
     fly(&mut env, ControllerKind::Dsl, 1);
@@ -330,12 +343,12 @@ fn rewards_are_the_papers_computed_by_hand() {
     let slow = state([0.0, 0.0, 6.0], [0.0, 0.3, 0.0], [0.04, 0.0, 0.0], [0.0, 0.0, -0.2]);
     close(reward(&mut velocity, &[slow], &[slow], None), -0.04 - 0.02 - 0.015 + 0.5);
 
-    // drone 0 at its 0.7 m; drone 1 (start x = 0.5 m, target 1.2 m) 0.3 m to the side and 0.2 m low, at 1 m/s
+    // drone 0 at its 0.7 m; drone 1 (start x = 1 m, target 1.2 m) 0.3 m to the side and 0.2 m low, at 1 m/s
     let mut multi = MultiHover::default();
-    let pair = [still([0.0, 0.0, 0.7]), state([0.5, 0.3, 1.0], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3])];
+    let pair = [still([0.0, 0.0, 0.7]), state([1.0, 0.3, 1.0], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3])];
     close(reward(&mut multi, &pair, &pair, None), 0.5 - 0.2 - 0.03 - 0.05);
     close(reward(&mut multi, &pair, &pair, crash), 0.5 - 0.2 - 0.03 - 0.05 - 200.0);
-    let both = [still([0.0, 0.0, 0.7]), still([0.5, 0.0, 1.2])];
+    let both = [still([0.0, 0.0, 0.7]), still([1.0, 0.0, 1.2])];
     close(reward(&mut multi, &both, &both, None), 1.0);
 
     // first waypoint (0, 0, 1): 0.5 m away; then captured at 0.08 m, turning at 3 rad/s
@@ -370,6 +383,7 @@ fn rewards_are_the_papers_computed_by_hand() {
 
     // 4 m from the goal; at the goal beside another one
     let mut antipodal = Antipodal::default();
+    antipodal.stagger = 0.0;
     let apart = [still([2.0, 0.0, 1.0]), still([-2.0, 0.0, 1.0])];
     close(reward(&mut antipodal, &apart, &apart, None), -0.8);
     let swapped = [still([-2.0, 0.05, 1.0]), still([-2.0, 0.25, 1.0])];
@@ -506,7 +520,7 @@ fn an_agent_that_crashes_leaves_and_the_others_fly_on() {
         for agent in env.agents() {
             let drone: usize = agent.trim_start_matches("drone").parse().unwrap();
             let state = env.simulation().states()[drone];
-            let reference = Reference::hover(Vector3::new(0.5 * drone as f64, 0.0, 0.7 + 0.25 * drone as f64), 0.0);
+            let reference = Reference::hover(Vector3::new(drone as f64, 0.0, 0.7 + 0.25 * drone as f64), 0.0);
             let mut rpm = pids[drone].control(1.0 / 48.0, &state, &reference).rpm;
             if drone == 1 && env.simulation().time() > 2.0 {
                 rpm = [0.0; 4];
@@ -549,7 +563,7 @@ fn impossible_options_are_refused_by_name() {
     let heights = MultiHover::builder().task(|task| task.target_heights = Some(vec![1.0])).build();
     assert!(heights.unwrap_err().to_string().contains("target heights is 1, expected one per drone"));
     let laps = Race::builder().task(|task| task.laps = 0).build();
-    assert!(laps.unwrap_err().to_string().contains("number of points"));
+    assert!(laps.unwrap_err().to_string().contains("number of laps is 0"));
 }
 
 #[test]

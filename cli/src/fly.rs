@@ -69,7 +69,11 @@ impl Fly {
         }
         match flight.info.end {
             Some(end) if end.is_crash() => {
-                Err(Failure::work(anyhow!("the drone crashed ({end}) at t = {:.3} s", flight.info.time)))
+                let env = pilot.env();
+                let drones = env.simulation().num_drones();
+                let lost = (0..drones).find(|&drone| env.drone_end(drone).is_some_and(|end| end.is_crash()));
+                let which = lost.filter(|_| drones > 1).map_or("the drone".into(), |drone| format!("drone {drone}"));
+                Err(Failure::work(anyhow!("{which} crashed ({end}) at t = {:.3} s", flight.info.time)))
             }
             _ => Ok(()),
         }
@@ -232,8 +236,12 @@ impl Flight {
                 json!({ "final_position": state.position.as_slice(), "crashed": crashed })
             })
             .collect();
-        let measures: serde_json::Map<_, _> =
+        let mut measures: serde_json::Map<_, _> =
             env.info_map().into_iter().map(|(name, value)| (name.to_string(), json!(value))).collect();
+        // where a trajectory or a plan is followed, these are about it
+        for (name, value) in self.info.values() {
+            measures.insert(name.into(), json!(value));
+        }
         json!({
             "task": env.name(),
             "drone_model": simulation.params(0).name,

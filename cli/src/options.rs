@@ -30,7 +30,8 @@ pub struct FlightOptions {
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
     #[arg(long, default_value = "mjc")]
     pub physics: String,
-    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories); the task's by default
+    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories, and their default); else the
+    /// task's by default
     #[arg(long)]
     pub controller: Option<String>,
     /// Number of drones; the task's by default
@@ -65,6 +66,8 @@ impl FlightOptions {
     pub fn controller(&self) -> Result<ControllerKind, Failure> {
         match &self.controller {
             Some(name) => named("controller", name, &ControllerKind::ALL.map(ControllerKind::name)),
+            // a trajectory wants its derivatives followed
+            None if self.trajectory.is_some() => Ok(ControllerKind::Geometric),
             None => Ok(self.summary()?.defaults.controller),
         }
     }
@@ -81,7 +84,7 @@ impl FlightOptions {
         if Path::new(name).extension().is_some_and(|extension| extension == "toml") {
             return trajectory::from_file(name).map(Some).map_err(Failure::input);
         }
-        one_of("trajectory", name, &trajectory::NAMES)?;
+        one_of_or_file("trajectory", name, &trajectory::NAMES)?;
         Ok(trajectory::named(name))
     }
 
@@ -147,12 +150,21 @@ fn drone(name: &str) -> Result<DroneParams, Failure> {
         return DroneParams::from_file(name).map_err(Failure::input);
     }
     let models: Vec<_> = DroneModel::ALL.iter().map(|model| model.name()).collect();
-    one_of("drone", name, &models)?;
+    one_of_or_file("drone", name, &models)?;
     Err(Failure::input(anyhow!("--drone is `{name}`")))
 }
 
 /// Refuses a name that is not in the list, with the nearest one that is.
 pub fn one_of(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
+    one_of_with(option, name, names, "")
+}
+
+/// The same where a TOML file would do, too.
+fn one_of_or_file(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
+    one_of_with(option, name, names, ", or a file whose name ends in .toml")
+}
+
+fn one_of_with(option: &str, name: &str, names: &[&str], more: &str) -> Result<(), Failure> {
     if names.contains(&name) {
         return Ok(());
     }
@@ -165,7 +177,7 @@ pub fn one_of(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
         .unwrap_or_default();
-    Err(Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}{near}", names.join(", "))))
+    Err(Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}{more}{near}", names.join(", "))))
 }
 
 /// A value with a name from a list.

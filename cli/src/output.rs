@@ -154,6 +154,9 @@ pub struct OutputDir(PathBuf);
 impl OutputDir {
     /// Makes sure that the directory is there and can be written to, before any work is done.
     pub fn create(path: &Path) -> Result<Self, Failure> {
+        if path.exists() && !path.is_dir() {
+            return Err(Failure::work(anyhow!("{}: it exists and is not a directory", path.display())));
+        }
         let prepare = || {
             fs::create_dir_all(path)?;
             NamedTempFile::new_in(path).map(drop).map_err(|error| std::io::Error::from(error.kind()))

@@ -38,7 +38,7 @@ pub struct CollisionCone {
     pub approach: f64,
     /// Largest acceleration along x and along y, m/s².
     pub max_acceleration: f64,
-    /// Pairs further apart than this do not see each other, m.
+    /// Pairs further apart than this, and than they need to stop, do not see each other, m.
     pub sight: f64,
 }
 
@@ -125,9 +125,10 @@ impl CollisionCone {
         let mut conditions = Vec::new();
         for j in 0..count {
             for i in 0..j {
-                let relative = (positions[j] - positions[i]).xy();
-                if relative.norm() < self.sight {
-                    conditions.extend(self.conditions((i, j), relative, (velocities[j] - velocities[i]).xy()));
+                let (p, v) = ((positions[j] - positions[i]).xy(), (velocities[j] - velocities[i]).xy());
+                // fast ones must see each other from further away: both braking stop in v²/4a
+                if p.norm() < self.sight + v.norm_squared() / (2.0 * self.max_acceleration) {
+                    conditions.extend(self.conditions((i, j), p, v));
                 }
             }
         }
@@ -138,6 +139,8 @@ impl CollisionCone {
         if conditions.iter().all(holds) {
             return Ok(false);
         }
+        // what holds, and would whatever two drones did within their bounds, needs no place in the program
+        conditions.retain(|condition| condition.least > -3.0 * self.max_acceleration || !holds(condition));
         self.solve(&conditions, accelerations)?;
         Ok(true)
     }
@@ -149,7 +152,7 @@ impl CollisionCone {
         // drones at the very same place part along x
         let away = if distance2 > 1e-12 { p } else { Vector2::new(1e-6, 0.0) };
         let least = -v.norm_squared() - 2.0 * k * p.dot(&v) - 0.5 * k * k * (distance2 - r2);
-        conditions.extend(self.scaled(pair, away, least));
+        conditions.push(self.scaled(pair, away, least));
         // outside the circle, on the way towards each other
         let tangent2 = distance2 - r2;
         let speed = v.norm();
@@ -160,24 +163,28 @@ impl CollisionCone {
             let least = -v.norm_squared() - speed * p.dot(&v) / tangent - self.decay * h;
             // straight at its middle the cone says nothing of the side to pass on
             if gradient.norm() > 1e-6 {
-                conditions.extend(self.scaled(pair, gradient, least));
+                conditions.push(self.scaled(pair, gradient, least));
             }
         }
         conditions
     }
 
     /// With a gradient of length one, so that slacks of all conditions weigh the same, and asking for no more than two drones
-    /// can give together; `None` where they satisfy it whatever they do.
-    fn scaled(&self, pair: (usize, usize), gradient: Vector2<f64>, least: f64) -> Option<Condition> {
-        let (size, most) = (gradient.norm(), 3.0 * self.max_acceleration);
-        let least = least / size;
-        (least > -most).then(|| Condition { pair, gradient: gradient / size, least: least.min(most) })
+    /// can give together.
+    fn scaled(&self, pair: (usize, usize), gradient: Vector2<f64>, least: f64) -> Condition {
+        let size = gradient.norm();
+        Condition { pair, gradient: gradient / size, least: (least / size).min(3.0 * self.max_acceleration) }
     }
 
-    /// minimise ½·Σ‖u − u*‖² + penalty·Σ slack, under all conditions.
+    /// minimise ½·Σ‖u − u*‖² + ½·penalty·Σ slack², under all conditions, over the drones that any of them is about.
     fn solve(&self, conditions: &[Condition], accelerations: &mut [Vector3<f64>]) -> Result<(), SafetyError> {
         const PENALTY: f64 = 1e4;
-        let (inputs, slacks) = (2 * accelerations.len(), conditions.len());
+        let mut involved: Vec<usize> = conditions.iter().flat_map(|c| [c.pair.0, c.pair.1]).collect();
+        involved.sort_unstable();
+        involved.dedup();
+        // every drone of a condition is in the list
+        let place = |drone: usize| involved.binary_search(&drone).unwrap_or_default();
+        let (inputs, slacks) = (2 * involved.len(), conditions.len());
         let columns = inputs + slacks;
         let mut rows = (Vec::new(), Vec::new(), Vec::new());
         let mut right = Vec::with_capacity(2 * slacks + 2 * inputs);
@@ -187,7 +194,7 @@ impl CollisionCone {
             rows.2.push(value);
         };
         for (index, condition) in conditions.iter().enumerate() {
-            let (i, j) = condition.pair;
+            let (i, j) = (place(condition.pair.0), place(condition.pair.1));
             for axis in 0..2 {
                 entry(right.len(), 2 * j + axis, -condition.gradient[axis]);
                 entry(right.len(), 2 * i + axis, condition.gradient[axis]);
@@ -209,8 +216,8 @@ impl CollisionCone {
         let weights = (0..columns).map(|column| if column < inputs { 1.0 } else { PENALTY }).collect();
         let p = CscMatrix::new_from_triplets(columns, columns, diagonal.clone(), diagonal, weights);
         let mut q = vec![0.0; columns];
-        for (pair, acceleration) in q[..inputs].chunks_exact_mut(2).zip(accelerations.iter()) {
-            pair.copy_from_slice(&[-acceleration.x, -acceleration.y]);
+        for (pair, &drone) in q[..inputs].chunks_exact_mut(2).zip(&involved) {
+            pair.copy_from_slice(&[-accelerations[drone].x, -accelerations[drone].y]);
         }
         let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(60).build();
         let unsolved = |status: &dyn std::fmt::Debug| SafetyError::Unsolved { status: format!("{status:?}") };
@@ -222,9 +229,8 @@ impl CollisionCone {
         if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
             return Err(unsolved(&status));
         }
-        for (acceleration, pair) in accelerations.iter_mut().zip(solver.solution.x.chunks_exact(2)) {
-            acceleration.x = pair[0];
-            acceleration.y = pair[1];
+        for (&drone, pair) in involved.iter().zip(solver.solution.x.chunks_exact(2)) {
+            (accelerations[drone].x, accelerations[drone].y) = (pair[0], pair[1]);
         }
         Ok(())
     }
@@ -292,7 +298,7 @@ mod tests {
             prop_assert_eq!(changed, given != asked);
             for (given, asked) in given.iter().zip(&asked) {
                 prop_assert_eq!(given.z, asked.z);
-                prop_assert!(given.xy().amax() < filter.max_acceleration + 1e-4);
+                prop_assert!(given == asked || given.xy().amax() < filter.max_acceleration + 1e-4);
             }
             // what is given is safe: a second pass has nothing to change, but for the solver's tolerance
             let mut again = given.clone();
@@ -300,6 +306,19 @@ mod tests {
             let slack = given.iter().zip(&again).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             prop_assert!(slack < 1e-2, "{slack}");
         }
+    }
+
+    #[test]
+    fn a_drone_far_from_all_others_is_left_alone_and_wild_wishes_are_seen() {
+        let positions = [Vector3::zeros(), Vector3::new(0.5, 0.01, 0.0), Vector3::new(1000.0, 0.0, 0.0)];
+        let velocities = [Vector3::x(), -Vector3::x(), Vector3::zeros()];
+        let mut wishes = [Vector3::zeros(), Vector3::zeros(), Vector3::new(10.0, 0.0, 0.0)];
+        assert!(CollisionCone::new(0.3).filter(&positions, &velocities, &mut wishes).unwrap());
+        assert_eq!(wishes[2].x, 10.0);
+        let (still, two) = ([Vector3::zeros(); 2], [Vector3::zeros(), Vector3::new(2.0, 0.0, 0.0)]);
+        let mut wild = [Vector3::new(40.0, 0.0, 0.0), Vector3::new(-40.0, 0.0, 0.0)];
+        assert!(CollisionCone::new(0.3).filter(&two, &still, &mut wild).unwrap());
+        assert!(wild[0].x < 10.0 && wild[1].x > -10.0, "{wild:?}");
     }
 
     #[test]

@@ -8,6 +8,7 @@ use crate::control::trajectory::Trajectory;
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
+use crate::state::DroneState;
 use crate::vision::{ImageSize, Painter, View};
 
 /// A task made into an environment.
@@ -105,17 +106,23 @@ impl<T: Task> Aviary<T> {
         Ok(())
     }
 
-    /// One control step, without looking at what it brought: states, the task, how it ended for each drone. The motors of
-    /// drones that are not `flying` stand still.
-    pub(crate) fn advance(&mut self, action: &[f64], flying: impl Fn(usize) -> bool) -> Result<(), EnvError> {
+    /// One control step, without looking at what it brought: states, the task, how it ended for each drone. `instead` may
+    /// give motor speeds (rpm) for a drone in place of what the action says.
+    pub(crate) fn advance(
+        &mut self,
+        action: &[f64],
+        mut instead: impl FnMut(usize, &DroneState) -> Option<[f64; 4]>,
+    ) -> Result<(), EnvError> {
         match self.phase {
             Phase::Running => {}
             Phase::New => return Err(EnvError::NeedsReset { when: "on a new environment" }),
             Phase::Over => return Err(EnvError::NeedsReset { when: "after the end of the episode" }),
         }
         self.commands(action)?;
-        for (_, command) in self.commands.iter_mut().enumerate().filter(|(drone, _)| !flying(*drone)) {
-            *command = [0.0; 4];
+        for (drone, (command, state)) in self.commands.iter_mut().zip(self.simulation.states()).enumerate() {
+            if let Some(speeds) = instead(drone, state) {
+                *command = speeds;
+            }
         }
         if let Err(error) = self.simulation.step(&self.commands) {
             self.phase = Phase::Over;
@@ -186,9 +193,10 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
-        self.advance(action, |_| true)?;
+        self.advance(action, |_, _| None)?;
         // one lost drone ends the episode, and so do all that have completed their part
-        let lost = self.ends.iter().flatten().copied().find(|&end| end != EndReason::Completed);
+        let crash = self.ends.iter().flatten().copied().find(|end| end.is_crash());
+        let lost = crash.or(self.ends.iter().flatten().copied().find(|&end| end != EndReason::Completed));
         let completed = self.ends.iter().all(|&end| end == Some(EndReason::Completed));
         let end = lost.or(completed.then_some(EndReason::Completed));
         let (terminated, truncated) = (end.is_some(), self.is_out_of_time());

@@ -10,7 +10,7 @@ use crate::observation::{Observation, ObservationType};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
-use crate::simulation::{Simulation, SimulationBuilder};
+use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
 use crate::vision::{CAMERA_SIZE, ImageSize, Painter};
 use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle};
 
@@ -205,6 +205,9 @@ impl<T: Task> AviaryBuilder<T> {
     pub fn build(self) -> Result<Aviary<T>, EnvError> {
         let defaults = self.task.defaults();
         let count = self.num_drones.unwrap_or(defaults.num_drones);
+        if !(1..=Simulation::MAX_DRONES).contains(&count) {
+            return Err(SimulationError::NumDrones { got: count }.into());
+        }
         let simulation = self.simulation.num_drones(count);
         self.task.check(simulation.airframes())?;
         let seconds = self.episode_seconds.unwrap_or(defaults.episode_seconds);
@@ -225,6 +228,7 @@ impl<T: Task> AviaryBuilder<T> {
         }
         let positions = self.task.initial_positions(simulation.airframes());
         let simulation = simulation.initial_positions_or(positions).markers(self.task.markers()).build()?;
+        check_starts(&simulation)?;
         let block = self.task.observation_space();
         let vector = block.repeated(count);
         let (kind, camera_size) = (self.observation_type, self.camera_size);
@@ -278,4 +282,28 @@ impl<T: Task> AviaryBuilder<T> {
             simulation,
         })
     }
+}
+
+/// An episode that begins inside the floor or another drone is over before it began.
+fn check_starts(simulation: &Simulation) -> Result<(), EnvError> {
+    let wrong = |got, expected| Err(EnvError::Option { option: "an initial position", got, expected });
+    for (drone, state) in simulation.initial_states().iter().enumerate() {
+        let params = simulation.params(drone);
+        let (cos, sin) = (state.up().z.abs(), state.tilt().sin());
+        let lowest = state.position.z - 0.5 * params.collision_height * cos - params.collision_radius * sin;
+        if lowest < -1e-3 {
+            let got =
+                format!("{:.3} m high for drone {drone}, whose lowest point is {lowest:.3} m high", state.position.z);
+            return wrong(got, "one above the floor");
+        }
+        for (other, place) in simulation.initial_states()[..drone].iter().enumerate() {
+            let (apart, size) = (state.position - place.position, simulation.params(other));
+            let level = apart.xy().norm() < params.collision_radius + size.collision_radius;
+            if level && apart.z.abs() < 0.5 * (params.collision_height + size.collision_height) {
+                let got = format!("{:.3} m apart for drones {other} and {drone}", apart.norm());
+                return wrong(got, "room for both");
+            }
+        }
+    }
+    Ok(())
 }

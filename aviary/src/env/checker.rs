@@ -2,6 +2,7 @@ use rand::SeedableRng as _;
 
 use super::{BoxSpace, Env, EnvError, Rng};
 use crate::action::ActionType;
+use crate::observation::Observation;
 
 /// What an environment does that it must not.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -41,9 +42,9 @@ pub struct CheckReport {
 /// What one episode under random actions looked like.
 #[derive(Debug, PartialEq)]
 struct Episode {
-    observations: Vec<Vec<f64>>,
+    observations: Vec<Observation>,
     rewards: Vec<f64>,
-    initial: Vec<f64>,
+    initial: Observation,
 }
 
 struct Checker<'a> {
@@ -110,7 +111,8 @@ pub fn check_independence(first: &mut dyn Env, second: &mut dyn Env) -> Result<(
     second.reset(Some(8)).map_err(failed)?;
     let mut over = false;
     for (step, observation) in alone.observations.iter().enumerate() {
-        let same = first.step(&agent.action()).map_err(failed)?.observation.vector == *observation;
+        let step_now = first.step(&agent.action()).map_err(failed)?;
+        let same = *step_now.observation == *observation && step_now.reward == alone.rewards[step];
         if !same {
             let what = format!("a second instance beside it changes what happens at step {step}");
             return Err(CheckFailure::Broken { task, what });
@@ -182,7 +184,7 @@ impl<'a> Checker<'a> {
     /// Flies one episode under random actions, at most so many steps.
     fn episode(&mut self, seed: u64, actions: u64, steps: usize) -> Result<Episode, CheckFailure> {
         let failed = self.error("an episode under random actions");
-        let initial = self.env.reset(Some(seed)).map_err(&failed)?.vector.clone();
+        let initial = self.env.reset(Some(seed)).map_err(&failed)?.clone();
         self.started()?;
         let mut episode = Episode { observations: Vec::new(), rewards: Vec::new(), initial };
         let mut agent = RandomAgent::new(self.env.action_space(), actions);
@@ -190,7 +192,7 @@ impl<'a> Checker<'a> {
             let action = agent.action();
             let step = self.env.step(&action).map_err(&failed)?;
             let (reward, terminated, truncated) = (step.reward, step.terminated, step.truncated);
-            episode.observations.push(step.observation.vector.clone());
+            episode.observations.push(step.observation.clone());
             episode.rewards.push(reward);
             self.report.steps += 1;
             self.looks_right(reward)?;
@@ -267,8 +269,8 @@ impl<'a> Checker<'a> {
         // one speed for all motors turns and tilts nothing
         let straight = self.env.action_type() == ActionType::OneDRpm;
         for entry in 0..self.env.observation_space().vector.size() {
-            let start = episodes[0].initial[entry];
-            if episodes.iter().flat_map(|episode| &episode.observations).all(|vector| vector[entry] == start) {
+            let start = episodes[0].initial.vector[entry];
+            if episodes.iter().flat_map(|episode| &episode.observations).all(|o| o.vector[entry] == start) {
                 self.report.constant.push(entry);
                 if !(straight || self.env.may_be_constant(entry)) {
                     return self.broken(format!("observation[{entry}] is always {start}"));
@@ -283,26 +285,32 @@ impl<'a> Checker<'a> {
     fn actions(&mut self) -> Result<(), CheckFailure> {
         let failed = self.error("an action out of bounds");
         let space = self.env.action_space().clone();
-        let mut outcomes = Vec::new();
-        for factor in [1.0, 10.0] {
-            self.env.reset(Some(5)).map_err(&failed)?;
-            let mut bad = space.high().to_vec();
-            bad[0] = f64::NAN;
-            if !matches!(self.env.step(&bad), Err(EnvError::Action { index: 0, .. })) {
-                return self.broken("it takes an action that is not a number".into());
+        for (bound, beyond) in [(space.high(), 1.0), (space.low(), -1.0)] {
+            let mut outcomes = Vec::new();
+            for factor in [0.0, 3.0] {
+                self.env.reset(Some(5)).map_err(&failed)?;
+                let before = (self.env.simulation().states().to_vec(), self.env.simulation().control_steps());
+                let mut bad = space.high().to_vec();
+                bad[0] = f64::NAN;
+                if !matches!(self.env.step(&bad), Err(EnvError::Action { index: 0, .. })) {
+                    return self.broken("it takes an action that is not a number".into());
+                }
+                if !matches!(self.env.step(&space.high()[1..]), Err(EnvError::ActionLength { .. })) {
+                    return self.broken("it takes an action of the wrong length".into());
+                }
+                if before.0 != self.env.simulation().states() || before.1 != self.env.simulation().control_steps() {
+                    return self.broken("an action that is an error moves something".into());
+                }
+                let widths = space.high().iter().zip(space.low()).map(|(high, low)| high - low);
+                let far: Vec<_> = bound.iter().zip(widths).map(|(x, width)| x + beyond * factor * width).collect();
+                let step = self.env.step(&far).map_err(&failed)?;
+                outcomes.push((step.observation.clone(), step.reward));
             }
-            if !matches!(self.env.step(&space.high()[1..]), Err(EnvError::ActionLength { .. })) {
-                return self.broken("it takes an action of the wrong length".into());
+            if outcomes[0] != outcomes[1] {
+                return self.broken("an action out of bounds is not clipped to them".into());
             }
-            let far: Vec<_> = space.high().iter().map(|x| factor * x).collect();
-            let step = self.env.step(&far).map_err(&failed)?;
-            outcomes.push((step.observation.vector.clone(), step.reward));
         }
-        if outcomes[0] == outcomes[1] {
-            Ok(())
-        } else {
-            self.broken("an action out of bounds is not clipped to them".into())
-        }
+        Ok(())
     }
 
     /// An episode that is left in its middle leaves nothing behind.

@@ -193,6 +193,14 @@ pub enum EnvError {
         /// The live agents.
         expected: String,
     },
+    /// Something that concerns one of several agents.
+    #[error("the agent `{agent}`: {error}")]
+    OfAgent {
+        /// Its name.
+        agent: String,
+        /// What is wrong.
+        error: Box<EnvError>,
+    },
     /// Pictures cannot be drawn.
     #[error(transparent)]
     Vision(#[from] BuildError),

@@ -1,13 +1,15 @@
 use super::{Agent, AgentInfo, AgentMap, ParallelEnv, ParallelStep};
+use crate::control::{Controller as _, DslPidControl, Reference};
 use crate::env::{Aviary, BoxSpace, EndReason, Env, EnvError, ObservationSpace, Task};
 use crate::observation::{Observation, state_vector};
 use crate::simulation::Simulation;
+use crate::state::DroneState;
 use crate::tasks::MultiHover;
 use crate::vision::{ImageSize, View};
 
 /// A task whose drones are agents of their own: each sees its own block of the observation, commands its own motors, is paid
-/// its own share of the reward, and leaves when its own episode ends. A drone that has left stays in the world with its
-/// motors off.
+/// its own share of the reward, and leaves when its own episode ends. A drone that has left stays in the world: with its motors
+/// off, or, where it has completed its part, hovering where it did, so as not to fall on the others.
 #[derive(Debug)]
 pub struct ParallelAviary<T> {
     env: Aviary<T>,
@@ -18,6 +20,8 @@ pub struct ParallelAviary<T> {
     observation_space: ObservationSpace,
     action_spaces: Vec<BoxSpace>,
     action: Vec<f64>,
+    /// What holds each drone that has completed its part, and where.
+    holders: Vec<Option<(DslPidControl, Reference)>>,
 }
 
 /// The paper's `MultiAgentAviary`.
@@ -41,6 +45,7 @@ impl<T: Task> ParallelAviary<T> {
             observation_space: ObservationSpace { vector, cameras: 1, neighbours: count, ..joint.clone() },
             action_spaces: (0..count).map(bounds).collect(),
             action: vec![0.0; env.action_space().size()],
+            holders: vec![None; count],
             env,
         }
     }
@@ -93,8 +98,12 @@ impl<T: Task> ParallelAviary<T> {
         self.action.copy_from_slice(self.env.action_space().low());
         for (agent, &drone) in self.live.iter().zip(&self.drones) {
             let Some(action) = actions.get(agent) else { return wrong("there is no action for", agent) };
+            let of_agent = |error| Err(EnvError::OfAgent { agent: agent.to_string(), error: Box::new(error) });
             if action.len() != size {
-                return Err(EnvError::ActionLength { got: action.len(), expected: size });
+                return of_agent(EnvError::ActionLength { got: action.len(), expected: size });
+            }
+            if let Some((index, &got)) = action.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+                return of_agent(EnvError::Action { index, got, time: self.env.simulation().time() });
             }
             self.action[drone * size..][..size].copy_from_slice(action);
         }
@@ -126,6 +135,7 @@ impl<T: Task> ParallelEnv for ParallelAviary<T> {
     fn reset(&mut self, seed: Option<u64>) -> Result<(AgentMap<Observation>, AgentMap<AgentInfo>), EnvError> {
         self.live.clear();
         self.drones.clear();
+        self.holders.fill(None);
         self.env.reset(seed)?;
         self.live.extend_from_slice(&self.possible);
         self.drones.extend(0..self.possible.len());
@@ -137,16 +147,19 @@ impl<T: Task> ParallelEnv for ParallelAviary<T> {
             return Err(EnvError::NeedsReset { when: "while no agent is live" });
         }
         self.gather(actions)?;
-        let drones = &self.drones;
-        if let Err(error) = self.env.advance(&self.action, |drone| drones.contains(&drone)) {
-            if matches!(error, EnvError::Simulation(_)) {
-                self.live.clear();
-                self.drones.clear();
-            }
+        let (drones, holders, dt) = (&self.drones, &mut self.holders, self.env.simulation().control_period());
+        let instead = |drone: usize, state: &DroneState| {
+            let held = holders[drone].as_mut().map(|(control, place)| control.control(dt, state, place).rpm);
+            if drones.contains(&drone) { None } else { Some(held.unwrap_or([0.0; 4])) }
+        };
+        let done = self.env.advance(&self.action, instead).and_then(|()| self.env.observe());
+        if let Err(error) = done {
+            // the world may have moved: only a reset leads on
+            self.live.clear();
+            self.drones.clear();
             return Err(error);
         }
         let out_of_time = self.env.is_out_of_time();
-        self.env.observe()?;
         let end = |drone: usize| self.env.drone_end(drone);
         let step = ParallelStep {
             observations: self.observations(),
@@ -155,12 +168,20 @@ impl<T: Task> ParallelEnv for ParallelAviary<T> {
             truncated: self.each(|_| out_of_time),
             infos: self.infos(|drone| end(drone).or(out_of_time.then_some(EndReason::TimeLimit))),
         };
+        for &drone in &self.drones {
+            if self.env.drone_end(drone) == Some(EndReason::Completed) {
+                let (simulation, state) = (self.env.simulation(), &self.env.simulation().states()[drone]);
+                let place = Reference::hover(state.position, state.yaw());
+                self.holders[drone] = Some((DslPidControl::new(simulation.params(drone)), place));
+            }
+        }
+        let last = self.drones.last().and_then(|&drone| self.env.drone_end(drone));
         let stays = |drone: &usize| !out_of_time && self.env.drone_end(*drone).is_none();
         self.drones.retain(stays);
         self.live.clear();
         self.live.extend(self.drones.iter().map(|&drone| self.possible[drone].clone()));
         if self.live.is_empty() {
-            self.env.finish(EndReason::TimeLimit);
+            self.env.finish(last.unwrap_or(EndReason::TimeLimit));
         }
         Ok(step)
     }

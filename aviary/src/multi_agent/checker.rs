@@ -1,7 +1,7 @@
 use rand::SeedableRng as _;
 
 use super::{AgentMap, ParallelEnv, ParallelStep};
-use crate::env::{CheckFailure, EnvError, Rng};
+use crate::env::{CheckFailure, EndReason, EnvError, Rng};
 
 /// Checks that an environment keeps the contract of [`ParallelEnv`], in the spirit of PettingZoo's parallel API test: it
 /// flies `episodes` episodes under random actions.
@@ -61,6 +61,11 @@ fn episode(env: &mut dyn ParallelEnv, seed: u64) -> Result<Vec<ParallelStep>, Ch
             check(matches!(env.step(&nobody), Err(EnvError::Agent { .. })), "it takes an action for nobody")?;
             let missing = actions[1..].iter().cloned().collect();
             check(matches!(env.step(&missing), Err(EnvError::Agent { .. })), "it does not miss an action")?;
+            let mut bad = actions.clone();
+            bad[0].1[0] = f64::NAN;
+            let bad = bad.into_iter().collect();
+            check(env.step(&bad).is_err(), "it takes an action that is not a number")?;
+            check(env.simulation().control_steps() == 0, "an action that is an error moves something")?;
         }
         let actions: AgentMap<_> = actions.into_iter().collect();
         let step = env.step(&actions).map_err(failed)?;
@@ -82,6 +87,8 @@ fn episode(env: &mut dyn ParallelEnv, seed: u64) -> Result<Vec<ParallelStep>, Ch
             check(over != env.agents().contains(agent), "an agent is live after its end, or gone before it")?;
             let reason = step.infos.get(agent).and_then(|info| info.end);
             check(over == reason.is_some(), "an agent leaves without a reason, or has one and stays")?;
+            let cut_off = step.terminated.get(agent) == Some(&false) && over;
+            check(!over || (reason == Some(EndReason::TimeLimit)) == cut_off, "an agent leaves for the wrong reason")?;
         }
         check(env.agents().iter().all(|agent| before.contains(agent)), "an agent came back")?;
         steps.push(step);

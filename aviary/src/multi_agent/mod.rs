@@ -137,11 +137,12 @@ pub trait ParallelEnv {
     fn reset(&mut self, seed: Option<u64>) -> Result<(AgentMap<Observation>, AgentMap<AgentInfo>), EnvError>;
 
     /// Advances by one control step, under one action for every live agent. An agent whose episode has ended is in this
-    /// step's maps for the last time; its motors stand still from now on.
+    /// step's maps for the last time.
     ///
     /// # Errors
-    /// [`EnvError::Agent`] where an action is missing or for nobody, and what [`Env::step`](crate::env::Env::step) has;
-    /// nothing has moved then.
+    /// [`EnvError::Agent`] where an action is missing or for nobody, and [`EnvError::OfAgent`] where it is of the wrong length or
+    /// not a number: nothing has moved then. And what [`Env::step`](crate::env::Env::step) has, after which only a reset leads
+    /// on.
     fn step(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<ParallelStep, EnvError>;
 
     /// The states of all drones, one after the other: position, roll-pitch-yaw, velocity, angular velocity (PettingZoo's

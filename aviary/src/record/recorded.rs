@@ -7,7 +7,7 @@ use crate::env::{Env, EnvError, Step};
 use crate::observation::Observation;
 use crate::wrappers::forward_env;
 
-/// Writes every episode of an environment as CSV: `episode_0000.csv`, `episode_0001.csv`, … in a directory (the paper's
+/// Writes every episode of an environment as CSV: `episode_0000.csv`, `episode_0001.csv`, …, the first number that is free and on, in a directory (the paper's
 /// `output_folder`), with the columns of a [`CsvLog`].
 ///
 /// ```
@@ -39,7 +39,12 @@ impl<E: Env> Recorded<E> {
     pub fn new(env: E, directory: impl AsRef<Path>) -> Result<Self, RecordError> {
         let directory = directory.as_ref().to_path_buf();
         std::fs::create_dir_all(&directory)?;
-        Ok(Self { env, directory, log: None, episodes: 0 })
+        // an earlier run's files are left alone
+        let mut episodes = 0;
+        while path(&directory, episodes).exists() {
+            episodes += 1;
+        }
+        Ok(Self { env, directory, log: None, episodes })
     }
 
     /// The environment within.
@@ -66,8 +71,8 @@ impl<E: Env> Recorded<E> {
 
     fn begin_log(&mut self) -> Result<(), RecordError> {
         self.end_log()?;
-        let path = self.directory.join(format!("episode_{:04}.csv", self.episodes));
-        let mut log = CsvLog::new(BufWriter::new(File::create(path)?))?;
+        let file = File::create(path(&self.directory, self.episodes))?;
+        let mut log = CsvLog::new(BufWriter::new(file))?;
         log.record(self.env.simulation())?;
         self.log = Some(log);
         self.episodes += 1;
@@ -75,13 +80,15 @@ impl<E: Env> Recorded<E> {
     }
 }
 
+fn path(directory: &Path, episode: u64) -> PathBuf {
+    directory.join(format!("episode_{episode:04}.csv"))
+}
+
 /// The directory is the user's: what is wrong with it is an option.
-fn unwritable(error: &RecordError) -> EnvError {
-    EnvError::Option {
-        option: "the directory for records",
-        got: error.to_string(),
-        expected: "one that can be written",
-    }
+fn unwritable(directory: &Path, error: &RecordError) -> EnvError {
+    let cause = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
+    let got = format!("{} ({cause})", directory.display());
+    EnvError::Option { option: "the directory for records", got, expected: "one that can be written" }
 }
 
 impl<E: Env> Env for Recorded<E> {
@@ -89,17 +96,17 @@ impl<E: Env> Env for Recorded<E> {
 
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
         self.env.reset(seed)?;
-        self.begin_log().map_err(|error| unwritable(&error))?;
+        self.begin_log().map_err(|error| unwritable(&self.directory, &error))?;
         Ok(self.env.observation())
     }
 
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
         let Step { reward, terminated, truncated, .. } = self.env.step(action)?;
         if let Some(log) = &mut self.log {
-            log.record(self.env.simulation()).map_err(|error| unwritable(&error))?;
+            log.record(self.env.simulation()).map_err(|error| unwritable(&self.directory, &error))?;
         }
         if terminated || truncated {
-            self.end_log().map_err(|error| unwritable(&error))?;
+            self.end_log().map_err(|error| unwritable(&self.directory, &error))?;
         }
         Ok(Step { observation: self.env.observation(), reward, terminated, truncated })
     }

@@ -14,6 +14,8 @@ use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, Wor
 #[derive(Debug, Clone)]
 pub struct SimulationBuilder {
     drones: Vec<DroneParams>,
+    /// Number of drones that was asked for.
+    asked: usize,
     positions: Option<Vec<[f64; 3]>>,
     rpys: Option<Vec<[f64; 3]>>,
     sim_freq: u32,
@@ -36,6 +38,7 @@ impl SimulationBuilder {
     pub fn new(drone: DroneParams) -> Self {
         Self {
             drones: vec![drone],
+            asked: 1,
             positions: None,
             rpys: None,
             sim_freq: 240,
@@ -58,6 +61,7 @@ impl SimulationBuilder {
     #[must_use]
     pub fn num_drones(mut self, count: usize) -> Self {
         let first = self.drones.first().cloned();
+        self.asked = count;
         // one more than there can be is enough for `build` to say so
         self.drones = first.into_iter().cycle().take(count.min(Simulation::MAX_DRONES + 1)).collect();
         self
@@ -67,6 +71,7 @@ impl SimulationBuilder {
     #[must_use]
     pub fn drones(mut self, drones: impl IntoIterator<Item = DroneParams>) -> Self {
         self.drones = drones.into_iter().collect();
+        self.asked = self.drones.len();
         self
     }
 
@@ -199,7 +204,7 @@ impl SimulationBuilder {
         }
         let count = self.drones.len();
         if !(1..=Simulation::MAX_DRONES).contains(&count) {
-            return Err(SimulationError::NumDrones { got: count });
+            return Err(SimulationError::NumDrones { got: self.asked.max(count) });
         }
         for (drone, params) in self.drones.iter().enumerate() {
             params.validate().map_err(|error| SimulationError::Drone { drone, error })?;

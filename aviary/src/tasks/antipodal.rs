@@ -15,8 +15,8 @@ use crate::simulation::Simulation;
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | twelve drones evenly on a circle of radius 2 m at a height of 1 m |
-/// | Goal | the opposite point of the circle |
+/// | Start | twelve drones evenly on a circle of radius 2 m at a height of 1 m, every other one 2 cm higher: at one height to the last digit the published downwash has no bounds but its cap |
+/// | Goal | the opposite point of the circle, at the drone's own height |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone; made for velocities behind a [`SafetyWrapper`](crate::wrappers::SafetyWrapper) |
 /// | Reward, per drone | − 0.1·(distance to the goal), + 0.5 within 10 cm of it, − 1 for each drone nearer than the safety radius, − 100 for a crash |
 /// | Terminated | one drone crashes |
@@ -34,6 +34,8 @@ pub struct Antipodal {
     pub radius: f64,
     /// Height, m; 1 by default.
     pub height: f64,
+    /// How much higher every other drone is, m; 0.02 by default.
+    pub stagger: f64,
     /// Least distance of two drones' centres, m; 0.3 by default.
     pub safety_radius: f64,
     /// When a drone counts as crashed.
@@ -48,6 +50,7 @@ impl Default for Antipodal {
         Self {
             radius: 2.0,
             height: 1.0,
+            stagger: 0.02,
             safety_radius: 0.3,
             crash: CrashConditions::with_max_tilt(FRAC_PI_2),
             watch: CrashWatch::default(),
@@ -67,7 +70,8 @@ impl Antipodal {
 
     fn place(&self, drone: usize, count: usize) -> Vector3<f64> {
         let (sin, cos) = (TAU * drone as f64 / count as f64).sin_cos();
-        Vector3::new(self.radius * cos, self.radius * sin, self.height)
+        let height = self.height + self.stagger * (drone % 2) as f64;
+        Vector3::new(self.radius * cos, self.radius * sin, height)
     }
 
     fn goal(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
@@ -103,6 +107,7 @@ impl Task for Antipodal {
     }
 
     fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
         for (option, got) in [
             ("the circle's radius", self.radius),
             ("the height", self.height),
@@ -112,6 +117,11 @@ impl Task for Antipodal {
                 let expected = "a positive number of metres up to 1000";
                 return Err(EnvError::Option { option, got: format!("{got} m"), expected });
             }
+        }
+        if !(0.0..=1e3).contains(&self.stagger) {
+            let expected = "zero or a positive number of metres";
+            let got = format!("{} m", self.stagger);
+            return Err(EnvError::Option { option: "the stagger of heights", got, expected });
         }
         let apart = 2.0 * self.radius * (TAU / (2.0 * drones.len() as f64)).sin();
         if drones.len() > 1 && apart <= self.safety_radius {

@@ -1,6 +1,6 @@
 use crate::drone::DroneParams;
 use crate::engine::Touched;
-use crate::env::EndReason;
+use crate::env::{EndReason, EnvError};
 use crate::simulation::Simulation;
 use crate::state::DroneState;
 
@@ -23,6 +23,20 @@ impl CrashConditions {
     /// All of them, with this limit of the tilt, rad.
     pub fn with_max_tilt(max_tilt: f64) -> Self {
         Self { below_floor: true, floor_contact: true, obstacle_contact: true, drone_contact: true, max_tilt }
+    }
+}
+
+impl CrashConditions {
+    /// Checks the limit of the tilt.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`].
+    pub fn validate(&self) -> Result<(), EnvError> {
+        if self.max_tilt > 0.0 {
+            return Ok(());
+        }
+        let (got, expected) = (format!("{} rad", self.max_tilt), "a positive angle (π or more for no limit)");
+        Err(EnvError::Option { option: "the largest tilt", got, expected })
     }
 }
 
@@ -52,8 +66,9 @@ pub struct CrashWatch {
 impl CrashWatch {
     /// Starts an episode.
     pub fn reset(&mut self, simulation: &Simulation) {
+        let clear = |drone: usize| clearance(simulation.params(drone), &simulation.states()[drone]) > CLEAR_OF_FLOOR;
         self.airborne.clear();
-        self.airborne.resize(simulation.num_drones(), false);
+        self.airborne.extend((0..simulation.num_drones()).map(clear));
         self.found.clear();
         self.found.resize(simulation.num_drones(), None);
     }

@@ -20,7 +20,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | Start | (0, 0, 0.1) m; several drones side by side along −y, each with the whole course before it |
 /// | Waypoints | (0, 0, 1), (1, 0, 1), (1, 1, 1.5), (0, 1, 1), (0, 0, 0.5) m, captured within 0.1 m |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
-/// | Reward | + 10 for a capture, − 0.1·(distance to the waypoint flown to), − 0.01·‖ω‖, − 100 for a crash |
+/// | Reward | + 10 for a capture, − 0.1·(distance to the waypoint flown to), − 0.01·‖ω‖, − 100 for a crash; 0 for a drone that has captured all |
 /// | Terminated | crash (tilt over 90°, contact, z < 0), or every drone has captured all |
 /// | Truncated | after 20 s |
 /// | Success, progress | all captured; the share that is |
@@ -89,6 +89,7 @@ impl Task for FlyThrough {
     }
 
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
         course::check(&self.waypoints, 1, self.radius)
     }
 
@@ -118,6 +119,9 @@ impl Task for FlyThrough {
     }
 
     fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        if !self.course.was_flying(drone) {
+            return -crash_penalty(end);
+        }
         let capture = if self.course.just_passed(drone) { 10.0 } else { 0.0 };
         capture
             - 0.1 * self.course.distance(drone)

@@ -125,6 +125,7 @@ impl Task for Formation {
     }
 
     fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         if self.path.is_empty() || self.path.iter().flatten().any(|x| !(-1e4..=1e4).contains(x)) {
             return wrong("the path", format!("{:?}", self.path), "at least one corner, finite metres up to 10 km");
@@ -138,6 +139,9 @@ impl Task for Formation {
             }
         } else if !(self.radius >= 0.0 && self.radius <= 1e3) {
             return wrong("the radius", format!("{} m", self.radius), "zero or a positive number of metres");
+        }
+        if let Some(x) = self.offsets.iter().flatten().flatten().find(|x| !(-1e4..=1e4).contains(*x)) {
+            return wrong("a place in the formation", format!("{x} m"), "a finite number of metres up to 10 km");
         }
         let places: Vec<_> = (0..drones.len()).map(|drone| self.offset(drone, drones.len())).collect();
         for (i, (a, first)) in places.iter().zip(drones).enumerate() {

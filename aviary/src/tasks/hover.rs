@@ -79,6 +79,7 @@ impl Task for Hover {
     }
 
     fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
         if drones.len() != 1 {
             return Err(EnvError::Option {
                 option: "the number of drones of hover",

@@ -15,7 +15,7 @@ use crate::simulation::Simulation;
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | on a line along x, 0.5 m apart (further for larger airframes), z = 0.1 m |
+/// | Start | on a line along x, 1 m apart (further for larger airframes), z = 0.1 m |
 /// | Target | straight above the start, heights evenly from 0.7 m to 1.2 m |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | sum over the drones of [`Hover`](super::Hover)'s, the distance to the side measured from the start |
@@ -67,12 +67,15 @@ impl MultiHover {
 
     fn target(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
         let start = simulation.initial_states()[drone].position;
-        let height = match &self.target_heights {
+        Vector3::new(start.x, start.y, self.height(drone, simulation.num_drones()))
+    }
+
+    fn height(&self, drone: usize, count: usize) -> f64 {
+        match &self.target_heights {
             Some(heights) => heights[drone],
             // numpy.linspace(0.7, 1.2, N)
-            None => 0.7 + 0.5 * drone as f64 / (simulation.num_drones() - 1).max(1) as f64,
-        };
-        Vector3::new(start.x, start.y, height)
+            None => 0.7 + 0.5 * drone as f64 / count.saturating_sub(1).max(1) as f64,
+        }
     }
 }
 
@@ -82,12 +85,13 @@ impl Task for MultiHover {
     }
 
     fn defaults(&self) -> TaskDefaults {
-        TaskDefaults { num_drones: self.num_drones, episode_seconds: 10.0, controller: ControllerKind::Pid }
+        TaskDefaults { num_drones: self.num_drones, episode_seconds: 10.0, controller: ControllerKind::Dsl }
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
         let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
-        let spacing = (4.0 * widest).max(0.5);
+        // nearer ones, at one height, are in the worst of each other's wakes
+        let spacing = (4.0 * widest).max(1.0);
         (0..drones.len()).map(|drone| [spacing * drone as f64, 0.0, 0.1]).collect()
     }
 
@@ -96,18 +100,21 @@ impl Task for MultiHover {
     }
 
     fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
-        let Some(heights) = &self.target_heights else { return Ok(()) };
-        if heights.len() != drones.len() {
+        self.crash.validate()?;
+        if let Some(heights) = &self.target_heights
+            && heights.len() != drones.len()
+        {
             return Err(EnvError::Option {
                 option: "the number of target heights",
                 got: heights.len().to_string(),
                 expected: "one per drone",
             });
         }
-        match heights.iter().find(|&&height| !(height > 0.0 && height < self.max_height)) {
+        let heights = (0..drones.len()).map(|drone| self.height(drone, drones.len()));
+        match heights.into_iter().find(|&height| !(height > 0.0 && height < self.max_height)) {
             Some(height) => Err(EnvError::Option {
                 option: "a target height",
-                got: format!("{height} m"),
+                got: format!("{height} m under a greatest of {} m", self.max_height),
                 expected: "a height above the floor and below the task's greatest",
             }),
             None => Ok(()),

@@ -18,7 +18,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | Start | (0, 0, 0.1) m; several drones side by side along −y |
 /// | Gates | (1, 0, 1), (2, 1, 1.2), (1, 2, 1.5), (0, 2, 1.3), (−1, 1, 1), (0, 0, 0.8) m, passed within 0.2 m of the middle |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
-/// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the gate flown to), − 100 for a crash |
+/// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the gate flown to), − 100 for a crash; 0 for a drone that has completed its laps |
 /// | Terminated | crash (tilt over 2 rad, contact, z < 0), or every drone has completed two laps |
 /// | Truncated | after 30 s |
 /// | Success, progress | two laps; the share of gates passed |
@@ -109,6 +109,7 @@ impl Task for Race {
     }
 
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
         course::check(&self.gates, self.laps, self.radius)?;
         for (option, got) in [
             ("the reward for a gate", self.gate_reward),
@@ -169,6 +170,9 @@ impl Task for Race {
     }
 
     fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        if !self.course.was_flying(drone) {
+            return -crash_penalty(end);
+        }
         let gate = if self.course.just_passed(drone) { self.gate_reward } else { 0.0 };
         gate + self.speed_reward * simulation.states()[drone].velocity.norm()
             - self.distance_penalty * self.course.distance(drone)

@@ -9,7 +9,11 @@ use crate::observation::Observation;
 /// Keeps drones apart whatever the agent commands: a [`CollisionCone`] on the commanded velocities.
 ///
 /// A velocity command v\* stands for the acceleration `response`·(v\* − v) that the controller beneath will give. Those are
-/// filtered, and what comes out goes on as velocities. Commands that are safe pass unchanged.
+/// filtered, and what comes out goes on as velocities. Commands that are safe pass unchanged, but for a yaw rate beyond
+/// [`MAX_YAW_RATE`](Self::MAX_YAW_RATE): a drone that spins gives accelerations late and askew.
+///
+/// The filter keeps its radius as far as the controller beneath gives what is asked of it: leave a margin (an eighth is
+/// enough for the geometric controller), and say how fast that controller is with [`response`](Self::response).
 ///
 /// ```
 /// use aviary::action::ActionType;
@@ -35,6 +39,11 @@ pub struct SafetyWrapper<E> {
     action: Vec<f64>,
     /// Control steps of this episode in which it had to change something.
     interventions: u64,
+}
+
+impl<E> SafetyWrapper<E> {
+    /// Largest yaw rate that is passed on, rad/s.
+    pub const MAX_YAW_RATE: f64 = 1.0;
 }
 
 impl<E: Env> SafetyWrapper<E> {
@@ -66,7 +75,8 @@ impl<E: Env> SafetyWrapper<E> {
         })
     }
 
-    /// How fast the controller beneath takes up a velocity, 1/s; 10 by default, which is the geometric controller's.
+    /// How fast the controller beneath takes up a velocity, 1/s: 10 (the default) for the geometric controller, 5 for the
+    /// DSL-PID, 0.9 for the paper's PID.
     ///
     /// # Errors
     /// [`EnvError::Option`] for what is not a positive number.
@@ -98,6 +108,9 @@ impl<E: Env> SafetyWrapper<E> {
         let bounds = self.env.action_space();
         for ((x, low), high) in self.action.iter_mut().zip(bounds.low()).zip(bounds.high()) {
             *x = x.clamp(*low, *high);
+        }
+        for command in self.action.chunks_exact_mut(4) {
+            command[3] = command[3].clamp(-SafetyWrapper::<E>::MAX_YAW_RATE, SafetyWrapper::<E>::MAX_YAW_RATE);
         }
         let states = self.env.simulation().states();
         for (drone, (state, command)) in states.iter().zip(self.action.chunks_exact(4)).enumerate() {
