@@ -54,6 +54,12 @@ impl<T: Task> Aviary<T> {
         &self.task
     }
 
+    /// The task, to be changed between episodes. What only building an environment looks at (the number of drones, initial
+    /// positions, markers) stays as it is.
+    pub fn task_mut(&mut self) -> &mut T {
+        &mut self.task
+    }
+
     /// A drone's own part of the observation's vector; empty where the observation type has none.
     pub fn observation_of(&self, drone: usize) -> &[f64] {
         self.observation.vector.get(drone * self.block..(drone + 1) * self.block).unwrap_or_default()

@@ -1,9 +1,11 @@
 //! Environments around environments: each changes one thing and passes the rest on.
 
+mod curriculum;
 mod randomization;
 mod safety;
 mod wind;
 
+pub use curriculum::{CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
 pub use randomization::RandomizationWrapper;
 pub use safety::SafetyWrapper;
 pub use wind::WindWrapper;

@@ -1,0 +1,226 @@
+use std::collections::VecDeque;
+
+use serde::{Deserialize, Serialize};
+
+use super::forward_env;
+use crate::env::{Env, EnvError, Step};
+use crate::observation::Observation;
+
+/// What a curriculum goes by: the mean of the last episodes of
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CurriculumMetric {
+    /// one where the episode ended in success, zero where it did not.
+    #[default]
+    SuccessRate,
+    /// the sum of the rewards.
+    Reward,
+    /// the length in control steps.
+    EpisodeLength,
+}
+
+/// How a curriculum advances (paper, §3.5.3).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CurriculumConfig {
+    /// Number of levels; 5 by default.
+    pub levels: usize,
+    /// What it goes by.
+    pub metric: CurriculumMetric,
+    /// Episodes in the mean; 20 by default. A level is left after so many episodes of its own at the earliest.
+    pub window: usize,
+    /// Mean at which the next level begins; 0.8 by default.
+    pub advance: f64,
+    /// Mean below which the level before begins again; `None`, the default, for never.
+    pub retreat: Option<f64>,
+}
+
+impl Default for CurriculumConfig {
+    fn default() -> Self {
+        Self { levels: 5, metric: CurriculumMetric::SuccessRate, window: 20, advance: 0.8, retreat: None }
+    }
+}
+
+impl CurriculumConfig {
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming one that is impossible.
+    pub fn validate(&self) -> Result<(), EnvError> {
+        let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
+        if self.levels == 0 {
+            return wrong("the number of levels", "0".into(), "at least 1");
+        }
+        if !(1..=1_000_000).contains(&self.window) {
+            return wrong("the curriculum's window", self.window.to_string(), "1 to 1,000,000 episodes");
+        }
+        if !self.advance.is_finite() {
+            return wrong("the mean to advance at", self.advance.to_string(), "a finite number");
+        }
+        match self.retreat {
+            Some(retreat) if retreat.is_nan() || retreat >= self.advance => {
+                wrong("the mean to retreat at", retreat.to_string(), "less than the one to advance at")
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// How a curriculum stands: what can be saved and restored.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CurriculumState {
+    /// The level, from 0.
+    pub level: usize,
+    /// The metric of the last episodes on this level, oldest first.
+    pub recent: VecDeque<f64>,
+    /// Episodes that ended, over all levels.
+    pub episodes: u64,
+    /// Episodes that ended on each level.
+    pub episodes_per_level: Vec<u64>,
+    /// How often the next level began.
+    pub advances: u64,
+    /// How often the level before began again.
+    pub retreats: u64,
+}
+
+/// Makes an environment harder as an agent gets better: after every episode the level follows a moving average, and at every
+/// reset a function of one's own sets the environment up for the level. It has all of the environment: its wind and
+/// randomization, and, where it is an [`Aviary`](crate::env::Aviary), its task.
+///
+/// An episode counts when it has ended by itself or by its time; one that is left in its middle does not.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::physics::wind::{WindConfig, WindModel};
+/// use aviary::tasks::Hover;
+/// use aviary::wrappers::{CurriculumConfig, CurriculumWrapper};
+///
+/// // more wind on every level
+/// let blow = |env: &mut aviary::env::Aviary<Hover>, level: usize| {
+///     let wind = WindConfig { velocity: [0.5 * level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+///     env.set_wind(Some(wind))
+/// };
+/// let mut env = CurriculumWrapper::new(Hover::builder().build()?, CurriculumConfig::default(), blow)?;
+/// env.reset(Some(1))?;
+/// assert_eq!(env.state().level, 0);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub struct CurriculumWrapper<E, F> {
+    env: E,
+    config: CurriculumConfig,
+    difficulty: F,
+    state: CurriculumState,
+    /// Sum of the rewards and number of steps of the running episode.
+    running: (f64, u64),
+}
+
+impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
+    /// Around an environment, on level 0; `difficulty` is called at every reset with the environment and the level.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming a setting that is impossible.
+    pub fn new(env: E, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
+        config.validate()?;
+        let state = CurriculumState {
+            level: 0,
+            recent: VecDeque::with_capacity(config.window),
+            episodes: 0,
+            episodes_per_level: vec![0; config.levels],
+            advances: 0,
+            retreats: 0,
+        };
+        Ok(Self { env, config, difficulty, state, running: (0.0, 0) })
+    }
+
+    /// The environment within.
+    pub fn inner(&self) -> &E {
+        &self.env
+    }
+
+    /// How it stands.
+    pub fn state(&self) -> &CurriculumState {
+        &self.state
+    }
+
+    /// Goes on from an earlier state, from the next reset on.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for a state of another curriculum, and then nothing has changed.
+    pub fn restore(&mut self, state: CurriculumState) -> Result<(), EnvError> {
+        let levels = self.config.levels;
+        let fits = state.level < levels
+            && state.episodes_per_level.len() == levels
+            && state.recent.len() <= self.config.window
+            && state.recent.iter().all(|x| x.is_finite());
+        if !fits {
+            return Err(EnvError::Option {
+                option: "the curriculum's state",
+                got: format!(
+                    "level {} of {}, {} episodes",
+                    state.level,
+                    state.episodes_per_level.len(),
+                    state.recent.len()
+                ),
+                expected: "one of a curriculum with as many levels and as long a window",
+            });
+        }
+        self.state = state;
+        self.state.recent.reserve(self.config.window);
+        Ok(())
+    }
+
+    /// Mean of the metric over the last episodes on this level; `None` before the first.
+    pub fn mean(&self) -> Option<f64> {
+        let recent = &self.state.recent;
+        (!recent.is_empty()).then(|| recent.iter().sum::<f64>() / recent.len() as f64)
+    }
+
+    fn episode_ended(&mut self) {
+        let metric = match self.config.metric {
+            CurriculumMetric::SuccessRate => f64::from(u8::from(self.env.info().success)),
+            CurriculumMetric::Reward => self.running.0,
+            CurriculumMetric::EpisodeLength => self.running.1 as f64,
+        };
+        let state = &mut self.state;
+        state.episodes += 1;
+        state.episodes_per_level[state.level] += 1;
+        if state.recent.len() == self.config.window {
+            state.recent.pop_front();
+        }
+        state.recent.push_back(metric);
+        if state.recent.len() < self.config.window {
+            return;
+        }
+        let mean = state.recent.iter().sum::<f64>() / self.config.window as f64;
+        if mean >= self.config.advance && state.level + 1 < self.config.levels {
+            state.level += 1;
+            state.advances += 1;
+            state.recent.clear();
+        } else if self.config.retreat.is_some_and(|retreat| mean < retreat) && state.level > 0 {
+            state.level -= 1;
+            state.retreats += 1;
+            state.recent.clear();
+        }
+    }
+}
+
+impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Env for CurriculumWrapper<E, F> {
+    forward_env!(self => self.env);
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        (self.difficulty)(&mut self.env, self.state.level)?;
+        self.running = (0.0, 0);
+        self.env.reset(seed)
+    }
+
+    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
+        let Step { reward, terminated, truncated, .. } = self.env.step(action)?;
+        self.running.0 += reward;
+        self.running.1 += 1;
+        if terminated || truncated {
+            self.episode_ended();
+        }
+        Ok(Step { observation: self.env.observation(), reward, terminated, truncated })
+    }
+}
