@@ -22,6 +22,7 @@ pub mod physics;
 pub mod engine;
 pub mod simulation;
 
+pub mod sensing;
 pub mod vision;
 
 pub mod observation;

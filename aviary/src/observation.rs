@@ -22,10 +22,22 @@ pub struct ObservationType {
     pub segmentation: bool,
     /// Which drones are within the neighbourhood's radius of each other.
     pub adjacency: bool,
+    /// How far each drone is from the nearest obstacle.
+    pub obstacle: bool,
+    /// How far each drone sees along its rays.
+    pub ranges: bool,
 }
 
 impl ObservationType {
-    const NONE: Self = Self { kinematic: false, rgb: false, depth: false, segmentation: false, adjacency: false };
+    const NONE: Self = Self {
+        kinematic: false,
+        rgb: false,
+        depth: false,
+        segmentation: false,
+        adjacency: false,
+        obstacle: false,
+        ranges: false,
+    };
     /// The task's vector alone.
     pub const KIN: Self = Self { kinematic: true, ..Self::NONE };
     /// Colour alone.
@@ -39,6 +51,9 @@ impl ObservationType {
     /// Vector and adjacency.
     pub const KIN_ADJACENCY: Self = Self { kinematic: true, adjacency: true, ..Self::NONE };
 
+    /// Vector, distance of the nearest obstacle and rangefinder.
+    pub const KIN_RANGES: Self = Self { kinematic: true, obstacle: true, ranges: true, ..Self::NONE };
+
     /// Whether there is nothing in it.
     pub fn is_empty(self) -> bool {
         self == Self::NONE
@@ -49,13 +64,15 @@ impl ObservationType {
         self.rgb || self.depth || self.segmentation
     }
 
-    fn parts(self) -> [(&'static str, bool); 5] {
+    fn parts(self) -> [(&'static str, bool); 7] {
         [
             ("kin", self.kinematic),
             ("rgb", self.rgb),
             ("depth", self.depth),
             ("segmentation", self.segmentation),
             ("adjacency", self.adjacency),
+            ("obstacle", self.obstacle),
+            ("ranges", self.ranges),
         ]
     }
 }
@@ -76,7 +93,7 @@ impl fmt::Display for ObservationType {
 /// A name that is no observation type's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "no observation type `{0}`, expected kin, rgb, depth, segmentation, adjacency or several of them joined by `_`, each once"
+    "no observation type `{0}`, expected kin, rgb, depth, segmentation, adjacency, obstacle, ranges or several of them joined by `_`, each once"
 )]
 pub struct UnknownObservationType(pub String);
 
@@ -93,6 +110,8 @@ impl FromStr for ObservationType {
                 "depth" => &mut kind.depth,
                 "segmentation" => &mut kind.segmentation,
                 "adjacency" => &mut kind.adjacency,
+                "obstacle" => &mut kind.obstacle,
+                "ranges" => &mut kind.ranges,
                 _ => return Err(unknown()),
             };
             if std::mem::replace(flag, true) {
@@ -118,11 +137,19 @@ pub struct Observation {
     pub segmentation: Vec<[i32; 2]>,
     /// N × N: whether drones i and j are within the neighbourhood's radius of each other; no drone is its own neighbour.
     pub adjacency: Vec<bool>,
+    /// N: distance of each drone's middle from the nearest obstacle's surface, m; negative inside, at most
+    /// [`FAR`](Self::FAR).
+    pub obstacle: Vec<f64>,
+    /// N × rays: distance along each ray, m.
+    pub ranges: Vec<f64>,
 }
 
 impl Observation {
-    /// Buffers for a vector of this length and the pictures of so many cameras, one per drone.
-    pub fn with_sizes(kind: ObservationType, vector: usize, cameras: usize, size: ImageSize) -> Self {
+    /// What counts as no obstacle near, m.
+    pub const FAR: f64 = 100.0;
+
+    /// Buffers for a vector of this length, and for the pictures and so many rays of so many drones.
+    pub fn with_sizes(kind: ObservationType, vector: usize, cameras: usize, size: ImageSize, rays: usize) -> Self {
         let pixels = |on: bool| if on { cameras * size.pixels() } else { 0 };
         Self {
             vector: vec![0.0; if kind.kinematic { vector } else { 0 }],
@@ -130,6 +157,8 @@ impl Observation {
             depth: vec![0.0; pixels(kind.depth)],
             segmentation: vec![[-1; 2]; pixels(kind.segmentation)],
             adjacency: vec![false; if kind.adjacency { cameras * cameras } else { 0 }],
+            obstacle: vec![Self::FAR; if kind.obstacle { cameras } else { 0 }],
+            ranges: vec![0.0; if kind.ranges { cameras * rays } else { 0 }],
         }
     }
 
@@ -159,6 +188,8 @@ impl Observation {
             depth: part(&self.depth, drone, drones),
             segmentation: part(&self.segmentation, drone, drones),
             adjacency: part(&self.adjacency, drone, drones),
+            obstacle: part(&self.obstacle, drone, drones),
+            ranges: part(&self.ranges, drone, drones),
         }
     }
 

@@ -13,9 +13,9 @@ use nalgebra::Vector3;
 
 pub use mujoco_rs::{Decor, Effects, ImageSize};
 
-use crate::engine::BuildError;
+use crate::engine::{BuildError, place_geom};
 use crate::state::{DroneState, wxyz};
-use crate::world::{SceneError, World};
+use crate::world::{Obstacle, SceneError, World};
 
 /// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
 pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
@@ -232,6 +232,23 @@ impl Painter {
         let camera = Camera::Fixed(self.cameras[0]);
         self.scene.update(&mut self.data, &camera)?;
         self.stale = false;
+        Ok(())
+    }
+
+    /// Other obstacles of the same shapes in the same order: what is drawn after the next update.
+    ///
+    /// # Errors
+    /// MuJoCo's, where it cannot copy the model; [`Error::UnknownName`] for more obstacles than there are.
+    pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
+        self.stale = true;
+        for (index, obstacle) in obstacles.iter().enumerate() {
+            let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
+            // the renderer shares the model: it has only meshes and textures of it, which stay
+            let mut model = self.data.patch_model()?;
+            place_geom(&mut model, geom.index(), obstacle);
+            let colour = obstacle.rgba.map(|x| x as f32);
+            model.geom_rgba_mut()[4 * geom.index()..][..4].copy_from_slice(&colour);
+        }
         Ok(())
     }
 

@@ -2,6 +2,7 @@ use std::ffi::{CStr, CString, c_char};
 use std::fmt;
 use std::path::Path;
 use std::ptr::{self, NonNull};
+use std::sync::Arc;
 
 use crate::error::Error;
 use crate::id::{ObjectId, ObjectKind};
@@ -13,6 +14,8 @@ use crate::runtime::{check_library, guarded};
 /// while shared, so threads may step their own [`Data`](crate::Data) of one model at the same time.
 pub struct Model {
     pointer: NonNull<mujoco_sys::mjModel>,
+    /// Shared by all copies of one compiled model.
+    structure: Arc<()>,
 }
 
 // SAFETY: an mjModel is plain memory without thread affinity, and MuJoCo reads it only through `const mjModel*`;
@@ -187,7 +190,7 @@ impl Model {
                 if !text.is_empty() {
                     tracing::warn!(target: "mujoco", "{shown}: {text}");
                 }
-                Ok(Self { pointer })
+                Ok(Self { pointer, structure: Arc::default() })
             }
             None => {
                 let message = if text.is_empty() { "MuJoCo gives no reason".into() } else { text };
@@ -206,7 +209,12 @@ impl Model {
         guarded("mj_copyModel", unsafe { mujoco_sys::mjshim_copy_model(self.pointer.as_ptr(), &mut copy) })?;
         let pointer = NonNull::new(copy)
             .ok_or_else(|| Error::Raised { call: "mj_copyModel", message: "no memory for the copy".into() })?;
-        Ok(Self { pointer })
+        Ok(Self { pointer, structure: Arc::clone(&self.structure) })
+    }
+
+    /// Whether this is a copy of the other model, of the same structure if not of the same numbers.
+    pub fn is_copy_of(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.structure, &other.structure)
     }
 
     /// Access to the numbers of the model.

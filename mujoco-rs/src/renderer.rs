@@ -199,7 +199,8 @@ impl Renderer {
         rgb: Option<&mut [u8]>,
         depth: Option<&mut [f32]>,
     ) -> Result<(), Error> {
-        if !std::ptr::eq(self.model.as_ptr(), scene.model().as_ptr()) {
+        // a copy has the same meshes and textures, and what has been patched in it is in the scene's shapes
+        if !self.model.is_copy_of(scene.model()) {
             return Err(Error::OtherModel);
         }
         if !scene.is_seen() {

@@ -291,8 +291,16 @@ impl Scene {
         guarded("mjv_updateCamera", status)
     }
 
-    fn same_model(&self, data: &Data) -> Result<(), Error> {
-        if std::ptr::eq(self.model.as_ptr(), data.model().as_ptr()) { Ok(()) } else { Err(Error::OtherModel) }
+    /// Takes the data's model over, where it is this one or a copy whose numbers have been patched.
+    fn same_model(&mut self, data: &Data) -> Result<(), Error> {
+        if std::ptr::eq(self.model.as_ptr(), data.model().as_ptr()) {
+            return Ok(());
+        }
+        if !self.model.is_copy_of(data.model()) {
+            return Err(Error::OtherModel);
+        }
+        self.model = data.shared_model();
+        Ok(())
     }
 
     /// Adds a shape until the next [`update`](Self::update); `false` where there was no room for it.

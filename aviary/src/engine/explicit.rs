@@ -17,7 +17,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use super::Load;
 use super::mujoco::{BuildError, MujocoEngine};
 use crate::state::DroneState;
-use crate::world::World;
+use crate::world::{Obstacle, World};
 
 /// N free bodies, each by itself.
 #[derive(Debug)]
@@ -89,6 +89,14 @@ impl ExplicitEngine {
     pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
         self.bodies[drone] = Body { mass, inertia: *inertia };
         self.mirror.set_body(drone, mass, inertia)
+    }
+
+    /// Other obstacles of the same shapes, to be looked at: nothing here touches them.
+    ///
+    /// # Errors
+    /// MuJoCo's, from the mirror.
+    pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
+        self.mirror.set_obstacles(obstacles)
     }
 
     /// Changes gravity, m/s² downwards.

@@ -4,6 +4,7 @@ mod explicit;
 mod mujoco;
 
 pub use explicit::ExplicitEngine;
+pub(crate) use mujoco::place_geom;
 pub use mujoco::{BuildError, MujocoEngine};
 
 use mujoco_rs::{Data, Error};
@@ -12,6 +13,7 @@ use nalgebra::Vector3;
 use crate::physics::Wrench;
 use crate::physics::rotor::RotorWrench;
 use crate::state::DroneState;
+use crate::world::Obstacle;
 
 /// What acts on a drone during one physics step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,6 +73,17 @@ impl Engine {
         match self {
             Self::Mujoco(engine) => engine.set_body(drone, mass, inertia),
             Self::Explicit(engine) => engine.set_body(drone, mass, inertia),
+        }
+    }
+
+    /// Other obstacles of the same shapes in the same order, from the next step on.
+    ///
+    /// # Errors
+    /// As for [`set_body`](Self::set_body).
+    pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
+        match self {
+            Self::Mujoco(engine) => engine.set_obstacles(obstacles),
+            Self::Explicit(engine) => engine.set_obstacles(obstacles),
         }
     }
 

@@ -1,11 +1,11 @@
 //! The reference engine: MuJoCo's `mj_step`, forces through `xfrc_applied`.
 
-use mujoco_rs::{ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model};
+use mujoco_rs::{ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model, ModelMut};
 use nalgebra::Vector3;
 
 use super::{Contact, Load, Touched};
-use crate::state::{DroneState, attitude_from_wxyz, wxyz};
-use crate::world::{Forcing, SceneError, World};
+use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
+use crate::world::{Forcing, Obstacle, SceneError, World};
 
 /// Where one drone's numbers lie in MuJoCo's arrays.
 #[derive(Debug, Clone, Copy)]
@@ -35,6 +35,31 @@ pub struct MujocoEngine {
     data: Data,
     slots: Vec<Slot>,
     owners: Vec<Owner>,
+    obstacles: Obstacles,
+}
+
+/// Obstacles, and the geoms of the scene that stand for those that are near.
+#[derive(Debug, Default)]
+struct Obstacles {
+    list: Vec<Obstacle>,
+    slots: Vec<ObstacleSlot>,
+    /// Whether there are more obstacles than geoms.
+    crowded: bool,
+    /// How far each drone reaches from its middle, m.
+    reaches: Vec<f64>,
+    /// Where the drones were when the geoms were last given out; empty where they have not been.
+    looked_from: Vec<Vector3<f64>>,
+    /// Obstacles that are near, with their distance; kept for its memory.
+    near: Vec<(f64, usize)>,
+}
+
+/// A geom of the scene.
+#[derive(Debug, Clone, Copy)]
+struct ObstacleSlot {
+    geom: usize,
+    kind: usize,
+    /// The obstacle that it stands for.
+    holds: Option<usize>,
 }
 
 /// What can go wrong when a scene is made into an engine.
@@ -61,10 +86,15 @@ impl MujocoEngine {
         let mut owners = vec![Owner::Nobody; model.ngeom()];
         let floor: GeomId = model.find("floor")?;
         owners[floor.index()] = Owner::Floor;
-        for index in 0..world.obstacles.len() {
-            let obstacle: GeomId = model.find(&World::obstacle_name(index))?;
-            owners[obstacle.index()] = Owner::Obstacle(index);
+        let mut obstacles = Obstacles::default();
+        for index in world.slots() {
+            let geom: GeomId = model.find(&World::obstacle_name(index))?;
+            owners[geom.index()] = Owner::Obstacle(index);
+            let kind = world.obstacles[index].shape.kind();
+            obstacles.slots.push(ObstacleSlot { geom: geom.index(), kind, holds: Some(index) });
         }
+        obstacles.list.clone_from(&world.obstacles);
+        obstacles.crowded = obstacles.slots.len() < world.obstacles.len();
         let mut slots = Vec::with_capacity(world.drones.len());
         for index in 0..world.drones.len() {
             let name = World::drone_name(index);
@@ -84,7 +114,12 @@ impl MujocoEngine {
                 }
             }
         }
-        Ok(Self { data: Data::new(model)?, slots, owners })
+        obstacles.reaches = world
+            .drones
+            .iter()
+            .map(|drone| drone.params.collision_radius.hypot(drone.params.collision_height))
+            .collect();
+        Ok(Self { data: Data::new(model)?, slots, owners, obstacles })
     }
 
     /// The MuJoCo simulation, to be read.
@@ -101,6 +136,13 @@ impl MujocoEngine {
     /// Where MuJoCo cannot recover from an earlier error.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.data.rewind()?;
+        if self.obstacles.crowded {
+            // what an episode does must not hang on which geoms an earlier one used
+            self.obstacles.looked_from.clear();
+            for slot in 0..self.obstacles.slots.len() {
+                self.fill_slot(slot, None)?;
+            }
+        }
         self.write(states);
         Ok(())
     }
@@ -133,6 +175,89 @@ impl MujocoEngine {
     /// As for [`set_body`](Self::set_body), and for what is not a number.
     pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
         self.data.patch_model()?.set_gravity([0.0, 0.0, -gravity])
+    }
+
+    /// Other obstacles of the same shapes in the same order, from the next step on.
+    ///
+    /// # Errors
+    /// MuJoCo's, where it cannot copy a shared model.
+    pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
+        self.obstacles.list.clear();
+        self.obstacles.list.extend_from_slice(obstacles);
+        self.obstacles.looked_from.clear();
+        for index in 0..self.obstacles.slots.len() {
+            let holds = self.obstacles.slots[index].holds;
+            self.fill_slot(index, holds)?;
+        }
+        Ok(())
+    }
+
+    /// Puts an obstacle, or nothing, into a geom.
+    fn fill_slot(&mut self, index: usize, holds: Option<usize>) -> Result<(), Error> {
+        let slot = &mut self.obstacles.slots[index];
+        slot.holds = holds;
+        let geom = slot.geom;
+        let mut model = self.data.patch_model()?;
+        let Some(obstacle) = holds else {
+            // so deep under the floor that nothing meets it
+            model.geom_pos_mut()[3 * geom..][..3].copy_from_slice(&[0.0, 0.0, -1e6]);
+            self.owners[geom] = Owner::Nobody;
+            return Ok(());
+        };
+        place_geom(&mut model, geom, &self.obstacles.list[obstacle]);
+        self.owners[geom] = Owner::Obstacle(obstacle);
+        Ok(())
+    }
+
+    /// Gives the geoms to the obstacles that drones can reach, once they have moved far enough for that to change.
+    fn look_around(&mut self, states: &[DroneState]) -> Result<(), Error> {
+        /// How far a drone goes before the next look, and how far it looks beyond that, m.
+        const STRIDE: f64 = 0.1;
+        let field = &mut self.obstacles;
+        let moved = |(state, from): (&DroneState, &Vector3<f64>)| (state.position - from).norm() > 0.5 * STRIDE;
+        if field.looked_from.len() == states.len() && !states.iter().zip(&field.looked_from).any(moved) {
+            return Ok(());
+        }
+        field.looked_from.clear();
+        field.looked_from.extend(states.iter().map(|state| state.position));
+        field.near.clear();
+        for (index, obstacle) in field.list.iter().enumerate() {
+            let reach = obstacle.shape.reach();
+            let gaps = states.iter().zip(&field.reaches).map(|(state, own)| {
+                // what a fast one travels in a step counts, too
+                let hurry = 0.05 * state.velocity.norm();
+                let apart = (state.position - obstacle.position).norm() - reach - own - hurry;
+                // the ball around a long one says little
+                if apart < STRIDE { obstacle.distance(&state.position) - own - hurry } else { apart }
+            });
+            let gap = gaps.fold(f64::INFINITY, f64::min);
+            if gap < STRIDE {
+                field.near.push((gap, index));
+            }
+        }
+        field.near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        // those that keep their geom keep it, so that little is written
+        for slot in 0..self.obstacles.slots.len() {
+            let held = self.obstacles.slots[slot].holds;
+            if held.is_some_and(|held| !self.obstacles.near.iter().any(|&(_, near)| near == held)) {
+                self.fill_slot(slot, None)?;
+            }
+        }
+        for entry in 0..self.obstacles.near.len() {
+            let obstacle = self.obstacles.near[entry].1;
+            let field = &self.obstacles;
+            if field.slots.iter().any(|slot| slot.holds == Some(obstacle)) {
+                continue;
+            }
+            let kind = field.list[obstacle].shape.kind();
+            match field.slots.iter().position(|slot| slot.holds.is_none() && slot.kind == kind) {
+                Some(slot) => self.fill_slot(slot, Some(obstacle))?,
+                None => tracing::warn!(
+                    "more obstacles within reach than the scene has geoms for: obstacle {obstacle} is left out"
+                ),
+            }
+        }
+        Ok(())
     }
 
     fn write(&mut self, states: &[DroneState]) {
@@ -173,6 +298,9 @@ impl MujocoEngine {
     /// # Errors
     /// [`Error::Diverged`] and MuJoCo's own errors; the drones must then be [reset](Self::reset).
     pub fn advance(&mut self, loads: &[Load], states: &[DroneState]) -> Result<(), Error> {
+        if self.obstacles.crowded {
+            self.look_around(states)?;
+        }
         for ((slot, load), state) in self.slots.iter().zip(loads).zip(states) {
             let wrench = match slot.control {
                 None => load.rotors.in_world(&state.attitude) + load.external,
@@ -223,6 +351,14 @@ impl MujocoEngine {
             }
         }
     }
+}
+
+/// Gives a geom of the world the pose and size of an obstacle of its shape.
+pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: usize, obstacle: &Obstacle) {
+    model.geom_pos_mut()[3 * geom..][..3].copy_from_slice(obstacle.position.as_slice());
+    model.geom_quat_mut()[4 * geom..][..4].copy_from_slice(&wxyz(&attitude_from_rpy(obstacle.rpy)));
+    model.geom_size_mut()[3 * geom..][..3].copy_from_slice(&obstacle.shape.sizes());
+    model.geom_rbound_mut()[geom] = obstacle.shape.reach();
 }
 
 /// MuJoCo's indices of things that exist are never negative.

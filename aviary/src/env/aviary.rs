@@ -7,9 +7,11 @@ use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
+use crate::sensing::Rangefinder;
 use crate::simulation::Simulation;
 use crate::state::DroneState;
 use crate::vision::{ImageSize, Painter, View};
+use crate::world::ObstacleConfig;
 
 /// A task made into an environment.
 #[derive(Debug)]
@@ -23,6 +25,9 @@ pub struct Aviary<T> {
     pub(super) episode_steps: u64,
     pub(super) rng: Rng,
     pub(super) randomizer: Option<Randomizer>,
+    /// Obstacles that are placed at random.
+    pub(super) field: Option<ObstacleConfig>,
+    pub(super) rangefinder: Option<Rangefinder>,
     pub(super) phase: Phase,
     /// Why the episode ended.
     pub(super) end: Option<EndReason>,
@@ -82,9 +87,34 @@ impl<T: Task> Aviary<T> {
         if let Some(states) = &mut measured {
             self.simulation.swap_states(states);
         }
+        for (drone, out) in self.observation.obstacle.iter_mut().enumerate() {
+            *out = self.simulation.obstacle_distance(drone).min(Observation::FAR);
+        }
+        if let Some(rangefinder) = &mut self.rangefinder {
+            rangefinder.measure(self.simulation.states(), &mut self.observation.ranges)?;
+        }
         if let Some(painter) = &mut self.cameras {
             painter.update(self.simulation.states())?;
             self.observation.take_pictures(painter, self.observation_space.camera_size)?;
+        }
+        Ok(())
+    }
+
+    /// Draws another layout of the obstacles, in place: the scene stays compiled. Where none can be found about these starts,
+    /// the old one stays.
+    fn move_obstacles(&mut self) -> Result<(), EnvError> {
+        let starts: Vec<_> = self.simulation.states().iter().map(|state| state.position.into()).collect();
+        let layout = self.field.as_ref().map(|field| field.generate(&starts, &mut self.rng));
+        let Some(Ok(obstacles)) = layout else {
+            tracing::warn!("no new layout of the obstacles was found");
+            return Ok(());
+        };
+        self.simulation.set_obstacles(&obstacles)?;
+        for painter in [&mut self.cameras, &mut self.painter].into_iter().flatten() {
+            painter.set_obstacles(&obstacles)?;
+        }
+        if let Some(rangefinder) = &mut self.rangefinder {
+            rangefinder.set_obstacles(&obstacles)?;
         }
         Ok(())
     }
@@ -97,6 +127,9 @@ impl<T: Task> Aviary<T> {
         match &mut self.randomizer {
             Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.rng)?,
             None => self.simulation.reset()?,
+        }
+        if self.field.as_ref().is_some_and(|field| field.new_layout) {
+            self.move_obstacles()?;
         }
         if self.simulation.wind().is_some() {
             let seed = self.rng.next_u64();

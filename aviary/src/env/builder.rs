@@ -10,9 +10,10 @@ use crate::observation::{Observation, ObservationType};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
+use crate::sensing::{RangeConfig, Rangefinder};
 use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
 use crate::vision::{CAMERA_SIZE, ImageSize, Painter};
-use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle};
+use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle, ObstacleConfig};
 
 /// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
 #[derive(Debug, Clone)]
@@ -28,6 +29,8 @@ pub struct AviaryBuilder<T> {
     observation_type: ObservationType,
     camera_size: ImageSize,
     randomization: Option<Randomization>,
+    field: Option<ObstacleConfig>,
+    rays: RangeConfig,
 }
 
 /// Options that are the simulation's.
@@ -66,6 +69,8 @@ impl<T> AviaryBuilder<T> {
             observation_type: ObservationType::default(),
             camera_size: CAMERA_SIZE,
             randomization: None,
+            field: None,
+            rays: RangeConfig::default(),
         }
     }
 
@@ -83,6 +88,8 @@ impl<T> AviaryBuilder<T> {
             observation_type: self.observation_type,
             camera_size: self.camera_size,
             randomization: self.randomization,
+            field: self.field,
+            rays: self.rays,
         }
     }
 
@@ -182,6 +189,20 @@ impl<T> AviaryBuilder<T> {
         self
     }
 
+    /// Obstacles that are placed at random, in place of [`obstacles`](Self::obstacles); none by default.
+    #[must_use]
+    pub fn obstacle_field(mut self, field: impl Into<Option<ObstacleConfig>>) -> Self {
+        self.field = field.into();
+        self
+    }
+
+    /// The rays of the drones' rangefinders, where they are observed; eight around, one up, one down by default.
+    #[must_use]
+    pub fn rays(mut self, rays: RangeConfig) -> Self {
+        self.rays = rays;
+        self
+    }
+
     /// What the agent sees; the task's vector by default.
     #[must_use]
     pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
@@ -227,7 +248,13 @@ impl<T: Task> AviaryBuilder<T> {
             });
         }
         let positions = self.task.initial_positions(simulation.airframes());
-        let simulation = simulation.initial_positions_or(positions).markers(self.task.markers()).build()?;
+        let mut simulation = simulation.initial_positions_or(positions).markers(self.task.markers());
+        if let Some(field) = &self.field {
+            let mut rng = Rng::seed_from_u64(field.seed);
+            let obstacles = field.generate(simulation.starts(), &mut rng)?;
+            simulation = simulation.obstacles(obstacles);
+        }
+        let simulation = simulation.build()?;
         check_starts(&simulation)?;
         let block = self.task.observation_space();
         let vector = block.repeated(count);
@@ -257,15 +284,18 @@ impl<T: Task> AviaryBuilder<T> {
         Ok(Aviary {
             block: block.size(),
             neighbourhood_radius: self.neighbourhood_radius,
-            observation: Observation::with_sizes(kind, vector.size(), count, camera_size),
+            observation: Observation::with_sizes(kind, vector.size(), count, camera_size, self.rays.directions.len()),
             observation_space: ObservationSpace {
                 vector: if kind.kinematic { vector } else { BoxSpace::new([]) },
                 kind,
                 cameras: count,
                 neighbours: count,
+                rays: (self.rays.directions.len(), self.rays.max_range),
                 camera_size,
             },
             randomizer: self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
+            field: self.field,
+            rangefinder: kind.ranges.then(|| Rangefinder::new(simulation.world(), &self.rays)).transpose()?,
             cameras,
             painter: None,
             action_space,

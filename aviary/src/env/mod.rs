@@ -27,6 +27,7 @@ use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationError};
 use crate::vision::{ImageSize, View};
+use crate::world::FieldError;
 
 pub use crate::random::Rng;
 
@@ -174,6 +175,9 @@ pub enum EnvError {
         /// Line, column and what was expected.
         message: String,
     },
+    /// Obstacles that cannot be placed.
+    #[error(transparent)]
+    Field(#[from] FieldError),
     /// Limits of actions that are impossible.
     #[error(transparent)]
     ActionLimits(#[from] ActionLimitsError),

@@ -75,6 +75,8 @@ pub struct ObservationSpace {
     pub cameras: usize,
     /// Columns of the adjacency: all drones.
     pub neighbours: usize,
+    /// Rays of a drone, and how far they see, m.
+    pub rays: (usize, f64),
     /// Size of their pictures.
     pub camera_size: ImageSize,
 }
@@ -115,13 +117,20 @@ impl ObservationSpace {
         add("rgb", self.rgb_shape().map(Vec::from), Dtype::U8, [0.0, 255.0]);
         add("depth", self.depth_shape().map(Vec::from), Dtype::F32, [0.0, far]);
         add("segmentation", self.segmentation_shape().map(Vec::from), Dtype::I32, [-1.0, f64::from(i32::MAX)]);
+        let far = Observation::FAR;
+        add("obstacle", self.kind.obstacle.then(|| vec![self.cameras]), Dtype::F64, [f64::NEG_INFINITY, far]);
+        let (rays, range) = self.rays;
+        add("ranges", self.kind.ranges.then(|| vec![self.cameras, rays]), Dtype::F64, [0.0, range]);
         add("adjacency", self.adjacency_shape().map(Vec::from), Dtype::Bool, [0.0, 1.0]);
         parts
     }
 
     /// A random observation of this space.
     pub fn sample(&self, rng: &mut super::Rng) -> Observation {
-        let mut sample = Observation::with_sizes(self.kind, self.vector.size(), self.cameras, self.camera_size);
+        let (rays, range) = self.rays;
+        let mut sample = Observation::with_sizes(self.kind, self.vector.size(), self.cameras, self.camera_size, rays);
+        sample.obstacle.fill_with(|| rng.random_range(0.0..=Observation::FAR));
+        sample.ranges.fill_with(|| rng.random_range(0.0..=range));
         sample.vector = self.vector.sample(rng);
         sample.adjacency.resize(self.adjacency_shape().map_or(0, |shape| shape.iter().product()), false);
         sample.rgb.fill_with(|| rng.random());
@@ -144,6 +153,10 @@ impl ObservationSpace {
             && observation.depth.len() == pixels(self.kind.depth)
             && observation.segmentation.len() == pixels(self.kind.segmentation)
             && observation.adjacency.len() == if self.kind.adjacency { self.cameras * self.neighbours } else { 0 }
+            && observation.obstacle.len() == if self.kind.obstacle { self.cameras } else { 0 }
+            && observation.obstacle.iter().all(|&x| x <= Observation::FAR)
+            && observation.ranges.len() == if self.kind.ranges { self.cameras * self.rays.0 } else { 0 }
+            && observation.ranges.iter().all(|x| (0.0..=self.rays.1).contains(x))
             && observation.depth.iter().all(|z| (0.0..=far).contains(z))
             && observation.segmentation.iter().flatten().all(|&number| number >= -1)
     }

@@ -152,6 +152,11 @@ impl SimulationBuilder {
         self
     }
 
+    /// Initial positions so far.
+    pub(crate) fn starts(&self) -> &[[f64; 3]] {
+        self.positions.as_deref().unwrap_or_default()
+    }
+
     /// Airframes so far, in order.
     pub(crate) fn airframes(&self) -> &[DroneParams] {
         &self.drones

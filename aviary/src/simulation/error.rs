@@ -8,6 +8,12 @@ use crate::physics::wind::WindError;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
+    /// An obstacle that cannot take an earlier one's place.
+    #[error("obstacle {index} has another shape than the one before, or numbers that no obstacle has")]
+    Obstacle {
+        /// Its index.
+        index: usize,
+    },
     /// A wind that cannot blow.
     #[error(transparent)]
     Wind(#[from] WindError),

@@ -17,7 +17,7 @@ use crate::physics::rotor::RotorModel;
 use crate::physics::wind::{WindConfig, WindField, WindModel};
 use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
-use crate::world::World;
+use crate::world::{Obstacle, World};
 
 /// N drones in one world.
 ///
@@ -291,6 +291,42 @@ impl Simulation {
         let nominal = &self.world.drones[drone].params;
         self.actuators[drone] = Actuators::new(nominal, actuators, self.world.timestep);
         Ok(())
+    }
+
+    /// Other obstacles in place of those there are, of the same shapes in the same order (in other places, of other sizes),
+    /// from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape or numbers
+    /// that no obstacle has; and then nothing has changed.
+    pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+        let old = &self.world.obstacles;
+        if obstacles.len() != old.len() {
+            let (got, expected) = (obstacles.len(), old.len());
+            return Err(SimulationError::Length { what: "the list of obstacles", got, expected });
+        }
+        for (index, (new, old)) in obstacles.iter().zip(old).enumerate() {
+            let sizes = new.shape.sizes();
+            let used = sizes.iter().take_while(|&&size| size != 0.0).count();
+            let sound = used > 0
+                && sizes.iter().all(|&size| (0.0..1e6).contains(&size))
+                && new.position.iter().chain(&new.rpy).all(|x| x.is_finite());
+            if new.shape.kind() != old.shape.kind() || !sound {
+                return Err(SimulationError::Obstacle { index });
+            }
+        }
+        self.engine.set_obstacles(obstacles).map_err(|error| SimulationError::Engine { time: 0.0, error })?;
+        self.world.obstacles.copy_from_slice(obstacles);
+        Ok(())
+    }
+
+    /// Distance of a drone's middle from the nearest obstacle's surface, m; negative inside, infinite where there is none.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn obstacle_distance(&self, drone: usize) -> f64 {
+        let here = &self.states[drone].position;
+        self.world.obstacles.iter().map(|obstacle| obstacle.distance(here)).fold(f64::INFINITY, f64::min)
     }
 
     /// Changes gravity (m/s², downwards), from the next step on.

@@ -71,13 +71,27 @@ impl World {
     /// # Errors
     /// [`SceneError::Value`] for numbers that MuJoCo would take silently and fail on later.
     pub fn to_mjcf(&self) -> Result<String, SceneError> {
+        self.physical(&self.slots())
+    }
+
+    /// The same with a geom for every obstacle, however many there are.
+    ///
+    /// # Errors
+    /// As for [`to_mjcf`](Self::to_mjcf).
+    pub fn to_whole_mjcf(&self) -> Result<String, SceneError> {
+        self.physical(&(0..self.obstacles.len()).collect::<Vec<_>>())
+    }
+
+    fn physical(&self, obstacles: &[usize]) -> Result<String, SceneError> {
         self.check()?;
         let mut xml = Xml::new();
         xml.open("mujoco", &[("model", "aviary".into())]);
         self.physics(&mut xml);
         xml.open("worldbody", &[]);
         xml.leaf("geom", &[("name", "floor".into()), ("type", "plane".into()), ("size", "0 0 1".into())]);
-        xml.obstacles(&self.obstacles);
+        for &index in obstacles {
+            xml.shape(World::obstacle_name(index), &self.obstacles[index], &[]);
+        }
         for (index, drone) in self.drones.iter().enumerate() {
             xml.open_drone(index, drone);
             xml.collision_geom(index, drone, &[]);

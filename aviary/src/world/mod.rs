@@ -1,5 +1,6 @@
 //! The scene as typed values, and as MJCF text.
 
+mod field;
 mod look;
 mod mjcf;
 mod obstacle;
@@ -8,6 +9,7 @@ use nalgebra::Vector3;
 
 use crate::drone::{DroneParams, GRAVITY};
 
+pub use field::{FieldError, ObstacleConfig, ObstacleKind};
 pub use look::CF2_ASSETS;
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
@@ -88,6 +90,21 @@ impl World {
             markers: Vec::new(),
             drones,
         }
+    }
+
+    /// Which obstacles the physical scene has a geom for: all of them, or of very many as many of each shape as drones can
+    /// touch at once. The engine puts those that are near into these geoms: MuJoCo would place and test every one of
+    /// them four times a step.
+    pub(crate) fn slots(&self) -> Vec<usize> {
+        const ALL_UP_TO: usize = 12;
+        let each = 6 * self.drones.len();
+        let mut used = [0; 4];
+        let take = |index: &usize| {
+            let used = &mut used[self.obstacles[*index].shape.kind()];
+            *used += 1;
+            self.obstacles.len() <= ALL_UP_TO || *used <= each
+        };
+        (0..self.obstacles.len()).filter(take).collect()
     }
 
     /// Name of a drone's body in the scene, and of its collision geom.

@@ -1,5 +1,7 @@
 use nalgebra::Vector3;
 
+use crate::state::attitude_from_rpy;
+
 /// Shape and size of an obstacle, in its own frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
@@ -30,6 +32,55 @@ pub enum Shape {
 }
 
 impl Shape {
+    /// Distance from its middle within which all of it lies, m.
+    pub fn reach(&self) -> f64 {
+        match *self {
+            Self::Box { half_size: [x, y, z] } => Vector3::new(x, y, z).norm(),
+            Self::Sphere { radius } => radius,
+            Self::Cylinder { radius, half_height } => radius.hypot(half_height),
+            Self::Capsule { radius, half_height } => radius + half_height,
+        }
+    }
+
+    /// Distance of a point in its own frame from its surface, m; negative inside.
+    fn distance(&self, point: &Vector3<f64>) -> f64 {
+        // of a box in as many dimensions as there are numbers
+        fn boxed<const N: usize>(beyond: [f64; N]) -> f64 {
+            let outside = beyond.map(|x| x.max(0.0)).iter().map(|x| x * x).sum::<f64>().sqrt();
+            outside + beyond.iter().copied().fold(f64::MIN, f64::max).min(0.0)
+        }
+        let sideways = point.x.hypot(point.y);
+        match *self {
+            Self::Box { half_size: [x, y, z] } => boxed([point.x.abs() - x, point.y.abs() - y, point.z.abs() - z]),
+            Self::Sphere { radius } => point.norm() - radius,
+            Self::Cylinder { radius, half_height } => boxed([sideways - radius, point.z.abs() - half_height]),
+            Self::Capsule { radius, half_height } => {
+                sideways.hypot(point.z - point.z.clamp(-half_height, half_height)) - radius
+            }
+        }
+    }
+
+    /// Which of the four it is.
+    pub(crate) fn kind(&self) -> usize {
+        match self {
+            Self::Box { .. } => 0,
+            Self::Sphere { .. } => 1,
+            Self::Cylinder { .. } => 2,
+            Self::Capsule { .. } => 3,
+        }
+    }
+
+    /// MuJoCo's three size numbers.
+    pub(crate) fn sizes(&self) -> [f64; 3] {
+        match *self {
+            Self::Box { half_size } => half_size,
+            Self::Sphere { radius } => [radius, 0.0, 0.0],
+            Self::Cylinder { radius, half_height } | Self::Capsule { radius, half_height } => {
+                [radius, half_height, 0.0]
+            }
+        }
+    }
+
     /// MuJoCo's name of the geom type and its size parameters.
     pub(super) fn geom(&self) -> (&'static str, Vec<f64>) {
         match *self {
@@ -55,6 +106,12 @@ pub struct Obstacle {
 }
 
 impl Obstacle {
+    /// Distance of a point (world frame, m) from its surface, m; negative inside.
+    pub fn distance(&self, point: &Vector3<f64>) -> f64 {
+        let own = attitude_from_rpy(self.rpy).inverse_transform_vector(&(point - self.position));
+        self.shape.distance(&own)
+    }
+
     /// An upright one in the colour of wood.
     pub fn new(shape: Shape, position: Vector3<f64>) -> Self {
         Self { shape, position, rpy: Vector3::zeros(), rgba: [0.62, 0.48, 0.34, 1.0] }

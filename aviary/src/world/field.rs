@@ -1,0 +1,368 @@
+use nalgebra::Vector3;
+use rand::RngExt as _;
+use serde::{Deserialize, Serialize};
+
+use super::{Obstacle, Shape};
+use crate::error::triple;
+use crate::random::Rng;
+
+/// What stands around (paper, §3.5.2).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ObstacleKind {
+    /// Tree trunks.
+    Forest,
+    /// Buildings of different heights.
+    Urban,
+    /// A room: walls around the arena, partitions with doorways where there is room for them, and furniture.
+    Indoor,
+    /// Boxes, balls, cylinders and capsules in the air, turned any way.
+    Random,
+    /// Square gates, four bars each.
+    Gates,
+    /// A list of one's own.
+    Custom,
+}
+
+impl ObstacleKind {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::Forest, Self::Urban, Self::Indoor, Self::Random, Self::Gates, Self::Custom];
+
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Forest => "forest",
+            Self::Urban => "urban",
+            Self::Indoor => "indoor",
+            Self::Random => "random",
+            Self::Gates => "gates",
+            Self::Custom => "custom",
+        }
+    }
+}
+
+/// Obstacles that are placed at random, about the origin.
+///
+/// ```
+/// use aviary::env::Rng;
+/// use aviary::world::{ObstacleConfig, ObstacleKind};
+/// use rand::SeedableRng as _;
+///
+/// let config = ObstacleConfig::new(ObstacleKind::Forest);
+/// let trees = config.generate(&[[0.0, 0.0, 0.1]], &mut Rng::seed_from_u64(1))?;
+/// assert_eq!(trees.len(), 20);
+/// # Ok::<(), aviary::world::FieldError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ObstacleConfig {
+    /// What kind.
+    pub kind: ObstacleKind,
+    /// How many: trees, buildings, pieces of furniture, things in the air, gates; 20 by default.
+    pub count: usize,
+    /// Length along x, y and z of the space they stand in, centred on the origin, from the floor up, m; 3 × 3 × 2 by default.
+    #[serde(deserialize_with = "triple")]
+    pub arena: [f64; 3],
+    /// Least room between two of them, m; 0.2 by default. (Walls of a room may meet.)
+    pub spacing: f64,
+    /// Radius of the sphere around the start of every drone that they keep out of, m; 0.3 by default.
+    pub safe_zone: f64,
+    /// Whether every episode has another layout; the same for all by default.
+    pub new_layout: bool,
+    /// Seed of the layout, where it is the same for all.
+    pub seed: u64,
+    /// What stands around where the kind is [`Custom`](ObstacleKind::Custom).
+    #[serde(skip)]
+    pub custom: Vec<Obstacle>,
+}
+
+impl Default for ObstacleConfig {
+    fn default() -> Self {
+        Self {
+            kind: ObstacleKind::Forest,
+            count: 20,
+            arena: [3.0, 3.0, 2.0],
+            spacing: 0.2,
+            safe_zone: 0.3,
+            new_layout: false,
+            seed: 0,
+            custom: Vec::new(),
+        }
+    }
+}
+
+/// Obstacles that cannot be placed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FieldError {
+    /// A setting that is impossible.
+    #[error("the obstacles' {field} is {got}, expected {expected}")]
+    Option {
+        /// Which.
+        field: &'static str,
+        /// What it is.
+        got: f64,
+        /// What is possible.
+        expected: &'static str,
+    },
+    /// There is no room for so many.
+    #[error(
+        "{placed} of {asked} obstacles fit into {arena:?} m with {spacing} m between them and {safe_zone} m around every drone"
+    )]
+    Full {
+        /// How many were placed at best.
+        placed: usize,
+        /// How many were to be placed.
+        asked: usize,
+        /// Size of the arena, m.
+        arena: [f64; 3],
+        /// Room between two, m.
+        spacing: f64,
+        /// Room around every drone, m.
+        safe_zone: f64,
+    },
+    /// A wall stands where a drone starts.
+    #[error("a wall of the room is {got:.3} m from where drone {drone} starts, expected at least {expected} m")]
+    Wall {
+        /// Which drone.
+        drone: usize,
+        /// How near the wall is, m.
+        got: f64,
+        /// The radius of the safe zone, m.
+        expected: f64,
+    },
+}
+
+fn within(rng: &mut Rng, low: f64, high: f64) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}
+
+/// A place that is taken: middle, radius, and whether it reaches from the floor to the sky.
+struct Taken {
+    middle: Vector3<f64>,
+    radius: f64,
+}
+
+impl ObstacleConfig {
+    /// Most obstacles of a field.
+    pub const MAX_COUNT: usize = 2000;
+
+    /// The defaults of a kind.
+    pub fn new(kind: ObstacleKind) -> Self {
+        Self { kind, ..Self::default() }
+    }
+
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`FieldError::Option`].
+    pub fn validate(&self) -> Result<(), FieldError> {
+        let check = |field, got: f64, least: f64, most: f64, expected| {
+            if (least..=most).contains(&got) { Ok(()) } else { Err(FieldError::Option { field, got, expected }) }
+        };
+        check("count", self.count as f64, 0.0, Self::MAX_COUNT as f64, "0 to 2000")?;
+        for side in self.arena {
+            check("arena", side, 0.5, 1e3, "sides of 0.5 to 1000 m")?;
+        }
+        check("spacing", self.spacing, 0.0, 1e3, "0 to 1000 m")?;
+        check("safe_zone", self.safe_zone, 0.0, 1e3, "0 to 1000 m")
+    }
+
+    /// Places them, around drones that start at these positions (world frame, m). The shapes are the same, in the same order,
+    /// whatever is drawn.
+    ///
+    /// # Errors
+    /// [`FieldError`].
+    pub fn generate(&self, starts: &[[f64; 3]], rng: &mut Rng) -> Result<Vec<Obstacle>, FieldError> {
+        self.validate()?;
+        let starts: Vec<_> = starts.iter().map(|&start| Vector3::from(start)).collect();
+        if self.kind == ObstacleKind::Custom {
+            return Ok(self.custom.clone());
+        }
+        let mut fixed = Vec::new();
+        if self.kind == ObstacleKind::Indoor {
+            fixed = self.room(&starts, rng)?;
+        }
+        let mut best = 0;
+        // a full arena may need another beginning
+        for _ in 0..30 {
+            match self.scatter(&starts, &fixed, rng) {
+                Ok(obstacles) => return Ok(fixed.into_iter().chain(obstacles).collect()),
+                Err(placed) => best = best.max(placed),
+            }
+        }
+        Err(FieldError::Full {
+            placed: best,
+            asked: self.count,
+            arena: self.arena,
+            spacing: self.spacing,
+            safe_zone: self.safe_zone,
+        })
+    }
+
+    /// One after the other, each where there is room; how many were placed where there was none for the next.
+    fn scatter(&self, starts: &[Vector3<f64>], walls: &[Obstacle], rng: &mut Rng) -> Result<Vec<Obstacle>, usize> {
+        let mut taken: Vec<Taken> = Vec::with_capacity(self.count);
+        let mut obstacles = Vec::new();
+        for index in 0..self.count {
+            let mut found = None;
+            for _ in 0..100 {
+                let (parts, middle, radius) = self.draw(index, rng);
+                let apart = |other: &Taken| {
+                    let way = middle - other.middle;
+                    // only what hangs in the air has others above and below it
+                    let distance = if self.kind == ObstacleKind::Random { way.norm() } else { way.xy().norm() };
+                    distance >= radius + other.radius + self.spacing
+                };
+                let clear_of =
+                    |start: &Vector3<f64>| parts.iter().all(|part: &Obstacle| part.distance(start) >= self.safe_zone);
+                let off_walls = |wall: &Obstacle| wall.distance(&middle) >= radius + self.spacing;
+                if taken.iter().all(apart) && starts.iter().all(clear_of) && walls.iter().all(off_walls) {
+                    taken.push(Taken { middle, radius });
+                    found = Some(parts);
+                    break;
+                }
+            }
+            match found {
+                Some(parts) => obstacles.extend(parts),
+                None => return Err(index),
+            }
+        }
+        Ok(obstacles)
+    }
+
+    /// One more of its kind somewhere in the arena: its parts, its middle and how far it reaches from there (sideways, for
+    /// what stands on the floor).
+    fn draw(&self, index: usize, rng: &mut Rng) -> (Vec<Obstacle>, Vector3<f64>, f64) {
+        let [length, width, height] = self.arena;
+        let shade = within(rng, 0.85, 1.15);
+        let tint = |rgb: [f64; 3]| {
+            let [r, g, b] = rgb.map(|x| (x * shade).min(1.0));
+            [r, g, b, 1.0]
+        };
+        let place = |reach: f64, rng: &mut Rng| {
+            let (x, y) = ((0.5 * length - reach).max(0.0), (0.5 * width - reach).max(0.0));
+            [within(rng, -x, x), within(rng, -y, y)]
+        };
+        let solid = |shape, position: Vector3<f64>, rpy, rgba| Obstacle { shape, position, rpy, rgba };
+        match self.kind {
+            ObstacleKind::Forest => {
+                let radius = within(rng, 0.03, 0.08);
+                let half_height = 0.5 * height * within(rng, 0.7, 1.0);
+                let [x, y] = place(radius, rng);
+                let middle = Vector3::new(x, y, half_height);
+                let trunk = Shape::Cylinder { radius, half_height };
+                (vec![solid(trunk, middle, Vector3::zeros(), tint([0.42, 0.29, 0.18]))], middle, radius)
+            }
+            ObstacleKind::Urban | ObstacleKind::Indoor => {
+                let indoor = self.kind == ObstacleKind::Indoor;
+                let (least, most) = if indoor { (0.08, 0.2) } else { (0.1, 0.25) };
+                let half = [within(rng, least, most), within(rng, least, most)];
+                let half_height = 0.5 * height * if indoor { within(rng, 0.1, 0.45) } else { within(rng, 0.3, 1.0) };
+                let radius = half[0].hypot(half[1]);
+                let [x, y] = place(radius, rng);
+                let middle = Vector3::new(x, y, half_height);
+                let yaw = if indoor { within(rng, -3.0, 3.0) } else { 0.0 };
+                let block = Shape::Box { half_size: [half[0], half[1], half_height] };
+                let colour = if indoor { tint([0.55, 0.42, 0.3]) } else { tint([0.6, 0.62, 0.66]) };
+                (vec![solid(block, middle, Vector3::new(0.0, 0.0, yaw), colour)], middle, radius)
+            }
+            ObstacleKind::Gates => {
+                // an opening of half a metre
+                let (inside, bar) = (0.25, 0.02);
+                let outside = inside + 2.0 * bar;
+                let radius = outside + bar;
+                let [x, y] = place(radius, rng);
+                let middle = Vector3::new(x, y, within(rng, outside, (height - outside).max(outside)));
+                let yaw = within(rng, -3.0, 3.0);
+                let left = Vector3::new(-f64::sin(yaw), f64::cos(yaw), 0.0);
+                let rpy = Vector3::new(0.0, 0.0, yaw);
+                let reach = inside + bar;
+                let bars = [
+                    (left * reach, [bar, bar, outside]),
+                    (left * -reach, [bar, bar, outside]),
+                    (Vector3::z() * reach, [bar, inside, bar]),
+                    (Vector3::z() * -reach, [bar, inside, bar]),
+                ];
+                let colour = tint([0.85, 0.35, 0.12]);
+                let parts = bars
+                    .map(|(offset, half_size)| solid(Shape::Box { half_size }, middle + offset, rpy, colour))
+                    .to_vec();
+                (parts, middle, radius)
+            }
+            ObstacleKind::Random | ObstacleKind::Custom => {
+                let size = within(rng, 0.06, 0.15);
+                let (shape, colour) = match index % 4 {
+                    0 => (
+                        Shape::Box { half_size: [size, within(rng, 0.06, 0.15), within(rng, 0.06, 0.15)] },
+                        [0.2, 0.45, 0.7],
+                    ),
+                    1 => (Shape::Sphere { radius: size }, [0.8, 0.3, 0.25]),
+                    2 => (Shape::Cylinder { radius: size, half_height: within(rng, 0.06, 0.2) }, [0.3, 0.6, 0.35]),
+                    _ => (Shape::Capsule { radius: size, half_height: within(rng, 0.05, 0.15) }, [0.8, 0.65, 0.2]),
+                };
+                let radius = shape.reach();
+                let [x, y] = place(radius, rng);
+                let middle = Vector3::new(x, y, within(rng, radius, (height - radius).max(radius)));
+                let rpy = Vector3::from_fn(|_, _| within(rng, -3.0, 3.0));
+                (vec![solid(shape, middle, rpy, tint(colour))], middle, radius)
+            }
+        }
+    }
+
+    /// Walls around the arena, and across it wherever 1.5 m are left, with a doorway of 0.8 m.
+    fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Vec<Obstacle>, FieldError> {
+        const THICKNESS: f64 = 0.03;
+        const DOORWAY: f64 = 0.8;
+        let [length, width, height] = self.arena;
+        let wall = |x: f64, y: f64, half: [f64; 2]| Obstacle {
+            shape: Shape::Box { half_size: [half[0], half[1], 0.5 * height] },
+            position: Vector3::new(x, y, 0.5 * height),
+            rpy: Vector3::zeros(),
+            rgba: [0.8, 0.78, 0.72, 1.0],
+        };
+        let (out_x, out_y) = (0.5 * length + THICKNESS, 0.5 * width + THICKNESS);
+        let mut walls = vec![
+            wall(out_x, 0.0, [THICKNESS, out_y]),
+            wall(-out_x, 0.0, [THICKNESS, out_y]),
+            wall(0.0, out_y, [out_x, THICKNESS]),
+            wall(0.0, -out_y, [out_x, THICKNESS]),
+        ];
+        let near = |walls: &[Obstacle], start: &Vector3<f64>| {
+            walls.iter().map(|wall| wall.distance(start)).fold(f64::INFINITY, f64::min)
+        };
+        for (drone, start) in starts.iter().enumerate() {
+            let got = near(&walls, start);
+            if got < self.safe_zone {
+                return Err(FieldError::Wall { drone, got, expected: self.safe_zone });
+            }
+        }
+        let rooms = ((length / 1.5) as usize).clamp(1, 6);
+        let wide = width > DOORWAY + 0.4;
+        for partition in 1..if wide { rooms } else { 1 } {
+            let mut pair = Vec::new();
+            for attempt in 0..200 {
+                // about its share of the length, further from it the longer there is no room
+                let spread = 0.1 + 0.4 * f64::from(attempt) / 200.0;
+                let x = length * (partition as f64 / rooms as f64 - 0.5) + within(rng, -spread, spread);
+                let door = within(rng, -0.5 * width + 0.2, 0.5 * width - 0.2 - DOORWAY);
+                let (below, above) = (door + 0.5 * width, 0.5 * width - door - DOORWAY);
+                pair = vec![
+                    wall(x, -0.5 * width + 0.5 * below, [THICKNESS, 0.5 * below]),
+                    wall(x, 0.5 * width - 0.5 * above, [THICKNESS, 0.5 * above]),
+                ];
+                if starts.iter().all(|start| near(&pair, start) >= self.safe_zone) {
+                    break;
+                }
+            }
+            for (drone, start) in starts.iter().enumerate() {
+                let got = near(&pair, start);
+                if got < self.safe_zone {
+                    return Err(FieldError::Wall { drone, got, expected: self.safe_zone });
+                }
+            }
+            walls.extend(pair);
+        }
+        Ok(walls)
+    }
+}

@@ -1,0 +1,283 @@
+//! Obstacles keep their distance, move in place, are met where they stand, and are seen.
+
+use mujoco_drones_gym::engine::{Contact, Touched};
+use mujoco_drones_gym::env::{EndReason, check_env, check_independence};
+use mujoco_drones_gym::mujoco::{Error, Model, gl_info};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::sensing::{RangeConfig, Rangefinder};
+use mujoco_drones_gym::tasks::NAMES;
+use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::world::{DroneBody, Obstacle, ObstacleConfig, ObstacleKind, Shape, World};
+use mujoco_drones_gym::{Rng, SeedableRng};
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+const KINDS: [ObstacleKind; 5] =
+    [ObstacleKind::Forest, ObstacleKind::Urban, ObstacleKind::Indoor, ObstacleKind::Random, ObstacleKind::Gates];
+
+/// A field of each kind that has room for what is in it.
+fn config(kind: ObstacleKind) -> ObstacleConfig {
+    let count = if kind == ObstacleKind::Gates { 4 } else { 10 };
+    ObstacleConfig { count, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(kind) }
+}
+
+fn world(obstacles: Vec<Obstacle>, start: [f64; 3]) -> World {
+    let drone = DroneBody { params: DroneModel::Cf2x.params(), position: start.into(), rpy: Vector3::zeros() };
+    World { obstacles, ..World::new(vec![drone]) }
+}
+
+#[test]
+fn a_thousand_seeds_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
+    let starts = [[0.0, 0.0, 0.1], [0.6, -0.3, 1.0]];
+    for kind in KINDS {
+        let config = config(kind);
+        let mut shapes = None;
+        for seed in 0..1000 {
+            let obstacles = config.generate(&starts, &mut Rng::seed_from_u64(seed)).unwrap();
+            for (start, obstacle) in starts.iter().flat_map(|start| obstacles.iter().map(move |o| (start, o))) {
+                let gap = obstacle.distance(&Vector3::from(*start));
+                assert!(gap >= config.safe_zone - 1e-9, "{kind:?} seed {seed}: {gap} m from a drone");
+            }
+            // parts of one thing: four bars of a gate; walls may meet
+            let (parts, walls) = match kind {
+                ObstacleKind::Gates => (4, 0),
+                ObstacleKind::Indoor => (1, obstacles.len() - config.count),
+                _ => (1, 0),
+            };
+            let things: Vec<_> = obstacles[walls..].chunks(parts).collect();
+            for (i, one) in things.iter().enumerate() {
+                for other in &things[..i] {
+                    for (a, b) in one.iter().flat_map(|a| other.iter().map(move |b| (a, b))) {
+                        // no corner of one is nearer to the other than the spacing
+                        let gap = b.distance(&a.position) - a.shape.reach();
+                        let bound = (a.position - b.position).xy().norm() - a.shape.reach() - b.shape.reach();
+                        assert!(gap.max(bound) > -2.5, "{kind:?}");
+                        if let Shape::Cylinder { radius, .. } = a.shape
+                            && kind == ObstacleKind::Forest
+                        {
+                            assert!(
+                                b.distance(&Vector3::new(a.position.x, a.position.y, b.position.z)) - radius
+                                    >= config.spacing - 1e-9
+                            );
+                        }
+                        if kind == ObstacleKind::Random {
+                            assert!(
+                                (a.position - b.position).norm()
+                                    >= a.shape.reach() + b.shape.reach() + config.spacing - 1e-9
+                            );
+                        }
+                        if kind == ObstacleKind::Urban {
+                            let (Shape::Box { half_size: s }, Shape::Box { half_size: t }) = (a.shape, b.shape) else {
+                                panic!()
+                            };
+                            let gap = (a.position - b.position).xy().norm() - s[0].hypot(s[1]) - t[0].hypot(t[1]);
+                            assert!(gap >= config.spacing - 1e-9, "seed {seed}: {gap}");
+                        }
+                    }
+                }
+            }
+            let kinds: Vec<_> = obstacles.iter().map(|o| std::mem::discriminant(&o.shape)).collect();
+            assert_eq!(*shapes.get_or_insert_with(|| kinds.clone()), kinds, "the same shapes in the same order");
+            if seed % 20 == 0 {
+                let world = world(obstacles, starts[0]);
+                Model::from_xml(&world.to_mjcf().unwrap()).unwrap();
+                Model::from_xml(&world.to_whole_mjcf().unwrap()).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn too_many_and_impossible_ones_are_refused() {
+    let refused = |config: ObstacleConfig, text: &str| {
+        let error = config.generate(&[[0.0; 3]], &mut Rng::seed_from_u64(1)).unwrap_err().to_string();
+        assert!(error.contains(text) && !error.contains('\n'), "{error}");
+    };
+    refused(
+        ObstacleConfig { count: 500, ..config(ObstacleKind::Forest) },
+        "of 500 obstacles fit into [4.0, 4.0, 2.0] m",
+    );
+    refused(ObstacleConfig { spacing: f64::NAN, ..config(ObstacleKind::Urban) }, "spacing is NaN");
+    refused(ObstacleConfig { arena: [0.1, 1.0, 1.0], ..config(ObstacleKind::Urban) }, "arena is 0.1");
+    refused(ObstacleConfig { safe_zone: 3.0, ..config(ObstacleKind::Indoor) }, "wall of the room is 2.000 m");
+    let env = Hover::builder().obstacle_field(ObstacleConfig { count: 5000, ..ObstacleConfig::default() }).build();
+    assert!(env.unwrap_err().to_string().contains("count is 5000"));
+}
+
+proptest! {
+    /// The distance from a surface is the length of the ray that goes straight to it, and no ray is shorter.
+    #[test]
+    fn distances_are_those_of_rays(
+        kind in 0..4_usize, size in prop::array::uniform3(0.1..0.5f64), rpy in prop::array::uniform3(-3.0..3.0f64),
+        at in prop::array::uniform3(-2.0..2.0f64), directions in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 30),
+    ) {
+        let shape = match kind {
+            0 => Shape::Box { half_size: size },
+            1 => Shape::Sphere { radius: size[0] },
+            2 => Shape::Cylinder { radius: size[0], half_height: size[1] },
+            _ => Shape::Capsule { radius: size[0], half_height: size[1] },
+        };
+        let obstacle = Obstacle { rpy: rpy.into(), ..Obstacle::new(shape, Vector3::new(0.3, -0.2, 3.0)) };
+        let here = obstacle.position + Vector3::from(at);
+        let distance = obstacle.distance(&here);
+        prop_assume!(distance > 0.05);
+        // the gradient leads away from the nearest point
+        let h = 1e-6;
+        let gradient = Vector3::from_fn(|axis, _| {
+            let mut step = Vector3::zeros();
+            step[axis] = h;
+            (obstacle.distance(&(here + step)) - obstacle.distance(&(here - step))) / (2.0 * h)
+        });
+        let rays = directions.iter().copied().chain([(-gradient).into()]).filter(|d| Vector3::from(*d).norm() > 0.1).collect();
+        let mut finder = Rangefinder::new(&world(vec![obstacle], here.into()), &RangeConfig { directions: rays, max_range: 50.0 }).unwrap();
+        let mut out = vec![0.0; finder.rays()];
+        finder.measure(&[DroneState::at_rest(here, Vector3::zeros())], &mut out).unwrap();
+        prop_assert!((out[out.len() - 1] - distance).abs() < 1e-3 || gradient.norm() < 0.99, "{} {distance}", out[out.len() - 1]);
+        let floor = here.z;
+        prop_assert!(out.iter().all(|ray| *ray > distance.min(floor) - 1e-6), "{out:?} {distance}");
+    }
+}
+
+/// Flies straight ahead into whatever is there; contacts and the states after so many steps.
+fn charge(simulation: &mut Simulation, speed: f64, steps: usize) -> (Vec<Contact>, DroneState) {
+    let start = simulation.initial_states()[0];
+    simulation.reset_to(&[DroneState { velocity: Vector3::new(speed, 0.0, 0.0), ..start }]).unwrap();
+    let hover = DroneModel::Cf2x.params().hover_rpm();
+    let mut met = Vec::new();
+    for _ in 0..steps {
+        simulation.step(&[[hover; 4]]).unwrap();
+        met.extend(simulation.contacts().iter().copied().filter(|c| !met.contains(c)).collect::<Vec<_>>());
+    }
+    (met, simulation.states()[0])
+}
+
+/// In a forest of 200 trees a drone meets the very tree that it would meet if that one stood there alone.
+#[test]
+fn among_two_hundred_trees_the_near_ones_are_met_as_if_they_stood_alone() {
+    let forest = ObstacleConfig { count: 200, arena: [12.0, 12.0, 2.0], ..ObstacleConfig::default() };
+    let start = [0.0, 0.0, 1.0];
+    let mut struck = 0;
+    for seed in 0..12 {
+        let trees = forest.generate(&[start], &mut Rng::seed_from_u64(seed)).unwrap();
+        let build = |trees: Vec<Obstacle>| {
+            Simulation::builder(DroneModel::Cf2x).initial_positions([start]).obstacles(trees).build().unwrap()
+        };
+        let mut crowded = build(trees.clone());
+        let (met, end) = charge(&mut crowded, 4.0, 60);
+        let Some(Touched::Obstacle(first)) = met.first().map(|contact| contact.with) else { continue };
+        struck += 1;
+        // those that stand about the way, and no others
+        let mut near: Vec<_> = (0..200).collect();
+        near.sort_by(|&a, &b| trees[a].distance(&end.position).total_cmp(&trees[b].distance(&end.position)));
+        near.truncate(9);
+        if !near.contains(&first) {
+            near.push(first);
+        }
+        let mut few = build(near.iter().map(|&index| trees[index]).collect());
+        let (alone, same) = charge(&mut few, 4.0, 60);
+        let named: Vec<_> = alone
+            .iter()
+            .map(|contact| match contact.with {
+                Touched::Obstacle(index) => Touched::Obstacle(near[index]),
+                other => other,
+            })
+            .collect();
+        assert_eq!(named, met.iter().map(|contact| contact.with).collect::<Vec<_>>(), "seed {seed}");
+        assert!((same.position - end.position).norm() < 1e-9, "seed {seed}: {} {}", same.position, end.position);
+        // and again, whatever the first flight has left
+        assert_eq!(charge(&mut crowded, 4.0, 60), (met, end));
+    }
+    assert!(struck >= 4, "{struck} of 12 flights hit a tree");
+}
+
+#[test]
+fn a_layout_moved_in_place_is_the_one_compiled_afresh() {
+    for (kind, count) in [(ObstacleKind::Random, 8), (ObstacleKind::Random, 60), (ObstacleKind::Forest, 40)] {
+        let config = ObstacleConfig { count, arena: [6.0, 6.0, 2.0], ..ObstacleConfig::new(kind) };
+        let start = [0.0, 0.0, 0.9];
+        let layout = |seed| config.generate(&[start], &mut Rng::seed_from_u64(seed)).unwrap();
+        let build = |obstacles| {
+            Simulation::builder(DroneModel::Cf2x).initial_positions([start]).obstacles(obstacles).build().unwrap()
+        };
+        let mut moved = build(layout(1));
+        charge(&mut moved, 3.0, 40);
+        for seed in 2..6 {
+            moved.set_obstacles(&layout(seed)).unwrap();
+            let fresh = &mut build(layout(seed));
+            assert_eq!(charge(&mut moved, 3.0, 60), charge(fresh, 3.0, 60), "{kind:?} {count} seed {seed}");
+            assert_eq!(moved.obstacle_distance(0), fresh.obstacle_distance(0));
+        }
+        let mut wrong = layout(1);
+        wrong[0].shape = Shape::Capsule { radius: 0.1, half_height: 0.1 };
+        wrong[0].position.x = f64::NAN;
+        assert!(moved.set_obstacles(&wrong).unwrap_err().to_string().contains("obstacle 0"));
+        assert!(moved.set_obstacles(&wrong[1..]).is_err());
+    }
+}
+
+#[test]
+fn every_task_keeps_its_contract_among_obstacles_that_move_and_are_measured() {
+    for name in NAMES {
+        let field = ObstacleConfig {
+            count: 30,
+            arena: [10.0, 10.0, 2.0],
+            safe_zone: 0.5,
+            new_layout: true,
+            ..ObstacleConfig::new(ObstacleKind::Random)
+        };
+        let config = EnvConfig::default()
+            .obstacle_field(field)
+            .observation_type(ObservationType::KIN_RANGES)
+            .episode_seconds(2.0);
+        let build = || make(name, config.clone()).unwrap();
+        check_env(&mut *build()).unwrap_or_else(|error| panic!("{error}"));
+        check_independence(&mut *build(), &mut *build()).unwrap();
+    }
+}
+
+#[test]
+fn an_obstacle_touched_ends_the_episode_and_what_is_measured_says_how_near_it_was() {
+    let wall = Obstacle::new(Shape::Box { half_size: [0.1, 2.0, 1.0] }, Vector3::new(1.0, 0.0, 1.0));
+    let mut env = Hover::builder()
+        .initial_positions([[0.0, 0.0, 1.0]])
+        .initial_velocities([[2.0, 0.0, 0.0]])
+        .obstacles([wall])
+        .observation_type(ObservationType::KIN_RANGES)
+        .build()
+        .unwrap();
+    let seen = env.reset(None).unwrap();
+    assert!((seen.obstacle[0] - 0.9).abs() < 1e-12 && (seen.ranges[0] - 0.9).abs() < 1e-9, "{:?}", seen.ranges);
+    assert!((seen.ranges[9] - 1.0).abs() < 1e-9 && (seen.ranges[8] - 5.0).abs() < 1e-9, "floor below, nothing above");
+    assert!((seen.ranges[1] - 0.9 * 2_f64.sqrt()).abs() < 1e-9, "and at 45°");
+    while env.info().end.is_none() {
+        let seen = &env.step(&[0.0; 4]).unwrap().observation;
+        assert!(seen.obstacle[0] > 0.0);
+    }
+    assert_eq!(env.info().end, Some(EndReason::ObstacleContact));
+    assert!(env.observation().obstacle[0] < 0.07);
+}
+
+#[test]
+fn what_has_moved_is_drawn_where_it_is() {
+    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+        return;
+    }
+    let config = ObstacleConfig { count: 3, ..ObstacleConfig::new(ObstacleKind::Random) };
+    let layout = |seed| config.generate(&[[0.0, 0.0, 1.0]], &mut Rng::seed_from_u64(seed)).unwrap();
+    let size = ImageSize { width: 160, height: 120 };
+    let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 1.0), Vector3::zeros());
+    let draw = |painter: &mut Painter| {
+        painter.update(&[state]).unwrap();
+        let mut rgb = vec![0; 3 * size.pixels()];
+        painter.rgb(View::Fixed, size, &mut rgb).unwrap();
+        rgb
+    };
+    let painter = |seed| Painter::for_observations(&world(layout(seed), [0.0, 0.0, 1.0])).unwrap();
+    let mut moved = painter(1);
+    let before = draw(&mut moved);
+    for seed in 2..4 {
+        moved.set_obstacles(&layout(seed)).unwrap();
+        let after = draw(&mut moved);
+        assert!(after != before && after == draw(&mut painter(seed)), "seed {seed}");
+    }
+}
