@@ -6,9 +6,11 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
+use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::world::{DroneBody, World};
+use mujoco_drones_gym::world::{DroneBody, ObstacleConfig, World};
 use nalgebra::Vector3;
 
 /// Where a drone of a swarm hovers: half a metre apart, at heights that differ by a little. Neighbours are in each
@@ -135,6 +137,60 @@ fn ratios() {
     }
 }
 
+/// A hover step under conditions over the plain one, and steps among obstacles over those of an empty world.
+#[allow(clippy::print_stdout)]
+fn conditions() {
+    let config = || EnvConfig::default().initial_positions([place(0)]).episode_seconds(1e6);
+    let hover = |config: EnvConfig| {
+        let mut env = config.with_task(Hover::default()).task(|t| t.max_height = 1e9).build().expect("a task");
+        env.reset(Some(1)).expect("a reset");
+        env
+    };
+    let sensors_and_more = Randomization { initial: None, environment: None, ..Randomization::default() };
+    let wind = WindConfig::new(WindModel::Combined);
+    let forest = |count: usize, new_layout: bool| {
+        let arena = [16.0, 16.0, 10.0];
+        ObstacleConfig { count, arena, safe_zone: 0.5, new_layout, ..ObstacleConfig::default() }
+    };
+    let low = || config().initial_positions([[0.0, 0.0, 1.0]]);
+    println!("Hover::step under conditions over the plain one");
+    for (name, config) in [
+        ("combined wind", config().wind(wind)),
+        ("randomization", config().randomization(sensors_and_more)),
+        ("20 trees", low().obstacle_field(forest(20, false))),
+        ("200 trees", low().obstacle_field(forest(200, false))),
+    ] {
+        let (mut under, mut plain) = (hover(config), hover(if name.contains("tree") { low() } else { self::plain() }));
+        let (under, plain) = (std::cell::RefCell::new(&mut under), std::cell::RefCell::new(&mut plain));
+        let step = |env: &std::cell::RefCell<&mut Aviary<Hover>>| {
+            black_box(env.borrow_mut().step(&[0.0; 4]).expect("a step").reward);
+        };
+        let restart = || {
+            under.borrow_mut().reset(Some(1)).expect("a reset");
+            plain.borrow_mut().reset(Some(1)).expect("a reset");
+        };
+        println!("{name:>14}: {:.3}", ratio(40, restart, || step(&under), || step(&plain)));
+    }
+    for count in [20, 200] {
+        let mut env = hover(low().obstacle_field(forest(count, true)));
+        let start = Instant::now();
+        for seed in 0..200 {
+            env.reset(Some(seed)).expect("a reset");
+        }
+        println!("reset into a new layout of {count} trees: {:.0} µs", start.elapsed().as_secs_f64() / 200.0 * 1e6);
+    }
+    let mut env = hover(config().randomization(Randomization::default()));
+    let start = Instant::now();
+    for seed in 0..1000 {
+        env.reset(Some(seed)).expect("a reset");
+    }
+    println!("reset into a new draw: {:.1} µs", start.elapsed().as_secs_f64() / 1000.0 * 1e6);
+}
+
+fn plain() -> EnvConfig {
+    EnvConfig::default().initial_positions([place(0)]).episode_seconds(1e6)
+}
+
 fn timings(c: &mut Criterion) {
     let mut bare = Bare::new(1);
     c.bench_function("five bare mj_step, 1 drone", |b| b.iter(|| bare.steps(5)));
@@ -151,6 +207,7 @@ criterion_group!(benches, timings);
 
 fn main() {
     ratios();
+    conditions();
     benches();
     Criterion::default().configure_from_args().final_summary();
 }

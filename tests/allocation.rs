@@ -2,8 +2,12 @@
 
 use allocation_counter::measure;
 use mujoco_drones_gym::control::{ControllerKind, trajectory};
+use mujoco_drones_gym::env::Randomization;
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks;
+use mujoco_drones_gym::world::ObstacleConfig;
+use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper};
 
 #[test]
 fn a_step_of_the_simulation_allocates_nothing_in_the_air_and_on_the_floor() {
@@ -87,4 +91,26 @@ fn no_task_allocates_in_a_step_or_a_reset() {
         });
         assert_eq!(allocations.count_total, 0, "{name}");
     }
+}
+
+#[test]
+fn wind_randomization_obstacles_and_a_curriculum_allocate_nothing_in_a_step() {
+    let field = ObstacleConfig { count: 60, arena: [8.0, 8.0, 2.0], new_layout: true, ..ObstacleConfig::default() };
+    let config = EnvConfig::default()
+        .initial_positions([[0.0, 0.0, 1.0]])
+        .wind(WindConfig::new(WindModel::Combined))
+        .randomization(Randomization::default())
+        .obstacle_field(field)
+        .observation_type(ObservationType::KIN_RANGES);
+    let env = config.with_task(Hover::default()).build().unwrap();
+    let easy = |_: &mut Aviary<Hover>, _: usize| Ok(());
+    let mut env = CurriculumWrapper::new(env, CurriculumConfig::default(), easy).unwrap();
+    env.reset(Some(1)).unwrap();
+    env.step(&[0.0; 4]).unwrap();
+    let allocations = measure(|| {
+        for _ in 0..8 {
+            env.step(&[0.02, 0.0, 0.01, 0.0]).unwrap();
+        }
+    });
+    assert_eq!(allocations.count_total, 0);
 }

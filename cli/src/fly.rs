@@ -24,6 +24,7 @@ use crate::pilot::Pilot;
   aviary fly --task hover
   aviary fly --task hover --drone race --out out/hover --json
   aviary fly --task hover --controller geometric --trajectory circle
+  aviary fly --task hover --wind combined --obstacles forest
   aviary fly --task hover --duration 3 --gif out/hover.gif --camera front")]
 pub struct Fly {
     #[command(flatten)]
@@ -250,6 +251,8 @@ impl Flight {
             "controller": self.controller.name(),
             "trajectory": options.trajectory,
             "seed": options.seed,
+            "wind": simulation.wind().map_or("none", |wind| wind.model.name()),
+            "obstacles": simulation.world().obstacles.len(),
             "success": self.info.success,
             "end": self.info.end.map(|end| end.name()),
             "reward": self.reward,

@@ -1,6 +1,6 @@
 //! Options that several commands share, and what they stand for.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::anyhow;
@@ -9,10 +9,12 @@ use aviary::control::trajectory::{self, Trajectory};
 use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::BuildError;
-use aviary::env::{Env, EnvConfig, EnvError};
+use aviary::env::{Conditions, Env, EnvConfig, EnvError};
 use aviary::physics::Physics;
+use aviary::physics::wind::{WindConfig, WindModel};
 use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
 use aviary::vision::ImageSize;
+use aviary::world::{ObstacleConfig, ObstacleKind};
 use aviary::wrappers::SafetyWrapper;
 use clap::Args;
 
@@ -41,6 +43,15 @@ pub struct FlightOptions {
     /// The flight starts at rest where it starts, and lasts as long as it does
     #[arg(long)]
     pub trajectory: Option<String>,
+    /// Wind: none, constant, gust, dryden, sinusoidal, combined
+    #[arg(long)]
+    pub wind: Option<String>,
+    /// Obstacles: forest, urban, indoor, random, gates
+    #[arg(long)]
+    pub obstacles: Option<String>,
+    /// TOML file with sections [wind], [obstacles] and [randomization]; --wind and --obstacles choose the kind in them
+    #[arg(long)]
+    pub config: Option<PathBuf>,
     /// Simulated seconds of an episode; the task's or the trajectory's by default
     #[arg(long, allow_negative_numbers = true)]
     pub duration: Option<f64>,
@@ -50,7 +61,7 @@ pub struct FlightOptions {
     /// Control rate, Hz
     #[arg(long, default_value_t = 48, allow_negative_numbers = true)]
     pub ctrl_freq: u32,
-    /// Seed of everything random: equal seeds give equal files (only velocity has something random by itself)
+    /// Seed of everything random: equal seeds give equal files
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     pub seed: u64,
 }
@@ -88,6 +99,34 @@ impl FlightOptions {
         Ok(trajectory::named(name))
     }
 
+    /// Wind, obstacles and randomization.
+    fn conditions(&self) -> Result<Conditions, Failure> {
+        let mut conditions = match &self.config {
+            Some(path) => Conditions::from_file(path).map_err(Failure::input)?,
+            None => Conditions::default(),
+        };
+        if let Some(name) = &self.wind {
+            let model = named::<WindModel>("wind", name, &WindModel::ALL.map(WindModel::name))?;
+            conditions.wind = Some(WindConfig { model, ..conditions.wind.unwrap_or_default() });
+        }
+        if let Some(name) = &self.obstacles {
+            let kinds: Vec<_> = ObstacleKind::ALL.into_iter().filter(|&kind| kind != ObstacleKind::Custom).collect();
+            one_of("obstacles", name, &kinds.iter().map(|kind| kind.name()).collect::<Vec<_>>())?;
+            let config = conditions.obstacles.take().unwrap_or_default();
+            let kind = kinds.into_iter().find(|kind| kind.name() == name).unwrap_or(config.kind);
+            // ten-centimetre trees fit everywhere, gates and rooms do not
+            let count = match kind {
+                ObstacleKind::Gates if self.config.is_none() => 4,
+                ObstacleKind::Forest => config.count,
+                _ if self.config.is_none() => 8,
+                _ => config.count,
+            };
+            let seed = if self.config.is_none() { self.seed } else { config.seed };
+            conditions.obstacles = Some(ObstacleConfig { kind, count, seed, ..config });
+        }
+        Ok(conditions)
+    }
+
     /// The environment they describe.
     pub fn environment(&self, trajectory: Option<&dyn Trajectory>) -> Result<Box<dyn Env>, Failure> {
         let summary = self.summary()?;
@@ -96,7 +135,8 @@ impl FlightOptions {
             .drone(drone(&self.drone)?)
             .physics(physics)
             .sim_freq(self.sim_freq)
-            .ctrl_freq(self.ctrl_freq);
+            .ctrl_freq(self.ctrl_freq)
+            .conditions(&self.conditions()?);
         if let Some(count) = self.num_drones {
             config = config.num_drones(count);
         }

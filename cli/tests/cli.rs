@@ -522,3 +522,50 @@ fn every_task_is_flown_to_success() {
     refused(&["fly", "--task", "hover", "--num-drones", "2"], 2, &["number of drones of hover is 2"]);
     refused(&["fly", "--task", "flythrough"], 2, &["did you mean `fly_through`"]);
 }
+
+#[test]
+fn wind_obstacles_and_randomization_are_flown_from_options_and_files() {
+    let fly = |more: &[&str]| {
+        let output = aviary(&[&["fly", "--task", "hover", "--controller", "geometric", "--json"][..], more].concat());
+        let error = String::from_utf8(output.stderr).unwrap();
+        (serde_json::from_slice::<Value>(&output.stdout).unwrap_or_else(|_| panic!("{more:?}: {error}")), output.status)
+    };
+    let (still, _) = fly(&[]);
+    for wind in ["constant", "gust", "dryden", "sinusoidal", "combined"] {
+        let (flight, status) = fly(&["--wind", wind, "--seed", "3"]);
+        assert!(status.success() && flight["wind"] == wind, "{flight}");
+        assert_ne!(flight["final_position_error"], still["final_position_error"], "{wind}");
+        assert_eq!(fly(&["--wind", wind, "--seed", "3"]).0["reward"], flight["reward"]);
+    }
+    for (kind, parts) in [("forest", 20), ("urban", 8), ("indoor", 14), ("random", 8), ("gates", 16)] {
+        let (flight, status) = fly(&["--obstacles", kind, "--duration", "1"]);
+        assert!(status.success() && flight["obstacles"] == parts, "{kind}: {flight}");
+    }
+    let directory = directory("conditions");
+    std::fs::create_dir_all(&directory).unwrap();
+    let path = directory.join("conditions.toml");
+    let write = |text: &str| std::fs::write(&path, text).unwrap();
+    write(
+        "[wind]\nmodel = \"constant\"\nvelocity = [2, 0, 0]\n[obstacles]\nkind = \"custom\"\n[[obstacles.custom]]\n\
+         shape = \"box\"\nsize = [0.1, 0.1, 1]\nposition = [1, 0, 1]\n[randomization.body]\nmass = [1.1, 1.1]\n",
+    );
+    let (flight, _) = fly(&["--config", text(&path)]);
+    assert_eq!((&flight["wind"], &flight["obstacles"]), (&"constant".into(), &1.into()));
+    assert_eq!(flight["info"]["drawn_mass"], 1.1);
+    assert!(flight["drones"][0]["final_position"][0].as_f64().unwrap() > 0.0, "downwind");
+    let refuse = |content: &str, texts: &[&str]| {
+        write(content);
+        refused(&["fly", "--task", "hover", "--config", text(&path)], 2, texts);
+    };
+    refuse("[wind]\nmodel = \"stormy\"\n", &["conditions.toml", "line 2"]);
+    refuse("[wind]\nturbulence = -1\n", &["conditions.toml", "turbulence is -1"]);
+    refuse("[obstacles]\nkind = \"forest\"\ncount = 900\n", &["of 900 obstacles fit"]);
+    refuse(
+        "[obstacles]\nkind = \"custom\"\n[[obstacles.custom]]\nshape = \"box\"\nsize = [1]\nposition = [0, 0, 0]\n",
+        &["1 sizes"],
+    );
+    refuse("[randomization.body]\nmass = [2, 1]\n", &["body.mass"]);
+    refused(&["fly", "--task", "hover", "--wind", "combine"], 2, &["did you mean `combined`"]);
+    refused(&["fly", "--task", "hover", "--obstacles", "forrest"], 2, &["did you mean `forest`"]);
+    refused(&["fly", "--task", "hover", "--config", "no.toml"], 2, &["no.toml: No such file"]);
+}

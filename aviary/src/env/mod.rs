@@ -3,6 +3,7 @@
 mod aviary;
 mod builder;
 mod checker;
+mod conditions;
 mod randomization;
 mod space;
 mod task;
@@ -10,6 +11,7 @@ mod task;
 pub use aviary::Aviary;
 pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
+pub use conditions::Conditions;
 pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, Draw, DroneDraw, EnvironmentRanges, InitialRanges, Randomization,
     Range, SensorRanges,

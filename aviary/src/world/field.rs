@@ -71,8 +71,10 @@ pub struct ObstacleConfig {
     pub new_layout: bool,
     /// Seed of the layout, where it is the same for all.
     pub seed: u64,
-    /// What stands around where the kind is [`Custom`](ObstacleKind::Custom).
-    #[serde(skip)]
+    /// What stands around where the kind is [`Custom`](ObstacleKind::Custom). In TOML `[[custom]]` with `shape` (`box`, `sphere`,
+    /// `cylinder`, `capsule`), `size` (half sizes; radius; radius and half height), `position`, `euler` (roll, pitch, yaw, rad)
+    /// and `rgba`.
+    #[serde(skip_serializing, deserialize_with = "custom")]
     pub custom: Vec<Obstacle>,
 }
 
@@ -89,6 +91,47 @@ impl Default for ObstacleConfig {
             custom: Vec::new(),
         }
     }
+}
+
+/// An obstacle in TOML.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CustomObstacle {
+    shape: CustomShape,
+    size: Vec<f64>,
+    #[serde(deserialize_with = "triple")]
+    position: [f64; 3],
+    #[serde(default, deserialize_with = "triple")]
+    euler: [f64; 3],
+    rgba: Option<[f64; 4]>,
+}
+
+#[derive(Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum CustomShape {
+    Box,
+    Sphere,
+    Cylinder,
+    Capsule,
+}
+
+fn custom<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<Obstacle>, D::Error> {
+    let read = |one: CustomObstacle| {
+        let shape = match (one.shape, &one.size[..]) {
+            (CustomShape::Box, &[x, y, z]) => Shape::Box { half_size: [x, y, z] },
+            (CustomShape::Sphere, &[radius]) => Shape::Sphere { radius },
+            (CustomShape::Cylinder, &[radius, half_height]) => Shape::Cylinder { radius, half_height },
+            (CustomShape::Capsule, &[radius, half_height]) => Shape::Capsule { radius, half_height },
+            (_, sizes) => {
+                let count = sizes.len();
+                let expected = "3 for a box, 1 for a sphere, 2 for a cylinder or capsule";
+                return Err(serde::de::Error::custom(format!("{count} sizes, expected {expected}")));
+            }
+        };
+        let plain = Obstacle::new(shape, one.position.into());
+        Ok(Obstacle { rpy: one.euler.into(), rgba: one.rgba.unwrap_or(plain.rgba), ..plain })
+    };
+    Vec::<CustomObstacle>::deserialize(deserializer)?.into_iter().map(read).collect()
 }
 
 /// Obstacles that cannot be placed.

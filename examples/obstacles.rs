@@ -1,0 +1,44 @@
+//! The paper's obstacle figure: a forest, a town, a room, things in the air and gates, each made from a seed.
+//!
+//! `cargo run --release --example obstacles -- [DIRECTORY] [SEED]` writes one PNG per kind (by default to `out/obstacles`).
+
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/obstacles".into()));
+    let seed: u64 = arguments.next().map_or(Ok(3), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+    let size = ImageSize { width: 640, height: 480 };
+    let mut picture = vec![0; 3 * size.pixels()];
+    for (kind, count) in [
+        (ObstacleKind::Forest, 25),
+        (ObstacleKind::Urban, 12),
+        (ObstacleKind::Indoor, 8),
+        (ObstacleKind::Random, 20),
+        (ObstacleKind::Gates, 5),
+    ] {
+        // a room is looked into from above its walls
+        let height = if kind == ObstacleKind::Indoor { 0.8 } else { 1.6 };
+        let field = ObstacleConfig { count, seed, arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
+        let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_field(field).build()?;
+        env.reset(Some(seed))?;
+        let mut painter = Painter::for_people(env.simulation().world())?;
+        painter.set_stage([0.0, 0.0, 0.4], 1.1);
+        painter.update(env.simulation().states())?;
+        painter.rgb(View::Fixed, size, &mut picture)?;
+        let path = directory.join(format!("{}.png", kind.name()));
+        std::fs::write(&path, png_rgb(size, &picture)?)?;
+        let nearest = env.simulation().obstacle_distance(0);
+        println!(
+            "{}: {} geoms, the nearest {nearest:.2} m away",
+            path.display(),
+            env.simulation().world().obstacles.len()
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,66 @@
+//! The paper's randomization figure: five draws of the same task, flown by the same controller.
+//!
+//! `cargo run --release --example randomization -- [DIRECTORY] [SECONDS]` writes `randomization.png` (the five trails, seen
+//! from the front) and `randomization.svg` (by default to `out/randomization`, 6 s), and prints what was drawn.
+
+use mujoco_drones_gym::env::Randomization;
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::plot::{Series, time_series};
+use mujoco_drones_gym::vision::Painter;
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/randomization".into()));
+    let seconds: f64 = arguments.next().map_or(Ok(6.0), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+    let colours = [[0.0, 0.45, 0.7], [0.84, 0.37, 0.0], [0.0, 0.62, 0.45], [0.8, 0.47, 0.65], [0.34, 0.71, 0.91]];
+
+    let config = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).episode_seconds(seconds);
+    let mut env = config.randomization(Randomization::default()).build()?;
+    let size = ImageSize { width: 800, height: 600 };
+    let mut painter = Painter::for_people(env.simulation().world())?;
+    let (mut heights, mut aside, mut trails) = (vec![], vec![], vec![]);
+    println!(
+        "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",
+        "draw", "mass", "thrust", "lag (ms)", "latency", "wind (m/s)", "end", "at the end"
+    );
+    for draw in 0..5 {
+        let mut controller = mujoco_drones_gym::control::DslPidControl::new(&DroneModel::Cf2x.params());
+        env.reset(Some(draw))?;
+        let (mut action, mut z, mut y, mut trail) = ([0.0; 4], vec![], vec![], vec![]);
+        while env.info().end.is_none() {
+            let state = env.simulation().states()[0];
+            let rpm = controller.control(1.0 / 48.0, &state, &env.reference(0)).rpm;
+            env.action_of_motor_speeds(&[rpm], &mut action)?;
+            env.step(&action)?;
+            trail.push(state.position);
+            z.push((env.info().time, state.position.z));
+            y.push((env.info().time, state.position.y));
+        }
+        let name = format!("draw {draw}");
+        heights.push(Series { name: name.clone(), points: z });
+        aside.push(Series { name, points: y });
+        trails.push(trail);
+        let (info, Some(drawn)) = (env.info(), env.draw()) else { continue };
+        let (drone, end) = (&drawn.drones[0], info.end.map_or("", |end| end.name()));
+        let wind = drawn.wind.map_or(0.0, |wind| nalgebra::Vector3::from(wind.velocity).norm());
+        let (lag, latency) = (1e3 * drone.actuators.lag, 1e3 * drone.actuators.latency);
+        let (mass, thrust, error) = (drone.mass, drone.thrust, 100.0 * info.position_error);
+        println!("{draw:>5}{mass:>8.2}{thrust:>8.2}{lag:>10.0}{latency:>6.0} ms{wind:>13.2}{end:>12}{error:>8.1} cm");
+    }
+    painter.set_stage([0.0, 0.0, 0.8], -0.1);
+    painter.update(env.simulation().states())?;
+    for (trail, [r, g, b]) in trails.iter().zip(colours) {
+        painter.add_line(trail, 0.004, [r, g, b, 1.0]);
+    }
+    let mut picture = vec![0; 3 * size.pixels()];
+    painter.rgb(View::Front, size, &mut picture)?;
+    let plot = time_series("Five draws of hover", &[("z (m)", heights), ("y (m)", aside)])?;
+    for (name, bytes) in [("randomization.svg", plot.into_bytes()), ("randomization.png", png_rgb(size, &picture)?)] {
+        std::fs::write(directory.join(name), bytes)?;
+        println!("{}", directory.join(name).display());
+    }
+    Ok(())
+}

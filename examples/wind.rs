@@ -1,0 +1,65 @@
+//! The paper's wind figure: a hover under combined wind, 0.9 m/s along +y and turbulence, by the paper's PID and by a
+//! controller with an integral.
+//!
+//! `cargo run --release --example wind -- [DIRECTORY] [SECONDS]` writes `wind.png` (the PID's flight with its trail and an
+//! arrow along the wind) and `wind.svg` (by default to `out/wind`, 20 s).
+
+use mujoco_drones_gym::control::{Bandwidths, GeometricControl};
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::plot::{Series, time_series};
+use mujoco_drones_gym::vision::{Decor, Painter};
+use nalgebra::Vector3;
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/wind".into()));
+    let seconds: f64 = arguments.next().map_or(Ok(20.0), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+
+    let wind = WindConfig::new(WindModel::Combined);
+    let config = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(seconds).wind(wind);
+    let params = DroneModel::Cf2x.params();
+    let integral = Bandwidths { integral: 0.1, ..Bandwidths::default() };
+    let mut controllers: [(&str, Box<dyn Controller>); 2] = [
+        ("the paper's PID", Box::new(PidControl::new(&params))),
+        ("SE(3) with an integral", Box::new(GeometricControl::with_bandwidths(&params, integral))),
+    ];
+    let size = ImageSize { width: 800, height: 600 };
+    let (mut lines, mut picture) = (vec![], vec![0; 3 * size.pixels()]);
+    for (name, controller) in &mut controllers {
+        let mut env = config.clone().build()?;
+        env.reset(Some(2))?;
+        let (mut action, mut trail, mut points) = ([0.0; 4], vec![], vec![]);
+        while env.info().end.is_none() {
+            let rpm = controller.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
+            env.action_of_motor_speeds(&[rpm], &mut action)?;
+            env.step(&action)?;
+            trail.push(env.simulation().states()[0].position);
+            points.push((env.info().time, env.simulation().states()[0].position.y));
+        }
+        let half = points.len() / 2;
+        let drift = points[half..].iter().map(|(_, y)| y).sum::<f64>() / (points.len() - half) as f64;
+        println!("{name}: {:.1} cm downwind on average over the second half", 100.0 * drift);
+        lines.push(Series { name: name.to_string(), points });
+        if lines.len() == 1 {
+            let mut painter = Painter::for_people(env.simulation().world())?;
+            painter.set_stage([0.0, 0.1, 1.0], -0.35);
+            painter.update(env.simulation().states())?;
+            let dots: Vec<_> = trail.iter().step_by(8).copied().collect();
+            painter.add_dots(&dots, 0.003, [1.0, 1.0, 1.0, 1.0]);
+            let (from, along) = (Vector3::new(0.0, -0.25, 1.15), Vector3::from(wind.velocity) * 0.25);
+            let arrow = Decor::Arrow { from: from.into(), to: (from + along).into(), radius: 0.008 };
+            painter.add(arrow, [0.0, 0.85, 0.95, 1.0]);
+            painter.rgb(View::Front, size, &mut picture)?;
+        }
+    }
+    let plot = time_series("Hover in combined wind", &[("y (m), downwind", lines)])?;
+    for (name, bytes) in [("wind.svg", plot.into_bytes()), ("wind.png", png_rgb(size, &picture)?)] {
+        std::fs::write(directory.join(name), bytes)?;
+        println!("{}", directory.join(name).display());
+    }
+    Ok(())
+}
