@@ -142,7 +142,11 @@ fn ratios() {
 fn conditions() {
     let config = || EnvConfig::default().initial_positions([place(0)]).episode_seconds(1e6);
     let hover = |config: EnvConfig| {
-        let mut env = config.with_task(Hover::default()).task(|t| t.max_height = 1e9).build().expect("a task");
+        let mut env = config
+            .with_task(Hover::default())
+            .task(|t| (t.max_height, t.crash.max_tilt) = (1e9, 9.0))
+            .build()
+            .expect("a task");
         env.reset(Some(1)).expect("a reset");
         env
     };
@@ -156,14 +160,21 @@ fn conditions() {
     println!("Hover::step under conditions over the plain one");
     for (name, config) in [
         ("combined wind", config().wind(wind)),
-        ("randomization", config().randomization(sensors_and_more)),
+        ("randomization", config().randomization(sensors_and_more.clone())),
+        ("sensors", config().randomization(Randomization { sensors: sensors_and_more.sensors, ..Randomization::NONE })),
+        ("body", config().randomization(Randomization { body: sensors_and_more.body, ..Randomization::NONE })),
+        (
+            "motors",
+            config().randomization(Randomization { actuators: sensors_and_more.actuators, ..Randomization::NONE }),
+        ),
         ("20 trees", low().obstacle_field(forest(20, false))),
         ("200 trees", low().obstacle_field(forest(200, false))),
     ] {
         let (mut under, mut plain) = (hover(config), hover(if name.contains("tree") { low() } else { self::plain() }));
         let (under, plain) = (std::cell::RefCell::new(&mut under), std::cell::RefCell::new(&mut plain));
         let step = |env: &std::cell::RefCell<&mut Aviary<Hover>>| {
-            black_box(env.borrow_mut().step(&[0.0; 4]).expect("a step").reward);
+            // turning a little: MuJoCo is quicker with a body that does not
+            black_box(env.borrow_mut().step(&[0.01, 0.0, -0.01, 0.0]).expect("a step").reward);
         };
         let restart = || {
             under.borrow_mut().reset(Some(1)).expect("a reset");

@@ -8,7 +8,7 @@ use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::NAMES;
-use mujoco_drones_gym::world::{DroneBody, World};
+use mujoco_drones_gym::world::{DroneBody, Obstacle, Shape, World};
 use mujoco_drones_gym::wrappers::{RandomizationWrapper, WindWrapper};
 use nalgebra::Vector3;
 
@@ -313,8 +313,8 @@ fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
     assert_eq!(env.draw().unwrap(), &draw);
     assert_eq!(env.info_map()["drawn_mass"], draw.drones[0].mass);
     env.set_randomization(None).unwrap();
-    assert!(env.draw().is_none());
     assert_eq!(flight(&mut env), nominal);
+    assert!(env.draw().is_none());
     assert_eq!(env.simulation().params(0), &DroneModel::Cf2x.params());
 }
 
@@ -334,4 +334,43 @@ fn impossible_ranges_are_refused_by_field_and_bad_toml_by_line() {
     };
     assert!(Hover::builder().randomization(config).build().is_err());
     assert!(ActuatorParams::default().validate().is_ok());
+}
+
+#[test]
+fn what_was_configured_comes_back_when_randomization_goes() {
+    let motors = ActuatorParams { lag: 0.03, ..ActuatorParams::default() };
+    let wind = WindConfig { velocity: [2.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+    let build = || Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).actuators(motors).wind(wind).build().unwrap();
+    let flight = |env: &mut Aviary<Hover>| {
+        env.reset(Some(4)).unwrap();
+        (0..30).map(|_| env.step(&[0.03; 4]).unwrap().observation.vector.clone()).collect::<Vec<_>>()
+    };
+    let (mut plain, mut env) = (build(), build());
+    let expected = flight(&mut plain);
+    for config in [Randomization::default(), only("[body]\n[environment]\nwind = [0, 0]\n")] {
+        env.set_randomization(Some(config)).unwrap();
+        env.reset(Some(1)).unwrap();
+        env.step(&[0.0; 4]).unwrap();
+        env.set_randomization(None).unwrap();
+        assert_eq!(flight(&mut env), expected);
+        assert_eq!(env.simulation().wind(), Some(&wind));
+    }
+}
+
+#[test]
+fn drones_that_stand_on_the_floor_or_beside_a_tree_start_in_neither() {
+    let tree = Obstacle::new(Shape::Cylinder { radius: 0.1, half_height: 1.0 }, Vector3::new(0.25, 0.0, 1.0));
+    let mut env = Hover::builder()
+        .initial_positions([[0.0, 0.0, 0.0151]])
+        .obstacles([tree])
+        .randomization(only("[initial]\n"))
+        .build()
+        .unwrap();
+    for seed in 0..300 {
+        env.reset(Some(seed)).unwrap();
+        let state = env.simulation().states()[0];
+        let tilt = state.tilt();
+        assert!(state.position.z > 0.015 * tilt.cos() + 0.06 * tilt.sin(), "seed {seed}");
+        assert!(env.simulation().obstacle_distance(0) > 0.06, "seed {seed}");
+    }
 }

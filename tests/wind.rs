@@ -36,8 +36,8 @@ fn a_drone_that_only_carries_its_weight_drifts_to_the_winds_velocity() {
                 let velocity = simulation.states()[0].velocity;
                 assert!((velocity - expected).norm() < 0.01, "{model} {physics} at {t} s: {velocity} {expected}");
             }
-            // after a minute most of it
-            assert!(simulation.states()[0].velocity.norm() > 9.0 * k.min(1.0));
+            // after a minute a good part of it
+            assert!(simulation.states()[0].velocity.norm() > 5.0);
         }
     }
 }

@@ -66,7 +66,9 @@ impl Rangefinder {
             joints.push(usize::try_from(address).expect("an address of a joint that exists"));
             bodies.push(model.find(&World::drone_name(index))?);
         }
-        Ok(Self { data: Data::new(model)?, joints, bodies, directions, max_range: config.max_range })
+        let mut finder = Self { data: Data::new(model)?, joints, bodies, directions, max_range: config.max_range };
+        finder.set_obstacles(&world.obstacles)?;
+        Ok(finder)
     }
 
     /// Rays per drone.

@@ -176,6 +176,10 @@ impl Painter {
         if effects.shadows {
             thin_blades(&mut model, world)?;
         }
+        for (index, obstacle) in world.obstacles.iter().enumerate() {
+            let geom: GeomId = model.find(&World::obstacle_name(index))?;
+            place_geom(&mut model.patch(), geom.index(), obstacle);
+        }
         let data = Data::new(model)?;
         let model = data.shared_model();
         let mut scene = Scene::new(model.clone(), 20_000)?;

@@ -119,7 +119,11 @@ impl MujocoEngine {
             .iter()
             .map(|drone| drone.params.collision_radius.hypot(drone.params.collision_height))
             .collect();
-        Ok(Self { data: Data::new(model)?, slots, owners, obstacles })
+        obstacles.near.reserve(obstacles.list.len());
+        let mut engine = Self { data: Data::new(model)?, slots, owners, obstacles };
+        // exactly where they are, also where the scene's text has them a little off (see `World::to_mjcf`)
+        engine.set_obstacles(&world.obstacles)?;
+        Ok(engine)
     }
 
     /// The MuJoCo simulation, to be read.
@@ -155,11 +159,11 @@ impl MujocoEngine {
     pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
         let (body, dof) = (self.slots[drone].body, self.slots[drone].velocity);
         let mut model = self.data.patch_model()?;
-        let old = model.body_mass_mut()[body];
         model.body_mass_mut()[body] = mass;
         model.body_inertia_mut()[3 * body..][..3].copy_from_slice(inertia.as_slice());
         model.body_subtreemass_mut()[body] = mass;
-        model.body_subtreemass_mut()[0] += mass - old;
+        let whole = model.body_subtreemass_mut();
+        whole[0] = whole[1..].iter().sum();
         let turning = inertia.map(|moment| 1.0 / moment).mean();
         model.body_invweight0_mut()[2 * body..][..2].copy_from_slice(&[1.0 / mass, turning]);
         model.dof_invweight0_mut()[dof..][..3].fill(1.0 / mass);
@@ -213,6 +217,7 @@ impl MujocoEngine {
     fn look_around(&mut self, states: &[DroneState]) -> Result<(), Error> {
         /// How far a drone goes before the next look, and how far it looks beyond that, m.
         const STRIDE: f64 = 0.1;
+        let ahead = (2.0 * self.data.model().timestep()).max(0.05);
         let field = &mut self.obstacles;
         let moved = |(state, from): (&DroneState, &Vector3<f64>)| (state.position - from).norm() > 0.5 * STRIDE;
         if field.looked_from.len() == states.len() && !states.iter().zip(&field.looked_from).any(moved) {
@@ -223,19 +228,38 @@ impl MujocoEngine {
         field.near.clear();
         for (index, obstacle) in field.list.iter().enumerate() {
             let reach = obstacle.shape.reach();
-            let gaps = states.iter().zip(&field.reaches).map(|(state, own)| {
-                // what a fast one travels in a step counts, too
-                let hurry = 0.05 * state.velocity.norm();
-                let apart = (state.position - obstacle.position).norm() - reach - own - hurry;
+            let mut nearest = f64::INFINITY;
+            for (state, own) in states.iter().zip(&field.reaches) {
+                // what a fast one travels until the next look counts, too
+                let within = STRIDE + ahead * state.velocity.norm();
                 // the ball around a long one says little
-                if apart < STRIDE { obstacle.distance(&state.position) - own - hurry } else { apart }
-            });
-            let gap = gaps.fold(f64::INFINITY, f64::min);
-            if gap < STRIDE {
-                field.near.push((gap, index));
+                if (state.position - obstacle.position).norm() - reach - own < within {
+                    let gap = obstacle.distance(&state.position) - own;
+                    if gap < within {
+                        nearest = nearest.min(gap);
+                    }
+                }
+            }
+            if nearest < f64::INFINITY {
+                field.near.push((nearest, index));
             }
         }
-        field.near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        field.near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        // the nearest of each shape, as many as there are geoms of it
+        let mut room = [0_usize; 4];
+        for slot in &field.slots {
+            room[slot.kind] += 1;
+        }
+        let (list, asked) = (&field.list, field.near.len());
+        field.near.retain(|&(_, index)| {
+            let room = &mut room[list[index].shape.kind()];
+            let fits = *room > 0;
+            *room = room.saturating_sub(1);
+            fits
+        });
+        if field.near.len() < asked {
+            tracing::debug!("{} obstacles are about and only the nearest {} are met", asked, field.near.len());
+        }
         // those that keep their geom keep it, so that little is written
         for slot in 0..self.obstacles.slots.len() {
             let held = self.obstacles.slots[slot].holds;
@@ -250,11 +274,8 @@ impl MujocoEngine {
                 continue;
             }
             let kind = field.list[obstacle].shape.kind();
-            match field.slots.iter().position(|slot| slot.holds.is_none() && slot.kind == kind) {
-                Some(slot) => self.fill_slot(slot, Some(obstacle))?,
-                None => tracing::warn!(
-                    "more obstacles within reach than the scene has geoms for: obstacle {obstacle} is left out"
-                ),
+            if let Some(slot) = field.slots.iter().position(|slot| slot.holds.is_none() && slot.kind == kind) {
+                self.fill_slot(slot, Some(obstacle))?;
             }
         }
         Ok(())
@@ -288,6 +309,9 @@ impl MujocoEngine {
     /// Puts the drones into these states and computes everything that follows from them.
     pub(super) fn show(&mut self, states: &[DroneState]) -> Result<&Data, Error> {
         self.write(states);
+        if self.obstacles.crowded {
+            self.look_around(states)?;
+        }
         self.data.forward()?;
         Ok(&self.data)
     }

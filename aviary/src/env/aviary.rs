@@ -11,7 +11,7 @@ use crate::sensing::Rangefinder;
 use crate::simulation::Simulation;
 use crate::state::DroneState;
 use crate::vision::{ImageSize, Painter, View};
-use crate::world::ObstacleConfig;
+use crate::world::{Obstacle, ObstacleConfig};
 
 /// A task made into an environment.
 #[derive(Debug)]
@@ -25,8 +25,12 @@ pub struct Aviary<T> {
     pub(super) episode_steps: u64,
     pub(super) rng: Rng,
     pub(super) randomizer: Option<Randomizer>,
+    /// What was said about randomization since the last reset.
+    pub(super) next_randomization: Option<Option<Randomization>>,
     /// Obstacles that are placed at random.
     pub(super) field: Option<ObstacleConfig>,
+    /// Where they were when the scene was compiled.
+    pub(super) first_layout: Vec<Obstacle>,
     pub(super) rangefinder: Option<Rangefinder>,
     pub(super) phase: Phase,
     /// Why the episode ended.
@@ -101,13 +105,14 @@ impl<T: Task> Aviary<T> {
     }
 
     /// Draws another layout of the obstacles, in place: the scene stays compiled. Where none can be found about these starts,
-    /// the old one stays.
+    /// it is the first one.
     fn move_obstacles(&mut self) -> Result<(), EnvError> {
         let starts: Vec<_> = self.simulation.states().iter().map(|state| state.position.into()).collect();
         let layout = self.field.as_ref().map(|field| field.generate(&starts, &mut self.rng));
-        let Some(Ok(obstacles)) = layout else {
-            tracing::warn!("no new layout of the obstacles was found");
-            return Ok(());
+        let obstacles = match layout {
+            Some(Ok(obstacles)) => obstacles,
+            // the same for every history
+            _ => self.first_layout.clone(),
         };
         self.simulation.set_obstacles(&obstacles)?;
         for painter in [&mut self.cameras, &mut self.painter].into_iter().flatten() {
@@ -123,6 +128,12 @@ impl<T: Task> Aviary<T> {
     pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
         if let Some(seed) = seed {
             self.rng = Rng::seed_from_u64(seed);
+        }
+        if let Some(next) = self.next_randomization.take() {
+            if let Some(old) = self.randomizer.take() {
+                old.undo(&mut self.simulation)?;
+            }
+            self.randomizer = next.map(|config| Randomizer::new(config, &self.simulation)).transpose()?;
         }
         match &mut self.randomizer {
             Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.rng)?,
@@ -314,10 +325,10 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
-        let randomizer = randomization.map(|config| Randomizer::new(config, &self.simulation)).transpose()?;
-        if let Some(old) = std::mem::replace(&mut self.randomizer, randomizer) {
-            old.undo(&mut self.simulation)?;
+        if let Some(config) = &randomization {
+            config.validate()?;
         }
+        self.next_randomization = Some(randomization);
         Ok(())
     }
 

@@ -294,6 +294,8 @@ impl<T: Task> AviaryBuilder<T> {
                 camera_size,
             },
             randomizer: self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
+            next_randomization: None,
+            first_layout: simulation.world().obstacles.clone(),
             field: self.field,
             rangefinder: kind.ranges.then(|| Rangefinder::new(simulation.world(), &self.rays)).transpose()?,
             cameras,

@@ -9,6 +9,7 @@ use crate::physics::wind::{WindConfig, WindModel};
 use crate::random::{Rng, normals};
 use crate::simulation::{Simulation, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy};
+use crate::world::Obstacle;
 
 /// Least and greatest value of a uniform draw.
 pub type Range = [f64; 2];
@@ -88,7 +89,7 @@ pub struct ActuatorRanges {
     pub max_rpm: Range,
 }
 
-/// What is seen of the state: standard deviations of noise that is drawn at every step, and of a bias that stays for the
+/// What is seen of the state (pictures and rays are exact): standard deviations of noise that is drawn at every step, and of a bias that stays for the
 /// episode, as a share of them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -113,7 +114,8 @@ pub struct SensorRanges {
 pub struct EnvironmentRanges {
     /// Factor on gravity.
     pub gravity: Range,
-    /// Speed of a [combined](WindModel::Combined) wind from any side, m/s.
+    /// Speed of a [combined](WindModel::Combined) wind from any side, m/s, in place of any other wind; `[0, 0]` leaves the wind
+    /// alone.
     pub wind: Range,
 }
 
@@ -310,6 +312,9 @@ pub(super) struct Randomizer {
     /// Whence the noise of the sensors comes.
     noise: Rng,
     nominal: Vec<DroneParams>,
+    /// How the motors and the wind were before.
+    motors: Vec<ActuatorParams>,
+    wind: Option<WindConfig>,
     measured: Vec<DroneState>,
 }
 
@@ -348,7 +353,9 @@ impl Randomizer {
         };
         let draw = Draw { gravity: 1.0, wind: None, sensor_latency: 0.0, drones: initial.iter().map(still).collect() };
         use rand::SeedableRng as _;
-        Ok(Self { config, draw, noise: Rng::seed_from_u64(0), nominal, measured: initial })
+        let motors = (0..nominal.len()).map(|drone| *simulation.actuator_params(drone)).collect();
+        let wind = simulation.wind().copied();
+        Ok(Self { config, draw, noise: Rng::seed_from_u64(0), nominal, motors, wind, measured: initial })
     }
 
     /// Draws an episode. Every group has the same number of draws whatever the others are.
@@ -405,15 +412,24 @@ impl Randomizer {
         if let Some(ranges) = &config.initial {
             for drone in 0..self.draw.drones.len() {
                 let start = simulation.initial_states()[drone];
-                let state = self.start(ranges, drone, &start, initial);
+                let obstacles = &simulation.world().obstacles;
+                let state = self.start(ranges, drone, &start, obstacles, initial);
                 self.draw.drones[drone].initial = state;
             }
         }
         self.noise = streams[3].clone();
     }
 
-    /// A start about this one, not in the floor and not in a drone that has its place already.
-    fn start(&self, ranges: &InitialRanges, drone: usize, start: &DroneState, rng: &mut Rng) -> DroneState {
+    /// A start about this one, not in the floor, not in an obstacle and not in a drone that has its place already; where
+    /// twenty draws find none, this one.
+    fn start(
+        &self,
+        ranges: &InitialRanges,
+        drone: usize,
+        start: &DroneState,
+        obstacles: &[Obstacle],
+        rng: &mut Rng,
+    ) -> DroneState {
         let params = &self.nominal[drone];
         let rpy = start.rpy() + around(rng, ranges.attitude);
         let velocity = start.velocity + around(rng, ranges.velocity);
@@ -421,21 +437,19 @@ impl Randomizer {
         let tilted = DroneState { attitude, ..*start }.tilt();
         // half the height of the cylinder as it leans
         let lowest = 0.5 * params.collision_height * tilted.cos().abs() + params.collision_radius * tilted.sin();
-        let mut position = start.position;
-        for attempt in 0..20 {
-            let change = around(rng, ranges.position);
-            let mut place = start.position + change;
-            // what would be in the floor starts just above it, unless the floor is where it belongs
-            if start.position.z > lowest {
-                place.z = place.z.max(lowest + 1e-3);
-            }
+        let above_floor = |place: Vector3<f64>| Vector3::new(place.x, place.y, place.z.max(lowest + 1e-3));
+        let mut position = above_floor(start.position);
+        for _ in 0..20 {
+            let place = above_floor(start.position + around(rng, ranges.position));
+            let reach = params.collision_radius.hypot(0.5 * params.collision_height);
+            let off_obstacles = obstacles.iter().all(|obstacle| obstacle.distance(&place) > reach);
             let free = (0..drone).all(|other| {
                 let room = params.collision_radius.max(params.collision_height)
                     + self.nominal[other].collision_radius.max(self.nominal[other].collision_height);
                 (place - self.draw.drones[other].initial.position).norm() > room
             });
-            if free || attempt == 19 {
-                position = if free { place } else { start.position };
+            if free && off_obstacles {
+                position = place;
                 break;
             }
         }
@@ -455,7 +469,9 @@ impl Randomizer {
         }
         if self.config.environment.is_some() {
             simulation.set_gravity(GRAVITY * self.draw.gravity)?;
-            simulation.set_wind(self.draw.wind, 0)?;
+            if self.draw.wind.is_some() {
+                simulation.set_wind(self.draw.wind, 0)?;
+            }
         }
         if self.config.sensors.is_some() {
             simulation.remember(self.draw.sensor_latency);
@@ -470,14 +486,18 @@ impl Randomizer {
 
     /// Puts everything back to the nominal airframes.
     pub(super) fn undo(&self, simulation: &mut Simulation) -> Result<(), SimulationError> {
-        for (drone, nominal) in self.nominal.iter().enumerate() {
+        for (drone, (nominal, motors)) in self.nominal.iter().zip(&self.motors).enumerate() {
             simulation.set_airframe(drone, nominal.clone())?;
-            simulation.set_actuators(drone, &ActuatorParams::default())?;
+            if self.config.actuators.is_some() {
+                simulation.set_actuators(drone, motors)?;
+            }
         }
-        simulation.set_gravity(GRAVITY)?;
         simulation.remember(0.0);
         if self.config.environment.is_some() {
-            simulation.set_wind(None, 0)?;
+            simulation.set_gravity(GRAVITY)?;
+            if self.draw.wind.is_some() {
+                simulation.set_wind(self.wind, 0)?;
+            }
         }
         Ok(())
     }
@@ -487,8 +507,12 @@ impl Randomizer {
         let ranges = self.config.sensors.as_ref()?;
         let draws = &self.draw.drones;
         for ((measured, truth), draw) in self.measured.iter_mut().zip(simulation.remembered()).zip(draws) {
-            let sigmas = [ranges.position, ranges.velocity, ranges.attitude, ranges.angular_velocity];
-            let [position, velocity, rpy, rates] = sigmas.map(|sigma| gaussian(&mut self.noise, sigma));
+            // twelve draws, two at a time
+            let n: [[f64; 2]; 6] = std::array::from_fn(|_| normals(&mut self.noise));
+            let position = ranges.position * Vector3::new(n[0][0], n[0][1], n[1][0]);
+            let velocity = ranges.velocity * Vector3::new(n[1][1], n[2][0], n[2][1]);
+            let rpy = ranges.attitude * Vector3::new(n[3][0], n[3][1], n[4][0]);
+            let rates = ranges.angular_velocity * Vector3::new(n[4][1], n[5][0], n[5][1]);
             *measured = DroneState {
                 position: truth.position + position + draw.bias[0],
                 velocity: truth.velocity + velocity + draw.bias[1],

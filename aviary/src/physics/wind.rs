@@ -170,13 +170,19 @@ pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Ve
 /// across it and upwards, at a height (m) and for a mean wind at 20 feet (m/s). Heights below 10 and above 1,000 feet, where
 /// the model ends, count as those.
 pub fn dryden(height: f64, turbulence: f64) -> ([f64; 3], [f64; 3]) {
-    const FOOT: f64 = 0.3048;
-    let h = (height / FOOT).clamp(10.0, 1000.0);
+    let h = feet(height);
     let shape = 0.177 + 8.23e-4 * h;
     let horizontal = h / shape.powf(1.2) * FOOT;
     let vertical = 0.1 * turbulence;
     let sideways = vertical / shape.powf(0.4);
     ([sideways, sideways, vertical], [horizontal, horizontal, h * FOOT])
+}
+
+const FOOT: f64 = 0.3048;
+
+/// Height in feet, within the model's limits.
+fn feet(height: f64) -> f64 {
+    (height / FOOT).clamp(10.0, 1000.0)
 }
 
 /// One drone's gust and turbulence.
@@ -186,6 +192,10 @@ struct Local {
     drag_area: f64,
     /// Velocity of the turbulence along the mean wind, across it and upwards, m/s.
     turbulence: [f64; 3],
+    /// The turbulence's constants at a height within the model's limits.
+    constants: (f64, [f64; 3], [f64; 3]),
+    /// A normal draw that is left over.
+    spare: Option<f64>,
     /// Force at its height (world frame, N) and how much of it is over, 0 to 1; 1 while there is none.
     gust: (Vector3<f64>, f64),
 }
@@ -219,6 +229,8 @@ impl WindField {
             rng: Rng::seed_from_u64(0),
             drag_area: params.drag_area(),
             turbulence: [0.0; 3],
+            constants: (0.0, [0.0; 3], [1.0; 3]),
+            spare: None,
             gust: (Vector3::zeros(), 1.0),
         };
         let mut field = Self {
@@ -244,6 +256,7 @@ impl WindField {
             local.rng = Rng::seed_from_u64(seed);
             local.rng.set_stream(1 + drone as u64);
             local.gust = (Vector3::zeros(), 1.0);
+            local.spare = None;
             let height = states.get(drone).map_or(0.0, |state| state.position.z);
             let (sigma, _) = dryden(height, self.config.turbulence);
             let [a, b] = normals(&mut local.rng);
@@ -266,17 +279,31 @@ impl WindField {
         }
         if config.model.has(WindModel::Dryden) {
             let airspeed = (*velocity - state.velocity).norm().max(Self::LEAST_AIRSPEED);
-            let (sigma, length) = dryden(state.position.z, config.turbulence);
-            let [a, b] = normals(&mut local.rng);
-            let [c, _] = normals(&mut local.rng);
-            let mut turbulence = Vector3::zeros();
-            for (axis, noise) in [a, b, c].into_iter().enumerate() {
-                // x ← α·x + σ·√(1 − α²)·ξ, α = exp(−dt·V/L)
-                let decay = -dt * airspeed / length[axis];
-                let spread = sigma[axis] * (-(2.0 * decay).exp_m1()).sqrt();
-                local.turbulence[axis] = decay.exp() * local.turbulence[axis] + spread * noise;
-                turbulence += axes[axis] * local.turbulence[axis];
+            // near the ground, where drones fly, the constants are always the same
+            let h = feet(state.position.z);
+            if local.constants.0 != h {
+                let (sigma, length) = dryden(state.position.z, config.turbulence);
+                local.constants = (h, sigma, length);
             }
+            let (_, sigma, length) = local.constants;
+            let [a, b] = normals(&mut local.rng);
+            let c = match local.spare.take() {
+                Some(spare) => spare,
+                None => {
+                    let [now, next] = normals(&mut local.rng);
+                    local.spare = Some(next);
+                    now
+                }
+            };
+            // x ← α·x + σ·√(1 − α²)·ξ, α = exp(−dt·V/L); along and across the wind L is the same
+            let level = (-dt * airspeed / length[0]).exp();
+            let upwards = (-dt * airspeed / length[2]).exp();
+            let (spread, spread_up) = ((1.0 - level * level).sqrt(), (1.0 - upwards * upwards).sqrt());
+            let [x, y, z] = &mut local.turbulence;
+            *x = level * *x + sigma[0] * spread * a;
+            *y = level * *y + sigma[1] * spread * b;
+            *z = upwards * *z + sigma[2] * spread_up * c;
+            let turbulence = axes[0] * *x + axes[1] * *y + axes[2] * *z;
             force += law(&turbulence);
             air += turbulence;
         }
@@ -301,7 +328,7 @@ impl WindField {
         if config.model.has(WindModel::Sinusoidal) {
             let phase = config.sinusoidal_frequency * *steps as f64 * dt;
             let (sin, cos) = phase.sin_cos();
-            force += config.sinusoidal_force * Vector3::new(sin, cos, 0.3 * (2.0 * phase).sin());
+            force += config.sinusoidal_force * Vector3::new(sin, cos, 0.6 * sin * cos);
         }
         *steps += u64::from(last);
         (force, air)

@@ -280,6 +280,7 @@ impl SimulationBuilder {
             effects: self.effects.unwrap_or_else(|| self.physics.effects()),
             engine,
             drones,
+            actuator_params: vec![self.actuators; count],
             actuators,
             wakes,
             wind: None,

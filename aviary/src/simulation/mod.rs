@@ -41,6 +41,7 @@ pub struct Simulation {
     engine: Engine,
     drones: Vec<Drone>,
     actuators: Vec<Actuators>,
+    actuator_params: Vec<ActuatorParams>,
     wakes: Vec<Wake>,
     wind: Option<WindField>,
     sim_freq: u32,
@@ -264,11 +265,14 @@ impl Simulation {
     /// Motors stay as fast as those of the airframe it was built with, and the size that it collides with stays, too.
     ///
     /// # Errors
-    /// [`SimulationError::Engine`] where MuJoCo cannot.
+    /// [`SimulationError::Drone`] for parameters that no body has, [`SimulationError::Engine`] where MuJoCo cannot.
     ///
     /// # Panics
     /// If there is no drone of that index.
     pub fn set_airframe(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
+        // one that can no longer hover is still a body
+        let able = DroneParams { thrust_to_weight: params.thrust_to_weight.max(1.0), ..params.clone() };
+        able.validate().map_err(|error| SimulationError::Drone { drone, error })?;
         let engine = |error| SimulationError::Engine { time: 0.0, error };
         self.engine.set_body(drone, params.mass, &params.inertia_vector()).map_err(engine)?;
         self.wakes[drone] = Wake::new(&params);
@@ -287,6 +291,7 @@ impl Simulation {
     /// If there is no drone of that index.
     pub fn set_actuators(&mut self, drone: usize, actuators: &ActuatorParams) -> Result<(), SimulationError> {
         actuators.validate()?;
+        self.actuator_params[drone] = *actuators;
         // motors are those of the airframe it was built with
         let nominal = &self.world.drones[drone].params;
         self.actuators[drone] = Actuators::new(nominal, actuators, self.world.timestep);
@@ -306,11 +311,9 @@ impl Simulation {
             return Err(SimulationError::Length { what: "the list of obstacles", got, expected });
         }
         for (index, (new, old)) in obstacles.iter().zip(old).enumerate() {
-            let sizes = new.shape.sizes();
-            let used = sizes.iter().take_while(|&&size| size != 0.0).count();
-            let sound = used > 0
-                && sizes.iter().all(|&size| (0.0..1e6).contains(&size))
-                && new.position.iter().chain(&new.rpy).all(|x| x.is_finite());
+            let sound = new.shape.geom().1.iter().all(|&size| size > 0.0 && size < 1e6)
+                && new.position.iter().chain(&new.rpy).all(|x| x.is_finite())
+                && new.rgba.iter().all(|x| (0.0..=1.0).contains(x));
             if new.shape.kind() != old.shape.kind() || !sound {
                 return Err(SimulationError::Obstacle { index });
             }
@@ -329,6 +332,14 @@ impl Simulation {
         self.world.obstacles.iter().map(|obstacle| obstacle.distance(here)).fold(f64::INFINITY, f64::min)
     }
 
+    /// How the motors of a drone answer.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn actuator_params(&self, drone: usize) -> &ActuatorParams {
+        &self.actuator_params[drone]
+    }
+
     /// Changes gravity (m/s², downwards), from the next step on.
     ///
     /// # Errors
@@ -337,9 +348,12 @@ impl Simulation {
         self.engine.set_gravity(gravity).map_err(|error| SimulationError::Engine { time: 0.0, error })
     }
 
-    /// Remembers the states of so many seconds, in whole physics steps, for [`remembered`](Self::remembered).
+    /// Longest time that states are remembered, s.
+    pub const MAX_MEMORY: f64 = 1.0;
+
+    /// Remembers the states of so many seconds, in whole physics steps and up to [`MAX_MEMORY`](Self::MAX_MEMORY), for [`remembered`](Self::remembered).
     pub fn remember(&mut self, seconds: f64) {
-        let steps = (seconds.max(0.0) / self.world.timestep).round() as usize;
+        let steps = (seconds.clamp(0.0, Self::MAX_MEMORY) / self.world.timestep).round() as usize;
         self.memory.resize(steps * self.states.len(), DroneState::default());
         self.forget();
     }

@@ -54,7 +54,7 @@ impl Sizes {
         let drones = world.drones.len();
         // a cylinder meets a plane in up to four points; in a pile each has about four more contacts of its own, and more
         // than a few dozen do not pile up (memory grows with the square of this number)
-        let on_obstacles = if world.obstacles.is_empty() { 0 } else { 4 * drones.min(64) };
+        let on_obstacles = if world.obstacles.is_empty() { 0 } else { 12 * drones.min(64) };
         let contacts = 4 * drones + 4 * drones.min(64) + on_obstacles;
         // a pyramidal friction cone has four edges
         let constraints = 4 * contacts;
@@ -357,11 +357,16 @@ impl Xml {
 
     fn shape(&mut self, name: String, obstacle: &Obstacle, more: &[(&str, String)]) {
         let (kind, size) = obstacle.shape.geom();
+        // a geom that is compiled in the world's own frame could not be moved afterwards: MuJoCo remembers that it is there
+        let mut position = obstacle.position;
+        if position.norm() < 1e-3 && obstacle.rpy.norm() < 1e-3 {
+            position.z += 0.01;
+        }
         let own = [
             ("name", name),
             ("type", kind.into()),
             ("size", numbers(&size)),
-            ("pos", vector(&obstacle.position)),
+            ("pos", vector(&position)),
             ("quat", numbers(&wxyz(&attitude_from_rpy(obstacle.rpy)))),
             ("rgba", numbers(&obstacle.rgba)),
         ];

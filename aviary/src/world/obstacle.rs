@@ -82,7 +82,7 @@ impl Shape {
     }
 
     /// MuJoCo's name of the geom type and its size parameters.
-    pub(super) fn geom(&self) -> (&'static str, Vec<f64>) {
+    pub(crate) fn geom(&self) -> (&'static str, Vec<f64>) {
         match *self {
             Self::Box { half_size } => ("box", half_size.to_vec()),
             Self::Sphere { radius } => ("sphere", vec![radius]),

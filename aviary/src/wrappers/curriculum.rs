@@ -48,8 +48,8 @@ impl CurriculumConfig {
     /// [`EnvError::Option`] naming one that is impossible.
     pub fn validate(&self) -> Result<(), EnvError> {
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
-        if self.levels == 0 {
-            return wrong("the number of levels", "0".into(), "at least 1");
+        if !(1..=1_000_000).contains(&self.levels) {
+            return wrong("the number of levels", self.levels.to_string(), "1 to 1,000,000");
         }
         if !(1..=1_000_000).contains(&self.window) {
             return wrong("the curriculum's window", self.window.to_string(), "1 to 1,000,000 episodes");
