@@ -1,9 +1,12 @@
 //! The curriculum follows what its episodes bring, up and down, and can be saved and restored.
 
-use mujoco_drones_gym::env::check_env;
+use mujoco_drones_gym::env::{Randomization, check_env};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
+use mujoco_drones_gym::world::ObstacleConfig;
+use mujoco_drones_gym::wrappers::{
+    CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper, RandomizationWrapper, WindWrapper,
+};
 
 /// The target rises by 20 cm with every level.
 fn rise(env: &mut Aviary<Hover>, level: usize) -> Result<(), EnvError> {
@@ -96,6 +99,21 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
     for name in mujoco_drones_gym::tasks::NAMES {
         let env = make(name, EnvConfig::default().episode_seconds(2.0)).unwrap();
         check_env(&mut CurriculumWrapper::new(env, CurriculumConfig::default(), blow).unwrap()).unwrap();
+    }
+    // and over everything else at once
+    for name in mujoco_drones_gym::tasks::NAMES {
+        let field = ObstacleConfig {
+            count: 15,
+            arena: [10.0, 10.0, 2.0],
+            safe_zone: 0.6,
+            new_layout: true,
+            ..Default::default()
+        };
+        let env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_field(field)).unwrap();
+        let windy = WindWrapper::new(env, WindConfig::new(WindModel::Combined)).unwrap();
+        let drawn = RandomizationWrapper::new(windy, Randomization::default()).unwrap();
+        let easy = |_: &mut RandomizationWrapper<WindWrapper<Box<dyn Env>>>, _: usize| Ok(());
+        check_env(&mut CurriculumWrapper::new(drawn, CurriculumConfig::default(), easy).unwrap()).unwrap();
     }
     let fails = |_: &mut Aviary<Hover>, _: usize| Err(EnvError::NeedsReset { when: "never" });
     let mut env =

@@ -82,6 +82,18 @@ fn antipodal_swaps_places_in_six_pictures() {
 }
 
 #[test]
+fn wind_obstacles_and_randomization_are_drawn_and_reported() {
+    let Some((directory, printed)) = run("wind", &["3"]) else { return };
+    assert!(directory.path().join("wind.png").exists() && printed.matches("downwind").count() == 2, "{printed}");
+    let Some((directory, _)) = run("obstacles", &[]) else { return };
+    for kind in ["forest", "urban", "indoor", "random", "gates"] {
+        assert!(directory.path().join(kind).with_extension("png").metadata().unwrap().len() > 10_000, "{kind}");
+    }
+    let Some((directory, printed)) = run("randomization", &["1"]) else { return };
+    assert!(directory.path().join("randomization.svg").exists() && printed.lines().count() == 8, "{printed}");
+}
+
+#[test]
 fn the_table_of_tracking_errors_is_the_one_in_the_documentation() {
     let Some(printed) = print("tracking", &[]) else { return };
     let documented = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/control.md")).unwrap();

@@ -65,7 +65,8 @@ fn another_mode_is_another_flight() {
 #[test]
 fn the_airframe_of_the_readme_flies() {
     let readme = include_str!("../README.md");
-    let text = readme.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).expect("an airframe");
+    let mut blocks = readme.split("```toml").skip(1).filter_map(|rest| rest.split("```").next());
+    let text = blocks.find(|block| block.contains("thrust_coefficient")).expect("an airframe");
     let params = DroneParams::from_toml(text).unwrap();
     let mut env = Hover::builder().drone(params.clone()).build().unwrap();
     env.reset(None).unwrap();
@@ -77,4 +78,16 @@ fn the_airframe_of_the_readme_flies() {
         env.step(&action).unwrap();
     }
     assert!(env.info().success);
+}
+
+/// So are its conditions.
+#[test]
+fn the_conditions_of_the_readme_are_read() {
+    let readme = include_str!("../README.md");
+    let mut blocks = readme.split("```toml").skip(1).filter_map(|rest| rest.split("```").next());
+    let text = blocks.find(|block| block.contains("[wind]")).expect("conditions");
+    let conditions = mujoco_drones_gym::env::Conditions::from_toml(text).unwrap();
+    let env = make("hover", EnvConfig::default().conditions(&conditions)).unwrap();
+    assert_eq!(env.simulation().world().obstacles.len(), 15);
+    assert!(conditions.randomization.unwrap().sensors.is_some());
 }
