@@ -35,7 +35,7 @@ fn print(name: &str, arguments: &[&str]) -> Option<String> {
 fn views_draws_every_view() {
     let Some((directory, printed)) = run("views", &[]) else { return };
     let files = std::fs::read_dir(directory.path()).unwrap().count();
-    assert_eq!((files, printed.lines().count()), (12, 12));
+    assert_eq!((files, printed.lines().count()), (14, 14));
 }
 
 #[test]
