@@ -289,6 +289,7 @@ mod tests {
         #[test]
         fn the_answer_keeps_to_its_bounds_and_changes_nothing_that_is_safe(
             numbers in prop::collection::vec(-2.0..2.0f64, 24), wish in prop::collection::vec(-3.0..3.0f64, 12),
+            nudges in prop::collection::vec(-0.3..0.3f64, 80),
         ) {
             let filter = CollisionCone::new(0.3);
             let vectors = |x: &[f64]| x.chunks_exact(3).map(|c| Vector3::new(c[0], c[1], c[2])).collect::<Vec<_>>();
@@ -300,11 +301,34 @@ mod tests {
                 prop_assert_eq!(given.z, asked.z);
                 prop_assert!(given == asked || given.xy().amax() < filter.max_acceleration + 1e-4);
             }
-            // what is given is safe: a second pass has nothing to change, but for the solver's tolerance
-            let mut again = given.clone();
-            let _ = filter.filter(&positions, &velocities, &mut again).unwrap();
-            let slack = given.iter().zip(&again).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
-            prop_assert!(slack < 1e-2, "{slack}");
+            // nothing near what is given costs less, where giving way costs as much as the program says
+            let mut conditions = Vec::new();
+            for j in 0..4 {
+                for i in 0..j {
+                    let (p, v) = ((positions[j] - positions[i]).xy(), (velocities[j] - velocities[i]).xy());
+                    if p.norm() < filter.sight + v.norm_squared() / (2.0 * filter.max_acceleration) {
+                        conditions.extend(filter.conditions((i, j), p, v));
+                    }
+                }
+            }
+            let cost = |given: &[Vector3<f64>]| {
+                let missing = conditions.iter().map(|condition| {
+                    let (i, j) = condition.pair;
+                    (condition.least - condition.gradient.dot(&(given[j] - given[i]).xy())).max(0.0)
+                });
+                let moved: f64 = given.iter().zip(&asked).map(|(a, b)| (a - b).norm_squared()).sum();
+                0.5 * moved + 0.5e4 * missing.map(|slack| slack * slack).sum::<f64>()
+            };
+            let most = filter.max_acceleration;
+            for step in nudges.chunks_exact(8) {
+                let mut other = given.clone();
+                for (drone, nudge) in other.iter_mut().zip(step.chunks_exact(2)) {
+                    drone.x = (drone.x + nudge[0]).clamp(-most, most);
+                    drone.y = (drone.y + nudge[1]).clamp(-most, most);
+                }
+                let (best, cost) = (cost(&given), cost(&other));
+                prop_assert!(best <= cost * (1.0 + 1e-5) + 1e-3, "{best} {cost}");
+            }
         }
     }
 
