@@ -610,3 +610,19 @@ fn a_recorded_environment_is_the_same_and_leaves_a_file_per_episode() {
         assert_eq!(text.lines().count(), 1 + 1 + 48, "a header, the start, and every step");
     }
 }
+
+#[test]
+fn a_task_that_is_changed_is_checked_at_the_next_reset() {
+    let mut env = FlyThrough::builder().build().unwrap();
+    env.reset(Some(1)).unwrap();
+    env.task_mut().waypoints.clear();
+    assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
+    for _ in 0..2 {
+        assert_eq!((env.info().success, env.info().position_error), (false, 0.0));
+        assert!(env.reset(None).unwrap_err().to_string().contains("number of points to pass is 0"));
+        assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
+    }
+    env.task_mut().waypoints.push([0.0, 0.0, 1.0]);
+    env.reset(None).unwrap();
+    env.step(&[0.0; 4]).unwrap();
+}

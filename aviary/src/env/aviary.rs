@@ -24,6 +24,8 @@ pub struct Aviary<T> {
     pub(super) action_space: BoxSpace,
     pub(super) episode_steps: u64,
     pub(super) rng: Rng,
+    /// Whether the task's options may have changed since they were checked.
+    pub(super) task_changed: bool,
     pub(super) randomizer: Option<Randomizer>,
     /// What was said about randomization since the last reset.
     pub(super) next_randomization: Option<Option<Randomization>>,
@@ -64,8 +66,10 @@ impl<T: Task> Aviary<T> {
     }
 
     /// The task, to be changed between episodes. What only building an environment looks at (the number of drones, initial
-    /// positions, markers) stays as it is.
+    /// positions, markers) stays as it is. The episode is over with it, and the next
+    /// reset checks what was changed.
     pub fn task_mut(&mut self) -> &mut T {
+        (self.task_changed, self.phase) = (true, Phase::New);
         &mut self.task
     }
 
@@ -128,6 +132,14 @@ impl<T: Task> Aviary<T> {
     pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
         if let Some(seed) = seed {
             self.rng = Rng::seed_from_u64(seed);
+        }
+        if std::mem::take(&mut self.task_changed) {
+            let drones: Vec<_> = self.simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
+            if let Err(error) = self.task.check(&drones) {
+                // until it is one that can be flown
+                self.task_changed = true;
+                return Err(error);
+            }
         }
         if let Some(next) = self.next_randomization.take() {
             if let Some(old) = self.randomizer.take() {
@@ -264,8 +276,10 @@ impl<T: Task> Env for Aviary<T> {
 
     fn info(&self) -> Info {
         let (simulation, count) = (&self.simulation, self.simulation.num_drones());
+        // options that nobody has checked are not asked for anything
+        let asked = if self.task_changed { 0 } else { count };
         let position_error =
-            (0..count).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
+            (0..asked).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
         let started = self.phase != Phase::New;
         let lost = self.end.is_some_and(EndReason::is_crash);
         Info {

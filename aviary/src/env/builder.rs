@@ -294,6 +294,7 @@ impl<T: Task> AviaryBuilder<T> {
                 camera_size,
             },
             randomizer: self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
+            task_changed: false,
             next_randomization: None,
             first_layout: simulation.world().obstacles.clone(),
             field: self.field,
