@@ -10,6 +10,7 @@
 //! A module uses only modules above it in this list.
 
 pub mod drone;
+mod math;
 mod random;
 pub mod state;
 pub mod world;

@@ -5,6 +5,8 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
+use crate::math::{Turn, atan2};
+
 /// Position and motion of one drone: the paper's 13 numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DroneState {
@@ -43,7 +45,7 @@ impl DroneState {
     /// Yaw alone, rad, in (−π, π].
     pub fn yaw(&self) -> f64 {
         let [w, x, y, z] = wxyz(&self.attitude);
-        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z))
+        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     }
 
     /// Angle between the body's and the world's z axis, rad: 0 upright, π upside down.
@@ -78,8 +80,7 @@ impl DroneState {
 /// The body's z axis in the world frame: the third column of the rotation matrix.
 #[inline]
 pub fn body_z(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
-    let [w, x, y, z] = wxyz(attitude);
-    Vector3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    Turn::from(attitude).up().into()
 }
 
 /// `[w, x, y, z]` of a rotation.
@@ -101,13 +102,9 @@ pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
 }
 
 /// Roll in (−π, π], pitch in [−π/2, π/2], yaw in (−π, π], rad.
+#[inline]
 pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
-    let [w, x, y, z] = wxyz(attitude);
-    Vector3::new(
-        (2.0 * (w * x + y * z)).atan2(1.0 - 2.0 * (x * x + y * y)),
-        (2.0 * (w * y - z * x)).clamp(-1.0, 1.0).asin(),
-        (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z)),
-    )
+    Turn::from(attitude).rpy().into()
 }
 
 /// An angle brought into (−π, π].

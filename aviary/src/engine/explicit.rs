@@ -14,48 +14,26 @@
 use mujoco_rs::{Data, Error};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use super::Load;
 use super::mujoco::{BuildError, MujocoEngine};
+use super::{Bodies, Load};
 use crate::state::DroneState;
 use crate::world::{Obstacle, World};
 
 /// N free bodies, each by itself.
 #[derive(Debug)]
 pub struct ExplicitEngine {
-    bodies: Vec<Body>,
-    states: Vec<DroneState>,
-    gravity: Vector3<f64>,
     dt: f64,
+    steps: u64,
     mirror: MujocoEngine,
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Body {
-    mass: f64,
-    inertia: Vector3<f64>,
-}
-
 impl ExplicitEngine {
-    /// The bodies of a world, and a MuJoCo simulation of it to be looked at.
+    /// For a world, with a MuJoCo simulation of it to be looked at.
     ///
     /// # Errors
     /// [`BuildError`] with what the scene or MuJoCo objects to.
     pub fn new(world: &World) -> Result<Self, BuildError> {
-        let bodies = (world.drones.iter())
-            .map(|drone| Body { mass: drone.params.mass, inertia: drone.params.inertia_vector() })
-            .collect();
-        Ok(Self {
-            bodies,
-            states: vec![DroneState::default(); world.drones.len()],
-            gravity: Vector3::new(0.0, 0.0, -world.gravity),
-            dt: world.timestep,
-            mirror: MujocoEngine::new(world)?,
-        })
-    }
-
-    /// States of all drones.
-    pub fn states(&self) -> &[DroneState] {
-        &self.states
+        Ok(Self { dt: world.timestep, steps: 0, mirror: MujocoEngine::new(world)? })
     }
 
     /// Puts every drone into a state.
@@ -63,32 +41,24 @@ impl ExplicitEngine {
     /// # Errors
     /// MuJoCo's, from the mirror.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
-        self.states.copy_from_slice(states);
         self.mirror.reset(states)
     }
 
-    /// One step.
-    pub fn advance(&mut self, loads: &[Load]) {
+    /// One step of these bodies.
+    pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) {
         let dt = self.dt;
-        for ((state, body), load) in self.states.iter_mut().zip(&self.bodies).zip(loads) {
+        let gravity = Vector3::new(0.0, 0.0, -bodies.gravity);
+        for ((state, body), load) in states.iter_mut().zip(&bodies.drones).zip(loads) {
             let force = crate::state::body_z(&state.attitude) * load.rotors.thrust + load.external.force_world;
             let torque = load.rotors.torque_body + state.attitude.inverse_transform_vector(&load.external.torque_world);
             let omega = state.angular_velocity;
             let gyroscopic = omega.cross(&body.inertia.component_mul(&omega));
-            state.velocity += dt * (force / body.mass + self.gravity);
+            state.velocity += dt * (force / body.mass + gravity);
             state.angular_velocity += dt * (torque - gyroscopic).component_div(&body.inertia);
             state.position += dt * state.velocity;
             state.attitude = turned(&state.attitude, &(state.angular_velocity * dt));
         }
-    }
-
-    /// Changes the mass (kg) and the moments of inertia (kg·m²) of a drone.
-    ///
-    /// # Errors
-    /// MuJoCo's, from the mirror.
-    pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
-        self.bodies[drone] = Body { mass, inertia: *inertia };
-        self.mirror.set_body(drone, mass, inertia)
+        self.steps += 1;
     }
 
     /// Other obstacles of the same shapes, to be looked at: nothing here touches them.
@@ -99,17 +69,14 @@ impl ExplicitEngine {
         self.mirror.set_obstacles(obstacles)
     }
 
-    /// Changes gravity, m/s² downwards.
-    ///
-    /// # Errors
-    /// MuJoCo's, from the mirror.
-    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
-        self.gravity = Vector3::new(0.0, 0.0, -gravity);
-        self.mirror.set_gravity(gravity)
+    /// How many steps were done since it was made.
+    pub fn steps(&self) -> u64 {
+        self.steps
     }
 
-    pub(super) fn synchronised(&mut self) -> Result<&Data, Error> {
-        self.mirror.show(&self.states)
+    pub(super) fn mujoco(&mut self, bodies: &Bodies, states: &[DroneState]) -> Result<&Data, Error> {
+        self.mirror.begin(bodies)?;
+        self.mirror.show(states)
     }
 
     pub(super) fn mirror(&self) -> &MujocoEngine {

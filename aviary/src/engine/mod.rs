@@ -1,14 +1,22 @@
 //! Who integrates. An engine takes loads and gives states; it never computes a force.
 
 mod explicit;
+pub mod flight;
+mod hybrid;
 mod mujoco;
 
 pub use explicit::ExplicitEngine;
+pub use hybrid::HybridEngine;
 pub(crate) use mujoco::place_geom;
 pub use mujoco::{BuildError, MujocoEngine};
 
+use std::fmt;
+use std::str::FromStr;
+
+use flight::{Envelope, FreeBody};
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use crate::physics::Wrench;
 use crate::physics::rotor::RotorWrench;
@@ -44,11 +52,97 @@ pub struct Contact {
     pub with: Touched,
 }
 
+/// One drone's body, as engines want it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Body {
+    /// kg.
+    pub mass: f64,
+    /// Moments of inertia, body frame, kg·m².
+    pub inertia: Vector3<f64>,
+    /// The same for the flight kernel, under gravity and in the medium.
+    pub free: FreeBody,
+    /// How far it can come.
+    pub envelope: Envelope,
+}
+
+/// What the engine moves: it does not change during a control step.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Bodies {
+    /// Every drone's.
+    pub drones: Vec<Body>,
+    /// m/s², downwards.
+    pub gravity: f64,
+}
+
+/// Which engine integrates, where the physics mode leaves a choice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EngineKind {
+    /// MuJoCo's `mj_step`, always.
+    #[default]
+    Mujoco,
+    /// The flight kernel while nothing can touch, MuJoCo otherwise.
+    Hybrid,
+}
+
+impl EngineKind {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Mujoco, Self::Hybrid];
+
+    /// The name in lower snake case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Mujoco => "mujoco",
+            Self::Hybrid => "hybrid",
+        }
+    }
+}
+
+impl fmt::Display for EngineKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A name that is no engine's.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("no engine `{0}`, expected mujoco or hybrid")]
+pub struct UnknownEngine(pub String);
+
+impl FromStr for EngineKind {
+    type Err = UnknownEngine;
+
+    fn from_str(name: &str) -> Result<Self, UnknownEngine> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| UnknownEngine(name.to_string()))
+    }
+}
+
+/// How many physics steps each engine did.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Substeps {
+    /// The flight kernel.
+    pub flight: u64,
+    /// MuJoCo.
+    pub mujoco: u64,
+    /// The explicit engine.
+    pub explicit: u64,
+}
+
+impl std::ops::AddAssign for Substeps {
+    fn add_assign(&mut self, other: Self) {
+        self.flight += other.flight;
+        self.mujoco += other.mujoco;
+        self.explicit += other.explicit;
+    }
+}
+
 /// One of the engines.
 #[derive(Debug)]
 pub enum Engine {
     /// MuJoCo's `mj_step`.
     Mujoco(MujocoEngine),
+    /// The flight kernel in the open, `mj_step` otherwise.
+    Hybrid(HybridEngine),
     /// Explicit Euler steps of the free body.
     Explicit(ExplicitEngine),
 }
@@ -61,82 +155,102 @@ impl Engine {
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.reset(states),
+            Self::Hybrid(engine) => engine.reset(states),
             Self::Explicit(engine) => engine.reset(states),
-        }
-    }
-
-    /// Changes the mass (kg) and the moments of inertia (body frame, kg·m²) of a drone, from the next step on.
-    ///
-    /// # Errors
-    /// MuJoCo's, where it cannot copy a shared model.
-    pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
-        match self {
-            Self::Mujoco(engine) => engine.set_body(drone, mass, inertia),
-            Self::Explicit(engine) => engine.set_body(drone, mass, inertia),
         }
     }
 
     /// Other obstacles of the same shapes in the same order, from the next step on.
     ///
     /// # Errors
-    /// As for [`set_body`](Self::set_body).
+    /// MuJoCo's, where it cannot copy a shared model.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.set_obstacles(obstacles),
+            Self::Hybrid(engine) => engine.set_obstacles(obstacles),
             Self::Explicit(engine) => engine.set_obstacles(obstacles),
         }
     }
 
-    /// Changes gravity (m/s² downwards), from the next step on.
+    /// Begins a control step of so many physics steps with these bodies, from these states.
     ///
     /// # Errors
-    /// As for [`set_body`](Self::set_body), and for what is not a number.
-    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
+    /// MuJoCo's, where it cannot copy a shared model.
+    pub fn begin(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> Result<(), Error> {
         match self {
-            Self::Mujoco(engine) => engine.set_gravity(gravity),
-            Self::Explicit(engine) => engine.set_gravity(gravity),
+            Self::Mujoco(engine) => engine.begin(bodies),
+            Self::Hybrid(engine) => {
+                engine.begin(bodies, states, steps);
+                Ok(())
+            }
+            Self::Explicit(_) => Ok(()),
         }
     }
 
-    /// Reads every drone's state.
-    pub fn states(&self, states: &mut [DroneState]) {
-        match self {
-            Self::Mujoco(engine) => engine.states(states),
-            Self::Explicit(engine) => states.copy_from_slice(engine.states()),
-        }
-    }
-
-    /// One physics step from these states, which are those that [`states`](Self::states) gave last.
+    /// One physics step of these bodies from these states, which are replaced by the new ones.
     ///
     /// # Errors
     /// MuJoCo's; the drones must then be [reset](Self::reset).
-    pub fn advance(&mut self, loads: &[Load], states: &[DroneState]) -> Result<(), Error> {
+    pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
         match self {
-            Self::Mujoco(engine) => engine.advance(loads, states),
-            Self::Explicit(engine) => {
-                engine.advance(loads);
-                Ok(())
+            Self::Mujoco(engine) => {
+                engine.advance(loads, states)?;
+                engine.states(states);
             }
+            Self::Hybrid(engine) => engine.advance(bodies, loads, states)?,
+            Self::Explicit(engine) => engine.advance(bodies, loads, states),
+        }
+        Ok(())
+    }
+
+    /// Takes over an environment that another engine of the same world, or this one, has [left](Self::leave).
+    pub(crate) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) {
+        match self {
+            Self::Mujoco(engine) => engine.resume(states, left),
+            Self::Hybrid(engine) => engine.resume(states, left),
+            Self::Explicit(_) => {}
+        }
+    }
+
+    /// What must be kept of an environment besides its states until it is [taken over](Self::resume) again: the warm
+    /// start of MuJoCo's solver. Whether there is any.
+    pub(crate) fn leave(&self, warm_start: &mut [f64]) -> bool {
+        match self {
+            Self::Mujoco(engine) => engine.leave(warm_start),
+            Self::Hybrid(engine) => engine.leave(warm_start),
+            Self::Explicit(_) => false,
         }
     }
 
     /// Calls `found` for every drone in touch with something in the last step, once per point of contact and drone.
-    /// The explicit engine knows no contacts.
+    /// The explicit engine knows no contacts, and in flight there are none.
     pub fn contacts(&self, found: impl FnMut(Contact)) {
-        if let Self::Mujoco(engine) = self {
-            engine.contacts(found);
+        match self {
+            Self::Mujoco(engine) => engine.contacts(found),
+            Self::Hybrid(engine) => engine.contacts(found),
+            Self::Explicit(_) => {}
         }
     }
 
-    /// MuJoCo's data with the drones where they are now. For the explicit engine they are written there and computed
-    /// forward first.
+    /// How many physics steps each engine did since it was made.
+    pub fn substeps(&self) -> Substeps {
+        match self {
+            Self::Mujoco(engine) => Substeps { mujoco: engine.steps(), ..Substeps::default() },
+            Self::Hybrid(engine) => engine.substeps(),
+            Self::Explicit(engine) => Substeps { explicit: engine.steps(), ..Substeps::default() },
+        }
+    }
+
+    /// MuJoCo's data with the drones in these states, where they are now. If it was not MuJoCo that brought them there, they are
+    /// written there and computed forward first.
     ///
     /// # Errors
     /// MuJoCo's.
-    pub fn mujoco(&mut self) -> Result<&Data, Error> {
+    pub fn mujoco(&mut self, bodies: &Bodies, states: &[DroneState]) -> Result<&Data, Error> {
         match self {
             Self::Mujoco(engine) => Ok(engine.data()),
-            Self::Explicit(engine) => engine.synchronised(),
+            Self::Hybrid(engine) => engine.mujoco(bodies, states),
+            Self::Explicit(engine) => engine.mujoco(bodies, states),
         }
     }
 
@@ -144,6 +258,7 @@ impl Engine {
     pub(crate) fn mujoco_engine(&self) -> &MujocoEngine {
         match self {
             Self::Mujoco(engine) => engine,
+            Self::Hybrid(engine) => engine.mujoco_engine(),
             Self::Explicit(engine) => engine.mirror(),
         }
     }

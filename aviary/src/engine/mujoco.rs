@@ -3,7 +3,7 @@
 use mujoco_rs::{ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model, ModelMut};
 use nalgebra::Vector3;
 
-use super::{Contact, Load, Touched};
+use super::{Bodies, Contact, Load, Touched};
 use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
 use crate::world::{Forcing, Obstacle, SceneError, World};
 
@@ -36,6 +36,8 @@ pub struct MujocoEngine {
     slots: Vec<Slot>,
     owners: Vec<Owner>,
     obstacles: Obstacles,
+    gravity: f64,
+    steps: u64,
 }
 
 /// Obstacles, and the geoms of the scene that stand for those that are near.
@@ -120,7 +122,7 @@ impl MujocoEngine {
             .map(|drone| drone.params.collision_radius.hypot(drone.params.collision_height))
             .collect();
         obstacles.near.reserve(obstacles.list.len());
-        let mut engine = Self { data: Data::new(model)?, slots, owners, obstacles };
+        let mut engine = Self { data: Data::new(model)?, slots, owners, obstacles, gravity: world.gravity, steps: 0 };
         // exactly where they are, also where the scene's text has them a little off (see `World::to_mjcf`)
         engine.set_obstacles(&world.obstacles)?;
         Ok(engine)
@@ -140,24 +142,36 @@ impl MujocoEngine {
     /// Where MuJoCo cannot recover from an earlier error.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.data.rewind()?;
-        if self.obstacles.crowded {
-            // what an episode does must not hang on which geoms an earlier one used
-            self.obstacles.looked_from.clear();
-            for slot in 0..self.obstacles.slots.len() {
-                self.fill_slot(slot, None)?;
-            }
-        }
+        self.obstacles.looked_from.clear();
         self.write(states);
         Ok(())
     }
 
-    /// Changes the mass (kg) and the moments of inertia (kg·m²) of a drone, and what MuJoCo derives from them for a free body
-    /// (`mj_setConst`: the inverse weights are means of the diagonal of the inverse inertia).
+    /// Gives the drones these bodies and the world this gravity, if they are others than before, with what MuJoCo derives
+    /// from them for free bodies (`mj_setConst`: the inverse weights are means of the diagonal of the inverse inertia). The
+    /// obstacles that are near are looked for anew.
     ///
     /// # Errors
     /// MuJoCo's, where it cannot copy a shared model.
-    pub fn set_body(&mut self, drone: usize, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
-        let (body, dof) = (self.slots[drone].body, self.slots[drone].velocity);
+    pub fn begin(&mut self, bodies: &Bodies) -> Result<(), Error> {
+        self.obstacles.looked_from.clear();
+        for (drone, body) in bodies.drones.iter().enumerate() {
+            let slot = self.slots[drone];
+            let model = self.data.model();
+            let inertia = &model.body_inertia()[3 * slot.body..][..3];
+            if model.body_mass()[slot.body] != body.mass || inertia != body.inertia.as_slice() {
+                self.set_body(slot, body.mass, &body.inertia)?;
+            }
+        }
+        if self.gravity != bodies.gravity {
+            self.data.patch_model()?.set_gravity([0.0, 0.0, -bodies.gravity])?;
+            self.gravity = bodies.gravity;
+        }
+        Ok(())
+    }
+
+    fn set_body(&mut self, slot: Slot, mass: f64, inertia: &Vector3<f64>) -> Result<(), Error> {
+        let (body, dof) = (slot.body, slot.velocity);
         let mut model = self.data.patch_model()?;
         model.body_mass_mut()[body] = mass;
         model.body_inertia_mut()[3 * body..][..3].copy_from_slice(inertia.as_slice());
@@ -173,12 +187,24 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// Changes gravity, m/s² downwards.
-    ///
-    /// # Errors
-    /// As for [`set_body`](Self::set_body), and for what is not a number.
-    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), Error> {
-        self.data.patch_model()?.set_gravity([0.0, 0.0, -gravity])
+    /// How many steps were done since it was made.
+    pub fn steps(&self) -> u64 {
+        self.steps
+    }
+
+    /// Goes on from these states, with a warm start of the solver or none.
+    pub(super) fn resume(&mut self, states: &[DroneState], warm_start: Option<&[f64]>) {
+        match warm_start {
+            Some(warm_start) => self.data.qacc_warmstart_mut().copy_from_slice(warm_start),
+            None => self.data.qacc_warmstart_mut().fill(0.0),
+        }
+        self.write(states);
+    }
+
+    /// Keeps the solver's warm start; there always is one.
+    pub(super) fn leave(&self, warm_start: &mut [f64]) -> bool {
+        warm_start.copy_from_slice(self.data.qacc_warmstart());
+        true
     }
 
     /// Other obstacles of the same shapes in the same order, from the next step on.
@@ -260,22 +286,17 @@ impl MujocoEngine {
         if field.near.len() < asked {
             tracing::debug!("{} obstacles are about and only the nearest {} are met", asked, field.near.len());
         }
-        // those that keep their geom keep it, so that little is written
+        // the same obstacles are always in the same geoms, whatever was near before
+        field.near.sort_unstable_by_key(|&(_, index)| index);
+        let mut next = [0_usize; 4];
         for slot in 0..self.obstacles.slots.len() {
-            let held = self.obstacles.slots[slot].holds;
-            if held.is_some_and(|held| !self.obstacles.near.iter().any(|&(_, near)| near == held)) {
-                self.fill_slot(slot, None)?;
-            }
-        }
-        for entry in 0..self.obstacles.near.len() {
-            let obstacle = self.obstacles.near[entry].1;
             let field = &self.obstacles;
-            if field.slots.iter().any(|slot| slot.holds == Some(obstacle)) {
-                continue;
-            }
-            let kind = field.list[obstacle].shape.kind();
-            if let Some(slot) = field.slots.iter().position(|slot| slot.holds.is_none() && slot.kind == kind) {
-                self.fill_slot(slot, Some(obstacle))?;
+            let (kind, held) = (field.slots[slot].kind, field.slots[slot].holds);
+            let of_kind = |&(_, index): &(f64, usize)| field.list[index].shape.kind() == kind;
+            let wanted = field.near.iter().copied().filter(of_kind).nth(next[kind]).map(|(_, index)| index);
+            next[kind] += 1;
+            if held != wanted {
+                self.fill_slot(slot, wanted)?;
             }
         }
         Ok(())
@@ -341,7 +362,9 @@ impl MujocoEngine {
             let (f, t) = (wrench.force_world, wrench.torque_world);
             *row = [f.x, f.y, f.z, t.x, t.y, t.z];
         }
-        self.data.step()
+        self.data.step()?;
+        self.steps += 1;
+        Ok(())
     }
 
     /// The drone a divergence is about.

@@ -6,6 +6,7 @@ use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
 use crate::control::ControllerKind;
 use crate::drone::{DroneModel, DroneParams};
+use crate::engine::EngineKind;
 use crate::observation::{Observation, ObservationType};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::WindConfig;
@@ -145,6 +146,9 @@ impl<T> AviaryBuilder<T> {
         initial_velocities(velocities: impl IntoIterator<Item = [f64; 3]>);
         /// Initial body rates, body frame, rad/s; none by default.
         initial_angular_velocities(rates: impl IntoIterator<Item = [f64; 3]>);
+        /// Who integrates, but in the `dyn` mode; MuJoCo alone by default (the hybrid engine in batches). The hybrid engine gives
+        /// the same flights, many times faster.
+        engine(engine: EngineKind);
         /// How the rotors' wrench acts during a physics step; frozen by default.
         forcing(forcing: Forcing);
         /// How the motors answer to commands; at once and exactly by default.

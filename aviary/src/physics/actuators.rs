@@ -88,6 +88,20 @@ impl Actuators {
         }
     }
 
+    /// Makes them those of other settings, in the memory that they have; they start anew.
+    pub(crate) fn set(&mut self, params: &DroneParams, actuators: &ActuatorParams, dt: f64) {
+        let mut queue = std::mem::take(&mut self.queue);
+        let steps = (actuators.latency / dt).round() as usize;
+        *self = Self::new(params, &ActuatorParams { latency: 0.0, ..*actuators }, dt);
+        if steps > 0 {
+            self.initial_rpm = params.hover_rpm().min(self.max_rpm);
+        }
+        queue.clear();
+        queue.resize(steps, [0.0; 4]);
+        self.queue = queue;
+        self.reset();
+    }
+
     /// As at the start of an episode.
     pub fn reset(&mut self) {
         self.queue.fill([self.initial_rpm; 4]);
@@ -101,6 +115,38 @@ impl Actuators {
         &self.rpm
     }
 
+    /// Greatest rotor speed, rpm.
+    #[inline]
+    pub fn max_rpm(&self) -> f64 {
+        self.max_rpm
+    }
+
+    /// Share of the way to the command that speeds go in one physics step; 1 without lag.
+    #[inline]
+    pub fn share(&self) -> f64 {
+        self.share
+    }
+
+    /// Whether commands arrive at once.
+    pub fn is_prompt(&self) -> bool {
+        self.queue.is_empty()
+    }
+
+    /// Speeds (rpm) that the rotors go to under a command that has arrived.
+    #[inline]
+    pub fn target(&self, command: &[f64; 4]) -> [f64; 4] {
+        let mut target = *command;
+        for (target, gain) in target.iter_mut().zip(self.gains) {
+            *target = (*target * gain).clamp(0.0, self.max_rpm);
+        }
+        target
+    }
+
+    /// Lets the rotors turn at these speeds, rpm.
+    pub(crate) fn set_rpm(&mut self, rpm: &[f64; 4]) {
+        self.rpm = *rpm;
+    }
+
     /// Goes through one physics step under these commanded speeds (rpm) and gives the rotor speeds that act in it:
     /// n += (n_cmd − n)·(1 − exp(−dt/τ)).
     #[inline]
@@ -110,10 +156,10 @@ impl Actuators {
             std::mem::swap(slot, &mut arrived);
             self.next = (self.next + 1) % self.queue.len();
         }
-        for ((rpm, command), gain) in self.rpm.iter_mut().zip(arrived).zip(self.gains) {
-            let target = (command * gain).clamp(0.0, self.max_rpm);
+        let targets = self.target(&arrived);
+        for (rpm, target) in self.rpm.iter_mut().zip(targets) {
             // without lag exactly the command, not a rounding error beside it
-            *rpm = if self.share == 1.0 { target } else { *rpm + (target - *rpm) * self.share };
+            *rpm = if self.share < 1.0 { *rpm + (target - *rpm) * self.share } else { target };
         }
         &self.rpm
     }

@@ -10,6 +10,7 @@
 //! a line, outside of which there is nothing.
 
 use crate::drone::DroneParams;
+use crate::math::{Real, exp_of_negative};
 use crate::state::DroneState;
 
 /// Lateral distance beyond which there is no downwash, m.
@@ -26,16 +27,16 @@ const CLOSE: f64 = 0.01;
 const VANISHING: f64 = 1491.0;
 
 /// The wake of one airframe.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Wake {
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Wake<R = f64> {
     /// C1·(r_p / 4)², N·m².
-    strength: f64,
+    pub(crate) strength: R,
     /// C2.
-    spread: f64,
+    pub(crate) spread: R,
     /// C3, m.
-    offset: f64,
+    pub(crate) offset: R,
     /// Largest force, N.
-    cap: f64,
+    pub(crate) cap: R,
 }
 
 impl Wake {
@@ -50,17 +51,45 @@ impl Wake {
     /// `sideways_squared` (m²).
     #[inline]
     pub fn force(&self, below: f64, sideways_squared: f64) -> f64 {
+        self.push(below, sideways_squared)
+    }
+}
+
+#[allow(private_bounds)] // for one number or for many
+impl<R: Real> Wake<R> {
+    /// Where there is a force worth computing on a drone that is lower by `below` (m) at a squared lateral distance of
+    /// `sideways_squared` (m²); of one pair or of many.
+    #[inline(always)]
+    pub(crate) fn reaches(&self, below: R, sideways_squared: R) -> R::Mask {
         let beta = self.spread * below + self.offset;
-        let beta_squared = beta * beta;
-        // false for NaN, which is then no force
-        let limit = if below > CLOSE { NEGLIGIBLE } else { VANISHING };
-        let inside = below > 0.0 && sideways_squared < REACH * REACH && sideways_squared <= limit * beta_squared;
-        if !inside {
-            return 0.0;
+        let limit = R::choose(below.all(CLOSE).less(below), below.all(NEGLIGIBLE), below.all(VANISHING));
+        // false for NaN, which is then no force; true on the axis of a wake that is a line
+        let near = sideways_squared.less(limit * (beta * beta) + f64::MIN_POSITIVE);
+        below.all(0.0).less(below) & sideways_squared.less(below.all(REACH * REACH)) & near
+    }
+
+    /// [`force`](Self::force) of one pair or of many.
+    #[inline(always)]
+    pub(crate) fn push(&self, below: R, sideways_squared: R) -> R {
+        let inside = self.reaches(below, sideways_squared);
+        let beta = self.spread * below + self.offset;
+        let fallen = exp_of_negative(sideways_squared * -0.5 / (beta * beta));
+        // on the axis of a wake that is a line, 0 / 0
+        let share = R::choose(sideways_squared.less(below.all(f64::MIN_POSITIVE)), below.all(1.0), fallen);
+        // the lesser after the product: the strength of a wake at no distance at all is infinite
+        let force = -(self.strength / (below * below) * share).lesser(self.cap);
+        R::choose(inside, force, below.all(0.0))
+    }
+
+    /// One wake where true, the other where not.
+    #[inline(always)]
+    pub(crate) fn choose(mask: R::Mask, yes: &Self, no: &Self) -> Self {
+        Self {
+            strength: R::choose(mask, yes.strength, no.strength),
+            spread: R::choose(mask, yes.spread, no.spread),
+            offset: R::choose(mask, yes.offset, no.offset),
+            cap: R::choose(mask, yes.cap, no.cap),
         }
-        let share = if sideways_squared == 0.0 { 1.0 } else { (-0.5 * sideways_squared / beta_squared).exp() };
-        // min before the product: the strength of a wake at no distance at all is infinite
-        -(self.strength / (below * below) * share).min(self.cap)
     }
 }
 
@@ -74,10 +103,10 @@ pub fn add_forces(wakes: &[Wake], states: &[DroneState], forces: &mut [f64]) {
         for j in 0..i {
             let apart = a - states[j].position;
             let sideways_squared = apart.x * apart.x + apart.y * apart.y;
-            if apart.z > 0.0 {
-                forces[j] += wakes[i].force(apart.z, sideways_squared);
-            } else if apart.z < 0.0 {
-                forces[i] += wakes[j].force(-apart.z, sideways_squared);
+            let (lower, wake) = if apart.z > 0.0 { (j, &wakes[i]) } else { (i, &wakes[j]) };
+            // most pairs are out of each other's reach
+            if wake.reaches(apart.z.abs(), sideways_squared) {
+                forces[lower] += wake.push(apart.z.abs(), sideways_squared);
             }
         }
     }

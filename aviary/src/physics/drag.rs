@@ -6,6 +6,7 @@
 use nalgebra::Vector3;
 
 use crate::drone::DroneParams;
+use crate::math::{Real, Turn, V3};
 use crate::state::DroneState;
 
 /// Force of the blades on an airframe, world frame, N.
@@ -14,10 +15,16 @@ use crate::state::DroneState;
 /// air, not the ground.
 #[inline]
 pub fn force(params: &DroneParams, state: &DroneState, rpm: &[f64; 4], wind: &Vector3<f64>) -> Vector3<f64> {
-    let total = rpm.iter().sum::<f64>() * (std::f64::consts::TAU / 60.0);
-    let velocity_body = state.attitude.inverse_transform_vector(&(state.velocity - wind));
-    let drag_body = -Vector3::from(params.drag_coefficients).component_mul(&velocity_body) * total;
-    state.attitude * drag_body
+    let coefficients = V3::from(&Vector3::from(params.drag_coefficients));
+    push(coefficients, &Turn::from(&state.attitude), rpm, V3::from(&state.velocity) - V3::from(wind)).into()
+}
+
+/// The same of one drone or of many, at a velocity relative to the air (world frame).
+#[inline(always)]
+pub(crate) fn push<R: Real>(coefficients: V3<R>, attitude: &Turn<R>, rpm: &[R; 4], relative: V3<R>) -> V3<R> {
+    let total = (rpm[0] + rpm[1] + rpm[2] + rpm[3]) * (std::f64::consts::TAU / 60.0);
+    let velocity_body = attitude.back(relative);
+    attitude.forth(-(coefficients.times(velocity_body) * total))
 }
 
 #[cfg(test)]

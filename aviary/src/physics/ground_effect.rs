@@ -6,15 +6,16 @@
 //! growing without bound as h → 0: see [`DroneParams::ground_effect_clip`].
 
 use crate::drone::DroneParams;
+use crate::math::Real;
 use crate::state::DroneState;
 
 /// The constants of the effect for one airframe.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GroundEffect {
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct GroundEffect<R = f64> {
     /// C_gnd·(r_p / 4)², m².
-    coefficient: f64,
+    pub(crate) coefficient: R,
     /// Least height that counts, m.
-    clip: f64,
+    pub(crate) clip: R,
 }
 
 impl GroundEffect {
@@ -27,13 +28,20 @@ impl GroundEffect {
     /// Additional force along world z, N, for rotors that give this thrust (N) together.
     #[inline]
     pub fn force(&self, state: &DroneState, thrust: f64) -> f64 {
+        self.push(state.position.z, state.up().z, thrust)
+    }
+}
+
+#[allow(private_bounds)] // for one number or for many
+impl<R: Real> GroundEffect<R> {
+    /// The same at a height, with this much of body z upwards, of one drone or of many.
+    #[inline(always)]
+    pub(crate) fn push(&self, height: R, up: R, thrust: R) -> R {
+        let (zero, height) = (height.all(0.0), self.clip.greater(height));
+        let force = thrust * self.coefficient / (height * height);
         // |roll| and |pitch| below 90° are the same as body z pointing upwards
         // (and an airframe without the effect has no clip either, so that its height may be zero)
-        if state.up().z <= 0.0 || self.coefficient == 0.0 {
-            return 0.0;
-        }
-        let height = state.position.z.max(self.clip);
-        thrust * self.coefficient / (height * height)
+        R::choose(zero.less(up) & zero.less(self.coefficient), force, zero)
     }
 }
 

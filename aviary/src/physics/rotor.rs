@@ -1,40 +1,62 @@
 //! The rotors: thrust and reaction torque are quadratic in speed (paper, eq. 1 and the torques below it).
 
-use nalgebra::{Matrix4, UnitQuaternion, Vector3, Vector4};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Wrench;
 use crate::drone::DroneParams;
+use crate::math::{Real, V3};
 
 /// The rotors of one airframe: its allocation matrix times k_f, so that a wrench is one product.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RotorModel {
-    /// `[T, τx, τy, τz]` per rpm².
-    per_rpm_squared: Matrix4<f64>,
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RotorModel<R = f64> {
+    /// Thrust of any rotor, N/rpm².
+    pub(crate) thrust: R,
+    /// Torque of each about body x, y and z, N·m/rpm².
+    pub(crate) torque: [[R; 4]; 3],
 }
 
 /// Collective thrust and torque of the four rotors, body frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RotorWrench {
-    /// Thrust T = Σ k_f·nᵢ² along body z, N.
+    /// Along body z, N.
     pub thrust: f64,
-    /// Torque, body frame, N·m.
+    /// N·m.
     pub torque_body: Vector3<f64>,
 }
 
 impl RotorModel {
     /// The rotors of an airframe.
     pub fn new(params: &DroneParams) -> Self {
-        Self { per_rpm_squared: params.allocation() * params.thrust_coefficient }
+        let matrix = params.allocation() * params.thrust_coefficient;
+        let row = |row: usize| [0, 1, 2, 3].map(|rotor| matrix[(row, rotor)]);
+        Self { thrust: matrix[(0, 0)], torque: [row(1), row(2), row(3)] }
     }
 
     /// What four rotors at these speeds (rpm) do to the airframe:
     /// Fᵢ = k_f·nᵢ², τx and τy by the lever arms, τz = k_m·Σ ±nᵢ².
     #[inline]
     pub fn wrench(&self, rpm: &[f64; 4]) -> RotorWrench {
-        let squared = Vector4::new(rpm[0] * rpm[0], rpm[1] * rpm[1], rpm[2] * rpm[2], rpm[3] * rpm[3]);
-        let wrench = self.per_rpm_squared * squared;
-        RotorWrench { thrust: wrench[0], torque_body: Vector3::new(wrench[1], wrench[2], wrench[3]) }
+        let (thrust, torque_body) = self.thrust_and_torque(rpm);
+        RotorWrench { thrust, torque_body: torque_body.into() }
     }
+}
+
+#[allow(private_bounds)] // for one number or for many
+impl<R: Real> RotorModel<R> {
+    /// The same of one drone or of many.
+    #[inline(always)]
+    pub(crate) fn thrust_and_torque(&self, rpm: &[R; 4]) -> (R, V3<R>) {
+        let squared = [rpm[0] * rpm[0], rpm[1] * rpm[1], rpm[2] * rpm[2], rpm[3] * rpm[3]];
+        let [x, y, z] = &self.torque;
+        let torque = V3::new(product(x, &squared), product(y, &squared), product(z, &squared));
+        (self.thrust * (squared[0] + squared[1] + squared[2] + squared[3]), torque)
+    }
+}
+
+// inlined for sure, unlike a closure: only so are the instructions those of the caller
+#[inline(always)]
+fn product<R: Real>(row: &[R; 4], column: &[R; 4]) -> R {
+    row[0] * column[0] + row[1] * column[1] + row[2] * column[2] + row[3] * column[3]
 }
 
 impl RotorWrench {

@@ -221,13 +221,18 @@ impl WindField {
     /// # Errors
     /// [`WindError`].
     pub fn new(config: WindConfig, drones: &[DroneParams]) -> Result<Self, WindError> {
+        Self::of_areas(config, drones.iter().map(DroneParams::drag_area))
+    }
+
+    /// About drones of these drag areas, m².
+    pub(crate) fn of_areas(config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<Self, WindError> {
         config.validate()?;
         let velocity = Vector3::from(config.velocity);
         let level = Vector3::new(velocity.x, velocity.y, 0.0);
         let along = if level.norm() > 1e-9 { level.normalize() } else { Vector3::x() };
-        let local = |params: &DroneParams| Local {
+        let local = |drag_area: f64| Local {
             rng: Rng::seed_from_u64(0),
-            drag_area: params.drag_area(),
+            drag_area,
             turbulence: [0.0; 3],
             constants: (0.0, [0.0; 3], [1.0; 3]),
             spare: None,
@@ -237,7 +242,7 @@ impl WindField {
             config,
             velocity,
             axes: [along, Vector3::z().cross(&along), Vector3::z()],
-            locals: drones.iter().map(local).collect(),
+            locals: areas.map(local).collect(),
             steps: 0,
         };
         field.reset(0, &[]);

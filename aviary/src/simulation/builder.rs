@@ -1,9 +1,7 @@
-use super::{Drone, Simulation, SimulationError};
+use super::{Equipment, Simulation, SimulationError};
 use crate::drone::DroneParams;
-use crate::engine::{Engine, ExplicitEngine, Load, MujocoEngine};
-use crate::physics::actuators::{ActuatorParams, Actuators};
-use crate::physics::downwash::Wake;
-use crate::physics::ground_effect::GroundEffect;
+use crate::engine::{Engine, EngineKind, ExplicitEngine, HybridEngine, Load, MujocoEngine};
+use crate::physics::actuators::ActuatorParams;
 use crate::physics::rotor::RotorModel;
 use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics, Wrench};
@@ -31,6 +29,7 @@ pub struct SimulationBuilder {
     integrator: Integrator,
     medium: Option<Medium>,
     wind: Option<WindConfig>,
+    engine: Option<EngineKind>,
 }
 
 impl SimulationBuilder {
@@ -54,6 +53,7 @@ impl SimulationBuilder {
             integrator: Integrator::Rk4,
             medium: None,
             wind: None,
+            engine: None,
         }
     }
 
@@ -121,6 +121,20 @@ impl SimulationBuilder {
     #[must_use]
     pub fn effects(mut self, effects: Effects) -> Self {
         self.effects = Some(effects);
+        self
+    }
+
+    /// Who integrates, but in the `dyn` mode; MuJoCo alone by default. The hybrid engine gives the same flights, many times
+    /// faster.
+    #[must_use]
+    pub fn engine(mut self, engine: EngineKind) -> Self {
+        self.engine = Some(engine);
+        self
+    }
+
+    /// The engine, for callers that have their own idea of a default.
+    pub(crate) fn engine_or(mut self, engine: EngineKind) -> Self {
+        self.engine.get_or_insert(engine);
         self
     }
 
@@ -254,47 +268,31 @@ impl SimulationBuilder {
             markers: self.markers,
             ..World::new(bodies)
         };
-        let engine = match self.physics {
-            Physics::Dyn => Engine::Explicit(ExplicitEngine::new(&world)?),
-            _ => Engine::Mujoco(MujocoEngine::new(&world)?),
+        let engine = match (self.physics, self.engine.unwrap_or_default()) {
+            (Physics::Dyn, _) => Engine::Explicit(ExplicitEngine::new(&world)?),
+            (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&world)?),
+            (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&world)?),
         };
         if let Some(drone) = initial.iter().position(|state| !state.is_finite()) {
             return Err(SimulationError::State { drone });
         }
         let contacts = Vec::with_capacity(engine.mujoco_engine().max_contacts());
-        let actuators =
-            (self.drones.iter()).map(|params| Actuators::new(params, &self.actuators, world.timestep)).collect();
-        let wakes = self.drones.iter().map(Wake::new).collect();
         let no_load = Load { rotors: RotorModel::new(&self.drones[0]).wrench(&[0.0; 4]), external: Wrench::ZERO };
-        let drones = (self.drones.into_iter())
-            .map(|params| Drone {
-                rotors: RotorModel::new(&params),
-                ground: GroundEffect::new(&params),
-                max_rpm: params.max_rpm(),
-                params,
-            })
-            .collect();
         let mut simulation = Simulation {
+            equipment: Box::new(Equipment::new(&world, &self.actuators, world.timestep)),
             world,
             physics: self.physics,
             effects: self.effects.unwrap_or_else(|| self.physics.effects()),
             engine,
-            drones,
-            actuator_params: vec![self.actuators; count],
-            actuators,
-            wakes,
-            wind: None,
             sim_freq,
             ctrl_freq,
             control_steps: 0,
             states: initial.clone(),
+            rpys: vec![nalgebra::Vector3::zeros(); count],
             initial,
             previous: vec![DroneState::default(); count],
             loads: vec![no_load; count],
             downwash: vec![0.0; count],
-            memory: Vec::new(),
-            oldest: 0,
-            motor_speeds: vec![[0.0; 4]; count],
             contacts,
             failed: None,
         };

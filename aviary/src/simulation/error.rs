@@ -14,6 +14,12 @@ pub enum SimulationError {
         /// Its index.
         index: usize,
     },
+    /// Gravity that is not a number.
+    #[error("gravity is {got} m/s², expected a finite number")]
+    Gravity {
+        /// What it is.
+        got: f64,
+    },
     /// A wind that cannot blow.
     #[error(transparent)]
     Wind(#[from] WindError),

@@ -1,16 +1,18 @@
 //! N drones in one world, and the step that moves them.
 
 mod builder;
+mod equipment;
 mod error;
 
 pub use builder::SimulationBuilder;
+pub(crate) use equipment::Equipment;
 pub use error::SimulationError;
 
 use nalgebra::Vector3;
 
 use crate::drone::DroneParams;
-use crate::engine::{Contact, Engine, Load};
-use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::engine::{Contact, Engine, Load, Substeps};
+use crate::physics::actuators::ActuatorParams;
 use crate::physics::downwash::{self, Wake};
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -39,37 +41,22 @@ pub struct Simulation {
     physics: Physics,
     effects: Effects,
     engine: Engine,
-    drones: Vec<Drone>,
-    actuators: Vec<Actuators>,
-    actuator_params: Vec<ActuatorParams>,
-    wakes: Vec<Wake>,
-    wind: Option<WindField>,
     sim_freq: u32,
     ctrl_freq: u32,
-    control_steps: u64,
     initial: Vec<DroneState>,
+    /// Airframes, motors, wind: in a batch, those of one environment after the other.
+    equipment: Box<Equipment>,
     states: Vec<DroneState>,
+    /// Roll, pitch and yaw of the same, rad.
+    rpys: Vec<Vector3<f64>>,
+    control_steps: u64,
+    contacts: Vec<Contact>,
+    failed: Option<SimulationError>,
     loads: Vec<Load>,
     /// Force of the wakes on every drone, along world z, N.
     downwash: Vec<f64>,
     /// States before the last physics step.
     previous: Vec<DroneState>,
-    /// States of earlier physics steps, a ring of one list after the other.
-    memory: Vec<DroneState>,
-    /// The oldest of them, by number of list.
-    oldest: usize,
-    motor_speeds: Vec<[f64; 4]>,
-    contacts: Vec<Contact>,
-    failed: Option<SimulationError>,
-}
-
-/// One drone's constants in the form the step wants them.
-#[derive(Debug)]
-struct Drone {
-    params: DroneParams,
-    rotors: RotorModel,
-    ground: GroundEffect,
-    max_rpm: f64,
 }
 
 /// What of a state is not a number or larger than MuJoCo works with.
@@ -107,37 +94,60 @@ impl Simulation {
         if let Some(error) = &self.failed {
             return Err(error.clone());
         }
-        self.accept(commands)?;
+        let time = self.time();
+        self.equipment.accept(commands, time)?;
         self.contacts.clear();
+        self.prepare()?;
         for substep in 0..self.substeps() {
-            if !self.memory.is_empty() {
-                let count = self.states.len();
-                self.memory[self.oldest * count..][..count].copy_from_slice(&self.states);
-                self.oldest = (self.oldest + 1) % (self.memory.len() / count);
-            }
+            self.equipment.memory.note(&self.states);
             self.compute_loads();
-            if let Err(error) = self.engine.advance(&self.loads, &self.states) {
-                return Err(self.failure(substep, error));
-            }
-            self.take_states(substep)?;
+            self.advance(substep)?;
             self.note_contacts();
         }
         self.control_steps += 1;
+        self.update_rpys();
         Ok(())
+    }
+
+    /// Tells the engine what it moves, at the start of a control step.
+    fn prepare(&mut self) -> Result<(), SimulationError> {
+        self.equipment.refresh(&self.world, self.effects);
+        let steps = self.substeps();
+        self.engine.begin(&self.equipment.bodies, &self.states, steps).map_err(|error| self.failure(0, error))
+    }
+
+    /// One physics step under the loads.
+    fn advance(&mut self, substep: u32) -> Result<(), SimulationError> {
+        self.previous.copy_from_slice(&self.states);
+        let outcome = self.engine.advance(&self.equipment.bodies, &self.loads, &mut self.states);
+        // MuJoCo itself would say only at the next step that a state has left the range of numbers
+        let lost = self.states.iter().enumerate().find_map(|(drone, state)| Some((drone, out_of_range(state)?)));
+        let error = match (outcome, lost) {
+            (Err(error), _) => self.failure(substep, error),
+            (Ok(()), Some((drone, quantity))) => {
+                SimulationError::Diverged { drone, time: self.substep_time(substep), quantity }
+            }
+            (Ok(()), None) => return Ok(()),
+        };
+        self.states.copy_from_slice(&self.previous);
+        self.update_rpys();
+        self.failed = Some(error.clone());
+        Err(error)
     }
 
     /// Turns the rotors on by one physics step and computes what acts on every drone, from the states at its start.
     fn compute_loads(&mut self) {
         let (effects, dt) = (self.effects, self.world.timestep);
+        let Equipment { drones, actuators, wakes, wind, motor_speeds, .. } = &mut *self.equipment;
         if effects.downwash {
             self.downwash.fill(0.0);
-            downwash::add_forces(&self.wakes, &self.states, &mut self.downwash);
+            downwash::add_forces(wakes, &self.states, &mut self.downwash);
         }
-        for (index, (drone, state)) in self.drones.iter().zip(&self.states).enumerate() {
-            let rpm = self.actuators[index].advance(&self.motor_speeds[index]);
+        for (index, (drone, state)) in drones.iter().zip(&self.states).enumerate() {
+            let rpm = actuators[index].advance(&motor_speeds[index]);
             let rotors = drone.rotors.wrench(rpm);
             let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
-            if let Some(wind) = &mut self.wind {
+            if let Some(wind) = wind {
                 (force, air) = wind.advance(dt, index, state);
             }
             if effects.ground {
@@ -153,23 +163,6 @@ impl Simulation {
         }
     }
 
-    /// Takes motor commands over, clipped, if all of them are numbers.
-    fn accept(&mut self, commands: &[[f64; 4]]) -> Result<(), SimulationError> {
-        let expected = self.drones.len();
-        if commands.len() != expected {
-            return Err(SimulationError::Length { what: "the list of motor commands", got: commands.len(), expected });
-        }
-        for (drone, speeds) in commands.iter().enumerate() {
-            if let Some((motor, &got)) = speeds.iter().enumerate().find(|(_, rpm)| !rpm.is_finite()) {
-                return Err(SimulationError::Command { drone, motor, got, time: self.time() });
-            }
-        }
-        for ((drone, speeds), command) in self.drones.iter().zip(&mut self.motor_speeds).zip(commands) {
-            *speeds = command.map(|rpm| rpm.clamp(0.0, drone.max_rpm));
-        }
-        Ok(())
-    }
-
     fn note_contacts(&mut self) {
         let contacts = &mut self.contacts;
         self.engine.contacts(|contact| {
@@ -179,27 +172,12 @@ impl Simulation {
         });
     }
 
-    /// Reads the states after a physics step, unless one of them has left the range of numbers: MuJoCo itself would
-    /// say so only at the next step.
-    fn take_states(&mut self, substep: u32) -> Result<(), SimulationError> {
-        std::mem::swap(&mut self.states, &mut self.previous);
-        self.engine.states(&mut self.states);
-        let lost = self.states.iter().enumerate().find_map(|(drone, state)| Some((drone, out_of_range(state)?)));
-        if let Some((drone, quantity)) = lost {
-            std::mem::swap(&mut self.states, &mut self.previous);
-            let error = SimulationError::Diverged { drone, time: self.substep_time(substep), quantity };
-            self.failed = Some(error.clone());
-            return Err(error);
-        }
-        Ok(())
-    }
-
     fn substep_time(&self, substep: u32) -> f64 {
         self.time() + f64::from(substep) / f64::from(self.sim_freq)
     }
 
     #[cold]
-    fn failure(&mut self, substep: u32, error: mujoco_rs::Error) -> SimulationError {
+    fn failure(&self, substep: u32, error: mujoco_rs::Error) -> SimulationError {
         let time = self.substep_time(substep);
         let diverged = match &error {
             mujoco_rs::Error::Diverged(divergence) => {
@@ -207,7 +185,7 @@ impl Simulation {
             }
             _ => None,
         };
-        let error = match diverged {
+        match diverged {
             Some((drone, divergence)) => {
                 let quantity = match divergence.quantity {
                     mujoco_rs::DivergedQuantity::Position => "position",
@@ -217,9 +195,7 @@ impl Simulation {
                 SimulationError::Diverged { drone, time, quantity }
             }
             None => SimulationError::Engine { time, error },
-        };
-        self.failed = Some(error.clone());
-        error
+        }
     }
 
     /// Back to the initial states, time 0, no command given; slow motors turn at hover speed.
@@ -236,7 +212,7 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError::Length`] and [`SimulationError::State`], and then nothing has changed.
     pub fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
-        let expected = self.drones.len();
+        let expected = self.states.len();
         if states.len() != expected {
             return Err(SimulationError::Length { what: "the list of states", got: states.len(), expected });
         }
@@ -249,16 +225,24 @@ impl Simulation {
 
     fn restart(&mut self) -> Result<(), SimulationError> {
         self.engine.reset(&self.states).map_err(|error| SimulationError::Engine { time: 0.0, error })?;
-        self.motor_speeds.fill([0.0; 4]);
-        for (actuators, (drone, load)) in self.actuators.iter_mut().zip(self.drones.iter().zip(&mut self.loads)) {
+        let Equipment { drones, actuators, motor_speeds, memory, .. } = &mut *self.equipment;
+        motor_speeds.fill([0.0; 4]);
+        for (actuators, (drone, load)) in actuators.iter_mut().zip(drones.iter().zip(&mut self.loads)) {
             actuators.reset();
             *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
-        self.forget();
+        memory.forget(&self.states);
         self.contacts.clear();
         self.control_steps = 0;
         self.failed = None;
+        self.update_rpys();
         Ok(())
+    }
+
+    fn update_rpys(&mut self) {
+        for (rpy, state) in self.rpys.iter_mut().zip(&self.states) {
+            *rpy = state.rpy();
+        }
     }
 
     /// Changes the airframe of a drone, from the next step on: the simulated body, its rotors and what the air does to it.
@@ -273,12 +257,11 @@ impl Simulation {
         // one that can no longer hover is still a body
         let able = DroneParams { thrust_to_weight: params.thrust_to_weight.max(1.0), ..params.clone() };
         able.validate().map_err(|error| SimulationError::Drone { drone, error })?;
-        let engine = |error| SimulationError::Engine { time: 0.0, error };
-        self.engine.set_body(drone, params.mass, &params.inertia_vector()).map_err(engine)?;
-        self.wakes[drone] = Wake::new(&params);
-        let max_rpm = self.drones[drone].max_rpm;
-        self.drones[drone] =
-            Drone { rotors: RotorModel::new(&params), ground: GroundEffect::new(&params), max_rpm, params };
+        self.equipment.wakes[drone] = Wake::new(&params);
+        let own = &mut self.equipment.drones[drone];
+        (own.rotors, own.ground) = (RotorModel::new(&params), GroundEffect::new(&params));
+        own.params = params;
+        self.equipment.changed = true;
         Ok(())
     }
 
@@ -291,10 +274,11 @@ impl Simulation {
     /// If there is no drone of that index.
     pub fn set_actuators(&mut self, drone: usize, actuators: &ActuatorParams) -> Result<(), SimulationError> {
         actuators.validate()?;
-        self.actuator_params[drone] = *actuators;
+        self.equipment.drones[drone].actuators = *actuators;
         // motors are those of the airframe it was built with
         let nominal = &self.world.drones[drone].params;
-        self.actuators[drone] = Actuators::new(nominal, actuators, self.world.timestep);
+        self.equipment.actuators[drone].set(nominal, actuators, self.world.timestep);
+        self.equipment.changed = true;
         Ok(())
     }
 
@@ -337,15 +321,20 @@ impl Simulation {
     /// # Panics
     /// If there is no drone of that index.
     pub fn actuator_params(&self, drone: usize) -> &ActuatorParams {
-        &self.actuator_params[drone]
+        &self.equipment.drones[drone].actuators
     }
 
     /// Changes gravity (m/s², downwards), from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Engine`] for what is not a number.
+    /// [`SimulationError::Gravity`] for what is not a number.
     pub fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
-        self.engine.set_gravity(gravity).map_err(|error| SimulationError::Engine { time: 0.0, error })
+        if !gravity.is_finite() {
+            return Err(SimulationError::Gravity { got: gravity });
+        }
+        self.equipment.bodies.gravity = gravity;
+        self.equipment.changed = true;
+        Ok(())
     }
 
     /// Longest time that states are remembered, s.
@@ -354,27 +343,21 @@ impl Simulation {
     /// Remembers the states of so many seconds, in whole physics steps and up to [`MAX_MEMORY`](Self::MAX_MEMORY), for [`remembered`](Self::remembered).
     pub fn remember(&mut self, seconds: f64) {
         let steps = (seconds.clamp(0.0, Self::MAX_MEMORY) / self.world.timestep).round() as usize;
-        self.memory.resize(steps * self.states.len(), DroneState::default());
-        self.forget();
+        let memory = &mut self.equipment.memory;
+        memory.states.resize(steps * self.states.len(), DroneState::default());
+        memory.forget(&self.states);
     }
 
     /// The states as they were the [remembered](Self::remember) time ago; those of the start while there was none.
     pub fn remembered(&self) -> &[DroneState] {
-        let count = self.states.len();
-        self.memory.get(self.oldest * count..(self.oldest + 1) * count).unwrap_or(&self.states)
-    }
-
-    /// As if the drones had always been where they are.
-    fn forget(&mut self) {
-        self.oldest = 0;
-        for states in self.memory.chunks_exact_mut(self.states.len()) {
-            states.copy_from_slice(&self.states);
-        }
+        let (count, memory) = (self.states.len(), &self.equipment.memory);
+        memory.states.get(memory.oldest * count..(memory.oldest + 1) * count).unwrap_or(&self.states)
     }
 
     /// Puts other states in place of the drones' own and gives those back: for looking at what sensors see.
     pub(crate) fn swap_states(&mut self, states: &mut Vec<DroneState>) {
         std::mem::swap(&mut self.states, states);
+        self.update_rpys();
     }
 
     /// Changes the wind, from now on; `None` for still air. It starts anew, from this seed.
@@ -382,30 +365,31 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError::Wind`], and then nothing has changed.
     pub fn set_wind(&mut self, wind: impl Into<Option<WindConfig>>, seed: u64) -> Result<(), SimulationError> {
-        let drones = self.drones.iter().map(|drone| drone.params.clone()).collect::<Vec<_>>();
-        self.wind = match wind.into().filter(|wind| wind.model != WindModel::None) {
-            Some(config) => Some(WindField::new(config, &drones)?),
+        let drones = self.equipment.drones.iter().map(|drone| drone.params.drag_area());
+        self.equipment.wind = match wind.into().filter(|wind| wind.model != WindModel::None) {
+            Some(config) => Some(WindField::of_areas(config, drones)?),
             None => None,
         };
+        self.equipment.changed = true;
         self.reset_wind(seed);
         Ok(())
     }
 
     /// The wind that blows.
     pub fn wind(&self) -> Option<&WindConfig> {
-        self.wind.as_ref().map(WindField::config)
+        self.equipment.wind.as_ref().map(WindField::config)
     }
 
     /// Starts the wind anew from a seed, which a reset by itself does not.
     pub fn reset_wind(&mut self, seed: u64) {
-        if let Some(wind) = &mut self.wind {
+        if let Some(wind) = &mut self.equipment.wind {
             wind.reset(seed, &self.states);
         }
     }
 
     /// How many drones there are.
     pub fn num_drones(&self) -> usize {
-        self.drones.len()
+        self.states.len()
     }
 
     /// The airframe of a drone.
@@ -413,12 +397,21 @@ impl Simulation {
     /// # Panics
     /// If there is no drone of that index.
     pub fn params(&self, drone: usize) -> &DroneParams {
-        &self.drones[drone].params
+        &self.equipment.drones[drone].params
     }
 
     /// States of all drones, in order.
     pub fn states(&self) -> &[DroneState] {
         &self.states
+    }
+
+    /// Roll, pitch and yaw of a drone, rad: intrinsic z-y'-x''.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    #[inline]
+    pub fn rpy(&self, drone: usize) -> &Vector3<f64> {
+        &self.rpys[drone]
     }
 
     /// States that a reset goes back to.
@@ -431,12 +424,12 @@ impl Simulation {
     /// # Panics
     /// If there is no drone of that index.
     pub fn rotor_speeds(&self, drone: usize) -> &[f64; 4] {
-        self.actuators[drone].rpm()
+        self.equipment.actuators[drone].rpm()
     }
 
     /// Motor speeds commanded to all drones during the last control step, rpm.
     pub fn motor_speeds(&self) -> &[[f64; 4]] {
-        &self.motor_speeds
+        &self.equipment.motor_speeds
     }
 
     /// What was touched during the last control step: each pair of drone and thing once.
@@ -494,6 +487,11 @@ impl Simulation {
         &self.loads
     }
 
+    /// How many physics steps of this world each engine did.
+    pub fn engine_substeps(&self) -> Substeps {
+        self.engine.substeps()
+    }
+
     /// The engine, for experts.
     pub fn engine(&self) -> &Engine {
         &self.engine
@@ -505,7 +503,8 @@ impl Simulation {
     /// # Errors
     /// MuJoCo's own.
     pub fn mujoco(&mut self) -> Result<&mujoco_rs::Data, mujoco_rs::Error> {
-        self.engine.mujoco()
+        self.equipment.refresh(&self.world, self.effects);
+        self.engine.mujoco(&self.equipment.bodies, &self.states)
     }
 
     /// Which drones are within a neighbourhood: row i, column j of an N × N matrix is whether drones i and j are at

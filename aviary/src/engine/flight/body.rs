@@ -1,0 +1,291 @@
+use nalgebra::Vector3;
+
+use crate::math::{MAX_HALF_ANGLE_SQUARED, Real, Turn, V3, half_angle};
+use crate::physics::rotor::RotorWrench;
+use crate::state::DroneState;
+use crate::world::Medium;
+
+/// A free rigid body in the form that its equations of motion want it; one, or many at once.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FreeBody<R = f64> {
+    /// 1/m, 1/kg.
+    pub(super) inverse_mass: R,
+    /// Downwards, m/s².
+    pub(super) gravity: R,
+    /// 1/J, 1/(kg·m²).
+    pub(super) inverse_inertia: [R; 3],
+    /// (Jy − Jz)/Jx and so on around: what a rotation about two axes does about the third.
+    pub(super) gyration: [R; 3],
+    /// What the medium takes off velocities.
+    pub(super) fluid: Fluid<R>,
+}
+
+/// MuJoCo's drag of the box that has a body's inertia, divided by its mass and inertia: −(viscous + quadratic·|x|)·x along each
+/// axis of the body.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Fluid<R = f64> {
+    /// On the velocity, 1/s.
+    pub viscous: R,
+    /// On the velocity, 1/m.
+    pub quadratic: [R; 3],
+    /// On the body rates, 1/s.
+    pub viscous_rate: [R; 3],
+    /// On the body rates.
+    pub quadratic_rate: [R; 3],
+}
+
+/// [`DroneState`] of one or of many.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Motion<R> {
+    pub position: V3<R>,
+    pub attitude: Turn<R>,
+    pub velocity: V3<R>,
+    pub rate: V3<R>,
+}
+
+/// What acts on a body during a step: thrust along body z (N) and torque (body frame, N·m) of the rotors, and a force (world
+/// frame, N).
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Push<R> {
+    pub thrust: R,
+    pub torque: V3<R>,
+    pub force: V3<R>,
+}
+
+impl From<&DroneState> for Motion<f64> {
+    #[inline(always)]
+    fn from(state: &DroneState) -> Self {
+        Self {
+            position: V3::from(&state.position),
+            attitude: Turn::from(&state.attitude),
+            velocity: V3::from(&state.velocity),
+            rate: V3::from(&state.angular_velocity),
+        }
+    }
+}
+
+impl From<Motion<f64>> for DroneState {
+    #[inline(always)]
+    fn from(motion: Motion<f64>) -> Self {
+        Self {
+            position: motion.position.into(),
+            attitude: motion.attitude.into(),
+            velocity: motion.velocity.into(),
+            angular_velocity: motion.rate.into(),
+        }
+    }
+}
+
+impl FreeBody {
+    /// Greatest angle that a body may turn in a step, rad, for [`step`](Self::step) to be exact.
+    pub const MAX_TURN: f64 = 0.5;
+
+    /// Of a mass (kg) and moments of inertia (kg·m²), under gravity (m/s², downwards) in a medium, if there is one.
+    pub fn new(mass: f64, inertia: &Vector3<f64>, gravity: f64, medium: Option<Medium>) -> Self {
+        const { assert!(Self::MAX_TURN * Self::MAX_TURN <= 4.0 * MAX_HALF_ANGLE_SQUARED) };
+        let [x, y, z] = [inertia.x, inertia.y, inertia.z];
+        Self {
+            inverse_mass: 1.0 / mass,
+            gravity,
+            inverse_inertia: [1.0 / x, 1.0 / y, 1.0 / z],
+            gyration: [(y - z) / x, (z - x) / y, (x - y) / z],
+            fluid: medium.map(|medium| Fluid::new(mass, [x, y, z], medium)).unwrap_or_default(),
+        }
+    }
+
+    /// One step of MuJoCo's RK4 over `dt` seconds under the rotors and a force (world frame, N) that is constant
+    /// through it. The rotors' wrench is constant in the world frame as well, or, where it is `BODY_FIXED`, it turns with the
+    /// body inside the stages. A body without a medium may be told so, which saves work.
+    ///
+    /// It is exact while the body turns by less than [`MAX_TURN`](Self::MAX_TURN).
+    #[inline]
+    pub fn step<const BODY_FIXED: bool, const MEDIUM: bool>(
+        &self,
+        dt: f64,
+        rotors: &RotorWrench,
+        force_world: &Vector3<f64>,
+        state: &DroneState,
+    ) -> DroneState {
+        let torque = V3::from(&rotors.torque_body);
+        let push = Push { thrust: rotors.thrust, torque, force: V3::from(force_world) };
+        self.rk4::<BODY_FIXED, MEDIUM>(dt, &push, &Motion::from(state)).into()
+    }
+}
+
+#[allow(private_bounds)] // for one number or for many
+impl<R: Real> FreeBody<R> {
+    /// [`step`](FreeBody::step) of one or of many.
+    ///
+    /// MuJoCo adds the stages' angular velocities as vectors and turns the attitude by the sum. All stages are therefore rotations
+    /// from the attitude at the start, in whose frame everything is computed here.
+    #[inline(always)]
+    pub(super) fn rk4<const BODY_FIXED: bool, const MEDIUM: bool>(
+        &self,
+        dt: f64,
+        push: &Push<R>,
+        start: &Motion<R>,
+    ) -> Motion<R> {
+        let (half, sixth) = (0.5 * dt, dt / 6.0);
+        let (torque, rate) = (push.torque, start.rate);
+        let a1 = self.angular_acceleration::<MEDIUM>(torque, rate);
+        let turn2 = rotation(rate * half);
+        let rate2 = rate + a1 * half;
+        let a2 = self.angular_acceleration::<MEDIUM>(torque_at::<R, BODY_FIXED>(torque, &turn2), rate2);
+        let turn3 = rotation(rate2 * half);
+        let rate3 = rate + a2 * half;
+        let a3 = self.angular_acceleration::<MEDIUM>(torque_at::<R, BODY_FIXED>(torque, &turn3), rate3);
+        let turn4 = rotation(rate3 * dt);
+        let rate4 = rate + a3 * dt;
+        let a4 = self.angular_acceleration::<MEDIUM>(torque_at::<R, BODY_FIXED>(torque, &turn4), rate4);
+        let turn = rotation((rate + (rate2 + rate3) * 2.0 + rate4) * sixth);
+        let new_rate = rate + (a1 + (a2 + a3) * 2.0 + a4) * sixth;
+
+        let (gained, moved) = if BODY_FIXED || MEDIUM {
+            // in the frame of the body at the start
+            let frame = &start.attitude;
+            let mut constant = push.force * self.inverse_mass;
+            constant.z = constant.z - self.gravity;
+            let mut constant = frame.back(constant);
+            let lift = push.thrust * self.inverse_mass;
+            if !BODY_FIXED {
+                constant.z = constant.z + lift;
+            }
+            let velocity = frame.back(start.velocity);
+            let felt = Felt::<R, BODY_FIXED, MEDIUM> { constant, lift, fluid: &self.fluid };
+            let b1 = felt.acceleration_at_start(velocity);
+            let b2 = felt.acceleration(&turn2, velocity + b1 * half);
+            let b3 = felt.acceleration(&turn3, velocity + b2 * half);
+            let b4 = felt.acceleration(&turn4, velocity + b3 * dt);
+            (frame.forth((b1 + (b2 + b3) * 2.0 + b4) * sixth), frame.forth((b1 + b2 + b3) * sixth))
+        } else {
+            let mut acceleration = (start.attitude.up() * push.thrust + push.force) * self.inverse_mass;
+            acceleration.z = acceleration.z - self.gravity;
+            (acceleration * dt, acceleration * half)
+        };
+        Motion {
+            position: start.position + (start.velocity + moved) * dt,
+            attitude: after(&start.attitude, &turn),
+            velocity: start.velocity + gained,
+            rate: new_rate,
+        }
+    }
+
+    /// Euler's equations, body frame, rad/s².
+    #[inline(always)]
+    fn angular_acceleration<const MEDIUM: bool>(&self, torque: V3<R>, rate: V3<R>) -> V3<R> {
+        let ([jx, jy, jz], [gx, gy, gz]) = (self.inverse_inertia, self.gyration);
+        let V3 { x, y, z } = rate;
+        let free = V3::new(torque.x * jx + gx * (y * z), torque.y * jy + gy * (z * x), torque.z * jz + gz * (x * y));
+        if MEDIUM { free + self.fluid.slowing_rate(rate) } else { free }
+    }
+}
+
+/// What accelerates a body in the stages of a step, in the frame of its start.
+struct Felt<'a, R, const BODY_FIXED: bool, const MEDIUM: bool> {
+    /// What is constant.
+    constant: V3<R>,
+    /// Of the rotors, where it turns with the body.
+    lift: R,
+    fluid: &'a Fluid<R>,
+}
+
+impl<R: Real, const BODY_FIXED: bool, const MEDIUM: bool> Felt<'_, R, BODY_FIXED, MEDIUM> {
+    #[inline(always)]
+    fn acceleration_at_start(&self, velocity: V3<R>) -> V3<R> {
+        let mut total = self.constant;
+        if BODY_FIXED {
+            total.z = total.z + self.lift;
+        }
+        if MEDIUM { total + self.fluid.slowing(velocity) } else { total }
+    }
+
+    #[inline(always)]
+    fn acceleration(&self, turn: &Turn<R>, velocity: V3<R>) -> V3<R> {
+        let mut total = self.constant;
+        if BODY_FIXED {
+            total = total + turn.up() * self.lift;
+        }
+        if MEDIUM {
+            total = total + turn.forth(self.fluid.slowing(turn.back(velocity)));
+        }
+        total
+    }
+}
+
+/// The rotors' torque in the frame of a stage.
+#[inline(always)]
+fn torque_at<R: Real, const BODY_FIXED: bool>(torque: V3<R>, turn: &Turn<R>) -> V3<R> {
+    if BODY_FIXED { torque } else { turn.back(torque) }
+}
+
+/// Drag along an axis.
+#[inline(always)]
+fn against<R: Real>(viscous: R, quadratic: R, x: R) -> R {
+    -((viscous + quadratic * x.abs()) * x)
+}
+
+impl Fluid {
+    /// As `mj_inertiaBoxFluidModel` has it.
+    fn new(mass: f64, [x, y, z]: [f64; 3], medium: Medium) -> Self {
+        use std::f64::consts::PI;
+        let edge = |rest: f64| (rest.max(1e-15) / mass * 6.0).sqrt();
+        let sides = [edge(y + z - x), edge(x + z - y), edge(x + y - z)];
+        let diameter = (sides[0] + sides[1] + sides[2]) / 3.0;
+        let around = |axis: usize| (sides[(axis + 1) % 3], sides[(axis + 2) % 3]);
+        let inertia = [x, y, z];
+        let axes = [0, 1, 2];
+        Self {
+            viscous: 3.0 * PI * diameter * medium.viscosity / mass,
+            quadratic: axes.map(|axis| 0.5 * medium.density * around(axis).0 * around(axis).1 / mass),
+            viscous_rate: axes.map(|axis| PI * diameter.powi(3) * medium.viscosity / inertia[axis]),
+            quadratic_rate: axes.map(|axis| {
+                let (a, b) = around(axis);
+                medium.density * sides[axis] * (a.powi(4) + b.powi(4)) / 64.0 / inertia[axis]
+            }),
+        }
+    }
+
+    /// Most that it takes off a velocity, 1/s and 1/m.
+    pub(super) fn most(&self) -> [f64; 2] {
+        [self.viscous, self.quadratic.into_iter().fold(0.0, f64::max)]
+    }
+}
+
+impl<R: Real> Fluid<R> {
+    /// Acceleration at a velocity, both body frame.
+    #[inline(always)]
+    fn slowing(&self, v: V3<R>) -> V3<R> {
+        let [x, y, z] = self.quadratic;
+        let viscous = self.viscous;
+        V3::new(against(viscous, x, v.x), against(viscous, y, v.y), against(viscous, z, v.z))
+    }
+
+    /// Angular acceleration at body rates.
+    #[inline(always)]
+    fn slowing_rate(&self, rate: V3<R>) -> V3<R> {
+        let ([vx, vy, vz], [x, y, z]) = (self.viscous_rate, self.quadratic_rate);
+        V3::new(against(vx, x, rate.x), against(vy, y, rate.y), against(vz, z, rate.z))
+    }
+}
+
+/// The rotation by a vector, rad.
+#[inline(always)]
+fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
+    let (cos, sinc) = half_angle(angle.dot(angle) * 0.25);
+    Turn { w: cos, v: angle * (sinc * 0.5) }
+}
+
+/// An attitude that has turned.
+#[inline(always)]
+fn after<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
+    let (w, V3 { x, y, z }, c, s) = (attitude.w, attitude.v, turn.w, turn.v);
+    let q = [
+        w * c - x * s.x - y * s.y - z * s.z,
+        w * s.x + x * c + y * s.z - z * s.y,
+        w * s.y - x * s.z + y * c + z * s.x,
+        w * s.z + x * s.y - y * s.x + z * c,
+    ];
+    // its length is one but for rounding, of which one step of Newton's method leaves the square
+    let scale = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) * -0.5 + 1.5;
+    Turn { w: q[0] * scale, v: V3::new(q[1], q[2], q[3]) * scale }
+}

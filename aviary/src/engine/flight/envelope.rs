@@ -1,0 +1,119 @@
+use nalgebra::Vector3;
+
+use super::FreeBody;
+use super::body::Motion;
+use crate::math::{Real, V3};
+use crate::state::DroneState;
+
+/// How far a drone can come within a time, whatever its motors do; of one drone or of many.
+///
+/// A drone is a ball about its middle that grows by what it can travel. Every bound is on the safe side.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Envelope<R = f64> {
+    /// How far the drone reaches from its middle, m.
+    reach: R,
+    /// Greatest acceleration of thrust, gravity and wakes, m/s²; infinite where there is none that is sure.
+    acceleration: R,
+    /// What drag may change of a velocity, 1/s and 1/m.
+    slowing: [R; 2],
+    /// Greatest moment of inertia over the least one: as much may a body rate grow by itself.
+    growth: R,
+    /// Greatest angular acceleration of the rotors, rad/s².
+    turning: R,
+}
+
+/// Room that a bound leaves for rounding, m.
+const SLACK: f64 = 1e-9;
+
+impl Envelope {
+    /// Of a drone that reaches so far (m), of that body, whose rotors and surroundings give at most this acceleration (m/s²,
+    /// beside gravity) and torque (N·m), and whose blades drag at most so much (1/s).
+    pub fn new(body: &FreeBody, reach: f64, acceleration: f64, torque: f64, slowing: f64) -> Self {
+        let [x, y, z] = body.inverse_inertia;
+        let (most, least) = (x.max(y).max(z), x.min(y).min(z));
+        let [linear, quadratic] = body.fluid.most();
+        Self {
+            reach: reach + SLACK,
+            acceleration: acceleration + body.gravity.abs(),
+            slowing: [slowing + linear, quadratic],
+            growth: most / least,
+            turning: torque * most,
+        }
+    }
+
+    /// The same of a drone that reaches so far, m.
+    #[must_use]
+    pub fn reaching(self, reach: f64) -> Self {
+        Self { reach: reach + SLACK, ..self }
+    }
+
+    /// How far the drone reaches from its middle, m.
+    pub fn reach(&self) -> f64 {
+        self.reach
+    }
+
+    /// The ball that a drone does not leave in so many physics steps of `dt` seconds, about its present position: its
+    /// radius, m; NaN or infinite where there is none, or where the drone may turn too fast for the kernel.
+    pub fn radius(&self, dt: f64, steps: u32, state: &DroneState) -> f64 {
+        self.ball(dt, steps, &Motion::from(state))
+    }
+
+    /// How far a drone comes in one physics step of `dt` seconds under a known force (N, with its weight) and torque (N·m) at
+    /// most, and by what angle it turns, rad.
+    pub(crate) fn one_step(&self, dt: f64, body: &FreeBody, force: f64, torque: f64, state: &DroneState) -> (f64, f64) {
+        let known = Self {
+            acceleration: force * body.inverse_mass,
+            turning: torque * body.inverse_inertia.into_iter().fold(0.0, f64::max),
+            ..*self
+        };
+        let (speed, rate) = (V3::from(&state.velocity).norm(), V3::from(&state.angular_velocity).norm());
+        (known.travel(dt, speed) + SLACK, known.turn_rate(dt, rate) * dt)
+    }
+
+    pub(super) fn numbers(&self) -> [f64; 6] {
+        [self.reach, self.acceleration, self.slowing[0], self.slowing[1], self.growth, self.turning]
+    }
+}
+
+#[allow(private_bounds)] // for one number or for many
+impl<R: Real> Envelope<R> {
+    #[inline(always)]
+    pub(super) fn of(reach: R, acceleration: R, slowing: [R; 2], growth: R, turning: R) -> Self {
+        Self { reach, acceleration, slowing, growth, turning }
+    }
+
+    /// [`radius`](Envelope::radius) of one or of many.
+    #[inline(always)]
+    pub(super) fn ball(&self, dt: f64, steps: u32, motion: &Motion<R>) -> R {
+        /// Beyond that the numbers themselves are to be looked at: m and m/s.
+        const FAR: f64 = 1e6;
+        let time = dt * f64::from(steps);
+        let (speed, rate) = (motion.velocity.norm(), motion.rate.norm());
+        let slow_enough = (self.turn_rate(time, rate) * dt).less(rate.all(FreeBody::MAX_TURN));
+        let V3 { x, y, z } = motion.position;
+        let far = x.all(FAR);
+        let sane = x.abs().less(far) & y.abs().less(far) & z.abs().less(far) & speed.less(far);
+        R::choose(sane & slow_enough, self.reach + self.travel(time, speed), rate.all(f64::INFINITY))
+    }
+
+    /// |v|·t·(1 + t·slowing) + a·t²: twice what a constant acceleration comes to, for those that are held through a step.
+    #[inline(always)]
+    fn travel(&self, time: f64, speed: R) -> R {
+        let slowing = self.slowing[0] + self.slowing[1] * speed;
+        (speed * (slowing * time + 1.0) + self.acceleration * time) * time
+    }
+
+    /// |ω| ≤ (J_max·|ω₀| + t·τ)/J_min.
+    #[inline(always)]
+    fn turn_rate(&self, time: f64, rate: R) -> R {
+        self.growth * rate + self.turning * time
+    }
+}
+
+/// Height of the lowest point of an upright cylinder's rim and faces over the floor, m: of this radius and height (m) about the
+/// drone's middle.
+pub(crate) fn clearance(radius: f64, height: f64, state: &DroneState) -> f64 {
+    let up: Vector3<f64> = state.up();
+    let sideways = (1.0 - up.z * up.z).max(0.0).sqrt();
+    state.position.z - 0.5 * height * up.z.abs() - radius * sideways
+}

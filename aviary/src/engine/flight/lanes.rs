@@ -1,0 +1,483 @@
+use nalgebra::Vector3;
+use pulp::{Simd, WithSimd};
+
+use super::body::{Fluid, Motion, Push};
+use super::envelope::Envelope;
+use super::{FreeBody, Width};
+use crate::math::{Pack, Real, Turn, V3};
+use crate::physics::downwash::Wake;
+use crate::physics::drag;
+use crate::physics::ground_effect::GroundEffect;
+use crate::physics::rotor::RotorModel;
+use crate::state::{DroneState, wxyz};
+
+/// How many drones are advanced together.
+pub const LANES: usize = 8;
+
+/// One number of each.
+type Row = [f64; LANES];
+
+/// One drone's part of [`Airframes`]: what does not change during a step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Airframe {
+    /// The body.
+    pub body: FreeBody,
+    /// The rotors.
+    pub rotors: RotorModel,
+    /// Ground effect; its default for none.
+    pub ground: GroundEffect,
+    /// Coefficients of the blade drag, body frame; zero for none.
+    pub drag: Vector3<f64>,
+    /// Its wake; its default for none.
+    pub wake: Wake,
+    /// Share of the way to the command that rotor speeds go in one physics step; 1 without lag.
+    pub share: f64,
+    /// How far it can come.
+    pub envelope: Envelope,
+}
+
+/// Airframes of so many drones, number by number.
+#[derive(Debug, Clone, Default)]
+#[repr(align(64))]
+pub struct Airframes {
+    inverse_mass: Row,
+    gravity: Row,
+    inverse_inertia: [Row; 3],
+    gyration: [Row; 3],
+    viscous: Row,
+    quadratic: [Row; 3],
+    viscous_rate: [Row; 3],
+    quadratic_rate: [Row; 3],
+    thrust: Row,
+    torque: [[Row; 4]; 3],
+    ground: [Row; 2],
+    drag: [Row; 3],
+    wake: [Row; 4],
+    share: Row,
+    envelope: [Row; 6],
+}
+
+/// So many drones, number by number.
+#[derive(Debug, Clone, Default)]
+#[repr(align(64))]
+pub struct Lanes {
+    position: [Row; 3],
+    attitude: [Row; 4],
+    velocity: [Row; 3],
+    rate: [Row; 3],
+    /// Speeds that the rotors are going to, rpm.
+    target: [Row; 4],
+    /// Speeds of the rotors, rpm.
+    rpm: [Row; 4],
+    /// Force of the wind, world frame, N.
+    force: [Row; 3],
+    /// Velocity of the air, world frame, m/s.
+    air: [Row; 3],
+    /// Force of wakes along world z, N.
+    downwash: Row,
+    rpy: [Row; 3],
+}
+
+fn put<const N: usize>(rows: &mut [Row; N], lane: usize, values: [f64; N]) {
+    for (row, value) in rows.iter_mut().zip(values) {
+        row[lane] = value;
+    }
+}
+
+#[inline(always)]
+fn take<const N: usize>(rows: &[Row; N], lane: usize) -> [f64; N] {
+    let mut values = [0.0; N];
+    for (value, row) in values.iter_mut().zip(rows) {
+        *value = row[lane];
+    }
+    values
+}
+
+impl Airframes {
+    /// The same one in every lane.
+    pub fn all(airframe: &Airframe) -> Self {
+        let mut all = Self::default();
+        (0..LANES).for_each(|lane| all.set(lane, airframe));
+        all
+    }
+
+    /// Puts an airframe into a lane.
+    pub fn set(&mut self, lane: usize, airframe: &Airframe) {
+        let Airframe { body, rotors, ground, drag, wake, share, envelope } = airframe;
+        self.inverse_mass[lane] = body.inverse_mass;
+        self.gravity[lane] = body.gravity;
+        put(&mut self.inverse_inertia, lane, body.inverse_inertia);
+        put(&mut self.gyration, lane, body.gyration);
+        self.viscous[lane] = body.fluid.viscous;
+        put(&mut self.quadratic, lane, body.fluid.quadratic);
+        put(&mut self.viscous_rate, lane, body.fluid.viscous_rate);
+        put(&mut self.quadratic_rate, lane, body.fluid.quadratic_rate);
+        self.thrust[lane] = rotors.thrust;
+        for (rows, values) in self.torque.iter_mut().zip(rotors.torque) {
+            put(rows, lane, values);
+        }
+        put(&mut self.ground, lane, [ground.coefficient, ground.clip]);
+        put(&mut self.drag, lane, (*drag).into());
+        put(&mut self.wake, lane, [wake.strength, wake.spread, wake.offset, wake.cap]);
+        self.share[lane] = *share;
+        put(&mut self.envelope, lane, envelope.numbers());
+    }
+}
+
+impl Lanes {
+    /// Puts a drone into a lane: its state, the speeds (rpm) that its rotors have and are going to.
+    #[inline]
+    pub fn set(&mut self, lane: usize, state: &DroneState, rpm: &[f64; 4], target: &[f64; 4]) {
+        put(&mut self.position, lane, state.position.into());
+        put(&mut self.attitude, lane, wxyz(&state.attitude));
+        put(&mut self.velocity, lane, state.velocity.into());
+        put(&mut self.rate, lane, state.angular_velocity.into());
+        put(&mut self.rpm, lane, *rpm);
+        put(&mut self.target, lane, *target);
+    }
+
+    /// Sets the speeds that the rotors of a drone are going to, rpm.
+    #[inline]
+    pub fn set_target(&mut self, lane: usize, target: &[f64; 4]) {
+        put(&mut self.target, lane, *target);
+    }
+
+    /// Speeds that the rotors of a drone are going to, rpm.
+    #[inline]
+    pub fn target(&self, lane: usize) -> [f64; 4] {
+        take(&self.target, lane)
+    }
+
+    /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) about a drone.
+    pub fn set_wind(&mut self, lane: usize, force: &Vector3<f64>, air: &Vector3<f64>) {
+        put(&mut self.force, lane, (*force).into());
+        put(&mut self.air, lane, (*air).into());
+    }
+
+    /// The state of a drone.
+    #[inline(always)]
+    pub fn state(&self, lane: usize) -> DroneState {
+        DroneState {
+            position: take(&self.position, lane).into(),
+            attitude: crate::state::attitude_from_wxyz(take(&self.attitude, lane)),
+            velocity: take(&self.velocity, lane).into(),
+            angular_velocity: take(&self.rate, lane).into(),
+        }
+    }
+
+    /// Roll, pitch and yaw of a drone, rad, once they have been [computed](compute_rpys).
+    #[inline(always)]
+    pub fn rpy(&self, lane: usize) -> Vector3<f64> {
+        take(&self.rpy, lane).into()
+    }
+
+    /// Speeds of a drone's rotors, rpm.
+    #[inline(always)]
+    pub fn rpm(&self, lane: usize) -> [f64; 4] {
+        take(&self.rpm, lane)
+    }
+}
+
+/// Access to a register's worth of every row.
+#[derive(Clone, Copy)]
+struct Part<S: Simd> {
+    simd: S,
+    index: usize,
+}
+
+impl<S: Simd> Part<S> {
+    /// All parts of the lanes.
+    #[inline(always)]
+    fn all(simd: S) -> impl Iterator<Item = Self> {
+        (0..LANES / S::F64_LANES).map(move |index| Self { simd, index })
+    }
+
+    #[inline(always)]
+    fn get(self, row: &Row) -> Pack<S> {
+        Pack::new(self.simd, S::as_simd_f64s(row).0[self.index])
+    }
+
+    #[inline(always)]
+    fn get3(self, rows: &[Row; 3]) -> V3<Pack<S>> {
+        V3::new(self.get(&rows[0]), self.get(&rows[1]), self.get(&rows[2]))
+    }
+
+    #[inline(always)]
+    fn get4(self, rows: &[Row; 4]) -> [Pack<S>; 4] {
+        [self.get(&rows[0]), self.get(&rows[1]), self.get(&rows[2]), self.get(&rows[3])]
+    }
+
+    #[inline(always)]
+    fn put(self, row: &mut Row, value: Pack<S>) {
+        S::as_mut_simd_f64s(row).0[self.index] = value.values();
+    }
+
+    #[inline(always)]
+    fn put3(self, rows: &mut [Row; 3], value: V3<Pack<S>>) {
+        let [x, y, z] = rows;
+        self.put(x, value.x);
+        self.put(y, value.y);
+        self.put(z, value.z);
+    }
+
+    #[inline(always)]
+    fn turn(self, lanes: &Lanes) -> Turn<Pack<S>> {
+        let [w, x, y, z] = self.get4(&lanes.attitude);
+        Turn { w, v: V3::new(x, y, z) }
+    }
+
+    #[inline(always)]
+    fn motion(self, lanes: &Lanes) -> Motion<Pack<S>> {
+        Motion {
+            position: self.get3(&lanes.position),
+            attitude: self.turn(lanes),
+            velocity: self.get3(&lanes.velocity),
+            rate: self.get3(&lanes.rate),
+        }
+    }
+
+    #[inline(always)]
+    fn put_motion(self, lanes: &mut Lanes, motion: &Motion<Pack<S>>) {
+        self.put3(&mut lanes.position, motion.position);
+        let [w, x, y, z] = &mut lanes.attitude;
+        self.put(w, motion.attitude.w);
+        self.put(x, motion.attitude.v.x);
+        self.put(y, motion.attitude.v.y);
+        self.put(z, motion.attitude.v.z);
+        self.put3(&mut lanes.velocity, motion.velocity);
+        self.put3(&mut lanes.rate, motion.rate);
+    }
+
+    #[inline(always)]
+    fn array(self, rows: &[Row; 3]) -> [Pack<S>; 3] {
+        [self.get(&rows[0]), self.get(&rows[1]), self.get(&rows[2])]
+    }
+
+    #[inline(always)]
+    fn body(self, frames: &Airframes) -> FreeBody<Pack<S>> {
+        FreeBody {
+            inverse_mass: self.get(&frames.inverse_mass),
+            gravity: self.get(&frames.gravity),
+            inverse_inertia: self.array(&frames.inverse_inertia),
+            gyration: self.array(&frames.gyration),
+            fluid: Fluid {
+                viscous: self.get(&frames.viscous),
+                quadratic: self.array(&frames.quadratic),
+                viscous_rate: self.array(&frames.viscous_rate),
+                quadratic_rate: self.array(&frames.quadratic_rate),
+            },
+        }
+    }
+
+    #[inline(always)]
+    fn rotors(self, frames: &Airframes) -> RotorModel<Pack<S>> {
+        let [x, y, z] = &frames.torque;
+        RotorModel { thrust: self.get(&frames.thrust), torque: [self.get4(x), self.get4(y), self.get4(z)] }
+    }
+
+    #[inline(always)]
+    fn wake(self, frames: &Airframes) -> Wake<Pack<S>> {
+        let [strength, spread, offset, cap] = self.get4(&frames.wake);
+        Wake { strength, spread, offset, cap }
+    }
+
+    #[inline(always)]
+    fn ball(self, lanes: &Lanes, frames: &Airframes, dt: f64, steps: u32) -> Pack<S> {
+        let [reach, acceleration, linear, quadratic, growth, turning] = &frames.envelope;
+        let slowing = [self.get(linear), self.get(quadratic)];
+        Envelope::of(self.get(reach), self.get(acceleration), slowing, self.get(growth), self.get(turning)).ball(
+            dt,
+            steps,
+            &self.motion(lanes),
+        )
+    }
+}
+
+/// How lanes are advanced.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Flow {
+    /// Length of a physics step, s.
+    pub dt: f64,
+    /// Whether the rotors' wrench turns with the body inside a step.
+    pub body_fixed: bool,
+    /// Whether the medium is on.
+    pub medium: bool,
+    /// Whether there is anything beside the rotors, or motors that are slow.
+    pub air: bool,
+    /// With which instructions.
+    pub width: Width,
+}
+
+/// Physics steps of lanes that do not feel each other.
+struct Substeps<'a, const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> {
+    lanes: &'a mut Lanes,
+    frames: &'a Airframes,
+    dt: f64,
+    steps: u32,
+}
+
+impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for Substeps<'_, BODY_FIXED, MEDIUM, AIR> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { lanes, frames, dt, steps } = self;
+        for part in Part::all(simd) {
+            let (body, rotors) = (part.body(frames), part.rotors(frames));
+            let target = part.get4(&lanes.target);
+            let mut motion = part.motion(lanes);
+            let mut rpm = if AIR { part.get4(&lanes.rpm) } else { target };
+            for _ in 0..steps {
+                let (thrust, torque, force);
+                if AIR {
+                    let share = part.get(&frames.share);
+                    let lag = share.less(share.all(1.0));
+                    for motor in 0..4 {
+                        let slow = rpm[motor] + (target[motor] - rpm[motor]) * share;
+                        // without lag exactly the command, not a rounding error beside it
+                        rpm[motor] = Real::choose(lag, slow, target[motor]);
+                    }
+                    (thrust, torque) = rotors.thrust_and_torque(&rpm);
+                    let ground =
+                        GroundEffect { coefficient: part.get(&frames.ground[0]), clip: part.get(&frames.ground[1]) };
+                    let mut sum = part.get3(&lanes.force);
+                    sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, thrust);
+                    let relative = motion.velocity - part.get3(&lanes.air);
+                    sum = sum + drag::push(part.get3(&frames.drag), &motion.attitude, &rpm, relative);
+                    sum.z = sum.z + part.get(&lanes.downwash);
+                    force = sum;
+                } else {
+                    (thrust, torque) = rotors.thrust_and_torque(&rpm);
+                    let none = thrust.all(0.0);
+                    force = V3::new(none, none, none);
+                }
+                motion = body.rk4::<BODY_FIXED, MEDIUM>(dt, &Push { thrust, torque, force }, &motion);
+            }
+            part.put_motion(lanes, &motion);
+            for motor in 0..4 {
+                part.put(&mut lanes.rpm[motor], rpm[motor]);
+            }
+        }
+    }
+}
+
+/// Advances lanes that do not feel each other by so many physics steps.
+pub fn advance(flow: &Flow, lanes: &mut Lanes, frames: &Airframes, steps: u32) {
+    macro_rules! go {
+        ($fixed:literal, $medium:literal, $air:literal) => {
+            flow.width.run(Substeps::<$fixed, $medium, $air> { lanes, frames, dt: flow.dt, steps })
+        };
+    }
+    match (flow.body_fixed, flow.medium, flow.air) {
+        (false, false, false) => go!(false, false, false),
+        (false, false, true) => go!(false, false, true),
+        (false, true, false) => go!(false, true, false),
+        (false, true, true) => go!(false, true, true),
+        (true, false, false) => go!(true, false, false),
+        (true, false, true) => go!(true, false, true),
+        (true, true, false) => go!(true, true, false),
+        (true, true, true) => go!(true, true, true),
+    }
+}
+
+struct Downwash<'a> {
+    drones: &'a mut [Lanes],
+    frames: &'a [Airframes],
+}
+
+impl WithSimd for Downwash<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { drones, frames } = self;
+        for part in Part::all(simd) {
+            for i in 0..drones.len() {
+                let (before, rest) = drones.split_at_mut(i);
+                let a = &mut rest[0];
+                let place = part.get3(&a.position);
+                let zero = place.x.all(0.0);
+                let mut on_a = zero;
+                let wake = part.wake(&frames[i]);
+                for (j, b) in before.iter_mut().enumerate() {
+                    let apart = place - part.get3(&b.position);
+                    let sideways = apart.x * apart.x + apart.y * apart.y;
+                    let above = zero.less(apart.z);
+                    let below = apart.z.abs();
+                    let upper = Wake::choose(above, &wake, &part.wake(&frames[j]));
+                    // most pairs are out of each other's reach
+                    if !<Pack<S> as Real>::any(upper.reaches(below, sideways)) {
+                        continue;
+                    }
+                    let force: Pack<S> = upper.push(below, sideways);
+                    let on_b = part.get(&b.downwash) + Real::choose(above, force, zero);
+                    part.put(&mut b.downwash, on_b);
+                    on_a = on_a + Real::choose(above, zero, force);
+                }
+                part.put(&mut a.downwash, on_a);
+            }
+        }
+    }
+}
+
+/// Computes the wakes among the drones of environments, one environment per lane: `drones` and `frames` have one entry
+/// per drone.
+pub fn compute_downwash(width: Width, drones: &mut [Lanes], frames: &[Airframes]) {
+    width.run(Downwash { drones, frames });
+}
+
+struct Rpys<'a>(&'a mut Lanes);
+
+impl WithSimd for Rpys<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for part in Part::all(simd) {
+            let rpy = part.turn(self.0).rpy();
+            part.put3(&mut self.0.rpy, rpy);
+        }
+    }
+}
+
+/// Computes roll, pitch and yaw of every lane.
+pub fn compute_rpys(width: Width, lanes: &mut Lanes) {
+    width.run(Rpys(lanes));
+}
+
+struct Clear<'a> {
+    drones: &'a [Lanes],
+    frames: &'a [Airframes],
+    dt: f64,
+    steps: u32,
+}
+
+impl WithSimd for Clear<'_> {
+    type Output = [bool; LANES];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> [bool; LANES] {
+        let Self { drones, frames, dt, steps } = self;
+        let mut room = [0.0; LANES];
+        for part in Part::all(simd) {
+            let mut least = Pack::new(simd, simd.splat_f64s(f64::INFINITY));
+            for i in 0..drones.len() {
+                let place = part.get3(&drones[i].position);
+                let ball = part.ball(&drones[i], &frames[i], dt, steps);
+                least = (place.z - ball).lesser(least);
+                for j in 0..i {
+                    let apart = (place - part.get3(&drones[j].position)).norm();
+                    least = (apart - ball - part.ball(&drones[j], &frames[j], dt, steps)).lesser(least);
+                }
+            }
+            part.put(&mut room, least);
+        }
+        room.map(|room| room > 0.0)
+    }
+}
+
+/// Which environments are in the open for so many physics steps, one per lane: no drone can touch the floor or another
+/// drone, and none turns too fast for the kernel. `drones` and `frames` have one entry per drone.
+pub fn find_clear(width: Width, drones: &[Lanes], frames: &[Airframes], dt: f64, steps: u32) -> [bool; LANES] {
+    width.run(Clear { drones, frames, dt, steps })
+}
