@@ -225,6 +225,11 @@ impl ActionDecoder {
         &self.scale
     }
 
+    /// Whether it remembers anything from step to step, or looks at the state.
+    pub fn has_memory(&self) -> bool {
+        !matches!(self.loops, Loops::None)
+    }
+
     /// Forgets everything that an earlier episode left.
     pub fn reset(&mut self) {
         match &mut self.loops {

@@ -34,6 +34,8 @@ pub mod tasks;
 pub mod multi_agent;
 pub mod wrappers;
 
+pub mod vector;
+
 pub mod record;
 
 mod error;

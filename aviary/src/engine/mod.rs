@@ -7,12 +7,14 @@ mod mujoco;
 
 pub use explicit::ExplicitEngine;
 pub use hybrid::HybridEngine;
+pub(crate) use hybrid::Lookout;
 pub(crate) use mujoco::place_geom;
 pub use mujoco::{BuildError, MujocoEngine};
 
 use std::fmt;
 use std::str::FromStr;
 
+pub(crate) use flight::clearance;
 use flight::{Envelope, FreeBody};
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;

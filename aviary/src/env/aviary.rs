@@ -16,27 +16,20 @@ use crate::world::{Obstacle, ObstacleConfig};
 /// A task made into an environment.
 #[derive(Debug)]
 pub struct Aviary<T> {
-    pub(super) task: T,
-    pub(super) simulation: Simulation,
+    pub(crate) simulation: Simulation,
+    /// In a batch, that of one environment after the other.
+    pub(crate) episode: Episode<T>,
     pub(super) action_type: ActionType,
-    pub(super) decoders: Vec<ActionDecoder>,
+    /// What makes motor speeds of actions.
+    pub(crate) decoders: Vec<ActionDecoder>,
     pub(super) observation_space: ObservationSpace,
     pub(super) action_space: BoxSpace,
     pub(super) episode_steps: u64,
-    pub(super) rng: Rng,
-    /// Whether the task's options may have changed since they were checked.
-    pub(super) task_changed: bool,
-    pub(super) randomizer: Option<Randomizer>,
-    /// What was said about randomization since the last reset.
-    pub(super) next_randomization: Option<Option<Randomization>>,
     /// Obstacles that are placed at random.
     pub(super) field: Option<ObstacleConfig>,
     /// Where they were when the scene was compiled.
     pub(super) first_layout: Vec<Obstacle>,
     pub(super) rangefinder: Option<Rangefinder>,
-    pub(super) phase: Phase,
-    /// Why the episode ended.
-    pub(super) end: Option<EndReason>,
     /// How the last step ended for each drone.
     pub(super) ends: Vec<Option<EndReason>>,
     /// Numbers in one drone's part of the observation.
@@ -49,11 +42,66 @@ pub struct Aviary<T> {
     pub(super) painter: Option<Painter>,
     /// The action within its bounds.
     pub(super) clipped: Vec<f64>,
-    pub(super) commands: Vec<[f64; 4]>,
+    pub(crate) commands: Vec<[f64; 4]>,
+}
+
+/// What an environment has for itself beside its simulation: the task with what it remembers, its random numbers, what was drawn.
+#[derive(Debug, Clone)]
+pub(crate) struct Episode<T> {
+    pub task: T,
+    pub rng: Rng,
+    /// Which of a seed's streams it draws from.
+    pub stream: u64,
+    /// Whether the task's options may have changed since they were checked.
+    pub task_changed: bool,
+    pub(super) randomizer: Option<Box<Randomizer>>,
+    /// What was said about randomization since the last reset.
+    pub(super) next_randomization: Option<Option<Box<Randomization>>>,
+    pub phase: Phase,
+    /// Why the episode ended.
+    pub end: Option<EndReason>,
+}
+
+impl<T> Episode<T> {
+    pub(super) fn new(task: T, stream: u64, randomizer: Option<Randomizer>) -> Self {
+        let mut rng = Rng::seed_from_u64(0);
+        rng.set_stream(stream);
+        Self {
+            task,
+            rng,
+            stream,
+            task_changed: false,
+            randomizer: randomizer.map(Box::new),
+            next_randomization: None,
+            phase: Phase::New,
+            end: None,
+        }
+    }
+
+    /// Draws from another of the seed's streams from now on.
+    pub(crate) fn set_stream(&mut self, stream: u64) {
+        self.stream = stream;
+        self.rng.set_stream(stream);
+    }
+
+    /// Whether something is drawn for every episode.
+    pub(crate) fn is_randomized(&self) -> bool {
+        self.randomizer.is_some() || self.next_randomization.is_some()
+    }
+}
+
+/// What a control step brought.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Verdict {
+    pub reward: f64,
+    pub terminated: bool,
+    pub truncated: bool,
+    /// Why the episode is over, if it is.
+    pub end: Option<EndReason>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Phase {
+pub(crate) enum Phase {
     New,
     Running,
     Over,
@@ -62,15 +110,15 @@ pub(super) enum Phase {
 impl<T: Task> Aviary<T> {
     /// The task.
     pub fn task(&self) -> &T {
-        &self.task
+        &self.episode.task
     }
 
     /// The task, to be changed between episodes. What only building an environment looks at (the number of drones, initial
     /// positions, markers) stays as it is. The episode is over with it, and the next
     /// reset checks what was changed.
     pub fn task_mut(&mut self) -> &mut T {
-        (self.task_changed, self.phase) = (true, Phase::New);
-        &mut self.task
+        (self.episode.task_changed, self.episode.phase) = (true, Phase::New);
+        &mut self.episode.task
     }
 
     /// A drone's own part of the observation's vector; empty where the observation type has none.
@@ -79,14 +127,21 @@ impl<T: Task> Aviary<T> {
     }
 
     pub(crate) fn observe(&mut self) -> Result<(), EnvError> {
+        self.observe_numbers()?;
+        self.observe_pictures()
+    }
+
+    /// Everything that is no picture.
+    pub(crate) fn observe_numbers(&mut self) -> Result<(), EnvError> {
+        let Episode { task, randomizer, .. } = &mut self.episode;
         // a task reads the simulation's states: for what is seen, they are what the sensors say
-        let mut measured = self.randomizer.as_mut().and_then(|randomizer| randomizer.measure(&self.simulation));
+        let mut measured = randomizer.as_mut().and_then(|randomizer| randomizer.measure(&self.simulation));
         if let Some(states) = &mut measured {
             self.simulation.swap_states(states);
         }
         if self.observation_space.kind.kinematic {
             for (drone, part) in self.observation.vector.chunks_exact_mut(self.block.max(1)).enumerate() {
-                self.task.observe(&self.simulation, drone, part);
+                task.observe(&self.simulation, drone, part);
             }
         }
         if self.observation_space.kind.adjacency {
@@ -101,9 +156,49 @@ impl<T: Task> Aviary<T> {
         if let Some(rangefinder) = &mut self.rangefinder {
             rangefinder.measure(self.simulation.states(), &mut self.observation.ranges)?;
         }
+        Ok(())
+    }
+
+    /// What the onboard cameras see.
+    pub(crate) fn observe_pictures(&mut self) -> Result<(), EnvError> {
         if let Some(painter) = &mut self.cameras {
             painter.update(self.simulation.states())?;
             self.observation.take_pictures(painter, self.observation_space.camera_size)?;
+        }
+        Ok(())
+    }
+
+    /// What was observed last.
+    pub(crate) fn seen(&self) -> &Observation {
+        &self.observation
+    }
+
+    /// Copies everything that is no picture into a row of single precision.
+    pub(crate) fn write_numbers(&self, row: &mut [f32]) {
+        let Observation { vector, obstacle, ranges, adjacency, .. } = &self.observation;
+        let (first, rest) = row.split_at_mut(vector.len());
+        first.iter_mut().zip(vector).for_each(|(out, &x)| *out = x as f32);
+        if rest.is_empty() {
+            return;
+        }
+        let others = obstacle.iter().chain(ranges).map(|&x| x as f32);
+        let others = others.chain(adjacency.iter().map(|&near| f32::from(u8::from(near))));
+        rest.iter_mut().zip(others).for_each(|(out, x)| *out = x);
+    }
+
+    /// Whether every episode has its obstacles elsewhere.
+    pub(crate) fn moves_obstacles(&self) -> bool {
+        self.field.as_ref().is_some_and(|field| field.new_layout)
+    }
+
+    /// Brings everything that looks at obstacles up to date with the simulation's.
+    pub(crate) fn follow_obstacles(&mut self) -> Result<(), EnvError> {
+        let obstacles = &self.simulation.world().obstacles;
+        for painter in [&mut self.cameras, &mut self.painter].into_iter().flatten() {
+            painter.set_obstacles(obstacles)?;
+        }
+        if let Some(rangefinder) = &mut self.rangefinder {
+            rangefinder.set_obstacles(obstacles)?;
         }
         Ok(())
     }
@@ -112,59 +207,55 @@ impl<T: Task> Aviary<T> {
     /// it is the first one.
     fn move_obstacles(&mut self) -> Result<(), EnvError> {
         let starts: Vec<_> = self.simulation.states().iter().map(|state| state.position.into()).collect();
-        let layout = self.field.as_ref().map(|field| field.generate(&starts, &mut self.rng));
+        let layout = self.field.as_ref().map(|field| field.generate(&starts, &mut self.episode.rng));
         let obstacles = match layout {
             Some(Ok(obstacles)) => obstacles,
             // the same for every history
             _ => self.first_layout.clone(),
         };
         self.simulation.set_obstacles(&obstacles)?;
-        for painter in [&mut self.cameras, &mut self.painter].into_iter().flatten() {
-            painter.set_obstacles(&obstacles)?;
-        }
-        if let Some(rangefinder) = &mut self.rangefinder {
-            rangefinder.set_obstacles(&obstacles)?;
-        }
-        Ok(())
+        self.follow_obstacles()
     }
 
     /// Starts an episode, without looking at it.
     pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
         if let Some(seed) = seed {
-            self.rng = Rng::seed_from_u64(seed);
+            self.episode.rng = Rng::seed_from_u64(seed);
+            self.episode.rng.set_stream(self.episode.stream);
         }
-        if std::mem::take(&mut self.task_changed) {
+        if std::mem::take(&mut self.episode.task_changed) {
             let drones: Vec<_> = self.simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
-            if let Err(error) = self.task.check(&drones) {
+            if let Err(error) = self.episode.task.check(&drones) {
                 // until it is one that can be flown
-                self.task_changed = true;
+                self.episode.task_changed = true;
                 return Err(error);
             }
         }
-        if let Some(next) = self.next_randomization.take() {
-            if let Some(old) = self.randomizer.take() {
+        if let Some(next) = self.episode.next_randomization.take() {
+            if let Some(old) = self.episode.randomizer.take() {
                 old.undo(&mut self.simulation)?;
             }
-            self.randomizer = next.map(|config| Randomizer::new(config, &self.simulation)).transpose()?;
+            let next = next.map(|config| Randomizer::new(*config, &self.simulation)).transpose()?;
+            self.episode.randomizer = next.map(Box::new);
         }
-        match &mut self.randomizer {
-            Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.rng)?,
+        match &mut self.episode.randomizer {
+            Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.episode.rng)?,
             None => self.simulation.reset()?,
         }
-        if self.field.as_ref().is_some_and(|field| field.new_layout) {
+        if self.moves_obstacles() {
             self.move_obstacles()?;
         }
         if self.simulation.wind().is_some() {
-            let seed = self.rng.next_u64();
+            let seed = self.episode.rng.next_u64();
             self.simulation.reset_wind(seed);
         }
-        self.task.reset(&self.simulation, &mut self.rng);
+        self.episode.task.reset(&self.simulation, &mut self.episode.rng);
         for decoder in &mut self.decoders {
             decoder.reset();
         }
         self.ends.fill(None);
-        self.end = None;
-        self.phase = Phase::Running;
+        self.episode.end = None;
+        self.episode.phase = Phase::Running;
         Ok(())
     }
 
@@ -175,26 +266,67 @@ impl<T: Task> Aviary<T> {
         action: &[f64],
         mut instead: impl FnMut(usize, &DroneState) -> Option<[f64; 4]>,
     ) -> Result<(), EnvError> {
-        match self.phase {
-            Phase::Running => {}
-            Phase::New => return Err(EnvError::NeedsReset { when: "on a new environment" }),
-            Phase::Over => return Err(EnvError::NeedsReset { when: "after the end of the episode" }),
-        }
-        self.commands(action)?;
+        self.check_running()?;
+        self.check_action(action)?;
+        self.decode(action.iter().copied());
         for (drone, (command, state)) in self.commands.iter_mut().zip(self.simulation.states()).enumerate() {
             if let Some(speeds) = instead(drone, state) {
                 *command = speeds;
             }
         }
+        self.fly()?;
+        self.look();
+        Ok(())
+    }
+
+    /// Whether a step may be made.
+    pub(crate) fn check_running(&self) -> Result<(), EnvError> {
+        match self.episode.phase {
+            Phase::Running => Ok(()),
+            Phase::New => Err(EnvError::NeedsReset { when: "on a new environment" }),
+            Phase::Over => Err(EnvError::NeedsReset { when: "after the end of the episode" }),
+        }
+    }
+
+    /// Moves the simulation by one control step under the commands.
+    pub(crate) fn fly(&mut self) -> Result<(), EnvError> {
         if let Err(error) = self.simulation.step(&self.commands) {
-            self.phase = Phase::Over;
+            self.episode.phase = Phase::Over;
             return Err(error.into());
         }
-        self.task.update(&self.simulation);
-        for (drone, end) in self.ends.iter_mut().enumerate() {
-            *end = self.task.end(&self.simulation, drone);
-        }
         Ok(())
+    }
+
+    /// Lets the task look at a control step.
+    fn look(&mut self) {
+        let task = &mut self.episode.task;
+        task.update(&self.simulation);
+        for (drone, end) in self.ends.iter_mut().enumerate() {
+            *end = task.end(&self.simulation, drone);
+        }
+    }
+
+    /// What a control step brought for an agent of all drones.
+    pub(crate) fn judge(&mut self) -> Verdict {
+        self.look();
+        self.verdict()
+    }
+
+    fn verdict(&self) -> Verdict {
+        // one lost drone ends the episode, and so do all that have completed their part
+        let crash = self.ends.iter().flatten().copied().find(|end| end.is_crash());
+        let lost = crash.or(self.ends.iter().flatten().copied().find(|&end| end != EndReason::Completed));
+        let completed = self.ends.iter().all(|&end| end == Some(EndReason::Completed));
+        let end = lost.or(completed.then_some(EndReason::Completed));
+        let (terminated, truncated) = (end.is_some(), self.is_out_of_time());
+        let reward = (0..self.ends.len()).map(|drone| self.reward_of(drone)).sum();
+        Verdict { reward, terminated, truncated, end: end.or(truncated.then_some(EndReason::TimeLimit)) }
+    }
+
+    /// Whether all drones fulfil the task at this moment.
+    pub(crate) fn is_success(&self, end: Option<EndReason>) -> bool {
+        let lost = end.is_some_and(EndReason::is_crash);
+        !lost && (0..self.ends.len()).all(|drone| self.episode.task.success(&self.simulation, drone))
     }
 
     /// Whether the time of the episode is over.
@@ -204,25 +336,30 @@ impl<T: Task> Aviary<T> {
 
     /// Ends the episode.
     pub(crate) fn finish(&mut self, end: EndReason) {
-        self.end = Some(end);
-        self.phase = Phase::Over;
+        self.episode.end = Some(end);
+        self.episode.phase = Phase::Over;
     }
 
     /// A drone's reward for the last step.
     pub(crate) fn reward_of(&self, drone: usize) -> f64 {
-        self.task.reward(&self.simulation, drone, self.ends[drone])
+        self.episode.task.reward(&self.simulation, drone, self.ends[drone])
     }
 
-    fn commands(&mut self, action: &[f64]) -> Result<(), EnvError> {
+    fn check_action(&self, action: &[f64]) -> Result<(), EnvError> {
         let expected = self.action_space.size();
         if action.len() != expected {
             return Err(EnvError::ActionLength { got: action.len(), expected });
         }
-        if let Some((index, &got)) = action.iter().enumerate().find(|(_, x)| !x.is_finite()) {
-            return Err(EnvError::Action { index, got, time: self.simulation.time() });
+        match action.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+            Some((index, &got)) => Err(EnvError::Action { index, got, time: self.simulation.time() }),
+            None => Ok(()),
         }
+    }
+
+    /// Makes motor speeds of an action.
+    pub(crate) fn decode(&mut self, action: impl Iterator<Item = f64>) {
         let bounds = self.action_space.low().iter().zip(self.action_space.high());
-        for ((clipped, &x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
+        for ((clipped, x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
             *clipped = x.clamp(low, high);
         }
         let dt = self.simulation.control_period();
@@ -231,13 +368,12 @@ impl<T: Task> Aviary<T> {
         for ((command, (decoder, state)), part) in self.commands.iter_mut().zip(drones).zip(parts) {
             *command = decoder.motor_speeds(dt, state, part);
         }
-        Ok(())
     }
 }
 
 impl<T: Task> Env for Aviary<T> {
     fn name(&self) -> &'static str {
-        self.task.name()
+        self.episode.task.name()
     }
 
     fn observation_space(&self) -> &ObservationSpace {
@@ -256,14 +392,8 @@ impl<T: Task> Env for Aviary<T> {
 
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
         self.advance(action, |_, _| None)?;
-        // one lost drone ends the episode, and so do all that have completed their part
-        let crash = self.ends.iter().flatten().copied().find(|end| end.is_crash());
-        let lost = crash.or(self.ends.iter().flatten().copied().find(|&end| end != EndReason::Completed));
-        let completed = self.ends.iter().all(|&end| end == Some(EndReason::Completed));
-        let end = lost.or(completed.then_some(EndReason::Completed));
-        let (terminated, truncated) = (end.is_some(), self.is_out_of_time());
-        let reward = (0..self.ends.len()).map(|drone| self.reward_of(drone)).sum();
-        if let Some(end) = end.or(truncated.then_some(EndReason::TimeLimit)) {
+        let Verdict { reward, terminated, truncated, end } = self.verdict();
+        if let Some(end) = end {
             self.finish(end);
         }
         self.observe()?;
@@ -277,28 +407,27 @@ impl<T: Task> Env for Aviary<T> {
     fn info(&self) -> Info {
         let (simulation, count) = (&self.simulation, self.simulation.num_drones());
         // options that nobody has checked are not asked for anything
-        let asked = if self.task_changed { 0 } else { count };
+        let asked = if self.episode.task_changed { 0 } else { count };
         let position_error =
             (0..asked).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
-        let started = self.phase != Phase::New;
-        let lost = self.end.is_some_and(EndReason::is_crash);
+        let started = self.episode.phase != Phase::New;
         Info {
             time: simulation.time(),
-            success: started && !lost && (0..count).all(|drone| self.task.success(simulation, drone)),
+            success: started && self.is_success(self.episode.end),
             progress: if started {
-                (0..count).map(|drone| self.task.progress(simulation, drone)).sum::<f64>() / count as f64
+                (0..count).map(|drone| self.episode.task.progress(simulation, drone)).sum::<f64>() / count as f64
             } else {
                 0.0
             },
-            end: self.end,
+            end: self.episode.end,
             position_error,
             contacts: simulation.contacts().len(),
         }
     }
 
     fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
-        if self.phase != Phase::New {
-            self.task.measures(&self.simulation, report);
+        if self.episode.phase != Phase::New {
+            self.episode.task.measures(&self.simulation, report);
         }
         if let Some(draw) = self.draw() {
             let first = &draw.drones[0];
@@ -326,15 +455,15 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
-        self.task.plan(&self.simulation, drone)
+        self.episode.task.plan(&self.simulation, drone)
     }
 
     fn may_be_constant(&self, entry: usize) -> bool {
-        self.task.may_be_constant(entry % self.block.max(1))
+        self.episode.task.may_be_constant(entry % self.block.max(1))
     }
 
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
-        let seed = self.rng.next_u64();
+        let seed = self.episode.rng.next_u64();
         Ok(self.simulation.set_wind(wind, seed)?)
     }
 
@@ -342,12 +471,12 @@ impl<T: Task> Env for Aviary<T> {
         if let Some(config) = &randomization {
             config.validate()?;
         }
-        self.next_randomization = Some(randomization);
+        self.episode.next_randomization = Some(randomization.map(Box::new));
         Ok(())
     }
 
     fn draw(&self) -> Option<&Draw> {
-        self.randomizer.as_ref().map(|randomizer| &randomizer.draw)
+        self.episode.randomizer.as_ref().map(|randomizer| &randomizer.draw)
     }
 
     fn episode_steps(&self) -> u64 {
@@ -355,7 +484,7 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn reference(&self, drone: usize) -> Reference {
-        self.task.reference(&self.simulation, drone)
+        self.episode.task.reference(&self.simulation, drone)
     }
 
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {

@@ -1,6 +1,6 @@
 use rand::SeedableRng as _;
 
-use super::aviary::{Aviary, Phase};
+use super::aviary::{Aviary, Episode};
 use super::randomization::Randomizer;
 use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
@@ -32,6 +32,7 @@ pub struct AviaryBuilder<T> {
     randomization: Option<Randomization>,
     field: Option<ObstacleConfig>,
     rays: RangeConfig,
+    stream: u64,
 }
 
 /// Options that are the simulation's.
@@ -72,6 +73,7 @@ impl<T> AviaryBuilder<T> {
             randomization: None,
             field: None,
             rays: RangeConfig::default(),
+            stream: 0,
         }
     }
 
@@ -91,6 +93,7 @@ impl<T> AviaryBuilder<T> {
             randomization: self.randomization,
             field: self.field,
             rays: self.rays,
+            stream: self.stream,
         }
     }
 
@@ -207,6 +210,20 @@ impl<T> AviaryBuilder<T> {
         self
     }
 
+    /// The engine, for callers that have their own idea of a default.
+    #[must_use]
+    pub(crate) fn engine_or(mut self, engine: EngineKind) -> Self {
+        self.simulation = self.simulation.engine_or(engine);
+        self
+    }
+
+    /// Which of a seed's random streams it draws from; 0 by default. Environment i of a batch has stream i.
+    #[must_use]
+    pub fn stream(mut self, stream: u64) -> Self {
+        self.stream = stream;
+        self
+    }
+
     /// What the agent sees; the task's vector by default.
     #[must_use]
     pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
@@ -297,9 +314,11 @@ impl<T: Task> AviaryBuilder<T> {
                 rays: (self.rays.directions.len(), self.rays.max_range),
                 camera_size,
             },
-            randomizer: self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
-            task_changed: false,
-            next_randomization: None,
+            episode: Episode::new(
+                self.task,
+                self.stream,
+                self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
+            ),
             first_layout: simulation.world().obstacles.clone(),
             field: self.field,
             rangefinder: kind.ranges.then(|| Rangefinder::new(simulation.world(), &self.rays)).transpose()?,
@@ -310,12 +329,8 @@ impl<T: Task> AviaryBuilder<T> {
             decoders,
             clipped: vec![0.0; self.action_type.size() * count],
             episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
-            rng: Rng::seed_from_u64(0),
-            phase: Phase::New,
-            end: None,
             ends: vec![None; count],
             commands: vec![[0.0; 4]; count],
-            task: self.task,
             simulation,
         })
     }

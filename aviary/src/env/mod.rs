@@ -9,6 +9,7 @@ mod space;
 mod task;
 
 pub use aviary::Aviary;
+pub(crate) use aviary::{Episode, Phase, Verdict};
 pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
 pub use conditions::Conditions;
@@ -66,6 +67,8 @@ pub enum EndReason {
     OutOfBounds,
     /// Everything that the task asks for is done.
     Completed,
+    /// The environment failed: in a batch that goes on without it.
+    Fault,
 }
 
 impl EndReason {
@@ -80,12 +83,13 @@ impl EndReason {
             Self::Tilt => "tilt",
             Self::OutOfBounds => "out_of_bounds",
             Self::Completed => "completed",
+            Self::Fault => "fault",
         }
     }
 
-    /// Whether the drone is lost: everything but the time limit, leaving the space and completion.
+    /// Whether the drone is lost: everything but the time limit, leaving the space, completion and a fault.
     pub fn is_crash(self) -> bool {
-        !matches!(self, Self::TimeLimit | Self::OutOfBounds | Self::Completed)
+        !matches!(self, Self::TimeLimit | Self::OutOfBounds | Self::Completed | Self::Fault)
     }
 }
 
@@ -198,6 +202,24 @@ pub enum EnvError {
         agent: String,
         /// The live agents.
         expected: String,
+    },
+    /// A buffer of a batch that has the wrong length.
+    #[error("{what} has {got} entries, expected {expected}")]
+    Buffer {
+        /// Which one.
+        what: &'static str,
+        /// Its length.
+        got: usize,
+        /// What the batch needs.
+        expected: usize,
+    },
+    /// Something that concerns one environment of a batch.
+    #[error("environment {environment}: {error}")]
+    InBatch {
+        /// Its index.
+        environment: usize,
+        /// What is wrong.
+        error: Box<EnvError>,
     },
     /// Something that concerns one of several agents.
     #[error("the agent `{agent}`: {error}")]

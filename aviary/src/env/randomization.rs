@@ -305,7 +305,7 @@ pub struct Draw {
 }
 
 /// Draws and applies what a [`Randomization`] says.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(super) struct Randomizer {
     pub(super) config: Randomization,
     pub(super) draw: Draw,

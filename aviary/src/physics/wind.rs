@@ -249,6 +249,11 @@ impl WindField {
         Ok(field)
     }
 
+    /// Bytes that it takes for its drones.
+    pub(crate) fn bytes(&self) -> usize {
+        size_of_val(&self.locals[..])
+    }
+
     /// The settings.
     pub fn config(&self) -> &WindConfig {
         &self.config

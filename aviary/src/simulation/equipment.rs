@@ -123,9 +123,75 @@ impl Equipment {
         self.wind.is_none() && self.memory.states.is_empty() && self.actuators.iter().all(Actuators::is_prompt)
     }
 
-    /// Whether anything of it changes while it flies.
-    pub(crate) fn is_constant(&self) -> bool {
-        self.is_plain() && self.actuators.iter().all(|motors| motors.share() == 1.0)
+    /// Whether all environments may have the same: nothing of it changes while it flies, and motors do what they are told.
+    pub(crate) fn is_common(&self) -> bool {
+        self.is_plain() && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
+    }
+
+    /// Keeps obstacles of its own.
+    pub(crate) fn keep_obstacles(&mut self, obstacles: &[Obstacle]) {
+        self.obstacles = obstacles.to_vec();
+    }
+
+    /// Takes over what was commanded to a drone (rpm), clipped, and says to what speeds its rotors go.
+    #[inline]
+    pub(crate) fn command(&mut self, drone: usize, command: &[f64; 4]) -> [f64; 4] {
+        let speeds = command.map(|rpm| rpm.clamp(0.0, self.drones[drone].max_rpm));
+        self.motor_speeds[drone] = speeds;
+        self.actuators[drone].target(&speeds)
+    }
+
+    /// Speeds that a drone's rotors go to, rpm.
+    pub(crate) fn target(&self, drone: usize) -> [f64; 4] {
+        self.actuators[drone].target(&self.motor_speeds[drone])
+    }
+
+    /// What was commanded to a drone, rpm.
+    #[inline]
+    pub(crate) fn commanded(&self, drone: usize) -> &[f64; 4] {
+        &self.motor_speeds[drone]
+    }
+
+    /// Speeds of a drone's rotors, rpm.
+    #[inline]
+    pub(crate) fn rpm(&self, drone: usize) -> &[f64; 4] {
+        self.actuators[drone].rpm()
+    }
+
+    /// Whether some rotors are slow.
+    pub(crate) fn has_lag(&self) -> bool {
+        self.actuators.iter().any(|motors| motors.share() < 1.0)
+    }
+
+    /// Bytes that it takes.
+    pub(crate) fn bytes(&self) -> usize {
+        let Self { drones, actuators, wakes, bodies, wind, memory, motor_speeds, obstacles, .. } = self;
+        let texts: usize = drones.iter().map(|drone| drone.params.name.len() + drone.params.provenance.len()).sum();
+        size_of::<Self>()
+            + texts
+            + size_of_val(&drones[..])
+            + size_of_val(&actuators[..])
+            + size_of_val(&wakes[..])
+            + size_of_val(&bodies.drones[..])
+            + wind.as_ref().map_or(0, WindField::bytes)
+            + size_of_val(&memory.states[..])
+            + size_of_val(&motor_speeds[..])
+            + size_of_val(&obstacles[..])
+    }
+
+    /// Whether it has obstacles of its own.
+    pub(crate) fn has_obstacles(&self) -> bool {
+        !self.obstacles.is_empty()
+    }
+
+    /// The bodies, once they are up to date.
+    pub(crate) fn bodies(&self) -> &Bodies {
+        &self.bodies
+    }
+
+    /// Obstacles of its own.
+    pub(crate) fn obstacles(&self) -> &[Obstacle] {
+        &self.obstacles
     }
 
     /// A drone for the flight kernel's lanes.

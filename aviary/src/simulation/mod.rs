@@ -387,6 +387,68 @@ impl Simulation {
         }
     }
 
+    /// What it has besides states, for a batch that keeps one for every environment.
+    pub(crate) fn equipment(&self) -> &Equipment {
+        &self.equipment
+    }
+
+    /// The same, to be changed.
+    pub(crate) fn equipment_mut(&mut self) -> &mut Equipment {
+        &mut self.equipment
+    }
+
+    /// Puts another environment's in its place.
+    pub(crate) fn swap_equipment(&mut self, other: &mut Box<Equipment>) {
+        std::mem::swap(&mut self.equipment, other);
+    }
+
+    /// Brings what the engine moves up to date.
+    pub(crate) fn refresh(&mut self) {
+        self.equipment.refresh(&self.world, self.effects);
+    }
+
+    /// How many control steps an environment is in its episode, with no contact: what a batch knows without looking.
+    pub(crate) fn set_progress(&mut self, control_steps: u64) {
+        self.control_steps = control_steps;
+        self.contacts.clear();
+        self.failed = None;
+    }
+
+    /// Puts a drone into a state, with its roll, pitch and yaw.
+    #[inline]
+    pub(crate) fn place(&mut self, drone: usize, state: DroneState, rpy: Vector3<f64>) {
+        self.states[drone] = state;
+        self.rpys[drone] = rpy;
+    }
+
+    /// Says what was commanded to a drone, and how fast its rotors turn.
+    #[inline]
+    pub(crate) fn set_speeds(&mut self, drone: usize, command: &[f64; 4], rpm: &[f64; 4]) {
+        self.equipment.motor_speeds[drone] = *command;
+        self.equipment.actuators[drone].set_rpm(rpm);
+    }
+
+    /// Goes on with the environment that was [placed](Self::place) here, from where the engine [left](Self::leave) it.
+    pub(crate) fn resume(&mut self, left: Option<&[f64]>) -> Result<(), SimulationError> {
+        if !self.equipment.obstacles.is_empty() {
+            let obstacles = std::mem::take(&mut self.equipment.obstacles);
+            let done = self.engine.set_obstacles(&obstacles);
+            self.world.obstacles.copy_from_slice(&obstacles);
+            self.equipment.obstacles = obstacles;
+            done.map_err(|error| SimulationError::Engine { time: self.time(), error })?;
+        }
+        self.engine.resume(&self.states, left);
+        Ok(())
+    }
+
+    /// What must be kept of it until then, besides what was placed; whether there is anything.
+    pub(crate) fn leave(&mut self, warm_start: &mut [f64]) -> bool {
+        if !self.equipment.obstacles.is_empty() {
+            self.equipment.obstacles.copy_from_slice(&self.world.obstacles);
+        }
+        self.engine.leave(warm_start)
+    }
+
     /// How many drones there are.
     pub fn num_drones(&self) -> usize {
         self.states.len()
@@ -412,6 +474,18 @@ impl Simulation {
     #[inline]
     pub fn rpy(&self, drone: usize) -> &Vector3<f64> {
         &self.rpys[drone]
+    }
+
+    /// A drone's state as tasks show it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, frames as in
+    /// [`DroneState`].
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    #[inline]
+    pub fn state_vector(&self, drone: usize) -> [f64; 12] {
+        let (state, rpy) = (&self.states[drone], &self.rpys[drone]);
+        let (p, v, w) = (&state.position, &state.velocity, &state.angular_velocity);
+        [p.x, p.y, p.z, rpy.x, rpy.y, rpy.z, v.x, v.y, v.z, w.x, w.y, w.z]
     }
 
     /// States that a reset goes back to.

@@ -7,7 +7,7 @@ use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 
 /// Drones on a circle swap places with those opposite, without coming near each other (the benchmark of the paper's
@@ -164,7 +164,7 @@ impl Task for Antipodal {
 
     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
         let (state, goal) = (&simulation.states()[drone], self.goal(simulation, drone));
-        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(goal.as_slice());
         out[15..18].copy_from_slice((goal - state.position).as_slice());
     }

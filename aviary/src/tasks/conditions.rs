@@ -1,3 +1,7 @@
+use std::f64::consts::FRAC_PI_2;
+
+use smallvec::SmallVec;
+
 use crate::drone::DroneParams;
 use crate::engine::Touched;
 use crate::env::{EndReason, EnvError};
@@ -50,17 +54,15 @@ const CLEAR_OF_FLOOR: f64 = 0.01;
 
 /// Height of the lowest point of a drone's collision cylinder over the floor, m.
 fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
-    let up = state.up().z;
-    let sideways = (1.0 - up * up).max(0.0).sqrt();
-    state.position.z - 0.5 * params.collision_height * up.abs() - params.collision_radius * sideways
+    crate::engine::clearance(params.collision_radius, params.collision_height, state)
 }
 
 /// Watches the drones of an episode for crashes: what a task asks in its `end`.
 #[derive(Debug, Clone, Default)]
 pub struct CrashWatch {
     /// Which drones have been clear of the floor since the start.
-    airborne: Vec<bool>,
-    found: Vec<Option<EndReason>>,
+    airborne: SmallVec<[bool; 8]>,
+    found: SmallVec<[Option<EndReason>; 8]>,
 }
 
 impl CrashWatch {
@@ -96,11 +98,14 @@ impl CrashWatch {
                 found = found.or(reason);
             }
             // a drone that stands on the floor may do so without a point of contact for a step
-            self.airborne[drone] |= !on_floor && clearance(simulation.params(drone), state) > CLEAR_OF_FLOOR;
+            if !self.airborne[drone] {
+                self.airborne[drone] = !on_floor && clearance(simulation.params(drone), state) > CLEAR_OF_FLOOR;
+            }
             if conditions.below_floor && state.position.z < 0.0 {
                 found = found.or(Some(EndReason::BelowFloor));
             }
-            if state.tilt() > conditions.max_tilt {
+            // upright enough for every limit of a right angle and more
+            if (state.up().z < 0.0 || conditions.max_tilt < FRAC_PI_2) && state.tilt() > conditions.max_tilt {
                 found = found.or(Some(EndReason::Tilt));
             }
             self.found[drone] = found;

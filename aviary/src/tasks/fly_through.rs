@@ -9,7 +9,7 @@ use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 use crate::world::{Marker, Obstacle, Shape};
 
@@ -131,7 +131,7 @@ impl Task for FlyThrough {
 
     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
         let (state, target) = (&simulation.states()[drone], self.target(drone));
-        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(target.as_slice());
         out[15..18].copy_from_slice(state.attitude.inverse_transform_vector(&(target - state.position)).as_slice());
     }

@@ -7,7 +7,7 @@ use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 
 /// Drones keep a formation whose middle goes along a closed path (paper, §4.1 `FormationAviary`).
@@ -187,7 +187,7 @@ impl Task for Formation {
 
     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
         let (state, slot) = (&simulation.states()[drone], self.slot(simulation, drone));
-        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(slot.as_slice());
         out[15..18].copy_from_slice((slot - state.position).as_slice());
     }

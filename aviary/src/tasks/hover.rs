@@ -7,9 +7,7 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::state_vector;
 use crate::simulation::Simulation;
-use crate::state::DroneState;
 
 /// One drone takes off and hovers (paper, §4.1 `HoverAviary`).
 ///
@@ -112,11 +110,11 @@ impl Task for Hover {
     }
 
     fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
-        hover_reward(&simulation.states()[drone], &self.target(), end)
+        hover_reward(simulation, drone, &self.target(), end)
     }
 
     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
-        out.copy_from_slice(&state_vector(&simulation.states()[drone]));
+        out.copy_from_slice(&simulation.state_vector(drone));
     }
 
     fn success(&self, simulation: &Simulation, drone: usize) -> bool {
@@ -136,8 +134,13 @@ pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool 
 }
 
 /// The paper's reward of a drone that is to hover at a target.
-pub(super) fn hover_reward(state: &DroneState, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
-    let rpy = state.rpy();
+pub(super) fn hover_reward(
+    simulation: &Simulation,
+    drone: usize,
+    target: &Vector3<f64>,
+    end: Option<EndReason>,
+) -> f64 {
+    let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
     -(state.position.z - target.z).abs()
         - 0.1 * (state.position - target).xy().norm()
         - 0.05 * state.velocity.norm()

@@ -8,7 +8,7 @@ use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 
 /// Drones on a line take off, each to a height of its own (paper, §4.1 `MultiHoverAviary`).
@@ -135,11 +135,11 @@ impl Task for MultiHover {
     }
 
     fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
-        hover_reward(&simulation.states()[drone], &self.target(simulation, drone), end)
+        hover_reward(simulation, drone, &self.target(simulation, drone), end)
     }
 
     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
-        out[..STATE_SIZE].copy_from_slice(&state_vector(&simulation.states()[drone]));
+        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[STATE_SIZE] = self.target(simulation, drone).z;
     }
 

@@ -7,7 +7,7 @@ use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 use crate::world::{Marker, Obstacle, Shape};
 
@@ -183,7 +183,7 @@ impl Task for Race {
         let state = &simulation.states()[drone];
         let (next, second) = (self.gate(drone, 0), self.gate(drone, 1));
         let seen = |point: Vector3<f64>| state.attitude.inverse_transform_vector(&(point - state.position));
-        out[..STATE_SIZE].copy_from_slice(&state_vector(state));
+        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(next.as_slice());
         out[15..18].copy_from_slice(seen(next).as_slice());
         out[18..21].copy_from_slice(seen(second).as_slice());

@@ -8,7 +8,7 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::observation::{STATE_SIZE, state_vector};
+use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 use crate::state::wrap_angle;
 
@@ -127,7 +127,7 @@ impl Task for Velocity {
 
     fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
         let state = &simulation.states()[drone];
-        let (rpy, error) = (state.rpy(), self.error(simulation, drone));
+        let (rpy, error) = (simulation.rpy(drone), self.error(simulation, drone));
         -error - 0.1 * (state.angular_velocity.z - self.targets[drone].1).abs() - 0.05 * (rpy.x.abs() + rpy.y.abs())
             + if error < Self::TRACKED { 0.5 } else { 0.0 }
             - crash_penalty(end)
@@ -135,7 +135,7 @@ impl Task for Velocity {
 
     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
         let (state, target) = out.split_at_mut(STATE_SIZE);
-        state.copy_from_slice(&state_vector(&simulation.states()[drone]));
+        state.copy_from_slice(&simulation.state_vector(drone));
         target[..3].copy_from_slice(self.targets[drone].0.as_slice());
         target[3] = self.targets[drone].1;
     }

@@ -1,0 +1,465 @@
+use std::sync::{Mutex, PoisonError};
+
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+use super::piece::{Common, Desk, Faults, Piece, Worker};
+use super::stage::{Ended, Slot, Stage};
+use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
+use crate::engine::flight::{Airframes, Flow, LANES, Lanes, Width};
+use crate::engine::{EngineKind, Lookout, Substeps};
+use crate::env::{Aviary, AviaryBuilder, BoxSpace, Env, EnvError, ObservationSpace, Phase, Task};
+use crate::world::Forcing;
+
+/// M environments of one task.
+///
+/// All options of a single environment are those of the batch: the physics mode, wind, obstacles, randomization, cameras, the task's own.
+/// The engine is the hybrid one unless the options say otherwise. Environment i draws from the seed's stream i, so that it is the same
+/// as `builder.stream(i)` alone.
+///
+/// ```
+/// use aviary::env::Randomization;
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+///
+/// let builder = Hover::builder().randomization(Randomization::default());
+/// let mut env = VecAviary::new(builder, VecConfig::new(100))?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(7), &mut buffers.observations)?;
+/// env.step(&vec![0.0; 400], buffers.step())?;
+/// // any of them can be looked at as if it were alone
+/// let mass = env.with(3, |env| env.simulation().params(0).mass)?;
+/// assert!(mass > 0.02 && mass < 0.04);
+/// # use aviary::env::Env;
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+#[derive(Debug)]
+pub struct VecAviary<T> {
+    common: Common,
+    config: VecConfig,
+    seats: Seats<T>,
+    crew: Crew<T>,
+    name: &'static str,
+    observation_space: ObservationSpace,
+    action_space: BoxSpace,
+    episode_steps: u64,
+    control_period: f64,
+    /// Those of the last step, in order.
+    found: Vec<(usize, EnvError)>,
+}
+
+/// What a thread works with.
+#[derive(Debug)]
+struct Place<T> {
+    stage: Stage<T>,
+    desk: Desk,
+    flown: u64,
+}
+
+/// The environments.
+#[derive(Debug)]
+struct Seats<T> {
+    slots: Vec<Slot<T>>,
+    lanes: Vec<Lanes>,
+    frames: Vec<Airframes>,
+    warm_starts: Vec<f64>,
+    lookouts: Vec<Lookout>,
+    finals: Vec<f32>,
+}
+
+impl<T> Seats<T> {
+    fn piece(&mut self) -> Piece<'_, T> {
+        Piece {
+            first: 0,
+            slots: &mut self.slots,
+            lanes: &mut self.lanes,
+            frames: &mut self.frames,
+            warm_starts: &mut self.warm_starts,
+            lookouts: &mut self.lookouts,
+            actions: &[],
+            mask: &[],
+            observations: &mut [],
+            finals: &mut self.finals,
+            rewards: &mut [],
+            terminated: &mut [],
+            truncated: &mut [],
+            rgb: &mut [],
+            depth: &mut [],
+            objects: &mut [],
+        }
+    }
+}
+
+impl<T: Task + Clone + Send> VecAviary<T> {
+    /// Makes the environments. They must be [reset](VecEnv::reset) before the first step.
+    ///
+    /// # Errors
+    /// [`EnvError`] naming the option that is impossible.
+    pub fn new(builder: AviaryBuilder<T>, config: VecConfig) -> Result<Self, EnvError> {
+        let count = config.environments;
+        if !(1..=VecConfig::MAX_ENVIRONMENTS).contains(&count) {
+            return Err(EnvError::Option {
+                option: "the number of environments",
+                got: count.to_string(),
+                expected: "1 to 16,777,216",
+            });
+        }
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let threads = if config.threads == 0 { cores } else { config.threads };
+        if threads > 1024 {
+            let got = threads.to_string();
+            return Err(EnvError::Option { option: "the number of threads", got, expected: "up to 1024" });
+        }
+        let threads = threads.min(count.div_ceil(LANES));
+        let builder = builder.engine_or(EngineKind::Hybrid);
+        let make = || -> Result<Aviary<T>, EnvError> {
+            let mut env = builder.clone().build()?;
+            env.simulation.refresh();
+            Ok(env)
+        };
+        let first = make()?;
+        let simulation = &first.simulation;
+        let drones = simulation.num_drones();
+        let effects = simulation.effects();
+        let flies = Worker::<T>::knows_lanes(simulation.engine());
+        let world = simulation.world();
+        let lag = (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0) || first.episode.is_randomized();
+        let space = first.observation_space();
+        let numbers = space.vector.size()
+            + if space.kind.obstacle { drones } else { 0 }
+            + if space.kind.ranges { drones * space.rays.0 } else { 0 }
+            + if space.kind.adjacency { drones * drones } else { 0 };
+        let pixels = drones * space.camera_size.pixels();
+        let on = |on: bool, size: usize| if on { size } else { 0 };
+        let kind = space.kind;
+        let common = Common {
+            drones,
+            action_size: first.action_space().size(),
+            observation_size: numbers,
+            autoreset: config.autoreset,
+            on_fault: config.on_fault,
+            flow: flies.then(|| Flow {
+                dt: world.timestep,
+                body_fixed: world.forcing == Forcing::BodyFixed,
+                medium: world.medium.is_some(),
+                air: effects.ground || effects.drag || effects.downwash || lag,
+                width: Width::best(),
+            }),
+            downwash: effects.downwash,
+            substeps: simulation.substeps(),
+            frames: (0..drones).map(|drone| Airframes::all(&simulation.equipment().airframe(drone, effects))).collect(),
+            pictures: [on(kind.rgb, 4 * pixels), on(kind.depth, pixels), on(kind.segmentation, pixels)],
+        };
+        let individual =
+            first.episode.is_randomized() || first.moves_obstacles() || !simulation.equipment().is_common();
+        let memory = first.decoders.iter().any(|decoder| decoder.has_memory());
+        let base = first.episode.stream;
+        let slot = |index: usize| {
+            let mut episode = first.episode.clone();
+            episode.set_stream(base.wrapping_add(index as u64));
+            let equipment = individual.then(|| {
+                let mut equipment = Box::new(simulation.equipment().clone());
+                if first.moves_obstacles() {
+                    equipment.keep_obstacles(&world.obstacles);
+                }
+                equipment
+            });
+            Slot {
+                episode,
+                equipment,
+                decoders: if memory { first.decoders.clone() } else { Vec::new() },
+                control_steps: 0,
+                reward: 0.0,
+                ended: None,
+                in_mujoco: false,
+                plain: flies && simulation.equipment().is_plain(),
+            }
+        };
+        let blocks = count.div_ceil(LANES);
+        let lookouts = if flies && !world.obstacles.is_empty() { count * drones } else { 0 };
+        let mut lanes = vec![Lanes::default(); blocks * drones];
+        for (index, lanes) in lanes.iter_mut().enumerate() {
+            let state = &simulation.initial_states()[index % drones];
+            (0..LANES).for_each(|lane| lanes.set(lane, state, &[0.0; 4], &[0.0; 4]));
+        }
+        let seats = Seats {
+            slots: (0..count).map(slot).collect(),
+            lanes,
+            frames: if individual { common.frames.repeat(blocks) } else { Vec::new() },
+            warm_starts: vec![0.0; 6 * drones * count],
+            lookouts: vec![Lookout::default(); lookouts],
+            finals: vec![0.0; if config.autoreset == Autoreset::SameStep { numbers * count } else { 0 }],
+        };
+        let (name, episode_steps, control_period) = (first.name(), first.episode_steps(), simulation.control_period());
+        let (observation_space, action_space) = (space.clone(), first.action_space().clone());
+        let mut places = Vec::with_capacity(threads);
+        let place = |env| Mutex::new(Place { stage: Stage { env }, desk: Desk::new(drones), flown: 0 });
+        places.push(place(first));
+        while places.len() < threads {
+            places.push(place(make()?));
+        }
+        let pool = (threads > 1)
+            .then(|| ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("aviary{i}")).build())
+            .transpose()
+            .map_err(|error| EnvError::Option {
+                option: "the number of threads",
+                got: format!("{threads} ({error})"),
+                expected: "no more than the machine gives",
+            })?;
+        Ok(Self {
+            common,
+            config: VecConfig { threads, ..config },
+            seats,
+            crew: Crew { places, pool, faults: Faults::default() },
+            name,
+            observation_space,
+            action_space,
+            episode_steps,
+            control_period,
+            found: Vec::new(),
+        })
+    }
+
+    /// How it was made.
+    pub fn config(&self) -> &VecConfig {
+        &self.config
+    }
+
+    /// Puts an environment where it can be looked at and changed as if it were alone: its task, its wind, its randomization. It
+    /// should not be stepped or reset there. Its observation is not that of the last step: those are in the caller's buffers.
+    ///
+    /// # Errors
+    /// [`EnvError::InBatch`] where it cannot be put there.
+    ///
+    /// # Panics
+    /// If there is no environment of that index.
+    pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
+        let Self { common, seats, crew, .. } = self;
+        let stage = &mut crew.places[0].get_mut().unwrap_or_else(PoisonError::into_inner).stage;
+        if seats.frames.is_empty() {
+            seats.frames = common.frames.repeat(seats.slots.len().div_ceil(LANES));
+        }
+        let slot = &mut seats.slots[environment];
+        if slot.equipment.is_none() {
+            slot.equipment = Some(Box::new(stage.env.simulation.equipment().clone()));
+        }
+        let mut piece = seats.piece();
+        let mut seat = piece.seat(common, environment);
+        let wrong = |error| EnvError::InBatch { environment, error: Box::new(error) };
+        let result = match stage.enter(&mut seat) {
+            Ok(()) => Ok(look(&mut stage.env)),
+            Err(error) => Err(wrong(error)),
+        };
+        stage.env.simulation.refresh();
+        stage.leave(&mut seat);
+        // motors that are slow now need the longer form of the kernel
+        if let Some(flow) = &mut common.flow {
+            flow.air |= seat.slot.equipment.as_ref().is_some_and(|equipment| equipment.has_lag());
+            flow.air |= seat.slot.episode.is_randomized();
+        }
+        result
+    }
+
+}
+
+/// Threads and what they work with.
+#[derive(Debug)]
+struct Crew<T> {
+    places: Vec<Mutex<Place<T>>>,
+    pool: Option<ThreadPool>,
+    faults: Faults,
+}
+
+impl<T: Task + Send> Crew<T> {
+    /// Does something with every piece of the batch, on all threads.
+    fn run(
+        &self,
+        common: &Common,
+        piece: Piece<'_, T>,
+        work: &(impl Fn(&mut Worker<'_, T>, Piece<'_, T>) + Sync),
+    ) {
+        let blocks = piece.slots.len().div_ceil(LANES);
+        // a thread's share in pieces, for those that take longer
+        let grain = blocks.div_ceil(8 * self.places.len()).max(1);
+        let alone = |thread: usize, piece: Piece<'_, T>| {
+            let mut place = self.places[thread].lock().unwrap_or_else(PoisonError::into_inner);
+            let Place { stage, desk, flown } = &mut *place;
+            work(&mut Worker { common, stage, desk, flown, faults: &self.faults }, piece);
+        };
+        match &self.pool {
+            None => alone(0, piece),
+            Some(pool) => pool.install(|| share(common, piece, grain, &alone)),
+        }
+    }
+}
+
+/// Splits a piece among threads.
+fn share<T: Send>(common: &Common, piece: Piece<'_, T>, grain: usize, work: &(impl Fn(usize, Piece<'_, T>) + Sync)) {
+    let blocks = piece.slots.len().div_ceil(LANES);
+    if blocks <= grain {
+        return work(rayon::current_thread_index().unwrap_or(0), piece);
+    }
+    let (front, back) = piece.split(common, blocks / 2);
+    rayon::join(|| share(common, front, grain, work), || share(common, back, grain, work));
+}
+
+fn check(what: &'static str, got: usize, expected: usize) -> Result<(), EnvError> {
+    if got == expected { Ok(()) } else { Err(EnvError::Buffer { what, got, expected }) }
+}
+
+impl<T: Task + Clone + Send> VecAviary<T> {
+    /// Takes what went wrong since the last call; in a step that shall be without a fault, the first one is an error.
+    fn take_faults(&mut self, fatal: bool) -> Result<(), EnvError> {
+        self.found.clear();
+        self.found.append(self.crew.faults.get_mut().unwrap_or_else(PoisonError::into_inner));
+        self.found.sort_by_key(|(environment, _)| *environment);
+        match self.found.first() {
+            Some((environment, error)) if fatal => {
+                Err(EnvError::InBatch { environment: *environment, error: Box::new(error.clone()) })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// What would make a step an error, before anything moves.
+    fn check_actions(&self, actions: &[f32]) -> Result<(), EnvError> {
+        let bad = |environment, error| Err(EnvError::InBatch { environment, error: Box::new(error) });
+        for (environment, slot) in self.seats.slots.iter().enumerate() {
+            match slot.episode.phase {
+                Phase::New => return bad(environment, EnvError::NeedsReset { when: "on a new environment" }),
+                Phase::Over if self.config.autoreset == Autoreset::Disabled => {
+                    return bad(environment, EnvError::NeedsReset { when: "after the end of the episode" });
+                }
+                _ => {}
+            }
+        }
+        let Some(entry) = actions.iter().position(|x| !x.is_finite()) else { return Ok(()) };
+        let (environment, index) = (entry / self.common.action_size, entry % self.common.action_size);
+        let slot = &self.seats.slots[environment];
+        if slot.episode.phase == Phase::Over {
+            // it will not be looked at; those behind it may be
+            let row = |environment: usize| &actions[environment * self.common.action_size..][..self.common.action_size];
+            for (environment, slot) in self.seats.slots.iter().enumerate() {
+                let bad_entry = row(environment).iter().position(|x| !x.is_finite());
+                if let (Some(index), Phase::Running) = (bad_entry, slot.episode.phase) {
+                    let (got, time) = (f64::from(row(environment)[index]), self.time_of(slot));
+                    return bad(environment, EnvError::Action { index, got, time });
+                }
+            }
+            return Ok(());
+        }
+        bad(environment, EnvError::Action { index, got: f64::from(actions[entry]), time: self.time_of(slot) })
+    }
+
+    fn time_of(&self, slot: &Slot<T>) -> f64 {
+        slot.control_steps as f64 * self.control_period
+    }
+}
+
+impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn num_envs(&self) -> usize {
+        self.seats.slots.len()
+    }
+
+    fn num_threads(&self) -> usize {
+        self.crew.places.len()
+    }
+
+    fn observation_space(&self) -> &ObservationSpace {
+        &self.observation_space
+    }
+
+    fn action_space(&self) -> &BoxSpace {
+        &self.action_space
+    }
+
+    fn observation_size(&self) -> usize {
+        self.common.observation_size
+    }
+
+    fn episode_steps(&self) -> u64 {
+        self.episode_steps
+    }
+
+    fn control_period(&self) -> f64 {
+        self.control_period
+    }
+
+    fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
+        check("the mask", mask.len(), self.num_envs())?;
+        check("the buffer of observations", observations.len(), self.num_envs() * self.common.observation_size)?;
+        let piece = Piece { mask, observations, ..self.seats.piece() };
+        self.crew.run(&self.common, piece, &|worker, piece| worker.reset(piece, seed));
+        self.take_faults(true)
+    }
+
+    fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
+        let count = self.num_envs();
+        check("the buffer of actions", actions.len(), count * self.common.action_size)?;
+        check("the buffer of observations", out.observations.len(), count * self.common.observation_size)?;
+        check("the buffer of rewards", out.rewards.len(), count)?;
+        check("the buffer of terminated", out.terminated.len(), count)?;
+        check("the buffer of truncated", out.truncated.len(), count)?;
+        let fatal = self.common.on_fault == OnFault::Error;
+        if fatal {
+            self.check_actions(actions)?;
+        }
+        let VecStep { observations, rewards, terminated, truncated } = out;
+        let piece = Piece { actions, observations, rewards, terminated, truncated, ..self.seats.piece() };
+        self.crew.run(&self.common, piece, &|worker, piece| worker.step(piece));
+        self.take_faults(fatal)
+    }
+
+    fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError> {
+        let (count, [rgb, depth, objects]) = (self.num_envs(), self.common.pictures);
+        check("the buffer of colours", out.rgb.len(), count * rgb)?;
+        check("the buffer of depths", out.depth.len(), count * depth)?;
+        check("the buffer of objects", out.segmentation.len(), count * objects)?;
+        let piece = Piece { rgb: out.rgb, depth: out.depth, objects: out.segmentation, ..self.seats.piece() };
+        self.crew.run(&self.common, piece, &|worker, piece| worker.draw(piece));
+        self.take_faults(true)
+    }
+
+    fn final_observations(&self) -> &[f32] {
+        &self.seats.finals
+    }
+
+    fn ended(&self, environment: usize) -> Option<&Ended> {
+        self.seats.slots.get(environment)?.ended.as_ref()
+    }
+
+    fn faults(&self) -> &[(usize, EnvError)] {
+        &self.found
+    }
+
+    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError> {
+        self.with(environment, |env| look(env))
+    }
+
+    fn bytes_per_env(&self) -> usize {
+        let Seats { slots, lanes, frames, warm_starts, lookouts, finals } = &self.seats;
+        let own = |slot: &Slot<T>| slot.equipment.as_ref().map_or(0, |equipment| equipment.bytes());
+        let sum = size_of_val(&slots[..])
+            + slots.iter().map(own).sum::<usize>()
+            + slots.iter().map(|slot| size_of_val(&slot.decoders[..])).sum::<usize>()
+            + size_of_val(&lanes[..])
+            + size_of_val(&frames[..])
+            + size_of_val(&warm_starts[..])
+            + size_of_val(&lookouts[..])
+            + size_of_val(&finals[..]);
+        sum.div_ceil(slots.len())
+    }
+
+    fn engine_substeps(&self) -> Substeps {
+        let mut sum = Substeps::default();
+        for place in &self.crew.places {
+            let place = place.lock().unwrap_or_else(PoisonError::into_inner);
+            sum += place.stage.env.simulation.engine_substeps();
+            sum.flight += place.flown;
+        }
+        sum
+    }
+}

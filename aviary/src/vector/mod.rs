@@ -1,0 +1,229 @@
+//! Many environments of one task at once, on every core.
+//!
+//! The state of all of them lies in compact arrays, eight environments beside each other, as the flight kernel wants them. Every
+//! thread has one [`Aviary`] with one MuJoCo simulation, into which it puts an environment where more than the kernel is needed: a
+//! contact, a reset, a picture. An environment flies to the same bits as it would alone (an [`Aviary`] with the same
+//! options, engine, seed and [stream](crate::env::AviaryBuilder::stream)), whatever the number of threads.
+
+mod aviary;
+mod piece;
+mod stage;
+
+pub use aviary::VecAviary;
+pub use stage::Ended;
+
+use crate::engine::Substeps;
+use crate::env::{BoxSpace, Env, EnvError, ObservationSpace};
+use crate::vision::ImageSize;
+
+/// When an environment that has ended begins its next episode, as in Gymnasium's vector environments.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Autoreset {
+    /// In the next step, whose action is ignored: that step returns the first observation, reward 0, and is neither terminated nor truncated.
+    #[default]
+    NextStep,
+    /// In the same step: it returns the first observation of the next episode, and the last one of the old episode is kept in
+    /// [`VecEnv::final_observations`].
+    SameStep,
+    /// Not by itself: a step of an environment that has ended is a fault.
+    Disabled,
+}
+
+/// What becomes of an environment whose action is not a number or whose state leaves the range of numbers. Its neighbours'
+/// bits do not change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum OnFault {
+    /// The step is an error. A bad action is found before anything has moved; after another fault all other environments have made their step.
+    #[default]
+    Error,
+    /// Its episode is truncated, without a reward for this step; [`VecEnv::faults`] says why.
+    Truncate,
+}
+
+/// How a batch is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct VecConfig {
+    /// Number of environments.
+    pub environments: usize,
+    /// Threads, each with a MuJoCo simulation of its own; 0, the default, for as many as the machine has cores.
+    pub threads: usize,
+    /// When environments that have ended begin anew.
+    pub autoreset: Autoreset,
+    /// What becomes of environments that fail.
+    pub on_fault: OnFault,
+}
+
+impl VecConfig {
+    /// Most environments in a batch.
+    pub const MAX_ENVIRONMENTS: usize = 1 << 24;
+
+    /// So many environments, on all cores.
+    pub fn new(environments: usize) -> Self {
+        Self { environments, ..Self::default() }
+    }
+}
+
+/// What a step of a batch writes, in the caller's buffers. Row i is environment i's.
+#[derive(Debug)]
+pub struct VecStep<'a> {
+    /// M × [`observation_size`](VecEnv::observation_size): see there.
+    pub observations: &'a mut [f32],
+    /// M: rewards of this step.
+    pub rewards: &'a mut [f32],
+    /// M: whether the episode came to an end of its own.
+    pub terminated: &'a mut [bool],
+    /// M: whether the episode was cut off.
+    pub truncated: &'a mut [bool],
+}
+
+/// Pictures of all environments, in the caller's buffers: M × what one [`Observation`](crate::observation::Observation) has. Those that
+/// the observation type does not have are empty.
+#[derive(Debug, Default)]
+pub struct VecPictures<'a> {
+    /// M × N × height × width × 4: RGBA.
+    pub rgb: &'a mut [u8],
+    /// M × N × height × width: m along the camera's axis.
+    pub depth: &'a mut [f32],
+    /// M × N × height × width: `[type, index]` of objects.
+    pub segmentation: &'a mut [[i32; 2]],
+}
+
+/// Buffers for a batch.
+///
+/// ```
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+///
+/// let mut env = VecAviary::new(Hover::builder(), VecConfig::new(64))?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(1), &mut buffers.observations)?;
+/// let actions = vec![0.01; env.num_envs() * env.action_size()];
+/// for _ in 0..10 {
+///     env.step(&actions, buffers.step())?;
+/// }
+/// assert!(buffers.rewards.iter().all(|reward| reward.is_finite()));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct VecBuffers {
+    /// M × [`observation_size`](VecEnv::observation_size).
+    pub observations: Vec<f32>,
+    /// M.
+    pub rewards: Vec<f32>,
+    /// M.
+    pub terminated: Vec<bool>,
+    /// M.
+    pub truncated: Vec<bool>,
+}
+
+impl VecBuffers {
+    /// For a batch.
+    pub fn new(env: &(impl VecEnv + ?Sized)) -> Self {
+        let count = env.num_envs();
+        Self {
+            observations: vec![0.0; count * env.observation_size()],
+            rewards: vec![0.0; count],
+            terminated: vec![false; count],
+            truncated: vec![false; count],
+        }
+    }
+
+    /// All of them, to be written by a step.
+    pub fn step(&mut self) -> VecStep<'_> {
+        VecStep {
+            observations: &mut self.observations,
+            rewards: &mut self.rewards,
+            terminated: &mut self.terminated,
+            truncated: &mut self.truncated,
+        }
+    }
+}
+
+/// A batch of environments of one task.
+pub trait VecEnv: Send {
+    /// Name of the task, in lower snake case.
+    fn name(&self) -> &'static str;
+
+    /// Number of environments, M.
+    fn num_envs(&self) -> usize;
+
+    /// Number of threads.
+    fn num_threads(&self) -> usize;
+
+    /// What one environment's observation looks like.
+    fn observation_space(&self) -> &ObservationSpace;
+
+    /// What one environment's action looks like. Steps clip to its bounds.
+    fn action_space(&self) -> &BoxSpace;
+
+    /// Numbers in one environment's row of `observations`: the task's vector, then, where they are observed, the distances
+    /// from obstacles, the ranges of the rays and the adjacency as 0 and 1.
+    fn observation_size(&self) -> usize;
+
+    /// Numbers in one environment's action.
+    fn action_size(&self) -> usize {
+        self.action_space().size()
+    }
+
+    /// Control steps after which an episode is cut off.
+    fn episode_steps(&self) -> u64;
+
+    /// Length of a control step, s.
+    fn control_period(&self) -> f64;
+
+    /// Starts an episode in every environment. With a seed everything random starts anew from it, in a stream for each.
+    ///
+    /// # Errors
+    /// [`EnvError::Buffer`], and [`EnvError::InBatch`] where an environment cannot begin.
+    fn reset(&mut self, seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
+        let all = vec![true; self.num_envs()];
+        self.reset_where(&all, seed, observations)
+    }
+
+    /// Starts an episode where the mask says so, and writes the rows of those environments.
+    ///
+    /// # Errors
+    /// As for [`reset`](Self::reset).
+    fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError>;
+
+    /// Advances every environment by one control step under its row of `actions`, M × [`action_size`](Self::action_size).
+    ///
+    /// # Errors
+    /// [`EnvError::Buffer`] for a buffer of the wrong length, and then nothing has moved; [`EnvError::InBatch`] with the first
+    /// environment that failed, see [`OnFault`].
+    fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError>;
+
+    /// Draws what the onboard cameras of every environment see now.
+    ///
+    /// # Errors
+    /// [`EnvError::Buffer`], [`EnvError::Vision`].
+    fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError>;
+
+    /// The last observations of the episodes that ended in the last step, in the rows of their environments; M ×
+    /// [`observation_size`](Self::observation_size), empty but with [`Autoreset::SameStep`].
+    fn final_observations(&self) -> &[f32];
+
+    /// The episode of an environment that ended in the last step, if one did.
+    fn ended(&self, environment: usize) -> Option<&Ended>;
+
+    /// Environments that failed in the last step, and why.
+    fn faults(&self) -> &[(usize, EnvError)];
+
+    /// Puts an environment where it can be looked at and changed as if it were alone: its information, its wind, its
+    /// randomization. Its observation is not that of the last step: those are in the caller's buffers.
+    ///
+    /// # Errors
+    /// [`EnvError::InBatch`] where it cannot be put there.
+    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError>;
+
+    /// Bytes that the batch takes for every environment, beside what the threads share and the caller's buffers.
+    fn bytes_per_env(&self) -> usize;
+
+    /// How many physics steps of an environment each engine did, over all environments, since the batch was made.
+    fn engine_substeps(&self) -> Substeps;
+
+    /// Size of the onboard cameras' pictures.
+    fn camera_size(&self) -> ImageSize {
+        self.observation_space().camera_size
+    }
+}

@@ -1,0 +1,357 @@
+//! A batch flies every environment to the bits that it would fly alone, whatever the number of threads.
+
+use mujoco_drones_gym::engine::EngineKind;
+use mujoco_drones_gym::env::{AviaryBuilder, EndReason, Randomization};
+use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::tasks::Antipodal;
+use mujoco_drones_gym::vector::{Autoreset, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv};
+use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
+
+/// Actions that wander, so that drones fly, tumble and crash: row after row.
+struct Wander {
+    rng: Rng,
+    held: Vec<f32>,
+    size: usize,
+}
+
+impl Wander {
+    fn new(seed: u64, count: usize, size: usize) -> Self {
+        Self { rng: Rng::seed_from_u64(seed), held: vec![0.0; count * size], size }
+    }
+
+    fn next(&mut self) -> &[f32] {
+        for row in self.held.chunks_exact_mut(self.size) {
+            // most of it common to all motors: drones stay in the air for a while
+            let common = 0.3 * (self.rng.random::<f32>() - 0.45);
+            for x in row {
+                *x = (0.8 * *x + common + 0.01 * (self.rng.random::<f32>() - 0.5)).clamp(-1.2, 1.2);
+            }
+        }
+        &self.held
+    }
+}
+
+fn bits(row: &[f32]) -> Vec<u32> {
+    row.iter().map(|x| x.to_bits()).collect()
+}
+
+/// Flies a batch beside its environments alone and compares every number; says how many episodes ended.
+fn compare<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
+    let mut batch = VecAviary::new(builder.clone().engine(EngineKind::Hybrid), config).unwrap();
+    let count = batch.num_envs();
+    let (a, o) = (batch.action_size(), batch.observation_size());
+    let mut buffers = VecBuffers::new(&batch);
+    let mut alone: Vec<_> = (0..count)
+        .map(|i| builder.clone().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap())
+        .collect();
+    let mut over = vec![false; count];
+    let mut row = vec![0.0_f32; o];
+    batch.reset(Some(11), &mut buffers.observations).unwrap();
+    for (i, env) in alone.iter_mut().enumerate() {
+        env.reset(Some(11)).unwrap().write_vector(&mut row);
+        assert_eq!(bits(&row), bits(&buffers.observations[i * o..][..o]), "reset of {i}");
+    }
+    let mut wander = Wander::new(5, count, a);
+    let mut ended = 0;
+    for step in 0..steps {
+        let actions = wander.next().to_vec();
+        batch.step(&actions, buffers.step()).unwrap();
+        for (i, env) in alone.iter_mut().enumerate() {
+            let seen = &buffers.observations[i * o..][..o];
+            let got = (buffers.rewards[i], buffers.terminated[i], buffers.truncated[i]);
+            if over[i] {
+                env.reset(None).unwrap().write_vector(&mut row);
+                assert_eq!(bits(&row), bits(seen), "next reset of {i}");
+                assert_eq!(got, (0.0, false, false));
+                over[i] = false;
+                continue;
+            }
+            let action: Vec<f64> = actions[i * a..][..a].iter().map(|&x| f64::from(x)).collect();
+            let Step { observation, reward, terminated, truncated } = env.step(&action).unwrap();
+            observation.write_vector(&mut row);
+            assert_eq!(got, (reward as f32, terminated, truncated), "step {step} of {i}");
+            let ends = terminated || truncated;
+            if ends {
+                ended += 1;
+                let report = batch.ended(i).copied().unwrap();
+                assert_eq!(Some(report.reason), env.info().end);
+                assert_eq!((report.success, report.steps), (env.info().success, env.simulation().control_steps()));
+            } else {
+                assert!(batch.ended(i).is_none());
+            }
+            if ends && config.autoreset == Autoreset::SameStep {
+                assert_eq!(bits(&row), bits(&batch.final_observations()[i * o..][..o]));
+                env.reset(None).unwrap().write_vector(&mut row);
+            } else {
+                over[i] = ends;
+            }
+            assert_eq!(bits(&row), bits(seen), "step {step} of {i}");
+        }
+    }
+    ended
+}
+
+#[test]
+fn every_task_is_what_its_environments_are_alone() {
+    fn all<T: Task + Clone + Send>(task: T, ended: &mut usize) {
+        for (physics, autoreset, environments, threads) in [
+            (Physics::Mjc, Autoreset::NextStep, 13, 1),
+            (Physics::MjcGndDragDw, Autoreset::SameStep, 19, 2),
+            (Physics::Dyn, Autoreset::NextStep, 3, 2),
+        ] {
+            let builder = AviaryBuilder::new(task.clone()).physics(physics).episode_seconds(1.1);
+            let config = VecConfig { autoreset, threads, ..VecConfig::new(environments) };
+            *ended += compare(&builder, config, 80);
+        }
+    }
+    let mut ended = 0;
+    all(Hover::default(), &mut ended);
+    all(Velocity::default(), &mut ended);
+    all(MultiHover::default(), &mut ended);
+    all(FlyThrough::default(), &mut ended);
+    all(Formation::default(), &mut ended);
+    all(Race::default(), &mut ended);
+    all(MultiHover::multi_agent(), &mut ended);
+    all(Antipodal::default(), &mut ended);
+    assert!(ended > 200, "{ended}");
+}
+
+#[test]
+fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_alone() {
+    let hover = || Hover::builder().initial_positions([[0.0, 0.0, 0.6]]).physics(Physics::MjcGndDragDw).episode_seconds(1.4);
+    let bodies = Randomization { sensors: None, environment: None, actuators: None, ..Randomization::default() };
+    let config = |threads| VecConfig { threads, autoreset: Autoreset::SameStep, ..VecConfig::new(11) };
+    let forest = |new_layout| ObstacleConfig {
+        count: 20,
+        arena: [2.0, 2.0, 2.0],
+        safe_zone: 0.3,
+        new_layout,
+        ..ObstacleConfig::new(ObstacleKind::Forest)
+    };
+    assert!(compare(&hover().randomization(bodies), config(2), 90) > 5);
+    assert!(compare(&hover().randomization(Randomization::default()), config(2), 90) > 5);
+    assert!(compare(&hover().wind(WindConfig::new(WindModel::Combined)), config(2), 90) > 5);
+    let lag = ActuatorParams { lag: 0.03, gains: [1.0, 0.99, 1.0, 1.01], ..ActuatorParams::default() };
+    assert!(compare(&hover().actuators(lag), config(1), 90) > 5);
+    let late = ActuatorParams { latency: 0.02, ..ActuatorParams::default() };
+    assert!(compare(&hover().actuators(late), config(2), 90) > 5);
+    assert!(compare(&hover().obstacle_field(forest(false)), config(2), 90) > 5);
+    assert!(compare(&hover().obstacle_field(forest(true)), config(2), 90) > 5);
+    for kind in [ActionType::Vel, ActionType::Pid, ActionType::Attitude, ActionType::Ctbr, ActionType::OneDRpm] {
+        compare(&hover().action_type(kind), config(2), 90);
+    }
+}
+
+#[test]
+fn mujoco_alone_makes_the_same_bits_in_a_batch_contacts_included() {
+    // on the floor, bouncing, without an end
+    let builder = Hover::builder()
+        .engine(EngineKind::Mujoco)
+        .initial_positions([[0.0, 0.0, 0.3]])
+        .task(|hover| (hover.crash.floor_contact, hover.crash.max_tilt) = (false, 4.0));
+    for threads in [1, 2] {
+        let mut batch = VecAviary::new(builder.clone(), VecConfig { threads, ..VecConfig::new(9) }).unwrap();
+        let mut alone: Vec<_> = (0..9).map(|_| builder.clone().build().unwrap()).collect();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        alone.iter_mut().for_each(|env| {
+            env.reset(Some(1)).unwrap();
+        });
+        let mut wander = Wander::new(8, 9, 4);
+        let mut touched = 0;
+        for _ in 0..150 {
+            let actions: Vec<f32> = wander.next().iter().map(|x| x - 0.1).collect();
+            batch.step(&actions, buffers.step()).unwrap();
+            for (i, env) in alone.iter_mut().enumerate() {
+                let action: Vec<f64> = actions[4 * i..][..4].iter().map(|&x| f64::from(x)).collect();
+                if env.info().end.is_some() {
+                    env.reset(None).unwrap();
+                } else {
+                    env.step(&action).unwrap();
+                }
+                touched += env.info().contacts;
+                let seen: Vec<f32> = env.observation().vector.iter().map(|&x| x as f32).collect();
+                assert_eq!(bits(&seen), bits(&buffers.observations[12 * i..][..12]));
+            }
+        }
+        assert!(touched > 200, "{touched}");
+    }
+}
+
+#[test]
+fn threads_change_no_bits() {
+    let builder = || {
+        MultiHover::builder()
+            .num_drones(3)
+            .physics(Physics::MjcGndDragDw)
+            .randomization(Randomization { sensors: None, ..Randomization::default() })
+    };
+    let mut digests = Vec::new();
+    for threads in [1, 2, 3, 5] {
+        let mut batch = VecAviary::new(builder(), VecConfig { threads, ..VecConfig::new(100) }).unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(3), &mut buffers.observations).unwrap();
+        let mut wander = Wander::new(4, 100, 12);
+        let mut digest = Vec::new();
+        for _ in 0..60 {
+            batch.step(wander.next(), buffers.step()).unwrap();
+            digest.extend(bits(&buffers.observations));
+            digest.extend(bits(&buffers.rewards));
+        }
+        digests.push(digest);
+    }
+    assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+#[test]
+fn a_mask_resets_those_that_it_names_and_leaves_the_others_alone() {
+    let config = VecConfig::new(20);
+    let make = || VecAviary::new(Velocity::builder(), config).unwrap();
+    let (mut one, mut other) = (make(), make());
+    let (mut a, mut b) = (VecBuffers::new(&one), VecBuffers::new(&other));
+    one.reset(Some(2), &mut a.observations).unwrap();
+    other.reset(Some(2), &mut b.observations).unwrap();
+    let mut wander = Wander::new(1, 20, 4);
+    for _ in 0..10 {
+        let actions = wander.next();
+        one.step(actions, a.step()).unwrap();
+        other.step(actions, b.step()).unwrap();
+    }
+    let mask: Vec<bool> = (0..20).map(|i| i % 3 == 1).collect();
+    let before = a.observations.clone();
+    one.reset_where(&mask, None, &mut a.observations).unwrap();
+    for i in 0..20 {
+        let same = a.observations[16 * i..][..16] == before[16 * i..][..16];
+        assert_eq!(same, !mask[i], "{i}");
+        let steps = one.with(i, |env| env.simulation().control_steps()).unwrap();
+        assert_eq!(steps, if mask[i] { 0 } else { 10 });
+    }
+    let actions = wander.next();
+    one.step(actions, a.step()).unwrap();
+    other.step(actions, b.step()).unwrap();
+    for i in (0..20).filter(|&i| !mask[i]) {
+        assert_eq!(a.observations[16 * i..][..16], b.observations[16 * i..][..16], "{i}");
+    }
+    // a seed starts the streams of those that it names anew
+    one.reset_where(&mask, Some(2), &mut a.observations).unwrap();
+    let first = one.with(1, |env| env.task().target(0)).unwrap();
+    other.reset(Some(2), &mut b.observations).unwrap();
+    assert_eq!(first, other.with(1, |env| env.task().target(0)).unwrap());
+    assert_ne!(first, other.with(2, |env| env.task().target(0)).unwrap(), "every environment has a stream of its own");
+}
+
+#[test]
+fn a_poisoned_action_concerns_its_own_environment_alone() {
+    for (engine, poison) in
+        [(EngineKind::Hybrid, f32::NAN), (EngineKind::Mujoco, f32::INFINITY), (EngineKind::Hybrid, f32::NEG_INFINITY)]
+    {
+        let builder = || Hover::builder().engine(engine).initial_positions([[0.0, 0.0, 1.0]]);
+        let make = |on_fault| VecAviary::new(builder(), VecConfig { on_fault, ..VecConfig::new(12) }).unwrap();
+        let (mut clean, mut strict, mut lenient) =
+            (make(OnFault::Error), make(OnFault::Error), make(OnFault::Truncate));
+        let mut buffers = [(); 3].map(|()| VecBuffers::new(&clean));
+        clean.reset(Some(1), &mut buffers[0].observations).unwrap();
+        strict.reset(Some(1), &mut buffers[1].observations).unwrap();
+        lenient.reset(Some(1), &mut buffers[2].observations).unwrap();
+        let mut wander = Wander::new(9, 12, 4);
+        for step in 0..40 {
+            let good = wander.next().to_vec();
+            let mut bad = good.clone();
+            if step == 20 {
+                bad[4 * 5 + 2] = poison;
+                // nothing moves
+                let before = buffers[1].clone();
+                let error = strict.step(&bad, buffers[1].step()).unwrap_err().to_string();
+                assert!(error.starts_with("environment 5: action[2] is"), "{error}");
+                assert_eq!(buffers[1], before);
+            }
+            clean.step(&good, buffers[0].step()).unwrap();
+            strict.step(&good, buffers[1].step()).unwrap();
+            lenient.step(&bad, buffers[2].step()).unwrap();
+            assert_eq!(buffers[0], buffers[1]);
+            for i in (0..12).filter(|&i| i != 5) {
+                assert_eq!(buffers[0].observations[12 * i..][..12], buffers[2].observations[12 * i..][..12]);
+                assert_eq!(buffers[0].rewards[i], buffers[2].rewards[i]);
+            }
+            if step == 20 {
+                assert_eq!(lenient.faults().len(), 1);
+                assert_eq!(lenient.faults()[0].0, 5);
+                assert!(buffers[2].truncated[5] && !buffers[2].terminated[5] && buffers[2].rewards[5] == 0.0);
+                assert_eq!(lenient.ended(5).unwrap().reason, EndReason::Fault);
+            } else {
+                assert!(lenient.faults().is_empty());
+            }
+            if step == 21 {
+                assert_eq!(buffers[2].observations[12 * 5 + 2], 1.0, "it began anew");
+            }
+        }
+    }
+}
+
+#[test]
+fn mistakes_are_errors_that_lose_nothing() {
+    let make = |config| VecAviary::new(Hover::builder(), config);
+    assert!(make(VecConfig::new(0)).unwrap_err().to_string().contains("number of environments"));
+    let mut batch = make(VecConfig { autoreset: Autoreset::Disabled, ..VecConfig::new(10) }).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    let actions = vec![0.0; 40];
+    let error = batch.step(&actions, buffers.step()).unwrap_err().to_string();
+    assert!(error.contains("environment 0") && error.contains("reset"), "{error}");
+    assert!(batch.reset(None, &mut [0.0; 7]).unwrap_err().to_string().contains("expected 120"));
+    batch.reset(None, &mut buffers.observations).unwrap();
+    assert!(batch.step(&actions[1..], buffers.step()).unwrap_err().to_string().contains("expected 40"));
+    let falling = vec![-1.0; 40];
+    let mut steps = 0;
+    let error = loop {
+        match batch.step(&falling, buffers.step()) {
+            Ok(()) => steps += 1,
+            Err(error) => break error.to_string(),
+        }
+    };
+    assert!(steps > 3 && buffers.terminated[9] && error.contains("after the end"), "{steps} {error}");
+    batch.reset_where(&[true; 10], None, &mut buffers.observations).unwrap();
+    batch.step(&actions, buffers.step()).unwrap();
+}
+
+#[test]
+fn an_environment_can_be_changed_as_if_it_were_alone() {
+    let mut batch = VecAviary::new(Hover::builder().initial_positions([[0.0, 0.0, 2.0]]), VecConfig::new(10)).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    let wind = WindConfig { velocity: [3.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+    batch.with(4, |env| env.set_wind(Some(wind))).unwrap().unwrap();
+    let mut seen = 0;
+    batch.with_env(7, &mut |env| seen = env.episode_steps()).unwrap();
+    assert_eq!(seen, 480);
+    for _ in 0..48 {
+        batch.step(&[0.0; 40], buffers.step()).unwrap();
+    }
+    for i in 0..10 {
+        let x = buffers.observations[12 * i];
+        assert_eq!(x > 0.005, i == 4, "{i}: {x}");
+    }
+}
+
+#[test]
+fn what_a_batch_observes_beside_vectors_stands_behind_them() {
+    let field = ObstacleConfig { count: 4, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) };
+    let kind: ObservationType = "kin_obstacle_ranges_adjacency".parse().unwrap();
+    let builder = MultiHover::builder().obstacle_field(field).observation_type(kind);
+    let mut batch = VecAviary::new(builder.clone(), VecConfig::new(9)).unwrap();
+    assert_eq!(batch.observation_size(), 26 + 2 + 20 + 4);
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    batch.step(&[0.1; 72], buffers.step()).unwrap();
+    let mut env = builder.engine(EngineKind::Hybrid).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    env.step(&[0.1_f32 as f64; 8]).unwrap();
+    let seen = env.observation();
+    let mut row: Vec<f32> = seen.vector.iter().chain(&seen.obstacle).chain(&seen.ranges).map(|&x| x as f32).collect();
+    row.extend(seen.adjacency.iter().map(|&near| f32::from(u8::from(near))));
+    for i in 0..9 {
+        assert_eq!(bits(&row), bits(&buffers.observations[52 * i..][..52]), "{i}");
+    }
+}
