@@ -1,5 +1,6 @@
 //! The command line of mujoco-drones-gym: parses, calls, prints.
 
+mod bench;
 mod capture;
 mod doctor;
 mod failure;
@@ -33,6 +34,8 @@ enum Command {
     Render(render::Render),
     /// Fly recorded motor speeds and write the states
     Replay(replay::Replay),
+    /// Measure steps per second of the engines, one environment and many
+    Bench(bench::Bench),
     /// List the tasks
     Tasks(tasks::Tasks),
     /// Check what the program needs from this machine
@@ -54,6 +57,7 @@ fn main() -> ExitCode {
         Command::Capture(command) => command.run(),
         Command::Render(command) => command.run(),
         Command::Replay(command) => command.run(),
+        Command::Bench(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Doctor(command) => command.run(),
     };

@@ -43,6 +43,8 @@ pub struct Aviary<T> {
     /// The action within its bounds.
     pub(super) clipped: Vec<f64>,
     pub(crate) commands: Vec<[f64; 4]>,
+    /// Where an episode starts.
+    pub(super) starts: Vec<DroneState>,
 }
 
 /// What an environment has for itself beside its simulation: the task with what it remembers, its random numbers, what was drawn.
@@ -241,6 +243,11 @@ impl<T: Task> Aviary<T> {
         match &mut self.episode.randomizer {
             Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.episode.rng)?,
             None => self.simulation.reset()?,
+        }
+        self.starts.copy_from_slice(self.simulation.states());
+        let Episode { task, rng, .. } = &mut self.episode;
+        if task.start(&self.simulation, rng, &mut self.starts) {
+            self.simulation.reset_to(&self.starts)?;
         }
         if self.moves_obstacles() {
             self.move_obstacles()?;

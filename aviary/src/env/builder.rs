@@ -331,6 +331,7 @@ impl<T: Task> AviaryBuilder<T> {
             episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
             ends: vec![None; count],
             commands: vec![[0.0; 4]; count],
+            starts: simulation.initial_states().to_vec(),
             simulation,
         })
     }

@@ -4,6 +4,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
+use crate::state::DroneState;
 use crate::world::Marker;
 
 /// What a task starts from unless the caller says otherwise.
@@ -21,7 +22,7 @@ pub struct TaskDefaults {
 /// of it, in which one agent commands all drones, sees their blocks of numbers one after the other and is paid the
 /// sum of their rewards; [`ParallelAviary`](crate::multi_agent::ParallelAviary) one in which every drone is an agent.
 ///
-/// The order of calls is `reset`, `observe` at the start of an episode, and after every control step `update`,
+/// The order of calls is `start`, `reset`, `observe` at the start of an episode, and after every control step `update`,
 /// `end`, `reward`, `observe`: what `update` changes (a waypoint that was reached) is seen by all that follow.
 ///
 /// A worked example is `examples/custom_task.rs`.
@@ -51,6 +52,13 @@ pub trait Task: std::fmt::Debug {
     /// What is to be seen of it: gates, waypoints.
     fn markers(&self) -> Vec<Marker> {
         Vec::new()
+    }
+
+    /// Changes the states that an episode starts from, if the task has an idea of its own; whether it did. It is called before
+    /// [`reset`](Self::reset); every random draw comes from `rng`.
+    fn start(&mut self, simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
+        let _ = (simulation, rng, states);
+        false
     }
 
     /// Starts an episode; every random draw comes from `rng`.

@@ -8,6 +8,8 @@ mod formation;
 mod hover;
 mod multi_hover;
 mod race;
+mod stabilize;
+mod track;
 mod velocity;
 
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -19,6 +21,8 @@ pub use formation::Formation;
 pub use hover::Hover;
 pub use multi_hover::MultiHover;
 pub use race::Race;
+pub use stabilize::Stabilize;
+pub use track::Track;
 pub use velocity::Velocity;
 
 use crate::drone::DroneParams;
@@ -78,35 +82,43 @@ macro_rules! for_task {
     ($name:expr, |$task:ident| $body:expr) => {
         match $name {
             "hover" => Some({
-                let $task = Hover::default();
+                let $task = $crate::tasks::Hover::default();
                 $body
             }),
             "velocity" => Some({
-                let $task = Velocity::default();
+                let $task = $crate::tasks::Velocity::default();
                 $body
             }),
             "multi_hover" => Some({
-                let $task = MultiHover::default();
+                let $task = $crate::tasks::MultiHover::default();
                 $body
             }),
             "fly_through" => Some({
-                let $task = FlyThrough::default();
+                let $task = $crate::tasks::FlyThrough::default();
                 $body
             }),
             "formation" => Some({
-                let $task = Formation::default();
+                let $task = $crate::tasks::Formation::default();
                 $body
             }),
             "race" => Some({
-                let $task = Race::default();
+                let $task = $crate::tasks::Race::default();
                 $body
             }),
             "multi_agent" => Some({
-                let $task = MultiHover::multi_agent();
+                let $task = $crate::tasks::MultiHover::multi_agent();
                 $body
             }),
             "antipodal" => Some({
-                let $task = Antipodal::default();
+                let $task = $crate::tasks::Antipodal::default();
+                $body
+            }),
+            "stabilize" => Some({
+                let $task = $crate::tasks::Stabilize::default();
+                $body
+            }),
+            "track" => Some({
+                let $task = $crate::tasks::Track::default();
                 $body
             }),
             _ => None,
@@ -114,9 +126,21 @@ macro_rules! for_task {
     };
 }
 
+pub(crate) use for_task;
+
 /// Names of all tasks, the paper's seven first.
-pub const NAMES: [&str; 8] =
-    ["hover", "velocity", "multi_hover", "fly_through", "formation", "race", "multi_agent", "antipodal"];
+pub const NAMES: [&str; 10] = [
+    "hover",
+    "velocity",
+    "multi_hover",
+    "fly_through",
+    "formation",
+    "race",
+    "multi_agent",
+    "antipodal",
+    "stabilize",
+    "track",
+];
 
 /// All tasks, with their defaults.
 pub fn all() -> Vec<TaskSummary> {
@@ -148,11 +172,14 @@ pub fn summary(name: &str) -> Option<TaskSummary> {
 /// # Errors
 /// [`EnvError::Option`] for a name that no task has, and what building it finds.
 pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn Env>, EnvError> {
-    for_task!(name, |task| Ok(Box::new(config.with_task(task).build()?) as Box<dyn Env>)).unwrap_or_else(|| {
-        Err(EnvError::Option {
-            option: "the task",
-            got: format!("`{name}`"),
-            expected: "hover, velocity, multi_hover, fly_through, formation, race, multi_agent or antipodal",
-        })
-    })
+    for_task!(name, |task| Ok(Box::new(config.with_task(task).build()?) as Box<dyn Env>))
+        .unwrap_or_else(|| Err(unknown(name)))
+}
+
+pub(crate) fn unknown(name: &str) -> EnvError {
+    EnvError::Option {
+        option: "the task",
+        got: format!("`{name}`"),
+        expected: "hover, velocity, multi_hover, fly_through, formation, race, multi_agent, antipodal, stabilize or track",
+    }
 }

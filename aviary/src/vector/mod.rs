@@ -13,7 +13,8 @@ pub use aviary::VecAviary;
 pub use stage::Ended;
 
 use crate::engine::Substeps;
-use crate::env::{BoxSpace, Env, EnvError, ObservationSpace};
+use crate::env::{BoxSpace, Env, EnvConfig, EnvError, ObservationSpace};
+use crate::tasks::{for_task, unknown};
 use crate::vision::ImageSize;
 
 /// When an environment that has ended begins its next episode, as in Gymnasium's vector environments.
@@ -137,6 +138,24 @@ impl VecBuffers {
             truncated: &mut self.truncated,
         }
     }
+}
+
+/// Makes a batch of a task by name.
+///
+/// ```
+/// use aviary::env::EnvConfig;
+/// use aviary::vector::{VecConfig, make_vec};
+///
+/// let env = make_vec("track", EnvConfig::default(), VecConfig::new(256))?;
+/// assert_eq!((env.num_envs(), env.observation_size()), (256, 18));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+///
+/// # Errors
+/// [`EnvError::Option`] for a name that no task has, and what making it finds.
+pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
+    for_task!(name, |task| Ok(Box::new(VecAviary::new(options.with_task(task), config)?) as Box<dyn VecEnv>))
+        .unwrap_or_else(|| Err(unknown(name)))
 }
 
 /// A batch of environments of one task.

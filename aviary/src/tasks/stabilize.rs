@@ -1,0 +1,152 @@
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use nalgebra::Vector3;
+use rand::RngExt as _;
+
+use super::STATE_BOUNDS;
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::simulation::Simulation;
+use crate::state::{DroneState, attitude_from_rpy};
+
+/// A drone that moves and turns at random comes to rest (the `stabilize` task of the paper's vectorised back end, §3.6).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | (0, 0, 5) m; velocity uniform in ±1 m/s along each axis, roll and pitch in ±0.5 rad, any yaw, body rates in ±2 rad/s |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward | −‖v‖ − 0.1·‖ω‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at rest, − 100 for a crash |
+/// | At rest, success | ‖v‖ < 0.05 m/s and ‖ω‖ < 0.1 rad/s |
+/// | Terminated | crash (tilt over 90°, contact, z < 0) |
+/// | Truncated | after 10 s |
+/// | Reference | where the drone is, at rest |
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+#[derive(Debug, Clone)]
+pub struct Stabilize {
+    /// Largest component of the velocity at the start, m/s; 1 by default.
+    pub max_speed: f64,
+    /// Largest roll and pitch at the start, rad; 0.5 by default.
+    pub max_lean: f64,
+    /// Largest body rate about each axis at the start, rad/s; 2 by default.
+    pub max_rate: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    watch: CrashWatch,
+}
+
+impl Default for Stabilize {
+    fn default() -> Self {
+        Self {
+            max_speed: 1.0,
+            max_lean: 0.5,
+            max_rate: 2.0,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            watch: CrashWatch::default(),
+        }
+    }
+}
+
+impl Stabilize {
+    /// Speed below which a drone is at rest, m/s.
+    const STILL: f64 = 0.05;
+
+    /// Body rate below which a drone is at rest, rad/s.
+    const STEADY: f64 = 0.1;
+
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    fn at_rest(state: &DroneState) -> bool {
+        state.velocity.norm() < Self::STILL && state.angular_velocity.norm() < Self::STEADY
+    }
+}
+
+impl Task for Stabilize {
+    fn name(&self) -> &'static str {
+        "stabilize"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 10.0, controller: ControllerKind::Dsl }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        (0..drones.len()).map(|drone| [6.0 * drone as f64, 0.0, 5.0]).collect()
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS)
+    }
+
+    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
+        for (option, got, most) in [
+            ("the largest speed at the start", self.max_speed, 1e3),
+            ("the largest lean at the start", self.max_lean, FRAC_PI_2),
+            ("the largest body rate at the start", self.max_rate, 1e3),
+        ] {
+            if !(0.0..=most).contains(&got) {
+                let expected = "zero or a positive number, angles up to π/2";
+                return Err(EnvError::Option { option, got: got.to_string(), expected });
+            }
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, _simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
+        for state in states {
+            let mut within = |most: f64| most * (2.0 * rng.random::<f64>() - 1.0);
+            let mut triple = |most: [f64; 3]| Vector3::from(most.map(&mut within));
+            state.velocity += triple([self.max_speed; 3]);
+            state.attitude *= attitude_from_rpy(triple([self.max_lean, self.max_lean, PI]));
+            state.angular_velocity += triple([self.max_rate; 3]);
+        }
+        true
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+    }
+
+    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone)
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
+        -state.velocity.norm() - 0.1 * state.angular_velocity.norm() - 0.05 * (rpy.x.abs() + rpy.y.abs())
+            + if Self::at_rest(state) { 0.5 } else { 0.0 }
+            - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        out.copy_from_slice(&simulation.state_vector(drone));
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none() && Self::at_rest(&simulation.states()[drone])
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        let state = &simulation.states()[drone];
+        Reference::hover(state.position, state.yaw())
+    }
+
+    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        let speeds = simulation.states().iter().map(|state| state.velocity.norm());
+        report("speed", speeds.fold(0.0, f64::max));
+        let rates = simulation.states().iter().map(|state| state.angular_velocity.norm());
+        report("body_rate", rates.fold(0.0, f64::max));
+    }
+}

@@ -1,0 +1,196 @@
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use nalgebra::Vector3;
+use rand::RngExt as _;
+
+use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::{STATE_BOUNDS, UNBOUNDED};
+use crate::control::{ControllerKind, Reference};
+use crate::drone::DroneParams;
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::observation::STATE_SIZE;
+use crate::simulation::Simulation;
+use crate::state::DroneState;
+
+/// A drone follows a point that goes round in a circle (the `track` task of the paper's vectorised back end, §3.6).
+///
+/// | | |
+/// | --- | --- |
+/// | Start | on the circle, anywhere, level, at rest |
+/// | Reference | circle of 0.5 m about (0, 0, 1) m at 0.5 m/s, either way round; it gathers speed for 1 s |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward | −‖p − p\*‖ − 0.1·‖v − v\*‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
+/// | Tracked, success | ‖p − p\*‖ < 0.05 m |
+/// | Terminated | crash (tilt over 90°, contact, z < 0), or further than 2 m from the reference |
+/// | Truncated | after 10 s |
+///
+/// | Observation, per drone | | Unit, frame |
+/// | --- | --- | --- |
+/// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+/// | 12–14 | p\* − p, from the drone to the reference | m, world |
+/// | 15–17 | v\*, the reference's velocity | m/s, world |
+#[derive(Debug, Clone)]
+pub struct Track {
+    /// Radius of the circle, m; 0.5 by default.
+    pub radius: f64,
+    /// Height of the circle, m; 1 by default.
+    pub height: f64,
+    /// Speed of the reference, m/s; 0.5 by default.
+    pub speed: f64,
+    /// Distance from the reference beyond which the episode ends, m; 2 by default.
+    pub max_distance: f64,
+    /// When a drone counts as crashed.
+    pub crash: CrashConditions,
+    watch: CrashWatch,
+    /// Angle that the reference starts at, rad.
+    phase: f64,
+    /// Which way round: 1 to the left, −1 to the right.
+    way: f64,
+}
+
+impl Default for Track {
+    fn default() -> Self {
+        Self {
+            radius: 0.5,
+            height: 1.0,
+            speed: 0.5,
+            max_distance: 2.0,
+            crash: CrashConditions::with_max_tilt(FRAC_PI_2),
+            watch: CrashWatch::default(),
+            phase: 0.0,
+            way: 1.0,
+        }
+    }
+}
+
+impl Track {
+    /// Distance below which the reference counts as tracked, m.
+    const TRACKED: f64 = 0.05;
+
+    /// Time in which the reference gathers its speed, s.
+    const RAMP: f64 = 1.0;
+
+    /// Options of the task as an environment.
+    pub fn builder() -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self::default())
+    }
+
+    /// Where a drone is to be at a time (s) of the episode, with its velocity and acceleration.
+    fn target(&self, drone: usize, time: f64) -> Reference {
+        let full = self.speed / self.radius;
+        // evenly accelerated to its angular velocity
+        let (angle, rate, gain) = if time < Self::RAMP {
+            (0.5 * full * time * time / Self::RAMP, full * time / Self::RAMP, full / Self::RAMP)
+        } else {
+            (full * (time - 0.5 * Self::RAMP), full, 0.0)
+        };
+        let (sin, cos) = (self.phase + self.way * angle).sin_cos();
+        let outwards = Vector3::new(cos, sin, 0.0);
+        let along = self.way * Vector3::new(-sin, cos, 0.0);
+        let middle = Vector3::new(0.0, -(4.0 * self.radius + 1.0) * drone as f64, self.height);
+        Reference {
+            velocity: along * (self.radius * rate),
+            acceleration: along * (self.radius * gain) - outwards * (self.radius * rate * rate),
+            ..Reference::hover(middle + outwards * self.radius, 0.0)
+        }
+    }
+
+    fn now(&self, simulation: &Simulation, drone: usize) -> Reference {
+        self.target(drone, simulation.time())
+    }
+}
+
+impl Task for Track {
+    fn name(&self) -> &'static str {
+        "track"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 10.0, controller: ControllerKind::Geometric }
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        let first = Self { phase: 0.0, ..self.clone() };
+        (0..drones.len()).map(|drone| first.target(drone, 0.0).position.into()).collect()
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
+    }
+
+    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+        self.crash.validate()?;
+        let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
+        for (option, got, least, expected) in [
+            ("the radius", self.radius, 1e-3, "1 mm to 1000 m"),
+            ("the height", self.height, widest, "more than a drone's radius, up to 1000 m"),
+            ("the speed", self.speed, 0.0, "0 to 1000 m/s"),
+            ("the largest distance", self.max_distance, 1e-3, "1 mm to 1000 m"),
+        ] {
+            if !(least..=1e3).contains(&got) {
+                return Err(EnvError::Option { option, got: got.to_string(), expected });
+            }
+        }
+        Ok(())
+    }
+
+    fn start(&mut self, _simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
+        let ways = if rng.random::<bool>() { 1.0 } else { -1.0 };
+        let first = Vector3::x() * self.radius;
+        (self.phase, self.way) = (TAU * rng.random::<f64>(), ways);
+        let (sin, cos) = self.phase.sin_cos();
+        for state in states {
+            // whatever else was drawn about the start stays
+            state.position += Vector3::new(cos, sin, 0.0) * self.radius - first;
+        }
+        true
+    }
+
+    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+        self.watch.reset(simulation);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&self.crash, simulation);
+    }
+
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        let lost = simulation.distance(drone, &self.now(simulation, drone).position) > self.max_distance;
+        self.watch.end(drone).or(lost.then_some(EndReason::OutOfBounds))
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        let (state, rpy, target) = (&simulation.states()[drone], simulation.rpy(drone), self.now(simulation, drone));
+        let error = (state.position - target.position).norm();
+        -error - 0.1 * (state.velocity - target.velocity).norm() - 0.05 * (rpy.x.abs() + rpy.y.abs())
+            + if error < Self::TRACKED { 0.5 } else { 0.0 }
+            - crash_penalty(end)
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        let target = self.now(simulation, drone);
+        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
+        out[12..15].copy_from_slice((target.position - simulation.states()[drone].position).as_slice());
+        out[15..18].copy_from_slice(target.velocity.as_slice());
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        let error = simulation.distance(drone, &self.now(simulation, drone).position);
+        self.watch.end(drone).is_none() && simulation.control_steps() > 0 && error < Self::TRACKED
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        self.now(simulation, drone)
+    }
+
+    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+        let errors = (0..simulation.num_drones())
+            .map(|drone| simulation.distance(drone, &self.now(simulation, drone).position));
+        report("tracking_error", errors.fold(0.0, f64::max));
+    }
+
+    fn may_be_constant(&self, entry: usize) -> bool {
+        // a reference that stands still, or goes round in a plane
+        entry >= STATE_SIZE
+    }
+}

@@ -1,0 +1,634 @@
+//! What the engines and batches do in a second, beside MuJoCo alone in the same run.
+
+use std::fmt::Write as _;
+use std::hint::black_box;
+use std::time::{Duration, Instant};
+
+use aviary::drone::DroneModel;
+use aviary::engine::EngineKind;
+use aviary::engine::flight::{Airframe, Airframes, Envelope, Flow, FreeBody, LANES, Lanes, Width, advance};
+use aviary::env::{AviaryBuilder, Env, EnvConfig, EnvError, Task};
+use aviary::observation::ObservationType;
+use aviary::physics::Physics;
+use aviary::physics::downwash::Wake;
+use aviary::physics::ground_effect::GroundEffect;
+use aviary::physics::rotor::RotorModel;
+use aviary::state::DroneState;
+use aviary::tasks::{Hover, MultiHover, make};
+use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecPictures};
+use aviary::world::{DroneBody, Medium, World};
+use clap::Args;
+use mujoco_rs::{Data, Model};
+use nalgebra::Vector3;
+use serde_json::{Value, json};
+
+use crate::failure::Failure;
+use crate::output;
+
+/// Measure steps per second of the engines, of single environments and of batches
+///
+/// Everything is measured by turns with bare `mj_step`s of MuJoCo: the ratio to them is what can be compared between machines
+/// and runs.
+///
+/// Environments are flown by a small linear policy with noise, whose time is not counted: drones take off, hover and begin anew when their
+/// episode is over. Rows of `random` get uniform random actions, with which most episodes end on the floor after a few steps.
+#[derive(Debug, Args)]
+pub struct Bench {
+    /// Fewer rows and shorter ones: done within 30 s
+    #[arg(long)]
+    quick: bool,
+    /// Seed of the actions' noise
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+/// One measurement.
+struct Row {
+    name: String,
+    engine: &'static str,
+    task: String,
+    environments: usize,
+    drones: usize,
+    physics: Physics,
+    threads: usize,
+    env_steps_per_second: f64,
+    physics_steps_per_second: f64,
+    ratio: f64,
+    /// Of the thing that a row is about beside the bare `mj_step`: one with the same contacts, or nothing.
+    ratio_to_own: Option<f64>,
+    bytes_per_environment: usize,
+    measured_bytes: Option<usize>,
+    frames_per_second: Option<f64>,
+}
+
+impl Bench {
+    pub fn run(&self) -> Result<(), Failure> {
+        let mut meter = Meter::new(self)?;
+        let rows = self.rows(&mut meter).map_err(Failure::work)?;
+        let mj_step = meter.bare_rate();
+        if self.json {
+            let list: Vec<Value> = rows.iter().map(Row::json).collect();
+            return output::print_json(&json!({
+                "machine": machine(),
+                "instructions": Width::best().name(),
+                "threads": cores(),
+                "mj_step_per_second": mj_step,
+                "rows": list,
+            }));
+        }
+        let mut text = format!("{}, {} threads, {}\n", machine(), cores(), Width::best().name());
+        let _ = writeln!(text, "bare mj_step: {mj_step:.0} per second ({:.2} µs)\n", 1e6 / mj_step);
+        let _ = writeln!(
+            text,
+            "{:<44}{:>8}{:>8}{:>14}{:>15}{:>10}{:>10}",
+            "what", "drones", "threads", "env steps/s", "physics/s", "ratio", "bytes/env"
+        );
+        for row in &rows {
+            row.print(&mut text);
+        }
+        text += "\nratio: physics steps of a drone over bare mj_steps of one drone, measured by turns\n";
+        output::print(&text)
+    }
+
+    fn rows(&self, meter: &mut Meter) -> Result<Vec<Row>, EnvError> {
+        let mut rows = Vec::new();
+        kernel_rows(meter, &mut rows);
+        for (physics, drones) in [(Physics::Mjc, 1), (Physics::MjcGndDragDw, 1), (Physics::Mjc, 4), (Physics::MjcGndDragDw, 4)]
+        {
+            for engine in EngineKind::ALL {
+                if self.quick && drones > 1 {
+                    continue;
+                }
+                rows.push(single(meter, engine, physics, drones)?);
+            }
+        }
+        let sizes: &[usize] = if self.quick { &[4096] } else { &[1, 64, 1024, 4096, 65_536] };
+        let threads: &[usize] = if cores() > 1 { &[1, 0] } else { &[1] };
+        for &size in sizes {
+            for &threads in threads {
+                if threads == 0 && size < 2 * LANES {
+                    continue;
+                }
+                rows.push(batch(meter, "hover", size, threads, Physics::Mjc, EngineKind::Hybrid, Actions::Policy)?);
+                if !self.quick || threads == 1 {
+                    rows.push(batch(meter, "hover", size, threads, Physics::MjcGndDragDw, EngineKind::Hybrid, Actions::Policy)?);
+                }
+            }
+        }
+        rows.push(batch(meter, "hover", 4096, 1, Physics::Mjc, EngineKind::Hybrid, Actions::Random)?);
+        rows.push(batch(meter, "hover", 64, 1, Physics::Mjc, EngineKind::Mujoco, Actions::Policy)?);
+        rows.push(resting(meter)?);
+        if !self.quick {
+            for threads in threads {
+                rows.push(swarm(meter, 4, 1024, *threads)?);
+            }
+            rows.push(swarm(meter, 12, 256, 1)?);
+        } else {
+            rows.push(swarm(meter, 12, 64, 1)?);
+        }
+        for &threads in threads {
+            // a machine without OpenGL has no pictures
+            if let Ok(row) = cameras(meter, threads) {
+                rows.push(row);
+            }
+        }
+        Ok(rows)
+    }
+}
+
+impl Row {
+    fn json(&self) -> Value {
+        let mut value = json!({
+            "name": self.name,
+            "engine": self.engine,
+            "task": self.task,
+            "environments": self.environments,
+            "drones": self.drones,
+            "physics": self.physics.name(),
+            "threads": self.threads,
+            "env_steps_per_second": self.env_steps_per_second,
+            "physics_steps_per_second": self.physics_steps_per_second,
+            "ratio_to_mj_step": self.ratio,
+            "bytes_per_environment": self.measured_bytes.unwrap_or(self.bytes_per_environment),
+        });
+        if let Some(own) = self.ratio_to_own {
+            value["ratio_to_mj_step_in_contact"] = json!(own);
+        }
+        if let Some(frames) = self.frames_per_second {
+            value["frames_per_second"] = json!(frames);
+        }
+        value
+    }
+
+    fn print(&self, text: &mut String) {
+        let bytes = self.measured_bytes.unwrap_or(self.bytes_per_environment);
+        let bytes = if bytes == 0 { "-".to_string() } else { bytes.to_string() };
+        let _ = write!(
+            text,
+            "{:<44}{:>8}{:>8}{:>14.0}{:>15.0}{:>10.2}{:>10}",
+            self.name, self.drones, self.threads, self.env_steps_per_second, self.physics_steps_per_second, self.ratio, bytes
+        );
+        if let Some(own) = self.ratio_to_own {
+            let _ = write!(text, "  ({own:.2} of mj_step with the same contacts)");
+        }
+        if let Some(frames) = self.frames_per_second {
+            let _ = write!(text, "  ({frames:.0} frames/s)");
+        }
+        text.push('\n');
+    }
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+fn machine() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|line| line.strip_prefix("model name")).and_then(|line| line.split(": ").nth(1));
+    model.unwrap_or(std::env::consts::ARCH).to_string()
+}
+
+/// Bytes of this process in memory.
+fn resident() -> usize {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<usize>().ok()).unwrap_or(0) * 4096
+}
+
+/// MuJoCo alone: one drone of the lean scene, a wrench written every step.
+struct Bare {
+    data: Data,
+    thrust: f64,
+    height: f64,
+}
+
+impl Bare {
+    fn new(height: f64, thrust: f64) -> Result<Self, EnvError> {
+        let params = DroneModel::Cf2x.params();
+        let thrust = thrust * params.weight();
+        let drone = DroneBody { params, position: Vector3::new(0.0, 0.0, height), rpy: Vector3::zeros() };
+        let scene = World::new(vec![drone]).to_mjcf().map_err(|error| EnvError::Vision(error.into()))?;
+        Ok(Self { data: Data::new(Model::from_xml(&scene)?)?, thrust, height })
+    }
+
+    /// Rate of so many steps.
+    fn rate(&mut self, steps: usize) -> Result<f64, EnvError> {
+        self.data.qpos_mut()[2] = self.height;
+        self.data.qvel_mut().fill(0.0);
+        // turning a little: MuJoCo is quicker with a body that does not
+        self.data.qvel_mut()[3..6].copy_from_slice(&[0.02, 0.01, 0.03]);
+        let start = Instant::now();
+        for _ in 0..steps {
+            self.data.xfrc_applied_mut()[6..12].copy_from_slice(&[0.0, 0.0, self.thrust, 0.0, 0.0, 0.0]);
+            self.data.step()?;
+        }
+        Ok(steps as f64 / start.elapsed().as_secs_f64())
+    }
+}
+
+/// Measures things by turns with MuJoCo alone.
+struct Meter {
+    bare: Bare,
+    rates: Vec<f64>,
+    rounds: usize,
+    turn: Duration,
+    seed: u64,
+}
+
+/// What a measurement gave: calls per second, and the median over the rounds of that over MuJoCo's own rate.
+struct Measured {
+    rate: f64,
+    over_bare: f64,
+}
+
+impl Meter {
+    fn new(options: &Bench) -> Result<Self, Failure> {
+        let (rounds, turn) = if options.quick { (5, 60) } else { (9, 200) };
+        let bare = Bare::new(20.0, 1.0).map_err(Failure::work)?;
+        Ok(Self { bare, rates: Vec::new(), rounds, turn: Duration::from_millis(turn), seed: options.seed })
+    }
+
+    fn bare_rate(&mut self) -> f64 {
+        median(&mut self.rates)
+    }
+
+    /// Calls `work`, which says how long it took, over and over.
+    fn measure(&mut self, mut work: impl FnMut() -> Result<Duration, EnvError>) -> Result<Measured, EnvError> {
+        let (mut rates, mut ratios) = (Vec::new(), Vec::new());
+        work()?;
+        for _ in 0..self.rounds {
+            let before = self.bare.rate(4000)?;
+            let (mut spent, mut calls) = (Duration::ZERO, 0_u32);
+            let start = Instant::now();
+            while start.elapsed() < self.turn || calls == 0 {
+                spent += work()?;
+                calls += 1;
+            }
+            let after = self.bare.rate(4000)?;
+            let (rate, bare) = (f64::from(calls) / spent.as_secs_f64(), 0.5 * (before + after));
+            self.rates.push(bare);
+            rates.push(rate);
+            ratios.push(rate / bare);
+        }
+        Ok(Measured { rate: median(&mut rates), over_bare: median(&mut ratios) })
+    }
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The flight kernel by itself, in every width that the machine has.
+fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
+    let params = DroneModel::Cf2x.params();
+    let hover = params.hover_rpm();
+    const BLOCKS: usize = 64;
+    for width in Width::available() {
+        for (what, physics, body_fixed, medium) in [
+            ("mjc", Physics::Mjc, false, false),
+            ("all effects", Physics::MjcGndDragDw, false, false),
+            ("body-fixed", Physics::Mjc, true, false),
+            ("medium", Physics::Mjc, false, true),
+        ] {
+            let body = FreeBody::new(params.mass, &params.inertia_vector(), 9.81, medium.then_some(Medium::AIR));
+            let air = physics != Physics::Mjc;
+            let airframe = Airframe {
+                body,
+                rotors: RotorModel::new(&params),
+                ground: if air { GroundEffect::new(&params) } else { GroundEffect::default() },
+                drag: if air { params.drag_coefficients.into() } else { Vector3::zeros() },
+                wake: Wake::new(&params),
+                share: 1.0,
+                envelope: Envelope::default(),
+            };
+            let frames = Airframes::all(&airframe);
+            let mut start = vec![Lanes::default(); BLOCKS];
+            for (block, lanes) in start.iter_mut().enumerate() {
+                for lane in 0..LANES {
+                    let state = DroneState {
+                        angular_velocity: Vector3::new(0.3, 0.2 * lane as f64, 0.05 * block as f64),
+                        ..DroneState::at_rest(Vector3::new(0.0, 0.0, 5.0), Vector3::new(0.1, 0.2, 0.3))
+                    };
+                    lanes.set(lane, &state, &[hover; 4], &[hover; 4]);
+                }
+            }
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, air, width };
+            let mut all = start.clone();
+            let measured = meter.measure(|| {
+                all.clone_from(&start);
+                let begin = Instant::now();
+                for lanes in &mut all {
+                    advance(&flow, lanes, &frames, 20);
+                }
+                black_box(&mut all);
+                Ok(begin.elapsed())
+            });
+            let Ok(measured) = measured else { continue };
+            let steps = (20 * BLOCKS * LANES) as f64;
+            rows.push(Row {
+                name: format!("kernel, {}, {what}", width.name()),
+                engine: "flight",
+                task: String::new(),
+                environments: BLOCKS * LANES,
+                drones: 1,
+                physics,
+                threads: 1,
+                env_steps_per_second: 0.0,
+                physics_steps_per_second: measured.rate * steps,
+                ratio: measured.over_bare * steps,
+                ratio_to_own: None,
+                bytes_per_environment: 0,
+                measured_bytes: None,
+                frames_per_second: None,
+            });
+        }
+    }
+}
+
+/// Where drones of a swarm start.
+fn place(drone: usize) -> [f64; 3] {
+    [(drone % 4) as f64, (drone / 4) as f64, 0.5 + 0.1 * drone as f64]
+}
+
+/// A single environment.
+fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize) -> Result<Row, EnvError> {
+    let task = if drones == 1 { "hover" } else { "multi_hover" };
+    let config = EnvConfig::default().engine(engine).physics(physics).num_drones(drones);
+    let config = if drones == 1 { config } else { config.initial_positions((0..drones).map(place)) };
+    let mut env = make(task, config)?;
+    env.reset(Some(1))?;
+    let mut policy = Policy::new(meter.seed, 1, drones, env.observation_space().vector.size() / drones);
+    let mut seen = vec![0.0_f32; env.observation_space().vector.size()];
+    let mut action = vec![0.0; 4 * drones];
+    let measured = meter.measure(|| {
+        let mut spent = Duration::ZERO;
+        for _ in 0..20 {
+            env.observation().write_vector(&mut seen);
+            for (out, &x) in action.iter_mut().zip(policy.act(&seen)) {
+                *out = f64::from(x);
+            }
+            let begin = Instant::now();
+            let step = env.step(&action)?;
+            let over = step.terminated || step.truncated;
+            black_box(step.reward);
+            spent += begin.elapsed();
+            if over {
+                let begin = Instant::now();
+                env.reset(None)?;
+                spent += begin.elapsed();
+            }
+        }
+        Ok(spent)
+    })?;
+    let substeps = f64::from(env.simulation().substeps());
+    Ok(Row {
+        name: format!("{task} alone, {engine}, {physics}"),
+        engine: engine.name(),
+        task: task.into(),
+        environments: 1,
+        drones,
+        physics,
+        threads: 1,
+        env_steps_per_second: 20.0 * measured.rate,
+        physics_steps_per_second: 20.0 * measured.rate * substeps,
+        ratio: 20.0 * measured.over_bare * substeps * drones as f64,
+        ratio_to_own: None,
+        bytes_per_environment: 0,
+        measured_bytes: None,
+        frames_per_second: None,
+    })
+}
+
+/// What the drones of a batch are told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Actions {
+    Policy,
+    Random,
+}
+
+/// A batch of Hover.
+fn batch(
+    meter: &mut Meter,
+    name: &str,
+    size: usize,
+    threads: usize,
+    physics: Physics,
+    engine: EngineKind,
+    actions: Actions,
+) -> Result<Row, EnvError> {
+    let builder = Hover::builder().physics(physics).engine(engine);
+    let before = resident();
+    let mut env = VecAviary::new(builder, VecConfig { threads, ..VecConfig::new(size) })?;
+    let bytes = (size >= 65_536).then(|| resident().saturating_sub(before) / size);
+    let label = if actions == Actions::Random { "random actions, " } else { "" };
+    let row_name = format!("{name} × {size}, {label}{engine}, {physics}");
+    fly(meter, &mut env, row_name, physics, engine, actions, bytes)
+}
+
+/// Worlds of several drones, all effects.
+fn swarm(meter: &mut Meter, drones: usize, size: usize, threads: usize) -> Result<Row, EnvError> {
+    let (physics, engine) = (Physics::MjcGndDragDw, EngineKind::Hybrid);
+    let builder = MultiHover::builder()
+        .num_drones(drones)
+        .physics(physics)
+        .engine(engine)
+        .task(|task| task.target_heights = Some((0..drones).map(|drone| place(drone)[2]).collect()))
+        .initial_positions((0..drones).map(place));
+    let mut env = VecAviary::new(builder, VecConfig { threads, ..VecConfig::new(size) })?;
+    let name = format!("multi_hover × {size}, {engine}, {physics}");
+    fly(meter, &mut env, name, physics, engine, Actions::Policy, None)
+}
+
+fn fly<T: Task + Clone + Send>(
+    meter: &mut Meter,
+    env: &mut VecAviary<T>,
+    name: String,
+    physics: Physics,
+    engine: EngineKind,
+    actions: Actions,
+    measured_bytes: Option<usize>,
+) -> Result<Row, EnvError> {
+    let (size, drones, threads) = (env.num_envs(), env.action_size() / 4, env.num_threads());
+    let mut buffers = VecBuffers::new(env);
+    env.reset(Some(1), &mut buffers.observations)?;
+    let mut policy = Policy::new(meter.seed, size, drones, env.observation_size() / drones);
+    // from take-off on, into the middle of an episode
+    for _ in 0..40 {
+        env.step(policy.act(&buffers.observations), buffers.step())?;
+    }
+    let calls = (20_000 / size).clamp(1, 100);
+    let before = env.engine_substeps();
+    let measured = meter.measure(|| {
+        let mut spent = Duration::ZERO;
+        for _ in 0..calls {
+            let action = match actions {
+                Actions::Policy => policy.act(&buffers.observations),
+                Actions::Random => policy.random(),
+            };
+            let begin = Instant::now();
+            env.step(action, buffers.step())?;
+            spent += begin.elapsed();
+        }
+        Ok(spent)
+    })?;
+    let after = env.engine_substeps();
+    if engine == EngineKind::Hybrid && actions == Actions::Policy && after.mujoco - before.mujoco > after.flight / 100 {
+        tracing::warn!("{name}: more than a hundredth of the physics steps were MuJoCo's");
+    }
+    let per_call = (calls * size) as f64;
+    let substeps = f64::from(env.with(0, |env| env.simulation().substeps())?);
+    Ok(Row {
+        name,
+        engine: engine.name(),
+        task: env.name().into(),
+        environments: size,
+        drones,
+        physics,
+        threads,
+        env_steps_per_second: measured.rate * per_call,
+        physics_steps_per_second: measured.rate * per_call * substeps,
+        ratio: measured.over_bare * per_call * substeps * drones as f64,
+        ratio_to_own: None,
+        bytes_per_environment: env.bytes_per_env(),
+        measured_bytes,
+        frames_per_second: None,
+    })
+}
+
+/// Drones that rest on the floor: MuJoCo's part, beside MuJoCo alone with the same contacts.
+fn resting(meter: &mut Meter) -> Result<Row, EnvError> {
+    let (size, engine) = (64, EngineKind::Hybrid);
+    let builder = Hover::builder().engine(engine).initial_positions([[0.0, 0.0, 0.015]]);
+    let mut env = VecAviary::new(builder, VecConfig { threads: 1, ..VecConfig::new(size) })?;
+    let mut buffers = VecBuffers::new(&env);
+    env.reset(Some(1), &mut buffers.observations)?;
+    // rotors at half their hover speed
+    let action = vec![-0.5; 4 * size];
+    let mut bare = Bare::new(0.015, 0.25)?;
+    let (mut own, mut spent_all) = (Vec::new(), Vec::new());
+    let measured = meter.measure(|| {
+        let begin = Instant::now();
+        env.step(&action, buffers.step())?;
+        let spent = begin.elapsed();
+        let rate = (5 * size) as f64 / spent.as_secs_f64();
+        own.push(bare.rate(5 * size)?);
+        spent_all.push(rate);
+        Ok(spent)
+    })?;
+    let mut ratios: Vec<_> = spent_all.iter().zip(&own).map(|(rate, bare)| rate / bare).collect();
+    let per_call = size as f64;
+    Ok(Row {
+        name: format!("hover × {size}, resting on the floor, {engine}"),
+        engine: engine.name(),
+        task: "hover".into(),
+        environments: size,
+        drones: 1,
+        physics: Physics::Mjc,
+        threads: 1,
+        env_steps_per_second: measured.rate * per_call,
+        physics_steps_per_second: measured.rate * per_call * 5.0,
+        ratio: measured.over_bare * per_call * 5.0,
+        ratio_to_own: Some(median(&mut ratios)),
+        bytes_per_environment: env.bytes_per_env(),
+        measured_bytes: None,
+        frames_per_second: None,
+    })
+}
+
+/// Onboard cameras of a batch.
+fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
+    let size = 64;
+    let builder: AviaryBuilder<Hover> =
+        Hover::builder().observation_type(ObservationType::KIN_RGB).engine(EngineKind::Hybrid);
+    let mut env = VecAviary::new(builder, VecConfig { threads, ..VecConfig::new(size) })?;
+    let mut buffers = VecBuffers::new(&env);
+    env.reset(Some(1), &mut buffers.observations)?;
+    let mut policy = Policy::new(meter.seed, size, 1, env.observation_size());
+    let mut rgb = vec![0; size * 4 * env.camera_size().pixels()];
+    let measured = meter.measure(|| {
+        let action = policy.act(&buffers.observations);
+        let begin = Instant::now();
+        env.step(action, buffers.step())?;
+        env.pictures(VecPictures { rgb: &mut rgb, ..VecPictures::default() })?;
+        Ok(begin.elapsed())
+    })?;
+    let per_call = size as f64;
+    Ok(Row {
+        name: format!("hover × {size} with RGB {}", env.camera_size()),
+        engine: "hybrid",
+        task: "hover".into(),
+        environments: size,
+        drones: 1,
+        physics: Physics::Mjc,
+        threads: env.num_threads(),
+        env_steps_per_second: measured.rate * per_call,
+        physics_steps_per_second: measured.rate * per_call * 5.0,
+        ratio: measured.over_bare * per_call * 5.0,
+        ratio_to_own: None,
+        bytes_per_environment: env.bytes_per_env(),
+        measured_bytes: None,
+        frames_per_second: Some(measured.rate * per_call),
+    })
+}
+
+/// A linear policy that takes a Crazyflie to a metre above where it starts, with noise: what an agent in training does.
+struct Policy {
+    actions: Vec<f32>,
+    noise: u64,
+    drones: usize,
+    block: usize,
+}
+
+impl Policy {
+    fn new(seed: u64, environments: usize, drones: usize, block: usize) -> Self {
+        Self {
+            actions: vec![0.0; 4 * environments * drones],
+            // any odd number will do
+            noise: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+            drones,
+            block,
+        }
+    }
+
+    /// Uniform in ±1 (Marsaglia's xorshift).
+    fn uniform(&mut self) -> f32 {
+        self.noise ^= self.noise << 13;
+        self.noise ^= self.noise >> 7;
+        self.noise ^= self.noise << 17;
+        (self.noise >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    fn random(&mut self) -> &[f32] {
+        for index in 0..self.actions.len() {
+            self.actions[index] = self.uniform();
+        }
+        &self.actions
+    }
+
+    fn act(&mut self, observations: &[f32]) -> &[f32] {
+        for index in 0..self.actions.len() / 4 {
+            let o = &observations[self.block * index..][..12];
+            let [x, y, height] = if self.drones == 1 {
+                [0.0, 0.0, 1.0]
+            } else {
+                place(index % self.drones).map(|x| x as f32)
+            };
+            let roll = 0.2 * (o[1] - y) + 0.2 * o[7];
+            let pitch = -0.2 * (o[0] - x) - 0.2 * o[6];
+            let lift = 0.5 * (height - o[2]) - 0.4 * o[8];
+            let about_x = 0.12 * (roll - o[3]) - 0.03 * o[9];
+            let about_y = 0.12 * (pitch - o[4]) - 0.03 * o[10];
+            let about_z = -0.05 * o[5] - 0.05 * o[11];
+            for (motor, [x, y, z]) in
+                [[1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]].into_iter().enumerate()
+            {
+                let noise = 0.02 * self.uniform();
+                self.actions[4 * index + motor] = lift + x * about_x + y * about_y + z * about_z + noise;
+            }
+        }
+        &self.actions
+    }
+}
