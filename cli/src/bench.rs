@@ -30,8 +30,9 @@ use crate::output;
 /// Everything is measured by turns with bare `mj_step`s of MuJoCo: the ratio to them is what can be compared between machines
 /// and runs.
 ///
-/// Environments are flown by a small linear policy with noise, whose time is not counted: drones take off, hover and begin anew when their
-/// episode is over. Rows of `random` get uniform random actions, with which most episodes end on the floor after a few steps.
+/// Batches of hover climb slowly under noise that all motors share, and begin anew when their episode is over; single environments and
+/// swarms are flown by a linear policy with noise. Neither's time is counted. The row of random actions gets uniform ones, with which
+/// most episodes end on the floor after a few steps.
 #[derive(Debug, Args)]
 pub struct Bench {
     /// Fewer rows and shorter ones: done within 30 s
@@ -112,14 +113,14 @@ impl Bench {
                 if threads == 0 && size < 2 * LANES {
                     continue;
                 }
-                rows.push(batch(meter, "hover", size, threads, Physics::Mjc, EngineKind::Hybrid, Actions::Policy)?);
+                rows.push(batch(meter, "hover", size, threads, Physics::Mjc, EngineKind::Hybrid, Actions::Climb)?);
                 if !self.quick || threads == 1 {
-                    rows.push(batch(meter, "hover", size, threads, Physics::MjcGndDragDw, EngineKind::Hybrid, Actions::Policy)?);
+                    rows.push(batch(meter, "hover", size, threads, Physics::MjcGndDragDw, EngineKind::Hybrid, Actions::Climb)?);
                 }
             }
         }
         rows.push(batch(meter, "hover", 4096, 1, Physics::Mjc, EngineKind::Hybrid, Actions::Random)?);
-        rows.push(batch(meter, "hover", 64, 1, Physics::Mjc, EngineKind::Mujoco, Actions::Policy)?);
+        rows.push(batch(meter, "hover", 64, 1, Physics::Mjc, EngineKind::Mujoco, Actions::Climb)?);
         rows.push(resting(meter)?);
         if !self.quick {
             for threads in threads {
@@ -405,7 +406,11 @@ fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize
 /// What the drones of a batch are told.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Actions {
+    /// A slow climb under noise, known beforehand.
+    Climb,
+    /// What a policy makes of the observations.
     Policy,
+    /// Uniform ones.
     Random,
 }
 
@@ -455,16 +460,16 @@ fn fly<T: Task + Clone + Send>(
     let mut buffers = VecBuffers::new(env);
     env.reset(Some(1), &mut buffers.observations)?;
     let mut policy = Policy::new(meter.seed, size, drones, env.observation_size() / drones);
-    // from take-off on, into the middle of an episode
-    for _ in 0..40 {
-        env.step(policy.act(&buffers.observations), buffers.step())?;
-    }
     let calls = (20_000 / size).clamp(1, 100);
     let before = env.engine_substeps();
+    let prepared = policy.climb();
+    let mut turn = 0;
     let measured = meter.measure(|| {
         let mut spent = Duration::ZERO;
         for _ in 0..calls {
+            turn += 1_usize;
             let action = match actions {
+                Actions::Climb => &prepared[turn % prepared.len()],
                 Actions::Policy => policy.act(&buffers.observations),
                 Actions::Random => policy.random(),
             };
@@ -475,7 +480,7 @@ fn fly<T: Task + Clone + Send>(
         Ok(spent)
     })?;
     let after = env.engine_substeps();
-    if engine == EngineKind::Hybrid && actions == Actions::Policy && after.mujoco - before.mujoco > after.flight / 100 {
+    if engine == EngineKind::Hybrid && actions != Actions::Random && after.mujoco - before.mujoco > after.flight / 100 {
         tracing::warn!("{name}: more than a hundredth of the physics steps were MuJoCo's");
     }
     let per_call = (calls * size) as f64;
@@ -599,6 +604,20 @@ impl Policy {
         self.noise ^= self.noise >> 7;
         self.noise ^= self.noise << 17;
         (self.noise >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    /// Actions to be taken by turns: their noise cancels out, so that nothing sinks to the floor.
+    fn climb(&mut self) -> [Vec<f32>; 8] {
+        const LIFT: f32 = 0.006;
+        let mut all: [Vec<f32>; 8] = std::array::from_fn(|_| self.actions.clone());
+        for drone in 0..self.actions.len() / 4 {
+            for turn in 0..4 {
+                let noise = 0.02 * self.uniform();
+                all[2 * turn][4 * drone..][..4].fill(LIFT + noise);
+                all[2 * turn + 1][4 * drone..][..4].fill(LIFT - noise);
+            }
+        }
+        all
     }
 
     fn random(&mut self) -> &[f32] {
