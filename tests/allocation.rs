@@ -6,6 +6,7 @@ use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks;
+use mujoco_drones_gym::vector::Autoreset;
 use mujoco_drones_gym::world::ObstacleConfig;
 use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper};
 
@@ -113,4 +114,43 @@ fn wind_randomization_obstacles_and_a_curriculum_allocate_nothing_in_a_step() {
         }
     });
     assert_eq!(allocations.count_total, 0);
+}
+
+#[test]
+fn a_batch_allocates_nothing_after_its_first_steps() {
+    let randomized = Randomization::default();
+    for builder in [Hover::builder(), Hover::builder().physics(Physics::MjcGndDragDw).randomization(randomized)] {
+        // on this thread, where allocations are counted
+        let config = VecConfig { threads: 1, autoreset: Autoreset::SameStep, ..VecConfig::new(100) };
+        let mut env = VecAviary::new(builder, config).unwrap();
+        let mut buffers = VecBuffers::new(&env);
+        env.reset(Some(1), &mut buffers.observations).unwrap();
+        let actions: Vec<f32> = (0..400).map(|i| 0.3 * (i as f32).sin() - 0.1).collect();
+        let mut ended = 0;
+        for _ in 0..30 {
+            env.step(&actions, buffers.step()).unwrap();
+        }
+        let allocations = measure(|| {
+            for _ in 0..100 {
+                env.step(&actions, buffers.step()).unwrap();
+                ended += (0..100).filter(|&i| env.ended(i).is_some()).count();
+            }
+        });
+        assert!(ended > 100, "with resets: {ended}");
+        assert_eq!(allocations.count_total, 0);
+    }
+}
+
+#[test]
+fn an_environment_of_a_batch_takes_less_than_two_kilobytes() {
+    let count = 8192;
+    let config = VecConfig { threads: 1, ..VecConfig::new(count) };
+    let mut bytes = 0;
+    let allocations = measure(|| {
+        let env = VecAviary::new(Hover::builder(), config).unwrap();
+        bytes = env.bytes_per_env();
+        std::mem::forget(env);
+    });
+    let measured = allocations.bytes_current as usize / count;
+    assert!(measured < 2000 && bytes < 2000, "{measured} {bytes}");
 }

@@ -247,7 +247,6 @@ fn random_flights_that_crash_land_and_hit_obstacles_are_the_same_with_both_engin
             }
         }
     }
-    println!("{touched} of the flights touched something; worst {worst:?}");
     assert!(touched > 20 && worst.flown > worst.stepped, "{touched} {worst:?}");
 }
 

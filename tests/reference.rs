@@ -1,5 +1,6 @@
 //! Flights of an independent implementation of the paper's equations over another MuJoCo, flown again.
 
+use mujoco_drones_gym::engine::EngineKind;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::{Scenario, read_actions};
 use mujoco_drones_gym::state::wxyz;
@@ -9,9 +10,10 @@ fn path(name: &str) -> String {
 }
 
 /// Flies a scenario and gives the largest difference of any number of the state from what is expected.
-fn worst_difference(name: &str) -> f64 {
+fn worst_difference(name: &str, engine: EngineKind) -> f64 {
     let text = std::fs::read_to_string(path(&format!("{name}.toml"))).unwrap();
-    let scenario = Scenario::from_toml(&text).unwrap();
+    let mut scenario = Scenario::from_toml(&text).unwrap();
+    scenario.engine = engine;
     let mut simulation = scenario.simulation().unwrap();
     let actions = std::fs::File::open(path(&format!("{name}.actions.csv"))).unwrap();
     let actions = read_actions(actions, scenario.num_drones).unwrap();
@@ -41,8 +43,10 @@ fn worst_difference(name: &str) -> f64 {
 #[test]
 fn every_reference_flight_agrees_in_position_attitude_velocity_and_rate() {
     for name in ["mjc_cf2x", "mjc_gnd_race", "mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
-        let worst = worst_difference(name);
-        assert!(worst < 1e-8, "{name}: largest difference {worst:e}");
+        for engine in EngineKind::ALL {
+            let worst = worst_difference(name, engine);
+            assert!(worst < 1e-8, "{name}, {engine}: largest difference {worst:e}");
+        }
     }
 }
 

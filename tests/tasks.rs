@@ -343,6 +343,24 @@ fn rewards_are_the_papers_computed_by_hand() {
     let slow = state([0.0, 0.0, 6.0], [0.0, 0.3, 0.0], [0.04, 0.0, 0.0], [0.0, 0.0, -0.2]);
     close(reward(&mut velocity, &[slow], &[slow], None), -0.04 - 0.02 - 0.015 + 0.5);
 
+    // ‖v‖ = 2, ‖ω‖ = √3; all but at rest; at rest
+    let mut stabilize = Stabilize::default();
+    close(reward(&mut stabilize, &[leaning], &[leaning], None), -2.0 - 0.1 * 3.0_f64.sqrt() - 0.015);
+    close(reward(&mut stabilize, &[leaning], &[slow], None), -0.04 - 0.02 - 0.015);
+    close(reward(&mut stabilize, &[leaning], &[slow], crash), -0.04 - 0.02 - 0.015 - 100.0);
+    let resting = state([0.0, 0.0, 6.0], [0.2, 0.0, 1.0], [0.03, 0.04, 0.0], [0.0, 0.06, 0.0]);
+    let almost = state([0.0, 0.0, 6.0], [0.2, 0.0, 1.0], [0.03, 0.03, 0.0], [0.0, 0.06, 0.0]);
+    close(reward(&mut stabilize, &[leaning], &[resting], None), -0.05 - 0.006 - 0.01);
+    close(reward(&mut stabilize, &[leaning], &[almost], None), -0.0018_f64.sqrt() - 0.006 - 0.01 + 0.5);
+
+    // a reference that stands at (0.5, 0, 1) m
+    let mut track = Track::default();
+    track.speed = 0.0;
+    close(reward(&mut track, &[leaning], &[leaning], None), -22.5_f64.sqrt() - 0.2 - 0.015);
+    close(reward(&mut track, &[leaning], &[leaning], crash), -22.5_f64.sqrt() - 0.2 - 0.015 - 100.0);
+    close(reward(&mut track, &[leaning], &[still([0.5, 0.03, 0.96])], None), -0.05);
+    close(reward(&mut track, &[leaning], &[still([0.5, 0.03, 0.98])], None), -0.0013_f64.sqrt() + 0.5);
+
     // drone 0 at its 0.7 m; drone 1 (start x = 1 m, target 1.2 m) 0.3 m to the side and 0.2 m low, at 1 m/s
     let mut multi = MultiHover::default();
     let pair = [still([0.0, 0.0, 0.7]), state([1.0, 0.3, 1.0], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3])];
@@ -625,4 +643,46 @@ fn a_task_that_is_changed_is_checked_at_the_next_reset() {
     env.task_mut().waypoints.push([0.0, 0.0, 1.0]);
     env.reset(None).unwrap();
     env.step(&[0.0; 4]).unwrap();
+}
+
+#[test]
+fn stabilize_starts_anyhow_within_its_limits_and_track_anywhere_on_its_circle() {
+    let mut env = Stabilize::builder().num_drones(2).build().unwrap();
+    let mut seen = Vec::new();
+    for seed in 0..200 {
+        env.reset(Some(seed)).unwrap();
+        let states = env.simulation().states().to_vec();
+        for state in &states {
+            assert!(state.velocity.amax() <= 1.0 && state.angular_velocity.amax() <= 2.0 && state.tilt() < 0.72);
+        }
+        env.reset(Some(seed)).unwrap();
+        assert_eq!(env.simulation().states(), states, "the same seed");
+        seen.push(states[1]);
+    }
+    let most = |f: fn(&DroneState) -> f64| seen.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
+    assert!(most(|s| s.velocity.x) > 0.9 && most(|s| -s.velocity.z) > 0.9 && most(|s| s.angular_velocity.y) > 1.8);
+    assert!(most(|s| s.rpy().x) > 0.4 && most(|s| -s.rpy().y) > 0.4 && most(|s| s.yaw()) > 3.0);
+
+    let mut env = Track::builder().build().unwrap();
+    let mut ways = [0; 2];
+    for seed in 0..200 {
+        let x = env.reset(Some(seed)).unwrap().vector.clone();
+        assert!((x[0].hypot(x[1]) - 0.5).abs() < 1e-12 && x[2] == 1.0, "on the circle");
+        assert!(x[12..18].iter().all(|x| x.abs() < 1e-12), "where the reference is, at rest");
+        // the reference is at its full speed after a second, in a circle, at right angles to the way from the middle
+        let mut reference = env.reference(0);
+        for _ in 0..60 {
+            env.step(&[0.0; 4]).unwrap();
+            let next = env.reference(0);
+            let moved = (next.position - reference.position) * 48.0;
+            assert!((moved - 0.5 * (next.velocity + reference.velocity)).norm() < 2e-3);
+            reference = next;
+        }
+        let (p, v) = (reference.position, reference.velocity);
+        assert!((v.norm() - 0.5).abs() < 1e-12 && (p.x * v.x + p.y * v.y).abs() < 1e-12);
+        let inwards = nalgebra::Vector3::z() - p;
+        assert!((reference.acceleration - inwards).norm() < 1e-12, "v²/r inwards");
+        ways[usize::from(p.x * v.y - p.y * v.x > 0.0)] += 1;
+    }
+    assert!(ways[0] > 60 && ways[1] > 60, "{ways:?}");
 }

@@ -5,7 +5,8 @@ use mujoco_drones_gym::env::{AviaryBuilder, EndReason, Randomization};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::tasks::Antipodal;
+use mujoco_drones_gym::tasks::{self, Antipodal};
+use mujoco_drones_gym::vector::VecPictures;
 use mujoco_drones_gym::vector::{Autoreset, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv};
 use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
 use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
@@ -44,9 +45,8 @@ fn compare<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: VecConfig
     let count = batch.num_envs();
     let (a, o) = (batch.action_size(), batch.observation_size());
     let mut buffers = VecBuffers::new(&batch);
-    let mut alone: Vec<_> = (0..count)
-        .map(|i| builder.clone().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap())
-        .collect();
+    let mut alone: Vec<_> =
+        (0..count).map(|i| builder.clone().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap()).collect();
     let mut over = vec![false; count];
     let mut row = vec![0.0_f32; o];
     batch.reset(Some(11), &mut buffers.observations).unwrap();
@@ -116,12 +116,15 @@ fn every_task_is_what_its_environments_are_alone() {
     all(Race::default(), &mut ended);
     all(MultiHover::multi_agent(), &mut ended);
     all(Antipodal::default(), &mut ended);
+    all(Stabilize::default(), &mut ended);
+    all(Track::default(), &mut ended);
     assert!(ended > 200, "{ended}");
 }
 
 #[test]
 fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_alone() {
-    let hover = || Hover::builder().initial_positions([[0.0, 0.0, 0.6]]).physics(Physics::MjcGndDragDw).episode_seconds(1.4);
+    let hover =
+        || Hover::builder().initial_positions([[0.0, 0.0, 0.6]]).physics(Physics::MjcGndDragDw).episode_seconds(1.4);
     let bodies = Randomization { sensors: None, environment: None, actuators: None, ..Randomization::default() };
     let config = |threads| VecConfig { threads, autoreset: Autoreset::SameStep, ..VecConfig::new(11) };
     let forest = |new_layout| ObstacleConfig {
@@ -354,4 +357,103 @@ fn what_a_batch_observes_beside_vectors_stands_behind_them() {
     for i in 0..9 {
         assert_eq!(bits(&row), bits(&buffers.observations[52 * i..][..52]), "{i}");
     }
+}
+
+#[test]
+fn every_task_has_a_batch_by_name() {
+    for name in tasks::NAMES {
+        let mut env = make_vec(name, EnvConfig::default(), VecConfig::new(10)).unwrap();
+        let mut buffers = VecBuffers::new(&*env);
+        env.reset(Some(1), &mut buffers.observations).unwrap();
+        let actions = vec![0.0; 10 * env.action_size()];
+        env.step(&actions, buffers.step()).unwrap();
+        assert_eq!(env.name(), name);
+        assert!(buffers.observations.iter().chain(&buffers.rewards).all(|x| x.is_finite()), "{name}");
+    }
+    let error = make_vec("nosuch", EnvConfig::default(), VecConfig::new(1)).err().unwrap().to_string();
+    assert!(error.contains("nosuch") && error.contains("stabilize"), "{error}");
+}
+
+/// A hundred thousand environment steps here, a million with `--ignored`.
+fn long_run(steps: usize) {
+    let randomized = Randomization { sensors: None, environment: None, ..Randomization::default() };
+    for builder in [Hover::builder(), Hover::builder().physics(Physics::MjcGndDragDw).randomization(randomized)] {
+        let count = 500;
+        let config = VecConfig { autoreset: Autoreset::SameStep, ..VecConfig::new(count) };
+        let mut env = VecAviary::new(builder, config).unwrap();
+        let mut buffers = VecBuffers::new(&env);
+        env.reset(Some(1), &mut buffers.observations).unwrap();
+        let mut rng = Rng::seed_from_u64(2);
+        let (mut ended, mut lengths) = (vec![0_u64; count], 0);
+        let mut actions = vec![0.0_f32; 4 * count];
+        for _ in 0..steps / count / 2 {
+            actions.fill_with(|| 2.0 * rng.random::<f32>() - 1.0);
+            env.step(&actions, buffers.step()).unwrap();
+            assert!(buffers.observations.iter().chain(&buffers.rewards).all(|x| x.is_finite()));
+            for (i, ended) in ended.iter_mut().enumerate() {
+                if let Some(report) = env.ended(i) {
+                    *ended += 1;
+                    lengths += report.steps;
+                }
+            }
+        }
+        // none is lost: every step of every environment belongs to an episode that has ended or is still running
+        let running: u64 = (0..count).map(|i| env.with(i, |env| env.simulation().control_steps()).unwrap()).sum();
+        assert_eq!((lengths + running) as usize, steps / 2);
+        let all = ended.iter().sum::<u64>() as usize;
+        assert!(all > steps / 100, "{all} ended");
+    }
+}
+
+#[test]
+fn random_actions_for_long_lose_no_environment_and_make_no_nan() {
+    long_run(100_000);
+}
+
+#[test]
+#[ignore = "a million steps"]
+fn a_million_random_steps_lose_no_environment_and_make_no_nan() {
+    long_run(1_000_000);
+}
+
+#[test]
+fn pictures_of_a_batch_are_those_of_its_environments_alone() {
+    let builder = || {
+        Hover::builder()
+            .initial_positions([[0.0, 0.0, 0.4]])
+            .observation_type("kin_rgb_depth_segmentation".parse().unwrap())
+            .obstacle_field(ObstacleConfig { arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) })
+    };
+    let count = 9;
+    let mut env = match VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(count) }) {
+        Ok(env) => env,
+        // nothing to draw with
+        Err(EnvError::Vision(_)) => return,
+        Err(error) => panic!("{error}"),
+    };
+    let mut buffers = VecBuffers::new(&env);
+    env.reset(Some(1), &mut buffers.observations).unwrap();
+    let actions: Vec<f32> = (0..4 * count).map(|i| 0.02 * (i / 4) as f32 + 0.003 * (i % 4) as f32).collect();
+    let pixels = env.camera_size().pixels();
+    let mut rgb = vec![0; count * 4 * pixels];
+    let (mut depth, mut segmentation) = (vec![0.0; count * pixels], vec![[0; 2]; count * pixels]);
+    for _ in 0..15 {
+        env.step(&actions, buffers.step()).unwrap();
+    }
+    env.pictures(VecPictures { rgb: &mut rgb, depth: &mut depth, segmentation: &mut segmentation }).unwrap();
+    for i in [0, 4, 8] {
+        let mut alone = builder().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap();
+        alone.reset(Some(1)).unwrap();
+        let action: Vec<f64> = actions[4 * i..][..4].iter().map(|&x| f64::from(x)).collect();
+        for _ in 0..15 {
+            alone.step(&action).unwrap();
+        }
+        let seen = alone.observation();
+        assert_eq!(seen.rgb, rgb[4 * pixels * i..][..4 * pixels]);
+        assert_eq!(seen.depth, depth[pixels * i..][..pixels]);
+        assert_eq!(seen.segmentation, segmentation[pixels * i..][..pixels]);
+    }
+    assert_ne!(rgb[..4 * pixels], rgb[4 * 8 * pixels..][..4 * pixels], "they are in different places");
+    let error = env.pictures(VecPictures::default()).unwrap_err().to_string();
+    assert!(error.contains("buffer of colours"), "{error}");
 }

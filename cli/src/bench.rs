@@ -97,7 +97,8 @@ impl Bench {
     fn rows(&self, meter: &mut Meter) -> Result<Vec<Row>, EnvError> {
         let mut rows = Vec::new();
         kernel_rows(meter, &mut rows);
-        for (physics, drones) in [(Physics::Mjc, 1), (Physics::MjcGndDragDw, 1), (Physics::Mjc, 4), (Physics::MjcGndDragDw, 4)]
+        for (physics, drones) in
+            [(Physics::Mjc, 1), (Physics::MjcGndDragDw, 1), (Physics::Mjc, 4), (Physics::MjcGndDragDw, 4)]
         {
             for engine in EngineKind::ALL {
                 if self.quick && drones > 1 {
@@ -115,7 +116,15 @@ impl Bench {
                 }
                 rows.push(batch(meter, "hover", size, threads, Physics::Mjc, EngineKind::Hybrid, Actions::Climb)?);
                 if !self.quick || threads == 1 {
-                    rows.push(batch(meter, "hover", size, threads, Physics::MjcGndDragDw, EngineKind::Hybrid, Actions::Climb)?);
+                    rows.push(batch(
+                        meter,
+                        "hover",
+                        size,
+                        threads,
+                        Physics::MjcGndDragDw,
+                        EngineKind::Hybrid,
+                        Actions::Climb,
+                    )?);
                 }
             }
         }
@@ -170,7 +179,13 @@ impl Row {
         let _ = write!(
             text,
             "{:<44}{:>8}{:>8}{:>14.0}{:>15.0}{:>10.2}{:>10}",
-            self.name, self.drones, self.threads, self.env_steps_per_second, self.physics_steps_per_second, self.ratio, bytes
+            self.name,
+            self.drones,
+            self.threads,
+            self.env_steps_per_second,
+            self.physics_steps_per_second,
+            self.ratio,
+            bytes
         );
         if let Some(own) = self.ratio_to_own {
             let _ = write!(text, "  ({own:.2} of mj_step with the same contacts)");
@@ -630,11 +645,8 @@ impl Policy {
     fn act(&mut self, observations: &[f32]) -> &[f32] {
         for index in 0..self.actions.len() / 4 {
             let o = &observations[self.block * index..][..12];
-            let [x, y, height] = if self.drones == 1 {
-                [0.0, 0.0, 1.0]
-            } else {
-                place(index % self.drones).map(|x| x as f32)
-            };
+            let [x, y, height] =
+                if self.drones == 1 { [0.0, 0.0, 1.0] } else { place(index % self.drones).map(|x| x as f32) };
             let roll = 0.2 * (o[1] - y) + 0.2 * o[7];
             let pitch = -0.2 * (o[0] - x) - 0.2 * o[6];
             let lift = 0.5 * (height - o[2]) - 0.4 * o[8];

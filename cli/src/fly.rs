@@ -247,7 +247,7 @@ impl Flight {
             "task": env.name(),
             "drone_model": simulation.params(0).name,
             "physics": simulation.physics().name(),
-            "engine": "mujoco",
+            "engine": simulation.engine().name(),
             "controller": self.controller.name(),
             "trajectory": options.trajectory,
             "seed": options.seed,

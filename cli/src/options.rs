@@ -8,7 +8,7 @@ use aviary::action::ActionType;
 use aviary::control::trajectory::{self, Trajectory};
 use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
-use aviary::engine::BuildError;
+use aviary::engine::{BuildError, EngineKind};
 use aviary::env::{Conditions, Env, EnvConfig, EnvError};
 use aviary::physics::Physics;
 use aviary::physics::wind::{WindConfig, WindModel};
@@ -32,6 +32,9 @@ pub struct FlightOptions {
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
     #[arg(long, default_value = "mjc")]
     pub physics: String,
+    /// Engine: mujoco, or hybrid, which gives the same flight many times faster
+    #[arg(long, default_value = "mujoco")]
+    pub engine: String,
     /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories, and their default); else the
     /// task's by default
     #[arg(long)]
@@ -134,6 +137,7 @@ impl FlightOptions {
         let mut config = EnvConfig::default()
             .drone(drone(&self.drone)?)
             .physics(physics)
+            .engine(named("engine", &self.engine, &EngineKind::ALL.map(EngineKind::name))?)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .conditions(&self.conditions()?);

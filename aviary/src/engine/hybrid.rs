@@ -215,10 +215,10 @@ impl HybridEngine {
     }
 
     pub(super) fn mujoco(&mut self, bodies: &Bodies, states: &[DroneState]) -> Result<&Data, Error> {
+        self.mujoco.begin(bodies)?;
         if self.in_mujoco {
             return Ok(self.mujoco.data());
         }
-        self.mujoco.begin(bodies)?;
         self.mujoco.show(states)
     }
 

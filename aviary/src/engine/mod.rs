@@ -150,6 +150,15 @@ pub enum Engine {
 }
 
 impl Engine {
+    /// Its name in lower snake case.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Mujoco(_) => EngineKind::Mujoco.name(),
+            Self::Hybrid(_) => EngineKind::Hybrid.name(),
+            Self::Explicit(_) => "explicit",
+        }
+    }
+
     /// Puts every drone into a state and forgets everything else.
     ///
     /// # Errors
@@ -250,7 +259,10 @@ impl Engine {
     /// MuJoCo's.
     pub fn mujoco(&mut self, bodies: &Bodies, states: &[DroneState]) -> Result<&Data, Error> {
         match self {
-            Self::Mujoco(engine) => Ok(engine.data()),
+            Self::Mujoco(engine) => {
+                engine.begin(bodies)?;
+                Ok(engine.data())
+            }
             Self::Hybrid(engine) => engine.mujoco(bodies, states),
             Self::Explicit(engine) => engine.mujoco(bodies, states),
         }

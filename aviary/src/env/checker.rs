@@ -226,11 +226,7 @@ impl<'a> Checker<'a> {
         if info.end.is_some() || info.time != 0.0 || simulation.control_steps() != 0 {
             return self.broken(format!("a reset leaves {info:?}"));
         }
-        let starts = match self.env.draw() {
-            Some(draw) => simulation.states().iter().eq(draw.drones.iter().map(|draw| &draw.initial)),
-            None => simulation.states() == simulation.initial_states(),
-        };
-        if !starts {
+        if simulation.states() != simulation.started_from() {
             return self.broken("after a reset the drones are not where the simulation says they start".into());
         }
         self.looks_right(0.0)

@@ -459,9 +459,14 @@ impl Randomizer {
     /// Draws an episode and puts the simulation into it: afterwards it is reset.
     pub(super) fn begin(&mut self, simulation: &mut Simulation, rng: &mut Rng) -> Result<(), SimulationError> {
         self.draw(simulation, rng);
+        let most = |ranges: Option<Range>| ranges.map_or(0.0, |[_, most]| most);
+        simulation.reserve(
+            most(self.config.actuators.map(|ranges| ranges.latency)),
+            most(self.config.sensors.map(|ranges| ranges.latency)),
+        );
         for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&self.nominal).enumerate() {
             if self.config.body.is_some() || self.config.aerodynamics.is_some() {
-                simulation.set_airframe(drone, randomized(nominal, draw))?;
+                simulation.change_airframe(drone, |params| randomize(params, nominal, draw))?;
             }
             if self.config.actuators.is_some() {
                 simulation.set_actuators(drone, &draw.actuators)?;
@@ -477,8 +482,10 @@ impl Randomizer {
             simulation.remember(self.draw.sensor_latency);
         }
         if self.config.initial.is_some() {
-            let states: Vec<_> = self.draw.drones.iter().map(|draw| draw.initial).collect();
-            simulation.reset_to(&states)
+            for (state, draw) in self.measured.iter_mut().zip(&self.draw.drones) {
+                *state = draw.initial;
+            }
+            simulation.reset_to(&self.measured)
         } else {
             simulation.reset()
         }
@@ -530,23 +537,18 @@ fn stream(rng: &mut Rng) -> Rng {
     Rng::seed_from_u64(rng.random())
 }
 
-/// An airframe with these factors, whose motors are as fast as before.
-fn randomized(nominal: &DroneParams, draw: &DroneDraw) -> DroneParams {
-    let mass = nominal.mass * draw.mass;
-    let thrust_coefficient = nominal.thrust_coefficient * draw.thrust;
+/// Makes an airframe one with these factors, whose motors are as fast as before.
+fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &DroneDraw) {
     let [sideways, upwards] = draw.drag;
     let [x, y, z] = nominal.drag_coefficients;
     let [c1, c2, c3] = nominal.downwash_coefficients;
-    DroneParams {
-        mass,
-        inertia: nominal.inertia.map(|moment| moment * draw.inertia),
-        arm_length: nominal.arm_length * draw.arm_length,
-        thrust_coefficient,
-        torque_coefficient: nominal.torque_coefficient * draw.torque,
-        thrust_to_weight: nominal.thrust_to_weight * draw.thrust / draw.mass,
-        drag_coefficients: [x * sideways, y * sideways, z * upwards],
-        ground_effect_coefficient: nominal.ground_effect_coefficient * draw.ground,
-        downwash_coefficients: [c1 * draw.downwash, c2, c3],
-        ..nominal.clone()
-    }
+    params.mass = nominal.mass * draw.mass;
+    params.inertia = nominal.inertia.map(|moment| moment * draw.inertia);
+    params.arm_length = nominal.arm_length * draw.arm_length;
+    params.thrust_coefficient = nominal.thrust_coefficient * draw.thrust;
+    params.torque_coefficient = nominal.torque_coefficient * draw.torque;
+    params.thrust_to_weight = nominal.thrust_to_weight * draw.thrust / draw.mass;
+    params.drag_coefficients = [x * sideways, y * sideways, z * upwards];
+    params.ground_effect_coefficient = nominal.ground_effect_coefficient * draw.ground;
+    params.downwash_coefficients = [c1 * draw.downwash, c2, c3];
 }

@@ -102,6 +102,11 @@ impl Actuators {
         self.reset();
     }
 
+    /// Makes room for a latency of so many physics steps.
+    pub(crate) fn reserve(&mut self, steps: usize) {
+        self.queue.reserve(steps.saturating_sub(self.queue.len()));
+    }
+
     /// As at the start of an episode.
     pub fn reset(&mut self) {
         self.queue.fill([self.initial_rpm; 4]);

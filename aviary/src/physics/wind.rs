@@ -227,9 +227,6 @@ impl WindField {
     /// About drones of these drag areas, m².
     pub(crate) fn of_areas(config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<Self, WindError> {
         config.validate()?;
-        let velocity = Vector3::from(config.velocity);
-        let level = Vector3::new(velocity.x, velocity.y, 0.0);
-        let along = if level.norm() > 1e-9 { level.normalize() } else { Vector3::x() };
         let local = |drag_area: f64| Local {
             rng: Rng::seed_from_u64(0),
             drag_area,
@@ -240,13 +237,34 @@ impl WindField {
         };
         let mut field = Self {
             config,
-            velocity,
-            axes: [along, Vector3::z().cross(&along), Vector3::z()],
+            velocity: Vector3::zeros(),
+            axes: [Vector3::zeros(); 3],
             locals: areas.map(local).collect(),
             steps: 0,
         };
+        field.take(config);
         field.reset(0, &[]);
         Ok(field)
+    }
+
+    /// Another wind about drones of these drag areas (m²), as many as before.
+    pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), WindError> {
+        config.validate()?;
+        for (local, drag_area) in self.locals.iter_mut().zip(areas) {
+            // the turbulence's constants are those of the wind
+            (local.drag_area, local.constants.0) = (drag_area, 0.0);
+        }
+        self.take(config);
+        self.reset(0, &[]);
+        Ok(())
+    }
+
+    fn take(&mut self, config: WindConfig) {
+        let velocity = Vector3::from(config.velocity);
+        let level = Vector3::new(velocity.x, velocity.y, 0.0);
+        let along = if level.norm() > 1e-9 { level.normalize() } else { Vector3::x() };
+        self.axes = [along, Vector3::z().cross(&along), Vector3::z()];
+        (self.config, self.velocity) = (config, velocity);
     }
 
     /// Bytes that it takes for its drones.

@@ -6,6 +6,7 @@ use std::io::{BufRead, BufReader, Read};
 use serde::Deserialize;
 
 use crate::drone::{DroneError, DroneModel, DroneParams};
+use crate::engine::EngineKind;
 use crate::physics::Physics;
 use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
 use crate::world::{Forcing, Integrator, Medium};
@@ -65,7 +66,7 @@ pub struct Scenario {
     pub integrator: IntegratorName,
     /// Who integrates.
     #[serde(default)]
-    pub engine: EngineName,
+    pub engine: EngineKind,
     /// The line that each field stands on, where it was read from text.
     #[serde(skip)]
     lines: BTreeMap<&'static str, usize>,
@@ -82,15 +83,6 @@ pub enum IntegratorName {
     Euler,
     /// Implicit in velocity.
     Implicit,
-}
-
-/// Engines by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EngineName {
-    /// MuJoCo.
-    #[default]
-    Mujoco,
 }
 
 /// What can be wrong with a recorded flight.
@@ -188,6 +180,7 @@ impl Scenario {
         let mut builder: SimulationBuilder = Simulation::builder(self.drone()?)
             .num_drones(self.num_drones)
             .physics(self.physics)
+            .engine(self.engine)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .initial_positions(self.initial_xyzs.iter().copied())

@@ -289,6 +289,7 @@ impl SimulationBuilder {
             control_steps: 0,
             states: initial.clone(),
             rpys: vec![nalgebra::Vector3::zeros(); count],
+            started: initial.clone(),
             initial,
             previous: vec![DroneState::default(); count],
             loads: vec![no_load; count],

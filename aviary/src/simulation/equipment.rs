@@ -1,5 +1,5 @@
 use super::SimulationError;
-use crate::drone::DroneParams;
+use crate::drone::{DroneError, DroneParams};
 use crate::engine::flight::{Airframe, Envelope, FreeBody};
 use crate::engine::{Bodies, Body};
 use crate::physics::Effects;
@@ -116,6 +116,28 @@ impl Equipment {
             let reach = drone.params.collision_radius.hypot(0.5 * drone.params.collision_height);
             body.envelope = body.envelope.reaching(reach);
         }
+    }
+
+    /// Changes a drone's airframe. What is not one is an error, and there all the same.
+    pub(super) fn change(&mut self, drone: usize, change: impl FnOnce(&mut DroneParams)) -> Result<(), DroneError> {
+        let own = &mut self.drones[drone];
+        change(&mut own.params);
+        let params = &mut own.params;
+        // one that can no longer hover is still a body
+        let ratio = params.thrust_to_weight;
+        params.thrust_to_weight = ratio.max(1.0);
+        let sound = params.validate();
+        params.thrust_to_weight = ratio;
+        (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
+        self.wakes[drone] = Wake::new(&own.params);
+        self.changed = true;
+        sound
+    }
+
+    /// Makes room for motors that are so many physics steps late and for so many states to be remembered.
+    pub(super) fn reserve(&mut self, motors: usize, states: usize) {
+        self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
+        self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
     }
 
     /// Whether its drones can be advanced as lanes, without looking at them between physics steps.

@@ -13,9 +13,7 @@ use nalgebra::Vector3;
 use crate::drone::DroneParams;
 use crate::engine::{Contact, Engine, Load, Substeps};
 use crate::physics::actuators::ActuatorParams;
-use crate::physics::downwash::{self, Wake};
-use crate::physics::ground_effect::GroundEffect;
-use crate::physics::rotor::RotorModel;
+use crate::physics::downwash;
 use crate::physics::wind::{WindConfig, WindField, WindModel};
 use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
@@ -44,6 +42,8 @@ pub struct Simulation {
     sim_freq: u32,
     ctrl_freq: u32,
     initial: Vec<DroneState>,
+    /// What the episode started from.
+    started: Vec<DroneState>,
     /// Airframes, motors, wind: in a batch, those of one environment after the other.
     equipment: Box<Equipment>,
     states: Vec<DroneState>,
@@ -232,6 +232,7 @@ impl Simulation {
             *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
         memory.forget(&self.states);
+        self.started.copy_from_slice(&self.states);
         self.contacts.clear();
         self.control_steps = 0;
         self.failed = None;
@@ -254,15 +255,33 @@ impl Simulation {
     /// # Panics
     /// If there is no drone of that index.
     pub fn set_airframe(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
-        // one that can no longer hover is still a body
-        let able = DroneParams { thrust_to_weight: params.thrust_to_weight.max(1.0), ..params.clone() };
-        able.validate().map_err(|error| SimulationError::Drone { drone, error })?;
-        self.equipment.wakes[drone] = Wake::new(&params);
-        let own = &mut self.equipment.drones[drone];
-        (own.rotors, own.ground) = (RotorModel::new(&params), GroundEffect::new(&params));
-        own.params = params;
-        self.equipment.changed = true;
+        let before = self.equipment.drones[drone].params.clone();
+        let changed = self.equipment.change(drone, |own| *own = params);
+        if let Err(error) = changed {
+            // it was sound before
+            let _ = self.equipment.change(drone, |own| *own = before);
+            return Err(SimulationError::Drone { drone, error });
+        }
         Ok(())
+    }
+
+    /// Changes numbers of a drone's airframe, as [`set_airframe`](Self::set_airframe) does.
+    ///
+    /// # Errors
+    /// [`SimulationError::Drone`] for parameters that no body has; they are there then.
+    pub(crate) fn change_airframe(
+        &mut self,
+        drone: usize,
+        change: impl FnOnce(&mut DroneParams),
+    ) -> Result<(), SimulationError> {
+        self.equipment.change(drone, change).map_err(|error| SimulationError::Drone { drone, error })
+    }
+
+    /// Sees to it that motors of this latency (s) and sensors of that one need no more memory than there is.
+    pub(crate) fn reserve(&mut self, motors: f64, sensors: f64) {
+        let (steps, count) = (|seconds: f64| (seconds / self.world.timestep).round() as usize, self.states.len());
+        let (motors, sensors) = (steps(motors), count * steps(sensors));
+        self.equipment.reserve(motors, sensors);
     }
 
     /// Changes how the motors of a drone answer; they start anew.
@@ -365,11 +384,13 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError::Wind`], and then nothing has changed.
     pub fn set_wind(&mut self, wind: impl Into<Option<WindConfig>>, seed: u64) -> Result<(), SimulationError> {
-        let drones = self.equipment.drones.iter().map(|drone| drone.params.drag_area());
-        self.equipment.wind = match wind.into().filter(|wind| wind.model != WindModel::None) {
-            Some(config) => Some(WindField::of_areas(config, drones)?),
-            None => None,
-        };
+        let Equipment { drones, wind: field, .. } = &mut *self.equipment;
+        let areas = drones.iter().map(|drone| drone.params.drag_area());
+        match (wind.into().filter(|wind| wind.model != WindModel::None), field) {
+            (Some(config), Some(field)) => field.set(config, areas)?,
+            (Some(config), field) => *field = Some(WindField::of_areas(config, areas)?),
+            (None, field) => *field = None,
+        }
         self.equipment.changed = true;
         self.reset_wind(seed);
         Ok(())
@@ -559,6 +580,11 @@ impl Simulation {
     /// What acted on every drone during the last physics step.
     pub fn loads(&self) -> &[Load] {
         &self.loads
+    }
+
+    /// What the last reset started from, which a task or a randomization may have changed.
+    pub(crate) fn started_from(&self) -> &[DroneState] {
+        &self.started
     }
 
     /// How many physics steps of this world each engine did.

@@ -184,8 +184,8 @@ impl Task for Track {
     }
 
     fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
-        let errors = (0..simulation.num_drones())
-            .map(|drone| simulation.distance(drone, &self.now(simulation, drone).position));
+        let errors =
+            (0..simulation.num_drones()).map(|drone| simulation.distance(drone, &self.now(simulation, drone).position));
         report("tracking_error", errors.fold(0.0, f64::max));
     }
 

@@ -258,7 +258,6 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         }
         result
     }
-
 }
 
 /// Threads and what they work with.
@@ -271,12 +270,7 @@ struct Crew<T> {
 
 impl<T: Task + Send> Crew<T> {
     /// Does something with every piece of the batch, on all threads.
-    fn run(
-        &self,
-        common: &Common,
-        piece: Piece<'_, T>,
-        work: &(impl Fn(&mut Worker<'_, T>, Piece<'_, T>) + Sync),
-    ) {
+    fn run(&self, common: &Common, piece: Piece<'_, T>, work: &(impl Fn(&mut Worker<'_, T>, Piece<'_, T>) + Sync)) {
         let blocks = piece.slots.len().div_ceil(LANES);
         // a thread's share in pieces, for those that take longer
         let grain = blocks.div_ceil(8 * self.places.len()).max(1);

@@ -1,7 +1,5 @@
 use crate::action::ActionDecoder;
-use crate::engine::flight::{
-    Airframes, Flow, LANES, Lanes, advance, compute_downwash, compute_rpys, find_clear,
-};
+use crate::engine::flight::{Airframes, Flow, LANES, Lanes, advance, compute_downwash, compute_rpys, find_clear};
 use crate::engine::{Engine, Lookout};
 use crate::env::{EndReason, EnvError, Phase, Task};
 use crate::state::DroneState;

@@ -150,5 +150,4 @@ impl<T: Task> Stage<T> {
         }
         done
     }
-
 }

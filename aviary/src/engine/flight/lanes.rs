@@ -354,9 +354,11 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
                 motion = body.rk4::<BODY_FIXED, MEDIUM>(dt, &Push { thrust, torque, force }, &motion);
             }
             part.put_motion(lanes, &motion);
-            for motor in 0..4 {
-                part.put(&mut lanes.rpm[motor], rpm[motor]);
-            }
+            let [a, b, c, d] = &mut lanes.rpm;
+            part.put(a, rpm[0]);
+            part.put(b, rpm[1]);
+            part.put(c, rpm[2]);
+            part.put(d, rpm[3]);
         }
     }
 }
