@@ -457,3 +457,76 @@ fn pictures_of_a_batch_are_those_of_its_environments_alone() {
     let error = env.pictures(VecPictures::default()).unwrap_err().to_string();
     assert!(error.contains("buffer of colours"), "{error}");
 }
+
+#[test]
+fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
+    use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
+    use mujoco_drones_gym::wrappers::SafetyWrapper;
+    let builder = || {
+        Antipodal::builder().num_drones(4).action_type(ActionType::Vel).controller(ControllerKind::Geometric)
+    };
+    let filter = || CollisionCone::new(0.36);
+    let batch = VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(10) }).unwrap();
+    let mut batch = batch.safety(filter(), 10.0).unwrap();
+    let env = builder().engine(EngineKind::Hybrid).build().unwrap();
+    let mut alone = SafetyWrapper::new(env, filter()).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    alone.reset(Some(1)).unwrap();
+    for _ in 0..120 {
+        // all straight to the middle
+        let action: Vec<f32> = (0..4)
+            .flat_map(|drone| {
+                let position = alone.simulation().states()[drone].position;
+                [-0.7 * position.x as f32, -0.7 * position.y as f32, 0.0, 0.0]
+            })
+            .collect();
+        batch.step(&action.repeat(10), buffers.step()).unwrap();
+        let action: Vec<f64> = action.iter().map(|&x| f64::from(x)).collect();
+        alone.step(&action).unwrap();
+        let seen: Vec<f32> = alone.observation().vector.iter().map(|&x| x as f32).collect();
+        for row in buffers.observations.chunks_exact(seen.len()) {
+            assert_eq!(bits(row), bits(&seen));
+        }
+    }
+    assert!(alone.interventions() > 30, "{}", alone.interventions());
+    let wrong = VecAviary::new(Hover::builder(), VecConfig::new(2)).unwrap().safety(filter(), 10.0);
+    assert!(wrong.unwrap_err().to_string().contains("expected vel"));
+}
+
+#[test]
+fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
+    use mujoco_drones_gym::vector::VecCurriculum;
+    use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumMetric};
+    let config = CurriculumConfig {
+        levels: 3,
+        metric: CurriculumMetric::EpisodeLength,
+        window: 10,
+        advance: 9.5,
+        retreat: None,
+    };
+    // an episode of ten steps in the air; higher on every level
+    let builder = || Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(10.0 / 48.0);
+    let raise = |env: &mut Aviary<Hover>, level: usize| {
+        env.task_mut().target_height = 1.0 + 0.5 * level as f64;
+        Ok(())
+    };
+    let batch = VecAviary::new(builder(), VecConfig::new(16)).unwrap();
+    let mut env = VecCurriculum::new(batch, config, raise).unwrap();
+    let mut buffers = VecBuffers::new(&env);
+    env.reset(Some(1), &mut buffers.observations).unwrap();
+    let actions = vec![0.0; 64];
+    let mut levels = Vec::new();
+    for _ in 0..40 {
+        env.step(&actions, buffers.step()).unwrap();
+        levels.push(env.curriculum().level());
+    }
+    // sixteen episodes end together: one level and six episodes of the next, which are too few
+    assert_eq!((levels[8], levels[9], levels[20], levels[39]), (0, 1, 2, 2));
+    assert_eq!(env.curriculum().state().episodes, 48);
+    for i in 0..16 {
+        assert_eq!(env.inner().with(i, |env| env.task().target_height).unwrap(), 2.0);
+    }
+    let same = VecAviary::new(builder(), VecConfig { autoreset: Autoreset::SameStep, ..VecConfig::new(2) }).unwrap();
+    assert!(VecCurriculum::new(same, config, raise).is_err());
+}

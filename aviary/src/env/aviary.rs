@@ -170,6 +170,11 @@ impl<T: Task> Aviary<T> {
         Ok(())
     }
 
+    /// Bounds of actions.
+    pub(crate) fn space_of_actions(&self) -> &BoxSpace {
+        &self.action_space
+    }
+
     /// What was observed last.
     pub(crate) fn seen(&self) -> &Observation {
         &self.observation

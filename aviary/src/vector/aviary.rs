@@ -5,10 +5,12 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use super::piece::{Common, Desk, Faults, Piece, Worker};
 use super::stage::{Ended, Slot, Stage};
 use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
+use crate::control::CollisionCone;
 use crate::engine::flight::{Airframes, Flow, LANES, Lanes, Width};
 use crate::engine::{EngineKind, Lookout, Substeps};
 use crate::env::{Aviary, AviaryBuilder, BoxSpace, Env, EnvError, ObservationSpace, Phase, Task};
 use crate::world::Forcing;
+use crate::wrappers::Guard;
 
 /// M environments of one task.
 ///
@@ -168,6 +170,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
                 equipment,
                 decoders: if memory { first.decoders.clone() } else { Vec::new() },
                 control_steps: 0,
+                begun: false,
                 reward: 0.0,
                 ended: None,
                 in_mujoco: false,
@@ -217,6 +220,21 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             control_period,
             found: Vec::new(),
         })
+    }
+
+    /// Keeps drones apart whatever an agent commands, in every environment as a
+    /// [`SafetyWrapper`](crate::wrappers::SafetyWrapper) does; `response` is how fast the controller beneath takes up a
+    /// velocity, 1/s.
+    ///
+    /// # Errors
+    /// As for the wrapper.
+    pub fn safety(mut self, filter: CollisionCone, response: f64) -> Result<Self, EnvError> {
+        for place in &mut self.crew.places {
+            let place = place.get_mut().unwrap_or_else(PoisonError::into_inner);
+            let action_type = place.stage.env.action_type();
+            place.desk.set_guard(Guard::new(filter.clone(), response, action_type, self.common.drones)?);
+        }
+        Ok(self)
     }
 
     /// How it was made.
@@ -319,8 +337,10 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let bad = |environment, error| Err(EnvError::InBatch { environment, error: Box::new(error) });
         for (environment, slot) in self.seats.slots.iter().enumerate() {
             match slot.episode.phase {
-                Phase::New => return bad(environment, EnvError::NeedsReset { when: "on a new environment" }),
-                Phase::Over if self.config.autoreset == Autoreset::Disabled => {
+                Phase::New if !slot.begun => {
+                    return bad(environment, EnvError::NeedsReset { when: "on a new environment" });
+                }
+                Phase::New | Phase::Over if self.config.autoreset == Autoreset::Disabled => {
                     return bad(environment, EnvError::NeedsReset { when: "after the end of the episode" });
                 }
                 _ => {}
@@ -329,7 +349,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let Some(entry) = actions.iter().position(|x| !x.is_finite()) else { return Ok(()) };
         let (environment, index) = (entry / self.common.action_size, entry % self.common.action_size);
         let slot = &self.seats.slots[environment];
-        if slot.episode.phase == Phase::Over {
+        if slot.awaits_episode() {
             // it will not be looked at; those behind it may be
             let row = |environment: usize| &actions[environment * self.common.action_size..][..self.common.action_size];
             for (environment, slot) in self.seats.slots.iter().enumerate() {

@@ -6,10 +6,12 @@
 //! options, engine, seed and [stream](crate::env::AviaryBuilder::stream)), whatever the number of threads.
 
 mod aviary;
+mod curriculum;
 mod piece;
 mod stage;
 
 pub use aviary::VecAviary;
+pub use curriculum::VecCurriculum;
 pub use stage::Ended;
 
 use crate::engine::Substeps;

@@ -3,6 +3,7 @@ use crate::engine::flight::{Airframes, Flow, LANES, Lanes, advance, compute_down
 use crate::engine::{Engine, Lookout};
 use crate::env::{EndReason, EnvError, Phase, Task};
 use crate::state::DroneState;
+use crate::wrappers::Guard;
 
 use super::stage::{Ended, Seat, Slot, Stage};
 use super::{Autoreset, OnFault};
@@ -144,14 +145,24 @@ pub(super) struct Desk {
     /// Lanes as they were, of environments that do not fly as lanes.
     saved: Vec<(DroneState, [f64; 4], [f64; 4])>,
     turns: Vec<Turn>,
+    /// Makes velocities safe, where it is asked for.
+    guard: Option<Guard>,
+    /// An action on its way through the guard.
+    action: Vec<f64>,
 }
 
 impl Desk {
+    pub fn set_guard(&mut self, guard: Guard) {
+        self.guard = Some(guard);
+    }
+
     pub fn new(drones: usize) -> Self {
         Self {
             commands: vec![[0.0; 4]; LANES * drones],
             saved: vec![(DroneState::default(), [0.0; 4], [0.0; 4]); LANES * drones],
             turns: vec![Turn::Fly; LANES],
+            guard: None,
+            action: Vec::new(),
         }
     }
 }
@@ -214,8 +225,21 @@ impl<T: Task> Worker<'_, T> {
                 }
                 let decoders: &mut Vec<ActionDecoder> = &mut slot.decoders;
                 std::mem::swap(&mut env.decoders, decoders);
-                env.decode(numbers);
+                let mut safe = Ok(false);
+                if let Some(guard) = &mut self.desk.guard {
+                    self.desk.action.clear();
+                    self.desk.action.extend(numbers);
+                    let states = env.simulation.states();
+                    safe = guard.make_safe(states, env.space_of_actions(), &mut self.desk.action);
+                    env.decode(self.desk.action.iter().copied());
+                } else {
+                    env.decode(numbers);
+                }
                 std::mem::swap(&mut env.decoders, decoders);
+                if let Err(error) = safe {
+                    self.desk.turns[lane] = Turn::Fail(error);
+                    continue;
+                }
             }
             plain[lane] = slot.plain;
             any |= slot.plain;
@@ -244,7 +268,7 @@ impl<T: Task> Worker<'_, T> {
                     Turn::Fail(EnvError::Action { index, got: f64::from(action[index]), time })
                 }
             },
-            Phase::Over if self.common.autoreset != Autoreset::Disabled => Turn::Begin,
+            _ if slot.awaits_episode() && self.common.autoreset != Autoreset::Disabled => Turn::Begin,
             Phase::Over => Turn::Fail(EnvError::NeedsReset { when: "after the end of the episode" }),
             Phase::New => Turn::Fail(EnvError::NeedsReset { when: "on a new environment" }),
         }
@@ -429,7 +453,7 @@ impl<T: Task> Worker<'_, T> {
 
     /// Starts an episode of the environment on the stage.
     fn start(&mut self, piece: &mut Piece<'_, T>, index: usize, seed: Option<u64>) {
-        piece.slots[index].reward = 0.0;
+        (piece.slots[index].reward, piece.slots[index].begun) = (0.0, true);
         for lookout in piece.lookouts.iter_mut().skip(self.common.drones * index).take(self.common.drones) {
             *lookout = Lookout::default();
         }

@@ -1,6 +1,6 @@
 use crate::action::ActionDecoder;
 use crate::engine::flight::{Airframes, Lanes};
-use crate::env::{Aviary, EndReason, EnvError, Episode, Task, Verdict};
+use crate::env::{Aviary, EndReason, EnvError, Episode, Phase, Task, Verdict};
 use crate::simulation::Equipment;
 
 /// An episode that has ended.
@@ -25,6 +25,8 @@ pub(super) struct Slot<T> {
     /// Its own, where decoders have a memory.
     pub decoders: Vec<ActionDecoder>,
     pub control_steps: u64,
+    /// Whether it has ever begun an episode.
+    pub begun: bool,
     /// Sum of the episode's rewards so far.
     pub reward: f64,
     pub ended: Option<Ended>,
@@ -35,6 +37,16 @@ pub(super) struct Slot<T> {
 }
 
 impl<T> Slot<T> {
+    /// Whether its next step begins an episode, where that is done by itself: the last one has ended, or was cut off by a change of
+    /// the task.
+    pub fn awaits_episode(&self) -> bool {
+        match self.episode.phase {
+            Phase::Running => false,
+            Phase::Over => true,
+            Phase::New => self.begun,
+        }
+    }
+
     /// Whether it has something that others have not, so that its thread must take it over to look at it.
     pub fn is_individual(&self) -> bool {
         self.equipment.is_some() || self.episode.is_randomized()

@@ -84,43 +84,20 @@ pub struct CurriculumState {
     pub retreats: u64,
 }
 
-/// Makes an environment harder as an agent gets better: after every episode the level follows a moving average, and at every
-/// reset a function of one's own sets the environment up for the level. It has all of the environment: its wind and
-/// randomization, and, where it is an [`Aviary`](crate::env::Aviary), its task.
-///
-/// An episode counts when it has ended by itself or by its time; one that is left in its middle does not.
-///
-/// ```
-/// use aviary::env::Env;
-/// use aviary::physics::wind::{WindConfig, WindModel};
-/// use aviary::tasks::Hover;
-/// use aviary::wrappers::{CurriculumConfig, CurriculumWrapper};
-///
-/// // more wind on every level
-/// let blow = |env: &mut aviary::env::Aviary<Hover>, level: usize| {
-///     let wind = WindConfig { velocity: [0.5 * level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
-///     env.set_wind(Some(wind))
-/// };
-/// let mut env = CurriculumWrapper::new(Hover::builder().build()?, CurriculumConfig::default(), blow)?;
-/// env.reset(Some(1))?;
-/// assert_eq!(env.state().level, 0);
-/// # Ok::<(), aviary::env::EnvError>(())
-/// ```
-pub struct CurriculumWrapper<E, F> {
-    env: E,
+/// The level of difficulty, by itself: what a [`CurriculumWrapper`] goes by, and a batch's
+/// [`VecCurriculum`](crate::vector::VecCurriculum).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curriculum {
     config: CurriculumConfig,
-    difficulty: F,
     state: CurriculumState,
-    /// Sum of the rewards and number of steps of the running episode.
-    running: (f64, u64),
 }
 
-impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
-    /// Around an environment, on level 0; `difficulty` is called at every reset with the environment and the level.
+impl Curriculum {
+    /// On level 0.
     ///
     /// # Errors
     /// [`EnvError::Option`] naming a setting that is impossible.
-    pub fn new(env: E, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
+    pub fn new(config: CurriculumConfig) -> Result<Self, EnvError> {
         config.validate()?;
         let state = CurriculumState {
             level: 0,
@@ -130,17 +107,17 @@ impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<
             advances: 0,
             retreats: 0,
         };
-        Ok(Self { env, config, difficulty, state, running: (0.0, 0) })
-    }
-
-    /// The environment within.
-    pub fn inner(&self) -> &E {
-        &self.env
+        Ok(Self { config, state })
     }
 
     /// How it stands.
     pub fn state(&self) -> &CurriculumState {
         &self.state
+    }
+
+    /// The level, from 0.
+    pub fn level(&self) -> usize {
+        self.state.level
     }
 
     /// Goes on from an earlier state, from the next reset on.
@@ -176,11 +153,12 @@ impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<
         (!recent.is_empty()).then(|| recent.iter().sum::<f64>() / recent.len() as f64)
     }
 
-    fn episode_ended(&mut self) {
+    /// An episode has ended: in success or not, with this sum of rewards, after so many control steps.
+    pub fn episode_ended(&mut self, success: bool, reward: f64, steps: u64) {
         let metric = match self.config.metric {
-            CurriculumMetric::SuccessRate => f64::from(u8::from(self.env.info().success)),
-            CurriculumMetric::Reward => self.running.0,
-            CurriculumMetric::EpisodeLength => self.running.1 as f64,
+            CurriculumMetric::SuccessRate => f64::from(u8::from(success)),
+            CurriculumMetric::Reward => reward,
+            CurriculumMetric::EpisodeLength => steps as f64,
         };
         let state = &mut self.state;
         state.episodes += 1;
@@ -205,11 +183,74 @@ impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<
     }
 }
 
+/// Makes an environment harder as an agent gets better: after every episode the level follows a moving average, and at every
+/// reset a function of one's own sets the environment up for the level. It has all of the environment: its wind and
+/// randomization, and, where it is an [`Aviary`](crate::env::Aviary), its task.
+///
+/// An episode counts when it has ended by itself or by its time; one that is left in its middle does not.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::physics::wind::{WindConfig, WindModel};
+/// use aviary::tasks::Hover;
+/// use aviary::wrappers::{CurriculumConfig, CurriculumWrapper};
+///
+/// // more wind on every level
+/// let blow = |env: &mut aviary::env::Aviary<Hover>, level: usize| {
+///     let wind = WindConfig { velocity: [0.5 * level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+///     env.set_wind(Some(wind))
+/// };
+/// let mut env = CurriculumWrapper::new(Hover::builder().build()?, CurriculumConfig::default(), blow)?;
+/// env.reset(Some(1))?;
+/// assert_eq!(env.state().level, 0);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub struct CurriculumWrapper<E, F> {
+    env: E,
+    curriculum: Curriculum,
+    difficulty: F,
+    /// Sum of the rewards and number of steps of the running episode.
+    running: (f64, u64),
+}
+
+impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
+    /// Around an environment, on level 0; `difficulty` is called at every reset with the environment and the level.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming a setting that is impossible.
+    pub fn new(env: E, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
+        Ok(Self { env, curriculum: Curriculum::new(config)?, difficulty, running: (0.0, 0) })
+    }
+
+    /// The environment within.
+    pub fn inner(&self) -> &E {
+        &self.env
+    }
+
+    /// How it stands.
+    pub fn state(&self) -> &CurriculumState {
+        self.curriculum.state()
+    }
+
+    /// Goes on from an earlier state, from the next reset on.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for a state of another curriculum, and then nothing has changed.
+    pub fn restore(&mut self, state: CurriculumState) -> Result<(), EnvError> {
+        self.curriculum.restore(state)
+    }
+
+    /// Mean of the metric over the last episodes on this level; `None` before the first.
+    pub fn mean(&self) -> Option<f64> {
+        self.curriculum.mean()
+    }
+}
+
 impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Env for CurriculumWrapper<E, F> {
     forward_env!(self => self.env);
 
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
-        (self.difficulty)(&mut self.env, self.state.level)?;
+        (self.difficulty)(&mut self.env, self.curriculum.level())?;
         self.running = (0.0, 0);
         self.env.reset(seed)
     }
@@ -219,7 +260,8 @@ impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Env for Curriculum
         self.running.0 += reward;
         self.running.1 += 1;
         if terminated || truncated {
-            self.episode_ended();
+            let (reward, steps) = self.running;
+            self.curriculum.episode_ended(self.env.info().success, reward, steps);
         }
         Ok(Step { observation: self.env.observation(), reward, terminated, truncated })
     }

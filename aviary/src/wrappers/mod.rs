@@ -5,8 +5,9 @@ mod randomization;
 mod safety;
 mod wind;
 
-pub use curriculum::{CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
+pub use curriculum::{Curriculum, CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
 pub use randomization::RandomizationWrapper;
+pub(crate) use safety::Guard;
 pub use safety::SafetyWrapper;
 pub use wind::WindWrapper;
 

@@ -3,8 +3,9 @@ use nalgebra::Vector3;
 use super::forward_env;
 use crate::action::ActionType;
 use crate::control::CollisionCone;
-use crate::env::{Env, EnvError, Step};
+use crate::env::{BoxSpace, Env, EnvError, Step};
 use crate::observation::Observation;
+use crate::state::DroneState;
 
 /// Keeps drones apart whatever the agent commands: a [`CollisionCone`] on the commanded velocities.
 ///
@@ -31,11 +32,7 @@ use crate::observation::Observation;
 #[derive(Debug)]
 pub struct SafetyWrapper<E> {
     env: E,
-    filter: CollisionCone,
-    response: f64,
-    positions: Vec<Vector3<f64>>,
-    velocities: Vec<Vector3<f64>>,
-    accelerations: Vec<Vector3<f64>>,
+    guard: Guard,
     action: Vec<f64>,
     /// Control steps of this episode in which it had to change something.
     interventions: u64,
@@ -52,27 +49,9 @@ impl<E: Env> SafetyWrapper<E> {
     /// # Errors
     /// [`EnvError::Option`] for other actions, [`EnvError::Safety`] for a filter that cannot be.
     pub fn new(env: E, filter: CollisionCone) -> Result<Self, EnvError> {
-        filter.validate()?;
-        if env.action_type() != ActionType::Vel {
-            return Err(EnvError::Option {
-                option: "the action type under a safety filter",
-                got: env.action_type().to_string(),
-                expected: "vel",
-            });
-        }
-        let count = env.simulation().num_drones();
-        let vectors = || vec![Vector3::zeros(); count];
+        let guard = Guard::new(filter, 10.0, env.action_type(), env.simulation().num_drones())?;
         let action = vec![0.0; env.action_space().size()];
-        Ok(Self {
-            env,
-            filter,
-            response: 10.0,
-            positions: vectors(),
-            velocities: vectors(),
-            accelerations: vectors(),
-            action,
-            interventions: 0,
-        })
+        Ok(Self { env, guard, action, interventions: 0 })
     }
 
     /// How fast the controller beneath takes up a velocity, 1/s: 10 (the default) for the geometric controller, 5 for the
@@ -81,14 +60,7 @@ impl<E: Env> SafetyWrapper<E> {
     /// # Errors
     /// [`EnvError::Option`] for what is not a positive number.
     pub fn response(mut self, response: f64) -> Result<Self, EnvError> {
-        if !(response > 0.0 && response <= 1e6) {
-            return Err(EnvError::Option {
-                option: "the response under a safety filter",
-                got: format!("{response} 1/s"),
-                expected: "a positive number",
-            });
-        }
-        self.response = response;
+        self.guard = self.guard.response(response)?;
         Ok(self)
     }
 
@@ -101,19 +73,65 @@ impl<E: Env> SafetyWrapper<E> {
     pub fn interventions(&self) -> u64 {
         self.interventions
     }
+}
 
-    /// Writes the safe action for this one.
-    fn safe(&mut self, action: &[f64]) -> Result<bool, EnvError> {
-        self.action.copy_from_slice(action);
-        let bounds = self.env.action_space();
-        for ((x, low), high) in self.action.iter_mut().zip(bounds.low()).zip(bounds.high()) {
+/// The filter of one environment's velocities.
+#[derive(Debug, Clone)]
+pub(crate) struct Guard {
+    filter: CollisionCone,
+    response: f64,
+    positions: Vec<Vector3<f64>>,
+    velocities: Vec<Vector3<f64>>,
+    accelerations: Vec<Vector3<f64>>,
+}
+
+impl Guard {
+    /// For actions of this type, which must be velocities, and so many drones.
+    pub(crate) fn new(
+        filter: CollisionCone,
+        response: f64,
+        action_type: ActionType,
+        drones: usize,
+    ) -> Result<Self, EnvError> {
+        filter.validate()?;
+        if action_type != ActionType::Vel {
+            return Err(EnvError::Option {
+                option: "the action type under a safety filter",
+                got: action_type.to_string(),
+                expected: "vel",
+            });
+        }
+        let vectors = || vec![Vector3::zeros(); drones];
+        let (positions, velocities, accelerations) = (vectors(), vectors(), vectors());
+        Self { filter, response: 1.0, positions, velocities, accelerations }.response(response)
+    }
+
+    fn response(self, response: f64) -> Result<Self, EnvError> {
+        if !(response > 0.0 && response <= 1e6) {
+            return Err(EnvError::Option {
+                option: "the response under a safety filter",
+                got: format!("{response} 1/s"),
+                expected: "a positive number",
+            });
+        }
+        Ok(Self { response, ..self })
+    }
+
+    /// Makes an action safe for drones in these states; whether it had to change it.
+    pub(crate) fn make_safe(
+        &mut self,
+        states: &[DroneState],
+        bounds: &BoxSpace,
+        action: &mut [f64],
+    ) -> Result<bool, EnvError> {
+        for ((x, low), high) in action.iter_mut().zip(bounds.low()).zip(bounds.high()) {
             *x = x.clamp(*low, *high);
         }
-        for command in self.action.chunks_exact_mut(4) {
-            command[3] = command[3].clamp(-SafetyWrapper::<E>::MAX_YAW_RATE, SafetyWrapper::<E>::MAX_YAW_RATE);
+        const MOST: f64 = SafetyWrapper::<()>::MAX_YAW_RATE;
+        for command in action.chunks_exact_mut(4) {
+            command[3] = command[3].clamp(-MOST, MOST);
         }
-        let states = self.env.simulation().states();
-        for (drone, (state, command)) in states.iter().zip(self.action.chunks_exact(4)).enumerate() {
+        for (drone, (state, command)) in states.iter().zip(action.chunks_exact(4)).enumerate() {
             let (sin, cos) = state.yaw().sin_cos();
             let (x, y) = (command[0], command[1]);
             let wanted = Vector3::new(cos * x - sin * y, sin * x + cos * y, command[2]);
@@ -124,7 +142,7 @@ impl<E: Env> SafetyWrapper<E> {
         if !self.filter.filter(&self.positions, &self.velocities, &mut self.accelerations)? {
             return Ok(false);
         }
-        for (drone, (state, command)) in states.iter().zip(self.action.chunks_exact_mut(4)).enumerate() {
+        for (drone, (state, command)) in states.iter().zip(action.chunks_exact_mut(4)).enumerate() {
             let (sin, cos) = state.yaw().sin_cos();
             let velocity = state.velocity + self.accelerations[drone] / self.response;
             command[0] = cos * velocity.x + sin * velocity.y;
@@ -148,7 +166,9 @@ impl<E: Env> Env for SafetyWrapper<E> {
         if !sound || self.env.info().end.is_some() {
             return self.env.step(action);
         }
-        if self.safe(action)? {
+        self.action.copy_from_slice(action);
+        let (states, bounds) = (self.env.simulation().states(), self.env.action_space());
+        if self.guard.make_safe(states, bounds, &mut self.action)? {
             self.interventions += 1;
         }
         self.env.step(&self.action)

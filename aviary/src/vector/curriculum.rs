@@ -1,0 +1,176 @@
+use super::{Autoreset, Ended, VecAviary, VecEnv, VecPictures, VecStep};
+use crate::engine::Substeps;
+use crate::env::{Aviary, BoxSpace, Env, EnvError, ObservationSpace, Task};
+use crate::wrappers::{Curriculum, CurriculumConfig};
+
+/// A batch that becomes harder as an agent gets better: one level for all environments, which follows the episodes of all of them;
+/// a function of one's own sets an environment up for the level before its next episode.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::physics::wind::{WindConfig, WindModel};
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecCurriculum, VecEnv};
+/// use aviary::wrappers::CurriculumConfig;
+///
+/// let blow = |env: &mut aviary::env::Aviary<Hover>, level: usize| {
+///     let wind = WindConfig { velocity: [0.5 * level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+///     env.set_wind(Some(wind))
+/// };
+/// let batch = VecAviary::new(Hover::builder(), VecConfig::new(32))?;
+/// let mut env = VecCurriculum::new(batch, CurriculumConfig::default(), blow)?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(1), &mut buffers.observations)?;
+/// assert_eq!(env.curriculum().level(), 0);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub struct VecCurriculum<T, F> {
+    env: VecAviary<T>,
+    curriculum: Curriculum,
+    difficulty: F,
+    /// The level that each environment is set up for.
+    levels: Vec<Option<usize>>,
+}
+
+impl<T, F> std::fmt::Debug for VecCurriculum<T, F> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("VecCurriculum").field("curriculum", &self.curriculum).finish_non_exhaustive()
+    }
+}
+
+impl<T, F> VecCurriculum<T, F>
+where
+    T: Task + Clone + Send,
+    F: FnMut(&mut Aviary<T>, usize) -> Result<(), EnvError> + Send,
+{
+    /// Around a batch, on level 0.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming a setting that is impossible, and for a batch whose episodes begin in the step that
+    /// the ones before end in: there is no moment then to set them up.
+    pub fn new(env: VecAviary<T>, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
+        if env.config().autoreset == Autoreset::SameStep {
+            return Err(EnvError::Option {
+                option: "the autoreset under a curriculum",
+                got: "in the same step".into(),
+                expected: "in the next step, or none",
+            });
+        }
+        let levels = vec![None; env.num_envs()];
+        Ok(Self { env, curriculum: Curriculum::new(config)?, difficulty, levels })
+    }
+
+    /// The level, and what it goes by.
+    pub fn curriculum(&self) -> &Curriculum {
+        &self.curriculum
+    }
+
+    /// The same, to be restored from an earlier state.
+    pub fn curriculum_mut(&mut self) -> &mut Curriculum {
+        &mut self.curriculum
+    }
+
+    /// The batch within.
+    pub fn inner(&mut self) -> &mut VecAviary<T> {
+        &mut self.env
+    }
+
+    /// Sets environments up that are about to begin an episode.
+    fn set_up(&mut self, begins: impl Fn(&VecAviary<T>, usize) -> bool) -> Result<(), EnvError> {
+        let level = self.curriculum.level();
+        for environment in 0..self.levels.len() {
+            if self.levels[environment] == Some(level) || !begins(&self.env, environment) {
+                continue;
+            }
+            let difficulty = &mut self.difficulty;
+            self.env
+                .with(environment, |env| difficulty(env, level))?
+                .map_err(|error| EnvError::InBatch { environment, error: Box::new(error) })?;
+            self.levels[environment] = Some(level);
+        }
+        Ok(())
+    }
+}
+
+impl<T, F> VecEnv for VecCurriculum<T, F>
+where
+    T: Task + Clone + Send,
+    F: FnMut(&mut Aviary<T>, usize) -> Result<(), EnvError> + Send,
+{
+    fn name(&self) -> &'static str {
+        self.env.name()
+    }
+
+    fn num_envs(&self) -> usize {
+        self.env.num_envs()
+    }
+
+    fn num_threads(&self) -> usize {
+        self.env.num_threads()
+    }
+
+    fn observation_space(&self) -> &ObservationSpace {
+        self.env.observation_space()
+    }
+
+    fn action_space(&self) -> &BoxSpace {
+        self.env.action_space()
+    }
+
+    fn observation_size(&self) -> usize {
+        self.env.observation_size()
+    }
+
+    fn episode_steps(&self) -> u64 {
+        self.env.episode_steps()
+    }
+
+    fn control_period(&self) -> f64 {
+        self.env.control_period()
+    }
+
+    fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
+        // what is wrong with the mask the batch itself says best
+        self.set_up(|_, environment| mask.get(environment) == Some(&true))?;
+        self.env.reset_where(mask, seed, observations)
+    }
+
+    fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
+        self.set_up(|env, environment| env.ended(environment).is_some())?;
+        let done = self.env.step(actions, out);
+        for environment in 0..self.levels.len() {
+            if let Some(Ended { success, reward, steps, .. }) = self.env.ended(environment) {
+                self.curriculum.episode_ended(*success, *reward, *steps);
+            }
+        }
+        done
+    }
+
+    fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError> {
+        self.env.pictures(out)
+    }
+
+    fn final_observations(&self) -> &[f32] {
+        self.env.final_observations()
+    }
+
+    fn ended(&self, environment: usize) -> Option<&Ended> {
+        self.env.ended(environment)
+    }
+
+    fn faults(&self) -> &[(usize, EnvError)] {
+        self.env.faults()
+    }
+
+    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError> {
+        self.env.with_env(environment, look)
+    }
+
+    fn bytes_per_env(&self) -> usize {
+        self.env.bytes_per_env()
+    }
+
+    fn engine_substeps(&self) -> Substeps {
+        self.env.engine_substeps()
+    }
+}
