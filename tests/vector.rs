@@ -1,7 +1,7 @@
 //! A batch flies every environment to the bits that it would fly alone, whatever the number of threads.
 
 use mujoco_drones_gym::engine::EngineKind;
-use mujoco_drones_gym::env::{AviaryBuilder, EndReason, Randomization};
+use mujoco_drones_gym::env::{AviaryBuilder, BoxSpace, EndReason, Randomization, TaskDefaults};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
@@ -462,9 +462,8 @@ fn pictures_of_a_batch_are_those_of_its_environments_alone() {
 fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
     use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
     use mujoco_drones_gym::wrappers::SafetyWrapper;
-    let builder = || {
-        Antipodal::builder().num_drones(4).action_type(ActionType::Vel).controller(ControllerKind::Geometric)
-    };
+    let builder =
+        || Antipodal::builder().num_drones(4).action_type(ActionType::Vel).controller(ControllerKind::Geometric);
     let filter = || CollisionCone::new(0.36);
     let batch = VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(10) }).unwrap();
     let mut batch = batch.safety(filter(), 10.0).unwrap();
@@ -529,4 +528,185 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
     }
     let same = VecAviary::new(builder(), VecConfig { autoreset: Autoreset::SameStep, ..VecConfig::new(2) }).unwrap();
     assert!(VecCurriculum::new(same, config, raise).is_err());
+}
+
+/// Hover with something else in its `update`, and the thrust of the last physics step as reward.
+#[derive(Debug, Clone)]
+struct Odd {
+    hover: Hover,
+    update: fn(&Simulation),
+}
+
+impl Task for Odd {
+    fn name(&self) -> &'static str {
+        "odd"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        self.hover.defaults()
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        self.hover.initial_positions(drones)
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        self.hover.observation_space()
+    }
+
+    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
+        self.hover.reset(simulation, rng);
+    }
+
+    fn update(&mut self, simulation: &Simulation) {
+        (self.update)(simulation);
+        self.hover.update(simulation);
+    }
+
+    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.hover.end(simulation, drone)
+    }
+
+    fn reward(&self, simulation: &Simulation, drone: usize, _: Option<EndReason>) -> f64 {
+        let load = &simulation.loads()[drone];
+        load.rotors.thrust + load.external.force_world.z + simulation.motor_speeds()[drone][1]
+    }
+
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        self.hover.observe(simulation, drone, out);
+    }
+
+    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+        self.hover.success(simulation, drone)
+    }
+
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        self.hover.reference(simulation, drone)
+    }
+}
+
+fn odd(update: fn(&Simulation)) -> AviaryBuilder<Odd> {
+    AviaryBuilder::new(Odd { hover: Hover::default(), update })
+}
+
+#[test]
+fn a_task_may_use_threads_of_its_own_and_sees_loads_and_commands() {
+    fn busy(simulation: &Simulation) {
+        let (time, states) = (simulation.time(), simulation.states());
+        let (a, b) = rayon::join(|| time + 0.0, || states[0].position.z);
+        assert!(a + b > 0.0);
+    }
+    let config = VecConfig { threads: 2, ..VecConfig::new(600) };
+    let builder = odd(busy).physics(Physics::MjcGndDragDw).initial_positions([[0.0, 0.0, 0.4]]);
+    let mut batch = VecAviary::new(builder, config).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    for _ in 0..20 {
+        batch.step(&[0.01; 2400], buffers.step()).unwrap();
+    }
+    let builder = odd(busy).physics(Physics::MjcGndDragDw).initial_positions([[0.0, 0.0, 0.4]]);
+    assert!(compare(&builder, VecConfig { threads: 2, ..VecConfig::new(17) }, 60) > 0);
+}
+
+#[test]
+fn a_task_that_panicked_is_an_error_ever_after() {
+    fn panics(simulation: &Simulation) {
+        assert!(simulation.control_steps() < 3, "on purpose");
+    }
+    let mut batch = VecAviary::new(odd(panics), VecConfig { threads: 2, ..VecConfig::new(40) }).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        for _ in 0..5 {
+            batch.step(&[0.0; 160], buffers.step()).unwrap();
+        }
+    }));
+    assert!(caught.is_err());
+    assert_eq!(batch.reset(Some(1), &mut buffers.observations), Err(EnvError::Panicked));
+    assert_eq!(batch.step(&[0.0; 160], buffers.step()), Err(EnvError::Panicked));
+}
+
+#[test]
+fn a_state_that_leaves_the_numbers_is_the_fault_that_it_is_alone() {
+    use mujoco_drones_gym::world::Medium;
+    // falling in a liquid so dense that a step overshoots
+    let builder = |speed: f64| {
+        Hover::builder()
+            .medium(Medium { density: 1000.0, viscosity: 1.8e-5 })
+            .initial_positions([[0.0, 0.0, 5.0]])
+            .initial_velocities([[0.0, 0.0, -speed]])
+            .task(|hover| hover.max_height = 1e9)
+    };
+    let mut failed = 0;
+    for speed in [1.0, 4.0, 6.0, 8.0, 10.0, 12.0, 20.0] {
+        let mut alone = builder(speed).engine(EngineKind::Hybrid).build().unwrap();
+        let config = VecConfig { on_fault: OnFault::Truncate, ..VecConfig::new(3) };
+        let mut batch = VecAviary::new(builder(speed), config).unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        alone.reset(Some(1)).unwrap();
+        for _ in 0..20 {
+            let outcome = alone.step(&[0.0; 4]).map(|step| step.terminated).map_err(|error| error.to_string());
+            batch.step(&[0.0; 12], buffers.step()).unwrap();
+            assert!(buffers.observations.iter().all(|x| x.is_finite()), "{speed}");
+            match outcome {
+                Ok(over) => {
+                    assert_eq!(buffers.terminated, [over; 3]);
+                    assert!(batch.faults().is_empty(), "{speed}");
+                    if over {
+                        break;
+                    }
+                }
+                Err(error) => {
+                    assert_eq!(batch.faults()[2].1.to_string(), error);
+                    assert_eq!(buffers.truncated, [true; 3]);
+                    failed += 1;
+                    break;
+                }
+            }
+        }
+    }
+    assert!(failed > 1, "{failed}");
+}
+
+#[test]
+fn looking_at_an_environment_shows_its_own_commands_and_end_and_changes_nothing() {
+    let make = || VecAviary::new(Hover::builder(), VecConfig { threads: 1, ..VecConfig::new(10) }).unwrap();
+    let (mut looked, mut other) = (make(), make());
+    let mut buffers = [VecBuffers::new(&looked), VecBuffers::new(&other)];
+    looked.reset(Some(1), &mut buffers[0].observations).unwrap();
+    other.reset(Some(1), &mut buffers[1].observations).unwrap();
+    let actions: Vec<f32> = (0..40).map(|i| if i / 4 == 7 { -1.0 } else { 0.002 * (i / 4) as f32 }).collect();
+    for step in 0..30 {
+        looked.step(&actions, buffers[0].step()).unwrap();
+        other.step(&actions, buffers[1].step()).unwrap();
+        assert_eq!(buffers[0], buffers[1], "{step}");
+        let crashed = buffers[0].terminated[7];
+        for i in [2, 5, 7] {
+            let (speeds, rpm, end) = looked
+                .with(i, |env| {
+                    let simulation = env.simulation();
+                    (simulation.motor_speeds()[0], *simulation.rotor_speeds(0), env.drone_end(0))
+                })
+                .unwrap();
+            let ended = end.is_some();
+            assert!(ended == (crashed && i == 7), "{i}: {end:?}");
+            if i != 7 {
+                let wanted = 14_475.8 + f64::from(0.002 * i as f32) * (21_713.7 - 14_475.8);
+                assert!((speeds[0] - wanted).abs() < 2.0 && rpm == speeds, "{i}: {speeds:?} {rpm:?}");
+            }
+        }
+    }
+    // an end that is known already is not another one
+    let config = VecConfig { autoreset: Autoreset::Disabled, on_fault: OnFault::Truncate, ..VecConfig::new(1) };
+    let mut batch = VecAviary::new(Hover::builder(), config).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(None, &mut buffers.observations).unwrap();
+    let mut ends = Vec::new();
+    for _ in 0..20 {
+        batch.step(&[-1.0; 4], buffers.step()).unwrap();
+        ends.extend(batch.ended(0).map(|ended| ended.reason));
+    }
+    assert_eq!(ends, [EndReason::FloorContact]);
+    assert!(batch.faults()[0].1.to_string().contains("after the end"));
 }

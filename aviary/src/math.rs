@@ -394,7 +394,7 @@ fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
     sum
 }
 
-/// The angle of the point (x, y), in (−π, π], as [`f64::atan2`] has it but for infinite arguments.
+/// The angle of the point (x, y), in (−π, π], as [`f64::atan2`] has it for finite arguments that are not subnormal.
 #[inline(always)]
 pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
     let (across, along) = (y.abs(), x.abs());

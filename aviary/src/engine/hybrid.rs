@@ -172,7 +172,7 @@ impl HybridEngine {
         }
         if !self.in_mujoco {
             // in the open there is nothing for the solver to be warm from
-            self.mujoco.resume(states, None);
+            self.mujoco.resume(states, None)?;
             self.in_mujoco = true;
         }
         self.mujoco.advance(loads, states)?;
@@ -192,12 +192,10 @@ impl HybridEngine {
         }
     }
 
-    pub(super) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) {
+    pub(super) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) -> Result<(), Error> {
         self.lookouts.fill(Lookout::default());
         self.in_mujoco = left.is_some();
-        if left.is_some() {
-            self.mujoco.resume(states, left);
-        }
+        if left.is_some() { self.mujoco.resume(states, left) } else { Ok(()) }
     }
 
     pub(super) fn leave(&self, warm_start: &mut [f64]) -> bool {

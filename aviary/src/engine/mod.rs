@@ -215,11 +215,14 @@ impl Engine {
     }
 
     /// Takes over an environment that another engine of the same world, or this one, has [left](Self::leave).
-    pub(crate) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) {
+    ///
+    /// # Errors
+    /// Where MuJoCo cannot recover from an earlier error.
+    pub(crate) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.resume(states, left),
             Self::Hybrid(engine) => engine.resume(states, left),
-            Self::Explicit(_) => {}
+            Self::Explicit(_) => Ok(()),
         }
     }
 

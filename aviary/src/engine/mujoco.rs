@@ -193,12 +193,17 @@ impl MujocoEngine {
     }
 
     /// Goes on from these states, with a warm start of the solver or none.
-    pub(super) fn resume(&mut self, states: &[DroneState], warm_start: Option<&[f64]>) {
+    pub(super) fn resume(&mut self, states: &[DroneState], warm_start: Option<&[f64]>) -> Result<(), Error> {
+        // what went wrong with another environment does not concern this one
+        if self.data.is_broken() {
+            self.data.rewind()?;
+        }
         match warm_start {
             Some(warm_start) => self.data.qacc_warmstart_mut().copy_from_slice(warm_start),
             None => self.data.qacc_warmstart_mut().fill(0.0),
         }
         self.write(states);
+        Ok(())
     }
 
     /// Keeps the solver's warm start; there always is one.

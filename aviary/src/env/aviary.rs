@@ -170,6 +170,17 @@ impl<T: Task> Aviary<T> {
         Ok(())
     }
 
+    /// How the last step ended for every drone.
+    pub(crate) fn ends(&self) -> &[Option<EndReason>] {
+        &self.ends
+    }
+
+    /// Says how the episode has ended for every drone; empty while it runs.
+    pub(crate) fn set_ends(&mut self, ends: &[Option<EndReason>]) {
+        self.ends.fill(None);
+        self.ends.iter_mut().zip(ends).for_each(|(end, &of_drone)| *end = of_drone);
+    }
+
     /// Bounds of actions.
     pub(crate) fn space_of_actions(&self) -> &BoxSpace {
         &self.action_space
@@ -224,8 +235,28 @@ impl<T: Task> Aviary<T> {
         self.follow_obstacles()
     }
 
+    /// Lets the task change what the episode starts from. A start in the floor, in an obstacle or in another drone is drawn anew,
+    /// up to twenty times.
+    fn start_as_the_task_says(&mut self) -> Result<(), EnvError> {
+        let moving = self.moves_obstacles();
+        let Self { simulation, episode: Episode { task, rng, .. }, starts, .. } = self;
+        for _ in 0..20 {
+            starts.copy_from_slice(simulation.states());
+            if !task.start(simulation, rng, starts) {
+                return Ok(());
+            }
+            // those that move make room for the drones
+            if simulation.has_room(starts, !moving) {
+                break;
+            }
+        }
+        Ok(simulation.reset_to(starts)?)
+    }
+
     /// Starts an episode, without looking at it.
     pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
+        // until all of it has gone well
+        self.episode.phase = Phase::New;
         if let Some(seed) = seed {
             self.episode.rng = Rng::seed_from_u64(seed);
             self.episode.rng.set_stream(self.episode.stream);
@@ -245,15 +276,12 @@ impl<T: Task> Aviary<T> {
             let next = next.map(|config| Randomizer::new(*config, &self.simulation)).transpose()?;
             self.episode.randomizer = next.map(Box::new);
         }
+        let moving = self.moves_obstacles();
         match &mut self.episode.randomizer {
-            Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.episode.rng)?,
+            Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.episode.rng, moving)?,
             None => self.simulation.reset()?,
         }
-        self.starts.copy_from_slice(self.simulation.states());
-        let Episode { task, rng, .. } = &mut self.episode;
-        if task.start(&self.simulation, rng, &mut self.starts) {
-            self.simulation.reset_to(&self.starts)?;
-        }
+        self.start_as_the_task_says()?;
         if self.moves_obstacles() {
             self.move_obstacles()?;
         }

@@ -213,6 +213,9 @@ pub enum EnvError {
         /// What the batch needs.
         expected: usize,
     },
+    /// A task of a batch panicked earlier.
+    #[error("a task has panicked in an earlier step of this batch, expected a new batch")]
+    Panicked,
     /// Something that concerns one environment of a batch.
     #[error("environment {environment}: {error}")]
     InBatch {

@@ -287,7 +287,7 @@ pub struct DroneDraw {
     pub actuators: ActuatorParams,
     /// Bias of what is seen: position (m), velocity (m/s), roll-pitch-yaw (rad), body rates (rad/s).
     pub bias: [Vector3<f64>; 4],
-    /// The state that the episode started from.
+    /// The state that the episode started from, but for what the task made of it.
     pub initial: DroneState,
 }
 
@@ -359,7 +359,7 @@ impl Randomizer {
     }
 
     /// Draws an episode. Every group has the same number of draws whatever the others are.
-    fn draw(&mut self, simulation: &Simulation, rng: &mut Rng) {
+    fn draw(&mut self, simulation: &Simulation, rng: &mut Rng, obstacles_move: bool) {
         let mut streams = [(); 6].map(|()| stream(rng));
         let [body, aerodynamics, actuators, sensors, environment, initial] = &mut streams;
         let config = &self.config;
@@ -412,8 +412,9 @@ impl Randomizer {
         if let Some(ranges) = &config.initial {
             for drone in 0..self.draw.drones.len() {
                 let start = simulation.initial_states()[drone];
-                let obstacles = &simulation.world().obstacles;
-                let state = self.start(ranges, drone, &start, obstacles, initial);
+                // those that will be elsewhere make room for the drones
+                let there: &[Obstacle] = if obstacles_move { &[] } else { &simulation.world().obstacles };
+                let state = self.start(ranges, drone, &start, there, initial);
                 self.draw.drones[drone].initial = state;
             }
         }
@@ -457,8 +458,13 @@ impl Randomizer {
     }
 
     /// Draws an episode and puts the simulation into it: afterwards it is reset.
-    pub(super) fn begin(&mut self, simulation: &mut Simulation, rng: &mut Rng) -> Result<(), SimulationError> {
-        self.draw(simulation, rng);
+    pub(super) fn begin(
+        &mut self,
+        simulation: &mut Simulation,
+        rng: &mut Rng,
+        obstacles_move: bool,
+    ) -> Result<(), SimulationError> {
+        self.draw(simulation, rng, obstacles_move);
         let most = |ranges: Option<Range>| ranges.map_or(0.0, |[_, most]| most);
         simulation.reserve(
             most(self.config.actuators.map(|ranges| ranges.latency)),

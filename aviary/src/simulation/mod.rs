@@ -11,9 +11,10 @@ pub use error::SimulationError;
 use nalgebra::Vector3;
 
 use crate::drone::DroneParams;
-use crate::engine::{Contact, Engine, Load, Substeps};
+use crate::engine::{Contact, Engine, Load, Substeps, clearance};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::downwash;
+use crate::physics::rotor::RotorWrench;
 use crate::physics::wind::{WindConfig, WindField, WindModel};
 use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
@@ -113,7 +114,12 @@ impl Simulation {
     fn prepare(&mut self) -> Result<(), SimulationError> {
         self.equipment.refresh(&self.world, self.effects);
         let steps = self.substeps();
-        self.engine.begin(&self.equipment.bodies, &self.states, steps).map_err(|error| self.failure(0, error))
+        let begun = self.engine.begin(&self.equipment.bodies, &self.states, steps);
+        begun.map_err(|error| {
+            let error = self.failure(0, error);
+            self.failed = Some(error.clone());
+            error
+        })
     }
 
     /// One physics step under the loads.
@@ -216,10 +222,17 @@ impl Simulation {
         if states.len() != expected {
             return Err(SimulationError::Length { what: "the list of states", got: states.len(), expected });
         }
-        if let Some(drone) = states.iter().position(|state| !state.is_finite()) {
+        let sound = |state: &DroneState| state.is_finite() && state.attitude.norm_squared() > 1e-6;
+        if let Some(drone) = states.iter().position(|state| !sound(state)) {
             return Err(SimulationError::State { drone });
         }
         self.states.copy_from_slice(states);
+        for state in &mut self.states {
+            // of single precision, say; what is a rotation already keeps its bits
+            if (state.attitude.norm_squared() - 1.0).abs() > 1e-12 {
+                state.attitude.renormalize();
+            }
+        }
         self.restart()
     }
 
@@ -449,6 +462,32 @@ impl Simulation {
         self.equipment.actuators[drone].set_rpm(rpm);
     }
 
+    /// Says what acted on a drone during the last physics step.
+    #[inline]
+    pub(crate) fn set_load(&mut self, drone: usize, rotors: RotorWrench, force_world: Vector3<f64>) {
+        self.loads[drone] = Load { rotors, external: Wrench { force_world, ..Wrench::ZERO } };
+    }
+
+    /// Whether drones in these states are neither in the floor nor in each other nor, where that is asked, in an obstacle.
+    pub(crate) fn has_room(&self, states: &[DroneState], obstacles: bool) -> bool {
+        let size = |drone: usize| {
+            let params = &self.world.drones[drone].params;
+            (params.collision_radius, params.collision_height)
+        };
+        let reach = |drone: usize| {
+            let (radius, height) = size(drone);
+            radius.hypot(0.5 * height)
+        };
+        states.iter().enumerate().all(|(drone, state)| {
+            let (radius, height) = size(drone);
+            let apart = |other: usize| (state.position - states[other].position).norm() > reach(drone) + reach(other);
+            let off = |obstacle: &Obstacle| obstacle.distance(&state.position) > reach(drone);
+            clearance(radius, height, state) >= 0.0
+                && (0..drone).all(apart)
+                && (!obstacles || self.world.obstacles.iter().all(off))
+        })
+    }
+
     /// Goes on with the environment that was [placed](Self::place) here, from where the engine [left](Self::leave) it.
     pub(crate) fn resume(&mut self, left: Option<&[f64]>) -> Result<(), SimulationError> {
         if !self.equipment.obstacles.is_empty() {
@@ -458,8 +497,8 @@ impl Simulation {
             self.equipment.obstacles = obstacles;
             done.map_err(|error| SimulationError::Engine { time: self.time(), error })?;
         }
-        self.engine.resume(&self.states, left);
-        Ok(())
+        let resumed = self.engine.resume(&self.states, left);
+        resumed.map_err(|error| SimulationError::Engine { time: self.time(), error })
     }
 
     /// What must be kept of it until then, besides what was placed; whether there is anything.
@@ -598,7 +637,8 @@ impl Simulation {
     }
 
     /// MuJoCo's data, with `qpos` and `qvel` as the drones are now. What `mj_step` derives from them (`xpos`, contacts) is
-    /// that of its last stage; in the `dyn` mode the drones are written there first and everything is computed forward.
+    /// that of its last stage; where it was not MuJoCo that moved the drones (the `dyn` mode, the hybrid engine in flight), they are
+    /// written there first and everything is computed forward.
     ///
     /// # Errors
     /// MuJoCo's own.

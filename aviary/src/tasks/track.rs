@@ -16,7 +16,7 @@ use crate::state::DroneState;
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | on the circle, anywhere, level, at rest |
+/// | Start | on the circle, anywhere, level, at rest (initial positions of one's own are moved likewise) |
 /// | Reference | circle of 0.5 m about (0, 0, 1) m at 0.5 m/s, either way round; it gathers speed for 1 s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖p − p\*‖ − 0.1·‖v − v\*‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |

@@ -173,6 +173,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
                 begun: false,
                 reward: 0.0,
                 ended: None,
+                ends: Default::default(),
                 in_mujoco: false,
                 plain: flies && simulation.equipment().is_plain(),
             }
@@ -243,7 +244,8 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     }
 
     /// Puts an environment where it can be looked at and changed as if it were alone: its task, its wind, its randomization. It
-    /// should not be stepped or reset there. Its observation is not that of the last step: those are in the caller's buffers.
+    /// should not be stepped or reset there. Its observation and its contacts are not those of the last step: observations are in the
+    /// caller's buffers, contacts were seen by the task.
     ///
     /// # Errors
     /// [`EnvError::InBatch`] where it cannot be put there.
@@ -252,13 +254,21 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     /// If there is no environment of that index.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { common, seats, crew, .. } = self;
-        let stage = &mut crew.places[0].get_mut().unwrap_or_else(PoisonError::into_inner).stage;
+        // a lock, which knows when `look` panics
+        let Ok(mut place) = crew.places[0].lock() else { return Err(EnvError::Panicked) };
+        let stage = &mut place.stage;
         if seats.frames.is_empty() {
             seats.frames = common.frames.repeat(seats.slots.len().div_ceil(LANES));
         }
         let slot = &mut seats.slots[environment];
         if slot.equipment.is_none() {
-            slot.equipment = Some(Box::new(stage.env.simulation.equipment().clone()));
+            let mut equipment = Box::new(stage.env.simulation.equipment().clone());
+            // the thread's own are those of whatever environment was there last
+            for drone in 0..common.drones {
+                let lanes = &seats.lanes[environment / LANES * common.drones + drone];
+                equipment.command(drone, &lanes.target(environment % LANES));
+            }
+            slot.equipment = Some(equipment);
         }
         let mut piece = seats.piece();
         let mut seat = piece.seat(common, environment);
@@ -269,10 +279,17 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         };
         stage.env.simulation.refresh();
         stage.leave(&mut seat);
+        piece
+            .lookouts
+            .iter_mut()
+            .skip(common.drones * environment)
+            .take(common.drones)
+            .for_each(|lookout| *lookout = Lookout::default());
+        let slot = &piece.slots[environment];
         // motors that are slow now need the longer form of the kernel
         if let Some(flow) = &mut common.flow {
-            flow.air |= seat.slot.equipment.as_ref().is_some_and(|equipment| equipment.has_lag());
-            flow.air |= seat.slot.episode.is_randomized();
+            flow.air |= slot.equipment.as_ref().is_some_and(|equipment| equipment.has_lag());
+            flow.air |= slot.episode.is_randomized();
         }
         result
     }
@@ -288,30 +305,51 @@ struct Crew<T> {
 
 impl<T: Task + Send> Crew<T> {
     /// Does something with every piece of the batch, on all threads.
-    fn run(&self, common: &Common, piece: Piece<'_, T>, work: &(impl Fn(&mut Worker<'_, T>, Piece<'_, T>) + Sync)) {
-        let blocks = piece.slots.len().div_ceil(LANES);
-        // a thread's share in pieces, for those that take longer
-        let grain = blocks.div_ceil(8 * self.places.len()).max(1);
-        let alone = |thread: usize, piece: Piece<'_, T>| {
-            let mut place = self.places[thread].lock().unwrap_or_else(PoisonError::into_inner);
+    fn run(
+        &self,
+        common: &Common,
+        piece: Piece<'_, T>,
+        work: &(impl Fn(&mut Worker<'_, T>, Piece<'_, T>) + Sync),
+    ) -> Result<(), EnvError> {
+        if self.places.iter().any(Mutex::is_poisoned) {
+            return Err(EnvError::Panicked);
+        }
+        // small pieces: some take longer
+        let grain = piece.slots.len().div_ceil(LANES).div_ceil(8 * self.places.len()).max(1);
+        let rest = Mutex::new(Some(piece));
+        let next = || {
+            let mut rest = rest.lock().unwrap_or_else(PoisonError::into_inner);
+            let (front, back) = rest.take()?.split(common, grain);
+            *rest = (!back.slots.is_empty()).then_some(back);
+            Some(front)
+        };
+        // every place is taken once, by whatever thread, and keeps at it until nothing is left: a task that uses the threads
+        // itself may find its thread at another place, never at its own
+        let take = |index: usize| {
+            let mut place = self.places[index].lock().unwrap_or_else(PoisonError::into_inner);
             let Place { stage, desk, flown } = &mut *place;
-            work(&mut Worker { common, stage, desk, flown, faults: &self.faults }, piece);
+            while let Some(piece) = next() {
+                work(&mut Worker { common, stage, desk, flown, faults: &self.faults }, piece);
+            }
         };
         match &self.pool {
-            None => alone(0, piece),
-            Some(pool) => pool.install(|| share(common, piece, grain, &alone)),
+            None => take(0),
+            Some(pool) => pool.install(|| each(0..self.places.len(), &take)),
         }
+        Ok(())
     }
 }
 
-/// Splits a piece among threads.
-fn share<T: Send>(common: &Common, piece: Piece<'_, T>, grain: usize, work: &(impl Fn(usize, Piece<'_, T>) + Sync)) {
-    let blocks = piece.slots.len().div_ceil(LANES);
-    if blocks <= grain {
-        return work(rayon::current_thread_index().unwrap_or(0), piece);
+/// Something with every index, on as many threads as there are.
+fn each(range: std::ops::Range<usize>, act: &(impl Fn(usize) + Sync)) {
+    match range.len() {
+        0 => {}
+        1 => act(range.start),
+        count => {
+            let middle = range.start + count / 2;
+            rayon::join(|| each(range.start..middle, act), || each(middle..range.end, act));
+        }
     }
-    let (front, back) = piece.split(common, blocks / 2);
-    rayon::join(|| share(common, front, grain, work), || share(common, back, grain, work));
 }
 
 fn check(what: &'static str, got: usize, expected: usize) -> Result<(), EnvError> {
@@ -406,7 +444,7 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         check("the mask", mask.len(), self.num_envs())?;
         check("the buffer of observations", observations.len(), self.num_envs() * self.common.observation_size)?;
         let piece = Piece { mask, observations, ..self.seats.piece() };
-        self.crew.run(&self.common, piece, &|worker, piece| worker.reset(piece, seed));
+        self.crew.run(&self.common, piece, &|worker, piece| worker.reset(piece, seed))?;
         self.take_faults(true)
     }
 
@@ -423,7 +461,7 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         }
         let VecStep { observations, rewards, terminated, truncated } = out;
         let piece = Piece { actions, observations, rewards, terminated, truncated, ..self.seats.piece() };
-        self.crew.run(&self.common, piece, &|worker, piece| worker.step(piece));
+        self.crew.run(&self.common, piece, &|worker, piece| worker.step(piece))?;
         self.take_faults(fatal)
     }
 
@@ -433,7 +471,7 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         check("the buffer of depths", out.depth.len(), count * depth)?;
         check("the buffer of objects", out.segmentation.len(), count * objects)?;
         let piece = Piece { rgb: out.rgb, depth: out.depth, objects: out.segmentation, ..self.seats.piece() };
-        self.crew.run(&self.common, piece, &|worker, piece| worker.draw(piece));
+        self.crew.run(&self.common, piece, &|worker, piece| worker.draw(piece))?;
         self.take_faults(true)
     }
 

@@ -241,8 +241,9 @@ impl<T: Task> Worker<'_, T> {
                     continue;
                 }
             }
-            plain[lane] = slot.plain;
-            any |= slot.plain;
+            // what is no number shall be an error where such things are
+            plain[lane] = slot.plain && env.commands.iter().flatten().all(|rpm| rpm.is_finite());
+            any |= plain[lane];
             for (drone, lanes) in lanes.iter_mut().enumerate() {
                 let command = &env.commands[drone];
                 self.desk.commands[lane * drones + drone] = *command;
@@ -374,14 +375,17 @@ impl<T: Task> Worker<'_, T> {
                 worker.stage.env.commands.copy_from_slice(commands);
                 match worker.stage.env.fly() {
                     Ok(()) => worker.finish(piece, index, whole),
-                    Err(error) => worker.fail(piece, index, error),
+                    Err(error) => worker.fail(piece, index, error, true),
                 }
             }),
             Turn::Begin => {
                 (piece.rewards[index], piece.terminated[index], piece.truncated[index]) = (0.0, false, false);
                 self.begin(piece, index, None);
             }
-            Turn::Fail(error) => self.whole(piece, index, |worker, piece, index, _| worker.fail(piece, index, error)),
+            Turn::Fail(error) => {
+                let running = piece.slots[index].episode.phase == Phase::Running;
+                self.whole(piece, index, |worker, piece, index, _| worker.fail(piece, index, error, running));
+            }
         }
     }
 
@@ -395,7 +399,10 @@ impl<T: Task> Worker<'_, T> {
         let entered = self.stage.enter(&mut piece.seat(self.common, index));
         match entered {
             Ok(()) => act(self, piece, index, true),
-            Err(error) => self.fail(piece, index, error),
+            Err(error) => {
+                let running = self.stage.env.episode.phase == Phase::Running;
+                self.fail(piece, index, error, running);
+            }
         }
         self.stage.leave(&mut piece.seat(self.common, index));
     }
@@ -426,6 +433,8 @@ impl<T: Task> Worker<'_, T> {
         slot.ended = Some(Ended { reason, success, steps, reward: slot.reward });
         let episode = if whole { &mut self.stage.env.episode } else { &mut slot.episode };
         (episode.phase, episode.end) = (Phase::Over, Some(reason));
+        slot.ends.clear();
+        slot.ends.extend_from_slice(self.stage.env.ends());
         self.observe(piece, index, whole);
         if self.common.autoreset == Autoreset::SameStep {
             let row = Self::row(self.common, index);
@@ -454,6 +463,7 @@ impl<T: Task> Worker<'_, T> {
     /// Starts an episode of the environment on the stage.
     fn start(&mut self, piece: &mut Piece<'_, T>, index: usize, seed: Option<u64>) {
         (piece.slots[index].reward, piece.slots[index].begun) = (0.0, true);
+        piece.slots[index].ends.clear();
         for lookout in piece.lookouts.iter_mut().skip(self.common.drones * index).take(self.common.drones) {
             *lookout = Lookout::default();
         }
@@ -466,17 +476,16 @@ impl<T: Task> Worker<'_, T> {
         }
     }
 
-    /// An environment, on the stage, that has failed: its episode is over.
-    fn fail(&mut self, piece: &mut Piece<'_, T>, index: usize, error: EnvError) {
+    /// An environment, on the stage, that has failed: its episode is over, if it was in one.
+    fn fail(&mut self, piece: &mut Piece<'_, T>, index: usize, error: EnvError, running: bool) {
         note(self.faults, piece.first + index, error);
         if piece.rewards.is_empty() {
             return;
         }
         (piece.rewards[index], piece.terminated[index], piece.truncated[index]) = (0.0, false, true);
-        if self.stage.env.episode.phase == Phase::New {
-            return;
+        if running {
+            self.end(piece, index, true, EndReason::Fault, false);
         }
-        self.end(piece, index, true, EndReason::Fault, false);
     }
 
     /// Starts episodes where the mask says so.

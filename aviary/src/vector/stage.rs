@@ -1,3 +1,5 @@
+use smallvec::SmallVec;
+
 use crate::action::ActionDecoder;
 use crate::engine::flight::{Airframes, Lanes};
 use crate::env::{Aviary, EndReason, EnvError, Episode, Phase, Task, Verdict};
@@ -30,6 +32,8 @@ pub(super) struct Slot<T> {
     /// Sum of the episode's rewards so far.
     pub reward: f64,
     pub ended: Option<Ended>,
+    /// How the episode ended for every drone; empty while it runs.
+    pub ends: SmallVec<[Option<EndReason>; 8]>,
     /// Whether MuJoCo made its last physics step, so that there is a warm start of its solver to be kept.
     pub in_mujoco: bool,
     /// Whether it can be flown as a lane, when it is in the open.
@@ -81,6 +85,8 @@ impl<T: Task> Stage<T> {
             simulation.place(drone, lanes.state(seat.lane), lanes.rpy(seat.lane));
             let speeds = lanes.target(seat.lane);
             simulation.set_speeds(drone, &speeds, &speeds);
+            let (rotors, force) = lanes.push(seat.lane);
+            simulation.set_load(drone, rotors, force);
         }
     }
 
@@ -109,7 +115,11 @@ impl<T: Task> Stage<T> {
             };
             let rpm = if seat.slot.plain { lanes.rpm(seat.lane) } else { *simulation.equipment().rpm(drone) };
             simulation.set_speeds(drone, &commanded, &rpm);
+            let (rotors, force) = lanes.push(seat.lane);
+            simulation.set_load(drone, rotors, force);
         }
+        self.env.set_ends(&seat.slot.ends);
+        let simulation = &mut self.env.simulation;
         simulation.resume(seat.slot.in_mujoco.then_some(&*seat.warm_start))?;
         if simulation.equipment().has_obstacles() {
             self.env.follow_obstacles()?;
@@ -128,6 +138,8 @@ impl<T: Task> Stage<T> {
             let equipment = simulation.equipment();
             let (state, target) = (&simulation.states()[drone], equipment.target(drone));
             lanes.set(seat.lane, state, equipment.rpm(drone), &target);
+            let load = &simulation.loads()[drone];
+            lanes.set_push(seat.lane, &load.rotors, &load.external.force_world);
         }
         for (drone, frames) in seat.frames.iter_mut().enumerate() {
             frames.set(seat.lane, &simulation.equipment().airframe(drone, simulation.effects()));

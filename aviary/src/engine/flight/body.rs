@@ -245,9 +245,10 @@ impl Fluid {
         }
     }
 
-    /// Most that it takes off a velocity, 1/s and 1/m.
-    pub(super) fn most(&self) -> [f64; 2] {
-        [self.viscous, self.quadratic.into_iter().fold(0.0, f64::max)]
+    /// Most that it takes off a velocity (1/s and 1/m) and off a body rate (1/s and 1).
+    pub(super) fn most(&self) -> ([f64; 2], [f64; 2]) {
+        let most = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
+        ([self.viscous, most(self.quadratic)], [most(self.viscous_rate), most(self.quadratic_rate)])
     }
 }
 

@@ -16,6 +16,8 @@ pub struct Envelope<R = f64> {
     acceleration: R,
     /// What drag may change of a velocity, 1/s and 1/m.
     slowing: [R; 2],
+    /// What the medium may change of a body rate, 1/s and 1.
+    braking: [R; 2],
     /// Greatest moment of inertia over the least one: as much may a body rate grow by itself.
     growth: R,
     /// Greatest angular acceleration of the rotors, rad/s².
@@ -31,11 +33,12 @@ impl Envelope {
     pub fn new(body: &FreeBody, reach: f64, acceleration: f64, torque: f64, slowing: f64) -> Self {
         let [x, y, z] = body.inverse_inertia;
         let (most, least) = (x.max(y).max(z), x.min(y).min(z));
-        let [linear, quadratic] = body.fluid.most();
+        let ([linear, quadratic], braking) = body.fluid.most();
         Self {
             reach: reach + SLACK,
             acceleration: acceleration + body.gravity.abs(),
             slowing: [slowing + linear, quadratic],
+            braking,
             growth: most / least,
             turning: torque * most,
         }
@@ -67,19 +70,21 @@ impl Envelope {
             ..*self
         };
         let (speed, rate) = (V3::from(&state.velocity).norm(), V3::from(&state.angular_velocity).norm());
-        (known.travel(dt, speed) + SLACK, known.turn_rate(dt, rate) * dt)
+        let turn = known.turn_rate(dt, rate) * dt;
+        (known.travel(dt, speed) + SLACK, if known.is_tame(dt, dt, speed, rate) { turn } else { f64::INFINITY })
     }
 
-    pub(super) fn numbers(&self) -> [f64; 6] {
-        [self.reach, self.acceleration, self.slowing[0], self.slowing[1], self.growth, self.turning]
+    pub(super) fn numbers(&self) -> [f64; 8] {
+        let ([linear, quadratic], [viscous, drag]) = (self.slowing, self.braking);
+        [self.reach, self.acceleration, linear, quadratic, viscous, drag, self.growth, self.turning]
     }
 }
 
 #[allow(private_bounds)] // for one number or for many
 impl<R: Real> Envelope<R> {
     #[inline(always)]
-    pub(super) fn of(reach: R, acceleration: R, slowing: [R; 2], growth: R, turning: R) -> Self {
-        Self { reach, acceleration, slowing, growth, turning }
+    pub(super) fn of([reach, acceleration, linear, quadratic, viscous, drag, growth, turning]: [R; 8]) -> Self {
+        Self { reach, acceleration, slowing: [linear, quadratic], braking: [viscous, drag], growth, turning }
     }
 
     /// [`radius`](Envelope::radius) of one or of many.
@@ -92,8 +97,9 @@ impl<R: Real> Envelope<R> {
         let slow_enough = (self.turn_rate(time, rate) * dt).less(rate.all(FreeBody::MAX_TURN));
         let V3 { x, y, z } = motion.position;
         let far = x.all(FAR);
+        let tame = self.is_tame(dt, time, speed, rate);
         let sane = x.abs().less(far) & y.abs().less(far) & z.abs().less(far) & speed.less(far);
-        R::choose(sane & slow_enough, self.reach + self.travel(time, speed), rate.all(f64::INFINITY))
+        R::choose(sane & slow_enough & tame, self.reach + self.travel(time, speed), rate.all(f64::INFINITY))
     }
 
     /// |v|·t·(1 + t·slowing) + a·t²: twice what a constant acceleration comes to, for those that are held through a step.
@@ -101,6 +107,16 @@ impl<R: Real> Envelope<R> {
     fn travel(&self, time: f64, speed: R) -> R {
         let slowing = self.slowing[0] + self.slowing[1] * speed;
         (speed * (slowing * time + 1.0) + self.acceleration * time) * time
+    }
+
+    /// Whether drag takes less than half of a speed or a body rate in a physics step of `dt` seconds, for a time: beyond that a step can
+    /// overshoot, and no bound here holds.
+    #[inline(always)]
+    fn is_tame(&self, dt: f64, time: f64, speed: R, rate: R) -> R::Mask {
+        let (most, turning) = (speed + self.acceleration * time, self.turn_rate(time, rate));
+        let half = speed.all(0.5);
+        ((self.slowing[0] + self.slowing[1] * most) * dt).less(half)
+            & ((self.braking[0] + self.braking[1] * turning) * dt).less(half)
     }
 
     /// |ω| ≤ (J_max·|ω₀| + t·τ)/J_min.

@@ -8,7 +8,7 @@ use crate::math::{Pack, Real, Turn, V3};
 use crate::physics::downwash::Wake;
 use crate::physics::drag;
 use crate::physics::ground_effect::GroundEffect;
-use crate::physics::rotor::RotorModel;
+use crate::physics::rotor::{RotorModel, RotorWrench};
 use crate::state::{DroneState, wxyz};
 
 /// How many drones are advanced together.
@@ -54,7 +54,7 @@ pub struct Airframes {
     drag: [Row; 3],
     wake: [Row; 4],
     share: Row,
-    envelope: [Row; 6],
+    envelope: [Row; 8],
 }
 
 /// So many drones, number by number.
@@ -76,6 +76,8 @@ pub struct Lanes {
     /// Force of wakes along world z, N.
     downwash: Row,
     rpy: [Row; 3],
+    /// What acted in the last physics step: thrust (N), torque (body frame, N·m), everything else (world frame, N).
+    push: [Row; 7],
 }
 
 fn put<const N: usize>(rows: &mut [Row; N], lane: usize, values: [f64; N]) {
@@ -169,6 +171,19 @@ impl Lanes {
     #[inline(always)]
     pub fn rpy(&self, lane: usize) -> Vector3<f64> {
         take(&self.rpy, lane).into()
+    }
+
+    /// What acted on a drone in the last physics step: the rotors, and everything else (world frame, N).
+    #[inline(always)]
+    pub fn push(&self, lane: usize) -> (RotorWrench, Vector3<f64>) {
+        let [thrust, a, b, c, x, y, z] = take(&self.push, lane);
+        (RotorWrench { thrust, torque_body: Vector3::new(a, b, c) }, Vector3::new(x, y, z))
+    }
+
+    /// Says what acted on a drone in the last physics step.
+    pub fn set_push(&mut self, lane: usize, rotors: &RotorWrench, force_world: &Vector3<f64>) {
+        let (t, f) = (&rotors.torque_body, force_world);
+        put(&mut self.push, lane, [rotors.thrust, t.x, t.y, t.z, f.x, f.y, f.z]);
     }
 
     /// Speeds of a drone's rotors, rpm.
@@ -283,13 +298,18 @@ impl<S: Simd> Part<S> {
 
     #[inline(always)]
     fn ball(self, lanes: &Lanes, frames: &Airframes, dt: f64, steps: u32) -> Pack<S> {
-        let [reach, acceleration, linear, quadratic, growth, turning] = &frames.envelope;
-        let slowing = [self.get(linear), self.get(quadratic)];
-        Envelope::of(self.get(reach), self.get(acceleration), slowing, self.get(growth), self.get(turning)).ball(
-            dt,
-            steps,
-            &self.motion(lanes),
-        )
+        let rows = &frames.envelope;
+        let numbers = [
+            self.get(&rows[0]),
+            self.get(&rows[1]),
+            self.get(&rows[2]),
+            self.get(&rows[3]),
+            self.get(&rows[4]),
+            self.get(&rows[5]),
+            self.get(&rows[6]),
+            self.get(&rows[7]),
+        ];
+        Envelope::of(numbers).ball(dt, steps, &self.motion(lanes))
     }
 }
 
@@ -327,8 +347,9 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
             let target = part.get4(&lanes.target);
             let mut motion = part.motion(lanes);
             let mut rpm = if AIR { part.get4(&lanes.rpm) } else { target };
+            let none = target[0].all(0.0);
+            let mut push = Push { thrust: none, torque: V3::new(none, none, none), force: V3::new(none, none, none) };
             for _ in 0..steps {
-                let (thrust, torque, force);
                 if AIR {
                     let share = part.get(&frames.share);
                     let lag = share.less(share.all(1.0));
@@ -337,21 +358,19 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
                         // without lag exactly the command, not a rounding error beside it
                         rpm[motor] = Real::choose(lag, slow, target[motor]);
                     }
-                    (thrust, torque) = rotors.thrust_and_torque(&rpm);
+                    (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
                     let ground =
                         GroundEffect { coefficient: part.get(&frames.ground[0]), clip: part.get(&frames.ground[1]) };
                     let mut sum = part.get3(&lanes.force);
-                    sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, thrust);
+                    sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
                     let relative = motion.velocity - part.get3(&lanes.air);
                     sum = sum + drag::push(part.get3(&frames.drag), &motion.attitude, &rpm, relative);
                     sum.z = sum.z + part.get(&lanes.downwash);
-                    force = sum;
+                    push.force = sum;
                 } else {
-                    (thrust, torque) = rotors.thrust_and_torque(&rpm);
-                    let none = thrust.all(0.0);
-                    force = V3::new(none, none, none);
+                    (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
                 }
-                motion = body.rk4::<BODY_FIXED, MEDIUM>(dt, &Push { thrust, torque, force }, &motion);
+                motion = body.rk4::<BODY_FIXED, MEDIUM>(dt, &push, &motion);
             }
             part.put_motion(lanes, &motion);
             let [a, b, c, d] = &mut lanes.rpm;
@@ -359,6 +378,12 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
             part.put(b, rpm[1]);
             part.put(c, rpm[2]);
             part.put(d, rpm[3]);
+            let [thrust, x, y, z, force @ ..] = &mut lanes.push;
+            part.put(thrust, push.thrust);
+            part.put(x, push.torque.x);
+            part.put(y, push.torque.y);
+            part.put(z, push.torque.z);
+            part.put3(force, push.force);
         }
     }
 }
@@ -460,17 +485,20 @@ impl WithSimd for Clear<'_> {
         let Self { drones, frames, dt, steps } = self;
         let mut room = [0.0; LANES];
         for part in Part::all(simd) {
-            let mut least = Pack::new(simd, simd.splat_f64s(f64::INFINITY));
+            let one = Pack::new(simd, simd.splat_f64s(1.0));
+            let zero = one.all(0.0);
+            // a comparison with NaN is false, and what is once false stays so
+            let mut clear = zero.less(one);
             for i in 0..drones.len() {
                 let place = part.get3(&drones[i].position);
                 let ball = part.ball(&drones[i], &frames[i], dt, steps);
-                least = (place.z - ball).lesser(least);
+                clear = clear & zero.less(place.z - ball);
                 for j in 0..i {
                     let apart = (place - part.get3(&drones[j].position)).norm();
-                    least = (apart - ball - part.ball(&drones[j], &frames[j], dt, steps)).lesser(least);
+                    clear = clear & zero.less(apart - ball - part.ball(&drones[j], &frames[j], dt, steps));
                 }
             }
-            part.put(&mut room, least);
+            part.put(&mut room, Real::choose(clear, one, zero));
         }
         room.map(|room| room > 0.0)
     }
