@@ -150,6 +150,16 @@ impl Equipment {
         self.is_plain() && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
     }
 
+    /// Whether an environment with the other one flies as with this one.
+    pub(crate) fn is_like(&self, other: &Self) -> bool {
+        let drones = self.drones.iter().zip(&other.drones);
+        self.is_common()
+            && other.is_common()
+            && self.bodies == other.bodies
+            && self.obstacles == other.obstacles
+            && drones.clone().all(|(a, b)| a.params == b.params)
+    }
+
     /// Keeps obstacles of its own.
     pub(crate) fn keep_obstacles(&mut self, obstacles: &[Obstacle]) {
         self.obstacles = obstacles.to_vec();

@@ -1,6 +1,7 @@
 use std::sync::{Mutex, PoisonError};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use smallvec::SmallVec;
 
 use super::piece::{Common, Desk, Faults, Piece, Worker};
 use super::stage::{Ended, Slot, Stage};
@@ -257,11 +258,9 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         // a lock, which knows when `look` panics
         let Ok(mut place) = crew.places[0].lock() else { return Err(EnvError::Panicked) };
         let stage = &mut place.stage;
-        if seats.frames.is_empty() {
-            seats.frames = common.frames.repeat(seats.slots.len().div_ceil(LANES));
-        }
         let slot = &mut seats.slots[environment];
-        if slot.equipment.is_none() {
+        let common_one = slot.equipment.is_none();
+        if common_one {
             let mut equipment = Box::new(stage.env.simulation.equipment().clone());
             // the thread's own are those of whatever environment was there last
             for drone in 0..common.drones {
@@ -270,22 +269,27 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             }
             slot.equipment = Some(equipment);
         }
-        let mut piece = seats.piece();
-        let mut seat = piece.seat(common, environment);
-        let wrong = |error| EnvError::InBatch { environment, error: Box::new(error) };
-        let result = match stage.enter(&mut seat) {
+        let entered = stage.enter(&mut seats.piece().seat(common, environment));
+        let result = match entered {
             Ok(()) => Ok(look(&mut stage.env)),
-            Err(error) => Err(wrong(error)),
+            Err(error) => Err(EnvError::InBatch { environment, error: Box::new(error) }),
         };
-        stage.env.simulation.refresh();
-        stage.leave(&mut seat);
-        piece
-            .lookouts
-            .iter_mut()
-            .skip(common.drones * environment)
-            .take(common.drones)
-            .for_each(|lookout| *lookout = Lookout::default());
-        let slot = &piece.slots[environment];
+        let simulation = &mut stage.env.simulation;
+        simulation.refresh();
+        // while it is here, the thread's own is in its place
+        let thread_s = seats.slots[environment].equipment.as_deref();
+        let unchanged = common_one && thread_s.is_some_and(|own| own.is_like(simulation.equipment()));
+        if !unchanged && seats.frames.is_empty() {
+            seats.frames = common.frames.repeat(seats.slots.len().div_ceil(LANES));
+        }
+        let mut piece = seats.piece();
+        stage.leave(&mut piece.seat(common, environment));
+        let lookouts = piece.lookouts.iter_mut().skip(common.drones * environment);
+        lookouts.take(common.drones).for_each(|lookout| *lookout = Lookout::default());
+        let slot = &mut piece.slots[environment];
+        if unchanged {
+            slot.equipment = None;
+        }
         // motors that are slow now need the longer form of the kernel
         if let Some(flow) = &mut common.flow {
             flow.air |= slot.equipment.as_ref().is_some_and(|equipment| equipment.has_lag());
@@ -314,21 +318,35 @@ impl<T: Task + Send> Crew<T> {
         if self.places.iter().any(Mutex::is_poisoned) {
             return Err(EnvError::Panicked);
         }
-        // small pieces: some take longer
-        let grain = piece.slots.len().div_ceil(LANES).div_ceil(8 * self.places.len()).max(1);
-        let rest = Mutex::new(Some(piece));
-        let next = || {
-            let mut rest = rest.lock().unwrap_or_else(PoisonError::into_inner);
-            let (front, back) = rest.take()?.split(common, grain);
-            *rest = (!back.slots.is_empty()).then_some(back);
-            Some(front)
+        // every place has a share of its own, step after step the same one, which is still in its thread's cache; what others
+        // are late with is taken from the far end of theirs, in small pieces
+        let (blocks, count) = (piece.slots.len().div_ceil(LANES), self.places.len());
+        let grain = blocks.div_ceil(8 * count).max(1);
+        let mut shares: SmallVec<[Mutex<Option<Piece<'_, T>>>; 16]> = SmallVec::new();
+        let mut rest = piece;
+        for place in 0..count {
+            let (share, others) = rest.split(common, blocks * (place + 1) / count - blocks * place / count);
+            shares.push(Mutex::new(Some(share)));
+            rest = others;
+        }
+        let from = |place: usize, own: bool| {
+            let mut share = shares[place].lock().unwrap_or_else(PoisonError::into_inner);
+            let piece = share.take()?;
+            let blocks = piece.slots.len().div_ceil(LANES);
+            let front = if own { grain } else { blocks.saturating_sub(grain) };
+            let (front, back) = piece.split(common, front.min(blocks));
+            let (taken, left) = if own { (front, back) } else { (back, front) };
+            *share = (!left.slots.is_empty()).then_some(left);
+            (!taken.slots.is_empty()).then_some(taken)
         };
+        let next =
+            |place: usize| from(place, true).or_else(|| (1..count).find_map(|by| from((place + by) % count, false)));
         // every place is taken once, by whatever thread, and keeps at it until nothing is left: a task that uses the threads
         // itself may find its thread at another place, never at its own
         let take = |index: usize| {
             let mut place = self.places[index].lock().unwrap_or_else(PoisonError::into_inner);
             let Place { stage, desk, flown } = &mut *place;
-            while let Some(piece) = next() {
+            while let Some(piece) = next(index) {
                 work(&mut Worker { common, stage, desk, flown, faults: &self.faults }, piece);
             }
         };
