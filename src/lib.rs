@@ -48,3 +48,7 @@ struct Readme;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/control.md")]
 struct ControlGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/batches.md")]
+struct BatchGuide;

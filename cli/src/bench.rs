@@ -61,7 +61,8 @@ struct Row {
     /// Of the thing that a row is about beside the bare `mj_step`: one with the same contacts, or nothing.
     ratio_to_own: Option<f64>,
     bytes_per_environment: usize,
-    measured_bytes: Option<usize>,
+    /// What the process grew by when it was made, where that can be told.
+    resident_bytes: Option<usize>,
     frames_per_second: Option<f64>,
 }
 
@@ -162,8 +163,11 @@ impl Row {
             "env_steps_per_second": self.env_steps_per_second,
             "physics_steps_per_second": self.physics_steps_per_second,
             "ratio_to_mj_step": self.ratio,
-            "bytes_per_environment": self.measured_bytes.unwrap_or(self.bytes_per_environment),
+            "bytes_per_environment": self.bytes_per_environment,
         });
+        if let Some(bytes) = self.resident_bytes {
+            value["resident_bytes_per_environment"] = json!(bytes);
+        }
         if let Some(own) = self.ratio_to_own {
             value["ratio_to_mj_step_in_contact"] = json!(own);
         }
@@ -174,7 +178,7 @@ impl Row {
     }
 
     fn print(&self, text: &mut String) {
-        let bytes = self.measured_bytes.unwrap_or(self.bytes_per_environment);
+        let bytes = self.bytes_per_environment;
         let bytes = if bytes == 0 { "-".to_string() } else { bytes.to_string() };
         let _ = write!(
             text,
@@ -357,7 +361,7 @@ fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 ratio: measured.over_bare * steps,
                 ratio_to_own: None,
                 bytes_per_environment: 0,
-                measured_bytes: None,
+                resident_bytes: None,
                 frames_per_second: None,
             });
         }
@@ -413,7 +417,7 @@ fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize
         ratio: 20.0 * measured.over_bare * substeps * drones as f64,
         ratio_to_own: None,
         bytes_per_environment: 0,
-        measured_bytes: None,
+        resident_bytes: None,
         frames_per_second: None,
     })
 }
@@ -469,7 +473,7 @@ fn fly<T: Task + Clone + Send>(
     physics: Physics,
     engine: EngineKind,
     actions: Actions,
-    measured_bytes: Option<usize>,
+    resident_bytes: Option<usize>,
 ) -> Result<Row, EnvError> {
     let (size, drones, threads) = (env.num_envs(), env.action_size() / 4, env.num_threads());
     let mut buffers = VecBuffers::new(env);
@@ -514,7 +518,7 @@ fn fly<T: Task + Clone + Send>(
         ratio: measured.over_bare * per_call * substeps * drones as f64,
         ratio_to_own: None,
         bytes_per_environment: env.bytes_per_env(),
-        measured_bytes,
+        resident_bytes,
         frames_per_second: None,
     })
 }
@@ -554,7 +558,7 @@ fn resting(meter: &mut Meter) -> Result<Row, EnvError> {
         ratio: measured.over_bare * per_call * 5.0,
         ratio_to_own: Some(median(&mut ratios)),
         bytes_per_environment: env.bytes_per_env(),
-        measured_bytes: None,
+        resident_bytes: None,
         frames_per_second: None,
     })
 }
@@ -590,7 +594,7 @@ fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
         ratio: measured.over_bare * per_call * 5.0,
         ratio_to_own: None,
         bytes_per_environment: env.bytes_per_env(),
-        measured_bytes: None,
+        resident_bytes: None,
         frames_per_second: Some(measured.rate * per_call),
     })
 }

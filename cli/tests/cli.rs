@@ -569,3 +569,58 @@ fn wind_obstacles_and_randomization_are_flown_from_options_and_files() {
     refused(&["fly", "--task", "hover", "--obstacles", "forrest"], 2, &["did you mean `forest`"]);
     refused(&["fly", "--task", "hover", "--config", "no.toml"], 2, &["no.toml: No such file"]);
 }
+
+#[test]
+fn the_hybrid_engine_flies_the_same_flight() {
+    for (task, physics) in [("hover", "mjc_gnd_drag_dw"), ("race", "mjc"), ("stabilize", "mjc"), ("track", "mjc_drag")]
+    {
+        let fly = |engine: &str| -> Value {
+            let output = aviary(&["fly", "--task", task, "--physics", physics, "--engine", engine, "--json"]);
+            assert_eq!(output.status.code(), Some(0));
+            serde_json::from_slice(&output.stdout).unwrap()
+        };
+        let (a, b) = (fly("mujoco"), fly("hybrid"));
+        assert_eq!((&a["engine"], &b["engine"]), (&"mujoco".into(), &"hybrid".into()));
+        assert_eq!((&a["success"], &b["success"]), (&true.into(), &true.into()), "{task}");
+        for axis in 0..3 {
+            let place = |flight: &Value| flight["drones"][0]["final_position"][axis].as_f64().unwrap();
+            assert!((place(&a) - place(&b)).abs() < 1e-9, "{task}");
+        }
+        assert!((a["reward"].as_f64().unwrap() - b["reward"].as_f64().unwrap()).abs() < 1e-6);
+    }
+    refused(
+        &["fly", "--task", "hover", "--engine", "hybird"],
+        2,
+        &["--engine", "mujoco, hybrid", "did you mean `hybrid`"],
+    );
+}
+
+#[test]
+fn the_benchmark_says_what_other_programs_read() {
+    let output = aviary(&["bench", "--quick", "--json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    let bench: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert!(bench["machine"].is_string() && bench["threads"].as_u64().unwrap() > 0);
+    let mj_step = bench["mj_step_per_second"].as_f64().unwrap();
+    assert!(mj_step > 1e3);
+    let rows = bench["rows"].as_array().unwrap();
+    for row in rows {
+        for key in ["name", "engine", "task", "physics"] {
+            assert!(row[key].is_string(), "{key}: {row}");
+        }
+        for key in ["environments", "drones", "threads", "bytes_per_environment"] {
+            assert!(row[key].is_u64(), "{key}: {row}");
+        }
+        for key in ["env_steps_per_second", "physics_steps_per_second", "ratio_to_mj_step"] {
+            assert!(row[key].as_f64().unwrap() >= 0.0, "{key}: {row}");
+        }
+        // the ratio is what its name says, as far as a noisy machine lets the medians of two things be one
+        let drones = row["drones"].as_f64().unwrap();
+        let ratio = drones * row["physics_steps_per_second"].as_f64().unwrap() / mj_step;
+        let got = row["ratio_to_mj_step"].as_f64().unwrap();
+        assert!(got > 0.2 * ratio && got < 5.0 * ratio, "{row}");
+    }
+    let batch =
+        |environments: u64| rows.iter().any(|row| row["environments"] == environments && row["task"] == "hover");
+    assert!(batch(1) && batch(4096));
+}

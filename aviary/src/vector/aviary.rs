@@ -46,6 +46,8 @@ pub struct VecAviary<T> {
     action_space: BoxSpace,
     episode_steps: u64,
     control_period: f64,
+    /// Whether every environment has ever begun an episode.
+    all_begun: bool,
     /// Those of the last step, in order.
     found: Vec<(usize, EnvError)>,
 }
@@ -220,6 +222,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             action_space,
             episode_steps,
             control_period,
+            all_begun: false,
             found: Vec::new(),
         })
     }
@@ -389,18 +392,28 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     }
 
     /// What would make a step an error, before anything moves.
-    fn check_actions(&self, actions: &[f32]) -> Result<(), EnvError> {
+    fn check_actions(&mut self, actions: &[f32]) -> Result<(), EnvError> {
         let bad = |environment, error| Err(EnvError::InBatch { environment, error: Box::new(error) });
-        for (environment, slot) in self.seats.slots.iter().enumerate() {
-            match slot.episode.phase {
-                Phase::New if !slot.begun => {
-                    return bad(environment, EnvError::NeedsReset { when: "on a new environment" });
+        // a look at every environment is dear beside a step: once all have begun, only those that do not begin by themselves can fail
+        if !self.all_begun || self.config.autoreset == Autoreset::Disabled {
+            for (environment, slot) in self.seats.slots.iter().enumerate() {
+                match slot.episode.phase {
+                    Phase::Running => {}
+                    Phase::New if !slot.begun => {
+                        return bad(environment, EnvError::NeedsReset { when: "on a new environment" });
+                    }
+                    _ if self.config.autoreset == Autoreset::Disabled => {
+                        return bad(environment, EnvError::NeedsReset { when: "after the end of the episode" });
+                    }
+                    _ => {}
                 }
-                Phase::New | Phase::Over if self.config.autoreset == Autoreset::Disabled => {
-                    return bad(environment, EnvError::NeedsReset { when: "after the end of the episode" });
-                }
-                _ => {}
             }
+            self.all_begun = true;
+        }
+        // without an early end, which could not be vectorised
+        let has_bad = |chunk: &[f32]| chunk.iter().fold(false, |bad, x| bad | !x.is_finite());
+        if !actions.chunks(512).any(has_bad) {
+            return Ok(());
         }
         let Some(entry) = actions.iter().position(|x| !x.is_finite()) else { return Ok(()) };
         let (environment, index) = (entry / self.common.action_size, entry % self.common.action_size);
