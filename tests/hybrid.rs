@@ -225,14 +225,18 @@ fn random_flights_that_crash_land_and_hit_obstacles_are_the_same_with_both_engin
     let (mut touched, mut worst) = (0, Apart::default());
     for seed in 0..if cfg!(debug_assertions) { 12 } else { 60 } {
         for drone in DroneModel::ALL {
-            for name in ["hover", "multi_hover", "formation", "velocity"] {
-                let mut config = EnvConfig::default().drone(drone).physics(Physics::MjcGndDragDw);
+            for name in tasks::NAMES {
+                let downwash = !["formation", "antipodal"].contains(&name);
+                let mut config = EnvConfig::default().drone(drone).effects(Effects { downwash, ..Effects::ALL });
                 let randomized = Randomization { sensors: None, environment: None, ..Randomization::default() };
-                config = match seed % 4 {
+                config = match seed % 6 {
                     0 => config,
                     1 => config.randomization(randomized),
-                    2 if drone != DroneModel::Race => config.obstacles(boxes),
+                    // where a drone starts there is none
+                    2 if ["hover", "fly_through"].contains(&name) && drone != DroneModel::Race => config.obstacles(boxes),
                     2 => config,
+                    3 => config.forcing(Forcing::BodyFixed),
+                    4 => config.medium(Medium::AIR),
                     _ => config
                         .wind(WindConfig::new(WindModel::Combined))
                         .actuators(ActuatorParams { lag: 0.03, ..ActuatorParams::default() }),
