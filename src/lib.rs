@@ -31,6 +31,7 @@ pub mod prelude {
     pub use aviary::action::ActionType;
     pub use aviary::control::{Controller, PidControl, Reference};
     pub use aviary::drone::{DroneModel, DroneParams};
+    pub use aviary::engine::EngineKind;
     pub use aviary::env::{Aviary, Env, EnvConfig, EnvError, Info, Step, Task};
     pub use aviary::observation::{Observation, ObservationType};
     pub use aviary::physics::{Effects, Physics};

@@ -1,7 +1,6 @@
 //! The flight kernel is MuJoCo's RK4 to rounding, and the hybrid engine flies as MuJoCo alone does, contacts included.
 
 use mujoco_drones_gym::control::AnyController;
-use mujoco_drones_gym::engine::EngineKind;
 use mujoco_drones_gym::engine::flight::{Airframe, Airframes, Flow, FreeBody, LANES, Lanes, Width, advance};
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
@@ -233,7 +232,9 @@ fn random_flights_that_crash_land_and_hit_obstacles_are_the_same_with_both_engin
                     0 => config,
                     1 => config.randomization(randomized),
                     // where a drone starts there is none
-                    2 if ["hover", "fly_through"].contains(&name) && drone != DroneModel::Race => config.obstacles(boxes),
+                    2 if ["hover", "fly_through"].contains(&name) && drone != DroneModel::Race => {
+                        config.obstacles(boxes)
+                    }
                     2 => config,
                     3 => config.forcing(Forcing::BodyFixed),
                     4 => config.medium(Medium::AIR),

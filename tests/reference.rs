@@ -1,6 +1,5 @@
 //! Flights of an independent implementation of the paper's equations over another MuJoCo, flown again.
 
-use mujoco_drones_gym::engine::EngineKind;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::{Scenario, read_actions};
 use mujoco_drones_gym::state::wxyz;

@@ -1,6 +1,5 @@
 //! A batch flies every environment to the bits that it would fly alone, whatever the number of threads.
 
-use mujoco_drones_gym::engine::EngineKind;
 use mujoco_drones_gym::env::{AviaryBuilder, BoxSpace, EndReason, Randomization, TaskDefaults};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};

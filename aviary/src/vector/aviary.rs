@@ -237,7 +237,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         for place in &mut self.crew.places {
             let place = place.get_mut().unwrap_or_else(PoisonError::into_inner);
             let action_type = place.stage.env.action_type();
-            place.desk.set_guard(Guard::new(filter.clone(), response, action_type, self.common.drones)?);
+            place.desk.set_guard(Guard::new(filter, response, action_type, self.common.drones)?);
         }
         Ok(self)
     }

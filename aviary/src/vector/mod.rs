@@ -1,8 +1,8 @@
 //! Many environments of one task at once, on every core.
 //!
 //! The state of all of them lies in compact arrays, eight environments beside each other, as the flight kernel wants them. Every
-//! thread has one [`Aviary`] with one MuJoCo simulation, into which it puts an environment where more than the kernel is needed: a
-//! contact, a reset, a picture. An environment flies to the same bits as it would alone (an [`Aviary`] with the same
+//! thread has one [`Aviary`](crate::env::Aviary) with one MuJoCo simulation, into which it puts an environment where more than the kernel is needed: a
+//! contact, a reset, a picture. An environment flies to the same bits as it would alone (an [`Aviary`](crate::env::Aviary) with the same
 //! options, engine, seed and [stream](crate::env::AviaryBuilder::stream)), whatever the number of threads.
 
 mod aviary;
