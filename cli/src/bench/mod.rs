@@ -1,5 +1,8 @@
 //! What the engines and batches do in a second, beside MuJoCo alone in the same run.
 
+mod meter;
+mod policy;
+
 use std::fmt::Write as _;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -16,12 +19,13 @@ use aviary::physics::rotor::RotorModel;
 use aviary::state::DroneState;
 use aviary::tasks::{Hover, MultiHover, make};
 use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecPictures};
-use aviary::world::{DroneBody, Medium, World};
+use aviary::world::Medium;
 use clap::Args;
-use mujoco_rs::{Data, Model};
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
+use self::meter::{Bare, Meter, median};
+use self::policy::{Policy, place};
 use crate::failure::Failure;
 use crate::output;
 
@@ -217,90 +221,6 @@ fn resident() -> usize {
     statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<usize>().ok()).unwrap_or(0) * 4096
 }
 
-/// MuJoCo alone: one drone of the lean scene, a wrench written every step.
-struct Bare {
-    data: Data,
-    thrust: f64,
-    height: f64,
-}
-
-impl Bare {
-    fn new(height: f64, thrust: f64) -> Result<Self, EnvError> {
-        let params = DroneModel::Cf2x.params();
-        let thrust = thrust * params.weight();
-        let drone = DroneBody { params, position: Vector3::new(0.0, 0.0, height), rpy: Vector3::zeros() };
-        let scene = World::new(vec![drone]).to_mjcf().map_err(|error| EnvError::Vision(error.into()))?;
-        Ok(Self { data: Data::new(Model::from_xml(&scene)?)?, thrust, height })
-    }
-
-    /// Rate of so many steps.
-    fn rate(&mut self, steps: usize) -> Result<f64, EnvError> {
-        self.data.qpos_mut()[2] = self.height;
-        self.data.qvel_mut().fill(0.0);
-        // turning a little: MuJoCo is quicker with a body that does not
-        self.data.qvel_mut()[3..6].copy_from_slice(&[0.02, 0.01, 0.03]);
-        let start = Instant::now();
-        for _ in 0..steps {
-            self.data.xfrc_applied_mut()[6..12].copy_from_slice(&[0.0, 0.0, self.thrust, 0.0, 0.0, 0.0]);
-            self.data.step()?;
-        }
-        Ok(steps as f64 / start.elapsed().as_secs_f64())
-    }
-}
-
-/// Measures things by turns with MuJoCo alone.
-struct Meter {
-    bare: Bare,
-    rates: Vec<f64>,
-    rounds: usize,
-    turn: Duration,
-    seed: u64,
-}
-
-/// What a measurement gave: calls per second, and the median over the rounds of that over MuJoCo's own rate.
-struct Measured {
-    rate: f64,
-    over_bare: f64,
-}
-
-impl Meter {
-    fn new(options: &Bench) -> Result<Self, Failure> {
-        let (rounds, turn) = if options.quick { (5, 60) } else { (9, 200) };
-        let bare = Bare::new(20.0, 1.0).map_err(Failure::work)?;
-        Ok(Self { bare, rates: Vec::new(), rounds, turn: Duration::from_millis(turn), seed: options.seed })
-    }
-
-    fn bare_rate(&mut self) -> f64 {
-        median(&mut self.rates)
-    }
-
-    /// Calls `work`, which says how long it took, over and over.
-    fn measure(&mut self, mut work: impl FnMut() -> Result<Duration, EnvError>) -> Result<Measured, EnvError> {
-        let (mut rates, mut ratios) = (Vec::new(), Vec::new());
-        work()?;
-        for _ in 0..self.rounds {
-            let before = self.bare.rate(4000)?;
-            let (mut spent, mut calls) = (Duration::ZERO, 0_u32);
-            let start = Instant::now();
-            while start.elapsed() < self.turn || calls == 0 {
-                spent += work()?;
-                calls += 1;
-            }
-            let after = self.bare.rate(4000)?;
-            let (rate, bare) = (f64::from(calls) / spent.as_secs_f64(), 0.5 * (before + after));
-            self.rates.push(bare);
-            rates.push(rate);
-            ratios.push(rate / bare);
-        }
-        Ok(Measured { rate: median(&mut rates), over_bare: median(&mut ratios) })
-    }
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// The flight kernel by itself, in every width that the machine has.
 fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
     let params = DroneModel::Cf2x.params();
@@ -366,11 +286,6 @@ fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
             });
         }
     }
-}
-
-/// Where drones of a swarm start.
-fn place(drone: usize) -> [f64; 3] {
-    [(drone % 4) as f64, (drone / 4) as f64, 0.5 + 0.1 * drone as f64]
 }
 
 /// A single environment.
@@ -597,74 +512,4 @@ fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
         resident_bytes: None,
         frames_per_second: Some(measured.rate * per_call),
     })
-}
-
-/// A linear policy that takes a Crazyflie to a metre above where it starts, with noise: what an agent in training does.
-struct Policy {
-    actions: Vec<f32>,
-    noise: u64,
-    drones: usize,
-    block: usize,
-}
-
-impl Policy {
-    fn new(seed: u64, environments: usize, drones: usize, block: usize) -> Self {
-        Self {
-            actions: vec![0.0; 4 * environments * drones],
-            // any odd number will do
-            noise: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
-            drones,
-            block,
-        }
-    }
-
-    /// Uniform in ±1 (Marsaglia's xorshift).
-    fn uniform(&mut self) -> f32 {
-        self.noise ^= self.noise << 13;
-        self.noise ^= self.noise >> 7;
-        self.noise ^= self.noise << 17;
-        (self.noise >> 40) as f32 / (1 << 23) as f32 - 1.0
-    }
-
-    /// Actions to be taken by turns: their noise cancels out, so that nothing sinks to the floor.
-    fn climb(&mut self) -> [Vec<f32>; 8] {
-        const LIFT: f32 = 0.006;
-        let mut all: [Vec<f32>; 8] = std::array::from_fn(|_| self.actions.clone());
-        for drone in 0..self.actions.len() / 4 {
-            for turn in 0..4 {
-                let noise = 0.02 * self.uniform();
-                all[2 * turn][4 * drone..][..4].fill(LIFT + noise);
-                all[2 * turn + 1][4 * drone..][..4].fill(LIFT - noise);
-            }
-        }
-        all
-    }
-
-    fn random(&mut self) -> &[f32] {
-        for index in 0..self.actions.len() {
-            self.actions[index] = self.uniform();
-        }
-        &self.actions
-    }
-
-    fn act(&mut self, observations: &[f32]) -> &[f32] {
-        for index in 0..self.actions.len() / 4 {
-            let o = &observations[self.block * index..][..12];
-            let [x, y, height] =
-                if self.drones == 1 { [0.0, 0.0, 1.0] } else { place(index % self.drones).map(|x| x as f32) };
-            let roll = 0.2 * (o[1] - y) + 0.2 * o[7];
-            let pitch = -0.2 * (o[0] - x) - 0.2 * o[6];
-            let lift = 0.5 * (height - o[2]) - 0.4 * o[8];
-            let about_x = 0.12 * (roll - o[3]) - 0.03 * o[9];
-            let about_y = 0.12 * (pitch - o[4]) - 0.03 * o[10];
-            let about_z = -0.05 * o[5] - 0.05 * o[11];
-            for (motor, [x, y, z]) in
-                [[1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]].into_iter().enumerate()
-            {
-                let noise = 0.02 * self.uniform();
-                self.actions[4 * index + motor] = lift + x * about_x + y * about_y + z * about_z + noise;
-            }
-        }
-        &self.actions
-    }
 }

@@ -1,0 +1,177 @@
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
+
+use super::Real;
+
+/// What π/2 is more than the double of that name.
+const FRAC_PI_2_REST: f64 = 6.123_233_995_736_766e-17;
+
+/// tan(π/8).
+const TAN_PI_8: f64 = 0.414_213_562_373_095_03;
+
+/// The polynomial of these coefficients, the highest power first.
+#[inline(always)]
+fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
+    let mut sum = x.all(coefficients[0]);
+    for &coefficient in &coefficients[1..] {
+        sum = sum * x + coefficient;
+    }
+    sum
+}
+
+/// The angle of the point (x, y), in (−π, π], as [`f64::atan2`] has it for finite arguments that are not subnormal.
+#[inline(always)]
+pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
+    let (across, along) = (y.abs(), x.abs());
+    let steep = along.less(across);
+    let (least, most) = (R::choose(steep, along, across), R::choose(steep, across, along));
+    // an angle above π/8 is π/4 and a smaller one, by the addition theorem
+    let far = (most * TAN_PI_8).less(least);
+    // at the origin 0 by the least number there is
+    let above = R::choose(far, least - most, least);
+    let below = R::choose(far, least + most, most.greater(x.all(f64::MIN_POSITIVE)));
+    let t = above / below;
+    let square = t * t;
+    let p = polynomial(
+        square,
+        [
+            -8.750_608_600_031_904e-1,
+            -1.615_753_718_733_365e1,
+            -7.500_855_792_314_705e1,
+            -1.228_866_684_490_136_2e2,
+            -6.485_021_904_942_025e1,
+        ],
+    );
+    let q = polynomial(
+        square,
+        [
+            1.0,
+            2.485_846_490_142_306_3e1,
+            1.650_270_098_316_988_5e2,
+            4.328_810_604_912_903e2,
+            4.853_903_996_359_137e2,
+            1.945_506_571_482_614e2,
+        ],
+    );
+    let small = t + t * (square * p / q);
+    let angle = R::choose(far, small + 0.5 * FRAC_PI_2_REST + FRAC_PI_4, small);
+    let angle = R::choose(steep, -(angle - FRAC_PI_2_REST) + FRAC_PI_2, angle);
+    // of a zero the sign counts, too
+    let backwards = x.all(1.0).with_sign_of(x).less(x.all(0.0));
+    let angle = R::choose(backwards, -(angle - 2.0 * FRAC_PI_2_REST) + PI, angle);
+    angle.with_sign_of(y)
+}
+
+/// The arcsine of a number, which is taken into [−1, 1].
+#[inline(always)]
+pub(crate) fn asin<R: Real>(sine: R) -> R {
+    let one = sine.all(1.0);
+    // a NaN stays one
+    let sine = one.lesser(sine);
+    let sine = sine.all(-1.0).greater(sine);
+    atan2(sine, ((one - sine) * (one + sine)).sqrt())
+}
+
+/// Added to a number below 2⁵¹, it leaves the nearest whole number in the last bits.
+const ROUND: f64 = 6_755_399_441_055_744.0;
+
+/// e to a power that is not positive.
+#[inline(always)]
+pub(crate) fn exp_of_negative<R: Real>(x: R) -> R {
+    // below that it is zero
+    let x = x.greater(x.all(-750.0));
+    let whole = (x * LOG2_E + ROUND) - ROUND;
+    // ln 2 in two parts, the first of few digits
+    let rest = (x - whole * 6.931_457_519_531_25e-1) - whole * 1.428_606_820_309_417_3e-6;
+    let square = rest * rest;
+    let p =
+        rest * polynomial(square, [1.261_771_930_748_105_9e-4, 3.029_944_077_074_419_6e-2, 9.999_999_999_999_999e-1]);
+    let q = polynomial(square, [3.001_985_051_386_644_5e-6, 2.524_483_403_496_841e-3, 2.272_655_482_081_550_3e-1, 2.0]);
+    let fraction = p / (q - p) * 2.0 + 1.0;
+    // in two factors: the smallest results are not normal numbers
+    let first = (whole * 0.5 + ROUND) - ROUND;
+    fraction * (first + ROUND).power_of_two() * ((whole - first) + ROUND).power_of_two()
+}
+
+/// Square of the largest half angle that [`half_angle`] is exact for, rad²: a quarter of a radian.
+pub(crate) const MAX_HALF_ANGLE_SQUARED: f64 = 0.0625;
+
+/// cos(a) and sin(a)/a from a², for |a| up to a quarter of a radian: Taylor's series up to the last bit.
+#[inline(always)]
+pub(crate) fn half_angle<R: Real>(a_squared: R) -> (R, R) {
+    const fn inverse_factorial(n: u64) -> f64 {
+        let (mut product, mut factor) = (1, 2);
+        while factor <= n {
+            product *= factor;
+            factor += 1;
+        }
+        1.0 / product as f64
+    }
+    const COS: [f64; 6] =
+        [-inverse_factorial(10), inverse_factorial(8), -inverse_factorial(6), inverse_factorial(4), -0.5, 1.0];
+    const SINC: [f64; 6] = [
+        -inverse_factorial(11),
+        inverse_factorial(9),
+        -inverse_factorial(7),
+        inverse_factorial(5),
+        -inverse_factorial(3),
+        1.0,
+    ];
+    (polynomial(a_squared, COS), polynomial(a_squared, SINC))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// In units of the last place of the larger one.
+    fn apart(a: f64, b: f64) -> f64 {
+        (a - b).abs() / (a.abs().max(b.abs()).max(f64::MIN_POSITIVE) * f64::EPSILON)
+    }
+
+    proptest! {
+        #[test]
+        fn angles_are_those_of_the_standard_library(
+            y in -2.0..2.0f64, x in -2.0..2.0f64, scale in -300.0..300.0f64, other in -20.0..20.0f64,
+        ) {
+            let (y, x) = (y * 10f64.powf(scale), x * 10f64.powf((scale + other).clamp(-300.0, 300.0)));
+            prop_assert!(apart(atan2(y, x), f64::atan2(y, x)) < 3.0, "{y} {x}: {} {}", atan2(y, x), f64::atan2(y, x));
+        }
+
+        #[test]
+        fn arcsines_are_those_of_the_standard_library(sine in -1.0..=1.0f64, near in 0.0..16.0f64) {
+            for sine in [sine, 1.0 - 10f64.powf(-near), 10f64.powf(-near)] {
+                prop_assert!(apart(asin(sine), sine.asin()) < 4.0);
+            }
+        }
+
+        #[test]
+        fn powers_are_those_of_the_standard_library(x in -800.0..0.0f64, scale in -300.0..0.0f64) {
+            for x in [x, x / 800.0, -10f64.powf(scale)] {
+                let (got, wanted) = (exp_of_negative(x), x.exp());
+                // beneath the normal numbers the last place is a fixed one
+                prop_assert!(apart(got, wanted) < 3.0 || (got - wanted).abs() <= 5e-324, "{x}: {got} {wanted}");
+            }
+        }
+
+        #[test]
+        fn half_angles_are_exact_within_their_range(a in -0.25..0.25f64) {
+            let (cos, sinc) = half_angle(a * a);
+            prop_assert!(apart(cos, a.cos()) < 3.0);
+            prop_assert!(apart(sinc * a, a.sin()) < 3.0);
+        }
+    }
+
+    #[test]
+    fn corners_are_those_of_the_standard_library() {
+        for y in [0.0, -0.0, 1.0, -1.0, f64::MIN_POSITIVE] {
+            for x in [0.0, -0.0, 1.0, -1.0, 1e300] {
+                assert!(apart(atan2(y, x), f64::atan2(y, x)) < 2.0, "{y} {x}");
+                assert_eq!(atan2(y, x).is_sign_negative(), f64::atan2(y, x).is_sign_negative(), "{y} {x}");
+            }
+        }
+        assert!(atan2(f64::NAN, 1.0).is_nan() && asin(f64::NAN).is_nan());
+        assert_eq!([asin(1.0), asin(-1.0), asin(2.0), asin(0.0)], [FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2, 0.0]);
+        assert_eq!([exp_of_negative(0.0), exp_of_negative(f64::NEG_INFINITY)], [1.0, 0.0]);
+    }
+}

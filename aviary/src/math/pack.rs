@@ -1,0 +1,133 @@
+use std::ops::{Add, BitAnd, Div, Mul, Neg, Sub};
+
+use pulp::Simd;
+
+use super::Real;
+
+/// A register of doubles.
+#[derive(Clone, Copy)]
+pub(crate) struct Pack<S: Simd> {
+    simd: S,
+    values: S::f64s,
+}
+
+/// A register of truth values.
+#[derive(Clone, Copy)]
+pub(crate) struct PackMask<S: Simd> {
+    simd: S,
+    values: S::m64s,
+}
+
+impl<S: Simd> std::fmt::Debug for Pack<S> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.values.fmt(f)
+    }
+}
+
+impl<S: Simd> Pack<S> {
+    #[inline(always)]
+    pub(crate) fn new(simd: S, values: S::f64s) -> Self {
+        Self { simd, values }
+    }
+
+    #[inline(always)]
+    pub(crate) fn values(self) -> S::f64s {
+        self.values
+    }
+}
+
+macro_rules! pack_operators {
+    ($($operator:ident $name:ident $with:ident;)*) => {$(
+        impl<S: Simd> $operator for Pack<S> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $name(self, other: Self) -> Self {
+                Self { values: self.simd.$with(self.values, other.values), ..self }
+            }
+        }
+
+        impl<S: Simd> $operator<f64> for Pack<S> {
+            type Output = Self;
+
+            #[inline(always)]
+            fn $name(self, other: f64) -> Self {
+                Self { values: self.simd.$with(self.values, self.simd.splat_f64s(other)), ..self }
+            }
+        }
+    )*};
+}
+
+pack_operators! {
+    Add add add_f64s;
+    Sub sub sub_f64s;
+    Mul mul mul_f64s;
+    Div div div_f64s;
+}
+
+impl<S: Simd> Neg for Pack<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self { values: self.simd.xor_f64s(self.values, self.simd.splat_f64s(-0.0)), ..self }
+    }
+}
+
+impl<S: Simd> BitAnd for PackMask<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn bitand(self, other: Self) -> Self {
+        Self { values: self.simd.and_m64s(self.values, other.values), ..self }
+    }
+}
+
+impl<S: Simd> Real for Pack<S> {
+    type Mask = PackMask<S>;
+
+    #[inline(always)]
+    fn all(self, x: f64) -> Self {
+        Self { values: self.simd.splat_f64s(x), ..self }
+    }
+
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self { values: self.simd.abs_f64s(self.values), ..self }
+    }
+
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self { values: self.simd.sqrt_f64s(self.values), ..self }
+    }
+
+    #[inline(always)]
+    fn less(self, other: Self) -> PackMask<S> {
+        PackMask { simd: self.simd, values: self.simd.less_than_f64s(self.values, other.values) }
+    }
+
+    #[inline(always)]
+    fn choose(mask: PackMask<S>, yes: Self, no: Self) -> Self {
+        Self { values: mask.simd.select_f64s(mask.values, yes.values, no.values), ..yes }
+    }
+
+    #[inline(always)]
+    fn any(mask: PackMask<S>) -> bool {
+        mask.simd.first_true_m64s(mask.values) < S::F64_LANES
+    }
+
+    #[inline(always)]
+    fn with_sign_of(self, other: Self) -> Self {
+        let sign = self.simd.and_f64s(other.values, self.simd.splat_f64s(-0.0));
+        Self { values: self.simd.or_f64s(self.simd.abs_f64s(self.values), sign), ..self }
+    }
+
+    #[inline(always)]
+    fn power_of_two(self) -> Self {
+        let simd = self.simd;
+        let biased = simd.add_u64s(simd.transmute_u64s_f64s(self.values), simd.splat_u64s(1023));
+        // a shift by 52
+        let shifted = simd.mul_u64s(biased, simd.splat_u64s(1 << 52));
+        Self { values: simd.transmute_f64s_u64s(shifted), ..self }
+    }
+}

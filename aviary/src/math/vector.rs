@@ -1,0 +1,154 @@
+use std::ops::{Add, Mul, Neg, Sub};
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::{Real, asin, atan2};
+use crate::state::{attitude_from_wxyz, wxyz};
+
+/// A vector.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct V3<R> {
+    pub x: R,
+    pub y: R,
+    pub z: R,
+}
+
+impl<R: Real> V3<R> {
+    #[inline(always)]
+    pub fn new(x: R, y: R, z: R) -> Self {
+        Self { x, y, z }
+    }
+
+    #[inline(always)]
+    pub fn dot(self, other: Self) -> R {
+        self.x * other.x + self.y * other.y + self.z * other.z
+    }
+
+    #[inline(always)]
+    pub fn cross(self, other: Self) -> Self {
+        Self {
+            x: self.y * other.z - self.z * other.y,
+            y: self.z * other.x - self.x * other.z,
+            z: self.x * other.y - self.y * other.x,
+        }
+    }
+
+    /// Component by component.
+    #[inline(always)]
+    pub fn times(self, other: Self) -> Self {
+        Self { x: self.x * other.x, y: self.y * other.y, z: self.z * other.z }
+    }
+
+    #[inline(always)]
+    pub fn norm(self) -> R {
+        self.dot(self).sqrt()
+    }
+}
+
+impl<R: Real> Add for V3<R> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y, z: self.z + other.z }
+    }
+}
+
+impl<R: Real> Sub for V3<R> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y, z: self.z - other.z }
+    }
+}
+
+impl<R: Real> Neg for V3<R> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self { x: -self.x, y: -self.y, z: -self.z }
+    }
+}
+
+/// By a number: one for all, or one each.
+impl<R: Real + Mul<F, Output = R>, F: Copy> Mul<F> for V3<R> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn mul(self, factor: F) -> Self {
+        Self { x: self.x * factor, y: self.y * factor, z: self.z * factor }
+    }
+}
+
+impl From<&Vector3<f64>> for V3<f64> {
+    #[inline(always)]
+    fn from(v: &Vector3<f64>) -> Self {
+        Self { x: v.x, y: v.y, z: v.z }
+    }
+}
+
+impl From<V3<f64>> for Vector3<f64> {
+    #[inline(always)]
+    fn from(v: V3<f64>) -> Self {
+        Self::new(v.x, v.y, v.z)
+    }
+}
+
+/// A unit quaternion: a rotation.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Turn<R> {
+    pub w: R,
+    pub v: V3<R>,
+}
+
+impl<R: Real> Turn<R> {
+    /// A vector of the turned frame in the other one.
+    #[inline(always)]
+    pub fn forth(&self, v: V3<R>) -> V3<R> {
+        let across = self.v.cross(v) * 2.0;
+        v + across * self.w + self.v.cross(across)
+    }
+
+    /// A vector of the other frame in the turned one.
+    #[inline(always)]
+    pub fn back(&self, v: V3<R>) -> V3<R> {
+        let across = self.v.cross(v) * 2.0;
+        v - across * self.w + self.v.cross(across)
+    }
+
+    /// The turned z axis in the other frame.
+    #[inline(always)]
+    pub fn up(&self) -> V3<R> {
+        let (w, V3 { x, y, z }) = (self.w, self.v);
+        V3::new((x * z + w * y) * 2.0, (y * z - w * x) * 2.0, w.all(1.0) - (x * x + y * y) * 2.0)
+    }
+
+    /// Roll, pitch and yaw.
+    #[inline(always)]
+    pub fn rpy(&self) -> V3<R> {
+        let (w, V3 { x, y, z }) = (self.w, self.v);
+        let one = w.all(1.0);
+        V3::new(
+            atan2((w * x + y * z) * 2.0, one - (x * x + y * y) * 2.0),
+            asin((w * y - z * x) * 2.0),
+            atan2((w * z + x * y) * 2.0, one - (y * y + z * z) * 2.0),
+        )
+    }
+}
+
+impl From<&UnitQuaternion<f64>> for Turn<f64> {
+    #[inline(always)]
+    fn from(attitude: &UnitQuaternion<f64>) -> Self {
+        let [w, x, y, z] = wxyz(attitude);
+        Self { w, v: V3 { x, y, z } }
+    }
+}
+
+impl From<Turn<f64>> for UnitQuaternion<f64> {
+    #[inline(always)]
+    fn from(turn: Turn<f64>) -> Self {
+        attitude_from_wxyz([turn.w, turn.v.x, turn.v.y, turn.v.z])
+    }
+}

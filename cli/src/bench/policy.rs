@@ -1,0 +1,76 @@
+//! What the drones of a benchmark do.
+
+/// Where drones of a swarm start.
+pub(super) fn place(drone: usize) -> [f64; 3] {
+    [(drone % 4) as f64, (drone / 4) as f64, 0.5 + 0.1 * drone as f64]
+}
+
+/// A linear policy that takes a Crazyflie to a metre above where it starts, with noise: what an agent in training does.
+pub(super) struct Policy {
+    actions: Vec<f32>,
+    noise: u64,
+    drones: usize,
+    block: usize,
+}
+
+impl Policy {
+    pub(super) fn new(seed: u64, environments: usize, drones: usize, block: usize) -> Self {
+        Self {
+            actions: vec![0.0; 4 * environments * drones],
+            // any odd number will do
+            noise: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
+            drones,
+            block,
+        }
+    }
+
+    /// Uniform in ±1 (Marsaglia's xorshift).
+    fn uniform(&mut self) -> f32 {
+        self.noise ^= self.noise << 13;
+        self.noise ^= self.noise >> 7;
+        self.noise ^= self.noise << 17;
+        (self.noise >> 40) as f32 / (1 << 23) as f32 - 1.0
+    }
+
+    /// Actions to be taken by turns: their noise cancels out, so that nothing sinks to the floor.
+    pub(super) fn climb(&mut self) -> [Vec<f32>; 8] {
+        const LIFT: f32 = 0.006;
+        let mut all: [Vec<f32>; 8] = std::array::from_fn(|_| self.actions.clone());
+        for drone in 0..self.actions.len() / 4 {
+            for turn in 0..4 {
+                let noise = 0.02 * self.uniform();
+                all[2 * turn][4 * drone..][..4].fill(LIFT + noise);
+                all[2 * turn + 1][4 * drone..][..4].fill(LIFT - noise);
+            }
+        }
+        all
+    }
+
+    pub(super) fn random(&mut self) -> &[f32] {
+        for index in 0..self.actions.len() {
+            self.actions[index] = self.uniform();
+        }
+        &self.actions
+    }
+
+    pub(super) fn act(&mut self, observations: &[f32]) -> &[f32] {
+        for index in 0..self.actions.len() / 4 {
+            let o = &observations[self.block * index..][..12];
+            let [x, y, height] =
+                if self.drones == 1 { [0.0, 0.0, 1.0] } else { place(index % self.drones).map(|x| x as f32) };
+            let roll = 0.2 * (o[1] - y) + 0.2 * o[7];
+            let pitch = -0.2 * (o[0] - x) - 0.2 * o[6];
+            let lift = 0.5 * (height - o[2]) - 0.4 * o[8];
+            let about_x = 0.12 * (roll - o[3]) - 0.03 * o[9];
+            let about_y = 0.12 * (pitch - o[4]) - 0.03 * o[10];
+            let about_z = -0.05 * o[5] - 0.05 * o[11];
+            for (motor, [x, y, z]) in
+                [[1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]].into_iter().enumerate()
+            {
+                let noise = 0.02 * self.uniform();
+                self.actions[4 * index + motor] = lift + x * about_x + y * about_y + z * about_z + noise;
+            }
+        }
+        &self.actions
+    }
+}
