@@ -2,7 +2,7 @@
 
 use allocation_counter::measure;
 use mujoco_drones_gym::control::{ControllerKind, trajectory};
-use mujoco_drones_gym::env::Randomization;
+use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks;
@@ -145,12 +145,20 @@ fn a_batch_allocates_nothing_after_its_first_steps() {
 fn an_environment_of_a_batch_takes_less_than_two_kilobytes() {
     let count = 8192;
     let config = VecConfig { threads: 1, ..VecConfig::new(count) };
-    let mut bytes = 0;
-    let allocations = measure(|| {
-        let env = VecAviary::new(Hover::builder(), config).unwrap();
-        bytes = env.bytes_per_env();
-        std::mem::forget(env);
-    });
-    let measured = allocations.bytes_current as usize / count;
-    assert!(measured < 2000 && bytes < 2000, "{measured} {bytes}");
+    let size = |builder: AviaryBuilder<Hover>| {
+        let mut said = 0;
+        let allocations = measure(|| {
+            let env = VecAviary::new(builder, config).unwrap();
+            said = env.bytes_per_env();
+            std::mem::forget(env);
+        });
+        let measured = allocations.bytes_current as usize / count;
+        assert!(said.abs_diff(measured) < 200, "{said} said, {measured} taken");
+        measured
+    };
+    let plain = size(Hover::builder());
+    assert!(plain < 1200, "{plain}");
+    // with a body, motors and sensors of its own
+    let own = size(Hover::builder().randomization(Randomization::default()));
+    assert!(own < 5000, "{own}");
 }

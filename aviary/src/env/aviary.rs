@@ -86,6 +86,11 @@ impl<T> Episode<T> {
         self.rng.set_stream(stream);
     }
 
+    /// Bytes that it takes on the heap, but for the task's own.
+    pub(crate) fn bytes(&self) -> usize {
+        self.randomizer.as_ref().map_or(0, |randomizer| randomizer.bytes())
+    }
+
     /// Whether something is drawn for every episode.
     pub(crate) fn is_randomized(&self) -> bool {
         self.randomizer.is_some() || self.next_randomization.is_some()

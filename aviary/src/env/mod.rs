@@ -213,6 +213,14 @@ pub enum EnvError {
         /// What the batch needs.
         expected: usize,
     },
+    /// An index that no environment of a batch has.
+    #[error("there is no environment {got}, expected one of 0 to {}", environments - 1)]
+    NoEnvironment {
+        /// The index.
+        got: usize,
+        /// How many there are.
+        environments: usize,
+    },
     /// A task of a batch panicked earlier.
     #[error("a task has panicked in an earlier step of this batch, expected a new batch")]
     Panicked,

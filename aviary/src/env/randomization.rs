@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 use rand::RngExt as _;
 use serde::{Deserialize, Serialize};
@@ -307,13 +309,14 @@ pub struct Draw {
 /// Draws and applies what a [`Randomization`] says.
 #[derive(Debug, Clone)]
 pub(super) struct Randomizer {
-    pub(super) config: Randomization,
+    // what environments of a batch have in common is there once
+    pub(super) config: Arc<Randomization>,
     pub(super) draw: Draw,
     /// Whence the noise of the sensors comes.
     noise: Rng,
-    nominal: Vec<DroneParams>,
+    nominal: Arc<[DroneParams]>,
     /// How the motors and the wind were before.
-    motors: Vec<ActuatorParams>,
+    motors: Arc<[ActuatorParams]>,
     wind: Option<WindConfig>,
     measured: Vec<DroneState>,
 }
@@ -336,7 +339,7 @@ fn gaussian(rng: &mut Rng, sigma: f64) -> Vector3<f64> {
 impl Randomizer {
     pub(super) fn new(config: Randomization, simulation: &Simulation) -> Result<Self, EnvError> {
         config.validate()?;
-        let nominal: Vec<_> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
+        let nominal: Arc<[_]> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
         let initial = simulation.initial_states().to_vec();
         let still = |initial: &DroneState| DroneDraw {
             mass: 1.0,
@@ -355,7 +358,20 @@ impl Randomizer {
         use rand::SeedableRng as _;
         let motors = (0..nominal.len()).map(|drone| *simulation.actuator_params(drone)).collect();
         let wind = simulation.wind().copied();
-        Ok(Self { config, draw, noise: Rng::seed_from_u64(0), nominal, motors, wind, measured: initial })
+        Ok(Self {
+            config: Arc::new(config),
+            draw,
+            noise: Rng::seed_from_u64(0),
+            nominal,
+            motors,
+            wind,
+            measured: initial,
+        })
+    }
+
+    /// Bytes that it takes, beside what others have, too.
+    pub(super) fn bytes(&self) -> usize {
+        size_of::<Self>() + size_of_val(&self.draw.drones[..]) + size_of_val(&self.measured[..])
     }
 
     /// Draws an episode. Every group has the same number of draws whatever the others are.
@@ -470,7 +486,7 @@ impl Randomizer {
             most(self.config.actuators.map(|ranges| ranges.latency)),
             most(self.config.sensors.map(|ranges| ranges.latency)),
         );
-        for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&self.nominal).enumerate() {
+        for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&*self.nominal).enumerate() {
             if self.config.body.is_some() || self.config.aerodynamics.is_some() {
                 simulation.change_airframe(drone, |params| randomize(params, nominal, draw))?;
             }
@@ -499,7 +515,7 @@ impl Randomizer {
 
     /// Puts everything back to the nominal airframes.
     pub(super) fn undo(&self, simulation: &mut Simulation) -> Result<(), SimulationError> {
-        for (drone, (nominal, motors)) in self.nominal.iter().zip(&self.motors).enumerate() {
+        for (drone, (nominal, motors)) in self.nominal.iter().zip(&*self.motors).enumerate() {
             simulation.set_airframe(drone, nominal.clone())?;
             if self.config.actuators.is_some() {
                 simulation.set_actuators(drone, motors)?;

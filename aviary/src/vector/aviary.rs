@@ -109,12 +109,14 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             });
         }
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let threads = if config.threads == 0 { cores } else { config.threads };
+        let asked = config.threads;
+        let threads = if asked == 0 { cores } else { asked };
         if threads > 1024 {
             let got = threads.to_string();
             return Err(EnvError::Option { option: "the number of threads", got, expected: "up to 1024" });
         }
-        let threads = threads.min(count.div_ceil(LANES));
+        /// Environments in flight that keep a thread busy for longer than it takes to wake.
+        const WORTH_A_THREAD: usize = 256;
         let builder = builder.engine_or(EngineKind::Hybrid);
         let make = || -> Result<Aviary<T>, EnvError> {
             let mut env = builder.clone().build()?;
@@ -129,6 +131,10 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let world = simulation.world();
         let lag = (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0) || first.episode.is_randomized();
         let space = first.observation_space();
+        // pictures and MuJoCo's steps are worth a thread for every block
+        let quick = flies && !space.kind.has_images() && !space.kind.ranges;
+        let least = if asked == 0 && quick { WORTH_A_THREAD } else { LANES };
+        let threads = threads.min(count.div_ceil(least));
         let numbers = space.vector.size()
             + if space.kind.obstacle { drones } else { 0 }
             + if space.kind.ranges { drones * space.rays.0 } else { 0 }
@@ -252,12 +258,12 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     /// caller's buffers, contacts were seen by the task.
     ///
     /// # Errors
-    /// [`EnvError::InBatch`] where it cannot be put there.
-    ///
-    /// # Panics
-    /// If there is no environment of that index.
+    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { common, seats, crew, .. } = self;
+        if environment >= seats.slots.len() {
+            return Err(EnvError::NoEnvironment { got: environment, environments: seats.slots.len() });
+        }
         // a lock, which knows when `look` panics
         let Ok(mut place) = crew.places[0].lock() else { return Err(EnvError::Panicked) };
         let stage = &mut place.stage;
@@ -527,6 +533,7 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         let own = |slot: &Slot<T>| slot.equipment.as_ref().map_or(0, |equipment| equipment.bytes());
         let sum = size_of_val(&slots[..])
             + slots.iter().map(own).sum::<usize>()
+            + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
             + slots.iter().map(|slot| size_of_val(&slot.decoders[..])).sum::<usize>()
             + size_of_val(&lanes[..])
             + size_of_val(&frames[..])

@@ -48,7 +48,8 @@ pub enum OnFault {
 pub struct VecConfig {
     /// Number of environments.
     pub environments: usize,
-    /// Threads, each with a MuJoCo simulation of its own; 0, the default, for as many as the machine has cores.
+    /// Threads, each with a MuJoCo simulation of its own; 0, the default, for as many as the machine has cores and the batch
+    /// keeps busy.
     pub threads: usize,
     /// When environments that have ended begin anew.
     pub autoreset: Autoreset,
@@ -234,7 +235,7 @@ pub trait VecEnv: Send {
     /// randomization. Its observation is not that of the last step: those are in the caller's buffers.
     ///
     /// # Errors
-    /// [`EnvError::InBatch`] where it cannot be put there.
+    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there.
     fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError>;
 
     /// Bytes that the batch takes for every environment, beside what the threads share and the caller's buffers.
