@@ -38,7 +38,7 @@ pub mod prelude {
     pub use aviary::simulation::{Simulation, SimulationError};
     pub use aviary::state::DroneState;
     pub use aviary::tasks::{FlyThrough, Formation, Hover, MultiHover, Race, Stabilize, Track, Velocity, make};
-    pub use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, make_vec};
+    pub use aviary::vector::{Autoreset, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv, make_vec};
     pub use aviary::vision::{ImageSize, View};
 }
 

@@ -6,7 +6,6 @@ use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks;
-use mujoco_drones_gym::vector::Autoreset;
 use mujoco_drones_gym::world::ObstacleConfig;
 use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper};
 

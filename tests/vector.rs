@@ -6,7 +6,6 @@ use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{self, Antipodal};
 use mujoco_drones_gym::vector::VecPictures;
-use mujoco_drones_gym::vector::{Autoreset, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv};
 use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
 use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
 
@@ -709,5 +708,6 @@ fn looking_at_an_environment_shows_its_own_commands_and_end_and_changes_nothing(
         ends.extend(batch.ended(0).map(|ended| ended.reason));
     }
     assert_eq!(ends, [EndReason::FloorContact]);
+    assert!(!buffers.truncated[0] && !buffers.terminated[0]);
     assert!(batch.faults()[0].1.to_string().contains("after the end"));
 }

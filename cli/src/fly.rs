@@ -285,6 +285,7 @@ impl Flight {
             ),
             ("controller", self.controller.to_string()),
             ("physics", env.simulation().physics().to_string()),
+            ("engine", env.simulation().engine().name().to_string()),
             ("success", success),
             ("final position error", centimetres(self.info.position_error)),
             ("RMS position error, last 2 s", centimetres(self.errors.rms_last_2s())),

@@ -48,8 +48,8 @@ pub enum OnFault {
 pub struct VecConfig {
     /// Number of environments.
     pub environments: usize,
-    /// Threads, each with a MuJoCo simulation of its own; 0, the default, for as many as the machine has cores and the batch
-    /// keeps busy.
+    /// Threads, each with a MuJoCo simulation of its own, up to 1024 and never more than one for eight environments; 0, the
+    /// default, for as many as the machine has cores and the batch keeps busy.
     pub threads: usize,
     /// When environments that have ended begin anew.
     pub autoreset: Autoreset,
@@ -228,7 +228,7 @@ pub trait VecEnv: Send {
     /// The episode of an environment that ended in the last step, if one did.
     fn ended(&self, environment: usize) -> Option<&Ended>;
 
-    /// Environments that failed in the last step, and why.
+    /// Environments that failed in the last step, and why; none where a bad action was an error before anything moved.
     fn faults(&self) -> &[(usize, EnvError)];
 
     /// Puts an environment where it can be looked at and changed as if it were alone: its information, its wind, its

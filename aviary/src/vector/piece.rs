@@ -482,7 +482,8 @@ impl<T: Task> Worker<'_, T> {
         if piece.rewards.is_empty() {
             return;
         }
-        (piece.rewards[index], piece.terminated[index], piece.truncated[index]) = (0.0, false, true);
+        // what has ended already is not cut off once more
+        (piece.rewards[index], piece.terminated[index], piece.truncated[index]) = (0.0, false, running);
         if running {
             self.end(piece, index, true, EndReason::Fault, false);
         }
