@@ -339,6 +339,27 @@ fn an_environment_can_be_changed_as_if_it_were_alone() {
 }
 
 #[test]
+fn randomizing_one_environment_leaves_the_bodies_of_the_others_alone() {
+    let config = VecConfig { threads: 1, ..VecConfig::new(10) };
+    let mut batch = VecAviary::new(Hover::builder(), config).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    let bodies = Randomization { body: Some(Default::default()), ..Randomization::NONE };
+    batch.with(4, |env| env.set_randomization(Some(bodies))).unwrap().unwrap();
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    batch.step(&[0.0; 40], buffers.step()).unwrap();
+    let nominal = DroneModel::Cf2x.params().mass;
+    for i in 0..10 {
+        let mass = batch.with(i, |env| env.simulation().params(0).mass).unwrap();
+        assert_eq!(mass != nominal, i == 4, "{i}: {mass}");
+    }
+    // and it can be taken back
+    batch.with(4, |env| env.set_randomization(None)).unwrap().unwrap();
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    assert_eq!(batch.with(4, |env| env.simulation().params(0).mass).unwrap(), nominal);
+}
+
+#[test]
 fn what_a_batch_observes_beside_vectors_stands_behind_them() {
     let field = ObstacleConfig { count: 4, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) };
     let kind: ObservationType = "kin_obstacle_ranges_adjacency".parse().unwrap();

@@ -287,7 +287,9 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         simulation.refresh();
         // while it is here, the thread's own is in its place
         let thread_s = seats.slots[environment].equipment.as_deref();
-        let unchanged = common_one && thread_s.is_some_and(|own| own.is_like(simulation.equipment()));
+        let same = common_one && thread_s.is_some_and(|own| own.is_like(simulation.equipment()));
+        // what will be drawn at its next reset must not be drawn into the thread's own
+        let unchanged = same && !stage.env.episode.is_randomized();
         if !unchanged && seats.frames.is_empty() {
             seats.frames = common.frames.repeat(seats.slots.len().div_ceil(LANES));
         }
