@@ -16,6 +16,19 @@ pub(crate) fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
 }
 
+/// The name of a list that is most like another one, for messages: `; did you mean …?`, or nothing where none is like it.
+pub fn did_you_mean(name: &str, names: &[&str]) -> String {
+    // the first of several that are equally near
+    names
+        .iter()
+        .rev()
+        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
+        .filter(|(likeness, _)| *likeness > 0.7)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
+        .unwrap_or_default()
+}
+
 /// Exactly three numbers: serde's own arrays take the first three of a longer list.
 pub(crate) fn triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 3], D::Error> {
     Ok(Triple::deserialize(deserializer)?.0)

@@ -39,3 +39,5 @@ pub mod vector;
 pub mod record;
 
 mod error;
+
+pub use error::did_you_mean;

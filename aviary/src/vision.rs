@@ -280,6 +280,38 @@ impl Painter {
         points.iter().all(|&point| self.add(Decor::Sphere { centre: point.into(), radius }, rgba))
     }
 
+    /// Adds a ring about a point (world frame, m) across an axis, with a radius and a thickness in m, until the next update;
+    /// `false` where there is no room for all of it.
+    pub fn add_ring(
+        &mut self,
+        centre: Vector3<f64>,
+        axis: Vector3<f64>,
+        radius: f64,
+        thickness: f64,
+        rgba: [f32; 4],
+    ) -> bool {
+        const CORNERS: u32 = 40;
+        // any direction across the axis will do
+        let aside = if axis.x.abs() < 0.9 * axis.norm() { Vector3::x() } else { Vector3::y() };
+        let Some(u) = axis.cross(&aside).try_normalize(1e-12) else { return false };
+        let Some(v) = axis.cross(&u).try_normalize(1e-12) else { return false };
+        let corner = |i: u32| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(CORNERS)).sin_cos();
+            centre + radius * (cos * u + sin * v)
+        };
+        let corners: Vec<_> = (0..=CORNERS).map(corner).collect();
+        self.add_line(&corners, 0.5 * thickness, rgba)
+    }
+
+    /// Adds a square gate that stands upright about a point (world frame, m) and is flown through along a yaw (rad); `reach` m
+    /// from its middle to the middle of each bar. It stays until the next update; `false` where there is no room.
+    pub fn add_gate(&mut self, centre: Vector3<f64>, yaw: f64, reach: f64, rgba: [f32; 4]) -> bool {
+        let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
+        let corner = |side: f64, up: f64| centre + reach * (side * left + up * Vector3::z());
+        let frame = [corner(1.0, 1.0), corner(-1.0, 1.0), corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0)];
+        self.add_line(&frame, 0.06 * reach, rgba)
+    }
+
     /// The camera of a view.
     fn camera(&self, view: View) -> Camera {
         let orbit = |centre: Vector3<f64>, distance: f64, azimuth: f64, elevation: f64| Camera::Free {

@@ -1,19 +1,19 @@
 use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::anyhow;
 use aviary::control::ControllerKind;
 use aviary::env::{Env, Info};
-use aviary::record::CsvLog;
-use aviary::record::picture::GifAnimation;
-use aviary::vision::{ImageSize, View};
+use aviary::record::plot::Plot;
+use aviary::record::{Flight as Samples, RecordError, Recorder};
 use clap::Args;
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
-use crate::options::{FlightOptions, named, size, vision_failure};
-use crate::output::{self, OutputDir, OutputFile};
+use crate::film::{Film, FilmOptions};
+use crate::options::FlightOptions;
+use crate::output::{self, OutputDir};
 use crate::pilot::Pilot;
 
 /// Fly a task with a built-in controller and report how well
@@ -25,22 +25,21 @@ use crate::pilot::Pilot;
   aviary fly --task hover --drone race --out out/hover --json
   aviary fly --task hover --controller geometric --trajectory circle
   aviary fly --task hover --wind combined --obstacles forest
-  aviary fly --task hover --duration 3 --gif out/hover.gif --camera front")]
+  aviary fly --task race --drone race --out out/race --plot
+  aviary fly --task hover --duration 3 --gif out/hover.gif --camera front
+  aviary fly --task fly_through --gif out/gates.gif --overlay trails,references")]
 pub struct Fly {
     #[command(flatten)]
     options: FlightOptions,
-    /// Directory for the flight's log (log.csv) and summary (summary.json)
+    /// Directory for the flight's log (drone0.csv, one file per drone) and summary (summary.json)
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Animation to write
+    /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png), into the directory of --out or
+    /// else out/TASK
     #[arg(long)]
-    gif: Option<PathBuf>,
-    /// Camera of the animation: track, fpv, fixed, front, top
-    #[arg(long, default_value = "track", requires = "gif")]
-    camera: String,
-    /// Size of the animation, pixels
-    #[arg(long, value_parser = size, default_value = "320x240", requires = "gif")]
-    size: ImageSize,
+    plot: bool,
+    #[command(flatten)]
+    film: FilmOptions,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -48,12 +47,15 @@ pub struct Fly {
 
 impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
-        let view = named::<View>("camera", &self.camera, &View::ALL.map(View::name))?;
+        self.film.check()?;
         let mut pilot = Pilot::new(&self.options)?;
+        let plots = self.plot.then(|| self.out.clone().unwrap_or_else(|| Path::new("out").join(pilot.env().name())));
+        let plots = plots.as_deref().map(OutputDir::create).transpose()?;
         let out = self.out.as_deref().map(OutputDir::create).transpose()?;
-        let film = self.gif.as_deref().map(|path| Film::begin(OutputFile::begin(path)?, &pilot, view, self.size));
-        let flight = self.flight(&mut pilot, out.as_ref(), film.transpose()?)?;
+        let film = self.film.begin(&pilot)?;
+        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), film)?;
 
+        let mut written = self.film.files();
         let summary = flight.json(pilot.env(), &self.options);
         if let Some(out) = &out {
             // what depends on the machine's speed stays out of the file: equal seeds give equal files
@@ -62,11 +64,20 @@ impl Fly {
                 object.remove("wall_seconds");
             }
             out.write("summary.json", format!("{file:#}\n").as_bytes())?;
+            written.extend(aviary::record::files(out.path()));
+            written.push(out.path().join("summary.json"));
+        }
+        if let (Some(plots), Some(samples)) = (&plots, &samples) {
+            written.extend(self.draw(plots, pilot.env(), samples)?);
         }
         if self.json {
+            let mut summary = summary;
+            summary["files"] = json!(written);
             output::print_json(&summary)?;
         } else {
             output::print(&flight.table(pilot.env()))?;
+            let list: String = written.iter().map(|path| format!("wrote {}\n", path.display())).collect();
+            output::print(&list)?;
         }
         match flight.info.end {
             Some(end) if end.is_crash() => {
@@ -80,23 +91,42 @@ impl Fly {
         }
     }
 
+    /// Draws the plots of a flight and says which files they are.
+    fn draw(&self, to: &OutputDir, env: &dyn Env, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
+        let simulation = env.simulation();
+        let title = format!("{} with {} ({})", env.name(), simulation.params(0).name, simulation.physics());
+        let mut written = Vec::new();
+        for (name, plot) in [("flight", Plot::of_flight(&title, samples)), ("path", Plot::of_paths(&title, samples))] {
+            let plot = plot.map_err(Failure::work)?;
+            let (svg, png) = (plot.svg().map_err(Failure::work)?, plot.png().map_err(Failure::work)?);
+            for (ending, bytes) in [("svg", svg.as_bytes()), ("png", &png)] {
+                let file = format!("{name}.{ending}");
+                to.write(&file, bytes)?;
+                written.push(to.path().join(file));
+            }
+        }
+        Ok(written)
+    }
+
     /// Flies one episode.
-    fn flight(&self, pilot: &mut Pilot, out: Option<&OutputDir>, mut film: Option<Film>) -> Result<Flight, Failure> {
-        let mut log = match out {
-            Some(dir) => Some(CsvLog::new(dir.begin("log.csv")?.into_writer()).map_err(Failure::work)?),
-            None => None,
-        };
+    fn flight(
+        &self,
+        pilot: &mut Pilot,
+        out: Option<&OutputDir>,
+        mut film: Option<Film>,
+    ) -> Result<(Flight, Option<Samples>), Failure> {
+        let drones = pilot.env().simulation().num_drones();
+        let recorder = out.map(|out| Recorder::create(out.path(), drones)).transpose().map_err(Failure::work)?;
+        let mut log = Log { recorder, samples: self.plot.then(Samples::default) };
         let steps = pilot.env().episode_steps();
         let bar = output::progress(steps, "flying");
         let mut errors = Errors::default();
         let mut reward = 0.0;
         let mut wall_seconds = 0.0;
         loop {
-            if let Some(log) = &mut log {
-                log.record(pilot.env().simulation()).map_err(Failure::work)?;
-            }
+            log.note(pilot)?;
             if let Some(film) = &mut film {
-                film.look(pilot.env_mut())?;
+                film.look(pilot)?;
             }
             let start = Instant::now();
             let flown = pilot.step()?;
@@ -111,12 +141,9 @@ impl Fly {
             }
         }
         bar.finish_and_clear();
-        if let Some(mut log) = log {
-            log.record(pilot.env().simulation()).map_err(Failure::work)?;
-            log.finish().map_err(Failure::work)?.keep()?;
-        }
+        log.note(pilot)?;
         if let Some(film) = film {
-            film.finish(pilot.env_mut())?;
+            film.finish(pilot)?;
         }
         let mut info = pilot.env().info();
         if pilot.has_plan() {
@@ -129,52 +156,32 @@ impl Fly {
             info.progress = 1.0;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }
-        Ok(Flight { controller: pilot.kind(), info, reward, wall_seconds, errors })
+        Ok((Flight { controller: pilot.kind(), info, reward, wall_seconds, errors }, log.samples))
+    }
+}
+
+/// What keeps a flight: files, and memory for plots.
+struct Log {
+    recorder: Option<Recorder>,
+    samples: Option<Samples>,
+}
+
+impl Log {
+    fn note(&mut self, pilot: &Pilot) -> Result<(), Failure> {
+        let (env, simulation) = (pilot.env(), pilot.env().simulation());
+        let of = |drone| (env.drone_reward(drone), Some(pilot.reference(drone)));
+        if let Some(samples) = &mut self.samples {
+            samples.note_with(simulation, of);
+        }
+        match &mut self.recorder {
+            Some(recorder) => recorder.record_with(simulation, of).map_err(|error: RecordError| Failure::work(error)),
+            None => Ok(()),
+        }
     }
 }
 
 /// Position error below which a flight along a trajectory has ended where it should, m.
 const ON_TRAJECTORY: f64 = 0.05;
-
-/// An animation being made: a frame every so many control steps, about 24 a second.
-struct Film {
-    animation: GifAnimation<output::FileWriter>,
-    view: View,
-    size: ImageSize,
-    every: u64,
-    next: u64,
-    rgb: Vec<u8>,
-}
-
-impl Film {
-    fn begin(file: OutputFile, pilot: &Pilot, view: View, size: ImageSize) -> Result<Self, Failure> {
-        let simulation = pilot.env().simulation();
-        let every = u64::from((simulation.ctrl_freq() / 24).max(1));
-        let seconds = every as f64 * simulation.control_period();
-        let animation = GifAnimation::new(file.into_writer(), size, seconds).map_err(Failure::work)?;
-        Ok(Self { animation, view, size, every, next: 0, rgb: vec![0; 3 * size.pixels()] })
-    }
-
-    /// Takes a frame if it is time for one.
-    fn look(&mut self, env: &mut dyn Env) -> Result<(), Failure> {
-        if env.simulation().control_steps() < self.next {
-            return Ok(());
-        }
-        self.next += self.every;
-        self.frame(env)
-    }
-
-    fn frame(&mut self, env: &mut dyn Env) -> Result<(), Failure> {
-        env.render(self.view, self.size, &mut self.rgb).map_err(vision_failure)?;
-        self.animation.frame(&self.rgb).map_err(Failure::work)
-    }
-
-    /// Adds the last moment and gives the file its name.
-    fn finish(mut self, env: &mut dyn Env) -> Result<(), Failure> {
-        self.frame(env)?;
-        self.animation.finish().map_err(Failure::work)?.keep()
-    }
-}
 
 /// Position errors over a flight, one sample per control step and drone.
 #[derive(Debug, Default)]

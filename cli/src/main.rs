@@ -4,6 +4,7 @@ mod bench;
 mod capture;
 mod doctor;
 mod failure;
+mod film;
 mod fly;
 mod options;
 mod output;

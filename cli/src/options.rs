@@ -212,15 +212,7 @@ fn one_of_with(option: &str, name: &str, names: &[&str], more: &str) -> Result<(
     if names.contains(&name) {
         return Ok(());
     }
-    // the first of several that are equally near
-    let near = names
-        .iter()
-        .rev()
-        .map(|candidate| (strsim::jaro_winkler(name, candidate), candidate))
-        .filter(|(likeness, _)| *likeness > 0.7)
-        .max_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
-        .unwrap_or_default();
+    let near = aviary::did_you_mean(name, names);
     Err(Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}{more}{near}", names.join(", "))))
 }
 

@@ -92,8 +92,13 @@ impl OutputFile {
         FileWriter { file, path: self.path }
     }
 
+    /// Where it is while it is being written.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
     /// Gives the finished file its name.
-    fn keep(self) -> Result<(), Failure> {
+    pub fn keep(self) -> Result<(), Failure> {
         let Self { file, path } = self;
         let keep = || {
             // temporary files are private to their owner; output files are like any other
@@ -163,6 +168,11 @@ impl OutputDir {
         };
         prepare().with_context(|| path.display().to_string()).map_err(Failure::work)?;
         Ok(Self(path.to_path_buf()))
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.0
     }
 
     /// Begins a file in it.

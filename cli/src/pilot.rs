@@ -64,9 +64,14 @@ impl Pilot {
         Ok(())
     }
 
+    /// The way that a drone is to fly, where it has one.
+    pub fn way(&self, drone: usize) -> Option<&dyn Trajectory> {
+        self.trajectory.as_deref().or(self.plans[drone].as_deref())
+    }
+
     /// What a drone is asked to follow now.
     pub fn reference(&self, drone: usize) -> Reference {
-        match self.trajectory.as_ref().or(self.plans[drone].as_ref()) {
+        match self.way(drone) {
             Some(way) => way.reference(self.env.simulation().time()),
             None => self.env.reference(drone),
         }
@@ -132,9 +137,5 @@ impl Pilot {
 
     pub fn env(&self) -> &dyn Env {
         &*self.env
-    }
-
-    pub fn env_mut(&mut self) -> &mut dyn Env {
-        &mut *self.env
     }
 }

@@ -495,6 +495,11 @@ impl<T: Task> Env for Aviary<T> {
         self.ends[drone]
     }
 
+    fn drone_reward(&self, drone: usize) -> f64 {
+        let stepped = self.episode.phase != Phase::New && self.simulation.control_steps() > 0;
+        if stepped { self.reward_of(drone) } else { 0.0 }
+    }
+
     fn action_type(&self) -> ActionType {
         self.action_type
     }

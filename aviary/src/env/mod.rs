@@ -319,6 +319,9 @@ pub trait Env {
     /// If there is no drone of that index; likewise below.
     fn drone_end(&self, drone: usize) -> Option<EndReason>;
 
+    /// A drone's share of the reward that the last step of the running or the ended episode returned; 0 before the first.
+    fn drone_reward(&self, drone: usize) -> f64;
+
     /// What the numbers of an action mean.
     fn action_type(&self) -> ActionType;
 

@@ -1,13 +1,25 @@
 //! Flights and pictures as files.
+//!
+//! [`Recorder`] and [`Recorded`] write a flight while it is flown, [`Flight`] keeps one in memory or reads it back,
+//! [`plot`] draws it, [`Film`] makes pictures of it that [`animation`] puts into files.
 
+pub mod animation;
+mod film;
+mod flight;
 mod log;
 pub mod picture;
 pub mod plot;
 mod recorded;
+mod recorder;
 mod replay;
 
+use std::path::PathBuf;
+
+pub use film::{Film, Overlays};
+pub use flight::{Flight, Sample, files};
 pub use log::CsvLog;
 pub use recorded::Recorded;
+pub use recorder::{COLUMNS, Recorder};
 pub use replay::{ReplayError, Scenario, read_actions};
 
 use crate::vision::ImageSize;
@@ -16,6 +28,32 @@ use crate::vision::ImageSize;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
+    /// A file that cannot be made or written.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// Its path.
+        path: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// A file that is no record of a flight.
+    #[error("{}: {message}", flight::at(path, *line))]
+    Read {
+        /// Its path.
+        path: PathBuf,
+        /// Line, from 1; 0 for the whole.
+        line: usize,
+        /// What is wrong there, and what is expected.
+        message: String,
+    },
+    /// A recorder for another number of drones.
+    #[error("a flight of {got} drones, expected {expected}")]
+    Drones {
+        /// How many there are.
+        got: usize,
+        /// How many the files are for.
+        expected: usize,
+    },
     /// A log cannot be written.
     #[error("the log cannot be written")]
     Write(#[from] csv::Error),
@@ -28,6 +66,9 @@ pub enum RecordError {
     /// An animation cannot be written.
     #[error("the animation cannot be written")]
     Animation(#[from] gif::EncodingError),
+    /// `ffmpeg`, which makes videos, is missing or refuses.
+    #[error("{0}")]
+    Video(String),
     /// A plot cannot be drawn.
     #[error("the plot cannot be drawn: {0}")]
     Plot(String),

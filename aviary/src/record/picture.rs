@@ -1,6 +1,6 @@
-//! Pictures as files: PNG in colour, 16-bit PNG for depth and object numbers, animated GIF.
+//! Pictures as files: PNG in colour, 16-bit PNG for depth and object numbers.
 
-use std::io::{Cursor, Write};
+use std::io::Cursor;
 
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _};
@@ -62,7 +62,7 @@ fn encode(size: ImageSize, bytes: &[u8], color: ExtendedColorType, per_pixel: us
     Ok(out.into_inner())
 }
 
-fn check(size: ImageSize, got: usize, per_pixel: usize) -> Result<(), RecordError> {
+pub(super) fn check(size: ImageSize, got: usize, per_pixel: usize) -> Result<(), RecordError> {
     let expected = size.pixels() * per_pixel;
     if got == expected { Ok(()) } else { Err(RecordError::Picture { size, got, expected }) }
 }
@@ -128,62 +128,6 @@ fn hue(turn: f32, value: f32) -> [u8; 3] {
     [channel(0.0), channel(2.0 / 3.0), channel(1.0 / 3.0)]
 }
 
-/// An animated GIF that repeats for ever, written frame by frame.
-pub struct GifAnimation<W: Write> {
-    encoder: gif::Encoder<W>,
-    size: ImageSize,
-    /// Length of a frame in the hundredths of a second that GIF counts in.
-    delay: f64,
-    frames: u32,
-}
-
-impl<W: Write> GifAnimation<W> {
-    /// Begins an animation with so many seconds per frame (20 ms at least, in steps of 10 ms that even out).
-    ///
-    /// # Errors
-    /// [`RecordError::Animation`] where the target cannot be written.
-    pub fn new(target: W, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
-        let [width, height] = sides(size)?;
-        let mut encoder = gif::Encoder::new(target, width, height, &[])?;
-        encoder.set_repeat(gif::Repeat::Infinite)?;
-        // viewers show anything shorter than two hundredths as a tenth
-        let delay = (seconds_per_frame * 100.0).clamp(2.0, 6000.0);
-        Ok(Self { encoder, size, delay, frames: 0 })
-    }
-
-    /// Adds a frame: RGB, three bytes per pixel, top row first.
-    ///
-    /// # Errors
-    /// [`RecordError::Picture`] for a buffer of the wrong length, [`RecordError::Animation`] where the target cannot
-    /// be written.
-    pub fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
-        check(self.size, rgb.len(), 3)?;
-        let [width, height] = sides(self.size)?;
-        // speed against colours: a palette of its own for every frame, from every tenth pixel
-        let mut frame = gif::Frame::from_rgb_speed(width, height, rgb, 10);
-        // what rounding takes from one frame it gives to a later one, so that the whole runs at its speed
-        let end = |frames: u32| (f64::from(frames) * self.delay).round();
-        frame.delay = (end(self.frames + 1) - end(self.frames)) as u16;
-        self.frames += 1;
-        Ok(self.encoder.write_frame(&frame)?)
-    }
-
-    /// Ends the animation and gives the target back.
-    ///
-    /// # Errors
-    /// [`RecordError::Animation`] where the target cannot be written.
-    pub fn finish(self) -> Result<W, RecordError> {
-        Ok(self.encoder.into_inner()?)
-    }
-}
-
-fn sides(size: ImageSize) -> Result<[u16; 2], RecordError> {
-    match (u16::try_from(size.width), u16::try_from(size.height)) {
-        (Ok(width), Ok(height)) if width > 0 && height > 0 => Ok([width, height]),
-        _ => Err(RecordError::Picture { size, got: 0, expected: size.pixels() }),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -218,26 +162,5 @@ mod tests {
         let objects = segmentation_in_colour(&[[-1, -1], [5, 0], [5, 1], [5, 2], [5, 3], [5, 4]]);
         let colours: std::collections::BTreeSet<_> = objects.chunks(3).collect();
         assert_eq!(colours.len(), 6);
-    }
-
-    #[test]
-    fn an_animation_holds_its_frames() {
-        let mut animation = GifAnimation::new(Vec::new(), SIZE, 1.0 / 24.0).unwrap();
-        animation.frame(&[255; 18]).unwrap();
-        assert!(animation.frame(&[0; 17]).is_err());
-        for _ in 0..5 {
-            animation.frame(&[0; 18]).unwrap();
-        }
-        let bytes = animation.finish().unwrap();
-        let mut options = gif::DecodeOptions::new();
-        options.set_color_output(gif::ColorOutput::RGBA);
-        let mut decoder = options.read_info(&bytes[..]).unwrap();
-        let mut frames = Vec::new();
-        while let Some(frame) = decoder.read_next_frame().unwrap() {
-            frames.push((frame.delay, frame.buffer[..4].to_vec()));
-        }
-        assert_eq!((frames.len(), &frames[0].1[..], &frames[1].1[..]), (6, &[255; 4][..], &[0, 0, 0, 255][..]));
-        // six frames of 1/24 s are a quarter of a second
-        assert_eq!(frames.iter().map(|(delay, _)| delay).sum::<u16>(), 25);
     }
 }

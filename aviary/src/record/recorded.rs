@@ -1,33 +1,34 @@
-use std::fs::File;
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use super::{CsvLog, RecordError};
+use super::{RecordError, Recorder};
 use crate::env::{Env, EnvError, Step};
 use crate::observation::Observation;
 use crate::wrappers::forward_env;
 
-/// Writes every episode of an environment as CSV: `episode_0000.csv`, `episode_0001.csv`, …, the first number that is free and on, in a directory (the paper's
-/// `output_folder`), with the columns of a [`CsvLog`].
+/// Writes every episode of an environment as CSV, into a directory of its own: `episode_0000/drone0.csv`, …, from the first
+/// number that is free (the paper's `output_folder`). What stands in them and what a crash leaves of them is said at
+/// [`Recorder`].
 ///
 /// ```
 /// use aviary::env::Env;
-/// use aviary::record::Recorded;
+/// use aviary::record::{Flight, Recorded};
 /// use aviary::tasks::Hover;
 ///
 /// # let directory = tempfile::tempdir()?;
 /// # let directory = directory.path();
 /// let mut env = Recorded::new(Hover::builder().build()?, directory)?;
 /// env.reset(Some(1))?;
-/// env.step(&[0.1; 4])?;
-/// env.finish()?;
-/// assert!(directory.join("episode_0000.csv").exists());
+/// let reward = env.step(&[0.1; 4])?.reward;
+/// let flight = Flight::read(directory.join("episode_0000"))?;
+/// assert_eq!(flight.drones[0].len(), 2);
+/// assert_eq!(flight.drones[0][1].reward, reward);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
+#[derive(Debug)]
 pub struct Recorded<E> {
     env: E,
     directory: PathBuf,
-    log: Option<CsvLog<BufWriter<File>>>,
+    recorder: Option<Recorder>,
     episodes: u64,
 }
 
@@ -35,16 +36,16 @@ impl<E: Env> Recorded<E> {
     /// Around an environment, into a directory that is made where there is none.
     ///
     /// # Errors
-    /// [`RecordError::Flush`] where it cannot be made.
+    /// [`RecordError::File`] where it cannot be made.
     pub fn new(env: E, directory: impl AsRef<Path>) -> Result<Self, RecordError> {
         let directory = directory.as_ref().to_path_buf();
-        std::fs::create_dir_all(&directory)?;
+        std::fs::create_dir_all(&directory).map_err(|error| RecordError::file(&directory, error))?;
         // an earlier run's files are left alone
         let mut episodes = 0;
-        while path(&directory, episodes).exists() {
+        while episode(&directory, episodes).exists() {
             episodes += 1;
         }
-        Ok(Self { env, directory, log: None, episodes })
+        Ok(Self { env, directory, recorder: None, episodes })
     }
 
     /// The environment within.
@@ -52,61 +53,60 @@ impl<E: Env> Recorded<E> {
         &self.env
     }
 
-    /// Ends the log of the running episode and gives the environment back.
-    ///
-    /// # Errors
-    /// [`RecordError`] where something could not be written.
-    pub fn finish(mut self) -> Result<E, RecordError> {
-        self.end_log()?;
-        Ok(self.env)
+    /// The environment within, to be changed.
+    pub fn inner_mut(&mut self) -> &mut E {
+        &mut self.env
     }
 
-    fn end_log(&mut self) -> Result<(), RecordError> {
-        if let Some(log) = self.log.take() {
-            let file = log.finish()?;
-            file.into_inner().map_err(|error| RecordError::Flush(error.into_error()))?;
-        }
-        Ok(())
+    /// The environment, recorded no more.
+    pub fn into_inner(self) -> E {
+        self.env
     }
 
-    fn begin_log(&mut self) -> Result<(), RecordError> {
-        self.end_log()?;
-        let file = File::create(path(&self.directory, self.episodes))?;
-        let mut log = CsvLog::new(BufWriter::new(file))?;
-        log.record(self.env.simulation())?;
-        self.log = Some(log);
+    fn begin(&mut self) -> Result<(), RecordError> {
+        let directory = episode(&self.directory, self.episodes);
+        let mut recorder = Recorder::create(directory, self.env.simulation().num_drones())?;
+        recorder.record(&self.env)?;
+        self.recorder = Some(recorder);
         self.episodes += 1;
         Ok(())
     }
 }
 
-fn path(directory: &Path, episode: u64) -> PathBuf {
-    directory.join(format!("episode_{episode:04}.csv"))
+fn episode(directory: &Path, episode: u64) -> PathBuf {
+    directory.join(format!("episode_{episode:04}"))
 }
 
 /// The directory is the user's: what is wrong with it is an option.
-fn unwritable(directory: &Path, error: &RecordError) -> EnvError {
-    let cause = std::error::Error::source(error).map_or_else(|| error.to_string(), ToString::to_string);
-    let got = format!("{} ({cause})", directory.display());
-    EnvError::Option { option: "the directory for records", got, expected: "one that can be written" }
+fn unwritable(error: &RecordError) -> EnvError {
+    EnvError::Option {
+        option: "the directory for records",
+        got: error.to_string(),
+        expected: "one that can be written",
+    }
 }
 
 impl<E: Env> Env for Recorded<E> {
     forward_env!(self => self.env);
 
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        self.recorder = None;
         self.env.reset(seed)?;
-        self.begin_log().map_err(|error| unwritable(&self.directory, &error))?;
+        self.begin().map_err(|error| unwritable(&error))?;
         Ok(self.env.observation())
     }
 
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
         let Step { reward, terminated, truncated, .. } = self.env.step(action)?;
-        if let Some(log) = &mut self.log {
-            log.record(self.env.simulation()).map_err(|error| unwritable(&self.directory, &error))?;
+        if let Some(recorder) = &mut self.recorder {
+            let env = &self.env;
+            // a wrapper within may have changed the reward, and of one drone it is that drone's
+            let alone = env.simulation().num_drones() == 1;
+            let of = |drone| (if alone { reward } else { env.drone_reward(drone) }, Some(env.reference(drone)));
+            recorder.record_with(env.simulation(), of).map_err(|error| unwritable(&error))?;
         }
         if terminated || truncated {
-            self.end_log().map_err(|error| unwritable(&self.directory, &error))?;
+            self.recorder = None;
         }
         Ok(Step { observation: self.env.observation(), reward, terminated, truncated })
     }

@@ -45,6 +45,10 @@ macro_rules! forward_env {
             $inner.drone_end(drone)
         }
 
+        fn drone_reward(&$self, drone: usize) -> f64 {
+            $inner.drone_reward(drone)
+        }
+
         fn action_type(&$self) -> $crate::action::ActionType {
             $inner.action_type()
         }

@@ -1,0 +1,70 @@
+use std::path::{Path, PathBuf};
+
+use super::Animation;
+use crate::record::RecordError;
+use crate::record::picture::png_rgb;
+use crate::vision::ImageSize;
+
+/// Numbered PNG files in a directory: `00000.png` and on.
+#[derive(Debug)]
+pub struct PngSequence {
+    directory: PathBuf,
+    size: ImageSize,
+    frames: usize,
+}
+
+impl PngSequence {
+    /// Begins a sequence in a directory, which is made where there is none. The frames of an earlier sequence are removed.
+    ///
+    /// # Errors
+    /// [`RecordError::File`] where it cannot be made.
+    pub fn create(directory: impl AsRef<Path>, size: ImageSize) -> Result<Self, RecordError> {
+        let directory = directory.as_ref().to_path_buf();
+        std::fs::create_dir_all(&directory).map_err(|error| RecordError::file(&directory, error))?;
+        let sequence = Self { directory, size, frames: 0 };
+        for path in (0..).map(|frame| sequence.file(frame)).take_while(|path| path.exists()) {
+            std::fs::remove_file(&path).map_err(|error| RecordError::file(&path, error))?;
+        }
+        Ok(sequence)
+    }
+
+    /// The files written so far.
+    pub fn files(&self) -> impl Iterator<Item = PathBuf> + '_ {
+        (0..self.frames).map(|frame| self.file(frame))
+    }
+
+    fn file(&self, frame: usize) -> PathBuf {
+        self.directory.join(format!("{frame:05}.png"))
+    }
+}
+
+impl Animation for PngSequence {
+    fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
+        let path = self.file(self.frames);
+        std::fs::write(&path, png_rgb(self.size, rgb)?).map_err(|error| RecordError::file(&path, error))?;
+        self.frames += 1;
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_become_numbered_files_that_read_back() {
+        let directory = tempfile::tempdir().unwrap();
+        let size = ImageSize { width: 2, height: 1 };
+        let mut sequence = PngSequence::create(directory.path().join("frames"), size).unwrap();
+        sequence.frame(&[1, 2, 3, 4, 5, 6]).unwrap();
+        assert!(sequence.frame(&[1, 2, 3]).is_err());
+        sequence.frame(&[7; 6]).unwrap();
+        let files: Vec<_> = sequence.files().collect();
+        assert!(files[1].ends_with("frames/00001.png"));
+        let back = image::load_from_memory(&std::fs::read(&files[0]).unwrap()).unwrap();
+        assert_eq!(back.as_rgb8().unwrap().as_raw()[..], [1, 2, 3, 4, 5, 6]);
+        // another one in the same place does not mix with it
+        PngSequence::create(directory.path().join("frames"), size).unwrap();
+        assert!(!files[0].exists() && !files[1].exists());
+    }
+}

@@ -1,0 +1,165 @@
+use std::ffi::OsStr;
+use std::io::{Read as _, Write as _};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::thread::JoinHandle;
+
+use super::Animation;
+use crate::record::RecordError;
+use crate::record::picture::check;
+use crate::vision::ImageSize;
+
+/// A video in an MP4 file, encoded by the program `ffmpeg`.
+#[derive(Debug)]
+pub struct Mp4 {
+    child: Child,
+    pixels: Option<ChildStdin>,
+    /// Collects what `ffmpeg` complains of, so that it never waits for somebody to read it.
+    complaints: Option<JoinHandle<String>>,
+    size: ImageSize,
+}
+
+impl Mp4 {
+    /// Begins a video with so many seconds per frame. The file is whole after [`finish`](Self::finish).
+    ///
+    /// # Errors
+    /// [`RecordError::Video`] where there is no `ffmpeg`.
+    pub fn create(path: impl AsRef<Path>, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
+        Self::with_program("ffmpeg", path, size, seconds_per_frame)
+    }
+
+    /// The same with another program that understands `ffmpeg`'s options.
+    ///
+    /// # Errors
+    /// As for [`create`](Self::create).
+    pub fn with_program(
+        program: impl AsRef<OsStr>,
+        path: impl AsRef<Path>,
+        size: ImageSize,
+        seconds_per_frame: f64,
+    ) -> Result<Self, RecordError> {
+        let program = program.as_ref();
+        if !(seconds_per_frame.is_finite() && seconds_per_frame > 0.0) {
+            let expected = "expected a positive number of seconds";
+            return Err(RecordError::Video(format!("a frame of the video takes {seconds_per_frame} s, {expected}")));
+        }
+        let mut child = Command::new(program)
+            .args(["-loglevel", "error", "-nostdin", "-y", "-f", "rawvideo", "-pixel_format", "rgb24"])
+            .args(["-video_size", &size.to_string(), "-framerate", &(1.0 / seconds_per_frame).to_string()])
+            // players want an even number of rows and columns, and colours at half the resolution
+            .args(["-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
+            // playable while it is still being loaded
+            .args(["-movflags", "+faststart", "-f", "mp4"])
+            .arg(path.as_ref())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(|error| {
+                let program = program.to_string_lossy();
+                RecordError::Video(match error.kind() {
+                    std::io::ErrorKind::NotFound => {
+                        format!(
+                            "`{program}` is not installed, which makes videos: apt-get install ffmpeg, or write a GIF"
+                        )
+                    }
+                    _ => format!("`{program}`, which makes videos, cannot be started: {error}"),
+                })
+            })?;
+        let complaints = child.stderr.take().map(|mut pipe| {
+            std::thread::spawn(move || {
+                let mut text = Vec::new();
+                // what has come until the pipe breaks is all there is
+                let _ = pipe.read_to_end(&mut text);
+                String::from_utf8_lossy(&text).into_owned()
+            })
+        });
+        Ok(Self { pixels: child.stdin.take(), child, complaints, size })
+    }
+
+    /// Ends the video: the file is whole then.
+    ///
+    /// # Errors
+    /// [`RecordError::Video`] with what `ffmpeg` complains of.
+    pub fn finish(mut self) -> Result<(), RecordError> {
+        self.end()
+    }
+
+    fn end(&mut self) -> Result<(), RecordError> {
+        drop(self.pixels.take());
+        let status = self.child.wait().map_err(|error| RecordError::Video(format!("ffmpeg is lost: {error}")))?;
+        let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        if status.success() {
+            return Ok(());
+        }
+        let last = complaints.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it does not say why");
+        Err(RecordError::Video(format!("ffmpeg made no video ({status}): {last}")))
+    }
+}
+
+impl Animation for Mp4 {
+    fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
+        check(self.size, rgb.len(), 3)?;
+        let Some(pixels) = &mut self.pixels else {
+            return Err(RecordError::Video("the video has ended".into()));
+        };
+        match pixels.write_all(rgb) {
+            Ok(()) => Ok(()),
+            // it has gone away: what it says is better than a broken pipe
+            Err(error) => Err(self.end().err().unwrap_or_else(|| RecordError::Video(format!("ffmpeg: {error}")))),
+        }
+    }
+}
+
+impl Drop for Mp4 {
+    fn drop(&mut self) {
+        // a video that nobody finishes leaves no process behind
+        if self.pixels.take().is_some() {
+            let _ = self.child.kill();
+        }
+        let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::PermissionsExt as _;
+
+    const SIZE: ImageSize = ImageSize { width: 4, height: 2 };
+
+    /// A program that does what a script says.
+    fn script(directory: &Path, text: &str) -> std::path::PathBuf {
+        let path = directory.join("encoder");
+        std::fs::write(&path, format!("#!/bin/sh\n{text}\n")).unwrap();
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        path
+    }
+
+    // one test, because a script cannot be started while another thread, starting a program, holds it open
+    #[test]
+    fn frames_go_to_the_encoder_which_is_missed_and_heard_when_it_fails() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("flight.mp4");
+        let encoder = script(directory.path(), r#"for last; do :; done; echo "$@" > "$last.arguments"; cat > "$last""#);
+        let mut video = Mp4::with_program(&encoder, &file, SIZE, 1.0 / 24.0).unwrap();
+        video.frame(&[7; 24]).unwrap();
+        assert!(video.frame(&[7; 23]).is_err());
+        video.frame(&[9; 24]).unwrap();
+        video.finish().unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), [[7; 24], [9; 24]].concat());
+        let arguments = std::fs::read_to_string(directory.path().join("flight.mp4.arguments")).unwrap();
+        assert!(arguments.contains("-video_size 4x2 -framerate 24"), "{arguments}");
+
+        let missing = Mp4::with_program("no-such-encoder", &file, SIZE, 0.04).unwrap_err().to_string();
+        assert!(missing.contains("not installed") && missing.contains("apt-get install ffmpeg"), "{missing}");
+
+        let encoder = script(directory.path(), "echo 'Unknown encoder' >&2; exit 3");
+        let mut video = Mp4::with_program(&encoder, &file, SIZE, 0.04).unwrap();
+        // it may take a few frames until the pipe breaks
+        let failed = (0..100_000).find_map(|_| video.frame(&[0; 24]).err());
+        let message = failed.map_or_else(|| video.finish().unwrap_err().to_string(), |error| error.to_string());
+        assert!(message.contains("Unknown encoder"), "{message}");
+        assert!(Mp4::with_program(&encoder, &file, SIZE, f64::NAN).is_err());
+    }
+}

@@ -1,0 +1,328 @@
+use std::str::FromStr;
+
+use nalgebra::Vector3;
+
+use super::plot::{colour, colour_of};
+use crate::control::Reference;
+use crate::control::trajectory::Trajectory;
+use crate::env::{Env, EnvError};
+use crate::simulation::Simulation;
+use crate::vision::{Decor, ImageSize, Painter, View};
+use crate::world::Obstacle;
+
+/// What is drawn into pictures of a flight beside what is there. Drones have the colours that they have in plots.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Overlays {
+    /// The way that every drone has come.
+    pub trails: bool,
+    /// White dots along the way that a drone is to fly, or, where it has none, at the point that it is asked to be at.
+    pub references: bool,
+    /// A cyan arrow along the mean wind, as long as the way that it goes in a quarter of a second.
+    pub wind: bool,
+    /// A level ring of this radius (m) around every drone.
+    pub rings: Option<f64>,
+}
+
+impl Overlays {
+    /// Names of the overlays, for [`FromStr`].
+    pub const NAMES: [&'static str; 4] = ["trails", "references", "wind", "rings"];
+
+    /// Radius of rings that nobody says one for, m: they touch where drones are 0.3 m apart, the paper's safety radius.
+    pub const RING: f64 = 0.15;
+
+    /// All of them.
+    pub const ALL: Self = Self { trails: true, references: true, wind: true, rings: Some(Self::RING) };
+}
+
+/// Names of overlays with commas between them.
+impl FromStr for Overlays {
+    type Err = String;
+
+    fn from_str(names: &str) -> Result<Self, String> {
+        let mut overlays = Self::default();
+        for name in names.split(',').map(str::trim) {
+            match name {
+                "trails" => overlays.trails = true,
+                "references" => overlays.references = true,
+                "wind" => overlays.wind = true,
+                "rings" => overlays.rings = Some(Self::RING),
+                _ => {
+                    let near = crate::error::did_you_mean(name, &Self::NAMES);
+                    return Err(format!("no overlay `{name}`, expected some of: {}{near}", Self::NAMES.join(", ")));
+                }
+            }
+        }
+        Ok(overlays)
+    }
+}
+
+/// Pictures of a flight, taken while it is flown, at a steady rate.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::record::animation::{Animation, GifAnimation};
+/// use aviary::record::{Film, Overlays};
+/// use aviary::tasks::Hover;
+/// use aviary::vision::{ImageSize, View};
+/// # if mujoco_rs::gl_info().is_err() {
+/// #     return Ok(());
+/// # }
+///
+/// let size = ImageSize { width: 64, height: 48 };
+/// let mut env = Hover::builder().build()?;
+/// env.reset(Some(1))?;
+/// let mut film = Film::new(&env, View::Track, size, Overlays { trails: true, ..Overlays::default() })?;
+/// let mut gif = GifAnimation::new(Vec::new(), size, film.seconds_per_frame())?;
+/// for _ in 0..12 {
+///     env.step(&[0.1; 4])?;
+///     if let Some(rgb) = film.look(&env)? {
+///         gif.frame(rgb)?;
+///     }
+/// }
+/// assert!(gif.finish()?.starts_with(b"GIF89a"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Film {
+    painter: Painter,
+    view: View,
+    size: ImageSize,
+    overlays: Overlays,
+    /// Control steps from frame to frame.
+    every: u64,
+    next: u64,
+    seconds: f64,
+    /// Where the drones have been.
+    trails: Vec<Trail>,
+    /// Points of the way that each drone is to fly.
+    ways: Vec<Vec<Vector3<f64>>>,
+    obstacles: Vec<Obstacle>,
+    rgb: Vec<u8>,
+}
+
+/// Frames per second, as near as control steps come to it.
+const RATE: u32 = 24;
+
+impl Film {
+    /// Of an environment as it is now: reset it before. What drones [plan](Env::plan) to fly is looked up here, for
+    /// [`Overlays::references`].
+    ///
+    /// # Errors
+    /// [`EnvError::Vision`] where there is nothing to draw with.
+    pub fn new(env: &dyn Env, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
+        let mut film = Self::of(env.simulation(), view, size, overlays)?;
+        for drone in 0..env.simulation().num_drones() {
+            if let Some(way) = env.plan(drone) {
+                film.set_way(drone, &*way);
+            }
+        }
+        Ok(film)
+    }
+
+    /// Of a simulation without an environment, whose drones plan nothing.
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new).
+    pub fn of(simulation: &Simulation, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
+        let every = (simulation.ctrl_freq() / RATE).max(1);
+        let drones = simulation.num_drones();
+        Ok(Self {
+            painter: Painter::for_people(simulation.world())?,
+            view,
+            size,
+            overlays,
+            every: every.into(),
+            next: simulation.control_steps(),
+            seconds: f64::from(every) * simulation.control_period(),
+            trails: vec![Trail::default(); drones],
+            ways: vec![Vec::new(); drones],
+            obstacles: simulation.world().obstacles.clone(),
+            rgb: vec![0; 3 * size.pixels()],
+        })
+    }
+
+    /// What a drone is to fly, for [`Overlays::references`].
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn set_way(&mut self, drone: usize, way: &dyn Trajectory) {
+        const POINTS: u32 = 160;
+        let at = |i: u32| way.reference(way.duration() * f64::from(i) / f64::from(POINTS)).position;
+        self.ways[drone] = (0..=POINTS).map(at).collect();
+    }
+
+    /// What draws it: to set the [stage](Painter::set_stage), for example.
+    pub fn painter(&mut self) -> &mut Painter {
+        &mut self.painter
+    }
+
+    /// Time from frame to frame, s.
+    pub fn seconds_per_frame(&self) -> f64 {
+        self.seconds
+    }
+
+    /// Size of the frames.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Looks at the flight, after every reset and every step: a frame (RGB, top row first) where it is time for one.
+    ///
+    /// # Errors
+    /// [`EnvError::Vision`].
+    pub fn look(&mut self, env: &dyn Env) -> Result<Option<&[u8]>, EnvError> {
+        self.look_at(env.simulation(), |drone| Some(env.reference(drone)))
+    }
+
+    /// The same with other references, or without an environment.
+    ///
+    /// # Errors
+    /// As for [`look`](Self::look).
+    pub fn look_at(
+        &mut self,
+        simulation: &Simulation,
+        reference: impl Fn(usize) -> Option<Reference>,
+    ) -> Result<Option<&[u8]>, EnvError> {
+        let now = simulation.control_steps();
+        if now == 0 && self.next > 0 {
+            // another episode
+            self.next = 0;
+            self.trails.fill(Trail::default());
+        }
+        for (trail, state) in self.trails.iter_mut().zip(simulation.states()) {
+            trail.note(state.position);
+        }
+        if now < self.next {
+            return Ok(None);
+        }
+        self.next = now + self.every;
+        self.frame(simulation, reference).map(Some)
+    }
+
+    /// A frame of this moment, whatever the time.
+    ///
+    /// # Errors
+    /// As for [`look`](Self::look).
+    pub fn frame(
+        &mut self,
+        simulation: &Simulation,
+        reference: impl Fn(usize) -> Option<Reference>,
+    ) -> Result<&[u8], EnvError> {
+        let obstacles = &simulation.world().obstacles;
+        if self.obstacles != *obstacles {
+            self.painter.set_obstacles(obstacles)?;
+            self.obstacles.clone_from(obstacles);
+        }
+        self.painter.update(simulation.states())?;
+        self.draw_overlays(simulation, reference);
+        self.painter.rgb(self.view, self.size, &mut self.rgb)?;
+        Ok(&self.rgb)
+    }
+
+    fn draw_overlays(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Option<Reference>) {
+        let Self { painter, overlays, trails, ways, .. } = self;
+        let count = trails.len();
+        let size = simulation.world().drones.iter().map(|drone| drone.params.arm_length).fold(0.02, f64::max);
+        if overlays.references {
+            const WHITE: [f32; 4] = [1.0, 1.0, 1.0, 1.0];
+            for (drone, way) in ways.iter().enumerate() {
+                if way.is_empty() {
+                    let point = reference(drone).map(|reference| reference.position);
+                    painter.add_dots(point.as_slice(), 0.25 * size, WHITE);
+                } else {
+                    painter.add_dots(way, 0.12 * size, WHITE);
+                }
+            }
+        }
+        for (drone, state) in simulation.states().iter().enumerate() {
+            let rgba = colour(colour_of(drone, count));
+            if overlays.trails {
+                painter.add_line(&trails[drone].points, 0.08 * size, rgba);
+            }
+            if let Some(radius) = overlays.rings {
+                painter.add_ring(state.position, Vector3::z(), radius, 0.08 * radius, rgba);
+            }
+        }
+        if overlays.wind
+            && let Some(wind) = simulation.wind()
+        {
+            // beside the first drone, so that it is seen wherever that goes
+            let from = simulation.states()[0].position + Vector3::z() * 4.0 * size;
+            let along = Vector3::from(wind.velocity) * 0.25;
+            if along.norm() > 1e-3 {
+                let arrow = Decor::Arrow { from: from.into(), to: (from + along).into(), radius: 0.2 * size };
+                painter.add(arrow, [0.0, 0.85, 0.95, 1.0]);
+            }
+        }
+    }
+}
+
+/// The way that a drone has come, in points that are so far apart that there are never many.
+#[derive(Debug, Clone, PartialEq)]
+struct Trail {
+    points: Vec<Vector3<f64>>,
+    /// Least distance from point to point, m.
+    spacing: f64,
+}
+
+impl Default for Trail {
+    fn default() -> Self {
+        Self { points: Vec::new(), spacing: 0.01 }
+    }
+}
+
+impl Trail {
+    const MOST: usize = 600;
+
+    fn note(&mut self, position: Vector3<f64>) {
+        // the last point follows the drone until it is far enough from the one before
+        if let [.., before, last] = &mut self.points[..]
+            && (*last - *before).norm() < self.spacing
+        {
+            *last = position;
+            return;
+        }
+        self.points.push(position);
+        if self.points.len() > Self::MOST {
+            let last = self.points.len() - 1;
+            let mut index = 0;
+            self.points.retain(|_| {
+                index += 1;
+                index % 2 == 1 || index > last
+            });
+            self.spacing *= 2.0;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trail_keeps_its_ends_and_stays_short() {
+        let mut trail = Trail::default();
+        for i in 0..100_000 {
+            let turn = f64::from(i) * 1e-3;
+            trail.note(Vector3::new(turn.cos(), turn.sin(), turn * 0.1));
+        }
+        assert!(trail.points.len() <= Trail::MOST + 1, "{}", trail.points.len());
+        assert_eq!(trail.points[0], Vector3::x());
+        assert!(
+            (trail.points.last().unwrap() - Vector3::new(99.999_f64.cos(), 99.999_f64.sin(), 9.9999)).norm() < 1e-9
+        );
+        // a drone that stands still adds nothing
+        let points = trail.points.len();
+        let here = *trail.points.last().unwrap();
+        (0..1000).for_each(|_| trail.note(here));
+        assert!(trail.points.len() <= points + 1);
+    }
+
+    #[test]
+    fn overlays_are_named_and_unknown_ones_suggest_the_nearest() {
+        let some: Overlays = "trails, rings".parse().unwrap();
+        assert_eq!(some, Overlays { trails: true, rings: Some(0.15), ..Overlays::default() });
+        let wrong = "trail".parse::<Overlays>().unwrap_err();
+        assert!(wrong.contains("did you mean `trails`"), "{wrong}");
+    }
+}

@@ -1,0 +1,286 @@
+//! What plots are drawn on, and how: lines in dashes, labels, legends.
+
+use std::sync::Once;
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::register_font;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use super::{Plot, rgb};
+use crate::record::RecordError;
+use crate::record::picture::png_rgb;
+use crate::vision::ImageSize;
+
+/// Drawn by a backend, or why not.
+pub(super) type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
+
+/// Everything is drawn four times as large as it appears: plotters' coordinates are whole pixels.
+pub(super) const FINE: i32 = 4;
+
+/// Pixels of a PNG for one of the SVG.
+const PNG_SCALE: i32 = 2;
+
+/// Length of something in a plot, in fine pixels.
+pub(super) fn px(length: i32) -> i32 {
+    length * FINE
+}
+
+/// Plots' text, of a size in pixels.
+pub(super) fn font(size: i32) -> FontDesc<'static> {
+    ("sans-serif", px(size)).into_font()
+}
+
+/// Text dark enough to read, placed by the point that is named.
+pub(super) fn text(size: i32, horizontal: HPos, vertical: VPos) -> TextStyle<'static> {
+    TextStyle::from(font(size)).color(&RGBColor(40, 40, 40)).pos(Pos::new(horizontal, vertical))
+}
+
+/// Makes the font known, which comes with the program.
+fn register() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        // it would fail for bytes that are no font, and then text is an error of every plot
+        let _ = register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular());
+    });
+}
+
+fn failed(error: &dyn std::fmt::Display) -> RecordError {
+    RecordError::Plot(error.to_string())
+}
+
+pub(super) fn svg(plot: &Plot) -> Result<String, RecordError> {
+    register();
+    let (width, height) = plot.size;
+    let fine = (width * FINE as u32, height * FINE as u32);
+    let mut svg = String::new();
+    {
+        let area = SVGBackend::with_string(&mut svg, fine).into_drawing_area();
+        plot.draw(&area).and_then(|()| area.present()).map_err(|error| failed(&error))?;
+    }
+    // shown at its size, drawn with fine coordinates
+    let (as_drawn, as_shown) =
+        (format!("width=\"{}\" height=\"{}\"", fine.0, fine.1), format!("width=\"{width}\" height=\"{height}\""));
+    Ok(svg.replacen(&as_drawn, &as_shown, 1))
+}
+
+pub(super) fn png(plot: &Plot) -> Result<Vec<u8>, RecordError> {
+    register();
+    let (width, height) = plot.size;
+    let fine = (width * FINE as u32, height * FINE as u32);
+    let mut pixels = vec![255; 3 * fine.0 as usize * fine.1 as usize];
+    {
+        let area = BitMapBackend::with_buffer(&mut pixels, fine).into_drawing_area();
+        plot.draw(&area).and_then(|()| area.present()).map_err(|error| failed(&error))?;
+    }
+    let size = ImageSize { width: width * PNG_SCALE as u32, height: height * PNG_SCALE as u32 };
+    png_rgb(size, &shrink(&pixels, fine.0 as usize, (FINE / PNG_SCALE) as usize))
+}
+
+/// Means of squares of pixels, which makes edges smooth.
+fn shrink(pixels: &[u8], width: usize, by: usize) -> Vec<u8> {
+    let mut out = Vec::with_capacity(pixels.len() / (by * by));
+    for rows in pixels.chunks_exact(3 * width * by) {
+        for column in 0..width / by {
+            for channel in 0..3 {
+                let square = (0..by * by).map(|i| 3 * (i / by * width + column * by + i % by) + channel);
+                let sum: usize = square.map(|at| usize::from(rows[at])).sum();
+                out.push((sum / (by * by)) as u8);
+            }
+        }
+    }
+    out
+}
+
+/// Writes a title above an area and gives what is left.
+pub(super) fn titled<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    title: &str,
+) -> Result<DrawingArea<B, Shift>, DrawingAreaErrorKind<B::ErrorType>> {
+    area.fill(&WHITE)?;
+    if title.is_empty() {
+        return Ok(area.clone());
+    }
+    let (head, rest) = area.split_vertically(px(40));
+    let middle = head.dim_in_pixel().0 as i32 / 2;
+    head.draw(&Text::new(title.to_string(), (middle, px(24)), text(19, HPos::Center, VPos::Center)))?;
+    Ok(rest)
+}
+
+/// How a line looks.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Stroke {
+    pub colour: [u8; 3],
+    /// Quarters of a pixel.
+    pub width: u32,
+    /// Lengths of ink and gap in turn, pixels; empty for a whole line.
+    pub dashes: &'static [i32],
+}
+
+impl Stroke {
+    /// The line of an index among so many: colours and dashes both tell it from the others.
+    pub fn of(index: usize, count: usize) -> Self {
+        const DASHES: [&[i32]; 4] = [&[], &[9, 3], &[3, 2], &[12, 3, 3, 3]];
+        // many lines are told apart by colour alone: dashes over each other are read by nobody
+        let dashes = if count <= DASHES.len() { DASHES[index % DASHES.len()] } else { &[] };
+        Self { colour: super::colour_of(index, count), width: if count > 7 { 5 } else { 7 }, dashes }
+    }
+
+    /// What a drone is asked for: thin, grey, in short dashes.
+    pub const REFERENCE: Self = Self { colour: [110, 110, 110], width: 4, dashes: &[4, 3] };
+}
+
+/// Draws a line through points (fine pixels of the area).
+pub(super) fn draw_line<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    points: &[(i32, i32)],
+    stroke: Stroke,
+) -> Drawn<B> {
+    let style = rgb(stroke.colour).stroke_width(stroke.width);
+    let points = thin(points);
+    if stroke.dashes.is_empty() {
+        return area.draw(&PathElement::new(points, style));
+    }
+    for dash in dashed(&points, stroke.dashes) {
+        area.draw(&PathElement::new(dash, style))?;
+    }
+    Ok(())
+}
+
+/// Of points that fall into the same column, one after the other, the first, the outermost and the last.
+fn thin(points: &[(i32, i32)]) -> Vec<(i32, i32)> {
+    let mut thinned: Vec<(i32, i32)> = Vec::new();
+    let mut add = |point: (i32, i32)| {
+        if thinned.last() != Some(&point) {
+            thinned.push(point);
+        }
+    };
+    for column in points.chunk_by(|a, b| a.0 / FINE == b.0 / FINE) {
+        let (first, last) = (column[0], column[column.len() - 1]);
+        let low = column.iter().min_by_key(|point| point.1).copied().unwrap_or(first);
+        let high = column.iter().max_by_key(|point| point.1).copied().unwrap_or(first);
+        add(first);
+        if column.len() > 4 {
+            add(low);
+            add(high);
+        } else {
+            column.iter().copied().for_each(&mut add);
+        }
+        add(last);
+    }
+    thinned
+}
+
+/// Pieces of a line that have ink.
+fn dashed(points: &[(i32, i32)], pattern: &[i32]) -> Vec<Vec<(i32, i32)>> {
+    let mut dashes = Vec::new();
+    let Some(&first) = points.first() else { return dashes };
+    let (mut index, mut left) = (0, f64::from(px(pattern[0])));
+    let mut dash = vec![first];
+    for pair in points.windows(2) {
+        let (from, to) = ((f64::from(pair[0].0), f64::from(pair[0].1)), (f64::from(pair[1].0), f64::from(pair[1].1)));
+        let length = (to.0 - from.0).hypot(to.1 - from.1);
+        let mut gone = 0.0;
+        while length - gone > left {
+            gone += left;
+            let share = gone / length;
+            let here =
+                ((from.0 + share * (to.0 - from.0)).round() as i32, (from.1 + share * (to.1 - from.1)).round() as i32);
+            if index % 2 == 0 {
+                dash.push(here);
+                dashes.push(std::mem::take(&mut dash));
+            } else {
+                dash = vec![here];
+            }
+            index += 1;
+            left = f64::from(px(pattern[index % pattern.len()]));
+        }
+        left -= length - gone;
+        if index % 2 == 0 {
+            dash.push(pair[1]);
+        }
+    }
+    if dash.len() > 1 {
+        dashes.push(dash);
+    }
+    dashes
+}
+
+/// Draws the names of lines beside each other, flush right at a point (fine pixels of the area), and gives where they begin.
+pub(super) fn legend<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    (right, middle): (i32, i32),
+    entries: &[(String, Stroke)],
+) -> Result<i32, DrawingAreaErrorKind<B::ErrorType>> {
+    const SAMPLE: i32 = 26;
+    let mut right = right;
+    for (name, stroke) in entries.iter().rev() {
+        let style = text(12, HPos::Right, VPos::Center);
+        let (width, _) = area.estimate_text_size(name, &style)?;
+        area.draw(&Text::new(name.clone(), (right, middle), style))?;
+        let left = right - width as i32 - px(5);
+        draw_line(area, &[(left - px(SAMPLE), middle), (left, middle)], *stroke)?;
+        right = left - px(SAMPLE + 14);
+    }
+    Ok(right)
+}
+
+/// Least and greatest value, apart by `least` at least, with this share of room on both sides.
+pub(super) fn span(values: impl Iterator<Item = f64>, least: f64, room: f64) -> (f64, f64) {
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+    if low > high {
+        return (0.0, 1.0);
+    }
+    let middle = 0.5 * (low + high);
+    // ticks need numbers that differ in print
+    let least = least.max(1e-6 * middle.abs()).max(f64::MIN_POSITIVE);
+    let half = (0.5 * (high - low)).max(0.5 * least) * (1.0 + 2.0 * room);
+    (middle - half, middle + half)
+}
+
+/// Numbers of an axis, with as many places as tell its ticks apart.
+pub(super) fn label_of((low, high): (f64, f64)) -> impl Fn(&f64) -> String {
+    let places = (-((high - low) / 10.0).log10().floor()).clamp(0.0, 9.0) as usize;
+    move |x| {
+        let text = format!("{x:.places$}");
+        // no minus before nothing
+        let nothing = text.trim_start_matches('-').chars().all(|letter| matches!(letter, '0' | '.'));
+        if nothing { text.trim_start_matches('-').to_string() } else { text }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn dashes_have_their_lengths_across_corners() {
+        let points = [(0, 0), (100, 0), (100, 100), (50, 100)];
+        let dashes = dashed(&points, &[9, 3]);
+        let length = |dash: &Vec<(i32, i32)>| -> f64 {
+            dash.windows(2).map(|p| f64::from(p[1].0 - p[0].0).hypot(f64::from(p[1].1 - p[0].1))).sum()
+        };
+        // 250 fine pixels: 36 of ink and 12 of gap in turn
+        assert_eq!(dashes.len(), 6);
+        assert!(dashes[..5].iter().all(|dash| (length(dash) - 36.0).abs() < 2.0), "{dashes:?}");
+        assert_eq!(dashed(&points[..1], &[9, 3]).len(), 0);
+    }
+
+    #[test]
+    fn thinning_keeps_ends_and_extremes() {
+        let points: Vec<_> = (0..1000).map(|i| (i / 100, (i * 7919) % 512)).collect();
+        let thinned = thin(&points);
+        assert!(thinned.len() < 20 && thinned[0] == points[0] && thinned.last() == points.last());
+        let extreme = |points: &[(i32, i32)]| (points.iter().map(|p| p.1).min(), points.iter().map(|p| p.1).max());
+        assert_eq!(extreme(&thinned), extreme(&points));
+    }
+
+    #[test]
+    fn labels_have_the_places_that_tell_ticks_apart() {
+        assert_eq!(label_of((0.0, 10.0))(&5.0), "5");
+        assert_eq!(label_of((0.0, 1.0))(&0.25), "0.2");
+        assert_eq!(label_of((0.99, 1.01))(&0.995), "0.995");
+        assert_eq!(label_of((-1.0, 1.0))(&-0.0), "0.0");
+        assert_eq!(label_of((14_000.0, 15_000.0))(&14_500.0), "14500");
+    }
+}

@@ -1,0 +1,317 @@
+//! Time series in a grid of panels.
+
+use nalgebra::Vector3;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text};
+use super::{Series, check};
+use crate::record::{Flight, RecordError, Sample};
+
+#[derive(Debug, Clone)]
+struct Line {
+    /// What the legend says; nothing for lines that it leaves out.
+    name: String,
+    points: Vec<(f64, f64)>,
+    stroke: Stroke,
+}
+
+#[derive(Debug, Clone)]
+struct Panel {
+    label: String,
+    lines: Vec<Line>,
+    /// Least that the axis spans.
+    least: f64,
+}
+
+/// Panels over a common time axis.
+#[derive(Debug, Clone)]
+pub(super) struct Panels {
+    panels: Vec<Panel>,
+    columns: usize,
+    /// A legend for all of them, where they have none of their own.
+    legend: Vec<(String, Stroke)>,
+}
+
+/// What is read off a sample for one line: a component of something, from 0.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Reading {
+    /// m.
+    Position(usize),
+    /// What the drone is asked for, m.
+    ReferencePosition(usize),
+    /// Distance of the two, m.
+    Distance,
+    /// Roll, pitch or yaw, degrees.
+    Attitude(usize),
+    /// Degrees.
+    Tilt,
+    /// m/s.
+    Velocity(usize),
+    /// m/s.
+    Speed,
+    /// rpm.
+    Motor(usize),
+}
+use Reading::{Attitude, Distance, Motor, Position, ReferencePosition, Speed, Tilt, Velocity};
+
+impl Panels {
+    pub fn of_series(panels: &[(&str, Vec<Series>)]) -> Result<Self, RecordError> {
+        let points = panels.iter().flat_map(|(_, lines)| lines).flat_map(|line| &line.points);
+        check(points.flat_map(|(x, y)| [x, y]))?;
+        let panel = |(label, lines): &(&str, Vec<Series>)| Panel {
+            label: label.to_string(),
+            lines: (lines.iter().enumerate())
+                .map(|(index, line)| Line {
+                    name: line.name.clone(),
+                    points: line.points.clone(),
+                    stroke: Stroke::of(index, lines.len()),
+                })
+                .collect(),
+            least: 1e-3,
+        };
+        Ok(Self { panels: panels.iter().map(panel).collect(), columns: 1, legend: Vec::new() })
+    }
+
+    pub fn of_flight(flight: &Flight) -> Result<Self, RecordError> {
+        let samples = flight.drones.iter().flatten();
+        check(samples.flat_map(|sample| {
+            let state = &sample.state;
+            let reference = sample.reference.iter().flat_map(|(position, yaw)| position.iter().chain([yaw]));
+            (std::iter::once(&sample.time).chain(&state.position).chain(state.attitude.coords.iter()))
+                .chain(&state.velocity)
+                .chain(&sample.motor_speeds)
+                .chain(reference)
+        }))?;
+        Ok(match &flight.drones[..] {
+            [alone] => Self::of_one(alone),
+            drones => Self::of_several(drones),
+        })
+    }
+
+    /// Four panels, in which the axes lie over each other.
+    fn of_one(samples: &[Sample]) -> Self {
+        let panel = |label: &str, least: f64, names: &[&str], reading: fn(usize) -> Reading| {
+            let lines = names.iter().enumerate().map(|(index, name)| Line {
+                name: name.to_string(),
+                points: reading(index).series(samples),
+                stroke: Stroke::of(index, names.len()),
+            });
+            Panel { label: label.into(), lines: lines.collect(), least }
+        };
+        let mut position = panel("position (m)", 0.1, &["x", "y", "z"], Position);
+        for axis in 0..3 {
+            let points = ReferencePosition(axis).series(samples);
+            if !points.is_empty() {
+                // one entry of the legend stands for all of them, and they lie below the lines
+                let name = if axis == 0 { "reference" } else { "" };
+                position.lines.insert(axis, Line { name: name.into(), points, stroke: Stroke::REFERENCE });
+            }
+        }
+        Self {
+            panels: vec![
+                position,
+                panel("attitude (°)", 2.0, &["roll", "pitch", "yaw"], Attitude),
+                panel("velocity (m/s)", 0.1, &["vx", "vy", "vz"], Velocity),
+                panel("motor speed (rpm)", 200.0, &["0", "1", "2", "3"], Motor),
+            ],
+            columns: 2,
+            legend: Vec::new(),
+        }
+    }
+
+    /// A panel for every axis, in which the drones lie over each other.
+    fn of_several(drones: &[Vec<Sample>]) -> Self {
+        let count = drones.len();
+        let panel = |(label, reading): (&str, Reading), least: f64| {
+            let mut lines = Vec::new();
+            if let Position(axis) = reading {
+                for samples in drones {
+                    let points = ReferencePosition(axis).series(samples);
+                    lines.push(Line { name: String::new(), points, stroke: Stroke::REFERENCE });
+                }
+            }
+            for (drone, samples) in drones.iter().enumerate() {
+                let stroke = Stroke::of(drone, count);
+                lines.push(Line { name: String::new(), points: reading.series(samples), stroke });
+            }
+            Panel { label: label.into(), lines, least }
+        };
+        let rows: [([(&str, Reading); 4], f64); 4] = [
+            (
+                [
+                    ("x (m)", Position(0)),
+                    ("y (m)", Position(1)),
+                    ("z (m)", Position(2)),
+                    ("distance from reference (m)", Distance),
+                ],
+                0.1,
+            ),
+            (
+                [("roll (°)", Attitude(0)), ("pitch (°)", Attitude(1)), ("yaw (°)", Attitude(2)), ("tilt (°)", Tilt)],
+                2.0,
+            ),
+            (
+                [
+                    ("vx (m/s)", Velocity(0)),
+                    ("vy (m/s)", Velocity(1)),
+                    ("vz (m/s)", Velocity(2)),
+                    ("speed (m/s)", Speed),
+                ],
+                0.1,
+            ),
+            (
+                [
+                    ("motor 0 (rpm)", Motor(0)),
+                    ("motor 1 (rpm)", Motor(1)),
+                    ("motor 2 (rpm)", Motor(2)),
+                    ("motor 3 (rpm)", Motor(3)),
+                ],
+                200.0,
+            ),
+        ];
+        let panels = rows.into_iter().flat_map(|(row, least)| row.map(|entry| panel(entry, least)));
+        let mut legend: Vec<_> =
+            (0..count.min(16)).map(|drone| (format!("drone {drone}"), Stroke::of(drone, count))).collect();
+        if drones.iter().flatten().any(|sample| sample.reference.is_some()) {
+            legend.push(("reference".into(), Stroke::REFERENCE));
+        }
+        Self { panels: panels.collect(), columns: 4, legend }
+    }
+
+    pub fn columns(&self) -> usize {
+        self.columns
+    }
+
+    pub fn rows(&self) -> u32 {
+        self.panels.len().div_ceil(self.columns) as u32
+    }
+
+    pub fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+        let mut area = area.clone();
+        if !self.legend.is_empty() {
+            // as many in a row as there is room for
+            for entries in self.legend.chunks(13) {
+                let (head, rest) = area.split_vertically(px(22));
+                legend(&head, (head.dim_in_pixel().0 as i32 - px(14), px(10)), entries)?;
+                area = rest;
+            }
+        }
+        let points = || self.panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.points);
+        let times = span(points().map(|(t, _)| *t), 1e-3, 0.0);
+        let rows = self.rows() as usize;
+        let cells = area.split_evenly((rows, self.columns));
+        for (index, (cell, panel)) in cells.iter().zip(&self.panels).enumerate() {
+            panel.draw(cell, times, index / self.columns + 1 == rows)?;
+        }
+        Ok(())
+    }
+}
+
+impl Panel {
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, times: (f64, f64), lowest: bool) -> Drawn<B> {
+        let values = span(self.lines.iter().flat_map(|line| &line.points).map(|(_, y)| *y), self.least, 0.06);
+        let (head, body) = area.split_vertically(px(26));
+        head.draw(&Text::new(self.label.clone(), (px(14), px(16)), text(13, HPos::Left, VPos::Center)))?;
+        let named: Vec<_> = self
+            .lines
+            .iter()
+            .filter(|line| !line.name.is_empty())
+            .map(|line| (line.name.clone(), line.stroke))
+            .collect();
+        if named.len() > 1 {
+            legend(&head, (head.dim_in_pixel().0 as i32 - px(14), px(16)), &named)?;
+        }
+        let mut chart = ChartBuilder::on(&body)
+            .margin_left(px(6))
+            .margin_right(px(14))
+            .margin_top(px(2))
+            .x_label_area_size(px(if lowest { 40 } else { 24 }))
+            .y_label_area_size(px(58))
+            .build_cartesian_2d(times.0..times.1, values.0..values.1)?;
+        let grey = RGBColor(150, 150, 150);
+        chart
+            .configure_mesh()
+            .axis_style(grey.stroke_width(px(1) as u32))
+            .bold_line_style(RGBColor(225, 225, 225).stroke_width(px(1) as u32 / 2))
+            .light_line_style(TRANSPARENT)
+            .label_style(TextStyle::from(font(11)).color(&RGBColor(40, 40, 40)))
+            .x_labels(if body.dim_in_pixel().0 > px(450) as u32 { 11 } else { 6 })
+            .y_labels(6)
+            .set_all_tick_mark_size(px(4))
+            .x_label_formatter(&label_of(times))
+            .y_label_formatter(&label_of(values))
+            .axis_desc_style(TextStyle::from(font(12)).color(&RGBColor(40, 40, 40)))
+            .x_desc(if lowest { "time (s)" } else { "" })
+            .draw()?;
+        let inner = chart.plotting_area().strip_coord_spec();
+        let (left, top) =
+            (chart.plotting_area().get_pixel_range().0.start, chart.plotting_area().get_pixel_range().1.start);
+        for line in self.lines.iter().filter(|line| !line.points.is_empty()) {
+            let pixels: Vec<_> = (line.points.iter())
+                .map(|point| chart.plotting_area().map_coordinate(point))
+                .map(|(x, y)| (x - left, y - top))
+                .collect();
+            draw_line(&inner, &pixels, line.stroke)?;
+        }
+        Ok(())
+    }
+}
+
+impl Reading {
+    /// Nothing where the sample has no reference and one is asked for.
+    fn of(self, sample: &Sample) -> Option<f64> {
+        let Sample { state, reference, motor_speeds, .. } = sample;
+        Some(match self {
+            Position(axis) => state.position[axis],
+            ReferencePosition(axis) => reference.as_ref()?.0[axis],
+            Distance => (state.position - Vector3::from(reference.as_ref()?.0)).norm(),
+            Attitude(axis) => state.rpy()[axis].to_degrees(),
+            Tilt => state.tilt().to_degrees(),
+            Velocity(axis) => state.velocity[axis],
+            Speed => state.velocity.norm(),
+            Motor(motor) => motor_speeds[motor],
+        })
+    }
+
+    /// The reading over time, angles without jumps of a whole turn.
+    fn series(self, samples: &[Sample]) -> Vec<(f64, f64)> {
+        // before the first step no motor has been told anything
+        let silent = usize::from(matches!(self, Motor(_)) && samples.len() > 1);
+        let points = samples.iter().skip(silent).filter_map(|sample| Some((sample.time, self.of(sample)?)));
+        let mut points: Vec<_> = points.collect();
+        if matches!(self, Attitude(_)) {
+            let mut turns = 0.0;
+            for i in 1..points.len() {
+                let jump: f64 = points[i].1 + turns - points[i - 1].1;
+                turns -= 360.0 * (jump / 360.0).round();
+                points[i].1 += turns;
+            }
+        }
+        points
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::DroneState;
+
+    #[test]
+    fn yaw_goes_on_where_it_wraps() {
+        let sample = |i: u32| Sample {
+            time: f64::from(i),
+            state: DroneState::at_rest(Vector3::zeros(), Vector3::new(0.0, 0.0, -0.5 * f64::from(i))),
+            acceleration: Vector3::zeros(),
+            motor_speeds: [0.0; 4],
+            reward: 0.0,
+            reference: None,
+        };
+        let samples: Vec<_> = (0..40).map(sample).collect();
+        for (t, yaw) in Attitude(2).series(&samples) {
+            assert!((yaw + (0.5 * t).to_degrees()).abs() < 1e-6, "{t}: {yaw}");
+        }
+        assert!(Distance.series(&samples).is_empty() && Motor(0).series(&samples).len() == 39);
+    }
+}

@@ -1,0 +1,187 @@
+//! Ways of drones, from above and in space.
+
+use nalgebra::Vector3;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, VPos};
+
+use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text};
+use super::{check, rgb};
+use crate::record::{Flight, RecordError};
+
+#[derive(Debug, Clone)]
+struct Way {
+    points: Vec<Vector3<f64>>,
+    stroke: Stroke,
+}
+
+#[derive(Debug, Clone)]
+pub(super) struct Paths {
+    flown: Vec<Way>,
+    references: Vec<Way>,
+    /// Middle of everything and half of what it spans, m.
+    middle: Vector3<f64>,
+    half: Vector3<f64>,
+}
+
+impl Paths {
+    pub fn of(flight: &Flight) -> Result<Self, RecordError> {
+        let count = flight.drones.len();
+        let flown: Vec<_> =
+            (0..count).map(|drone| Way { points: flight.positions(drone), stroke: Stroke::of(drone, count) }).collect();
+        let references: Vec<_> = (flight.drones.iter())
+            .map(|samples| Way {
+                points: samples.iter().filter_map(|sample| sample.reference).map(|(at, _)| at.into()).collect(),
+                stroke: Stroke::REFERENCE,
+            })
+            .collect();
+        let points = || flown.iter().chain(&references).flat_map(|way| &way.points);
+        check(points().flatten())?;
+        let axis = |i: usize| span(points().map(|point| point[i]), 0.2, 0.06);
+        let (x, y, z) = (axis(0), axis(1), axis(2));
+        let middle = 0.5 * Vector3::new(x.0 + x.1, y.0 + y.1, z.0 + z.1);
+        let half = 0.5 * Vector3::new(x.1 - x.0, y.1 - y.0, z.1 - z.0);
+        Ok(Self { flown, references, middle, half })
+    }
+
+    pub fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+        let mut area = area.clone();
+        let mut entries: Vec<_> = Vec::new();
+        if self.flown.len() > 1 {
+            let drones = self.flown.iter().enumerate().take(16);
+            entries.extend(drones.map(|(drone, way)| (format!("drone {drone}"), way.stroke)));
+        }
+        if self.references.iter().any(|way| !way.points.is_empty()) {
+            if entries.is_empty() {
+                entries.push(("flown".into(), self.flown[0].stroke));
+            }
+            entries.push(("reference".into(), Stroke::REFERENCE));
+        }
+        for entries in entries.chunks(9) {
+            let (head, rest) = area.split_vertically(px(22));
+            legend(&head, (head.dim_in_pixel().0 as i32 - px(14), px(10)), entries)?;
+            area = rest;
+        }
+        let (left, right) = area.split_horizontally(px(520));
+        self.draw_from_above(&left)?;
+        self.draw_in_space(&right)
+    }
+
+    fn draw_from_above<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+        let (width, height) = area.dim_in_pixel();
+        // what is left for the axes after labels and margins, so that a metre is as long in both
+        let (across, up) = (f64::from(width as i32 - px(90)), f64::from(height as i32 - px(64)));
+        let metre = (across / (2.0 * self.half.x)).min(up / (2.0 * self.half.y));
+        let (x, y) = (0.5 * across / metre, 0.5 * up / metre);
+        let (x, y) = ((self.middle.x - x, self.middle.x + x), (self.middle.y - y, self.middle.y + y));
+        let mut chart = ChartBuilder::on(area)
+            .margin_left(px(8))
+            .margin_right(px(14))
+            .margin_top(px(14))
+            .margin_bottom(px(4))
+            .x_label_area_size(px(46))
+            .y_label_area_size(px(68))
+            .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
+        chart
+            .configure_mesh()
+            .axis_style(RGBColor(150, 150, 150).stroke_width(px(1) as u32))
+            .bold_line_style(RGBColor(225, 225, 225).stroke_width(px(1) as u32 / 2))
+            .light_line_style(TRANSPARENT)
+            .label_style(TextStyle::from(font(11)).color(&RGBColor(40, 40, 40)))
+            .x_labels(7)
+            .y_labels(7)
+            .set_all_tick_mark_size(px(4))
+            .x_label_formatter(&label_of(x))
+            .y_label_formatter(&label_of(y))
+            .axis_desc_style(TextStyle::from(font(13)).color(&RGBColor(40, 40, 40)))
+            .x_desc("x (m)")
+            .y_desc("y (m)")
+            .draw()?;
+        let range = chart.plotting_area().get_pixel_range();
+        let inner = chart.plotting_area().strip_coord_spec();
+        let map = |point: &Vector3<f64>| {
+            let (x, y) = chart.plotting_area().map_coordinate(&(point.x, point.y));
+            (x - range.0.start, y - range.1.start)
+        };
+        self.draw_ways(&inner, &map)
+    }
+
+    fn draw_in_space<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+        const PITCH: f64 = 0.42;
+        const YAW: f64 = 0.6;
+        // what is flat gets some height
+        let half = self.half.map(|half| half.max(0.25 * self.half.max()));
+        let range = |i: usize| self.middle[i] - half[i]..self.middle[i] + half[i];
+        // plotters' third axis comes towards the reader: −y, so that x, y and z are a right-handed frame
+        let towards = -self.middle.y - half.y..-self.middle.y + half.y;
+        let mut chart =
+            ChartBuilder::on(area).margin(px(10)).build_cartesian_3d(range(0), range(2), towards.clone())?;
+        // a metre is as long along all axes, and what is seen of the box fills the area but for the labels
+        let (width, height) = area.dim_in_pixel();
+        let across = 2.0 * (half.x * YAW.cos() + half.y * YAW.sin());
+        let up = 2.0 * (half.z * PITCH.cos() + (half.x * YAW.sin() + half.y * YAW.cos()) * PITCH.sin());
+        let metre = (f64::from(width as i32 - px(150)) / across).min(f64::from(height as i32 - px(130)) / up);
+        let length = |half: f64| (2.0 * metre * half) as i32;
+        chart.set_3d_pixel_range((length(half.x), length(half.z), length(half.y)));
+        chart.with_projection(|mut projection| {
+            (projection.pitch, projection.yaw, projection.scale) = (PITCH, YAW, 1.0);
+            projection.into_matrix()
+        });
+        let line = |grey: u8| RGBColor(grey, grey, grey).stroke_width(px(1) as u32 / 2);
+        let (x, y, z) = (range(0), range(1), range(2));
+        let y_label = label_of((y.start, y.end));
+        chart
+            .configure_axes()
+            .axis_panel_style(TRANSPARENT)
+            .bold_grid_style(line(205))
+            .light_grid_style(TRANSPARENT)
+            .label_style(TextStyle::from(font(11)).color(&RGBColor(40, 40, 40)))
+            .tick_size(px(4))
+            .x_labels(5)
+            .y_labels(4)
+            .z_labels(5)
+            .x_formatter(&label_of((x.start, x.end)))
+            .y_formatter(&label_of((z.start, z.end)))
+            .z_formatter(&|minus_y: &f64| y_label(&-minus_y))
+            .draw()?;
+        let corner = chart.plotting_area().get_pixel_range();
+        let inner = chart.plotting_area().strip_coord_spec();
+        let map = |point: &Vector3<f64>| {
+            let (across, down) = chart.plotting_area().map_coordinate(&(point.x, point.z, -point.y));
+            (across - corner.0.start, down - corner.1.start)
+        };
+        // names beside the middles of the edges that have ticks
+        for (name, at, aside) in [
+            ("x (m)", Vector3::new(self.middle.x, y.start, z.start), (-24, 30)),
+            ("y (m)", Vector3::new(x.end, self.middle.y, z.start), (44, 22)),
+            ("z (m)", Vector3::new(x.end, y.end, self.middle.z), (56, 0)),
+        ] {
+            let (across, down) = map(&at);
+            let at = (across + px(aside.0), down + px(aside.1));
+            inner.draw(&Text::new(name, at, text(13, HPos::Center, VPos::Center)))?;
+        }
+        self.draw_ways(&inner, &map)
+    }
+
+    fn draw_ways<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        map: &dyn Fn(&Vector3<f64>) -> (i32, i32),
+    ) -> Drawn<B> {
+        for way in self.references.iter().chain(&self.flown) {
+            let pixels: Vec<_> = way.points.iter().map(map).collect();
+            if !pixels.is_empty() {
+                draw_line(area, &pixels, way.stroke)?;
+            }
+        }
+        for way in &self.flown {
+            if let [first, .., last] = &way.points[..] {
+                let colour = rgb(way.stroke.colour);
+                area.draw(&Circle::new(map(first), px(5), WHITE.filled()))?;
+                area.draw(&Circle::new(map(first), px(5), colour.stroke_width(px(1) as u32)))?;
+                area.draw(&Circle::new(map(last), px(4), colour.filled()))?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,150 @@
+//! Pictures of a flight: GIF, MP4, numbered PNG files.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use aviary::record::Overlays;
+use aviary::record::animation::{Animation, GifAnimation, Mp4, PngSequence};
+use aviary::vision::{ImageSize, View};
+use clap::{ArgGroup, Args};
+
+use crate::failure::Failure;
+use crate::options::{named, size, vision_failure};
+use crate::output::{FileWriter, OutputFile};
+use crate::pilot::Pilot;
+
+/// What to film, and where to put it.
+#[derive(Debug, Args)]
+#[command(group(ArgGroup::new("pictures").multiple(true)))]
+pub struct FilmOptions {
+    /// Animation to write, as GIF
+    #[arg(long, group = "pictures", value_name = "FILE.gif")]
+    gif: Option<PathBuf>,
+    /// Video to write, as MP4; needs the program ffmpeg
+    #[arg(long, group = "pictures", value_name = "FILE.mp4")]
+    video: Option<PathBuf>,
+    /// Directory for the frames as PNG files: 00000.png and on
+    #[arg(long, group = "pictures", value_name = "DIR")]
+    frames: Option<PathBuf>,
+    /// Camera of these: track, fpv, fixed, front, top
+    #[arg(long, default_value = "track", requires = "pictures")]
+    camera: String,
+    /// Size of these, pixels
+    #[arg(long, value_parser = size, default_value = "320x240", requires = "pictures")]
+    size: ImageSize,
+    /// What to draw into them, with commas between: trails, references, wind, rings
+    #[arg(long, requires = "pictures")]
+    overlay: Option<String>,
+}
+
+impl FilmOptions {
+    /// Checks what can be checked before anything is flown.
+    pub fn check(&self) -> Result<(), Failure> {
+        self.view()?;
+        self.overlays()?;
+        for (option, path, ending) in [("gif", &self.gif, "gif"), ("video", &self.video, "mp4")] {
+            let Some(path) = path else { continue };
+            if path.extension().is_none_or(|given| !given.eq_ignore_ascii_case(ending)) {
+                let path = path.display();
+                return Err(Failure::input(anyhow!("--{option} is `{path}`, expected a name that ends in .{ending}")));
+            }
+        }
+        Ok(())
+    }
+
+    fn view(&self) -> Result<View, Failure> {
+        named("camera", &self.camera, &View::ALL.map(View::name))
+    }
+
+    fn overlays(&self) -> Result<Overlays, Failure> {
+        let overlays = self.overlay.as_deref().map(str::parse).transpose();
+        let overlays = overlays.map_err(|error: String| Failure::input(anyhow!("--overlay: {error}")))?;
+        Ok(overlays.unwrap_or_default())
+    }
+
+    /// The files, and the directory of frames, that are there when it is done.
+    pub fn files(&self) -> Vec<PathBuf> {
+        [&self.gif, &self.video, &self.frames].into_iter().flatten().cloned().collect()
+    }
+
+    /// Begins the film, if one is asked for.
+    pub fn begin(&self, pilot: &Pilot) -> Result<Option<Film>, Failure> {
+        if self.files().is_empty() {
+            return Ok(None);
+        }
+        let size = self.size;
+        let gif = self.gif.as_deref().map(OutputFile::begin).transpose()?;
+        let video = self.video.as_deref().map(OutputFile::begin).transpose()?;
+        let simulation = pilot.env().simulation();
+        let mut film =
+            aviary::record::Film::of(simulation, self.view()?, size, self.overlays()?).map_err(vision_failure)?;
+        for drone in 0..simulation.num_drones() {
+            if let Some(way) = pilot.way(drone) {
+                film.set_way(drone, way);
+            }
+        }
+        let seconds = film.seconds_per_frame();
+        let gif = gif.map(|file| GifAnimation::new(file.into_writer(), size, seconds)).transpose();
+        let gif = gif.map_err(Failure::work)?;
+        let video = match video {
+            Some(file) => Some((Mp4::create(file.path(), size, seconds).map_err(Failure::work)?, file)),
+            None => None,
+        };
+        let frames = self.frames.as_ref().map(|path| PngSequence::create(path, size)).transpose();
+        Ok(Some(Film { film, gif, video, frames: frames.map_err(Failure::work)? }))
+    }
+}
+
+/// A film being made.
+pub struct Film {
+    film: aviary::record::Film,
+    gif: Option<GifAnimation<FileWriter>>,
+    video: Option<(Mp4, OutputFile)>,
+    frames: Option<PngSequence>,
+}
+
+impl Film {
+    /// Takes a frame if it is time for one.
+    pub fn look(&mut self, pilot: &Pilot) -> Result<(), Failure> {
+        let Self { film, gif, video, frames } = self;
+        let rgb = film.look_at(pilot.env().simulation(), |drone| Some(pilot.reference(drone)));
+        match rgb.map_err(vision_failure)? {
+            Some(rgb) => put(rgb, gif, video, frames),
+            None => Ok(()),
+        }
+    }
+
+    /// Adds the last moment and gives the files their names.
+    pub fn finish(mut self, pilot: &Pilot) -> Result<(), Failure> {
+        let Self { film, gif, video, frames } = &mut self;
+        let rgb = film.frame(pilot.env().simulation(), |drone| Some(pilot.reference(drone))).map_err(vision_failure)?;
+        put(rgb, gif, video, frames)?;
+        if let Some(gif) = self.gif {
+            gif.finish().map_err(Failure::work)?.keep()?;
+        }
+        if let Some((video, file)) = self.video {
+            video.finish().map_err(Failure::work)?;
+            file.keep()?;
+        }
+        Ok(())
+    }
+}
+
+/// Puts a frame where frames go.
+fn put(
+    rgb: &[u8],
+    gif: &mut Option<GifAnimation<FileWriter>>,
+    video: &mut Option<(Mp4, OutputFile)>,
+    frames: &mut Option<PngSequence>,
+) -> Result<(), Failure> {
+    if let Some(gif) = gif {
+        gif.frame(rgb).map_err(Failure::work)?;
+    }
+    if let Some((video, _)) = video {
+        video.frame(rgb).map_err(Failure::work)?;
+    }
+    match frames {
+        Some(frames) => frames.frame(rgb).map_err(Failure::work),
+        None => Ok(()),
+    }
+}
