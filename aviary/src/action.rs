@@ -25,6 +25,21 @@ use crate::state::{DroneState, attitude_from_rpy};
 /// | `ctbr` | collective thrust, as a normalized motor speed; body rates x, y, z | −1 to 1, which is ± [`body_rate`](ActionLimits::body_rate) |
 ///
 /// What is out of bounds is clipped to them.
+///
+/// ```
+/// use aviary::action::ActionType;
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+///
+/// // the paper's PID flies to a waypoint, which is all that the agent says
+/// let mut env = Hover::builder().action_type(ActionType::Pid).build()?;
+/// env.reset(Some(1))?;
+/// while env.info().end.is_none() {
+///     env.step(&[0.0, 0.0, 1.0, 0.0])?;
+/// }
+/// assert!(env.info().success);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[non_exhaustive]
 pub enum ActionType {
@@ -109,6 +124,18 @@ impl FromStr for ActionType {
 pub struct UnknownActionType(pub String);
 
 /// How far actions reach that are not motor speeds.
+///
+/// ```
+/// use aviary::action::{ActionLimits, ActionType};
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+///
+/// // waypoints in a room of 4 m by 4 m, 2 m high
+/// let limits = ActionLimits { arena: [[-2.0, 2.0], [-2.0, 2.0], [0.0, 2.0]], ..ActionLimits::default() };
+/// let env = Hover::builder().action_type(ActionType::Pid).action_limits(limits).build()?;
+/// assert_eq!(env.action_space().high()[..3], [2.0, 2.0, 2.0]);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ActionLimits {
     /// Least and greatest x, y and z of a waypoint, world frame, m; ±10 m sideways and 0 to 10 m up by default.
@@ -173,6 +200,21 @@ pub struct ActionLimitsError {
 ///
 /// It is made from the nominal airframe, whatever is flown: an agent that trims for the true mass would have nothing
 /// to learn from a randomized one.
+///
+/// ```
+/// use aviary::action::{ActionDecoder, ActionLimits, ActionType};
+/// use aviary::control::ControllerKind;
+/// use aviary::drone::DroneModel;
+/// use aviary::state::DroneState;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let limits = ActionLimits::default();
+/// let mut decoder = ActionDecoder::new(ActionType::Ctbr, ControllerKind::Pid, &params, &limits)?;
+/// // thrust as at hover, and no body rates, of a drone that has none
+/// let rpm = decoder.motor_speeds(1.0 / 48.0, &DroneState::default(), &[0.0; 4]);
+/// assert!(rpm.iter().all(|n| (n - params.hover_rpm()).abs() < 1e-6));
+/// # Ok::<(), aviary::action::ActionLimitsError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct ActionDecoder {
     kind: ActionType,
@@ -294,6 +336,17 @@ impl ActionDecoder {
 ///
 /// −1 is standing still, 0 is hovering, 1 is full speed. It keeps the constants of the nominal airframe even where
 /// the flown one is randomized: otherwise 0 would be the perfect trim and there would be nothing to learn.
+///
+/// ```
+/// use aviary::action::MotorScale;
+/// use aviary::drone::DroneModel;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let scale = MotorScale::new(&params);
+/// assert_eq!([-1.0, 0.0].map(|command| scale.rpm(command)), [0.0, params.hover_rpm()]);
+/// assert!((scale.rpm(1.0) - params.max_rpm()).abs() < 1e-9);
+/// assert!((scale.command(scale.rpm(0.3)) - 0.3).abs() < 1e-12);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotorScale {
     hover_rpm: f64,

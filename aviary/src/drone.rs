@@ -11,6 +11,17 @@ use serde::{Deserialize, Serialize};
 pub const GRAVITY: f64 = 9.81;
 
 /// The airframes that are built in (paper, table 2).
+///
+/// ```
+/// use aviary::drone::DroneModel;
+///
+/// let model: DroneModel = "race".parse()?;
+/// let params = model.params();
+/// assert_eq!((model.name(), params.mass), ("race", 0.25));
+/// // four times its weight at full speed, which is twice the speed that hovers
+/// assert!((params.max_rpm() - 2.0 * params.hover_rpm()).abs() < 1e-9);
+/// # Ok::<(), aviary::drone::DroneError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DroneModel {
@@ -320,6 +331,17 @@ impl DroneParams {
     ///
     /// A force F along body z at (x, y) has the torque (y·F, −x·F, 0), which for the X layout is the paper's
     /// τx = L/√2·(F0 + F1 − F2 − F3), τy = L/√2·(−F0 + F1 + F2 − F3); the reaction torque is k_m/k_f times the thrust.
+    ///
+    /// ```
+    /// use aviary::drone::DroneModel;
+    /// use nalgebra::Vector4;
+    ///
+    /// let params = DroneModel::Cf2x.params();
+    /// // more thrust on the left, which is where motors 0 and 1 are, rolls to the right
+    /// let wrench = params.allocation() * Vector4::new(0.08, 0.08, 0.06, 0.06);
+    /// assert!((wrench[0] - 0.28).abs() < 1e-12 && wrench[1] > 0.0);
+    /// assert!(wrench[2].abs() < 1e-12 && wrench[3].abs() < 1e-12);
+    /// ```
     pub fn allocation(&self) -> Matrix4<f64> {
         let yaw = self.yaw_convention.sign() * self.torque_coefficient / self.thrust_coefficient;
         let m = self.motor_positions();

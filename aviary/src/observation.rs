@@ -10,6 +10,19 @@ use crate::vision::{ImageSize, Painter};
 
 /// What an observation is made of: the paper's `KIN`, `RGB` and `KIN_RGB`, and any other combination with depth and
 /// segmentation.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::observation::ObservationType;
+/// use aviary::tasks::Hover;
+///
+/// let kind: ObservationType = "kin_obstacle_ranges".parse()?;
+/// assert_eq!(kind, ObservationType::KIN_RANGES);
+/// let mut env = Hover::builder().observation_type(kind).build()?;
+/// let observation = env.reset(Some(1))?;
+/// assert_eq!((observation.vector.len(), observation.obstacle.len(), observation.ranges.len()), (12, 1, 10));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ObservationType {
     /// The task's vector.
@@ -125,6 +138,20 @@ impl FromStr for ObservationType {
 /// What an agent sees. Parts that the observation type does not have are empty.
 ///
 /// Pictures are drone after drone, row after row from the top, pixel after pixel from the left.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::MultiHover;
+///
+/// let mut env = MultiHover::builder().build()?;
+/// let observation = env.reset(Some(1))?;
+/// let mut row = [0.0_f32; 26];
+/// observation.write_vector(&mut row);
+/// // two blocks of 13 numbers; the second drone starts 1 m along x
+/// assert_eq!(row[13], 1.0);
+/// assert_eq!(observation.of_drone(1, 2).vector[0], 1.0);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Observation {
     /// The task's vector.
@@ -197,6 +224,9 @@ impl Observation {
     ///
     /// # Errors
     /// The painter's.
+    ///
+    /// # Panics
+    /// If there are pictures of more drones than the painter has.
     pub fn take_pictures(&mut self, painter: &mut Painter, size: ImageSize) -> Result<(), Error> {
         // a size of nothing has no pictures
         let pixels = size.pixels().max(1);
@@ -220,7 +250,18 @@ pub const KIN_SIZE: usize = 20;
 pub const STATE_SIZE: usize = 12;
 
 /// The paper's `KIN`: `[position 3, quaternion wxyz 4, rpy 3, velocity 3, angular velocity 3, motor speeds rpm 4]`;
-/// position and velocity in the world frame, angular velocity in the body frame.
+/// position (m) and velocity (m/s) in the world frame, angular velocity (rad/s) in the body frame, the quaternion from body to
+/// world, roll, pitch and yaw in rad.
+///
+/// ```
+/// use aviary::observation::kinematic;
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let state = DroneState::at_rest(Vector3::new(1.0, 2.0, 3.0), Vector3::zeros());
+/// let kin = kinematic(&state, &[14_000.0; 4]);
+/// assert_eq!((kin[2], kin[3], kin[19]), (3.0, 1.0, 14_000.0), "z, the quaternion's w, the last motor");
+/// ```
 pub fn kinematic(state: &DroneState, motor_speeds: &[f64; 4]) -> [f64; KIN_SIZE] {
     let mut out = [0.0; KIN_SIZE];
     out[0..3].copy_from_slice(state.position.as_slice());
@@ -232,7 +273,16 @@ pub fn kinematic(state: &DroneState, motor_speeds: &[f64; 4]) -> [f64; KIN_SIZE]
     out
 }
 
-/// The tasks' state vector: `[position 3, rpy 3, velocity 3, angular velocity 3]`, frames as in [`kinematic`].
+/// The tasks' state vector: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units and frames as in [`kinematic`].
+///
+/// ```
+/// use aviary::observation::state_vector;
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let state = DroneState { velocity: Vector3::new(0.5, 0.0, 0.0), ..DroneState::default() };
+/// assert_eq!(state_vector(&state)[6], 0.5);
+/// ```
 pub fn state_vector(state: &DroneState) -> [f64; STATE_SIZE] {
     let mut out = [0.0; STATE_SIZE];
     out[0..3].copy_from_slice(state.position.as_slice());

@@ -8,6 +8,20 @@ use crate::state::{DroneState, wxyz};
 use crate::world::{Obstacle, SceneError, World};
 
 /// Which rays a drone measures along.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::observation::ObservationType;
+/// use aviary::sensing::RangeConfig;
+/// use aviary::tasks::Hover;
+///
+/// // to the four sides, as far as 2 m
+/// let directions = vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]];
+/// let rays = RangeConfig { directions, max_range: 2.0 };
+/// let mut env = Hover::builder().observation_type(ObservationType::KIN_RANGES).rays(rays).build()?;
+/// assert_eq!(env.reset(Some(1))?.ranges, [2.0; 4], "nothing stands there");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct RangeConfig {
     /// Directions in the body frame, of any length.
@@ -28,6 +42,20 @@ impl Default for RangeConfig {
 }
 
 /// Rangefinders of all drones of a world: `mj_ray` in a scene that has every obstacle, the floor and the drones.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::sensing::{RangeConfig, Rangefinder};
+/// use aviary::simulation::Simulation;
+///
+/// let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.5]]).build()?;
+/// let down = RangeConfig { directions: vec![[0.0, 0.0, -1.0]], ..RangeConfig::default() };
+/// let mut finder = Rangefinder::new(simulation.world(), &down)?;
+/// let mut distance = [0.0];
+/// finder.measure(simulation.states(), &mut distance)?;
+/// assert!((distance[0] - 1.5).abs() < 1e-9);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Rangefinder {
     data: Data,

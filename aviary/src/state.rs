@@ -8,6 +8,21 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use crate::math::{Turn, atan2};
 
 /// Position and motion of one drone: the paper's 13 numbers.
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// // at 1 m, facing left, moving to the left of the world
+/// let state = DroneState {
+///     velocity: Vector3::new(0.0, 2.0, 0.0),
+///     ..DroneState::at_rest(Vector3::new(0.0, 0.0, 1.0), Vector3::new(0.0, 0.0, FRAC_PI_2))
+/// };
+/// assert!((state.velocity_body() - Vector3::new(2.0, 0.0, 0.0)).norm() < 1e-12, "straight ahead");
+/// assert!((state.yaw() - FRAC_PI_2).abs() < 1e-12 && state.tilt() < 1e-6);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DroneState {
     /// Centre of mass, world frame, m.
@@ -97,6 +112,19 @@ pub fn attitude_from_wxyz([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
 }
 
 /// The rotation of roll, pitch, yaw (rad): yaw about z, then pitch about y', then roll about x''.
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// use aviary::state::{attitude_from_rpy, wxyz};
+/// use nalgebra::Vector3;
+///
+/// // a quarter turn to the left
+/// let left = attitude_from_rpy(Vector3::new(0.0, 0.0, FRAC_PI_2));
+/// assert!((left * Vector3::new(1.0, 0.0, 0.0) - Vector3::new(0.0, 1.0, 0.0)).norm() < 1e-12);
+/// let [w, _, _, z] = wxyz(&left);
+/// assert!((w - 0.5_f64.sqrt()).abs() < 1e-12 && (z - w).abs() < 1e-12);
+/// ```
 pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_euler_angles(rpy.x, rpy.y, rpy.z)
 }

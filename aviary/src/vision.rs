@@ -21,6 +21,14 @@ use crate::world::{Obstacle, SceneError, World};
 pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
 
 /// What a picture shows.
+///
+/// ```
+/// use aviary::vision::ImageKind;
+///
+/// assert_eq!("depth".parse::<ImageKind>()?, ImageKind::Depth);
+/// assert!("infrared".parse::<ImageKind>().is_err());
+/// # Ok::<(), aviary::vision::UnknownName>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum ImageKind {
     /// Colour.
@@ -46,6 +54,14 @@ impl ImageKind {
 }
 
 /// From where people look.
+///
+/// ```
+/// use aviary::vision::View;
+///
+/// assert_eq!("top".parse::<View>()?, View::Top);
+/// assert_eq!(View::ALL.map(View::name), ["track", "fpv", "fixed", "front", "top"]);
+/// # Ok::<(), aviary::vision::UnknownName>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum View {
     /// Following the drones, from behind and above.
@@ -124,6 +140,24 @@ pub struct SeenObject {
 }
 
 /// Draws one world.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::simulation::Simulation;
+/// use aviary::vision::{CAMERA_SIZE, Painter, intrinsics};
+///
+/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
+/// let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build()?;
+/// let mut painter = Painter::for_observations(simulation.world())?;
+/// painter.update(simulation.states())?;
+/// let mut depth = vec![0.0; CAMERA_SIZE.pixels()];
+/// painter.onboard_depth(0, CAMERA_SIZE, &mut depth)?;
+/// // the middle of the lowest row sees the floor, 1 m below the camera
+/// let [_, focal, _, middle] = intrinsics(CAMERA_SIZE);
+/// let floor = focal / (47.5 - middle);
+/// assert!((f64::from(depth[depth.len() - 1]) - floor).abs() < 1e-3);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Painter {
     // dropped before the data whose model it draws
@@ -217,7 +251,7 @@ impl Painter {
     /// Brings the scene up to date. What was [added](Self::add) before is gone.
     ///
     /// # Errors
-    /// MuJoCo's own.
+    /// [`Error::Value`] for a state that is not finite, and MuJoCo's own.
     pub fn update(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.stale = true;
         if states.iter().any(|state| !state.is_finite()) {
@@ -262,7 +296,8 @@ impl Painter {
         self.stage = (centre.into(), reach);
     }
 
-    /// Adds a shape to the scene until the next update; `false` where there is no room.
+    /// Adds a shape to the scene until the next update, in red, green, blue and alpha from 0 to 1; `false` where there is no
+    /// room.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
         self.scene.add(decor, rgba)
     }
@@ -358,7 +393,8 @@ impl Painter {
     /// A picture from a view: RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong length.
+    /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong length,
+    /// [`Error::Value`] for sides that are not 1 to 8192 pixels.
     pub fn rgb(&mut self, view: View, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
         self.look(view)?;
         self.renderer.rgb(&mut self.scene, size, out)
@@ -455,6 +491,15 @@ fn extent(points: impl Iterator<Item = Vector3<f64>> + Clone) -> (Vector3<f64>, 
 
 /// Focal length and centre of a camera with square pixels, pixels: `[fx, fy, cx, cy]`; the centre is measured from the
 /// top left corner of the picture.
+///
+/// ```
+/// use aviary::vision::{CAMERA_SIZE, intrinsics};
+///
+/// // half of the picture's 48 rows are 30°
+/// let [fx, fy, cx, cy] = intrinsics(CAMERA_SIZE);
+/// assert!((fy - 24.0 / 30_f64.to_radians().tan()).abs() < 1e-9 && fx == fy);
+/// assert_eq!([cx, cy], [32.0, 24.0]);
+/// ```
 pub fn intrinsics(size: ImageSize) -> [f64; 4] {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let focal = height / 2.0 / (World::CAMERA_FOVY.to_radians() / 2.0).tan();

@@ -1,6 +1,20 @@
 use crate::id::{GeomId, ObjectId};
 
 /// One contact that collision detection found in the last step or forward pass.
+///
+/// ```
+/// use mujoco_rs::{Data, Model};
+///
+/// let model = Model::from_xml(
+///     "<mujoco><worldbody><geom type='plane' size='1 1 1'/>
+///     <body pos='0 0 .08'><freejoint/><geom size='.1'/></body></worldbody></mujoco>",
+/// )?;
+/// let mut data = Data::new(model)?;
+/// data.forward()?;
+/// let depths: Vec<f64> = data.contacts().map(|contact| -contact.distance()).collect();
+/// assert!(depths.len() == 1 && (depths[0] - 0.02).abs() < 1e-9, "a ball, 2 cm deep in the floor");
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 #[derive(Clone, Copy)]
 pub struct Contact<'a>(pub(crate) &'a mujoco_sys::mjContact);
 

@@ -9,6 +9,23 @@ use crate::model::{Model, ModelMut};
 use crate::runtime::{check_library, guarded};
 
 /// One simulation of a [`Model`].
+///
+/// ```
+/// use mujoco_rs::{Data, Model};
+///
+/// let model = Model::from_xml(
+///     "<mujoco><option timestep='.002' integrator='RK4'/><worldbody>
+///     <body pos='0 0 2'><freejoint/><geom size='.1'/></body></worldbody></mujoco>",
+/// )?;
+/// let mut data = Data::new(model)?;
+/// for _ in 0..100 {
+///     data.step()?;
+/// }
+/// // free fall
+/// let t = data.time();
+/// assert!((data.qpos()[2] - (2.0 - 0.5 * 9.81 * t * t)).abs() < 1e-9);
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 pub struct Data {
     pointer: NonNull<mujoco_sys::mjData>,
     model: Arc<Model>,

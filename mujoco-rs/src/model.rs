@@ -12,6 +12,22 @@ use crate::runtime::{check_library, guarded};
 ///
 /// Sizes and structure never change after compilation; numbers may be patched through [`ModelMut`]. It is immutable
 /// while shared, so threads may step their own [`Data`](crate::Data) of one model at the same time.
+///
+/// ```
+/// use mujoco_rs::{GeomId, Model, ObjectKind};
+///
+/// let model = Model::from_xml(
+///     "<mujoco><worldbody><geom name='floor' type='plane' size='1 1 1'/>
+///     <body><freejoint/><geom size='.1'/></body></worldbody></mujoco>",
+/// )?;
+/// let floor: GeomId = model.find("floor")?;
+/// assert_eq!(model.name(floor), Some("floor"));
+/// assert_eq!(model.count(ObjectKind::Body), 2, "the world is one, too");
+/// // MuJoCo says itself what is wrong
+/// let error = Model::from_xml("<mujoco><worldbody><nonsense/></worldbody></mujoco>").unwrap_err();
+/// assert!(error.to_string().contains("nonsense"));
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 pub struct Model {
     pointer: NonNull<mujoco_sys::mjModel>,
     /// Shared by all copies of one compiled model.
@@ -25,6 +41,19 @@ unsafe impl Send for Model {}
 unsafe impl Sync for Model {}
 
 /// Files that a scene refers to, kept in memory.
+///
+/// ```
+/// use mujoco_rs::{Assets, Model};
+///
+/// let corner = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+/// let model = Model::from_xml_with_assets(
+///     "<mujoco><asset><mesh name='corner' file='corner.obj'/></asset>
+///     <worldbody><geom type='mesh' mesh='corner'/></worldbody></mujoco>",
+///     &Assets::new().with("corner.obj", corner),
+/// )?;
+/// assert_eq!(model.nmesh(), 1);
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct Assets {
     files: Vec<(String, Vec<u8>)>,
@@ -128,7 +157,7 @@ impl Model {
     /// (a height field or texture of 65,536 by 65,536, say) or meshes without faces can crash it. Compile only scenes from sources you trust.
     ///
     /// # Errors
-    /// [`Error::Load`] with MuJoCo's message.
+    /// [`Error::Load`] with MuJoCo's message, [`Error::Version`] for a library that is not the one of the headers.
     pub fn from_xml(xml: &str) -> Result<Self, Error> {
         Self::from_xml_with_assets(xml, &Assets::new())
     }
@@ -136,7 +165,7 @@ impl Model {
     /// Compiles a scene from MJCF text that refers to files in memory; files that are not there are read from disk.
     ///
     /// # Errors
-    /// [`Error::Asset`] where a file cannot be taken, [`Error::Load`] with MuJoCo's message.
+    /// [`Error::Asset`] where a file cannot be taken, and as for [`from_xml`](Self::from_xml).
     pub fn from_xml_with_assets(xml: &str, assets: &Assets) -> Result<Self, Error> {
         check_library()?;
         if xml.trim().is_empty() {
@@ -153,7 +182,7 @@ impl Model {
     /// Compiles a scene from an MJCF (or URDF) file; what it refers to is found relative to it.
     ///
     /// # Errors
-    /// [`Error::Load`] with the path and MuJoCo's message.
+    /// [`Error::Load`] with the path and MuJoCo's message, [`Error::Version`] as for [`from_xml`](Self::from_xml).
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self, Error> {
         check_library()?;
         let path = path.as_ref();
@@ -349,6 +378,15 @@ impl Integrator {
 ///
 /// MuJoCo derives some numbers from others when it compiles (`body_subtreemass`, `dof_M0`, `body_invweight0`, …):
 /// whoever patches a mass writes those as well.
+///
+/// ```
+/// use mujoco_rs::Model;
+///
+/// let mut model = Model::from_xml("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")?;
+/// model.patch().set_gravity([0.0, 0.0, -1.62])?;
+/// assert_eq!(model.gravity(), [0.0, 0.0, -1.62], "on the Moon");
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 pub struct ModelMut<'a> {
     model: &'a mut Model,
 }

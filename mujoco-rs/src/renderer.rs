@@ -26,6 +26,13 @@ impl Quality {
 }
 
 /// Width and height of a picture, pixels.
+///
+/// ```
+/// use mujoco_rs::ImageSize;
+///
+/// let size = ImageSize { width: 64, height: 48 };
+/// assert_eq!((size.pixels(), size.to_string().as_str()), (3072, "64x48"));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ImageSize {
     /// Pixels in a row.
@@ -53,6 +60,25 @@ impl std::fmt::Display for ImageSize {
 /// An OpenGL context with the meshes and textures of one model.
 ///
 /// It may be made, used and dropped on any thread, and several may draw at the same time, each on its own.
+///
+/// ```
+/// use mujoco_rs::{Camera, Data, ImageSize, Model, Quality, Renderer, Scene};
+///
+/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
+/// let model = Model::from_xml("<mujoco><worldbody><geom type='box' size='.5 .5 .5'/></worldbody></mujoco>")?;
+/// let mut data = Data::new(model)?;
+/// data.forward()?;
+/// let mut scene = Scene::new(data.shared_model(), 0)?;
+/// // along y, from 2 m in front of the middle of the box
+/// let camera = Camera::Free { lookat: [0.0; 3], distance: 2.0, azimuth: 90.0, elevation: 0.0 };
+/// scene.update(&mut data, &camera)?;
+/// let mut renderer = Renderer::new(data.shared_model(), Quality::FAST)?;
+/// let size = ImageSize { width: 33, height: 33 };
+/// let mut depth = vec![0.0; size.pixels()];
+/// renderer.depth(&mut scene, size, &mut depth)?;
+/// assert!((depth[depth.len() / 2] - 1.5).abs() < 1e-3, "its near side");
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 pub struct Renderer {
     // dropped in order: MuJoCo's objects need the context
     raw: Raw,
@@ -73,7 +99,8 @@ impl Renderer {
     /// A renderer of a model's scenes. Its buffer grows to the largest picture asked for.
     ///
     /// # Errors
-    /// [`Error::NoGl`] with what was tried and what each answered, [`Error::Raised`] with MuJoCo's message.
+    /// What [`gl_info`](crate::gl_info) has where there is nothing to draw with, [`Error::Gl`] where OpenGL fails,
+    /// [`Error::Raised`] with MuJoCo's message.
     pub fn new(model: impl Into<Arc<Model>>, quality: Quality) -> Result<Self, Error> {
         crate::check_library()?;
         let model = model.into();
@@ -86,8 +113,9 @@ impl Renderer {
     /// Draws a scene as RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`Error::Buffer`] for a buffer of the wrong length, [`Error::OtherModel`] for a scene of another model,
-    /// [`Error::NoCamera`] for one that has not been updated.
+    /// [`Error::Value`] for sides that are not 1 to 8192 pixels, [`Error::Buffer`] for a buffer of the wrong length,
+    /// [`Error::OtherModel`] for a scene of another model, [`Error::NoCamera`] for one that has not been updated,
+    /// [`Error::Gl`] and [`Error::Raised`] where OpenGL or MuJoCo fails.
     pub fn rgb(&mut self, scene: &mut Scene, size: ImageSize, rgb: &mut [u8]) -> Result<(), Error> {
         check_size(size)?;
         check_length("RGB", rgb.len(), 3 * size.pixels())?;

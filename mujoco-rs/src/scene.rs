@@ -147,6 +147,21 @@ pub enum Decor {
 }
 
 /// MuJoCo's abstract scene of one model.
+///
+/// ```
+/// use mujoco_rs::{Camera, Data, Decor, Model, Scene};
+///
+/// let mut data = Data::new(Model::from_xml("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")?)?;
+/// data.forward()?;
+/// let mut scene = Scene::new(data.shared_model(), 10)?;
+/// let camera = Camera::Free { lookat: [0.0; 3], distance: 2.0, azimuth: 90.0, elevation: -30.0 };
+/// scene.update(&mut data, &camera)?;
+/// let [near, far] = scene.clip_planes();
+/// assert!(near > 0.0 && near < far);
+/// // a dot that is not in the model, until the next update
+/// assert!(scene.add(Decor::Sphere { centre: [0.0, 0.0, 0.5], radius: 0.05 }, [1.0, 0.0, 0.0, 1.0]));
+/// # Ok::<(), mujoco_rs::Error>(())
+/// ```
 pub struct Scene {
     pub(crate) raw: Box<mujoco_sys::mjvScene>,
     options: mujoco_sys::mjvOption,
@@ -190,7 +205,7 @@ impl Scene {
         self.options.geomgroup = groups.map(u8::from);
     }
 
-    /// Switches effects on and off.
+    /// Switches effects on and off; before the first call they are MuJoCo's own defaults.
     pub fn set_effects(&mut self, effects: Effects) {
         use mujoco_sys::mjtRndFlag_ as flag;
         let flags = &mut self.raw.flags;
@@ -210,7 +225,7 @@ impl Scene {
     ///
     /// # Errors
     /// [`Error::OtherModel`] if the simulation is of another model, [`Error::Value`] for an impossible camera,
-    /// [`Error::Raised`] with MuJoCo's message.
+    /// [`Error::NotOfModel`] for a camera or body that the model does not have, [`Error::Raised`] with MuJoCo's message.
     pub fn update(&mut self, data: &mut Data, camera: &Camera) -> Result<(), Error> {
         self.same_model(data)?;
         let mut camera = camera.raw(data)?;
@@ -303,7 +318,8 @@ impl Scene {
         Ok(())
     }
 
-    /// Adds a shape until the next [`update`](Self::update); `false` where there was no room for it.
+    /// Adds a shape until the next [`update`](Self::update), in red, green, blue and alpha from 0 to 1; `false` where there was
+    /// no room for it.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
         use mujoco_sys::mjtGeom_ as geom;
         // the end of the list is where hidden geoms are

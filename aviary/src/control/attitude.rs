@@ -5,6 +5,16 @@ use crate::drone::{DroneModel, DroneParams};
 use crate::state::{DroneState, wrap_angle};
 
 /// Gains of the attitude loop: torques per rad, per rad·s and per rad/s, about the body axes.
+///
+/// ```
+/// use aviary::control::AttitudeGains;
+/// use aviary::drone::DroneModel;
+///
+/// let [crazyflie, racer] = [DroneModel::Cf2x, DroneModel::Race].map(DroneModel::params);
+/// let ratio = racer.inertia[0] / crazyflie.inertia[0];
+/// let (soft, strong) = (AttitudeGains::paper(&crazyflie), AttitudeGains::paper(&racer));
+/// assert!((strong.proportional.x / soft.proportional.x - ratio).abs() < 1e-9);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AttitudeGains {
     /// Proportional, N·m/rad.
@@ -118,6 +128,19 @@ impl AttitudeControl {
 }
 
 /// A yaw that is held, and turned at a commanded rate.
+///
+/// ```
+/// use aviary::control::HeadingHold;
+/// use aviary::state::DroneState;
+///
+/// let (mut hold, facing_x) = (HeadingHold::default(), DroneState::default());
+/// assert!((hold.advance(0.1, &facing_x, 0.5) - 0.05).abs() < 1e-12);
+/// // a drone that does not turn is waited for
+/// for _ in 0..100 {
+///     hold.advance(0.1, &facing_x, 0.5);
+/// }
+/// assert!((hold.advance(0.1, &facing_x, 0.5) - HeadingHold::MAX_LEAD).abs() < 1e-12);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct HeadingHold {
     yaw: Option<f64>,

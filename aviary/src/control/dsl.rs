@@ -12,6 +12,20 @@ use crate::state::{DroneState, wrap_angle};
 /// The setpoint starts where the drone is and goes to the reference's position at no more than
 /// [`MAX_SPEED`](Self::MAX_SPEED), and to its yaw at no more than [`MAX_YAW_RATE`](Self::MAX_YAW_RATE), so that a
 /// waypoint far away does not lay the drone on its side. A reference that moves faster than that is left behind.
+///
+/// ```
+/// use aviary::control::{Controller, DslPidControl, Reference};
+/// use aviary::drone::DroneModel;
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let far = Reference::hover(Vector3::new(3.0, 0.0, 0.0), 0.0);
+/// let output = DslPidControl::new(&params).control(1.0 / 48.0, &DroneState::default(), &far);
+/// // the errors are those of the reference, the speeds those of a setpoint that is 4 cm away
+/// assert_eq!(output.position_error.x, 3.0);
+/// assert!(output.rpm.iter().all(|rpm| (rpm / params.hover_rpm() - 1.0).abs() < 0.05));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct DslPidControl {
     cascade: PidControl,

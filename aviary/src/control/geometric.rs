@@ -6,6 +6,16 @@ use crate::state::{DroneState, body_z};
 
 /// How fast the loops of a [`GeometricControl`] answer: natural frequencies, rad/s. Gains follow from them and from the
 /// airframe's mass and inertia.
+///
+/// ```
+/// use aviary::control::{Bandwidths, GeometricControl};
+/// use aviary::drone::DroneModel;
+///
+/// // an integral, against steady wind
+/// let bandwidths = Bandwidths { integral: 0.1, ..Bandwidths::default() };
+/// let control = GeometricControl::with_bandwidths(&DroneModel::Cf2x.params(), bandwidths);
+/// assert_eq!(control.bandwidths().integral, 0.1);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bandwidths {
     /// Position, world x and y.

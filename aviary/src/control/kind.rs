@@ -6,6 +6,19 @@ use crate::drone::DroneParams;
 use crate::state::DroneState;
 
 /// The controllers that follow a [`Reference`](super::Reference), by name.
+///
+/// ```
+/// use aviary::control::{Controller as _, ControllerKind, Reference};
+/// use aviary::drone::DroneModel;
+/// use aviary::state::DroneState;
+///
+/// let kind: ControllerKind = "dsl".parse()?;
+/// let params = DroneModel::Race.params();
+/// // at rest where it should be: hover speed
+/// let output = kind.build(&params).control(0.02, &DroneState::default(), &Reference::default());
+/// assert!((output.rpm[0] - params.hover_rpm()).abs() < 1e-6);
+/// # Ok::<(), aviary::control::UnknownController>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum ControllerKind {
     /// [`PidControl`].
@@ -41,6 +54,16 @@ impl ControllerKind {
 }
 
 /// A controller whose kind was chosen at run time.
+///
+/// ```
+/// use aviary::control::{AnyController, ControllerKind, GeometricControl};
+/// use aviary::drone::DroneModel;
+///
+/// // one type for all, so that they fit into one list
+/// let params = DroneModel::Cf2x.params();
+/// let all: Vec<AnyController> = ControllerKind::ALL.iter().map(|kind| kind.build(&params)).collect();
+/// assert_eq!(all[2], AnyController::Geometric(GeometricControl::new(&params)));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub enum AnyController {
     /// [`PidControl`].

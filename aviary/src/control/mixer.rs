@@ -3,6 +3,19 @@ use nalgebra::{Matrix4, Vector3, Vector4};
 use crate::drone::DroneParams;
 
 /// From thrust and torques to motor speeds: the inverse of an airframe's allocation, within what its motors can do.
+///
+/// ```
+/// use aviary::control::Mixer;
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::rotor::RotorModel;
+/// use nalgebra::Vector3;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let torque = Vector3::new(1e-4, -2e-4, 0.0);
+/// let rpm = Mixer::new(&params).rpm(params.weight(), torque);
+/// let given = RotorModel::new(&params).wrench(&rpm);
+/// assert!((given.thrust - params.weight()).abs() < 1e-9 && (given.torque_body - torque).norm() < 1e-9);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mixer {
     inverse: Matrix4<f64>,

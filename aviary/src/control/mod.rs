@@ -57,6 +57,23 @@ impl ControlOutput {
 }
 
 /// A controller of one drone. It has memory: keep one per drone for an episode, and reset it between episodes.
+///
+/// ```
+/// use aviary::control::{Controller, GeometricControl, Reference};
+/// use aviary::drone::DroneModel;
+/// use aviary::simulation::Simulation;
+/// use nalgebra::Vector3;
+///
+/// let mut simulation = Simulation::builder(DroneModel::Cf2x).build()?;
+/// let mut controller = GeometricControl::new(simulation.params(0));
+/// let target = Reference::hover(Vector3::new(0.0, 0.0, 1.0), 0.0);
+/// while simulation.time() < 4.0 {
+///     let output = controller.control(simulation.control_period(), &simulation.states()[0], &target);
+///     simulation.step(&[output.rpm])?;
+/// }
+/// assert!(simulation.distance(0, &target.position) < 0.01);
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 pub trait Controller: std::fmt::Debug + Send {
     /// Forgets integrals and everything else that an earlier episode left.
     fn reset(&mut self);

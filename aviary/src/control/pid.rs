@@ -19,6 +19,17 @@ pub struct PositionGains {
 }
 
 /// Gains of the cascade.
+///
+/// ```
+/// use aviary::control::{PidControl, PidGains};
+/// use aviary::drone::DroneModel;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let mut gains = PidGains::paper(&params);
+/// gains.position.integral.z = 0.1;
+/// let pid = PidControl::with_gains(&params, gains);
+/// assert_eq!(pid.gains().position.integral.z, 0.1);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PidGains {
     /// Outer loop, world frame.

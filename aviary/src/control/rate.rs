@@ -7,6 +7,19 @@ use crate::state::DroneState;
 /// Holds body rates under a collective thrust: the inner loop of racing drones and of policies that go to hardware.
 ///
 /// τ = k·J·(ω\* − ω) + ω × Jω, a first-order answer with the same time constant on every airframe.
+///
+/// ```
+/// use aviary::control::RateControl;
+/// use aviary::drone::DroneModel;
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let turn_left = Vector3::new(0.0, 0.0, 1.0);
+/// let rpm = RateControl::new(&params).control(1.0 / 240.0, &DroneState::default(), params.weight(), &turn_left);
+/// // a Crazyflie's motors 1 and 3 push the nose to the left
+/// assert!(rpm[1] > params.hover_rpm() && rpm[0] < params.hover_rpm());
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct RateControl {
     /// Inverse of the time constant of each axis, 1/s.

@@ -77,6 +77,20 @@ pub struct Bodies {
 }
 
 /// Which engine integrates, where the physics mode leaves a choice.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::engine::EngineKind;
+/// use aviary::simulation::Simulation;
+///
+/// let builder = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 2.0]]);
+/// let mut simulation = builder.engine(EngineKind::Hybrid).build()?;
+/// simulation.step(&[[14_000.0; 4]])?;
+/// // 2 m above the floor there is nothing to touch
+/// let substeps = simulation.engine_substeps();
+/// assert_eq!((substeps.flight, substeps.mujoco), (5, 0));
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EngineKind {

@@ -14,6 +14,19 @@ use crate::vision::{ImageSize, Painter, View};
 use crate::world::{Obstacle, ObstacleConfig};
 
 /// A task made into an environment.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+///
+/// let mut env = Hover::builder().build()?;
+/// // higher, from the next episode on
+/// env.task_mut().target_height = 1.5;
+/// env.reset(Some(1))?;
+/// assert_eq!(env.reference(0).position.z, 1.5);
+/// assert_eq!(env.observation_of(0)[..3], [0.0, 0.0, 0.1]);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug)]
 pub struct Aviary<T> {
     pub(crate) simulation: Simulation,
@@ -128,7 +141,8 @@ impl<T: Task> Aviary<T> {
         &mut self.episode.task
     }
 
-    /// A drone's own part of the observation's vector; empty where the observation type has none.
+    /// A drone's own part of the observation's vector; empty where the observation type has none, and for a drone that is not
+    /// there.
     pub fn observation_of(&self, drone: usize) -> &[f64] {
         self.observation.vector.get(drone * self.block..(drone + 1) * self.block).unwrap_or_default()
     }

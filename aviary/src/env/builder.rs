@@ -17,6 +17,22 @@ use crate::vision::{CAMERA_SIZE, ImageSize, Painter};
 use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle, ObstacleConfig};
 
 /// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::env::Env;
+/// use aviary::physics::Physics;
+/// use aviary::tasks::Race;
+///
+/// let env = Race::builder()
+///     .drone(DroneModel::Race)
+///     .task(|race| race.laps = 3)
+///     .physics(Physics::MjcDrag)
+///     .episode_seconds(60.0)
+///     .build()?;
+/// assert_eq!((env.task().laps, env.episode_steps()), (3, 60 * 48));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct AviaryBuilder<T> {
     task: T,
@@ -48,6 +64,18 @@ macro_rules! forward {
 }
 
 /// Options without a task, for [`make`](crate::tasks::make).
+///
+/// ```
+/// use aviary::env::EnvConfig;
+/// use aviary::tasks::make;
+///
+/// let config = EnvConfig::default().ctrl_freq(30).episode_seconds(2.0);
+/// for name in ["hover", "track"] {
+///     let env = make(name, config.clone())?;
+///     assert_eq!((env.name(), env.episode_steps()), (name, 60));
+/// }
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 pub type EnvConfig = AviaryBuilder<()>;
 
 impl Default for EnvConfig {

@@ -100,6 +100,14 @@ pub fn check_env(env: &mut dyn Env) -> Result<CheckReport, CheckFailure> {
 /// Checks that two environments that were made alike do not touch each other: one is flown while the other stands still,
 /// and both in turns.
 ///
+/// ```
+/// use aviary::env::check_independence;
+/// use aviary::tasks::Hover;
+///
+/// check_independence(&mut Hover::builder().build()?, &mut Hover::builder().build()?)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// [`CheckFailure`], naming where they differ.
 pub fn check_independence(first: &mut dyn Env, second: &mut dyn Env) -> Result<(), CheckFailure> {

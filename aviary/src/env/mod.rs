@@ -48,6 +48,21 @@ pub struct Step<'a> {
 }
 
 /// Why an episode ended.
+///
+/// ```
+/// use aviary::env::{EndReason, Env};
+/// use aviary::tasks::Hover;
+///
+/// // from 1 m, with the motors off
+/// let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).build()?;
+/// env.reset(Some(1))?;
+/// while env.info().end.is_none() {
+///     env.step(&[-1.0; 4])?;
+/// }
+/// assert_eq!(env.info().end, Some(EndReason::FloorContact));
+/// assert!(env.info().crashed());
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum EndReason {
@@ -100,6 +115,19 @@ impl std::fmt::Display for EndReason {
 }
 
 /// How an episode stands.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+///
+/// let mut env = Hover::builder().build()?;
+/// env.reset(Some(1))?;
+/// let info = env.info();
+/// assert_eq!((info.time, info.end, info.contacts), (0.0, None, 0));
+/// // from 0.1 m to 1 m
+/// assert!((info.position_error - 0.9).abs() < 1e-12);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct Info {
@@ -283,14 +311,15 @@ pub trait Env {
     /// was.
     ///
     /// # Errors
-    /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error.
+    /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error, [`EnvError::Option`] where the task or its
+    /// options were changed to what is impossible, [`EnvError::Vision`] where observed pictures cannot be drawn.
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError>;
 
     /// Advances by one control step.
     ///
     /// # Errors
     /// [`EnvError::ActionLength`] and [`EnvError::Action`], and then nothing has moved; [`EnvError::NeedsReset`];
-    /// [`EnvError::Simulation`] where the state diverged.
+    /// [`EnvError::Simulation`] where the state diverged; [`EnvError::Vision`] where observed pictures cannot be drawn.
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError>;
 
     /// What the last reset or step returned as observation; zeros before the first.

@@ -294,6 +294,20 @@ pub struct DroneDraw {
 }
 
 /// What was drawn for an episode.
+///
+/// ```
+/// use aviary::env::{BodyRanges, Env, Randomization};
+/// use aviary::tasks::Hover;
+///
+/// // always a tenth heavier, and nothing else
+/// let body = BodyRanges { mass: [1.1, 1.1], inertia: [1.0, 1.0], arm_length: [1.0, 1.0] };
+/// let heavier = Randomization { body: Some(body), ..Randomization::NONE };
+/// let mut env = Hover::builder().randomization(heavier).build()?;
+/// env.reset(Some(1))?;
+/// assert_eq!(env.draw().map(|draw| draw.drones[0].mass), Some(1.1));
+/// assert!((env.simulation().params(0).mass - 1.1 * 0.027).abs() < 1e-12);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Draw {
     /// Factor on gravity.

@@ -6,6 +6,15 @@ use crate::vision::ImageSize;
 use crate::world::World;
 
 /// Vectors within bounds, one pair per entry; infinite where there is no bound.
+///
+/// ```
+/// use aviary::env::{BoxSpace, Rng};
+/// use rand::SeedableRng as _;
+///
+/// let space = BoxSpace::new([[-1.0, 1.0], [0.0, f64::INFINITY]]);
+/// assert!(space.contains(&[0.5, 1e6]) && !space.contains(&[0.5, -1e-9]));
+/// assert!(space.contains(&space.sample(&mut Rng::seed_from_u64(1))));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoxSpace {
     low: Vec<f64>,
@@ -65,6 +74,19 @@ impl BoxSpace {
 }
 
 /// What observations look like: the vector's space, and the shapes of the pictures that there are.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::observation::ObservationType;
+/// use aviary::tasks::MultiHover;
+///
+/// let env = MultiHover::builder().observation_type(ObservationType::KIN_ADJACENCY).build()?;
+/// let space = env.observation_space();
+/// assert_eq!((space.vector.size(), space.adjacency_shape()), (2 * 13, Some([2, 2])));
+/// let names: Vec<_> = space.parts().iter().map(|part| part.name).collect();
+/// assert_eq!(names, ["vector", "adjacency"]);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObservationSpace {
     /// The task's vector; of size 0 where the observation type has none.

@@ -26,6 +26,55 @@ pub struct TaskDefaults {
 /// `end`, `reward`, `observe`: what `update` changes (a waypoint that was reached) is seen by all that follow.
 ///
 /// A worked example is `examples/custom_task.rs`.
+///
+/// ```
+/// use aviary::control::{ControllerKind, Reference};
+/// use aviary::drone::DroneParams;
+/// use aviary::env::{AviaryBuilder, BoxSpace, EndReason, Env, Rng, Task, TaskDefaults};
+/// use aviary::simulation::Simulation;
+/// use nalgebra::Vector3;
+///
+/// /// Climb to 2 m, the sooner the better.
+/// #[derive(Debug)]
+/// struct Climb;
+///
+/// impl Task for Climb {
+///     fn name(&self) -> &'static str { "climb" }
+///     fn defaults(&self) -> TaskDefaults {
+///         TaskDefaults { num_drones: 1, episode_seconds: 5.0, controller: ControllerKind::Pid }
+///     }
+///     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+///         (0..drones.len()).map(|drone| [drone as f64, 0.0, 0.1]).collect()
+///     }
+///     fn observation_space(&self) -> BoxSpace { BoxSpace::new([[f64::NEG_INFINITY, f64::INFINITY]; 2]) }
+///     fn reset(&mut self, _: &Simulation, _: &mut Rng) {}
+///     fn update(&mut self, _: &Simulation) {}
+///     fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+///         self.success(simulation, drone).then_some(EndReason::Completed)
+///     }
+///     fn reward(&self, simulation: &Simulation, drone: usize, _: Option<EndReason>) -> f64 {
+///         simulation.states()[drone].position.z - 2.0
+///     }
+///     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+///         let state = &simulation.states()[drone];
+///         out.copy_from_slice(&[state.position.z, state.velocity.z]);
+///     }
+///     fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+///         simulation.states()[drone].position.z > 2.0
+///     }
+///     fn reference(&self, _: &Simulation, drone: usize) -> Reference {
+///         Reference::hover(Vector3::new(drone as f64, 0.0, 2.1), 0.0)
+///     }
+/// }
+///
+/// let mut env = AviaryBuilder::new(Climb).build()?;
+/// env.reset(Some(1))?;
+/// while env.info().end.is_none() {
+///     env.step(&[0.5; 4])?;
+/// }
+/// assert_eq!(env.info().end, Some(EndReason::Completed));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 pub trait Task: std::fmt::Debug {
     /// Name, in lower snake case.
     fn name(&self) -> &'static str;

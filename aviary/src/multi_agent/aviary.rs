@@ -10,6 +10,21 @@ use crate::vision::{ImageSize, View};
 /// A task whose drones are agents of their own: each sees its own block of the observation, commands its own motors, is paid
 /// its own share of the reward, and leaves when its own episode ends. A drone that has left stays in the world: with its motors
 /// off, or, where it has completed its part, hovering where it did, so as not to fall on the others.
+///
+/// ```
+/// use aviary::multi_agent::{AgentMap, ParallelAviary, ParallelEnv};
+/// use aviary::tasks::MultiHover;
+///
+/// let mut env = ParallelAviary::new(MultiHover::builder().build()?);
+/// env.reset(Some(1))?;
+/// // the first climbs, the second falls and leaves
+/// let actions: AgentMap<_> = env.agents().iter().cloned().zip([vec![0.3; 4], vec![-1.0; 4]]).collect();
+/// while env.agents().len() == 2 {
+///     env.step(&actions)?;
+/// }
+/// assert_eq!(&*env.agents()[0], "drone0");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug)]
 pub struct ParallelAviary<T> {
     env: Aviary<T>,
@@ -25,6 +40,16 @@ pub struct ParallelAviary<T> {
 }
 
 /// The paper's `MultiAgentAviary`.
+///
+/// ```
+/// use aviary::env::AviaryBuilder;
+/// use aviary::multi_agent::{MultiAgentAviary, ParallelEnv};
+/// use aviary::tasks::MultiHover;
+///
+/// let env = MultiAgentAviary::new(AviaryBuilder::new(MultiHover::multi_agent()).build()?);
+/// assert_eq!(env.possible_agents().len(), 3);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 pub type MultiAgentAviary = ParallelAviary<MultiHover>;
 
 impl<T: Task> ParallelAviary<T> {

@@ -13,6 +13,14 @@ use crate::env::{CheckFailure, EndReason, EnvError, Rng};
 /// - an action that is missing or for nobody is an error that changes nothing
 /// - the same seed gives the same episode to the bit
 ///
+/// ```
+/// use aviary::multi_agent::{ParallelAviary, check_parallel_env};
+/// use aviary::tasks::MultiHover;
+///
+/// check_parallel_env(&mut ParallelAviary::new(MultiHover::builder().build()?), 2)?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// # Errors
 /// The first promise that was not kept.
 pub fn check_parallel_env(env: &mut dyn ParallelEnv, episodes: u64) -> Result<(), CheckFailure> {

@@ -17,6 +17,14 @@ use crate::vision::{ImageSize, View};
 pub type Agent = Arc<str>;
 
 /// Something for each of several agents, in the order of the agents.
+///
+/// ```
+/// use aviary::multi_agent::{Agent, AgentMap};
+///
+/// let rewards = [("drone0", 1.0), ("drone1", 0.5)];
+/// let rewards: AgentMap<f64> = rewards.into_iter().map(|(agent, x)| (Agent::from(agent), x)).collect();
+/// assert_eq!((rewards.get("drone1"), rewards.get("drone2")), (Some(&0.5), None));
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct AgentMap<V>(Vec<(Agent, V)>);
 
@@ -145,7 +153,7 @@ pub trait ParallelEnv {
     /// on.
     fn step(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<ParallelStep, EnvError>;
 
-    /// The states of all drones, one after the other: position, roll-pitch-yaw, velocity, angular velocity (PettingZoo's
+    /// The states of all drones, one after the other, each as a [`state_vector`](crate::observation::state_vector) (PettingZoo's
     /// `state`, for critics that see everything).
     fn state(&self) -> Vec<f64>;
 

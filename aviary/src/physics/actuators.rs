@@ -3,6 +3,21 @@
 use crate::drone::DroneParams;
 
 /// How the motors of a drone answer to commands.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::actuators::ActuatorParams;
+/// use aviary::simulation::Simulation;
+///
+/// // motors that turn at hover speed and are told to go to full speed, after one time constant
+/// let motors = ActuatorParams { lag: 0.05, ..ActuatorParams::default() };
+/// let mut simulation = Simulation::builder(DroneModel::Cf2x).actuators(motors).ctrl_freq(20).build()?;
+/// let (hover, full) = (simulation.params(0).hover_rpm(), simulation.params(0).max_rpm());
+/// simulation.step(&[[full; 4]])?;
+/// let share = (simulation.rotor_speeds(0)[0] - hover) / (full - hover);
+/// assert!((share - (1.0 - (-1.0_f64).exp())).abs() < 1e-9);
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ActuatorParams {
     /// Time constant of the rotor speed's first-order lag, s; 0 for none.
@@ -53,6 +68,18 @@ impl ActuatorParams {
 }
 
 /// The motors of one drone.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::actuators::{ActuatorParams, Actuators};
+///
+/// // commands that arrive two physics steps late
+/// let params = DroneModel::Cf2x.params();
+/// let late = ActuatorParams { latency: 2.0 / 240.0, ..ActuatorParams::default() };
+/// let mut motors = Actuators::new(&params, &late, 1.0 / 240.0);
+/// let speeds = [12_000.0, 13_000.0, 14_000.0].map(|command| motors.advance(&[command; 4])[0]);
+/// assert_eq!(speeds, [params.hover_rpm(), params.hover_rpm(), 12_000.0]);
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actuators {
     gains: [f64; 4],

@@ -27,6 +27,18 @@ const CLOSE: f64 = 0.01;
 const VANISHING: f64 = 1491.0;
 
 /// The wake of one airframe.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::downwash::{REACH, Wake};
+///
+/// let params = DroneModel::Cf2x.params();
+/// let wake = Wake::new(&params);
+/// // 1 m straight below: −α
+/// let alpha = params.downwash_coefficients[0] * (params.propeller_radius / 4.0).powi(2);
+/// assert!((wake.force(1.0, 0.0) + alpha).abs() < 1e-12);
+/// assert_eq!([wake.force(-1.0, 0.0), wake.force(1.0, REACH * REACH)], [0.0, 0.0], "above, and too far");
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Wake<R = f64> {
     /// C1·(r_p / 4)², N·m².
@@ -97,6 +109,18 @@ impl<R: Real> Wake<R> {
 ///
 /// `wakes`, `states` and `forces` have one entry per drone. Each pair is looked at once, and costs an exponential only
 /// where one drone is in reach of the other's wake.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::downwash::{Wake, add_forces};
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let at = |z| DroneState::at_rest(Vector3::new(0.0, 0.0, z), Vector3::zeros());
+/// let mut forces = [0.0; 2];
+/// add_forces(&[Wake::new(&DroneModel::Cf2x.params()); 2], &[at(1.0), at(2.0)], &mut forces);
+/// assert!(forces[0] < 0.0 && forces[1] == 0.0, "only the lower one is pushed");
+/// ```
 pub fn add_forces(wakes: &[Wake], states: &[DroneState], forces: &mut [f64]) {
     for i in 1..states.len() {
         let a = states[i].position;

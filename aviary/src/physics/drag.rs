@@ -13,6 +13,20 @@ use crate::state::DroneState;
 ///
 /// `rpm` are the rotor speeds being applied; `wind` is the velocity of the air, world frame, m/s: drag is against the
 /// air, not the ground.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::drag;
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let state = DroneState { velocity: Vector3::new(2.0, 0.0, 0.0), ..DroneState::default() };
+/// let rpm = [params.hover_rpm(); 4];
+/// assert!(drag::force(&params, &state, &rpm, &Vector3::zeros()).x < 0.0);
+/// // carried along by the air it meets none
+/// assert!(drag::force(&params, &state, &rpm, &state.velocity).norm() < 1e-15);
+/// ```
 #[inline]
 pub fn force(params: &DroneParams, state: &DroneState, rpm: &[f64; 4], wind: &Vector3<f64>) -> Vector3<f64> {
     let coefficients = V3::from(&Vector3::from(params.drag_coefficients));

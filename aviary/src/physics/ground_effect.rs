@@ -10,6 +10,17 @@ use crate::math::Real;
 use crate::state::DroneState;
 
 /// The constants of the effect for one airframe.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::ground_effect::GroundEffect;
+/// use aviary::state::DroneState;
+///
+/// let params = DroneModel::Cf2x.params();
+/// // at its greatest, from the clip down to the floor, it is 4/15 of the thrust
+/// let lift = GroundEffect::new(&params).force(&DroneState::default(), params.weight());
+/// assert!((lift / params.weight() - 4.0 / 15.0).abs() < 1e-12);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct GroundEffect<R = f64> {
     /// C_gnd·(r_p / 4)², m².

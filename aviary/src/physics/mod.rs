@@ -36,6 +36,18 @@ impl std::ops::Add for Wrench {
 }
 
 /// Which aerodynamic effects act beside the rotors' thrust and torque.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::Effects;
+/// use aviary::simulation::Simulation;
+///
+/// // a subset that no mode of the paper has
+/// let effects = Effects { drag: true, downwash: true, ..Effects::NONE };
+/// let simulation = Simulation::builder(DroneModel::Cf2x).effects(effects).build()?;
+/// assert_eq!(simulation.effects(), effects);
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Effects {
@@ -58,6 +70,23 @@ impl Effects {
 }
 
 /// The paper's physics modes (its table 1): who integrates, under which effects.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::Physics;
+/// use aviary::simulation::{Simulation, SimulationError};
+///
+/// // half a second at hover speed, 10 cm above the floor
+/// let climb = |physics| -> Result<f64, SimulationError> {
+///     let mut simulation = Simulation::builder(DroneModel::Cf2x).physics(physics).build()?;
+///     for _ in 0..24 {
+///         simulation.step(&[[DroneModel::Cf2x.params().hover_rpm(); 4]])?;
+///     }
+///     Ok(simulation.states()[0].velocity.z)
+/// };
+/// assert!(climb(Physics::Mjc)?.abs() < 1e-6 && climb("mjc_gnd".parse().unwrap())? > 0.01);
+/// # Ok::<(), SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Physics {

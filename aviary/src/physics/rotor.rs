@@ -7,6 +7,15 @@ use crate::drone::DroneParams;
 use crate::math::{Real, V3};
 
 /// The rotors of one airframe: its allocation matrix times k_f, so that a wrench is one product.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::rotor::RotorModel;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let wrench = RotorModel::new(&params).wrench(&[params.hover_rpm(); 4]);
+/// assert!((wrench.thrust - params.weight()).abs() < 1e-12 && wrench.torque_body.norm() < 1e-12);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RotorModel<R = f64> {
     /// Thrust of any rotor, N/rpm².

@@ -161,6 +161,14 @@ impl WindConfig {
 }
 
 /// Force of air that moves at `relative` (velocity of the air minus that of the drone, m/s): ½·ρ·C_d·A·‖v‖²·v̂, N.
+///
+/// ```
+/// use aviary::physics::wind::drag_law;
+/// use nalgebra::Vector3;
+///
+/// let force = drag_law(1.225, 0.01, &Vector3::new(0.0, -2.0, 0.0));
+/// assert!((force - Vector3::new(0.0, -0.0245, 0.0)).norm() < 1e-12);
+/// ```
 #[inline]
 pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Vector3<f64> {
     0.5 * air_density * drag_area * relative.norm() * relative
@@ -169,6 +177,14 @@ pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Ve
 /// Low-altitude turbulence of MIL-F-8785C (§3.7.2.5): standard deviations (m/s) and length scales (m) along the mean wind,
 /// across it and upwards, at a height (m) and for a mean wind at 20 feet (m/s). Heights below 10 and above 1,000 feet, where
 /// the model ends, count as those.
+///
+/// ```
+/// use aviary::physics::wind::dryden;
+///
+/// // upwards: a tenth of the mean wind, and the height
+/// let ([_, _, sigma], [_, _, length]) = dryden(30.0, 4.0);
+/// assert!((sigma - 0.4).abs() < 1e-12 && (length - 30.0).abs() < 1e-9);
+/// ```
 pub fn dryden(height: f64, turbulence: f64) -> ([f64; 3], [f64; 3]) {
     let h = feet(height);
     let shape = 0.177 + 8.23e-4 * h;
@@ -201,6 +217,22 @@ struct Local {
 }
 
 /// The wind about the drones of a simulation.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::wind::{WindConfig, WindField, WindModel};
+/// use aviary::state::DroneState;
+/// use nalgebra::Vector3;
+///
+/// let params = DroneModel::Cf2x.params();
+/// let config = WindConfig { velocity: [3.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+/// let mut wind = WindField::new(config, &[params.clone()])?;
+/// let (force, air) = wind.advance(1.0 / 240.0, 0, &DroneState::default());
+/// // ½·ρ·C_d·A·v²
+/// assert!((force.x - 0.5 * 1.225 * params.drag_area() * 9.0).abs() < 1e-12);
+/// assert_eq!(air, Vector3::new(3.0, 0.0, 0.0));
+/// # Ok::<(), aviary::physics::wind::WindError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct WindField {
     config: WindConfig,

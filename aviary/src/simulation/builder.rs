@@ -9,6 +9,20 @@ use crate::state::DroneState;
 use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, World};
 
 /// The options of a [`Simulation`]; what is not said is the paper's default.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::Physics;
+/// use aviary::simulation::Simulation;
+///
+/// let builder = Simulation::builder(DroneModel::Race).num_drones(2).physics(Physics::MjcDrag);
+/// let simulation = builder.clone().sim_freq(500).ctrl_freq(100).build()?;
+/// assert_eq!((simulation.num_drones(), simulation.substeps()), (2, 5));
+/// // what cannot be is an error that names it
+/// let error = builder.ctrl_freq(7).build().unwrap_err();
+/// assert!(error.to_string().contains("ctrl_freq 7 Hz"));
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct SimulationBuilder {
     drones: Vec<DroneParams>,

@@ -207,7 +207,7 @@ impl Simulation {
     /// Back to the initial states, time 0, no command given; slow motors turn at hover speed.
     ///
     /// # Errors
-    /// Where MuJoCo cannot recover from an earlier error.
+    /// [`SimulationError::Engine`] where MuJoCo cannot recover from an earlier error.
     pub fn reset(&mut self) -> Result<(), SimulationError> {
         self.states.copy_from_slice(&self.initial);
         self.restart()
@@ -216,7 +216,8 @@ impl Simulation {
     /// Starts anew from these states.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] and [`SimulationError::State`], and then nothing has changed.
+    /// [`SimulationError::Length`] and [`SimulationError::State`], and then nothing has changed; what
+    /// [`reset`](Self::reset) has.
     pub fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
         let expected = self.states.len();
         if states.len() != expected {
@@ -263,7 +264,7 @@ impl Simulation {
     /// Motors stay as fast as those of the airframe it was built with, and the size that it collides with stays, too.
     ///
     /// # Errors
-    /// [`SimulationError::Drone`] for parameters that no body has, [`SimulationError::Engine`] where MuJoCo cannot.
+    /// [`SimulationError::Drone`] for parameters that no body has, and then nothing has changed.
     ///
     /// # Panics
     /// If there is no drone of that index.
@@ -319,7 +320,7 @@ impl Simulation {
     ///
     /// # Errors
     /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape or numbers
-    /// that no obstacle has; and then nothing has changed.
+    /// that no obstacle has; and then nothing has changed. [`SimulationError::Engine`] where MuJoCo cannot copy the scene.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
         let old = &self.world.obstacles;
         if obstacles.len() != old.len() {
@@ -468,7 +469,7 @@ impl Simulation {
         &self.rpys[drone]
     }
 
-    /// A drone's state as tasks show it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, frames as in
+    /// A drone's state as tasks show it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units and frames as in
     /// [`DroneState`].
     ///
     /// # Panics
@@ -573,7 +574,7 @@ impl Simulation {
     /// written there first and everything is computed forward.
     ///
     /// # Errors
-    /// MuJoCo's own.
+    /// MuJoCo's own, where it cannot copy a shared model or compute forward.
     pub fn mujoco(&mut self) -> Result<&mujoco_rs::Data, mujoco_rs::Error> {
         self.equipment.refresh(&self.world, self.effects);
         self.engine.mujoco(&self.equipment.bodies, &self.states)

@@ -28,6 +28,18 @@ use crate::simulation::Simulation;
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 /// | 12–14 | goal | m, world |
 /// | 15–17 | goal minus position | m, world |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Antipodal;
+///
+/// let mut env = Antipodal::builder().num_drones(4).build()?;
+/// let seen = &env.reset(Some(1))?.vector;
+/// assert_eq!(seen[12..15], [-2.0, 0.0, 1.0], "the goal of the drone that starts at (2, 0, 1)");
+/// env.step(&[0.0; 16])?;
+/// assert!((env.task().minimum_distance() - 8_f64.sqrt()).abs() < 1e-2);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Antipodal {
     /// Radius of the circle, m; 2 by default.

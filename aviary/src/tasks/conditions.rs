@@ -9,6 +9,18 @@ use crate::simulation::Simulation;
 use crate::state::DroneState;
 
 /// When a drone counts as crashed. All are on by default; each can be switched off.
+///
+/// ```
+/// use std::f64::consts::PI;
+///
+/// use aviary::tasks::{CrashConditions, Hover};
+///
+/// // a drone that may turn over
+/// let crash = CrashConditions::with_max_tilt(PI);
+/// let env = Hover::builder().task(|hover| hover.crash = crash).build()?;
+/// assert!(env.task().crash.floor_contact);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrashConditions {
     /// The centre of a drone is below z = 0 (which only happens where no floor stops it).
@@ -58,6 +70,23 @@ fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
 }
 
 /// Watches the drones of an episode for crashes: what a task asks in its `end`.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::env::EndReason;
+/// use aviary::simulation::Simulation;
+/// use aviary::tasks::{CrashConditions, CrashWatch};
+///
+/// let mut simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 0.5]]).build()?;
+/// let (conditions, mut watch) = (CrashConditions::with_max_tilt(1.5), CrashWatch::default());
+/// watch.reset(&simulation);
+/// while watch.end(0).is_none() {
+///     simulation.step(&[[0.0; 4]])?;
+///     watch.update(&conditions, &simulation);
+/// }
+/// assert_eq!(watch.end(0), Some(EndReason::FloorContact));
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Default)]
 pub struct CrashWatch {
     /// Which drones have been clear of the floor since the start.
@@ -76,6 +105,9 @@ impl CrashWatch {
     }
 
     /// Looks at the last control step.
+    ///
+    /// # Panics
+    /// Before the first [`reset`](Self::reset).
     pub fn update(&mut self, conditions: &CrashConditions, simulation: &Simulation) {
         for (drone, state) in simulation.states().iter().enumerate() {
             let mut found = None;
@@ -112,7 +144,7 @@ impl CrashWatch {
         }
     }
 
-    /// How a drone crashed during the last control step, if it did.
+    /// How a drone crashed during the last control step, if it did; `None` for a drone that is not there.
     pub fn end(&self, drone: usize) -> Option<EndReason> {
         self.found.get(drone).copied().flatten()
     }

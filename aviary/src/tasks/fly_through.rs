@@ -30,11 +30,22 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 /// | 12–14 | next waypoint (after the last one, the last one) | m, world |
 /// | 15–17 | next waypoint as seen from the drone | m, body |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::FlyThrough;
+///
+/// let mut env = FlyThrough::builder().build()?;
+/// let seen = &env.reset(Some(1))?.vector;
+/// assert_eq!(seen[12..15], [0.0, 0.0, 1.0], "the first waypoint");
+/// assert!(env.plan(0).is_some(), "the way through all of them, for a controller to follow");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct FlyThrough {
     /// The waypoints, world frame, m.
     pub waypoints: Vec<[f64; 3]>,
-    /// Distance within which a waypoint is captured, m.
+    /// Distance within which a waypoint is captured, m; 0.1 by default.
     pub radius: f64,
     /// When a drone counts as crashed.
     pub crash: CrashConditions,
@@ -60,7 +71,7 @@ impl FlyThrough {
         AviaryBuilder::new(Self::default())
     }
 
-    /// How many waypoints a drone has captured.
+    /// How many waypoints a drone has captured in this episode; 0 before the first reset.
     pub fn captured(&self, drone: usize) -> usize {
         self.course.passed(drone)
     }

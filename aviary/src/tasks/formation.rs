@@ -28,6 +28,16 @@ use crate::simulation::Simulation;
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 /// | 12–14 | the drone's slot | m, world |
 /// | 15–17 | slot minus position | m, world |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Formation;
+///
+/// let mut env = Formation::builder().build()?;
+/// let seen = &env.reset(Some(1))?.vector;
+/// assert!((0..3).all(|drone| seen[18 * drone + 15..][..3].iter().all(|x| x.abs() < 1e-12)), "all in their slots");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Formation {
     /// Radius of the circle, m; 0.3 by default.

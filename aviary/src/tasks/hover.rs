@@ -17,7 +17,7 @@ use crate::simulation::Simulation;
 /// | Action | 4 normalized motor speeds in [−1, 1]; 0 hovers |
 /// | Reward | −\|z − z\*\| − 0.1·‖(x, y)‖ − 0.05·‖v‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at the target, − 100 for a crash |
 /// | At the target | \|z − z\*\| < 0.05 m and ‖(x, y)‖ < 0.05 m |
-/// | Terminated | crash (tilt over 90°, the floor touched after having been clear of it, z < 0) or z > 3 m |
+/// | Terminated | crash (tilt over 90°, the floor touched after having been clear of it, an obstacle touched, z < 0) or z > 3 m |
 /// | Truncated | after 10 s |
 ///
 /// | Observation | | Unit, frame |
@@ -26,6 +26,17 @@ use crate::simulation::Simulation;
 /// | 3–5 | roll, pitch, yaw | rad |
 /// | 6–8 | velocity | m/s, world |
 /// | 9–11 | angular velocity | rad/s, body |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+///
+/// let mut env = Hover::builder().task(|hover| hover.target_height = 0.8).build()?;
+/// env.reset(Some(1))?;
+/// let step = env.step(&[0.0; 4])?;
+/// assert!((step.reward + 0.7).abs() < 1e-3, "at rest, 0.7 m below the target");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Hover {
     /// Height z\* to hover at, m; 1 by default.

@@ -148,6 +148,14 @@ pub fn all() -> Vec<TaskSummary> {
 }
 
 /// The task of a name, with its defaults.
+///
+/// ```
+/// use aviary::tasks::summary;
+///
+/// let sizes = summary("formation").map(|task| (task.observation_size(), task.action_size()));
+/// assert_eq!(sizes, Some((3 * 18, 3 * 4)));
+/// assert!(summary("loop").is_none());
+/// ```
 pub fn summary(name: &str) -> Option<TaskSummary> {
     for_task!(name, |task| TaskSummary {
         name: task.name(),

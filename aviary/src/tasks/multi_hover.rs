@@ -15,7 +15,7 @@ use crate::simulation::Simulation;
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | on a line along x, 1 m apart (further for larger airframes), z = 0.1 m |
+/// | Start | two drones, or as many as there are, on a line along x, 1 m apart (further for larger airframes), z = 0.1 m |
 /// | Target | straight above the start, heights evenly from 0.7 m to 1.2 m |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | sum over the drones of [`Hover`](super::Hover)'s, the distance to the side measured from the start |
@@ -27,6 +27,16 @@ use crate::simulation::Simulation;
 /// | --- | --- | --- |
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 /// | 12 | target height | m, world |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::MultiHover;
+///
+/// let mut env = MultiHover::builder().num_drones(3).build()?;
+/// let seen = &env.reset(Some(1))?.vector;
+/// assert_eq!([seen[12], seen[25], seen[38]], [0.7, 0.95, 1.2]);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct MultiHover {
     /// Height for every drone, m; evenly from 0.7 to 1.2 by default.

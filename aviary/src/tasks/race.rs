@@ -31,13 +31,25 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | 12–14 | next gate (after the last one, the first) | m, world |
 /// | 15–17 | next gate as seen from the drone | m, body |
 /// | 18–20 | the gate after it as seen from the drone | m, body |
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::env::Env;
+/// use aviary::tasks::Race;
+///
+/// let mut env = Race::builder().drone(DroneModel::Race).task(|race| race.laps = 1).build()?;
+/// let seen = &env.reset(Some(1))?.vector;
+/// assert_eq!(seen[12..15], [1.0, 0.0, 1.0], "the first gate");
+/// assert!((seen[17] - 0.9).abs() < 1e-12, "which is higher than the drone");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Race {
     /// Middles of the gates, world frame, m.
     pub gates: Vec<[f64; 3]>,
-    /// Distance from the middle within which a gate is passed, m.
+    /// Distance from the middle within which a gate is passed, m; 0.2 by default.
     pub radius: f64,
-    /// How many laps.
+    /// How many laps; 2 by default.
     pub laps: usize,
     /// Reward for a gate; 20 by default.
     pub gate_reward: f64,
@@ -80,7 +92,7 @@ impl Race {
         AviaryBuilder::new(Self::default())
     }
 
-    /// How many gates a drone has passed, over all laps.
+    /// How many gates a drone has passed in this episode, over all laps; 0 before the first reset.
     pub fn gates_passed(&self, drone: usize) -> usize {
         self.course.passed(drone)
     }

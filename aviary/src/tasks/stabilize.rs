@@ -15,7 +15,7 @@ use crate::state::{DroneState, attitude_from_rpy};
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | (0, 0, 5) m; velocity uniform in ±1 m/s along each axis, roll and pitch in ±0.5 rad, any yaw, body rates in ±2 rad/s |
+/// | Start | (0, 0, 5) m, several drones 6 m apart along x; velocity uniform in ±1 m/s along each axis, roll and pitch in ±0.5 rad, any yaw, body rates in ±2 rad/s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖v‖ − 0.1·‖ω‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at rest, − 100 for a crash |
 /// | At rest, success | ‖v‖ < 0.05 m/s and ‖ω‖ < 0.1 rad/s |
@@ -26,6 +26,17 @@ use crate::state::{DroneState, attitude_from_rpy};
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Stabilize;
+///
+/// let mut env = Stabilize::builder().task(|stabilize| stabilize.max_speed = 3.0).build()?;
+/// env.reset(Some(1))?;
+/// let velocity = env.simulation().states()[0].velocity;
+/// assert!(velocity.norm() > 0.0 && velocity.amax() <= 3.0);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Stabilize {
     /// Largest component of the velocity at the start, m/s; 1 by default.

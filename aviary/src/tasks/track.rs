@@ -29,6 +29,18 @@ use crate::state::DroneState;
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 /// | 12–14 | p\* − p, from the drone to the reference | m, world |
 /// | 15–17 | v\*, the reference's velocity | m/s, world |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Track;
+///
+/// let mut env = Track::builder().build()?;
+/// env.reset(Some(1))?;
+/// let (drone, point) = (env.simulation().states()[0].position, env.reference(0).position);
+/// assert!((drone - point).norm() < 1e-9, "it starts where the point does");
+/// assert!((point.xy().norm() - 0.5).abs() < 1e-9);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Track {
     /// Radius of the circle, m; 0.5 by default.

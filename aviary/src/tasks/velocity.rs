@@ -16,20 +16,31 @@ use crate::state::wrap_angle;
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | (0, 0, 6) m, level, at rest: high enough that no target leads into the floor before the time is over |
+/// | Start | (0, 0, 6) m, level, at rest: high enough that no target leads into the floor before the time is over; several drones 12 m apart along x |
 /// | Target | velocity v\* uniform in ±0.5 m/s along each axis, yaw rate ω\* in ±0.25 rad/s |
-/// | Action | 4 normalized motor speeds in [−1, 1] |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖v − v\*‖ − 0.1·\|ω_z − ω\*\| − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
 /// | Tracked, success | ‖v − v\*‖ < 0.05 m/s |
 /// | Terminated | crash (tilt over 90°, contact, z < 0) |
 /// | Truncated | after 10 s |
 /// | Reference | moves from the start at v\*, turning at ω\* |
 ///
-/// | Observation | | Unit, frame |
+/// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 /// | 12–14 | target velocity v\* | m/s, world |
 /// | 15 | target yaw rate ω\* | rad/s, body |
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Velocity;
+///
+/// let mut env = Velocity::builder().build()?;
+/// let seen = env.reset(Some(1))?.vector.clone();
+/// let (velocity, yaw_rate) = env.task().target(0);
+/// assert_eq!((&seen[12..15], seen[15]), (velocity.as_slice(), yaw_rate));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Velocity {
     /// Largest component of the target velocity, m/s; 0.5 by default.

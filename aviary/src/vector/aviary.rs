@@ -258,7 +258,8 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     /// caller's buffers, contacts were seen by the task.
     ///
     /// # Errors
-    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there.
+    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there; [`EnvError::Panicked`] where a task, or
+    /// `look`, has panicked before.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { common, seats, crew, .. } = self;
         if environment >= seats.slots.len() {

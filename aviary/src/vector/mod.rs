@@ -20,6 +20,23 @@ use crate::tasks::{for_task, unknown};
 use crate::vision::ImageSize;
 
 /// When an environment that has ended begins its next episode, as in Gymnasium's vector environments.
+///
+/// ```
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{Autoreset, VecAviary, VecBuffers, VecConfig, VecEnv};
+///
+/// let config = VecConfig { autoreset: Autoreset::SameStep, ..VecConfig::new(2) };
+/// let mut env = VecAviary::new(Hover::builder().episode_seconds(0.1), config)?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(1), &mut buffers.observations)?;
+/// for _ in 0..env.episode_steps() {
+///     env.step(&[0.5; 8], buffers.step())?;
+/// }
+/// assert_eq!(buffers.truncated, [true, true]);
+/// // the new episode stands where the old one began, which ended higher up
+/// assert!(buffers.observations[2] == 0.1 && env.final_observations()[2] > 0.1);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Autoreset {
     /// In the next step, whose action is ignored: that step returns the first observation, reward 0, and is neither terminated nor truncated.
@@ -34,6 +51,22 @@ pub enum Autoreset {
 
 /// What becomes of an environment whose action is not a number or whose state leaves the range of numbers. Its neighbours'
 /// bits do not change.
+///
+/// ```
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{OnFault, VecAviary, VecBuffers, VecConfig, VecEnv};
+///
+/// let config = VecConfig { on_fault: OnFault::Truncate, ..VecConfig::new(2) };
+/// let mut env = VecAviary::new(Hover::builder(), config)?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(1), &mut buffers.observations)?;
+/// let mut actions = [0.0; 8];
+/// actions[5] = f32::NAN;
+/// env.step(&actions, buffers.step())?;
+/// assert_eq!(buffers.truncated, [false, true]);
+/// assert_eq!(env.faults()[0].0, 1, "the second environment");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum OnFault {
     /// The step is an error. A bad action is found before anything has moved; after another fault all other environments have made their step.
@@ -44,6 +77,15 @@ pub enum OnFault {
 }
 
 /// How a batch is run.
+///
+/// ```
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{VecAviary, VecConfig, VecEnv};
+///
+/// let env = VecAviary::new(Hover::builder(), VecConfig { threads: 1, ..VecConfig::new(64) })?;
+/// assert_eq!((env.num_envs(), env.num_threads()), (64, 1));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct VecConfig {
     /// Number of environments.
@@ -68,6 +110,25 @@ impl VecConfig {
 }
 
 /// What a step of a batch writes, in the caller's buffers. Row i is environment i's.
+///
+/// ```
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{VecAviary, VecConfig, VecEnv, VecStep};
+///
+/// let mut env = VecAviary::new(Hover::builder(), VecConfig::new(4))?;
+/// let (mut observations, mut rewards) = ([0.0; 4 * 12], [0.0; 4]);
+/// let (mut terminated, mut truncated) = ([false; 4], [false; 4]);
+/// env.reset(Some(1), &mut observations)?;
+/// let out = VecStep {
+///     observations: &mut observations,
+///     rewards: &mut rewards,
+///     terminated: &mut terminated,
+///     truncated: &mut truncated,
+/// };
+/// env.step(&[0.0; 4 * 4], out)?;
+/// assert!(rewards.iter().all(|reward| (reward + 0.9).abs() < 1e-3), "at rest, 0.9 m below the target");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug)]
 pub struct VecStep<'a> {
     /// M × [`observation_size`](VecEnv::observation_size): see there.
@@ -82,6 +143,22 @@ pub struct VecStep<'a> {
 
 /// Pictures of all environments, in the caller's buffers: M × what one [`Observation`](crate::observation::Observation) has. Those that
 /// the observation type does not have are empty.
+///
+/// ```
+/// use aviary::observation::ObservationType;
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecPictures};
+///
+/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
+/// let builder = Hover::builder().observation_type(ObservationType::KIN_RGB);
+/// let mut env = VecAviary::new(builder, VecConfig::new(2))?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(1), &mut buffers.observations)?;
+/// let mut rgb = vec![0; 2 * 4 * env.camera_size().pixels()];
+/// env.pictures(VecPictures { rgb: &mut rgb, ..VecPictures::default() })?;
+/// assert!(rgb.chunks_exact(4).all(|pixel| pixel[3] == 255));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Default)]
 pub struct VecPictures<'a> {
     /// M × N × height × width × 4: RGBA.
@@ -162,6 +239,28 @@ pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box
 }
 
 /// A batch of environments of one task.
+///
+/// ```
+/// use aviary::env::{EnvConfig, EnvError};
+/// use aviary::vector::{VecBuffers, VecConfig, VecEnv, make_vec};
+///
+/// /// The mean reward of doing nothing for ten steps.
+/// fn idle(env: &mut dyn VecEnv) -> Result<f32, EnvError> {
+///     let mut buffers = VecBuffers::new(&*env);
+///     let actions = vec![0.0; env.num_envs() * env.action_size()];
+///     env.reset(Some(1), &mut buffers.observations)?;
+///     let mut sum = 0.0;
+///     for _ in 0..10 {
+///         env.step(&actions, buffers.step())?;
+///         sum += buffers.rewards.iter().sum::<f32>();
+///     }
+///     Ok(sum / (10 * env.num_envs()) as f32)
+/// }
+///
+/// let mean = idle(&mut *make_vec("hover", EnvConfig::default(), VecConfig::new(16))?)?;
+/// assert!((mean + 0.9).abs() < 1e-3, "at rest, 0.9 m below the target");
+/// # Ok::<(), EnvError>(())
+/// ```
 pub trait VecEnv: Send {
     /// Name of the task, in lower snake case.
     fn name(&self) -> &'static str;
@@ -196,7 +295,7 @@ pub trait VecEnv: Send {
     /// Starts an episode in every environment. With a seed everything random starts anew from it, in a stream for each.
     ///
     /// # Errors
-    /// [`EnvError::Buffer`], and [`EnvError::InBatch`] where an environment cannot begin.
+    /// [`EnvError::Buffer`], [`EnvError::InBatch`] where an environment cannot begin, and [`EnvError::Panicked`].
     fn reset(&mut self, seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
         let all = vec![true; self.num_envs()];
         self.reset_where(&all, seed, observations)
@@ -212,20 +311,21 @@ pub trait VecEnv: Send {
     ///
     /// # Errors
     /// [`EnvError::Buffer`] for a buffer of the wrong length, and then nothing has moved; [`EnvError::InBatch`] with the first
-    /// environment that failed, see [`OnFault`].
+    /// environment that failed, see [`OnFault`]; [`EnvError::Panicked`] where a task has panicked before.
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError>;
 
     /// Draws what the onboard cameras of every environment see now.
     ///
     /// # Errors
-    /// [`EnvError::Buffer`], [`EnvError::Vision`].
+    /// [`EnvError::Buffer`], [`EnvError::InBatch`] around an [`EnvError::Vision`] where they cannot be drawn, and
+    /// [`EnvError::Panicked`].
     fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError>;
 
     /// The last observations of the episodes that ended in the last step, in the rows of their environments; M ×
     /// [`observation_size`](Self::observation_size), empty but with [`Autoreset::SameStep`].
     fn final_observations(&self) -> &[f32];
 
-    /// The episode of an environment that ended in the last step, if one did.
+    /// The episode of an environment that ended in the last step, if one did; `None` for an environment that is not there.
     fn ended(&self, environment: usize) -> Option<&Ended>;
 
     /// Environments that failed in the last step, and why; none where a bad action was an error before anything moved.
@@ -235,7 +335,7 @@ pub trait VecEnv: Send {
     /// randomization. Its observation is not that of the last step: those are in the caller's buffers.
     ///
     /// # Errors
-    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there.
+    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there; [`EnvError::Panicked`].
     fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError>;
 
     /// Bytes that the batch takes for every environment, beside what the threads share and the caller's buffers.

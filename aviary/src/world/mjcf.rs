@@ -68,6 +68,9 @@ impl Sizes {
 impl World {
     /// The scene that physics is computed in: floor and collision geoms, nothing to be looked at.
     ///
+    /// An upright obstacle at the very origin is written 1 cm too high, because MuJoCo could not move one that is compiled in the
+    /// world's own frame; engines, rangefinders and painters put it back once they have compiled the text.
+    ///
     /// # Errors
     /// [`SceneError::Value`] for numbers that MuJoCo would take silently and fail on later.
     pub fn to_mjcf(&self) -> Result<String, SceneError> {
@@ -112,8 +115,8 @@ impl World {
     /// cameras, and the files that it refers to.
     ///
     /// # Errors
-    /// [`SceneError::Mesh`] where [`CF2_ASSETS`](super::CF2_ASSETS) names a directory without the meshes, and what
-    /// [`to_mjcf`](Self::to_mjcf) finds.
+    /// [`SceneError::Mesh`] where [`CF2_ASSETS`](super::CF2_ASSETS) names a directory without the meshes or with one that MuJoCo
+    /// would not survive, and what [`to_mjcf`](Self::to_mjcf) finds.
     pub fn to_visible_mjcf(&self) -> Result<(String, Assets), SceneError> {
         self.check()?;
         let looks: Vec<_> = self.drones.iter().map(|drone| Look::of(&drone.params)).collect();

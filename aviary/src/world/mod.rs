@@ -19,12 +19,22 @@ pub use obstacle::{Marker, Obstacle, Shape};
 ///
 /// Off by default: the physics modes say which aerodynamic effects there are, and MuJoCo's drag on top of them would
 /// count it twice.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::simulation::Simulation;
+/// use aviary::world::Medium;
+///
+/// let simulation = Simulation::builder(DroneModel::Cf2x).medium(Medium::AIR).build()?;
+/// assert_eq!(simulation.world().medium, Some(Medium::AIR));
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Medium {
-    /// kg/m³.
+    /// Density, kg/m³.
     pub density: f64,
-    /// Pa·s.
+    /// Dynamic viscosity, Pa·s.
     pub viscosity: f64,
 }
 
@@ -34,6 +44,17 @@ impl Medium {
 }
 
 /// How the rotors' wrench acts during a physics step.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::simulation::Simulation;
+/// use aviary::world::Forcing;
+///
+/// let mut simulation = Simulation::builder(DroneModel::Cf2x).forcing(Forcing::BodyFixed).build()?;
+/// simulation.step(&[[14_000.0; 4]])?;
+/// assert_eq!(simulation.world().forcing, Forcing::BodyFixed);
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forcing {
@@ -52,11 +73,27 @@ pub struct DroneBody {
     pub params: DroneParams,
     /// Position in the compiled scene, world frame, m.
     pub position: Vector3<f64>,
-    /// Roll, pitch, yaw in the compiled scene, rad.
+    /// Roll, pitch, yaw in the compiled scene, rad: intrinsic z-y'-x''.
     pub rpy: Vector3<f64>,
 }
 
 /// A scene: a floor, things standing around, and drones.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::world::{DroneBody, Obstacle, Shape, World};
+/// use mujoco_rs::{GeomId, Model};
+/// use nalgebra::Vector3;
+///
+/// let position = Vector3::new(0.0, 0.0, 1.0);
+/// let drone = DroneBody { params: DroneModel::Cf2x.params(), position, rpy: Vector3::zeros() };
+/// let mut world = World::new(vec![drone]);
+/// world.obstacles.push(Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(1.0, 0.0, 0.5)));
+/// let model = Model::from_xml(&world.to_mjcf()?)?;
+/// assert_eq!(model.nbody(), 2, "the drone, and MuJoCo's world");
+/// assert!(model.find::<GeomId>(&World::obstacle_name(0)).is_ok());
+/// # Ok::<(), aviary::engine::BuildError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct World {
     /// Length of a physics step, s.

@@ -3,6 +3,12 @@ use nalgebra::Vector3;
 use crate::state::attitude_from_rpy;
 
 /// Shape and size of an obstacle, in its own frame.
+///
+/// ```
+/// use aviary::world::Shape;
+///
+/// assert_eq!(Shape::Capsule { radius: 0.1, half_height: 0.4 }.reach(), 0.5);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
     /// A box.
@@ -93,15 +99,24 @@ impl Shape {
 }
 
 /// Something that stands in the way and does not move.
+///
+/// ```
+/// use aviary::world::{Obstacle, Shape};
+/// use nalgebra::Vector3;
+///
+/// let trunk = Obstacle::new(Shape::Cylinder { radius: 0.1, half_height: 1.0 }, Vector3::new(2.0, 0.0, 1.0));
+/// assert!((trunk.distance(&Vector3::new(0.0, 0.0, 1.0)) - 1.9).abs() < 1e-12);
+/// assert!(trunk.distance(&trunk.position) < 0.0, "inside");
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Obstacle {
     /// Shape and size.
     pub shape: Shape,
     /// Centre, world frame, m.
     pub position: Vector3<f64>,
-    /// Roll, pitch, yaw, rad.
+    /// Roll, pitch, yaw from its own to the world frame, rad: intrinsic z-y'-x''.
     pub rpy: Vector3<f64>,
-    /// Colour.
+    /// Red, green, blue and alpha, each from 0 to 1.
     pub rgba: [f64; 4],
 }
 
@@ -119,6 +134,20 @@ impl Obstacle {
 }
 
 /// Something that is seen and not touched: a gate, a waypoint.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::tasks::Hover;
+/// use aviary::world::{Marker, Obstacle, Shape};
+/// use nalgebra::Vector3;
+///
+/// let disc = Shape::Cylinder { radius: 0.2, half_height: 0.005 };
+/// let pad = Marker { name: "pad".into(), body: Obstacle::new(disc, Vector3::new(1.0, 0.0, 0.005)) };
+/// let env = Hover::builder().markers([pad]).build()?;
+/// assert_eq!(env.simulation().world().markers[0].name, "pad");
+/// assert!(env.simulation().world().obstacles.is_empty());
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Marker {
     /// Its name in the visible scene; letters, digits and `_`, unlike any other's.

@@ -20,6 +20,19 @@ pub enum CurriculumMetric {
 }
 
 /// How a curriculum advances (paper, §3.5.3).
+///
+/// ```
+/// use aviary::wrappers::{CurriculumConfig, CurriculumMetric};
+///
+/// let by_reward = CurriculumConfig {
+///     metric: CurriculumMetric::Reward,
+///     advance: -20.0,
+///     retreat: Some(-80.0),
+///     ..CurriculumConfig::default()
+/// };
+/// assert!(by_reward.validate().is_ok());
+/// assert!(CurriculumConfig { retreat: Some(0.9), ..CurriculumConfig::default() }.validate().is_err());
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CurriculumConfig {
@@ -67,6 +80,17 @@ impl CurriculumConfig {
 }
 
 /// How a curriculum stands: what can be saved and restored.
+///
+/// ```
+/// use aviary::wrappers::{Curriculum, CurriculumConfig};
+///
+/// let mut before = Curriculum::new(CurriculumConfig::default())?;
+/// before.episode_ended(true, 10.0, 480);
+/// let mut after = Curriculum::new(CurriculumConfig::default())?;
+/// after.restore(before.state().clone())?;
+/// assert_eq!((after.state().episodes, after.mean()), (1, Some(1.0)));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurriculumState {
@@ -86,6 +110,18 @@ pub struct CurriculumState {
 
 /// The level of difficulty, by itself: what a [`CurriculumWrapper`] goes by, and a batch's
 /// [`VecCurriculum`](crate::vector::VecCurriculum).
+///
+/// ```
+/// use aviary::wrappers::{Curriculum, CurriculumConfig};
+///
+/// let config = CurriculumConfig { levels: 3, window: 2, ..CurriculumConfig::default() };
+/// let mut curriculum = Curriculum::new(config)?;
+/// for success in [false, true, true] {
+///     curriculum.episode_ended(success, 10.0, 480);
+/// }
+/// assert_eq!(curriculum.level(), 1, "both of the last two episodes were a success");
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Curriculum {
     config: CurriculumConfig,

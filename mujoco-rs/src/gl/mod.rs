@@ -135,8 +135,18 @@ pub struct GlInfo {
 /// `MUJOCO_GL` (`egl` or `osmesa`) chooses the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; without them each is
 /// tried in turn.
 ///
+/// ```
+/// use mujoco_rs::{GlBackend, gl_info};
+///
+/// match gl_info() {
+///     Ok(info) => assert!(GlBackend::ALL.contains(&info.backend)),
+///     Err(error) => assert!(!error.to_string().is_empty(), "what was tried, and what to install"),
+/// }
+/// ```
+///
 /// # Errors
-/// [`Error::NoGl`] with what was tried and what each answered.
+/// [`Error::NoGl`] with what was tried and what each answered; [`Error::GlName`] and [`Error::GlDevice`] for variables that name
+/// nothing.
 pub fn gl_info() -> Result<GlInfo, Error> {
     Ok(match library()? {
         Library::Egl(egl) => GlInfo { backend: GlBackend::Egl, device: egl.description() },

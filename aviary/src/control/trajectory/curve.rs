@@ -9,6 +9,17 @@ use crate::control::Reference;
 use crate::state::wrap_angle;
 
 /// Where the drone looks along a curve.
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// use aviary::control::trajectory::{Curve, Heading, Trajectory};
+///
+/// let circle = Curve::circle(1.0, 10.0)?.heading(Heading::Forward)?;
+/// // from (1, 0, 1) it goes along y
+/// assert!((circle.reference(0.0).yaw - FRAC_PI_2).abs() < 1e-12);
+/// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Heading {
     /// Always the same way: yaw, rad.
@@ -25,6 +36,16 @@ pub enum Heading {
 }
 
 /// The plane of a curve, by the axes that its angle turns from and to.
+///
+/// ```
+/// use aviary::control::trajectory::{Curve, Plane, Trajectory};
+///
+/// assert_eq!(Plane::normal([2.0, 0.0, 0.0])?, Plane::YZ);
+/// // slanted by 45°: after a quarter turn the circle is at its highest
+/// let circle = Curve::circle(0.5, 4.0)?.plane(Plane::normal([1.0, 0.0, 1.0])?);
+/// assert!((circle.reference(1.0).position.z - (1.0 + 0.5 * 0.5_f64.sqrt())).abs() < 1e-12);
+/// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plane {
     first: Vector3<f64>,

@@ -12,6 +12,14 @@ pub const NAMES: [&str; 5] = ["circle", "lemniscate", "helix", "square", "loop"]
 /// A trajectory by name: the paper's vertical `circle` (0.3 m, 8 s, YZ plane, started at full speed), a `lemniscate` of 2 m by
 /// 1 m with 1.5 m/s at its middle, a `helix` of five turns from 0.5 m to 1.5 m, the paper's `square` of 1 m sides, and a
 /// `loop`, once around a vertical circle of 1 m radius, upside down at its top, which only a racer can fly.
+///
+/// ```
+/// use aviary::control::trajectory::{NAMES, named};
+///
+/// assert!(NAMES.iter().all(|name| named(name).is_some()));
+/// // four corners, each held for 4 s
+/// assert_eq!(named("square").map(|square| square.duration()), Some(16.0));
+/// ```
 pub fn named(name: &str) -> Option<Box<dyn Trajectory>> {
     let curve = match name {
         "circle" => Curve::circle(0.3, 8.0).map(|curve| curve.plane(Plane::YZ)),

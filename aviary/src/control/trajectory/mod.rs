@@ -18,6 +18,32 @@ pub use steps::Steps;
 pub use waypoints::{Waypoints, WaypointsBuilder};
 
 /// A reference that moves.
+///
+/// ```
+/// use aviary::control::Reference;
+/// use aviary::control::trajectory::Trajectory;
+/// use nalgebra::Vector3;
+///
+/// /// Up by half a metre per second, for two seconds.
+/// #[derive(Debug)]
+/// struct Climb;
+///
+/// impl Trajectory for Climb {
+///     fn reference(&self, time: f64) -> Reference {
+///         let inside = time.clamp(0.0, self.duration());
+///         let climb = if time == inside { 0.5 } else { 0.0 };
+///         let place = Reference::hover(Vector3::new(0.0, 0.0, 0.1 + 0.5 * inside), 0.0);
+///         Reference { velocity: Vector3::new(0.0, 0.0, climb), ..place }
+///     }
+///
+///     fn duration(&self) -> f64 {
+///         2.0
+///     }
+/// }
+///
+/// assert_eq!(Climb.start(), Reference::hover(Vector3::new(0.0, 0.0, 0.1), 0.0));
+/// assert!((Climb.reference(9.0).position.z - 1.1).abs() < 1e-12);
+/// ```
 pub trait Trajectory: fmt::Debug + Send + Sync {
     /// What to follow at a time, s: before 0 the start, at rest, and after the end what was there.
     fn reference(&self, time: f64) -> Reference;

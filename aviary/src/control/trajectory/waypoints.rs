@@ -36,6 +36,22 @@ struct Segment {
 }
 
 /// The options of [`Waypoints`].
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// use aviary::control::trajectory::{Trajectory, Waypoints};
+///
+/// // there and back, two seconds each
+/// let way = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+///     .times([0.0, 2.0, 4.0])
+///     .yaws([0.0, FRAC_PI_2, 0.0])
+///     .build()?;
+/// let far = way.reference(2.0);
+/// assert!((far.position.x - 1.0).abs() < 1e-6 && (far.yaw - FRAC_PI_2).abs() < 1e-6);
+/// assert!(far.velocity.norm() < 1e-6, "at rest, because the way back mirrors the way there");
+/// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct WaypointsBuilder {
     points: Vec<[f64; 3]>,
