@@ -309,6 +309,13 @@ impl Painter {
         points.windows(2).all(|pair| self.add(rod(pair), rgba))
     }
 
+    /// Adds a thread through points (world frame, m), so many pixels wide from wherever it is seen, until the next update;
+    /// `false` where there is no room for all of it. It costs much less than a line of rods.
+    pub fn add_thread(&mut self, points: &[Vector3<f64>], width: f64, rgba: [f32; 4]) -> bool {
+        let line = |pair: &[Vector3<f64>]| Decor::Line { from: pair[0].into(), to: pair[1].into(), width };
+        points.windows(2).all(|pair| self.add(line(pair), rgba))
+    }
+
     /// Adds a dot at every point (world frame, m), of a radius in m, until the next update; `false` where there is no room
     /// for all of them.
     pub fn add_dots(&mut self, points: &[Vector3<f64>], radius: f64, rgba: [f32; 4]) -> bool {

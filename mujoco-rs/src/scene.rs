@@ -135,6 +135,15 @@ pub enum Decor {
         /// Radius, m.
         radius: f64,
     },
+    /// A line of the same width however far away it is: it costs next to nothing, and has no light or shadow.
+    Line {
+        /// One end, world frame, m.
+        from: [f64; 3],
+        /// The other, world frame, m.
+        to: [f64; 3],
+        /// Width, pixels.
+        width: f64,
+    },
     /// An arrow.
     Arrow {
         /// Its tail, world frame, m.
@@ -349,6 +358,10 @@ impl Scene {
                 Decor::Rod { from, to, radius } => {
                     init(geom::mjGEOM_CAPSULE, [radius; 3], from);
                     connect(geom::mjGEOM_CAPSULE, radius, from, to);
+                }
+                Decor::Line { from, to, width } => {
+                    init(geom::mjGEOM_LINE, [width; 3], from);
+                    connect(geom::mjGEOM_LINE, width, from, to);
                 }
                 Decor::Arrow { from, to, radius } => {
                     init(geom::mjGEOM_ARROW, [radius; 3], from);

@@ -222,6 +222,8 @@ impl Film {
     fn draw_overlays(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Option<Reference>) {
         let Self { painter, overlays, trails, ways, .. } = self;
         let count = trails.len();
+        // as wide in a small picture as in a large one
+        let thread = (f64::from(self.size.height) / 140.0).max(1.5);
         let size = simulation.world().drones.iter().map(|drone| drone.params.arm_length).fold(0.02, f64::max);
         if overlays.references {
             const WHITE: [f32; 4] = [1.0, 1.0, 1.0, 1.0];
@@ -237,10 +239,10 @@ impl Film {
         for (drone, state) in simulation.states().iter().enumerate() {
             let rgba = colour(colour_of(drone, count));
             if overlays.trails {
-                painter.add_line(&trails[drone].points, 0.08 * size, rgba);
+                painter.add_thread(&trails[drone].points, thread, rgba);
             }
             if let Some(radius) = overlays.rings {
-                painter.add_ring(state.position, Vector3::z(), radius, 0.08 * radius, rgba);
+                painter.add_ring(state.position, Vector3::z(), radius, 0.06 * radius, rgba);
             }
         }
         if overlays.wind

@@ -150,11 +150,19 @@ impl Paths {
             let (across, down) = chart.plotting_area().map_coordinate(&(point.x, point.z, -point.y));
             (across - corner.0.start, down - corner.1.start)
         };
+        // plotters puts the heights beside the nearer one of two edges
+        let depth = |x: f64, y: f64, z: f64| chart.plotting_area().as_coord_spec().projected_depth(&x, &z, &-y);
+        let left = depth(x.start, y.start, z.start) + depth(x.start, y.start, z.end);
+        let right = depth(x.end, y.end, z.start) + depth(x.end, y.end, z.end);
+        let heights = match left < right {
+            true => (Vector3::new(x.start, y.start, self.middle.z), (-50, 0)),
+            false => (Vector3::new(x.end, y.end, self.middle.z), (50, 0)),
+        };
         // names beside the middles of the edges that have ticks
         for (name, at, aside) in [
             ("x (m)", Vector3::new(self.middle.x, y.start, z.start), (-24, 30)),
             ("y (m)", Vector3::new(x.end, self.middle.y, z.start), (44, 22)),
-            ("z (m)", Vector3::new(x.end, y.end, self.middle.z), (56, 0)),
+            ("z (m)", heights.0, heights.1),
         ] {
             let (across, down) = map(&at);
             let at = (across + px(aside.0), down + px(aside.1));
