@@ -53,3 +53,7 @@ struct ControlGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/batches.md")]
 struct BatchGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/tasks.md")]
+struct TaskGuide;
