@@ -57,3 +57,7 @@ struct BatchGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/tasks.md")]
 struct TaskGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/airframes.md")]
+struct AirframeGuide;
