@@ -61,3 +61,7 @@ struct TaskGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/airframes.md")]
 struct AirframeGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/training.md")]
+struct TrainingGuide;
