@@ -65,3 +65,7 @@ struct AirframeGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/training.md")]
 struct TrainingGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/cameras.md")]
+struct CameraGuide;
