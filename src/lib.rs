@@ -69,3 +69,7 @@ struct TrainingGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/cameras.md")]
 struct CameraGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/porting.md")]
+struct PortingGuide;
