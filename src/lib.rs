@@ -73,3 +73,7 @@ struct CameraGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/porting.md")]
 struct PortingGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/validation.md")]
+struct ValidationGuide;
