@@ -53,3 +53,27 @@ struct ControlGuide;
 #[cfg(doctest)]
 #[doc = include_str!("../docs/batches.md")]
 struct BatchGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/tasks.md")]
+struct TaskGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/airframes.md")]
+struct AirframeGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/training.md")]
+struct TrainingGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/cameras.md")]
+struct CameraGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/porting.md")]
+struct PortingGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/validation.md")]
+struct ValidationGuide;
