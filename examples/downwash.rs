@@ -6,7 +6,7 @@
 use mujoco_drones_gym::control::PidGains;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
-use mujoco_drones_gym::record::plot::{Series, time_series};
+use mujoco_drones_gym::record::plot::{Plot, Series};
 use mujoco_drones_gym::vision::Painter;
 use nalgebra::Vector3;
 
@@ -58,9 +58,10 @@ fn main() -> anyhow::Result<()> {
         names.iter().zip(points).map(|(name, points)| Series { name: name.to_string(), points }).collect::<Vec<_>>()
     };
     let (first, last) = (thrusts[0][0].1, thrusts[0][thrusts[0].len() - 1].1);
-    let plot = time_series("Downwash", &[("height (m)", lines(heights)), ("thrust / weight", lines(thrusts))])?;
-    for (name, bytes) in [("downwash.svg", plot.into_bytes()), ("downwash.png", png_rgb(size, &picture)?)] {
-        std::fs::write(directory.join(name), bytes)?;
+    let panels = [("height (m)", lines(heights)), ("thrust / weight", lines(thrusts))];
+    Plot::time_series("Downwash", &panels)?.save(directory.join("downwash.svg"))?;
+    std::fs::write(directory.join("downwash.png"), png_rgb(size, &picture)?)?;
+    for name in ["downwash.svg", "downwash.png"] {
         println!("{}", directory.join(name).display());
     }
     println!("thrust of the lower drone over its weight: {first:.3} at the start, {last:.3} at the end");

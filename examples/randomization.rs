@@ -6,7 +6,7 @@
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
-use mujoco_drones_gym::record::plot::{Series, time_series};
+use mujoco_drones_gym::record::plot::{Plot, Series};
 use mujoco_drones_gym::vision::Painter;
 
 #[allow(clippy::print_stdout)]
@@ -57,9 +57,10 @@ fn main() -> anyhow::Result<()> {
     }
     let mut picture = vec![0; 3 * size.pixels()];
     painter.rgb(View::Front, size, &mut picture)?;
-    let plot = time_series("Five draws of hover", &[("z (m)", heights), ("y (m)", aside)])?;
-    for (name, bytes) in [("randomization.svg", plot.into_bytes()), ("randomization.png", png_rgb(size, &picture)?)] {
-        std::fs::write(directory.join(name), bytes)?;
+    let plot = Plot::time_series("Five draws of hover", &[("z (m)", heights), ("y (m)", aside)])?;
+    plot.save(directory.join("randomization.svg"))?;
+    std::fs::write(directory.join("randomization.png"), png_rgb(size, &picture)?)?;
+    for name in ["randomization.svg", "randomization.png"] {
         println!("{}", directory.join(name).display());
     }
     Ok(())

@@ -8,7 +8,7 @@ use mujoco_drones_gym::control::{Bandwidths, GeometricControl};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
-use mujoco_drones_gym::record::plot::{Series, time_series};
+use mujoco_drones_gym::record::plot::{Plot, Series};
 use mujoco_drones_gym::vision::{Decor, Painter};
 use nalgebra::Vector3;
 
@@ -56,9 +56,9 @@ fn main() -> anyhow::Result<()> {
             painter.rgb(View::Front, size, &mut picture)?;
         }
     }
-    let plot = time_series("Hover in combined wind", &[("y (m), downwind", lines)])?;
-    for (name, bytes) in [("wind.svg", plot.into_bytes()), ("wind.png", png_rgb(size, &picture)?)] {
-        std::fs::write(directory.join(name), bytes)?;
+    std::fs::write(directory.join("wind.png"), png_rgb(size, &picture)?)?;
+    Plot::time_series("Hover in combined wind", &[("y (m), downwind", lines)])?.save(directory.join("wind.svg"))?;
+    for name in ["wind.svg", "wind.png"] {
         println!("{}", directory.join(name).display());
     }
     Ok(())

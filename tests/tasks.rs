@@ -622,9 +622,8 @@ fn a_recorded_environment_is_the_same_and_leaves_a_file_per_episode() {
             assert_eq!(plain.step(&[0.1; 4]).unwrap(), recorded.step(&[0.1; 4]).unwrap());
         }
     }
-    recorded.finish().unwrap();
     for episode in 0..3 {
-        let text = std::fs::read_to_string(directory.path().join(format!("episode_000{episode}.csv"))).unwrap();
+        let text = std::fs::read_to_string(directory.path().join(format!("episode_000{episode}_drone0.csv"))).unwrap();
         assert_eq!(text.lines().count(), 1 + 1 + 48, "a header, the start, and every step");
     }
 }

@@ -23,6 +23,7 @@
 //! This crate is the only one of the workspace that holds unsafe code; it knows nothing of drones.
 #![allow(unsafe_code)]
 
+mod append;
 mod arrays;
 mod contact;
 mod data;
@@ -34,6 +35,7 @@ mod renderer;
 mod runtime;
 mod scene;
 
+pub use append::AppendFile;
 pub use contact::Contact;
 pub use data::{Data, WarningKind, WarningStat};
 pub use error::{DivergedQuantity, Divergence, Error, GlAttempt};

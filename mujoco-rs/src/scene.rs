@@ -362,6 +362,8 @@ impl Scene {
                 Decor::Line { from, to, width } => {
                     init(geom::mjGEOM_LINE, [width; 3], from);
                     connect(geom::mjGEOM_LINE, width, from, to);
+                    // MuJoCo draws lines twice as bright as their colour
+                    (*target).rgba = [0.5 * rgba[0], 0.5 * rgba[1], 0.5 * rgba[2], rgba[3]];
                 }
                 Decor::Arrow { from, to, radius } => {
                     init(geom::mjGEOM_ARROW, [radius; 3], from);

@@ -247,6 +247,12 @@ fn decoration_is_seen_in_colour_but_is_no_object() {
     assert!(with[middle + 2] > 100 && with[middle] < 60, "{:?}", &with[middle..middle + 3]);
     assert!(with != before);
     assert_eq!(studio.segmentation(size), objects);
+    // a line has its colour, in any light
+    let line = Decor::Line { from: [-0.5, -1.5, 0.5], to: [0.5, -1.5, 0.5], width: 7.0 };
+    assert!(studio.scene.add(line, [0.2, 0.8, 0.4, 1.0]));
+    let with = studio.rgb(size);
+    let off = with[middle..middle + 3].iter().zip([51, 204, 102]).map(|(&got, wanted)| (i32::from(got) - wanted).abs());
+    assert!(off.max().unwrap() < 4, "{:?}", &with[middle..middle + 3]);
     let room =
         (0..10_000).take_while(|_| studio.scene.add(Decor::Sphere { centre: [0.0; 3], radius: 0.1 }, blue)).count();
     assert!((50..10_000).contains(&room), "room for {room} more, and no more");

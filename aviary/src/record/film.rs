@@ -2,7 +2,7 @@ use std::str::FromStr;
 
 use nalgebra::Vector3;
 
-use super::plot::{colour, colour_of};
+use super::plot::colour_of;
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::env::{Env, EnvError};
@@ -146,7 +146,7 @@ impl Film {
     /// # Panics
     /// If there is no drone of that index.
     pub fn set_way(&mut self, drone: usize, way: &dyn Trajectory) {
-        const POINTS: u32 = 160;
+        const POINTS: u32 = 479;
         let at = |i: u32| way.reference(way.duration() * f64::from(i) / f64::from(POINTS)).position;
         self.ways[drone] = (0..=POINTS).map(at).collect();
     }
@@ -232,17 +232,20 @@ impl Film {
                     let point = reference(drone).map(|reference| reference.position);
                     painter.add_dots(point.as_slice(), 0.25 * size, WHITE);
                 } else {
-                    painter.add_dots(way, 0.12 * size, WHITE);
+                    // short pieces with gaps between: dots that cost little
+                    for piece in way.chunks(4) {
+                        painter.add_thread(&piece[..piece.len().min(2)], thread, WHITE);
+                    }
                 }
             }
         }
         for (drone, state) in simulation.states().iter().enumerate() {
-            let rgba = colour(colour_of(drone, count));
+            let rgba = colour_of(drone, count);
             if overlays.trails {
                 painter.add_thread(&trails[drone].points, thread, rgba);
             }
             if let Some(radius) = overlays.rings {
-                painter.add_ring(state.position, Vector3::z(), radius, 0.06 * radius, rgba);
+                painter.add_thread(&ring(state.position, radius), thread, rgba);
             }
         }
         if overlays.wind
@@ -257,6 +260,16 @@ impl Film {
             }
         }
     }
+}
+
+/// A level ring about a point.
+fn ring(centre: Vector3<f64>, radius: f64) -> Vec<Vector3<f64>> {
+    const CORNERS: u32 = 40;
+    let corner = |i: u32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(CORNERS)).sin_cos();
+        centre + radius * Vector3::new(cos, sin, 0.0)
+    };
+    (0..=CORNERS).map(corner).collect()
 }
 
 /// The way that a drone has come, in points that are so far apart that there are never many.

@@ -107,29 +107,42 @@ impl Flight {
         self.drones[drone].iter().map(|sample| sample.state.position).collect()
     }
 
-    /// Reads what a [`Recorder`](super::Recorder) wrote into a directory, `drone0.csv` and on. A last line that a program
-    /// which was killed has left unfinished is left out.
+    /// Reads what a [`Recorder`](super::Recorder) wrote into a directory, `drone0.csv` and on, also while it does. A row that a
+    /// program which was killed has left unfinished is left out.
     ///
     /// # Errors
     /// [`RecordError::Read`] naming the file, the line and the column.
     pub fn read(directory: impl AsRef<Path>) -> Result<Self, RecordError> {
-        let directory = directory.as_ref();
-        let mut drones = vec![read_drone(&file_of(directory, 0))?];
-        loop {
-            let path = file_of(directory, drones.len());
-            if !path.exists() {
-                return Ok(Self { drones });
-            }
-            drones.push(read_drone(&path)?);
+        Self::read_named(directory, "")
+    }
+
+    /// The same for files with a prefix before their names, as [`Recorded`](super::Recorded) writes them.
+    ///
+    /// # Errors
+    /// As for [`read`](Self::read).
+    pub fn read_named(directory: impl AsRef<Path>, prefix: &str) -> Result<Self, RecordError> {
+        let file = |drone| file_of(directory.as_ref(), prefix, drone);
+        let mut drones = vec![read_drone(&file(0))?];
+        while file(drones.len()).exists() {
+            drones.push(read_drone(&file(drones.len()))?);
         }
+        Ok(Self { drones })
     }
 }
 
 fn read_drone(path: &Path) -> Result<Vec<Sample>, RecordError> {
     let wrong = |line: usize, message: String| RecordError::Read { path: path.to_path_buf(), line, message };
     let bytes = std::fs::read(path).map_err(|error| wrong(0, error.to_string()))?;
-    // what comes after the last line's end was being written when the program was stopped
-    let whole = bytes.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
+    // empty lines are what a recorder that was not dropped leaves behind; what a killed program had begun and not finished comes
+    // after one, or has no end
+    let ends = (0..bytes.len()).filter(|&at| bytes[at] == b'\n');
+    let mut whole = 0;
+    for end in ends {
+        if end == whole && whole > 0 {
+            break;
+        }
+        whole = end + 1;
+    }
     let text = std::str::from_utf8(&bytes[..whole]).map_err(|error| wrong(0, error.to_string()))?;
     let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
     match lines.next() {
@@ -196,5 +209,5 @@ pub(super) fn at(path: &Path, line: usize) -> String {
 
 /// The files of a flight that are there.
 pub fn files(directory: impl AsRef<Path>) -> Vec<PathBuf> {
-    (0..).map(|drone| file_of(directory.as_ref(), drone)).take_while(|path| path.exists()).collect()
+    (0..).map(|drone| file_of(directory.as_ref(), "", drone)).take_while(|path| path.exists()).collect()
 }

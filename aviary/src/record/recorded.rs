@@ -1,12 +1,13 @@
 use std::path::{Path, PathBuf};
 
+use super::recorder::file_of;
 use super::{RecordError, Recorder};
 use crate::env::{Env, EnvError, Step};
 use crate::observation::Observation;
 use crate::wrappers::forward_env;
 
-/// Writes every episode of an environment as CSV, into a directory of its own: `episode_0000/drone0.csv`, …, from the first
-/// number that is free (the paper's `output_folder`). What stands in them and what a crash leaves of them is said at
+/// Writes every episode of an environment as CSV into a directory (the paper's `output_folder`): `episode_0000_drone0.csv`, …,
+/// from the first number that is free. What stands in them and what a crash leaves of them is said at
 /// [`Recorder`].
 ///
 /// ```
@@ -19,7 +20,7 @@ use crate::wrappers::forward_env;
 /// let mut env = Recorded::new(Hover::builder().build()?, directory)?;
 /// env.reset(Some(1))?;
 /// let reward = env.step(&[0.1; 4])?.reward;
-/// let flight = Flight::read(directory.join("episode_0000"))?;
+/// let flight = Flight::read_named(directory, "episode_0000_")?;
 /// assert_eq!(flight.drones[0].len(), 2);
 /// assert_eq!(flight.drones[0][1].reward, reward);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -42,7 +43,7 @@ impl<E: Env> Recorded<E> {
         std::fs::create_dir_all(&directory).map_err(|error| RecordError::file(&directory, error))?;
         // an earlier run's files are left alone
         let mut episodes = 0;
-        while episode(&directory, episodes).exists() {
+        while file_of(&directory, &prefix(episodes), 0).exists() {
             episodes += 1;
         }
         Ok(Self { env, directory, recorder: None, episodes })
@@ -64,8 +65,8 @@ impl<E: Env> Recorded<E> {
     }
 
     fn begin(&mut self) -> Result<(), RecordError> {
-        let directory = episode(&self.directory, self.episodes);
-        let mut recorder = Recorder::create(directory, self.env.simulation().num_drones())?;
+        let drones = self.env.simulation().num_drones();
+        let mut recorder = Recorder::create_named(&self.directory, &prefix(self.episodes), drones)?;
         recorder.record(&self.env)?;
         self.recorder = Some(recorder);
         self.episodes += 1;
@@ -73,8 +74,8 @@ impl<E: Env> Recorded<E> {
     }
 }
 
-fn episode(directory: &Path, episode: u64) -> PathBuf {
-    directory.join(format!("episode_{episode:04}"))
+fn prefix(episode: u64) -> String {
+    format!("episode_{episode:04}_")
 }
 
 /// The directory is the user's: what is wrong with it is an option.

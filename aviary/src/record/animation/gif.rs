@@ -39,8 +39,14 @@ const STAYS: u8 = 255;
 const UNNOTICED: u32 = 3 * 4 * 4;
 
 /// A frame gets a palette of its own where the mean squared distance from the colours that there are grows by this much,
-/// in squared steps of 256.
+/// in squared steps of 256 …
 const STRANGE: f64 = 12.0;
+
+/// … or where this share of the pixels more than before is farther from every colour than [`FAR`].
+const STRANGERS: f64 = 5e-4;
+
+/// Squared distance at which a colour is another one: 20 steps of 256 in every channel.
+const FAR: u32 = 3 * 20 * 20;
 
 impl<W: Write> GifAnimation<W> {
     /// Begins an animation with so many seconds per frame (20 ms at least, in steps of 10 ms that even out).
@@ -110,7 +116,8 @@ impl<W: Write> Animation for GifAnimation<W> {
     fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
         check(self.size, rgb.len(), 3)?;
         let known = self.palette.take().and_then(|mut palette| {
-            let strange = palette.error(rgb) - palette.made_for > STRANGE;
+            let (error, far) = palette.error(rgb);
+            let strange = error - palette.made_for.0 > STRANGE || far - palette.made_for.1 > STRANGERS;
             (!strange).then_some(palette)
         });
         let mut palette = known.unwrap_or_else(|| Palette::of(rgb, self.frames));
@@ -146,8 +153,8 @@ struct Palette {
     colours: Vec<u8>,
     /// Nearest colour of colours with so many bits per channel, where it is known.
     nearest: Vec<Option<u8>>,
-    /// Mean squared distance of the frame that it was made for.
-    made_for: f64,
+    /// Mean squared distance of the frame that it was made for, and the share of its pixels that are far from every colour.
+    made_for: (f64, f64),
     /// The frame that it was made for.
     since: u32,
 }
@@ -157,12 +164,31 @@ impl Palette {
     const BITS: u32 = 6;
 
     fn of(rgb: &[u8], frame: u32) -> Self {
-        let rgba: Vec<u8> = rgb.chunks_exact(3).flat_map(|pixel| [pixel[0], pixel[1], pixel[2], 255]).collect();
-        // small pictures have few pixels to learn from
-        let every = (rgba.len() / 4 / 20_000).clamp(1, 10) as i32;
-        let mut colours = NeuQuant::new(every, STAYS.into(), &rgba).color_map_rgb();
+        // colours by their first five bits: how often, and the sums of their channels
+        let mut bins = vec![(0_u32, [0_u32; 3]); 1 << 15];
+        for pixel in rgb.chunks_exact(3) {
+            let bin = pixel.iter().fold(0, |bin, &x| bin << 5 | usize::from(x >> 3));
+            let (count, sums) = &mut bins[bin];
+            *count += 1;
+            sums.iter_mut().zip(pixel).for_each(|(sum, &x)| *sum += u32::from(x));
+        }
+        // what is rare, a thin line or a lamp, counts for more than its share: a floor would take all colours for itself
+        let mut rgba = Vec::new();
+        for (count, sums) in bins.into_iter().filter(|(count, _)| *count > 0) {
+            let [r, g, b] = sums.map(|sum| (sum / count) as u8);
+            for _ in 0..(f64::from(count).sqrt().ceil() as usize).min(64) {
+                rgba.extend([r, g, b, 255]);
+            }
+        }
+        // it learns from single pixels, and from not too few of them
+        let whole = rgba.len();
+        while rgba.len() < 4 * 8192 {
+            rgba.extend_from_within(..whole);
+        }
+        let mut colours = NeuQuant::new(1, STAYS.into(), &rgba).color_map_rgb();
         colours.resize(3 * 256, 0);
-        let mut palette = Self { colours, nearest: vec![None; 1 << (3 * Self::BITS)], made_for: 0.0, since: frame };
+        let mut palette =
+            Self { colours, nearest: vec![None; 1 << (3 * Self::BITS)], made_for: (0.0, 0.0), since: frame };
         palette.made_for = palette.error(rgb);
         palette
     }
@@ -182,15 +208,17 @@ impl Palette {
         index
     }
 
-    /// Mean squared distance of a frame from the colours, from every seventh pixel.
-    fn error(&mut self, rgb: &[u8]) -> f64 {
-        let (mut sum, mut count) = (0.0, 0.0);
-        for pixel in rgb.chunks_exact(3).step_by(7) {
+    /// Mean squared distance of a frame from the colours, and the share of its pixels that are far from all of them.
+    fn error(&mut self, rgb: &[u8]) -> (f64, f64) {
+        let (mut sum, mut far) = (0.0, 0.0);
+        for pixel in rgb.chunks_exact(3) {
             let nearest = self.nearest(pixel);
-            sum += f64::from(distance(self.colour(nearest), pixel));
-            count += 1.0;
+            let distance = distance(self.colour(nearest), pixel);
+            sum += f64::from(distance);
+            far += f64::from(u8::from(distance > FAR));
         }
-        sum / count
+        let count = (rgb.len() / 3).max(1) as f64;
+        (sum / count, far / count)
     }
 }
 

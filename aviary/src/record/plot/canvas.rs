@@ -123,7 +123,7 @@ impl Stroke {
         const DASHES: [&[i32]; 4] = [&[], &[9, 3], &[3, 2], &[12, 3, 3, 3]];
         // many lines are told apart by colour alone: dashes over each other are read by nobody
         let dashes = if count <= DASHES.len() { DASHES[index % DASHES.len()] } else { &[] };
-        Self { colour: super::colour_of(index, count), width: if count > 7 { 5 } else { 7 }, dashes }
+        Self { colour: super::bytes_of(index, count), width: if count > 7 { 5 } else { 7 }, dashes }
     }
 
     /// What a drone is asked for: thin, grey, in short dashes.

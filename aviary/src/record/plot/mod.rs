@@ -29,8 +29,14 @@ pub struct Series {
 const COLOURS: [[u8; 3]; 7] =
     [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [86, 180, 233], [230, 159, 0], [70, 70, 70]];
 
-/// The colour of a line or a drone among so many.
-pub(super) fn colour_of(index: usize, count: usize) -> [u8; 3] {
+/// The colour of a line or a drone among so many: red, green, blue and alpha from 0 to 1.
+pub fn colour_of(index: usize, count: usize) -> [f32; 4] {
+    let [r, g, b] = bytes_of(index, count).map(|x| f32::from(x) / 255.0);
+    [r, g, b, 1.0]
+}
+
+/// The same from 0 to 255.
+fn bytes_of(index: usize, count: usize) -> [u8; 3] {
     if count <= COLOURS.len() {
         return COLOURS[index % COLOURS.len()];
     }
@@ -41,11 +47,6 @@ pub(super) fn colour_of(index: usize, count: usize) -> [u8; 3] {
         (255.0 * (light + 0.38 * (std::f64::consts::TAU * turn).cos())).round() as u8
     };
     [wave(0.0), wave(1.0 / 3.0), wave(2.0 / 3.0)]
-}
-
-/// The same for geoms of a scene.
-pub(super) fn colour([r, g, b]: [u8; 3]) -> [f32; 4] {
-    [f32::from(r) / 255.0, f32::from(g) / 255.0, f32::from(b) / 255.0, 1.0]
 }
 
 /// A plot, ready to be drawn.

@@ -1,0 +1,65 @@
+//! What recording costs: a Hover episode flown by the PID alone, and the same one recorded, in one run.
+//!
+//! `cargo bench --bench record` prints the ratio first (episodes in turn, median), then criterion's timings.
+
+use std::time::Instant;
+
+use criterion::{Criterion, criterion_group};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::Recorded;
+
+/// Flies an episode and gives the time that it took, s.
+fn episode(env: &mut impl Env) -> f64 {
+    let mut pid = PidControl::new(&DroneModel::Cf2x.params());
+    let mut action = [0.0; 4];
+    let start = Instant::now();
+    env.reset(Some(1)).expect("a start");
+    loop {
+        let speeds = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
+        env.action_of_motor_speeds(&[speeds], &mut action).expect("an action");
+        let step = env.step(&action).expect("a step");
+        if step.terminated || step.truncated {
+            return start.elapsed().as_secs_f64();
+        }
+    }
+}
+
+#[allow(clippy::print_stdout)]
+fn ratio() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let mut plain = Hover::builder().build().expect("an environment");
+    let mut recorded =
+        Recorded::new(Hover::builder().build().expect("an environment"), directory.path()).expect("a record");
+    let (mut ratios, mut times): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+    for _ in 0..101 {
+        let (alone, with) = (episode(&mut plain), episode(&mut recorded));
+        ratios.push(with / alone);
+        times.push(1e6 * (with - alone) / 481.0);
+    }
+    let median = |values: &mut Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    println!(
+        "a recorded Hover episode: {:.3} of the time of one that is not, {:.2} µs a row",
+        median(&mut ratios),
+        median(&mut times)
+    );
+}
+
+fn timings(criterion: &mut Criterion) {
+    let directory = tempfile::tempdir().expect("a directory");
+    let mut plain = Hover::builder().build().expect("an environment");
+    let mut recorded =
+        Recorded::new(Hover::builder().build().expect("an environment"), directory.path()).expect("a record");
+    criterion.bench_function("episode", |bencher| bencher.iter(|| episode(&mut plain)));
+    criterion.bench_function("episode/recorded", |bencher| bencher.iter(|| episode(&mut recorded)));
+}
+
+criterion_group!(benches, timings);
+
+fn main() {
+    ratio();
+    benches();
+    Criterion::default().configure_from_args().final_summary();
+}

@@ -1,0 +1,68 @@
+//! A dataset for perception: what a drone sees that flies through a forest, colour, depth and objects, with where it was.
+//!
+//! `cargo run --release --example camera_dataset -- [DIRECTORY] [FRAMES]` writes `rgb_00000.png`, `depth_00000.png` (16 bit,
+//! millimetres) and `objects_00000.png` (16 bit) for every frame, `poses.csv`, and `sheet.png`, which shows the last frame in
+//! colours for people (by default to `out/camera_dataset`, 24 frames). `aviary capture` does the like for any task.
+
+use mujoco_drones_gym::control::GeometricControl;
+use mujoco_drones_gym::control::trajectory::{Curve, Trajectory};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::CsvLog;
+use mujoco_drones_gym::record::picture::{
+    depth_in_colour, png_depth, png_rgb, png_segmentation, segmentation_in_colour,
+};
+use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+use mujoco_drones_gym::{Rng, SeedableRng as _};
+
+const SIZE: ImageSize = ImageSize { width: 160, height: 120 };
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/camera_dataset".into()));
+    let frames: usize = arguments.next().map_or(Ok(24), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+
+    let circle = Curve::circle(0.5, 6.0)?.centre([0.0, 0.0, 0.6]);
+    let start = circle.start();
+    let forest = ObstacleConfig {
+        count: 40,
+        arena: [6.0, 6.0, 2.0],
+        safe_zone: 1.2,
+        ..ObstacleConfig::new(ObstacleKind::Forest)
+    };
+    let trees = forest.generate(&[start.position.into()], &mut Rng::seed_from_u64(5))?;
+    let mut simulation = Simulation::builder(DroneModel::Cf2x)
+        .initial_positions([start.position.into()])
+        .initial_rpys([[0.0, 0.0, start.yaw]])
+        .obstacles(trees)
+        .build()?;
+    let mut controller = GeometricControl::new(simulation.params(0));
+    let mut painter = Painter::for_observations(simulation.world())?;
+    let mut poses = CsvLog::new(std::fs::File::create(directory.join("poses.csv"))?)?;
+    let (mut rgb, mut depth) = (vec![0; 3 * SIZE.pixels()], vec![0.0; SIZE.pixels()]);
+    let mut objects = vec![[0; 2]; SIZE.pixels()];
+    let dt = simulation.control_period();
+    for frame in 0..frames {
+        painter.update(simulation.states())?;
+        painter.rgb(View::Fpv, SIZE, &mut rgb)?;
+        painter.depth(View::Fpv, SIZE, &mut depth)?;
+        painter.segmentation(View::Fpv, SIZE, &mut objects)?;
+        let save = |kind: &str, png: Vec<u8>| std::fs::write(directory.join(format!("{kind}_{frame:05}.png")), png);
+        save("rgb", png_rgb(SIZE, &rgb)?)?;
+        save("depth", png_depth(SIZE, &depth)?)?;
+        save("objects", png_segmentation(SIZE, &objects)?)?;
+        poses.record(&simulation)?;
+        for _ in 0..12 {
+            let reference = circle.reference(simulation.time());
+            simulation.step(&[controller.control(dt, &simulation.states()[0], &reference).rpm])?;
+        }
+    }
+    poses.finish()?;
+    let sheet = [rgb, depth_in_colour(&depth, 100.0), segmentation_in_colour(&objects)].concat();
+    let size = ImageSize { width: SIZE.width, height: 3 * SIZE.height };
+    std::fs::write(directory.join("sheet.png"), png_rgb(size, &sheet)?)?;
+    println!("{}: {frames} frames, poses.csv, sheet.png", directory.display());
+    Ok(())
+}

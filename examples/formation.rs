@@ -1,0 +1,61 @@
+//! The paper's formation figure: drones on a circle whose middle moves, with the way that each has come.
+//!
+//! `cargo run --release --example formation -- [DIRECTORY] [SECONDS] [DRONES]` writes `formation.png`, `flight.svg` and `path.svg`
+//! (by default to `out/formation`, 30 s, three drones).
+
+use mujoco_drones_gym::control::ControllerKind;
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::Flight;
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::plot::{Plot, colour_of};
+use mujoco_drones_gym::vision::Painter;
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/formation".into()));
+    let seconds: f64 = arguments.next().map_or(Ok(30.0), |text| text.parse())?;
+    let drones: usize = arguments.next().map_or(Ok(3), |text| text.parse())?;
+    std::fs::create_dir_all(&directory)?;
+
+    let mut env = Formation::builder().num_drones(drones).episode_seconds(seconds).build()?;
+    env.reset(Some(1))?;
+    let dt = env.simulation().control_period();
+    let mut controllers: Vec<_> =
+        (0..drones).map(|drone| ControllerKind::Geometric.build(env.simulation().params(drone))).collect();
+    let mut flight = Flight::default();
+    let (mut action, mut speeds) = (vec![0.0; 4 * drones], vec![[0.0; 4]; drones]);
+    let mut worst = 0.0_f64;
+    loop {
+        flight.note(&env);
+        if env.info().end.is_some() {
+            break;
+        }
+        for (drone, controller) in controllers.iter_mut().enumerate() {
+            let state = &env.simulation().states()[drone];
+            speeds[drone] = controller.control(dt, state, &env.reference(drone)).rpm;
+        }
+        env.action_of_motor_speeds(&speeds, &mut action)?;
+        env.step(&action)?;
+        // the first seconds are for getting there
+        if env.info().time > 5.0 {
+            worst = worst.max(env.info().position_error);
+        }
+    }
+    let size = ImageSize { width: 800, height: 600 };
+    let mut rgb = vec![0; 3 * size.pixels()];
+    let mut painter = Painter::for_people(env.simulation().world())?;
+    painter.update(env.simulation().states())?;
+    for drone in 0..drones {
+        painter.add_thread(&flight.positions(drone), 4.0, colour_of(drone, drones));
+    }
+    painter.rgb(View::Track, size, &mut rgb)?;
+    std::fs::write(directory.join("formation.png"), png_rgb(size, &rgb)?)?;
+    Plot::of_flight("Formation", &flight)?.save(directory.join("flight.svg"))?;
+    Plot::of_paths("Formation", &flight)?.save(directory.join("path.svg"))?;
+    for name in ["formation.png", "flight.svg", "path.svg"] {
+        println!("{}", directory.join(name).display());
+    }
+    println!("largest distance of a drone from its place after 5 s: {:.2} cm", 100.0 * worst);
+    Ok(())
+}

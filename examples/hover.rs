@@ -1,0 +1,54 @@
+//! The paper's first figure: a Crazyflie under the paper's PID takes off and hovers at 1 m, seen by the track camera.
+//!
+//! `cargo run --release --example hover -- [DIRECTORY] [SECONDS]` writes `hover.gif`, `hover.png`, the flight as `drone0.csv` and
+//! its plots `flight.png` and `path.png` (by default to `out/hover`, 10 s).
+
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
+use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::plot::Plot;
+use mujoco_drones_gym::record::{Film, Flight, Overlays, Recorder};
+
+#[allow(clippy::print_stdout)]
+fn main() -> anyhow::Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/hover".into()));
+    let seconds: f64 = arguments.next().map_or(Ok(10.0), |text| text.parse())?;
+
+    let mut env = Hover::builder().episode_seconds(seconds).build()?;
+    let mut pid = PidControl::new(env.simulation().params(0));
+    env.reset(Some(1))?;
+    let mut recorder = Recorder::create(&directory, 1)?;
+    let size = ImageSize { width: 320, height: 240 };
+    let mut film = Film::new(&env, View::Track, size, Overlays::default())?;
+    let mut gif =
+        GifAnimation::new(std::fs::File::create(directory.join("hover.gif"))?, size, film.seconds_per_frame())?;
+    let mut action = [0.0; 4];
+    loop {
+        recorder.record(&env)?;
+        if let Some(rgb) = film.look(&env)? {
+            gif.frame(rgb)?;
+        }
+        if env.info().end.is_some() {
+            break;
+        }
+        let rpm = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
+        env.action_of_motor_speeds(&[rpm], &mut action)?;
+        env.step(&action)?;
+    }
+    gif.finish()?;
+
+    let size = ImageSize { width: 640, height: 480 };
+    let mut rgb = vec![0; 3 * size.pixels()];
+    env.render(View::Track, size, &mut rgb)?;
+    std::fs::write(directory.join("hover.png"), png_rgb(size, &rgb)?)?;
+    // read back from the file, which is how a flight of yesterday is plotted
+    let flight = Flight::read(&directory)?;
+    Plot::of_flight("Hover", &flight)?.save(directory.join("flight.png"))?;
+    Plot::of_paths("Hover", &flight)?.save(directory.join("path.png"))?;
+    for name in ["hover.gif", "hover.png", "drone0.csv", "flight.png", "path.png"] {
+        println!("{}", directory.join(name).display());
+    }
+    println!("{:.2} cm off after {seconds} s", 100.0 * env.info().position_error);
+    Ok(())
+}

@@ -1,0 +1,300 @@
+//! Flights in files: what is written reads back, is plotted, and outlives the program.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use mujoco_drones_gym::control::ControllerKind;
+use mujoco_drones_gym::env::check_env;
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
+use mujoco_drones_gym::record::plot::Plot;
+use mujoco_drones_gym::record::{COLUMNS, Film, Flight, Overlays, Recorded, Recorder, files};
+use mujoco_drones_gym::state::wxyz;
+use mujoco_drones_gym::tasks::Antipodal;
+use mujoco_drones_gym::wrappers::WindWrapper;
+use proptest::prelude::*;
+
+/// Actions that tumble a little.
+fn action(step: usize, size: usize) -> Vec<f64> {
+    (0..size).map(|i| 0.3 * (0.9 * step as f64 + 1.7 * i as f64).sin() + 0.05).collect()
+}
+
+/// Records some steps of an environment and gives what it saw itself: states, motor speeds, rewards.
+fn fly(env: &mut dyn Env, to: &Path, steps: usize) -> Vec<Vec<(DroneState, [f64; 4], f64)>> {
+    let (drones, size) = (env.simulation().num_drones(), env.action_space().size());
+    let mut recorder = Recorder::create(to, drones).unwrap();
+    let mut seen = vec![Vec::new(); drones];
+    let mut note = |env: &dyn Env| {
+        recorder.record(env).unwrap();
+        for (drone, seen) in seen.iter_mut().enumerate() {
+            let simulation = env.simulation();
+            seen.push((simulation.states()[drone], simulation.motor_speeds()[drone], env.drone_reward(drone)));
+        }
+    };
+    env.reset(Some(3)).unwrap();
+    note(env);
+    for step in 0..steps {
+        let over = env.step(&action(step, size)).map(|step| step.terminated || step.truncated).unwrap();
+        note(env);
+        if over {
+            break;
+        }
+    }
+    seen
+}
+
+#[test]
+fn every_drone_of_any_environment_reads_back_to_the_same_bits() {
+    let directory = tempfile::tempdir().unwrap();
+    let wind = WindConfig::new(WindModel::Combined);
+    let envs: [Box<dyn Env>; 4] = [
+        Box::new(Hover::builder().sim_freq(500).ctrl_freq(100).initial_rpys([[0.0, 0.0, 2.5]]).build().unwrap()),
+        Box::new(MultiHover::builder().num_drones(3).physics(Physics::MjcGndDragDw).build().unwrap()),
+        Box::new(WindWrapper::new(Race::builder().build().unwrap(), wind).unwrap()),
+        make("formation", EnvConfig::default()).unwrap(),
+    ];
+    for (index, mut env) in envs.into_iter().enumerate() {
+        let to = directory.path().join(index.to_string());
+        let seen = fly(&mut *env, &to, 60);
+        let flight = Flight::read(&to).unwrap();
+        assert_eq!((flight.drones.len(), files(&to).len()), (seen.len(), seen.len()));
+        let dt = env.simulation().control_period();
+        for (samples, seen) in flight.drones.iter().zip(&seen) {
+            assert_eq!(samples.len(), seen.len());
+            for (i, (sample, (state, motors, reward))) in samples.iter().zip(seen).enumerate() {
+                assert_eq!((sample.state, sample.motor_speeds, sample.reward), (*state, *motors, *reward));
+                assert!((sample.time - i as f64 * dt).abs() < 1e-12);
+                let before = &samples[i.saturating_sub(1)];
+                let change = before.state.velocity + sample.acceleration * dt;
+                assert!(
+                    (change - sample.state.velocity).norm() < 1e-9,
+                    "the acceleration is what changed the velocity"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn columns_have_units_and_other_programs_can_read_them() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut env = Hover::builder().initial_rpys([[0.2, -0.1, 1.0]]).build().unwrap();
+    fly(&mut env, directory.path(), 10);
+    let mut reader = csv::Reader::from_path(directory.path().join("drone0.csv")).unwrap();
+    assert_eq!(reader.headers().unwrap(), COLUMNS.to_vec());
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 11);
+    let column = |name: &str| COLUMNS.iter().position(|column| *column == name).unwrap();
+    let last = |name: &str| -> f64 { rows[10][column(name)].parse().unwrap() };
+    let (state, rpy) = (env.simulation().states()[0], *env.simulation().rpy(0));
+    assert_eq!([last("x_m"), last("y_m"), last("z_m")], [state.position.x, state.position.y, state.position.z]);
+    assert_eq!([last("qw"), last("qx"), last("qy"), last("qz")], wxyz(&state.attitude));
+    assert_eq!([last("roll_rad"), last("pitch_rad"), last("yaw_rad")], [rpy.x, rpy.y, rpy.z]);
+    assert_eq!(last("wz_rad_s"), state.angular_velocity.z);
+    assert_eq!((last("z_ref_m"), last("t_s")), (1.0, 10.0 / 48.0));
+}
+
+#[test]
+fn episodes_of_a_wrapped_environment_lie_beside_each_other_and_nothing_is_overwritten() {
+    let directory = tempfile::tempdir().unwrap();
+    let build = || MultiHover::builder().episode_seconds(0.25).build().unwrap();
+    for first in [0, 2] {
+        let mut env = Recorded::new(build(), directory.path()).unwrap();
+        for episode in first..first + 2 {
+            env.reset((episode == first).then_some(5)).unwrap();
+            let (mut rewards, mut over) = (vec![0.0], false);
+            while !over {
+                let step = env.step(&action(rewards.len(), 8)).unwrap();
+                over = step.truncated || step.terminated;
+                rewards.push(step.reward);
+            }
+            let flight = Flight::read_named(directory.path(), &format!("episode_{episode:04}_")).unwrap();
+            assert_eq!((flight.drones.len(), flight.drones[0].len()), (2, 13));
+            for (i, reward) in rewards.iter().enumerate() {
+                let sum: f64 = flight.drones.iter().map(|samples| samples[i].reward).sum();
+                assert!((sum - reward).abs() < 1e-9, "rewards of the drones add up to the step's");
+            }
+        }
+    }
+    check_env(&mut Recorded::new(build(), directory.path().join("checked")).unwrap()).unwrap();
+    let file = directory.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    assert!(Recorded::new(build(), &file).unwrap_err().to_string().contains("file"));
+}
+
+/// What the two tests below start as a program of its own; by itself it does nothing.
+#[test]
+fn a_program_that_records_and_ends_badly() {
+    let Ok(directory) = std::env::var("RECORD_INTO") else { return };
+    let steps: usize = std::env::var("RECORD_STEPS").unwrap().parse().unwrap();
+    let mut env = Hover::builder().build().unwrap();
+    let mut recorder = Recorder::create(directory, 1).unwrap();
+    env.reset(Some(1)).unwrap();
+    recorder.record(&env).unwrap();
+    for step in 0.. {
+        if step == steps {
+            std::process::abort();
+        }
+        if env.step(&action(step, 4)).is_err() {
+            env.reset(None).unwrap();
+        }
+        recorder.record(&env).unwrap();
+    }
+}
+
+fn start(directory: &Path, steps: usize) -> std::process::Child {
+    Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "a_program_that_records_and_ends_badly"])
+        .env("RECORD_INTO", directory)
+        .env("RECORD_STEPS", steps.to_string())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+fn a_program_that_aborts_has_written_every_row() {
+    for steps in [0, 1, 77, 1000] {
+        let directory = tempfile::tempdir().unwrap();
+        assert!(!start(directory.path(), steps).wait().unwrap().success());
+        let flight = Flight::read(directory.path()).unwrap();
+        assert_eq!(flight.drones[0].len(), steps + 1);
+        // any reader of CSV skips the empty lines at the end
+        let mut reader = csv::Reader::from_path(directory.path().join("drone0.csv")).unwrap();
+        assert_eq!(reader.records().filter(|row| row.as_ref().unwrap().len() == COLUMNS.len()).count(), steps + 1);
+    }
+}
+
+#[test]
+fn a_killed_program_leaves_what_can_be_read() {
+    for _ in 0..5 {
+        let directory = tempfile::tempdir().unwrap();
+        let mut child = start(directory.path(), usize::MAX);
+        let rows = || Flight::read(directory.path()).map_or(0, |flight| flight.drones[0].len());
+        let begun = Instant::now();
+        while rows() < 300 && begun.elapsed() < Duration::from_secs(60) {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        child.kill().unwrap();
+        child.wait().unwrap();
+        assert!(rows() >= 300);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+    /// Whatever is done to a file, reading it is a result: the flight, its beginning, or an error that names the file.
+    #[test]
+    fn damaged_files_are_read_in_part_or_refused(cut in 0usize..6000, at in 0usize..6000, byte in any::<u8>()) {
+        let directory = tempfile::tempdir().unwrap();
+        fly(&mut Hover::builder().build().unwrap(), directory.path(), 12);
+        let path = directory.path().join("drone0.csv");
+        let mut bytes = std::fs::read(&path).unwrap();
+        let whole = Flight::read(directory.path()).unwrap();
+        let place = at % bytes.len();
+        bytes[place] = byte;
+        bytes.truncate(cut.max(1));
+        std::fs::write(&path, &bytes).unwrap();
+        match Flight::read(directory.path()) {
+            Ok(flight) => prop_assert!(flight.drones[0].len() <= whole.drones[0].len() + 1),
+            Err(error) => prop_assert!(error.to_string().contains("drone0.csv"), "{error}"),
+        }
+    }
+}
+
+#[test]
+fn a_file_that_is_no_flight_is_refused_by_line_and_column() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("drone0.csv");
+    let refused = |text: &str| {
+        std::fs::write(&path, text).unwrap();
+        Flight::read(directory.path()).unwrap_err().to_string()
+    };
+    let header = COLUMNS.join(",");
+    assert!(Flight::read(directory.path()).unwrap_err().to_string().contains("drone0.csv"));
+    assert!(refused("").contains("empty"));
+    assert!(refused("t,x,y\n1,2,3\n").contains("line 1"));
+    assert!(refused(&format!("{header}\n1,2,3\n")).contains("line 2: 3 columns, expected 29"));
+    let row = |cell: &str| {
+        format!("{header}\n{}\n{}\n", vec!["0"; 29].join(","), vec!["1", cell].join(",") + &",1".repeat(27))
+    };
+    for bad in ["NaN", "inf", "one", "1e999"] {
+        let message = refused(&row(bad));
+        assert!(message.contains("line 3: x_m is") && message.contains(bad), "{message}");
+    }
+    assert!(refused(&row("")).contains("line 3: x_m is empty"));
+    let part = format!("{header}\n{},1,,,\n", vec!["0"; 25].join(","));
+    assert!(refused(&part).contains("a reference is there in part"));
+    let recorder = Recorder::create(directory.path(), 2).unwrap();
+    drop(recorder);
+    let mut wrong = Recorder::create(directory.path(), 1).unwrap();
+    assert!(!directory.path().join("drone1.csv").exists(), "files of the flight before are gone");
+    let env = MultiHover::builder().build().unwrap();
+    assert!(wrong.record(&env).unwrap_err().to_string().contains("2 drones, expected 1"));
+}
+
+/// Flies antipodal for a while and gives the last frame.
+fn last_frame(overlays: Overlays, view: View) -> Option<Vec<u8>> {
+    if mujoco_drones_gym::mujoco::gl_info().is_err() {
+        return None;
+    }
+    let size = ImageSize { width: 160, height: 120 };
+    let mut env = Antipodal::builder()
+        .num_drones(4)
+        .controller(ControllerKind::Geometric)
+        .wind(WindConfig::new(WindModel::Constant))
+        .build()
+        .unwrap();
+    env.reset(Some(1)).unwrap();
+    let mut film = Film::new(&env, view, size, overlays).unwrap();
+    let mut gif = GifAnimation::new(Vec::new(), size, film.seconds_per_frame()).unwrap();
+    let mut frames = 0;
+    for step in 0..48 {
+        if let Some(rgb) = film.look(&env).unwrap() {
+            gif.frame(rgb).unwrap();
+            frames += 1;
+        }
+        let gently: Vec<f64> = action(step, 16).iter().map(|x| 0.1 * x).collect();
+        env.step(&gently).unwrap();
+    }
+    assert_eq!(frames, 24, "24 frames a second");
+    assert!((film.seconds_per_frame() - 1.0 / 24.0).abs() < 1e-12);
+    assert!(gif.finish().unwrap().len() > 1000);
+    Some(film.frame(env.simulation(), |drone| Some(env.reference(drone))).unwrap().to_vec())
+}
+
+#[test]
+fn every_overlay_is_seen() {
+    let Some(plain) = last_frame(Overlays::default(), View::Top) else { return };
+    let none = Overlays::default();
+    for (name, overlays) in [
+        ("trails", Overlays { trails: true, ..none }),
+        ("references", Overlays { references: true, ..none }),
+        ("wind", Overlays { wind: true, ..none }),
+        ("rings", Overlays { rings: Some(0.15), ..none }),
+    ] {
+        assert_eq!(name.parse::<Overlays>().unwrap(), overlays);
+        let with = last_frame(overlays, View::Top).unwrap();
+        let changed = plain.chunks(3).zip(with.chunks(3)).filter(|(a, b)| a != b).count();
+        assert!((20..4000).contains(&changed), "{name}: {changed} pixels");
+    }
+}
+
+#[test]
+fn a_recorded_flight_is_plotted_as_it_was_flown() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut env = Formation::builder().build().unwrap();
+    fly(&mut env, directory.path(), 60);
+    let flight = Flight::read(directory.path()).unwrap();
+    for (name, plot) in [("flight", Plot::of_flight("f", &flight)), ("path", Plot::of_paths("p", &flight))] {
+        let plot = plot.unwrap();
+        for ending in ["svg", "png"] {
+            let path = directory.path().join(name).with_extension(ending);
+            plot.save(&path).unwrap();
+            assert!(path.metadata().unwrap().len() > 5_000);
+        }
+    }
+}
