@@ -22,6 +22,9 @@ pub use aviary::*;
 /// The safe MuJoCo beneath: models, simulations, errors.
 pub use mujoco_rs as mujoco;
 
+/// Vectors and rotations of the interface.
+pub use nalgebra;
+
 /// The generator behind every random draw, what seeds it and what it draws.
 pub use aviary::env::Rng;
 pub use rand::{RngExt, SeedableRng};
@@ -29,15 +32,20 @@ pub use rand::{RngExt, SeedableRng};
 /// What most programs use.
 pub mod prelude {
     pub use aviary::action::ActionType;
-    pub use aviary::control::{Controller, PidControl, Reference};
+    pub use aviary::control::{Controller, ControllerKind, PidControl, Reference};
     pub use aviary::drone::{DroneModel, DroneParams};
     pub use aviary::engine::EngineKind;
-    pub use aviary::env::{Aviary, Env, EnvConfig, EnvError, Info, Step, Task};
+    pub use aviary::env::{
+        Aviary, AviaryBuilder, BoxSpace, EndReason, Env, EnvConfig, EnvError, Info, Step, Task, TaskDefaults, check_env,
+    };
+    pub use aviary::multi_agent::{ParallelAviary, ParallelEnv};
     pub use aviary::observation::{Observation, ObservationType};
     pub use aviary::physics::{Effects, Physics};
     pub use aviary::simulation::{Simulation, SimulationError};
     pub use aviary::state::DroneState;
-    pub use aviary::tasks::{FlyThrough, Formation, Hover, MultiHover, Race, Stabilize, Track, Velocity, make};
+    pub use aviary::tasks::{
+        Antipodal, FlyThrough, Formation, Hover, MultiHover, Race, Stabilize, Track, Velocity, make,
+    };
     pub use aviary::vector::{Autoreset, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv, make_vec};
     pub use aviary::vision::{ImageSize, View};
 }

@@ -120,7 +120,7 @@ impl FromStr for ActionType {
 
 /// A name that is no action type's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no action type `{0}`, expected rpm, raw_rpm, one_d_rpm, vel, pid, attitude or ctbr")]
+#[error("no action type `{name}`, expected rpm, raw_rpm, one_d_rpm, vel, pid, attitude or ctbr{near}", name = .0, near = crate::did_you_mean(.0, &ActionType::ALL.map(ActionType::name)))]
 pub struct UnknownActionType(pub String);
 
 /// How far actions reach that are not motor speeds.

@@ -367,7 +367,7 @@ impl From<DroneModel> for DroneParams {
 #[non_exhaustive]
 pub enum DroneError {
     /// There is no built-in airframe of that name.
-    #[error("no drone model `{name}`, expected cf2x, cf2p or race")]
+    #[error("no drone model `{name}`, expected cf2x, cf2p or race{}", crate::did_you_mean(name, &DroneModel::ALL.map(DroneModel::name)))]
     UnknownModel {
         /// The name looked for.
         name: String,

@@ -4,7 +4,14 @@ use serde::{Deserialize, Deserializer};
 
 /// A TOML error on one line: where it is and what was expected, without the drawing of the source.
 pub(crate) fn toml_message(text: &str, error: &toml::de::Error) -> String {
-    let message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    let mut message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    if message.starts_with("unknown ") {
+        // serde's list of what there is, all of it in backquotes after the name that was found
+        let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
+        if let [name, names @ ..] = &quoted[..] {
+            message += &did_you_mean(name, names);
+        }
+    }
     match error.span() {
         Some(span) => {
             let before = &text[..span.start.min(text.len())];
@@ -54,5 +61,33 @@ impl TryFrom<Vec<f64>> for Triple {
     fn try_from(numbers: Vec<f64>) -> Result<Self, String> {
         let count = numbers.len();
         numbers.try_into().map(Self).map_err(|_| format!("{count} numbers, expected 3"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_name_is_suggested_where_one_is_near() {
+        let names = ["hover", "velocity", "multi_hover"];
+        assert_eq!(did_you_mean("hovr", &names), "; did you mean `hover`?");
+        assert_eq!(did_you_mean("mutli_hover", &names), "; did you mean `multi_hover`?");
+        assert_eq!(did_you_mean("xyz", &names), "");
+        assert_eq!(did_you_mean("hover", &[]), "");
+    }
+
+    #[test]
+    fn unknown_keys_of_toml_get_a_suggestion() {
+        #[derive(Debug, serde::Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[allow(dead_code)]
+        struct Body {
+            mass: f64,
+            inertia: f64,
+        }
+        let text = "mass = 1.0\ninerta = 2.0\n";
+        let message = toml_message(text, &toml::from_str::<Body>(text).unwrap_err());
+        assert!(message.starts_with("line 2, column 1") && message.ends_with("did you mean `inertia`?"), "{message}");
     }
 }

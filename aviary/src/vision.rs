@@ -102,18 +102,25 @@ impl fmt::Display for View {
 
 /// A name that is no view's or kind's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no {what} `{name}`, expected {expected}")]
+#[error("no {what} `{name}`, expected {expected}{near}")]
 pub struct UnknownName {
     what: &'static str,
     name: String,
     expected: &'static str,
+    /// What may have been meant.
+    near: String,
 }
 
 impl FromStr for View {
     type Err = UnknownName;
 
     fn from_str(name: &str) -> Result<Self, UnknownName> {
-        let unknown = || UnknownName { what: "camera", name: name.into(), expected: "track, fpv, fixed, front or top" };
+        let unknown = || UnknownName {
+            what: "camera",
+            name: name.into(),
+            expected: "track, fpv, fixed, front or top",
+            near: crate::did_you_mean(name, &Self::ALL.map(Self::name)),
+        };
         Self::ALL.into_iter().find(|view| view.name() == name).ok_or_else(unknown)
     }
 }
@@ -122,8 +129,12 @@ impl FromStr for ImageKind {
     type Err = UnknownName;
 
     fn from_str(name: &str) -> Result<Self, UnknownName> {
-        let unknown =
-            || UnknownName { what: "kind of picture", name: name.into(), expected: "rgb, depth or segmentation" };
+        let unknown = || UnknownName {
+            what: "kind of picture",
+            name: name.into(),
+            expected: "rgb, depth or segmentation",
+            near: crate::did_you_mean(name, &Self::ALL.map(Self::name)),
+        };
         Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(unknown)
     }
 }
@@ -214,6 +225,10 @@ impl Painter {
             let geom: GeomId = model.find(&World::obstacle_name(index))?;
             place_geom(&mut model.patch(), geom.index(), obstacle);
         }
+        for marker in &world.markers {
+            let geom: GeomId = model.find(&marker.name)?;
+            place_geom(&mut model.patch(), geom.index(), &marker.body);
+        }
         let data = Data::new(model)?;
         let model = data.shared_model();
         let mut scene = Scene::new(model.clone(), 20_000)?;
@@ -254,6 +269,9 @@ impl Painter {
     /// [`Error::Value`] for a state that is not finite, and MuJoCo's own.
     pub fn update(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.stale = true;
+        if states.len() != self.joints.len() {
+            return Err(Error::Buffer { what: "the list of states", got: states.len(), expected: self.joints.len() });
+        }
         if states.iter().any(|state| !state.is_finite()) {
             return Err(Error::Value { what: "a drone's state", got: f64::NAN, expected: "finite numbers" });
         }

@@ -12,6 +12,9 @@ use crate::output;
 ///
 /// Exit status 1 if something needed is missing, with the command that mends it.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  aviary doctor
+  MUJOCO_GL=osmesa aviary doctor")]
 pub struct Doctor {
     /// Print JSON instead of a table
     #[arg(long)]

@@ -9,7 +9,7 @@ use aviary::vision::{ImageSize, View};
 use clap::{ArgGroup, Args};
 
 use crate::failure::Failure;
-use crate::options::{named, size, vision_failure};
+use crate::options::{CAMERAS, Names, named, size, vision_failure};
 use crate::output::{FileWriter, OutputFile};
 use crate::pilot::Pilot;
 
@@ -27,7 +27,7 @@ pub struct FilmOptions {
     #[arg(long, group = "pictures", value_name = "DIR")]
     frames: Option<PathBuf>,
     /// Camera of these: track, fpv, fixed, front, top
-    #[arg(long, default_value = "track", requires = "pictures")]
+    #[arg(long, default_value = "track", value_parser = Names(&CAMERAS), hide_possible_values = true, requires = "pictures")]
     camera: String,
     /// Size of these, pixels
     #[arg(long, value_parser = size, default_value = "320x240", requires = "pictures")]

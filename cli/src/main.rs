@@ -2,6 +2,7 @@
 
 mod bench;
 mod capture;
+mod completions;
 mod doctor;
 mod failure;
 mod film;
@@ -20,6 +21,13 @@ use clap::{Parser, Subcommand};
 /// Quadrotors on MuJoCo.
 #[derive(Debug, Parser)]
 #[command(name = "aviary", version, about)]
+#[command(after_help = "Examples:
+  aviary fly --task hover
+  aviary fly --task race --drone race --out out/race --plot --gif out/race.gif --overlay trails
+  aviary capture --task fly_through --frames 100 --out out/frames
+  aviary bench --quick
+
+`aviary COMMAND --help` shows every option of a command.")]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -41,6 +49,8 @@ enum Command {
     Tasks(tasks::Tasks),
     /// Check what the program needs from this machine
     Doctor(doctor::Doctor),
+    /// Print what a shell needs to complete commands and names
+    Completions(completions::Completions),
 }
 
 fn main() -> ExitCode {
@@ -61,6 +71,7 @@ fn main() -> ExitCode {
         Command::Bench(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Doctor(command) => command.run(),
+        Command::Completions(command) => command.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

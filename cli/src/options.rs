@@ -1,5 +1,6 @@
 //! Options that several commands share, and what they stand for.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -16,41 +17,75 @@ use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
 use aviary::vision::ImageSize;
 use aviary::world::{ObstacleConfig, ObstacleKind};
 use aviary::wrappers::SafetyWrapper;
-use clap::Args;
+use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
+use clap::{Arg, Args, Command};
 
 use crate::failure::Failure;
+
+/// Cameras by name.
+pub const CAMERAS: [&str; 5] = ["track", "fpv", "fixed", "front", "top"];
+
+/// Names that a shell completes. What is not one of them is accepted, too: it may be a file, and what is wrong is said where the
+/// name is looked up.
+#[derive(Debug, Clone)]
+pub struct Names(pub &'static [&'static str]);
+
+impl TypedValueParser for Names {
+    type Value = String;
+
+    fn parse_ref(&self, command: &Command, argument: Option<&Arg>, value: &OsStr) -> Result<String, clap::Error> {
+        StringValueParser::new().parse_ref(command, argument, value)
+    }
+
+    fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
+        Some(Box::new(self.0.iter().map(PossibleValue::new)))
+    }
+}
 
 /// Which flight it is.
 #[derive(Debug, Args)]
 pub struct FlightOptions {
     /// Task to fly; `aviary tasks` lists them
-    #[arg(long)]
+    #[arg(long, value_parser = Names(&tasks::NAMES), hide_possible_values = true)]
     pub task: String,
     /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
-    #[arg(long, default_value = "cf2x")]
+    #[arg(long, default_value = "cf2x", value_parser = Names(&["cf2x", "cf2p", "race"]), hide_possible_values = true)]
     pub drone: String,
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
-    #[arg(long, default_value = "mjc")]
+    #[arg(
+        long,
+        default_value = "mjc",
+        value_parser = Names(&["mjc", "mjc_gnd", "mjc_drag", "mjc_dw", "mjc_gnd_drag_dw", "dyn"]),
+        hide_possible_values = true
+    )]
     pub physics: String,
     /// Engine: mujoco, or hybrid, which gives the same flight many times faster
-    #[arg(long, default_value = "mujoco")]
+    #[arg(long, default_value = "mujoco", value_parser = Names(&["mujoco", "hybrid"]), hide_possible_values = true)]
     pub engine: String,
     /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories, and their default); else the
     /// task's by default
-    #[arg(long)]
+    #[arg(long, value_parser = Names(&["pid", "dsl", "geometric"]), hide_possible_values = true)]
     pub controller: Option<String>,
     /// Number of drones; the task's by default
     #[arg(long, allow_negative_numbers = true)]
     pub num_drones: Option<usize>,
     /// Trajectory to follow in place of the task's own target: circle, lemniscate, helix, square, loop, or a TOML file.
     /// The flight starts at rest where it starts, and lasts as long as it does
-    #[arg(long)]
+    #[arg(long, value_parser = Names(&trajectory::NAMES), hide_possible_values = true)]
     pub trajectory: Option<String>,
     /// Wind: none, constant, gust, dryden, sinusoidal, combined
-    #[arg(long)]
+    #[arg(
+        long,
+        value_parser = Names(&["none", "constant", "gust", "dryden", "sinusoidal", "combined"]),
+        hide_possible_values = true
+    )]
     pub wind: Option<String>,
     /// Obstacles: forest, urban, indoor, random, gates
-    #[arg(long)]
+    #[arg(
+        long,
+        value_parser = Names(&["forest", "urban", "indoor", "random", "gates"]),
+        hide_possible_values = true
+    )]
     pub obstacles: Option<String>,
     /// TOML file with sections [wind], [obstacles] and [randomization]; --wind and --obstacles choose the kind in them
     #[arg(long)]

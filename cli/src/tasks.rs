@@ -6,6 +6,9 @@ use crate::output;
 
 /// The tasks, with observation and action sizes, episode length and number of drones
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  aviary tasks
+  aviary tasks --json")]
 pub struct Tasks {
     /// Print JSON instead of a table
     #[arg(long)]

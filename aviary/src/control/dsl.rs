@@ -122,7 +122,8 @@ impl Controller for DslPidControl {
         }
         let setpoint = Setpoint { position: state.position, ..self.advance(dt, state, &here) };
         self.setpoint = Some(setpoint);
-        let limited = Reference { yaw: setpoint.yaw, ..here };
+        let yaw_rate = reference.yaw_rate.clamp(-Self::MAX_YAW_RATE, Self::MAX_YAW_RATE);
+        let limited = Reference { yaw: setpoint.yaw, yaw_rate, ..here };
         let output = self.cascade.follow(dt, state, &limited, &reference.acceleration, Self::INTEGRATED);
         ControlOutput { rpm: output.rpm, ..errors }
     }

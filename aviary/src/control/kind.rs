@@ -106,7 +106,7 @@ impl fmt::Display for ControllerKind {
 
 /// A name that is no controller's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no controller `{0}`, expected pid, dsl or geometric")]
+#[error("no controller `{name}`, expected pid, dsl or geometric{near}", name = .0, near = crate::did_you_mean(.0, &ControllerKind::ALL.map(ControllerKind::name)))]
 pub struct UnknownController(pub String);
 
 impl FromStr for ControllerKind {

@@ -122,7 +122,7 @@ impl fmt::Display for EngineKind {
 
 /// A name that is no engine's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no engine `{0}`, expected mujoco or hybrid")]
+#[error("no engine `{name}`, expected mujoco or hybrid{near}", name = .0, near = crate::did_you_mean(.0, &EngineKind::ALL.map(EngineKind::name)))]
 pub struct UnknownEngine(pub String);
 
 impl FromStr for EngineKind {

@@ -193,6 +193,14 @@ pub enum EnvError {
         /// When it was called.
         when: &'static str,
     },
+    /// A name that is no task's.
+    #[error("no task `{name}`, expected one of: {expected}")]
+    UnknownTask {
+        /// The name.
+        name: String,
+        /// Those that there are.
+        expected: String,
+    },
     /// An option of the task that is impossible.
     #[error("{option} is {got}, expected {expected}")]
     Option {

@@ -116,7 +116,8 @@ pub trait Task: std::fmt::Debug {
     /// Looks at the new state after a control step.
     fn update(&mut self, simulation: &Simulation);
 
-    /// Why the episode is over for a drone, if it is (the time limit is not the task's).
+    /// Why the episode is over for a drone, if it is (the time limit is not the task's). An episode ends with the first drone that
+    /// is lost, or in `Completed` once all drones report that in the same step: one that is done goes on reporting it.
     fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason>;
 
     /// A drone's share of the last control step's reward; `end` is how that step ended for it.
@@ -133,10 +134,10 @@ pub trait Task: std::fmt::Debug {
         f64::from(u8::from(self.success(simulation, drone)))
     }
 
-    /// Where the task wants a drone to be now.
+    /// Where the task wants a drone to be now. It may be asked for before the first [`reset`](Self::reset).
     fn reference(&self, simulation: &Simulation, drone: usize) -> Reference;
 
-    /// A way that fulfils the task from the drone's present state, for controllers that follow trajectories; `None` where
+    /// A way that fulfils the task from the drone's present state, at whose time 0 it is, for controllers that follow trajectories; `None` where
     /// following [`reference`](Self::reference) does.
     fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = (simulation, drone);

@@ -141,7 +141,7 @@ impl fmt::Display for Physics {
 
 /// A name that is no physics mode's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no physics mode `{0}`, expected mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw or dyn")]
+#[error("no physics mode `{name}`, expected mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw or dyn{near}", name = .0, near = crate::did_you_mean(.0, &Physics::ALL.map(Physics::name)))]
 pub struct UnknownPhysics(pub String);
 
 impl FromStr for Physics {

@@ -59,7 +59,7 @@ impl fmt::Display for WindModel {
 
 /// A name that is no wind's.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no wind `{0}`, expected none, constant, gust, dryden, sinusoidal or combined")]
+#[error("no wind `{name}`, expected none, constant, gust, dryden, sinusoidal or combined{near}", name = .0, near = crate::did_you_mean(.0, &WindModel::ALL.map(WindModel::name)))]
 pub struct UnknownWind(pub String);
 
 impl FromStr for WindModel {

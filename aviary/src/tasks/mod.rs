@@ -185,9 +185,6 @@ pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn Env>, EnvError> {
 }
 
 pub(crate) fn unknown(name: &str) -> EnvError {
-    EnvError::Option {
-        option: "the task",
-        got: format!("`{name}`"),
-        expected: "hover, velocity, multi_hover, fly_through, formation, race, multi_agent, antipodal, stabilize or track",
-    }
+    let expected = NAMES.join(", ") + &crate::did_you_mean(name, &NAMES);
+    EnvError::UnknownTask { name: name.to_string(), expected }
 }

@@ -38,6 +38,9 @@ use crate::output;
 /// swarms are flown by a linear policy with noise. Neither's time is counted. The row of random actions gets uniform ones, with which
 /// most episodes end on the floor after a few steps.
 #[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  aviary bench
+  aviary bench --quick --json")]
 pub struct Bench {
     /// Fewer rows and shorter ones: done within 30 s
     #[arg(long)]
