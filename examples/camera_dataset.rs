@@ -1,4 +1,4 @@
-//! A dataset for perception: what a drone sees that flies through a forest, colour, depth and objects, with where it was.
+//! A dataset for perception: what a drone sees that flies round in a forest, colour, depth and objects, with where it was.
 //!
 //! `cargo run --release --example camera_dataset -- [DIRECTORY] [FRAMES]` writes `rgb_00000.png`, `depth_00000.png` (16 bit,
 //! millimetres) and `objects_00000.png` (16 bit) for every frame, `poses.csv`, and `sheet.png`, which shows the last frame in
@@ -15,7 +15,7 @@ use mujoco_drones_gym::vision::Painter;
 use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
 use mujoco_drones_gym::{Rng, SeedableRng as _};
 
-const SIZE: ImageSize = ImageSize { width: 160, height: 120 };
+const SIZE: ImageSize = ImageSize { width: 240, height: 180 };
 
 #[allow(clippy::print_stdout)]
 fn main() -> anyhow::Result<()> {
@@ -60,8 +60,11 @@ fn main() -> anyhow::Result<()> {
         }
     }
     poses.finish()?;
-    let sheet = [rgb, depth_in_colour(&depth, 100.0), segmentation_in_colour(&objects)].concat();
-    let size = ImageSize { width: SIZE.width, height: 3 * SIZE.height };
+    let pictures = [rgb, depth_in_colour(&depth, 100.0), segmentation_in_colour(&objects)];
+    let row = 3 * SIZE.width as usize;
+    let rows =
+        (0..SIZE.height as usize).flat_map(|y| pictures.iter().flat_map(move |rgb| &rgb[y * row..(y + 1) * row]));
+    let (sheet, size) = (rows.copied().collect::<Vec<_>>(), ImageSize { width: 3 * SIZE.width, ..SIZE });
     std::fs::write(directory.join("sheet.png"), png_rgb(size, &sheet)?)?;
     println!("{}: {frames} frames, poses.csv, sheet.png", directory.display());
     Ok(())

@@ -64,10 +64,10 @@ fn another_mode_is_another_flight() {
     assert!(with.states()[0].position.z > without.states()[0].position.z + 1e-3);
 }
 
-/// The airframe in the README is one.
+/// The airframe in the documentation is one.
 #[test]
-fn the_airframe_of_the_readme_flies() {
-    let readme = include_str!("../README.md");
+fn the_airframe_of_the_guide_flies() {
+    let readme = include_str!("../docs/airframes.md");
     let mut blocks = readme.split("```toml").skip(1).filter_map(|rest| rest.split("```").next());
     let text = blocks.find(|block| block.contains("thrust_coefficient")).expect("an airframe");
     let params = DroneParams::from_toml(text).unwrap();

@@ -94,7 +94,8 @@ impl Fly {
     /// Draws the plots of a flight and says which files they are.
     fn draw(&self, to: &OutputDir, env: &dyn Env, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
         let simulation = env.simulation();
-        let title = format!("{} with {} ({})", env.name(), simulation.params(0).name, simulation.physics());
+        let what = self.options.trajectory.as_deref().unwrap_or(env.name());
+        let title = format!("{what} with {} ({})", simulation.params(0).name, simulation.physics());
         let mut written = Vec::new();
         for (name, plot) in [("flight", Plot::of_flight(&title, samples)), ("path", Plot::of_paths(&title, samples))] {
             let plot = plot.map_err(Failure::work)?;

@@ -65,16 +65,16 @@ fn equal_seeds_write_equal_files() {
         let output = aviary(&["fly", "--task", "hover", "--seed", "1", "--duration", "2", "--out", text(path)]);
         assert!(output.status.success());
     }
-    for name in ["log.csv", "summary.json"] {
+    for name in ["drone0.csv", "summary.json"] {
         let read = |path: &PathBuf| std::fs::read(path.join(name)).unwrap();
         assert_eq!(read(&a), read(&b), "{name}");
     }
-    let mut log = csv::Reader::from_path(a.join("log.csv")).unwrap();
+    let mut log = csv::Reader::from_path(a.join("drone0.csv")).unwrap();
     let rows: Vec<_> = log.records().map(Result::unwrap).collect();
     assert_eq!(rows.len(), 97, "the start and one row per control step");
     assert_eq!(&rows[96][0], "2");
     let summary: Value = serde_json::from_slice(&std::fs::read(a.join("summary.json")).unwrap()).unwrap();
-    let z: f64 = rows[96][4].parse().unwrap();
+    let z: f64 = rows[96][3].parse().unwrap();
     assert_eq!(summary["drones"][0]["final_position"][2], z);
 }
 
@@ -334,20 +334,146 @@ fn what_is_no_file_is_not_replaced_by_one_and_links_stay_links() {
 }
 
 #[test]
-fn an_interrupted_flight_leaves_no_file() {
-    let dir = directory("interrupted");
+fn an_interrupted_flight_leaves_its_log_and_nothing_else() {
+    for signal in ["-INT", "-TERM", "-KILL"] {
+        let dir = directory(&format!("interrupted{signal}"));
+        let mut child = Command::new(env!("CARGO_BIN_EXE_aviary"))
+            .args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)])
+            .spawn()
+            .unwrap();
+        let rows = || aviary::record::Flight::read(&dir).map_or(0, |flight| flight.drones[0].len());
+        while rows() < 200 {
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        let interrupted = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        assert!(interrupted.success());
+        assert_eq!(child.wait().unwrap().code(), if signal == "-KILL" { None } else { Some(130) });
+        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1);
+        assert!(rows() >= 200);
+    }
+}
+
+#[test]
+fn an_interrupted_capture_or_film_leaves_no_half_of_a_file() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("interrupted-film");
+    std::fs::create_dir_all(&dir).unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_aviary"))
-        .args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)])
+        .args(["fly", "--task", "hover", "--duration", "100000", "--gif", text(&dir.join("hover.gif"))])
         .spawn()
         .unwrap();
-    while !dir.is_dir() || std::fs::read_dir(&dir).unwrap().count() == 0 {
+    while std::fs::read_dir(&dir).unwrap().count() == 0 {
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
     std::thread::sleep(std::time::Duration::from_millis(100));
-    let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(interrupted.success());
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 0);
+}
+
+#[test]
+fn plots_and_films_are_written_and_named() {
+    let dir = directory("plots");
+    let output = aviary(&["fly", "--task", "multi_hover", "--duration", "1", "--plot", "--json", "--out", text(&dir)]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let files: Vec<&str> = flight["files"].as_array().unwrap().iter().map(|file| file.as_str().unwrap()).collect();
+    let names = ["drone0.csv", "drone1.csv", "summary.json", "flight.svg", "flight.png", "path.svg", "path.png"];
+    assert_eq!(files, names.map(|name| text(&dir.join(name)).to_string()));
+    for name in names {
+        assert!(dir.join(name).metadata().unwrap().len() > 300, "{name}");
+    }
+    image::open(dir.join("flight.png")).unwrap();
+
+    // without a directory it is out/TASK
+    let here = directory("plots-here");
+    std::fs::create_dir_all(&here).unwrap();
+    let fly = ["fly", "--task", "hover", "--duration", "1", "--plot"];
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).current_dir(&here).output().unwrap();
+    assert!(String::from_utf8(output.stdout).unwrap().contains("wrote out/hover/path.png"));
+    assert!(here.join("out/hover/flight.svg").exists() && !here.join("out/hover/drone0.csv").exists());
+
+    if !has_gl() {
+        return;
+    }
+    let frames = dir.join("frames");
+    let film =
+        ["--size", "64x48", "--camera", "top", "--overlay", "trails,references,rings,wind", "--wind", "constant"];
+    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--frames", text(&frames)];
+    let output = aviary(&[&fly[..], &film].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(std::fs::read_dir(&frames).unwrap().count(), 13, "24 a second, and the last moment");
+}
+
+#[test]
+fn what_cannot_be_filmed_is_refused_before_anything_is_flown() {
+    let fly = ["fly", "--task", "hover"];
+    let with = |more: &[&str]| [&fly[..], more].concat().into_iter().map(String::from).collect::<Vec<_>>();
+    for (more, texts) in [
+        (&["--gif", "film.png"][..], &["--gif is `film.png`", "ends in .gif"][..]),
+        (&["--video", "film.avi"], &["--video is `film.avi`", "ends in .mp4"]),
+        (&["--gif", "a.gif", "--overlay", "trials"], &["no overlay `trials`", "did you mean `trails`?"]),
+        (&["--gif", "a.gif", "--camera", "trak"], &["--camera is `trak`", "did you mean `track`?"]),
+        (&["--overlay", "trails"], &["--gif"]),
+    ] {
+        let arguments = with(more);
+        refused(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 2, texts);
+    }
+    if !has_gl() {
+        return;
+    }
+    // no encoder on the path
+    let film = directory("no-encoder").join("film.mp4");
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary"))
+        .args(["fly", "--task", "hover", "--duration", "0.1", "--video", text(&film)])
+        .env("PATH", "")
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
+    assert!(error.contains("`ffmpeg` is not installed") && error.contains("apt-get install ffmpeg"), "{error}");
+    assert_eq!(std::fs::read_dir(film.parent().unwrap()).unwrap().count(), 0);
+}
+
+#[test]
+fn shells_are_told_commands_options_and_names() {
+    for (shell, texts) in [
+        ("bash", &["complete", "multi_hover", "--overlay", "geometric"][..]),
+        ("zsh", &["#compdef aviary", "multi_hover", "mjc_gnd_drag_dw"]),
+        ("fish", &["complete -c aviary", "fly_through"]),
+    ] {
+        let output = aviary(&["completions", shell]);
+        assert!(output.status.success());
+        let script = String::from_utf8(output.stdout).unwrap();
+        for text in texts {
+            assert!(script.contains(text), "{shell}: {text}");
+        }
+    }
+    refused(&["completions", "fisch"], 2, &["fisch", "fish"]);
+}
+
+#[test]
+fn nearest_names_are_suggested_everywhere() {
+    let dir = directory("nearest");
+    std::fs::create_dir_all(&dir).unwrap();
+    let file = dir.join("conditions.toml");
+    std::fs::write(&file, "[wind]\nmodle = \"gust\"\n").unwrap();
+    for (arguments, near) in [
+        (&["flly"][..], "fly"),
+        (&["fly", "--task", "hovr"], "hover"),
+        (&["fly", "--tsk", "hover"], "--task"),
+        (&["fly", "--task", "hover", "--drone", "cf2"], "cf2x"),
+        (&["fly", "--task", "hover", "--physics", "mjc_ground"], "mjc_gnd"),
+        (&["fly", "--task", "hover", "--controller", "geo"], "geometric"),
+        (&["fly", "--task", "hover", "--trajectory", "cirle"], "circle"),
+        (&["fly", "--task", "hover", "--obstacles", "florest"], "forest"),
+        (&["fly", "--task", "hover", "--config", text(&file)], "did you mean `model`"),
+        (&["render", "--task", "hover", "--out", "x.png", "--kind", "deph"], "depth"),
+    ] {
+        refused(arguments, 2, &[near]);
+    }
 }
 
 #[test]
@@ -444,7 +570,11 @@ fn help_and_version_are_no_errors() {
         let output = aviary(arguments);
         assert!(output.status.success() && output.stderr.is_empty() && !output.stdout.is_empty());
     }
-    assert!(String::from_utf8(aviary(&["fly", "--help"]).stdout).unwrap().contains("Examples:"));
+    for command in ["fly", "capture", "render", "replay", "bench", "tasks", "doctor", "completions"] {
+        let help = String::from_utf8(aviary(&[command, "--help"]).stdout).unwrap();
+        assert!(help.contains("Example"), "{command}");
+    }
+    assert!(String::from_utf8(aviary(&["--help"]).stdout).unwrap().contains("Examples:"));
 }
 
 #[test]

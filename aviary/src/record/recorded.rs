@@ -66,7 +66,7 @@ impl<E: Env> Recorded<E> {
 
     fn begin(&mut self) -> Result<(), RecordError> {
         let drones = self.env.simulation().num_drones();
-        let mut recorder = Recorder::create_named(&self.directory, &prefix(self.episodes), drones)?;
+        let mut recorder = Recorder::begin(&self.directory, &prefix(self.episodes), drones)?;
         recorder.record(&self.env)?;
         self.recorder = Some(recorder);
         self.episodes += 1;

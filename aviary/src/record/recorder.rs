@@ -96,12 +96,15 @@ impl Recorder {
     /// As for [`create`](Self::create).
     pub fn create_named(directory: impl AsRef<Path>, prefix: &str, drones: usize) -> Result<Self, RecordError> {
         let directory = directory.as_ref();
-        if !directory.is_dir() {
-            std::fs::create_dir_all(directory).map_err(|error| RecordError::file(directory, error))?;
-        }
+        std::fs::create_dir_all(directory).map_err(|error| RecordError::file(directory, error))?;
         for path in (drones..).map(|drone| file_of(directory, prefix, drone)).take_while(|path| path.exists()) {
             std::fs::remove_file(&path).map_err(|error| RecordError::file(&path, error))?;
         }
+        Self::begin(directory, prefix, drones)
+    }
+
+    /// The same in a directory that is there and has no files of that prefix.
+    pub(super) fn begin(directory: &Path, prefix: &str, drones: usize) -> Result<Self, RecordError> {
         let header = COLUMNS.join(",") + "\n";
         let begin = |drone| {
             let path = file_of(directory, prefix, drone);
@@ -147,54 +150,84 @@ impl Recorder {
     }
 }
 
+/// Columns that every row has; the rest is a reference, where there is one.
+const WITHOUT_REFERENCE: usize = COLUMNS.len() - 4;
+
 /// A row as text. Numbers that are those of the row before are copied from it: a reference that stands still, what is zero.
 #[derive(Debug, Clone, Default)]
 struct Row {
     text: Vec<u8>,
     before: Vec<u8>,
-    /// Bits of every number, and where its text begins and ends.
-    cells: [(u64, usize, usize); COLUMNS.len()],
+    /// Bits of every number of the row before, and where its text ends with the comma after it.
+    bits: [u64; COLUMNS.len()],
+    ends: [usize; COLUMNS.len()],
+    /// How many numbers the row before had.
+    count: usize,
 }
 
 impl Row {
     fn write(&mut self, sample: &Sample, rpy: &[f64]) {
         let Sample { time, state, acceleration, motor_speeds, reward, reference } = sample;
-        std::mem::swap(&mut self.text, &mut self.before);
-        self.text.clear();
-        let mut column = 0;
-        let mut number = |x: f64| {
-            self.number(column, x);
-            column += 1;
+        let mut numbers = [0.0; COLUMNS.len()];
+        let mut count = 0;
+        let mut add = |part: &[f64]| {
+            numbers[count..count + part.len()].copy_from_slice(part);
+            count += part.len();
         };
-        number(*time);
-        state.position.iter().for_each(|&x| number(x));
-        wxyz(&state.attitude).into_iter().for_each(&mut number);
-        rpy.iter().for_each(|&x| number(x));
-        state.velocity.iter().chain(&state.angular_velocity).chain(acceleration).for_each(|&x| number(x));
-        motor_speeds.iter().for_each(|&x| number(x));
-        number(*reward);
-        match reference {
-            Some((position, yaw)) => position.iter().chain([yaw]).for_each(|&x| number(x)),
-            None => {
-                self.text.extend_from_slice(b",,,,");
-                self.cells[COLUMNS.len() - 4..].fill((0, 0, 0));
-            }
+        add(&[*time]);
+        add(state.position.as_slice());
+        add(&wxyz(&state.attitude));
+        add(rpy);
+        add(state.velocity.as_slice());
+        add(state.angular_velocity.as_slice());
+        add(acceleration.as_slice());
+        add(motor_speeds);
+        add(&[*reward]);
+        debug_assert_eq!(count, WITHOUT_REFERENCE);
+        if let Some((position, yaw)) = reference {
+            numbers[WITHOUT_REFERENCE..].copy_from_slice(&[position[0], position[1], position[2], *yaw]);
+            count = COLUMNS.len();
+        }
+        self.format(&numbers[..count]);
+        if count == WITHOUT_REFERENCE {
+            self.text.extend_from_slice(b",,,,");
         }
         self.text.pop();
         self.text.push(b'\n');
     }
 
-    fn number(&mut self, column: usize, x: f64) {
-        let start = self.text.len();
-        let (bits, begin, end) = self.cells[column];
-        if bits == x.to_bits() && end > begin {
-            self.text.extend_from_slice(&self.before[begin..end]);
-        } else {
-            // the shortest text that reads back to the same bits
-            self.text.extend_from_slice(zmij::Buffer::new().format(x).as_bytes());
+    fn format(&mut self, numbers: &[f64]) {
+        std::mem::swap(&mut self.text, &mut self.before);
+        self.text.clear();
+        let mut buffer = zmij::Buffer::new();
+        let mut ends = [0; COLUMNS.len()];
+        let mut column = 0;
+        while column < numbers.len() {
+            // as many as are the same are copied at once
+            let same = |i: &usize| *i < self.count && numbers[*i].to_bits() == self.bits[*i];
+            let run = (column..numbers.len()).take_while(same).count();
+            if run > 0 {
+                let begin = if column > 0 { self.ends[column - 1] } else { 0 };
+                let end = self.ends[column + run - 1];
+                let here = self.text.len();
+                self.text.extend_from_slice(&self.before[begin..end]);
+                // after the last column stood the end of the line
+                self.text[here + end - begin - 1] = b',';
+                for i in column..column + run {
+                    ends[i] = here + self.ends[i] - begin;
+                }
+                column += run;
+            } else {
+                // the shortest text that reads back to the same bits
+                self.text.extend_from_slice(buffer.format(numbers[column]).as_bytes());
+                self.text.push(b',');
+                ends[column] = self.text.len();
+                column += 1;
+            }
         }
-        self.cells[column] = (x.to_bits(), start, self.text.len());
-        self.text.push(b',');
+        self.ends = ends;
+        self.bits.iter_mut().zip(numbers).for_each(|(bits, number)| *bits = number.to_bits());
+        self.count = numbers.len();
     }
 }
 

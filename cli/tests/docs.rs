@@ -1,0 +1,160 @@
+//! Every command that README and guides show is run, or, where it would take too long here, is one that is there.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
+}
+
+fn pages() -> Vec<PathBuf> {
+    let guides = std::fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
+    let mut pages: Vec<_> = guides.filter(|path| path.extension().is_some_and(|ending| ending == "md")).collect();
+    pages.extend([root().join("README.md"), root().join("ARCHITECTURE.md")]);
+    pages.sort();
+    pages
+}
+
+/// Blocks of a language.
+fn blocks(page: &str, language: &str) -> Vec<String> {
+    let start = format!("```{language}\n");
+    page.split(&start).skip(1).filter_map(|rest| rest.split("\n```").next()).map(str::to_string).collect()
+}
+
+/// Commands: every line of a shell block, and what stands in backquotes and begins like one.
+fn commands(page: &str) -> Vec<String> {
+    let mut commands: Vec<String> = Vec::new();
+    for block in blocks(page, "sh") {
+        commands.extend(block.lines().filter(|line| !line.trim().is_empty()).map(str::to_string));
+    }
+    let mut inside = false;
+    for line in page.lines() {
+        if line.starts_with("```") {
+            inside = !inside;
+        } else if !inside {
+            let quoted = line.split('`').skip(1).step_by(2);
+            // a word in capitals stands for something
+            let general = |text: &str| {
+                text.split(' ').any(|word| {
+                    word.len() > 1 && word.trim_end_matches(char::is_numeric).chars().all(|c| c.is_ascii_uppercase())
+                        || word.contains("FILE")
+                        || word == "T"
+                })
+            };
+            commands.extend(
+                quoted
+                    .filter(|text| text.starts_with("aviary ") || text.starts_with("cargo "))
+                    .filter(|text| !general(text) && !text.contains('…'))
+                    .map(str::to_string),
+            );
+        }
+    }
+    commands.sort();
+    commands.dedup();
+    commands
+}
+
+fn has_gl() -> bool {
+    mujoco_rs::gl_info().is_ok()
+}
+
+/// Runs a command line of the program in a directory.
+fn run(directory: &Path, line: &str) {
+    let mut words: Vec<&str> = line.split_whitespace().collect();
+    let draws = ["render", "capture", "doctor"].contains(&words[0])
+        || words.iter().any(|word| ["--gif", "--video", "--frames"].contains(word));
+    if draws && !has_gl() {
+        return;
+    }
+    if words[0] == "bench" && !words.contains(&"--quick") {
+        words.push("--quick");
+    }
+    if words.contains(&"--video") && Command::new("ffmpeg").arg("-version").output().is_err() {
+        return;
+    }
+    // pictures of a second look like those of ten
+    if words.contains(&"--gif") && !words.contains(&"--duration") {
+        words.extend(["--duration", "1"]);
+    }
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(&words).current_dir(directory).output().unwrap();
+    assert!(output.status.success(), "aviary {line}: {}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Looks whether what cargo is told to run is there.
+fn look_for(line: &str) {
+    let words: Vec<&str> = line.split_whitespace().collect();
+    for pair in words.windows(2) {
+        let name = pair[1];
+        let places = match pair[0] {
+            "--example" => vec![format!("examples/{name}.rs")],
+            "--bench" => vec![format!("benches/{name}.rs")],
+            "--test" => ["tests", "mujoco-rs/tests", "cli/tests"].map(|place| format!("{place}/{name}.rs")).into(),
+            "-p" | "--path" => ["", "assets/"].map(|place| format!("{place}{name}/Cargo.toml")).into(),
+            _ => continue,
+        };
+        assert!(places.iter().any(|place| root().join(place).exists()), "{line}: no {places:?}");
+    }
+}
+
+#[test]
+fn every_command_of_the_documentation_works() {
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("documentation");
+    let _ = std::fs::remove_dir_all(&directory);
+    std::fs::create_dir_all(&directory).unwrap();
+    for name in ["assets", "tests"] {
+        std::os::unix::fs::symlink(root().join(name), directory.join(name)).unwrap();
+    }
+    let airframe = &blocks(&std::fs::read_to_string(root().join("docs/airframes.md")).unwrap(), "toml")[0];
+    std::fs::write(directory.join("my_quad.toml"), airframe).unwrap();
+    let mut count = 0;
+    for page in pages() {
+        for command in commands(&std::fs::read_to_string(&page).unwrap()) {
+            for part in command.split(" && ") {
+                let part = part.trim();
+                count += 1;
+                if let Some(line) = part.strip_prefix("aviary ").or(part.strip_prefix("cargo run --release -p cli -- "))
+                {
+                    // what a shell would do with the output is no part of it
+                    run(&directory, line.split(" > ").next().unwrap());
+                } else if part.starts_with("cargo ") {
+                    look_for(part);
+                } else {
+                    let known = ["./setup", "git clone ", "cd "].iter().any(|start| part.starts_with(start));
+                    assert!(known || part.contains("aviary doctor"), "{}: {part}", page.display());
+                }
+            }
+        }
+    }
+    assert!(count > 60, "{count} commands");
+}
+
+#[test]
+fn links_and_pictures_of_the_documentation_are_there() {
+    for page in pages() {
+        let text = std::fs::read_to_string(&page).unwrap();
+        for target in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+            let path = target.split('#').next().unwrap();
+            if path.is_empty() || path.contains("://") {
+                continue;
+            }
+            assert!(page.parent().unwrap().join(path).exists(), "{}: {target}", page.display());
+        }
+    }
+}
+
+#[test]
+fn the_pictures_of_the_documentation_are_no_more_than_3_mb() {
+    let pictures = std::fs::read_dir(root().join("assets/pictures")).unwrap();
+    let bytes: u64 = pictures.map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
+    assert!(bytes < 3_000_000, "{bytes}");
+}
+
+/// A task of one's own begins with this manifest.
+#[test]
+fn the_manifest_of_the_guide_is_one() {
+    let text = std::fs::read_to_string(root().join("docs/tasks.md")).unwrap();
+    let manifest = &blocks(&text, "toml")[0];
+    for line in ["edition = \"2024\"", "mujoco-drones-gym = { path = ", "[profile.dev]"] {
+        assert!(manifest.contains(line), "{line}");
+    }
+}
