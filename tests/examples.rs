@@ -4,6 +4,8 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use mujoco_drones_gym::mujoco::{Error, gl_info};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::record::Flight;
 
 /// Runs an example and gives the directory that it wrote to; `None` where there is nothing to draw with or where this
 /// test alone was built.
@@ -51,14 +53,88 @@ fn downwash_raises_the_lower_drones_thrust() {
 }
 
 #[test]
+fn hover_is_filmed_recorded_and_plotted() {
+    let Some((directory, printed)) = run("hover", &["1"]) else { return };
+    for name in ["hover.gif", "hover.png", "flight.png", "path.png"] {
+        assert!(directory.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
+    }
+    assert_eq!(Flight::read(directory.path()).unwrap().drones[0].len(), 49);
+    assert_eq!(printed.lines().count(), 6, "{printed}");
+}
+
+#[test]
+fn a_formation_is_drawn_with_the_ways_of_its_drones() {
+    let Some((directory, printed)) = run("formation", &["6", "4"]) else { return };
+    for name in ["formation.png", "flight.svg", "path.svg"] {
+        assert!(directory.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
+    }
+    let worst: f64 = printed.lines().last().unwrap().split_whitespace().rev().nth(1).unwrap().parse().unwrap();
+    assert!(worst < 5.0, "{printed}");
+}
+
+#[test]
+fn a_batch_is_flown_and_its_heights_plotted() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(printed) = print("batch", &[&directory.path().to_string_lossy(), "1", "256"]) else { return };
+    assert!(directory.path().join("batch.svg").metadata().unwrap().len() > 5_000);
+    assert!(printed.contains("million environment steps a second") && printed.contains("by the flight kernel"));
+}
+
+#[test]
+fn an_airframe_of_ones_own_flies() {
+    let Some((directory, printed)) = run("custom_airframe", &["6"]) else { return };
+    let courier = DroneParams::from_file(directory.path().join("courier.toml")).unwrap();
+    assert!(printed.contains(&format!("{:.0} rpm", courier.hover_rpm())));
+    let off: f64 = printed.lines().last().unwrap().split_whitespace().next().unwrap().parse().unwrap();
+    assert!(off < 2.0, "{printed}");
+}
+
+#[test]
+fn a_dataset_has_three_pictures_and_a_pose_for_every_frame() {
+    let Some((directory, _)) = run("camera_dataset", &["3"]) else { return };
+    for kind in ["rgb", "depth", "objects"] {
+        for frame in 0..3 {
+            assert!(directory.path().join(format!("{kind}_{frame:05}.png")).exists(), "{kind} {frame}");
+        }
+    }
+    assert_eq!(std::fs::read_to_string(directory.path().join("poses.csv")).unwrap().lines().count(), 4);
+    assert!(directory.path().join("sheet.png").metadata().unwrap().len() > 5_000);
+}
+
+#[test]
 fn pid_flies_the_three_demos() {
     let Some((directory, printed)) = run("pid", &["3"]) else { return };
-    for name in ["hover", "square", "swarm"] {
-        let csv = std::fs::read_to_string(directory.path().join(name).with_extension("csv")).unwrap();
-        assert!(csv.lines().count() > 3 * 48, "{name}");
-        assert!(directory.path().join(name).with_extension("svg").exists());
+    for (name, drones) in [("hover", 1), ("square", 1), ("swarm", 3)] {
+        let flight = Flight::read(directory.path().join(name)).unwrap();
+        assert_eq!((flight.drones.len(), flight.drones[0].len()), (drones, 3 * 48 + 1), "{name}");
+        for plot in ["flight.svg", "path.svg"] {
+            assert!(directory.path().join(name).join(plot).exists());
+        }
     }
     assert!(directory.path().join("swarm.png").exists() && printed.lines().count() == 4);
+}
+
+/// The README tells what the wind example prints.
+#[test]
+fn the_drift_in_the_readme_is_what_the_example_prints() {
+    let Some((_directory, printed)) = run("wind", &[]) else { return };
+    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
+    for line in printed.lines().filter(|line| line.contains("downwind")) {
+        let number = line.split(": ").nth(1).unwrap().split(" cm").next().unwrap();
+        assert!(readme.contains(&format!("{number} cm")), "{line}");
+    }
+}
+
+/// Every example has a test in this file and is no longer than a screen or two.
+#[test]
+fn every_example_is_tested_and_short() {
+    let tests = include_str!("examples.rs");
+    for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/examples")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+        assert!(tests.contains(&format!("(\"{name}\"")), "no test runs {name}");
+        assert!(std::fs::read_to_string(&path).unwrap().lines().count() < 80, "{name}");
+    }
 }
 
 #[test]

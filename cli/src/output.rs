@@ -7,6 +7,8 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context as _, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
 use tempfile::NamedTempFile;
 
 use crate::failure::Failure;
@@ -48,11 +50,15 @@ fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
 /// Removes unfinished files when the program is interrupted; a normal end removes its own.
 pub fn clean_up_when_interrupted() {
     // without a handler an interruption leaves a file behind, which is no reason not to work
-    let _ = ctrlc::set_handler(|| {
-        for path in unfinished().iter() {
-            let _ = fs::remove_file(path);
+    let Ok(mut signals) = Signals::new([SIGINT, SIGTERM, SIGHUP]) else { return };
+    std::thread::spawn(move || {
+        if let Some(signal) = signals.forever().next() {
+            for path in unfinished().iter() {
+                let _ = fs::remove_file(path);
+            }
+            // at once: an orderly exit would take OpenGL down under a thread that draws
+            signal_hook::low_level::exit(128 + signal);
         }
-        std::process::exit(130);
     });
 }
 

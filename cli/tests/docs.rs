@@ -45,6 +45,8 @@ fn commands(page: &str) -> Vec<String> {
                 quoted
                     .filter(|text| text.starts_with("aviary ") || text.starts_with("cargo "))
                     .filter(|text| !general(text) && !text.contains('…'))
+                    // the name of a command alone is no command line
+                    .filter(|text| !["aviary fly", "aviary capture", "aviary render", "aviary replay"].contains(text))
                     .map(str::to_string),
             );
         }

@@ -337,6 +337,12 @@ impl Scene {
             return false;
         };
         let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        // with shadows everything is drawn again for every light that casts them, and added up: lines, which have no light, would be
+        // so much brighter
+        let shadows = self.raw.flags[mujoco_sys::mjtRndFlag_::mjRND_SHADOW as usize] != 0;
+        let lights = &self.raw.lights[..usize::try_from(self.raw.nlight).unwrap_or(0).min(self.raw.lights.len())];
+        let passes =
+            1.0 + if shadows { lights.iter().filter(|light| light.castshadow != 0).count() as f32 } else { 0.0 };
         // SAFETY: the slot lies within the buffer of maxgeom entries; the calls fill it.
         unsafe {
             let target = self.raw.geoms.add(slot);
@@ -362,8 +368,8 @@ impl Scene {
                 Decor::Line { from, to, width } => {
                     init(geom::mjGEOM_LINE, [width; 3], from);
                     connect(geom::mjGEOM_LINE, width, from, to);
-                    // MuJoCo draws lines twice as bright as their colour
-                    (*target).rgba = [0.5 * rgba[0], 0.5 * rgba[1], 0.5 * rgba[2], rgba[3]];
+                    let dim = 1.0 / passes;
+                    (*target).rgba = [dim * rgba[0], dim * rgba[1], dim * rgba[2], rgba[3]];
                 }
                 Decor::Arrow { from, to, radius } => {
                     init(geom::mjGEOM_ARROW, [radius; 3], from);

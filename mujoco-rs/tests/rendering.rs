@@ -247,7 +247,7 @@ fn decoration_is_seen_in_colour_but_is_no_object() {
     assert!(with[middle + 2] > 100 && with[middle] < 60, "{:?}", &with[middle..middle + 3]);
     assert!(with != before);
     assert_eq!(studio.segmentation(size), objects);
-    // a line has its colour, in any light
+    // a line has its colour, whatever the light
     let line = Decor::Line { from: [-0.5, -1.5, 0.5], to: [0.5, -1.5, 0.5], width: 7.0 };
     assert!(studio.scene.add(line, [0.2, 0.8, 0.4, 1.0]));
     let with = studio.rgb(size);
@@ -258,6 +258,22 @@ fn decoration_is_seen_in_colour_but_is_no_object() {
     assert!((50..10_000).contains(&room), "room for {room} more, and no more");
     studio.see("ahead");
     assert_eq!(studio.rgb(size), before);
+}
+
+/// They were twice as bright with shadows as without.
+#[test]
+fn a_line_has_its_colour_with_shadows_too() {
+    for shadows in [false, true] {
+        let Some(mut studio) = studio(ROOM, Quality::PRETTY) else { return };
+        studio.scene.set_effects(Effects { shadows, ..Effects::default() });
+        studio.see("ahead");
+        let line = Decor::Line { from: [-0.5, -1.5, 0.5], to: [0.5, -1.5, 0.5], width: 9.0 };
+        assert!(studio.scene.add(line, [0.2, 0.8, 0.4, 1.0]));
+        let picture = studio.rgb(SIZES[0]);
+        let seen = &picture[3 * (24 * 64 + 32)..][..3];
+        let off = seen.iter().zip([51, 204, 102]).map(|(&got, wanted)| (i32::from(got) - wanted).abs()).max();
+        assert!(off.unwrap() < 6, "{shadows}: {seen:?}");
+    }
 }
 
 #[test]

@@ -213,8 +213,8 @@ impl Row {
                 self.text.extend_from_slice(&self.before[begin..end]);
                 // after the last column stood the end of the line
                 self.text[here + end - begin - 1] = b',';
-                for i in column..column + run {
-                    ends[i] = here + self.ends[i] - begin;
+                for (end, before) in ends.iter_mut().zip(&self.ends).skip(column).take(run) {
+                    *end = here + before - begin;
                 }
                 column += run;
             } else {

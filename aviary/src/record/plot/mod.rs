@@ -43,7 +43,7 @@ fn bytes_of(index: usize, count: usize) -> [u8; 3] {
     // round the circle of hues, lighter and darker in turn
     let wave = |shift: f64| {
         let turn = index as f64 / count as f64 + shift;
-        let light = if index % 2 == 0 { 0.55 } else { 0.4 };
+        let light = if index.is_multiple_of(2) { 0.55 } else { 0.4 };
         (255.0 * (light + 0.38 * (std::f64::consts::TAU * turn).cos())).round() as u8
     };
     [wave(0.0), wave(1.0 / 3.0), wave(2.0 / 3.0)]
