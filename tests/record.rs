@@ -218,9 +218,8 @@ fn a_file_that_is_no_flight_is_refused_by_line_and_column() {
     assert!(refused("").contains("empty"));
     assert!(refused("t,x,y\n1,2,3\n").contains("line 1"));
     assert!(refused(&format!("{header}\n1,2,3\n")).contains("line 2: 3 columns, expected 29"));
-    let row = |cell: &str| {
-        format!("{header}\n{}\n{}\n", vec!["0"; 29].join(","), vec!["1", cell].join(",") + &",1".repeat(27))
-    };
+    let row =
+        |cell: &str| format!("{header}\n{}\n{}\n", vec!["0"; 29].join(","), ["1", cell].join(",") + &",1".repeat(27));
     for bad in ["NaN", "inf", "one", "1e999"] {
         let message = refused(&row(bad));
         assert!(message.contains("line 3: x_m is") && message.contains(bad), "{message}");
