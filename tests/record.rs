@@ -124,6 +124,65 @@ fn episodes_of_a_wrapped_environment_lie_beside_each_other_and_nothing_is_overwr
     assert!(Recorded::new(build(), &file).unwrap_err().to_string().contains("file"));
 }
 
+/// A recorder in a loop over episodes is made before the one of the episode before is dropped, which ended the program.
+#[test]
+fn a_flight_recorded_again_replaces_the_one_before() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut env = Hover::builder().build().unwrap();
+    let mut recorder = Recorder::create(directory.path(), 1).unwrap();
+    for episode in 0..3 {
+        env.reset(Some(episode)).unwrap();
+        for step in 0..400 {
+            recorder.record(&env).unwrap();
+            if env.info().end.is_none() {
+                env.step(&action(step, 4)).unwrap();
+            }
+        }
+        assert_eq!(Flight::read(directory.path()).unwrap().drones[0].len(), 400);
+        recorder = Recorder::create(directory.path(), 1).unwrap();
+    }
+    assert_eq!(Flight::read(directory.path()).unwrap().drones[0].len(), 0);
+}
+
+/// Both took the same numbers, and a number that was free in between was followed by ones that were not.
+#[test]
+fn two_environments_may_be_recorded_into_one_directory() {
+    let directory = tempfile::tempdir().unwrap();
+    let new = || Recorded::new(Hover::builder().build().unwrap(), directory.path()).unwrap();
+    let rows = |episode: usize| {
+        Flight::read_named(directory.path(), &format!("episode_{episode:04}_"))
+            .map_or(0, |flight| flight.drones[0].len())
+    };
+    let mut envs = [new(), new()];
+    for (index, steps) in [(0, 10), (1, 20), (0, 30)] {
+        let env = &mut envs[index];
+        env.reset(Some(1)).unwrap();
+        (0..steps).for_each(|_| drop(env.step(&[0.05; 4]).unwrap().reward));
+    }
+    assert_eq!([rows(0), rows(1), rows(2)], [11, 21, 31]);
+    std::fs::remove_file(directory.path().join("episode_0000_drone0.csv")).unwrap();
+    let mut third = new();
+    for steps in [3, 4] {
+        third.reset(None).unwrap();
+        (0..steps).for_each(|_| drop(third.step(&[0.05; 4]).unwrap().reward));
+    }
+    assert_eq!([rows(0), rows(1), rows(2), rows(3)], [4, 21, 31, 5]);
+}
+
+#[test]
+fn rewards_that_are_no_numbers_read_back_as_they_are() {
+    let directory = tempfile::tempdir().unwrap();
+    let simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
+    let mut recorder = Recorder::create(directory.path(), 1).unwrap();
+    for reward in [f64::NAN, f64::NEG_INFINITY, -0.0, 1e-300] {
+        recorder.record_with(&simulation, |_| (reward, None)).unwrap();
+    }
+    let flight = Flight::read(directory.path()).unwrap();
+    let rewards: Vec<_> = flight.drones[0].iter().map(|sample| sample.reward).collect();
+    assert!(rewards[0].is_nan() && rewards[1] == f64::NEG_INFINITY && rewards[2].to_bits() == (-0.0_f64).to_bits());
+    assert_eq!((rewards[3], flight.drones[0][3].reference), (1e-300, None));
+}
+
 /// What the two tests below start as a program of its own; by itself it does nothing.
 #[test]
 fn a_program_that_records_and_ends_badly() {
@@ -279,6 +338,28 @@ fn every_overlay_is_seen() {
         let with = last_frame(overlays, View::Top).unwrap();
         let changed = plain.chunks(3).zip(with.chunks(3)).filter(|(a, b)| a != b).count();
         assert!((10..16_000).contains(&changed), "{name}: {changed} pixels");
+    }
+}
+
+/// It made no more pictures after the first episode, unless it was shown the moment of the reset.
+#[test]
+fn a_film_goes_on_from_episode_to_episode() {
+    if mujoco_drones_gym::mujoco::gl_info().is_err() {
+        return;
+    }
+    let size = ImageSize { width: 32, height: 24 };
+    let mut env = Hover::builder().ctrl_freq(40).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    let mut film = Film::new(&env, View::Track, size, Overlays::ALL).unwrap();
+    assert!((film.seconds_per_frame() - 0.05).abs() < 1e-12, "20 a second are nearer to 24 than 40 are");
+    for _ in 0..3 {
+        env.reset(None).unwrap();
+        let mut frames = 0;
+        for _ in 0..40 {
+            env.step(&[0.05; 4]).unwrap();
+            frames += usize::from(film.look(&env).unwrap().is_some());
+        }
+        assert_eq!(frames, 20);
     }
 }
 

@@ -32,7 +32,15 @@ pub fn report(failure: &Failure) -> ExitCode {
         Failure::Input(error) => (error, 2),
         Failure::Work(error) => (error, 1),
     };
-    line(&format!("{error:#}"));
+    // some errors repeat what is behind them
+    let mut message = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if !message.contains(&cause) {
+            message += if message.is_empty() { "" } else { ": " };
+            message += &cause;
+        }
+    }
+    line(&message);
     ExitCode::from(status)
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::anyhow;
+use anyhow::{Context as _, anyhow};
 use aviary::record::Overlays;
 use aviary::record::animation::{Animation, GifAnimation, Mp4, PngSequence};
 use aviary::vision::{ImageSize, View};
@@ -123,7 +123,7 @@ impl Film {
             gif.finish().map_err(Failure::work)?.keep()?;
         }
         if let Some((video, file)) = self.video {
-            video.finish().map_err(Failure::work)?;
+            video.finish().with_context(|| file.target().display().to_string()).map_err(Failure::work)?;
             file.keep()?;
         }
         Ok(())
@@ -140,8 +140,8 @@ fn put(
     if let Some(gif) = gif {
         gif.frame(rgb).map_err(Failure::work)?;
     }
-    if let Some((video, _)) = video {
-        video.frame(rgb).map_err(Failure::work)?;
+    if let Some((video, file)) = video {
+        video.frame(rgb).with_context(|| file.target().display().to_string()).map_err(Failure::work)?;
     }
     match frames {
         Some(frames) => frames.frame(rgb).map_err(Failure::work),

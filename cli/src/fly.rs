@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::anyhow;
+use anyhow::{Context as _, anyhow};
 use aviary::control::ControllerKind;
 use aviary::env::{Env, Info};
 use aviary::record::plot::Plot;
@@ -31,7 +31,8 @@ use crate::pilot::Pilot;
 pub struct Fly {
     #[command(flatten)]
     options: FlightOptions,
-    /// Directory for the flight's log (drone0.csv, one file per drone) and summary (summary.json)
+    /// Directory for the flight's log (drone0.csv, one file per drone, row by row while it is flown, so that it is there whatever
+    /// ends the flight) and summary (summary.json)
     #[arg(long)]
     out: Option<PathBuf>,
     /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png), into the directory of --out or
@@ -52,6 +53,13 @@ impl Fly {
         let plots = self.plot.then(|| self.out.clone().unwrap_or_else(|| Path::new("out").join(pilot.env().name())));
         let plots = plots.as_deref().map(OutputDir::create).transpose()?;
         let out = self.out.as_deref().map(OutputDir::create).transpose()?;
+        // what an earlier flight left there is not this one's
+        for (dir, names) in [(&out, &["summary.json"][..]), (&out, &PLOTS), (&plots, &PLOTS)] {
+            let stale = dir.iter().flat_map(|dir| names.iter().map(|name| dir.path().join(name)));
+            for path in stale.filter(|path| path.is_file()) {
+                std::fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
+            }
+        }
         let film = self.film.begin(&pilot)?;
         let (flight, samples) = self.flight(&mut pilot, out.as_ref(), film)?;
 
@@ -72,7 +80,8 @@ impl Fly {
         }
         if self.json {
             let mut summary = summary;
-            summary["files"] = json!(written);
+            // names need not be text
+            summary["files"] = written.iter().map(|path| path.to_string_lossy()).collect();
             output::print_json(&summary)?;
         } else {
             output::print(&flight.table(pilot.env()))?;
@@ -180,6 +189,9 @@ impl Log {
         }
     }
 }
+
+/// The files of `--plot`.
+const PLOTS: [&str; 4] = ["flight.svg", "flight.png", "path.svg", "path.png"];
 
 /// Position error below which a flight along a trajectory has ended where it should, m.
 const ON_TRAJECTORY: f64 = 0.05;

@@ -7,7 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context as _, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tempfile::NamedTempFile;
 
@@ -50,7 +50,7 @@ fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
 /// Removes unfinished files when the program is interrupted; a normal end removes its own.
 pub fn clean_up_when_interrupted() {
     // without a handler an interruption leaves a file behind, which is no reason not to work
-    let Ok(mut signals) = Signals::new([SIGINT, SIGTERM, SIGHUP]) else { return };
+    let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
     std::thread::spawn(move || {
         if let Some(signal) = signals.forever().next() {
             for path in unfinished().iter() {
@@ -96,6 +96,11 @@ impl OutputFile {
     pub fn into_writer(self) -> FileWriter {
         let file = BufWriter::new(self.file);
         FileWriter { file, path: self.path }
+    }
+
+    /// Where it is to be.
+    pub fn target(&self) -> &Path {
+        &self.path
     }
 
     /// Where it is while it is being written.
@@ -148,13 +153,20 @@ impl FileWriter {
     }
 }
 
+/// An error about the file that is to be there, not about the temporary one.
+fn of_target(path: &Path, error: &std::io::Error) -> std::io::Error {
+    std::io::Error::new(error.kind(), format!("{}: {}", path.display(), error.kind()))
+}
+
 impl Write for FileWriter {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        self.file.write(bytes)
+        let Self { file, path } = self;
+        file.write(bytes).map_err(|error| of_target(path, &error))
     }
 
     fn flush(&mut self) -> std::io::Result<()> {
-        self.file.flush()
+        let Self { file, path } = self;
+        file.flush().map_err(|error| of_target(path, &error))
     }
 }
 

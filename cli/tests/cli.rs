@@ -343,6 +343,7 @@ fn an_interrupted_flight_leaves_its_log_and_nothing_else() {
             .unwrap();
         let rows = || aviary::record::Flight::read(&dir).map_or(0, |flight| flight.drones[0].len());
         while rows() < 200 {
+            assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
             std::thread::sleep(std::time::Duration::from_millis(10));
         }
         let interrupted = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
@@ -366,6 +367,7 @@ fn an_interrupted_capture_or_film_leaves_no_half_of_a_file() {
         .spawn()
         .unwrap();
     while std::fs::read_dir(&dir).unwrap().count() == 0 {
+        assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
     std::thread::sleep(std::time::Duration::from_millis(100));
@@ -387,6 +389,16 @@ fn plots_and_films_are_written_and_named() {
         assert!(dir.join(name).metadata().unwrap().len() > 300, "{name}");
     }
     image::open(dir.join("flight.png")).unwrap();
+
+    // another flight in the same place leaves nothing of this one, and names need not be text
+    let output = aviary(&["fly", "--task", "hover", "--duration", "1", "--out", text(&dir)]);
+    assert!(output.status.success());
+    assert!(!dir.join("drone1.csv").exists() && !dir.join("path.png").exists() && dir.join("drone0.csv").exists());
+    use std::os::unix::ffi::OsStrExt as _;
+    let odd = dir.join(std::ffi::OsStr::from_bytes(b"o\xff"));
+    let fly = ["fly", "--task", "hover", "--duration", "0.1", "--json", "--out"];
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).arg(&odd).output().unwrap();
+    assert!(output.status.success() && odd.join("drone0.csv").exists());
 
     // without a directory it is out/TASK
     let here = directory("plots-here");

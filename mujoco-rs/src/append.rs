@@ -3,7 +3,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek as _, SeekFrom, Write as _};
 use std::path::Path;
-use std::sync::atomic::{Ordering, compiler_fence};
+use std::sync::atomic::{AtomicU8, Ordering};
 
 use memmap2::{MmapMut, MmapOptions};
 
@@ -50,12 +50,23 @@ impl AppendFile {
     /// Bytes by which the file grows.
     const GROWTH: u64 = 1 << 16;
 
-    /// Begins a file; one that is there is replaced.
+    /// Begins a file. One that is there loses its name and is otherwise left alone: somebody may be writing to it.
     ///
     /// # Errors
     /// The system's.
     pub fn create(path: impl AsRef<Path>) -> io::Result<Self> {
-        let file = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path)?;
+        match std::fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            _ => Self::create_new(path),
+        }
+    }
+
+    /// Begins a file where there is none.
+    ///
+    /// # Errors
+    /// [`AlreadyExists`](io::ErrorKind::AlreadyExists) where there is one, else the system's.
+    pub fn create_new(path: impl AsRef<Path>) -> io::Result<Self> {
+        let file = OpenOptions::new().read(true).write(true).create_new(true).open(path)?;
         let mut file = Self { file, window: None, start: 0, end: 0, length: 0 };
         file.grow()?;
         Ok(file)
@@ -79,9 +90,8 @@ impl AppendFile {
         // the first byte last: until then it is an empty line that stands there, which is how a line is known that a killed
         // program has not finished
         cells[1..].copy_from_slice(rest);
-        compiler_fence(Ordering::SeqCst);
-        // SAFETY: a reference to a byte is valid for writing it.
-        unsafe { std::ptr::write_volatile(&mut cells[0], first) };
+        // SAFETY: the byte is borrowed mutably here, so that nobody else in the program uses it in any way meanwhile.
+        unsafe { AtomicU8::from_ptr(&mut cells[0]) }.store(first, Ordering::Release);
         self.end += line.len() as u64;
         Ok(())
     }
@@ -93,15 +103,16 @@ impl AppendFile {
 
     /// Makes room for more lines.
     fn grow(&mut self) -> io::Result<()> {
-        // written, not only reserved: a full disk is an error here and not a signal later
+        // written, not only reserved: a full disk is an error here and not a signal later (but for file systems that copy what is
+        // written to)
         self.file.seek(SeekFrom::Start(self.length))?;
         self.file.write_all(&EMPTY)?;
         self.length += Self::GROWTH;
         self.start = self.end;
         let mut options = MmapOptions::new();
         options.offset(self.start).len((self.length - self.start) as usize);
-        // SAFETY: the range lies within the file, which this value has open for writing. Its bytes are only ever written
-        // here, one at a time; that others must not cut it is said above.
+        // SAFETY: the range lies within the file, which this value has made and has open for writing. Its bytes are only ever
+        // written here; that others must not cut it is said above.
         self.window = unsafe { options.map_mut(&self.file) }.ok();
         if self.window.is_none() {
             // line by line then, with a call for each
@@ -156,6 +167,23 @@ mod tests {
     fn a_place_that_cannot_be_written_is_an_error() {
         assert!(AppendFile::create("/no/such/directory/file.csv").is_err());
         assert!(AppendFile::create(std::env::temp_dir()).is_err());
+    }
+
+    /// It cut the file that the first one was writing to, which ended the program.
+    #[test]
+    fn a_file_begun_again_is_another_one() {
+        let path = path("again");
+        let mut first = AppendFile::create(&path).unwrap();
+        first.append(b"first\n").unwrap();
+        let mut second = AppendFile::create(&path).unwrap();
+        assert_eq!(AppendFile::create_new(&path).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        (0..20_000).for_each(|_| second.append(b"second\n").unwrap());
+        (0..20_000).for_each(|_| first.append(b"first\n").unwrap());
+        drop(first);
+        (0..20_000).for_each(|_| second.append(b"second\n").unwrap());
+        drop(second);
+        assert_eq!(std::fs::read(&path).unwrap(), b"second\n".repeat(40_000));
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

@@ -239,13 +239,17 @@ impl Renderer {
         let depth = depth.map_or(std::ptr::null_mut(), <[f32]>::as_mut_ptr);
         let viewport = mujoco_sys::mjrRect { left: 0, bottom: 0, width: size.width as i32, height: size.height as i32 };
         let raw = &mut self.raw.0;
-        self.gl.current(|| {
+        let passes = if self.quality.shadow_map > 0 { scene.passes() } else { 1.0 };
+        scene.scale_lines(1.0 / passes);
+        let drawn = self.gl.current(|| {
             let _lock = drawing();
             // SAFETY: the context is current, the scene is one of the context's model, and the buffers are null or
             // have the length of the viewport, which their callers have checked.
             let status = unsafe { mujoco_sys::mjshim_draw(viewport, &mut *scene.raw, &mut **raw, rgb, depth) };
             guarded("mjr_render", status)
-        })?
+        });
+        scene.scale_lines(passes);
+        drawn?
     }
 
     /// Makes room for a picture of this size.

@@ -337,12 +337,6 @@ impl Scene {
             return false;
         };
         let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-        // with shadows everything is drawn again for every light that casts them, and added up: lines, which have no light, would be
-        // so much brighter
-        let shadows = self.raw.flags[mujoco_sys::mjtRndFlag_::mjRND_SHADOW as usize] != 0;
-        let lights = &self.raw.lights[..usize::try_from(self.raw.nlight).unwrap_or(0).min(self.raw.lights.len())];
-        let passes =
-            1.0 + if shadows { lights.iter().filter(|light| light.castshadow != 0).count() as f32 } else { 0.0 };
         // SAFETY: the slot lies within the buffer of maxgeom entries; the calls fill it.
         unsafe {
             let target = self.raw.geoms.add(slot);
@@ -368,8 +362,6 @@ impl Scene {
                 Decor::Line { from, to, width } => {
                     init(geom::mjGEOM_LINE, [width; 3], from);
                     connect(geom::mjGEOM_LINE, width, from, to);
-                    let dim = 1.0 / passes;
-                    (*target).rgba = [dim * rgba[0], dim * rgba[1], dim * rgba[2], rgba[3]];
                 }
                 Decor::Arrow { from, to, radius } => {
                     init(geom::mjGEOM_ARROW, [radius; 3], from);
@@ -383,6 +375,29 @@ impl Scene {
         self.full += 1;
         self.raw.ngeom = self.full;
         true
+    }
+
+    /// How often a renderer with a shadow map draws everything, and adds it up: once more for every light that casts shadows.
+    pub(crate) fn passes(&self) -> f32 {
+        let lights = &self.raw.lights[..usize::try_from(self.raw.nlight).unwrap_or(0).min(self.raw.lights.len())];
+        match self.raw.flags[mujoco_sys::mjtRndFlag_::mjRND_SHADOW as usize] {
+            0 => 1.0,
+            _ => 1.0 + lights.iter().filter(|light| light.castshadow != 0).count() as f32,
+        }
+    }
+
+    /// Makes lines so many times as bright: they have no light, so that passes add up.
+    pub(crate) fn scale_lines(&mut self, factor: f32) {
+        let count = usize::try_from(self.raw.ngeom).unwrap_or(0);
+        if factor == 1.0 || count == 0 {
+            return;
+        }
+        // SAFETY: as for `geoms`, and borrowed mutably.
+        let geoms = unsafe { std::slice::from_raw_parts_mut(self.raw.geoms, count) };
+        let line = mujoco_sys::mjtGeom_::mjGEOM_LINE as i32;
+        for geom in geoms.iter_mut().filter(|geom| geom.type_ == line) {
+            geom.rgba[..3].iter_mut().for_each(|x| *x *= factor);
+        }
     }
 
     /// Distances of the near and far plane from the camera, along its axis, m.

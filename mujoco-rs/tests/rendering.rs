@@ -263,8 +263,8 @@ fn decoration_is_seen_in_colour_but_is_no_object() {
 /// They were twice as bright with shadows as without.
 #[test]
 fn a_line_has_its_colour_with_shadows_too() {
-    for shadows in [false, true] {
-        let Some(mut studio) = studio(ROOM, Quality::PRETTY) else { return };
+    for (shadows, quality) in [(false, Quality::PRETTY), (true, Quality::PRETTY), (true, Quality::FAST)] {
+        let Some(mut studio) = studio(ROOM, quality) else { return };
         studio.scene.set_effects(Effects { shadows, ..Effects::default() });
         studio.see("ahead");
         let line = Decor::Line { from: [-0.5, -1.5, 0.5], to: [0.5, -1.5, 0.5], width: 9.0 };

@@ -6,6 +6,7 @@ use super::plot::colour_of;
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::env::{Env, EnvError};
+use crate::physics::wind::WindModel;
 use crate::simulation::Simulation;
 use crate::vision::{Decor, ImageSize, Painter, View};
 use crate::world::Obstacle;
@@ -17,7 +18,8 @@ pub struct Overlays {
     pub trails: bool,
     /// White dots along the way that a drone is to fly, or, where it has none, at the point that it is asked to be at.
     pub references: bool,
-    /// A cyan arrow along the mean wind, as long as the way that it goes in a quarter of a second.
+    /// A cyan arrow along the steady part of the wind, where it has one, as long as the way that it goes in a quarter of a
+    /// second.
     pub wind: bool,
     /// A level ring of this radius (m) around every drone.
     pub rings: Option<f64>,
@@ -91,6 +93,8 @@ pub struct Film {
     /// Control steps from frame to frame.
     every: u64,
     next: u64,
+    /// The control step that was looked at last.
+    seen: u64,
     seconds: f64,
     /// Where the drones have been.
     trails: Vec<Trail>,
@@ -101,7 +105,7 @@ pub struct Film {
 }
 
 /// Frames per second, as near as control steps come to it.
-const RATE: u32 = 24;
+const RATE: f64 = 24.0;
 
 impl Film {
     /// Of an environment as it is now: reset it before. What drones [plan](Env::plan) to fly is looked up here, for
@@ -111,12 +115,18 @@ impl Film {
     /// [`EnvError::Vision`] where there is nothing to draw with.
     pub fn new(env: &dyn Env, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
         let mut film = Self::of(env.simulation(), view, size, overlays)?;
-        for drone in 0..env.simulation().num_drones() {
+        film.plan(env);
+        Ok(film)
+    }
+
+    /// Looks up what drones plan to fly.
+    fn plan(&mut self, env: &dyn Env) {
+        for drone in 0..self.ways.len() {
+            self.ways[drone].clear();
             if let Some(way) = env.plan(drone) {
-                film.set_way(drone, &*way);
+                self.set_way(drone, &*way);
             }
         }
-        Ok(film)
     }
 
     /// Of a simulation without an environment, whose drones plan nothing.
@@ -124,7 +134,7 @@ impl Film {
     /// # Errors
     /// As for [`new`](Self::new).
     pub fn of(simulation: &Simulation, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
-        let every = (simulation.ctrl_freq() / RATE).max(1);
+        let every = (f64::from(simulation.ctrl_freq()) / RATE).round().max(1.0) as u32;
         let drones = simulation.num_drones();
         Ok(Self {
             painter: Painter::for_people(simulation.world())?,
@@ -133,6 +143,7 @@ impl Film {
             overlays,
             every: every.into(),
             next: simulation.control_steps(),
+            seen: simulation.control_steps(),
             seconds: f64::from(every) * simulation.control_period(),
             trails: vec![Trail::default(); drones],
             ways: vec![Vec::new(); drones],
@@ -166,11 +177,15 @@ impl Film {
         self.size
     }
 
-    /// Looks at the flight, after every reset and every step: a frame (RGB, top row first) where it is time for one.
+    /// Looks at the flight, after every reset and every step: a frame (RGB, top row first) where it is time for one. Where time
+    /// has gone backwards another episode has begun, with trails and plans of its own.
     ///
     /// # Errors
     /// [`EnvError::Vision`].
     pub fn look(&mut self, env: &dyn Env) -> Result<Option<&[u8]>, EnvError> {
+        if env.simulation().control_steps() < self.seen {
+            self.plan(env);
+        }
         self.look_at(env.simulation(), |drone| Some(env.reference(drone)))
     }
 
@@ -184,13 +199,15 @@ impl Film {
         reference: impl Fn(usize) -> Option<Reference>,
     ) -> Result<Option<&[u8]>, EnvError> {
         let now = simulation.control_steps();
-        if now == 0 && self.next > 0 {
+        if now < self.seen {
             // another episode
-            self.next = 0;
+            self.next = now;
             self.trails.fill(Trail::default());
         }
+        self.seen = now;
+        let most = (Trail::ALL / self.trails.len().max(1)).clamp(40, Trail::MOST);
         for (trail, state) in self.trails.iter_mut().zip(simulation.states()) {
-            trail.note(state.position);
+            trail.note(state.position, most);
         }
         if now < self.next {
             return Ok(None);
@@ -250,6 +267,8 @@ impl Film {
         }
         if overlays.wind
             && let Some(wind) = simulation.wind()
+            // the other kinds have no steady part
+            && matches!(wind.model, WindModel::Constant | WindModel::Combined)
         {
             // beside the first drone, so that it is seen wherever that goes
             let from = simulation.states()[0].position + Vector3::z() * 4.0 * size;
@@ -288,8 +307,10 @@ impl Default for Trail {
 
 impl Trail {
     const MOST: usize = 600;
+    /// Most points of all trails together: a scene has room for so many lines and some more.
+    const ALL: usize = 12_000;
 
-    fn note(&mut self, position: Vector3<f64>) {
+    fn note(&mut self, position: Vector3<f64>, most: usize) {
         // the last point follows the drone until it is far enough from the one before
         if let [.., before, last] = &mut self.points[..]
             && (*last - *before).norm() < self.spacing
@@ -298,7 +319,7 @@ impl Trail {
             return;
         }
         self.points.push(position);
-        if self.points.len() > Self::MOST {
+        if self.points.len() > most {
             let last = self.points.len() - 1;
             let mut index = 0;
             self.points.retain(|_| {
@@ -319,7 +340,7 @@ mod tests {
         let mut trail = Trail::default();
         for i in 0..100_000 {
             let turn = f64::from(i) * 1e-3;
-            trail.note(Vector3::new(turn.cos(), turn.sin(), turn * 0.1));
+            trail.note(Vector3::new(turn.cos(), turn.sin(), turn * 0.1), Trail::MOST);
         }
         assert!(trail.points.len() <= Trail::MOST + 1, "{}", trail.points.len());
         assert_eq!(trail.points[0], Vector3::x());
@@ -329,7 +350,7 @@ mod tests {
         // a drone that stands still adds nothing
         let points = trail.points.len();
         let here = *trail.points.last().unwrap();
-        (0..1000).for_each(|_| trail.note(here));
+        (0..1000).for_each(|_| trail.note(here, Trail::MOST));
         assert!(trail.points.len() <= points + 1);
     }
 

@@ -66,6 +66,12 @@ pub enum RecordError {
     /// An animation cannot be written.
     #[error("the animation cannot be written")]
     Animation(#[from] gif::EncodingError),
+    /// A time from frame to frame that is none.
+    #[error("a frame takes {got} s, expected a positive number of seconds")]
+    FrameTime {
+        /// The time, s.
+        got: f64,
+    },
     /// `ffmpeg`, which makes videos, is missing or refuses.
     #[error("{0}")]
     Video(String),

@@ -1,13 +1,13 @@
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use super::recorder::file_of;
 use super::{RecordError, Recorder};
 use crate::env::{Env, EnvError, Step};
 use crate::observation::Observation;
 use crate::wrappers::forward_env;
 
 /// Writes every episode of an environment as CSV into a directory (the paper's `output_folder`): `episode_0000_drone0.csv`, …,
-/// from the first number that is free. What stands in them and what a crash leaves of them is said at
+/// in the numbers that are free. A step whose record cannot be written is an error, and has been made. What stands in them and what a crash leaves of them is said at
 /// [`Recorder`].
 ///
 /// ```
@@ -41,12 +41,7 @@ impl<E: Env> Recorded<E> {
     pub fn new(env: E, directory: impl AsRef<Path>) -> Result<Self, RecordError> {
         let directory = directory.as_ref().to_path_buf();
         std::fs::create_dir_all(&directory).map_err(|error| RecordError::file(&directory, error))?;
-        // an earlier run's files are left alone
-        let mut episodes = 0;
-        while file_of(&directory, &prefix(episodes), 0).exists() {
-            episodes += 1;
-        }
-        Ok(Self { env, directory, recorder: None, episodes })
+        Ok(Self { env, directory, recorder: None, episodes: 0 })
     }
 
     /// The environment within.
@@ -66,7 +61,13 @@ impl<E: Env> Recorded<E> {
 
     fn begin(&mut self) -> Result<(), RecordError> {
         let drones = self.env.simulation().num_drones();
-        let mut recorder = Recorder::begin(&self.directory, &prefix(self.episodes), drones)?;
+        let mut recorder = loop {
+            match Recorder::begin(&self.directory, &prefix(self.episodes), drones, true) {
+                // somebody else's, or an earlier run's
+                Err(RecordError::File { error, .. }) if error.kind() == ErrorKind::AlreadyExists => self.episodes += 1,
+                begun => break begun?,
+            }
+        };
         recorder.record(&self.env)?;
         self.recorder = Some(recorder);
         self.episodes += 1;

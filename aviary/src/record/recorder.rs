@@ -100,15 +100,17 @@ impl Recorder {
         for path in (drones..).map(|drone| file_of(directory, prefix, drone)).take_while(|path| path.exists()) {
             std::fs::remove_file(&path).map_err(|error| RecordError::file(&path, error))?;
         }
-        Self::begin(directory, prefix, drones)
+        Self::begin(directory, prefix, drones, false)
     }
 
-    /// The same in a directory that is there and has no files of that prefix.
-    pub(super) fn begin(directory: &Path, prefix: &str, drones: usize) -> Result<Self, RecordError> {
+    /// The same in a directory that is there; where it is to be a `new` flight, an error if there is one of that prefix.
+    pub(super) fn begin(directory: &Path, prefix: &str, drones: usize, new: bool) -> Result<Self, RecordError> {
         let header = COLUMNS.join(",") + "\n";
         let begin = |drone| {
             let path = file_of(directory, prefix, drone);
-            let begun = AppendFile::create(&path).and_then(|mut file| file.append(header.as_bytes()).map(|()| file));
+            // the first drone's file stands for all of them
+            let file = if new && drone == 0 { AppendFile::create_new(&path) } else { AppendFile::create(&path) };
+            let begun = file.and_then(|mut file| file.append(header.as_bytes()).map(|()| file));
             match begun {
                 Ok(file) => Ok((path, file)),
                 Err(error) => Err(RecordError::file(&path, error)),

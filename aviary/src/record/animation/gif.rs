@@ -3,7 +3,7 @@ use std::io::Write;
 use color_quant::NeuQuant;
 use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
-use super::Animation;
+use super::{Animation, check_time};
 use crate::record::RecordError;
 use crate::record::picture::check;
 use crate::vision::ImageSize;
@@ -52,9 +52,10 @@ impl<W: Write> GifAnimation<W> {
     /// Begins an animation with so many seconds per frame (20 ms at least, in steps of 10 ms that even out).
     ///
     /// # Errors
-    /// [`RecordError::Picture`] for a size that GIF does not have.
+    /// [`RecordError::Picture`] for a size that GIF does not have, [`RecordError::FrameTime`] for an impossible time.
     pub fn new(target: W, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
         sides(size)?;
+        check_time(seconds_per_frame)?;
         // viewers show anything shorter than two hundredths as a tenth
         let delay = (seconds_per_frame * 100.0).clamp(2.0, 6000.0);
         let (shown, indices) = (Vec::new(), vec![0; size.pixels()]);
@@ -165,18 +166,18 @@ impl Palette {
 
     fn of(rgb: &[u8], frame: u32) -> Self {
         // colours by their first five bits: how often, and the sums of their channels
-        let mut bins = vec![(0_u32, [0_u32; 3]); 1 << 15];
+        let mut bins = vec![(0_u64, [0_u64; 3]); 1 << 15];
         for pixel in rgb.chunks_exact(3) {
             let bin = pixel.iter().fold(0, |bin, &x| bin << 5 | usize::from(x >> 3));
             let (count, sums) = &mut bins[bin];
             *count += 1;
-            sums.iter_mut().zip(pixel).for_each(|(sum, &x)| *sum += u32::from(x));
+            sums.iter_mut().zip(pixel).for_each(|(sum, &x)| *sum += u64::from(x));
         }
         // what is rare, a thin line or a lamp, counts for more than its share: a floor would take all colours for itself
         let mut rgba = Vec::new();
         for (count, sums) in bins.into_iter().filter(|(count, _)| *count > 0) {
             let [r, g, b] = sums.map(|sum| (sum / count) as u8);
-            for _ in 0..(f64::from(count).sqrt().ceil() as usize).min(64) {
+            for _ in 0..((count as f64).sqrt().ceil() as usize).min(64) {
                 rgba.extend([r, g, b, 255]);
             }
         }

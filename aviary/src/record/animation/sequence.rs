@@ -41,7 +41,13 @@ impl PngSequence {
 impl Animation for PngSequence {
     fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
         let path = self.file(self.frames);
-        std::fs::write(&path, png_rgb(self.size, rgb)?).map_err(|error| RecordError::file(&path, error))?;
+        // under another name until it is whole
+        let part = path.with_extension("part");
+        let written = std::fs::write(&part, png_rgb(self.size, rgb)?).and_then(|()| std::fs::rename(&part, &path));
+        if let Err(error) = written {
+            let _ = std::fs::remove_file(&part);
+            return Err(RecordError::file(&path, error));
+        }
         self.frames += 1;
         Ok(())
     }

@@ -1,10 +1,10 @@
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::io::{Read as _, Write as _};
 use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::thread::JoinHandle;
 
-use super::Animation;
+use super::{Animation, check_time};
 use crate::record::RecordError;
 use crate::record::picture::check;
 use crate::vision::ImageSize;
@@ -39,10 +39,10 @@ impl Mp4 {
         seconds_per_frame: f64,
     ) -> Result<Self, RecordError> {
         let program = program.as_ref();
-        if !(seconds_per_frame.is_finite() && seconds_per_frame > 0.0) {
-            let expected = "expected a positive number of seconds";
-            return Err(RecordError::Video(format!("a frame of the video takes {seconds_per_frame} s, {expected}")));
-        }
+        check_time(seconds_per_frame)?;
+        // a name that begins with a dash or has a colon is a file's all the same
+        let mut file = OsString::from("file:");
+        file.push(path.as_ref());
         let mut child = Command::new(program)
             .args(["-loglevel", "error", "-nostdin", "-y", "-f", "rawvideo", "-pixel_format", "rgb24"])
             .args(["-video_size", &size.to_string(), "-framerate", &(1.0 / seconds_per_frame).to_string()])
@@ -50,7 +50,7 @@ impl Mp4 {
             .args(["-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
             // playable while it is still being loaded
             .args(["-movflags", "+faststart", "-f", "mp4"])
-            .arg(path.as_ref())
+            .arg(&file)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
@@ -141,7 +141,10 @@ mod tests {
     fn frames_go_to_the_encoder_which_is_missed_and_heard_when_it_fails() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("flight.mp4");
-        let encoder = script(directory.path(), r#"for last; do :; done; echo "$@" > "$last.arguments"; cat > "$last""#);
+        let encoder = script(
+            directory.path(),
+            r#"for last; do :; done; file="${last#file:}"; echo "$@" > "$file.arguments"; cat > "$file""#,
+        );
         let mut video = Mp4::with_program(&encoder, &file, SIZE, 1.0 / 24.0).unwrap();
         video.frame(&[7; 24]).unwrap();
         assert!(video.frame(&[7; 23]).is_err());

@@ -133,11 +133,10 @@ impl Stroke {
 /// Draws a line through points (fine pixels of the area).
 pub(super) fn draw_line<B: DrawingBackend>(
     area: &DrawingArea<B, Shift>,
-    points: &[(i32, i32)],
+    points: Vec<(i32, i32)>,
     stroke: Stroke,
 ) -> Drawn<B> {
     let style = rgb(stroke.colour).stroke_width(stroke.width);
-    let points = thin(points);
     if stroke.dashes.is_empty() {
         return area.draw(&PathElement::new(points, style));
     }
@@ -147,8 +146,23 @@ pub(super) fn draw_line<B: DrawingBackend>(
     Ok(())
 }
 
-/// Of points that fall into the same column, one after the other, the first, the outermost and the last.
-fn thin(points: &[(i32, i32)]) -> Vec<(i32, i32)> {
+/// The points of a way that are a pixel apart, and the last one.
+pub(super) fn thin_way(points: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
+    let mut thinned: Vec<(i32, i32)> = Vec::new();
+    let mut left_out = None;
+    for point in points {
+        let near = |last: &(i32, i32)| (last.0 - point.0).abs().max((last.1 - point.1).abs()) < FINE;
+        left_out = thinned.last().is_some_and(near).then_some(point);
+        if left_out.is_none() {
+            thinned.push(point);
+        }
+    }
+    thinned.extend(left_out.filter(|point| thinned.last() != Some(point)));
+    thinned
+}
+
+/// Of points that fall into the same column, one after the other, the first, the outermost (in their order) and the last.
+pub(super) fn thin(points: &[(i32, i32)]) -> Vec<(i32, i32)> {
     let mut thinned: Vec<(i32, i32)> = Vec::new();
     let mut add = |point: (i32, i32)| {
         if thinned.last() != Some(&point) {
@@ -157,12 +171,12 @@ fn thin(points: &[(i32, i32)]) -> Vec<(i32, i32)> {
     };
     for column in points.chunk_by(|a, b| a.0 / FINE == b.0 / FINE) {
         let (first, last) = (column[0], column[column.len() - 1]);
-        let low = column.iter().min_by_key(|point| point.1).copied().unwrap_or(first);
-        let high = column.iter().max_by_key(|point| point.1).copied().unwrap_or(first);
+        let low = (0..column.len()).min_by_key(|&i| column[i].1).unwrap_or(0);
+        let high = (0..column.len()).max_by_key(|&i| column[i].1).unwrap_or(0);
         add(first);
         if column.len() > 4 {
-            add(low);
-            add(high);
+            add(column[low.min(high)]);
+            add(column[low.max(high)]);
         } else {
             column.iter().copied().for_each(&mut add);
         }
@@ -219,21 +233,22 @@ pub(super) fn legend<B: DrawingBackend>(
         let (width, _) = area.estimate_text_size(name, &style)?;
         area.draw(&Text::new(name.clone(), (right, middle), style))?;
         let left = right - width as i32 - px(5);
-        draw_line(area, &[(left - px(SAMPLE), middle), (left, middle)], *stroke)?;
+        draw_line(area, vec![(left - px(SAMPLE), middle), (left, middle)], *stroke)?;
         right = left - px(SAMPLE + 14);
     }
     Ok(right)
 }
 
-/// Least and greatest value, apart by `least` at least, with this share of room on both sides.
+/// Least and greatest value with this share of room on both sides, apart by `least` at least, and where nothing changes by what
+/// can be told apart in print.
 pub(super) fn span(values: impl Iterator<Item = f64>, least: f64, room: f64) -> (f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     if low > high {
         return (0.0, 1.0);
     }
     let middle = 0.5 * (low + high);
-    // ticks need numbers that differ in print
-    let least = least.max(1e-6 * middle.abs()).max(f64::MIN_POSITIVE);
+    let constant = high - low <= 1e-9 * middle.abs() + 1e-12;
+    let least = if constant { least.max(1e-3 * middle.abs()).max(1e-3) } else { least };
     let half = (0.5 * (high - low)).max(0.5 * least) * (1.0 + 2.0 * room);
     (middle - half, middle + half)
 }
@@ -273,6 +288,20 @@ mod tests {
         assert!(thinned.len() < 20 && thinned[0] == points[0] && thinned.last() == points.last());
         let extreme = |points: &[(i32, i32)]| (points.iter().map(|p| p.1).min(), points.iter().map(|p| p.1).max());
         assert_eq!(extreme(&thinned), extreme(&points));
+        // what only rises is not gone through twice
+        let rising: Vec<_> = (0..100).map(|i| (0, i)).collect();
+        assert!(thin(&rising).windows(2).all(|pair| pair[1].1 > pair[0].1));
+    }
+
+    #[test]
+    fn ways_keep_their_ends_and_lose_what_is_nearer_than_a_pixel() {
+        let circle: Vec<_> = (0..10_000)
+            .map(|i| (f64::from(i) * 1e-3).sin_cos())
+            .map(|(sin, cos)| ((200.0 * cos) as i32, (200.0 * sin) as i32))
+            .collect();
+        let thinned = thin_way(circle.iter().copied());
+        assert!(thinned.len() < 1000 && thinned[0] == circle[0] && thinned.last() == circle.last());
+        assert_eq!(thin_way(std::iter::repeat_n((3, 3), 50)), [(3, 3)]);
     }
 
     #[test]

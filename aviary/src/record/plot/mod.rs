@@ -150,8 +150,9 @@ fn check<'a>(mut points: impl Iterator<Item = &'a f64>) -> Result<(), RecordErro
     let Some(first) = points.next() else {
         return Err(RecordError::Plot("there is nothing to plot".into()));
     };
-    match std::iter::once(first).chain(points).any(|x| !x.is_finite()) {
-        true => Err(RecordError::Plot("a point is not finite".into())),
+    // what is larger has no axis that anybody could read
+    match std::iter::once(first).chain(points).any(|x| x.is_nan() || x.abs() > 1e100) {
+        true => Err(RecordError::Plot("a point is not finite, or larger than 1e100".into())),
         false => Ok(()),
     }
 }
@@ -212,13 +213,27 @@ mod tests {
     /// Ticks of a line that does not move were all labelled 0.0.
     #[test]
     fn ticks_of_a_constant_line_differ() {
-        for value in [0.0, 1.0, 14_475.8, -3.0e-4] {
+        for value in [0.0, 1.0, 14_475.8, -3.0e-4, 1.7e9] {
             let svg = Plot::time_series("", &[("y", line(&[(0.0, value), (1.0, value)]))]).unwrap().svg().unwrap();
             // texts between the label of the panel and the end that are numbers
             let numbers: Vec<_> = svg.lines().map(str::trim).filter(|text| text.parse::<f64>().is_ok()).collect();
             let distinct: std::collections::BTreeSet<_> = numbers.iter().collect();
             assert!(distinct.len() + 4 > numbers.len() && distinct.len() > 4, "{value}: {numbers:?}");
         }
+    }
+
+    /// They were straight lines.
+    #[test]
+    fn small_quantities_fill_their_axis() {
+        let points: Vec<_> = (0..100).map(|i| (1.7e9 + 0.1 * f64::from(i), 1e-7 * f64::from(i % 2))).collect();
+        let lines = vec![Series { name: "a".into(), points }];
+        let svg = Plot::time_series("", &[("y", lines)]).unwrap().svg().unwrap();
+        let heights = svg.lines().filter(|line| line.contains("#0072B2")).flat_map(|line| {
+            let points = line.split("points=\"").nth(1).and_then(|rest| rest.split('"').next()).unwrap_or_default();
+            points.split_whitespace().filter_map(|pair| pair.split_once(',')).map(|(_, y)| y.parse().unwrap())
+        });
+        let (low, high) = heights.fold((f64::MAX, 0.0_f64), |(low, high), y| (low.min(y), high.max(y)));
+        assert!(high - low > 400.0, "{low} to {high}");
     }
 
     #[test]
@@ -252,6 +267,7 @@ mod tests {
         assert!(Plot::time_series("", &[]).is_err());
         assert!(Plot::time_series("", &[("y", line(&[]))]).is_err());
         assert!(Plot::time_series("", &[("y", line(&[(0.0, f64::NAN)]))]).is_err());
+        assert!(Plot::time_series("", &[("y", line(&[(0.0, 1.7e308), (1.0, -1.7e308)]))]).is_err());
         for broken in [Flight::default(), Flight { drones: vec![vec![]] }] {
             assert!(Plot::of_flight("", &broken).is_err() && Plot::of_paths("", &broken).is_err());
         }

@@ -5,7 +5,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text};
+use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin};
 use super::{Series, check};
 use crate::record::{Flight, RecordError, Sample};
 
@@ -69,7 +69,7 @@ impl Panels {
                     stroke: Stroke::of(index, lines.len()),
                 })
                 .collect(),
-            least: 1e-3,
+            least: 0.0,
         };
         Ok(Self { panels: panels.iter().map(panel).collect(), columns: 1, legend: Vec::new() })
     }
@@ -199,7 +199,7 @@ impl Panels {
             }
         }
         let points = || self.panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.points);
-        let times = span(points().map(|(t, _)| *t), 1e-3, 0.0);
+        let times = span(points().map(|(t, _)| *t), 0.0, 0.0);
         let rows = self.rows() as usize;
         let cells = area.split_evenly((rows, self.columns));
         for (index, (cell, panel)) in cells.iter().zip(&self.panels).enumerate() {
@@ -253,7 +253,7 @@ impl Panel {
                 .map(|point| chart.plotting_area().map_coordinate(point))
                 .map(|(x, y)| (x - left, y - top))
                 .collect();
-            draw_line(&inner, &pixels, line.stroke)?;
+            draw_line(&inner, thin(&pixels), line.stroke)?;
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text};
+use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin_way};
 use super::{check, rgb};
 use crate::record::{Flight, RecordError};
 
@@ -110,7 +110,7 @@ impl Paths {
         const PITCH: f64 = 0.42;
         const YAW: f64 = 0.6;
         // what is flat gets some height
-        let half = self.half.map(|half| half.max(0.25 * self.half.max()));
+        let half = self.half.map(|half| half.max(0.4 * self.half.max()));
         let range = |i: usize| self.middle[i] - half[i]..self.middle[i] + half[i];
         // plotters' third axis comes towards the reader: −y, so that x, y and z are a right-handed frame
         let towards = -self.middle.y - half.y..-self.middle.y + half.y;
@@ -127,6 +127,8 @@ impl Paths {
             (projection.pitch, projection.yaw, projection.scale) = (PITCH, YAW, 1.0);
             projection.into_matrix()
         });
+        // a short axis has no room for many numbers
+        let ticks = |of: f64| if of < 0.6 * half.max() { 2 } else { 5 };
         let line = |grey: u8| RGBColor(grey, grey, grey).stroke_width(px(1) as u32 / 2);
         let (x, y, z) = (range(0), range(1), range(2));
         let y_label = label_of((y.start, y.end));
@@ -137,35 +139,58 @@ impl Paths {
             .light_grid_style(TRANSPARENT)
             .label_style(TextStyle::from(font(11)).color(&RGBColor(40, 40, 40)))
             .tick_size(px(4))
-            .x_labels(5)
-            .y_labels(4)
-            .z_labels(5)
+            .x_labels(ticks(half.x))
+            .y_labels(ticks(half.z))
+            .z_labels(ticks(half.y))
             .x_formatter(&label_of((x.start, x.end)))
             .y_formatter(&label_of((z.start, z.end)))
             .z_formatter(&|minus_y: &f64| y_label(&-minus_y))
             .draw()?;
-        let corner = chart.plotting_area().get_pixel_range();
+        let range = chart.plotting_area().get_pixel_range();
+        let corner_of_area = (range.0.start, range.1.start);
         let inner = chart.plotting_area().strip_coord_spec();
         let map = |point: &Vector3<f64>| {
             let (across, down) = chart.plotting_area().map_coordinate(&(point.x, point.z, -point.y));
-            (across - corner.0.start, down - corner.1.start)
+            (across - corner_of_area.0, down - corner_of_area.1)
         };
-        // plotters puts the heights beside the nearer one of two edges
-        let depth = |x: f64, y: f64, z: f64| chart.plotting_area().as_coord_spec().projected_depth(&x, &z, &-y);
-        let left = depth(x.start, y.start, z.start) + depth(x.start, y.start, z.end);
-        let right = depth(x.end, y.end, z.start) + depth(x.end, y.end, z.end);
-        let heights = match left < right {
-            true => (Vector3::new(x.start, y.start, self.middle.z), (-50, 0)),
-            false => (Vector3::new(x.end, y.end, self.middle.z), (50, 0)),
+        // names beside the middles of the edges that have ticks: plotters takes, of the edges of the three walls that are farthest
+        // away, the nearest one, and of equally near ones the highest in the picture
+        let walls = [[x.start, x.end], [z.start, z.end], [towards.start, towards.end]];
+        let depth = |corner: [f64; 3]| {
+            chart.plotting_area().as_coord_spec().projected_depth(&corner[0], &corner[1], &corner[2])
         };
-        // names beside the middles of the edges that have ticks
-        for (name, at, aside) in [
-            ("x (m)", Vector3::new(self.middle.x, y.start, z.start), (-24, 30)),
-            ("y (m)", Vector3::new(x.end, self.middle.y, z.start), (44, 22)),
-            ("z (m)", heights.0, heights.1),
-        ] {
-            let (across, down) = map(&at);
-            let at = (across + px(aside.0), down + px(aside.1));
+        let pixel = |corner: [f64; 3]| {
+            let (across, down) = chart.plotting_area().map_coordinate(&(corner[0], corner[1], corner[2]));
+            (across - corner_of_area.0, down - corner_of_area.1)
+        };
+        let far = [0, 1, 2].map(|axis| {
+            let mut other = walls.map(|wall| wall[0]);
+            let here = depth(other);
+            other[axis] = walls[axis][1];
+            if here >= depth(other) { walls[axis][0] } else { walls[axis][1] }
+        });
+        let (width, height) = inner.dim_in_pixel();
+        for (axis, name) in ["x (m)", "z (m)", "y (m)"].into_iter().enumerate() {
+            let edges = (0..3).filter(|&wall| wall != axis).flat_map(|wall| {
+                let other = 3 - axis - wall;
+                walls[other].map(|side| {
+                    let mut ends = [[0.0; 3]; 2];
+                    for (end, place) in ends.iter_mut().zip(walls[axis]) {
+                        (end[axis], end[wall], end[other]) = (place, far[wall], side);
+                    }
+                    ends
+                })
+            });
+            let nearness =
+                |ends: &[[f64; 3]; 2]| (depth(ends[0]) + depth(ends[1]), pixel(ends[0]).1 + pixel(ends[1]).1);
+            let Some([from, to]) = edges.min_by_key(nearness) else { continue };
+            let (from, to) = (pixel(from), pixel(to));
+            // the ticks are beside a steep edge and above or below a flat one
+            let beside = (to.0 - from.0).abs() < (to.1 - from.1).abs();
+            let left = if from.0 < width as i32 / 2 { -1 } else { 1 };
+            let above = if from.1 < height as i32 / 2 { -1 } else { 1 };
+            let aside = if beside { (52 * left, 0) } else { (0, 34 * above) };
+            let at = ((from.0 + to.0) / 2 + px(aside.0), (from.1 + to.1) / 2 + px(aside.1));
             inner.draw(&Text::new(name, at, text(13, HPos::Center, VPos::Center)))?;
         }
         self.draw_ways(&inner, &map)
@@ -177,13 +202,21 @@ impl Paths {
         map: &dyn Fn(&Vector3<f64>) -> (i32, i32),
     ) -> Drawn<B> {
         for way in self.references.iter().chain(&self.flown) {
-            let pixels: Vec<_> = way.points.iter().map(map).collect();
-            if !pixels.is_empty() {
-                draw_line(area, &pixels, way.stroke)?;
+            let pixels = thin_way(way.points.iter().map(map));
+            match pixels[..] {
+                [] => {}
+                // a reference that stands still is a cross
+                [(x, y)] => {
+                    let style = rgb(way.stroke.colour).stroke_width(px(1) as u32);
+                    let arm = px(5);
+                    area.draw(&PathElement::new([(x - arm, y), (x + arm, y)], style))?;
+                    area.draw(&PathElement::new([(x, y - arm), (x, y + arm)], style))?;
+                }
+                _ => draw_line(area, pixels, way.stroke)?,
             }
         }
         for way in &self.flown {
-            if let [first, .., last] = &way.points[..] {
+            if let (Some(first), Some(last)) = (way.points.first(), way.points.last()) {
                 let colour = rgb(way.stroke.colour);
                 area.draw(&Circle::new(map(first), px(5), WHITE.filled()))?;
                 area.draw(&Circle::new(map(first), px(5), colour.stroke_width(px(1) as u32)))?;
