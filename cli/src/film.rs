@@ -6,7 +6,7 @@ use anyhow::{Context as _, anyhow};
 use aviary::record::Overlays;
 use aviary::record::animation::{Animation, GifAnimation, Mp4, PngSequence};
 use aviary::vision::{ImageSize, View};
-use clap::{ArgGroup, Args};
+use clap::{ArgGroup, Args, ValueHint};
 
 use crate::failure::Failure;
 use crate::options::{CAMERAS, Names, named, size, vision_failure};
@@ -17,16 +17,17 @@ use crate::pilot::Pilot;
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("pictures").multiple(true)))]
 pub struct FilmOptions {
-    /// Animation to write, as GIF
-    #[arg(long, group = "pictures", value_name = "FILE.gif")]
+    /// Animation to write, as GIF; like the others it has 24 frames a second, or as near to it as control steps come
+    #[arg(long, group = "pictures", value_name = "FILE.gif", value_hint = ValueHint::FilePath)]
     gif: Option<PathBuf>,
     /// Video to write, as MP4; needs the program ffmpeg
-    #[arg(long, group = "pictures", value_name = "FILE.mp4")]
+    #[arg(long, group = "pictures", value_name = "FILE.mp4", value_hint = ValueHint::FilePath)]
     video: Option<PathBuf>,
     /// Directory for the frames as PNG files: 00000.png and on
-    #[arg(long, group = "pictures", value_name = "DIR")]
+    #[arg(long, group = "pictures", value_name = "DIR", value_hint = ValueHint::DirPath)]
     frames: Option<PathBuf>,
-    /// Camera of these: track, fpv, fixed, front, top
+    /// Camera of these: track (follows the drones), fpv (on board the first one), fixed (over the whole scene), front (from ahead,
+    /// standing still), top (from above, standing still)
     #[arg(long, default_value = "track", value_parser = Names(&CAMERAS), hide_possible_values = true, requires = "pictures")]
     camera: String,
     /// Size of these, pixels

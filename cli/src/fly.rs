@@ -7,7 +7,7 @@ use aviary::control::ControllerKind;
 use aviary::env::{Env, Info};
 use aviary::record::plot::Plot;
 use aviary::record::{Flight as Samples, RecordError, Recorder};
-use clap::Args;
+use clap::{Args, ValueHint};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -33,7 +33,7 @@ pub struct Fly {
     options: FlightOptions,
     /// Directory for the flight's log (drone0.csv, one file per drone, row by row while it is flown, so that it is there whatever
     /// ends the flight) and summary (summary.json)
-    #[arg(long)]
+    #[arg(long, value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
     /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png), into the directory of --out or
     /// else out/TASK

@@ -18,7 +18,7 @@ use aviary::vision::ImageSize;
 use aviary::world::{ObstacleConfig, ObstacleKind};
 use aviary::wrappers::SafetyWrapper;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
-use clap::{Arg, Args, Command};
+use clap::{Arg, Args, Command, ValueHint};
 
 use crate::failure::Failure;
 
@@ -69,7 +69,8 @@ pub struct FlightOptions {
     /// Number of drones; the task's by default
     #[arg(long, allow_negative_numbers = true)]
     pub num_drones: Option<usize>,
-    /// Trajectory to follow in place of the task's own target: circle, lemniscate, helix, square, loop, or a TOML file.
+    /// Trajectory to follow in place of the task's own target: circle (upright, 0.3 m), lemniscate, helix, square, loop, or a TOML
+    /// file.
     /// The flight starts at rest where it starts, and lasts as long as it does
     #[arg(long, value_parser = Names(&trajectory::NAMES), hide_possible_values = true)]
     pub trajectory: Option<String>,
@@ -88,7 +89,7 @@ pub struct FlightOptions {
     )]
     pub obstacles: Option<String>,
     /// TOML file with sections [wind], [obstacles] and [randomization]; --wind and --obstacles choose the kind in them
-    #[arg(long)]
+    #[arg(long, value_hint = ValueHint::FilePath)]
     pub config: Option<PathBuf>,
     /// Simulated seconds of an episode; the task's or the trajectory's by default
     #[arg(long, allow_negative_numbers = true)]

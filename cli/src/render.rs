@@ -4,7 +4,7 @@ use anyhow::anyhow;
 use aviary::record::picture;
 use aviary::vision::{ImageKind, ImageSize, Painter, View};
 use aviary::world::World;
-use clap::Args;
+use clap::{Args, ValueHint};
 
 use crate::failure::Failure;
 use crate::options::{CAMERAS, FlightOptions, Names, named, size, vision_failure};
@@ -22,7 +22,7 @@ pub struct Render {
     #[command(flatten)]
     options: FlightOptions,
     /// File to write
-    #[arg(long)]
+    #[arg(long, value_hint = ValueHint::FilePath)]
     out: PathBuf,
     /// Camera: track, fpv, fixed, front, top
     #[arg(long, default_value = "track", value_parser = Names(&CAMERAS), hide_possible_values = true)]
@@ -42,6 +42,10 @@ impl Render {
     pub fn run(&self) -> Result<(), Failure> {
         let view = named::<View>("camera", &self.camera, &View::ALL.map(View::name))?;
         let kind = named::<ImageKind>("kind", &self.kind, &ImageKind::ALL.map(ImageKind::name))?;
+        if self.out.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
+            let out = self.out.display();
+            return Err(Failure::input(anyhow!("--out is `{out}`, expected a name that ends in .png")));
+        }
         if !(self.at.is_finite() && self.at >= 0.0) {
             return Err(Failure::input(anyhow!(
                 "--at is {} s, expected zero or a positive number of seconds",

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow};
 use aviary::record::{CsvLog, RecordError, Scenario, read_actions};
-use clap::Args;
+use clap::{Args, ValueHint};
 
 use crate::failure::Failure;
 use crate::output::{self, OutputFile};
@@ -19,8 +19,8 @@ pub struct Replay {
     /// Where and how the flight begins
     #[arg(long)]
     scenario: PathBuf,
-    /// Motor speeds, rpm
-    #[arg(long)]
+    /// Motor speeds, rpm, as CSV: drone0_rpm0, drone0_rpm1, …, one row a control step
+    #[arg(long, value_hint = ValueHint::FilePath)]
     actions: PathBuf,
     /// File to write
     #[arg(long)]

@@ -12,6 +12,21 @@ use crate::record::RecordError;
 use crate::record::picture::png_rgb;
 use crate::vision::ImageSize;
 
+/// What plots are drawn on.
+pub(super) trait Canvas: DrawingBackend {
+    /// Whether lines are to be drawn piece by piece. plotters fills a thick line as one polygon, with holes where it crosses
+    /// itself and needles where it turns back; SVG knows lines.
+    const PIECEWISE: bool;
+}
+
+impl Canvas for SVGBackend<'_> {
+    const PIECEWISE: bool = false;
+}
+
+impl Canvas for BitMapBackend<'_> {
+    const PIECEWISE: bool = true;
+}
+
 /// Drawn by a backend, or why not.
 pub(super) type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
 
@@ -93,7 +108,7 @@ fn shrink(pixels: &[u8], width: usize, by: usize) -> Vec<u8> {
 }
 
 /// Writes a title above an area and gives what is left.
-pub(super) fn titled<B: DrawingBackend>(
+pub(super) fn titled<B: Canvas>(
     area: &DrawingArea<B, Shift>,
     title: &str,
 ) -> Result<DrawingArea<B, Shift>, DrawingAreaErrorKind<B::ErrorType>> {
@@ -131,17 +146,21 @@ impl Stroke {
 }
 
 /// Draws a line through points (fine pixels of the area).
-pub(super) fn draw_line<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    points: Vec<(i32, i32)>,
-    stroke: Stroke,
-) -> Drawn<B> {
+pub(super) fn draw_line<B: Canvas>(area: &DrawingArea<B, Shift>, points: Vec<(i32, i32)>, stroke: Stroke) -> Drawn<B> {
     let style = rgb(stroke.colour).stroke_width(stroke.width);
-    if stroke.dashes.is_empty() {
-        return area.draw(&PathElement::new(points, style));
-    }
-    for dash in dashed(&points, stroke.dashes) {
-        area.draw(&PathElement::new(dash, style))?;
+    let lines = if stroke.dashes.is_empty() { vec![points] } else { dashed(&points, stroke.dashes) };
+    for line in lines {
+        if !B::PIECEWISE {
+            area.draw(&PathElement::new(line, style))?;
+            continue;
+        }
+        for pair in line.windows(2) {
+            area.draw(&PathElement::new(pair, style))?;
+        }
+        // round corners close the gaps between the pieces
+        for &corner in line.iter().skip(1).take(line.len().saturating_sub(2)) {
+            area.draw(&Circle::new(corner, stroke.width as i32 / 2, rgb(stroke.colour).filled()))?;
+        }
     }
     Ok(())
 }
@@ -221,7 +240,7 @@ fn dashed(points: &[(i32, i32)], pattern: &[i32]) -> Vec<Vec<(i32, i32)>> {
 }
 
 /// Draws the names of lines beside each other, flush right at a point (fine pixels of the area), and gives where they begin.
-pub(super) fn legend<B: DrawingBackend>(
+pub(super) fn legend<B: Canvas>(
     area: &DrawingArea<B, Shift>,
     (right, middle): (i32, i32),
     entries: &[(String, Stroke)],

@@ -10,8 +10,9 @@ mod path;
 use std::path::Path;
 
 use plotters::coord::Shift;
-use plotters::prelude::{DrawingArea, DrawingBackend, RGBColor};
+use plotters::prelude::{DrawingArea, RGBColor};
 
+use self::canvas::Canvas;
 use self::panels::Panels;
 use self::path::Paths;
 use super::{Flight, RecordError};
@@ -136,7 +137,7 @@ impl Plot {
         std::fs::write(path, bytes).map_err(|error| RecordError::file(path, error))
     }
 
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> canvas::Drawn<B> {
+    fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> canvas::Drawn<B> {
         let area = canvas::titled(area, &self.title)?;
         match &self.kind {
             Kind::Panels(panels) => panels.draw(&area),
@@ -252,6 +253,28 @@ mod tests {
                 assert!(svg.contains(word), "{drones}: {word}");
             }
         }
+    }
+
+    /// Needles ran across the picture where a line turns back, and there was nothing where it runs over itself.
+    #[test]
+    fn lines_that_turn_back_stay_where_they_are_in_pixels_too() {
+        let zigzag: Vec<_> = (0..2000).map(|i| (f64::from(i) * 0.01, if i % 2 == 0 { 0.0 } else { 1.0 })).collect();
+        let lines = vec![Series { name: "a".into(), points: zigzag }];
+        let png = Plot::time_series("", &[("y", lines)]).unwrap().png().unwrap();
+        let picture = image::load_from_memory(&png).unwrap().to_rgb8();
+        let is_line = |pixel: &image::Rgb<u8>| pixel.0[2] > 150 && pixel.0[0] < 60;
+        let rows: Vec<u32> = picture.enumerate_pixels().filter(|(_, _, p)| is_line(p)).map(|(_, y, _)| y).collect();
+        let (top, bottom) = (*rows.iter().min().unwrap(), *rows.iter().max().unwrap());
+        // the panel lies between its heading and the labels of the time axis
+        assert!(top > 50 && bottom < picture.height() - 80, "rows {top} to {bottom} of {}", picture.height());
+
+        let mut twice = circles(1);
+        let again: Vec<_> = twice.drones[0].iter().map(|sample| Sample { reference: None, ..*sample }).collect();
+        twice.drones[0] = again.iter().chain(&again).copied().collect();
+        let png = Plot::of_paths("", &twice).unwrap().png().unwrap();
+        let picture = image::load_from_memory(&png).unwrap().to_rgb8();
+        let blue = picture.pixels().filter(|pixel| is_line(pixel)).count();
+        assert!(blue > 5000, "{blue} pixels of a way flown twice");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin};
+use super::canvas::{Canvas, Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin};
 use super::{Series, check};
 use crate::record::{Flight, RecordError, Sample};
 
@@ -104,9 +104,9 @@ impl Panels {
         for axis in 0..3 {
             let points = ReferencePosition(axis).series(samples);
             if !points.is_empty() {
-                // one entry of the legend stands for all of them, and they lie below the lines
+                // one entry of the legend stands for all of them; thin as they are, they lie over the lines
                 let name = if axis == 0 { "reference" } else { "" };
-                position.lines.insert(axis, Line { name: name.into(), points, stroke: Stroke::REFERENCE });
+                position.lines.push(Line { name: name.into(), points, stroke: Stroke::REFERENCE });
             }
         }
         Self {
@@ -126,15 +126,15 @@ impl Panels {
         let count = drones.len();
         let panel = |(label, reading): (&str, Reading), least: f64| {
             let mut lines = Vec::new();
+            for (drone, samples) in drones.iter().enumerate() {
+                let stroke = Stroke::of(drone, count);
+                lines.push(Line { name: String::new(), points: reading.series(samples), stroke });
+            }
             if let Position(axis) = reading {
                 for samples in drones {
                     let points = ReferencePosition(axis).series(samples);
                     lines.push(Line { name: String::new(), points, stroke: Stroke::REFERENCE });
                 }
-            }
-            for (drone, samples) in drones.iter().enumerate() {
-                let stroke = Stroke::of(drone, count);
-                lines.push(Line { name: String::new(), points: reading.series(samples), stroke });
             }
             Panel { label: label.into(), lines, least }
         };
@@ -188,7 +188,7 @@ impl Panels {
         self.panels.len().div_ceil(self.columns) as u32
     }
 
-    pub fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+    pub fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         let mut area = area.clone();
         if !self.legend.is_empty() {
             // as many in a row as there is room for
@@ -210,7 +210,7 @@ impl Panels {
 }
 
 impl Panel {
-    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, times: (f64, f64), lowest: bool) -> Drawn<B> {
+    fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>, times: (f64, f64), lowest: bool) -> Drawn<B> {
         let values = span(self.lines.iter().flat_map(|line| &line.points).map(|(_, y)| *y), self.least, 0.06);
         let (head, body) = area.split_vertically(px(26));
         head.draw(&Text::new(self.label.clone(), (px(14), px(16)), text(13, HPos::Left, VPos::Center)))?;

@@ -5,7 +5,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::canvas::{Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin_way};
+use super::canvas::{Canvas, Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin_way};
 use super::{check, rgb};
 use crate::record::{Flight, RecordError};
 
@@ -44,7 +44,7 @@ impl Paths {
         Ok(Self { flown, references, middle, half })
     }
 
-    pub fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+    pub fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         let mut area = area.clone();
         let mut entries: Vec<_> = Vec::new();
         if self.flown.len() > 1 {
@@ -67,7 +67,7 @@ impl Paths {
         self.draw_in_space(&right)
     }
 
-    fn draw_from_above<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+    fn draw_from_above<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         let (width, height) = area.dim_in_pixel();
         // what is left for the axes after labels and margins, so that a metre is as long in both
         let (across, up) = (f64::from(width as i32 - px(90)), f64::from(height as i32 - px(64)));
@@ -106,7 +106,7 @@ impl Paths {
         self.draw_ways(&inner, &map)
     }
 
-    fn draw_in_space<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
+    fn draw_in_space<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         const PITCH: f64 = 0.42;
         const YAW: f64 = 0.6;
         // what is flat gets some height
@@ -196,12 +196,12 @@ impl Paths {
         self.draw_ways(&inner, &map)
     }
 
-    fn draw_ways<B: DrawingBackend>(
+    fn draw_ways<B: Canvas>(
         &self,
         area: &DrawingArea<B, Shift>,
         map: &dyn Fn(&Vector3<f64>) -> (i32, i32),
     ) -> Drawn<B> {
-        for way in self.references.iter().chain(&self.flown) {
+        for way in self.flown.iter().chain(&self.references) {
             let pixels = thin_way(way.points.iter().map(map));
             match pixels[..] {
                 [] => {}
