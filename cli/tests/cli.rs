@@ -484,6 +484,7 @@ fn nearest_names_are_suggested_everywhere() {
         (&["fly", "--task", "hover", "--obstacles", "florest"], "forest"),
         (&["fly", "--task", "hover", "--config", text(&file)], "did you mean `model`"),
         (&["render", "--task", "hover", "--out", "x.png", "--kind", "deph"], "depth"),
+        (&["render", "--task", "hover", "--out", "x.jpg"], ".png"),
     ] {
         refused(arguments, 2, &[near]);
     }
@@ -538,7 +539,7 @@ fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
         (output.status.code(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
     };
     for command in ["doctor", "render", "capture"] {
-        let out = dir.join(command);
+        let out = dir.join(if command == "render" { "render.png" } else { command });
         let arguments = match command {
             "doctor" => vec!["doctor"],
             "render" => vec!["render", "--task", "hover", "--out", text(&out)],
