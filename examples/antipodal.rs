@@ -49,9 +49,7 @@ fn main() -> anyhow::Result<()> {
         painter.update(env.simulation().states())?;
         for drone in 0..12 {
             let (here, goal) = (env.simulation().states()[drone].position, env.reference(drone).position);
-            let ring = |i: i32| (std::f64::consts::TAU * f64::from(i) / 32.0).sin_cos();
-            let ring: Vec<_> = (0..=32).map(|i| here + 0.15 * Vector3::new(ring(i).1, ring(i).0, 0.0)).collect();
-            painter.add_line(&ring, 0.012, colour(drone));
+            painter.add_ring(here, Vector3::z(), 0.15, 0.024, colour(drone));
             painter.add_dots(&[goal], 0.04, colour(drone));
         }
         painter.rgb(View::Top, tile, &mut rgb)?;

@@ -6,6 +6,8 @@ use std::time::{Duration, Instant};
 
 use mujoco_drones_gym::control::ControllerKind;
 use mujoco_drones_gym::env::check_env;
+use mujoco_drones_gym::mujoco::Quality;
+use mujoco_drones_gym::nalgebra::Vector3;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
@@ -13,6 +15,7 @@ use mujoco_drones_gym::record::plot::Plot;
 use mujoco_drones_gym::record::{COLUMNS, Film, Flight, Overlays, Recorded, Recorder, files};
 use mujoco_drones_gym::state::wxyz;
 use mujoco_drones_gym::tasks::Antipodal;
+use mujoco_drones_gym::vision::{Effects, Painter};
 use mujoco_drones_gym::wrappers::WindWrapper;
 use proptest::prelude::*;
 
@@ -343,6 +346,41 @@ fn every_overlay_is_seen() {
         let changed = plain.chunks(3).zip(with.chunks(3)).filter(|(a, b)| a != b).count();
         assert!((10..16_000).contains(&changed), "{name}: {changed} pixels");
     }
+}
+
+#[test]
+fn rings_and_gates_are_seen_where_they_are() {
+    if mujoco_drones_gym::mujoco::gl_info().is_err() {
+        return;
+    }
+    let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
+    let mut painter = Painter::new(simulation.world(), Quality::FAST, Effects::default()).unwrap();
+    painter.set_stage([0.0, 0.0, 1.0], 0.2);
+    let size = ImageSize { width: 201, height: 201 };
+    // the middle of what is magenta, and how far it reaches across and down the picture
+    let mut seen = |add: &dyn Fn(&mut Painter) -> bool| {
+        painter.update(simulation.states()).unwrap();
+        assert!(add(&mut painter));
+        let mut rgb = vec![0; 3 * size.pixels()];
+        painter.rgb(View::Top, size, &mut rgb).unwrap();
+        let pixels = rgb.chunks_exact(3).enumerate().filter(|(_, c)| c[0].min(c[2]).saturating_sub(c[1]) > 60);
+        let places: Vec<_> = pixels.map(|(i, _)| ((i % 201) as f64, (i / 201) as f64)).collect();
+        let count = places.len() as f64;
+        let mean = places.iter().fold((0.0, 0.0), |(x, y), p| (x + p.0 / count, y + p.1 / count));
+        let reach = |axis: fn(&(f64, f64)) -> f64| {
+            let values = || places.iter().map(axis);
+            values().fold(f64::MIN, f64::max) - values().fold(f64::MAX, f64::min)
+        };
+        (mean, reach(|p| p.0), reach(|p| p.1))
+    };
+    let magenta = [1.0, 0.0, 1.0, 1.0];
+    // from above x is to the right and y is up
+    let level = seen(&|painter| painter.add_ring(Vector3::new(0.3, 0.2, 1.0), Vector3::z(), 0.2, 0.02, magenta));
+    assert!(level.0.0 > 115.0 && level.0.1 < 90.0 && (level.1 - level.2).abs() < 4.0, "{level:?}");
+    let upright = seen(&|painter| painter.add_ring(Vector3::new(0.0, 0.0, 1.0), Vector3::x(), 0.2, 0.02, magenta));
+    assert!(upright.2 > 5.0 * upright.1, "across x it is a line along y: {upright:?}");
+    let gate = seen(&|painter| painter.add_gate(Vector3::new(0.0, 0.0, 1.0), 0.0, 0.2, magenta));
+    assert!(gate.2 > 4.0 * gate.1, "flown through along x it stands across it: {gate:?}");
 }
 
 /// It made no more pictures after the first episode, unless it was shown the moment of the reset.

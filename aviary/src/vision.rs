@@ -350,17 +350,7 @@ impl Painter {
         thickness: f64,
         rgba: [f32; 4],
     ) -> bool {
-        const CORNERS: u32 = 40;
-        // any direction across the axis will do
-        let aside = if axis.x.abs() < 0.9 * axis.norm() { Vector3::x() } else { Vector3::y() };
-        let Some(u) = axis.cross(&aside).try_normalize(1e-12) else { return false };
-        let Some(v) = axis.cross(&u).try_normalize(1e-12) else { return false };
-        let corner = |i: u32| {
-            let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(CORNERS)).sin_cos();
-            centre + radius * (cos * u + sin * v)
-        };
-        let corners: Vec<_> = (0..=CORNERS).map(corner).collect();
-        self.add_line(&corners, 0.5 * thickness, rgba)
+        self.add_line(&ring(centre, axis, radius), 0.5 * thickness, rgba)
     }
 
     /// Adds a square gate that stands upright about a point (world frame, m) and is flown through along a yaw (rad); `reach` m
@@ -505,6 +495,20 @@ fn thin_blades(model: &mut Model, world: &World) -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+/// Points of a closed ring about a point across an axis; none where the axis has no direction.
+pub(crate) fn ring(centre: Vector3<f64>, axis: Vector3<f64>, radius: f64) -> Vec<Vector3<f64>> {
+    const CORNERS: u32 = 40;
+    // any direction across the axis will do
+    let aside = if axis.x.abs() < 0.9 * axis.norm() { Vector3::x() } else { Vector3::y() };
+    let Some(u) = axis.cross(&aside).try_normalize(1e-12) else { return Vec::new() };
+    let Some(v) = axis.cross(&u).try_normalize(1e-12) else { return Vec::new() };
+    let corner = |i: u32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(CORNERS)).sin_cos();
+        centre + radius * (cos * u + sin * v)
+    };
+    (0..=CORNERS).map(corner).collect()
 }
 
 /// Middle and reach of points.

@@ -9,7 +9,7 @@ use aviary::vision::{ImageSize, View};
 use clap::{ArgGroup, Args, ValueHint};
 
 use crate::failure::Failure;
-use crate::options::{CAMERAS, Names, named, size, vision_failure};
+use crate::options::{Names, named, size, vision_failure};
 use crate::output::{FileWriter, OutputFile};
 use crate::pilot::Pilot;
 
@@ -28,7 +28,7 @@ pub struct FilmOptions {
     frames: Option<PathBuf>,
     /// Camera of these: track (follows the drones), fpv (on board the first one), fixed (over the whole scene), front (from ahead,
     /// standing still), top (from above, standing still)
-    #[arg(long, default_value = "track", value_parser = Names(&CAMERAS), hide_possible_values = true, requires = "pictures")]
+    #[arg(long, default_value = "track", value_parser = Names(|| View::ALL.map(View::name).to_vec()), hide_possible_values = true, requires = "pictures")]
     camera: String,
     /// Size of these, pixels
     #[arg(long, value_parser = size, default_value = "320x240", requires = "pictures")]

@@ -53,6 +53,7 @@ impl Fly {
         let plots = self.plot.then(|| self.out.clone().unwrap_or_else(|| Path::new("out").join(pilot.env().name())));
         let plots = plots.as_deref().map(OutputDir::create).transpose()?;
         let out = self.out.as_deref().map(OutputDir::create).transpose()?;
+        let film = self.film.begin(&pilot)?;
         // what an earlier flight left there is not this one's
         for (dir, names) in [(&out, &["summary.json"][..]), (&out, &PLOTS), (&plots, &PLOTS)] {
             let stale = dir.iter().flat_map(|dir| names.iter().map(|name| dir.path().join(name)));
@@ -60,7 +61,6 @@ impl Fly {
                 std::fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
             }
         }
-        let film = self.film.begin(&pilot)?;
         let (flight, samples) = self.flight(&mut pilot, out.as_ref(), film)?;
 
         let mut written = self.film.files();

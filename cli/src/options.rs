@@ -22,13 +22,15 @@ use clap::{Arg, Args, Command, ValueHint};
 
 use crate::failure::Failure;
 
-/// Cameras by name.
-pub const CAMERAS: [&str; 5] = ["track", "fpv", "fixed", "front", "top"];
+/// Obstacles that can be asked for by name: all but a list of one's own.
+fn obstacle_kinds() -> Vec<ObstacleKind> {
+    ObstacleKind::ALL.into_iter().filter(|&kind| kind != ObstacleKind::Custom).collect()
+}
 
 /// Names that a shell completes. What is not one of them is accepted, too: it may be a file, and what is wrong is said where the
 /// name is looked up.
 #[derive(Debug, Clone)]
-pub struct Names(pub &'static [&'static str]);
+pub struct Names(pub fn() -> Vec<&'static str>);
 
 impl TypedValueParser for Names {
     type Value = String;
@@ -38,7 +40,7 @@ impl TypedValueParser for Names {
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {
-        Some(Box::new(self.0.iter().map(PossibleValue::new)))
+        Some(Box::new((self.0)().into_iter().map(PossibleValue::new)))
     }
 }
 
@@ -46,25 +48,25 @@ impl TypedValueParser for Names {
 #[derive(Debug, Args)]
 pub struct FlightOptions {
     /// Task to fly; `aviary tasks` lists them
-    #[arg(long, value_parser = Names(&tasks::NAMES), hide_possible_values = true)]
+    #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
     pub task: String,
     /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
-    #[arg(long, default_value = "cf2x", value_parser = Names(&["cf2x", "cf2p", "race"]), hide_possible_values = true)]
+    #[arg(long, default_value = "cf2x", value_parser = Names(|| DroneModel::ALL.map(DroneModel::name).to_vec()), hide_possible_values = true)]
     pub drone: String,
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
     #[arg(
         long,
         default_value = "mjc",
-        value_parser = Names(&["mjc", "mjc_gnd", "mjc_drag", "mjc_dw", "mjc_gnd_drag_dw", "dyn"]),
+        value_parser = Names(|| Physics::ALL.map(Physics::name).to_vec()),
         hide_possible_values = true
     )]
     pub physics: String,
     /// Engine: mujoco, or hybrid, which gives the same flight many times faster
-    #[arg(long, default_value = "mujoco", value_parser = Names(&["mujoco", "hybrid"]), hide_possible_values = true)]
+    #[arg(long, default_value = "mujoco", value_parser = Names(|| EngineKind::ALL.map(EngineKind::name).to_vec()), hide_possible_values = true)]
     pub engine: String,
     /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories, and their default); else the
     /// task's by default
-    #[arg(long, value_parser = Names(&["pid", "dsl", "geometric"]), hide_possible_values = true)]
+    #[arg(long, value_parser = Names(|| ControllerKind::ALL.map(ControllerKind::name).to_vec()), hide_possible_values = true)]
     pub controller: Option<String>,
     /// Number of drones; the task's by default
     #[arg(long, allow_negative_numbers = true)]
@@ -72,19 +74,19 @@ pub struct FlightOptions {
     /// Trajectory to follow in place of the task's own target: circle (upright, 0.3 m), lemniscate, helix, square, loop, or a TOML
     /// file.
     /// The flight starts at rest where it starts, and lasts as long as it does
-    #[arg(long, value_parser = Names(&trajectory::NAMES), hide_possible_values = true)]
+    #[arg(long, value_parser = Names(|| trajectory::NAMES.to_vec()), hide_possible_values = true)]
     pub trajectory: Option<String>,
     /// Wind: none, constant, gust, dryden, sinusoidal, combined
     #[arg(
         long,
-        value_parser = Names(&["none", "constant", "gust", "dryden", "sinusoidal", "combined"]),
+        value_parser = Names(|| WindModel::ALL.map(WindModel::name).to_vec()),
         hide_possible_values = true
     )]
     pub wind: Option<String>,
     /// Obstacles: forest, urban, indoor, random, gates
     #[arg(
         long,
-        value_parser = Names(&["forest", "urban", "indoor", "random", "gates"]),
+        value_parser = Names(|| obstacle_kinds().iter().map(|kind| kind.name()).collect()),
         hide_possible_values = true
     )]
     pub obstacles: Option<String>,
@@ -149,7 +151,7 @@ impl FlightOptions {
             conditions.wind = Some(WindConfig { model, ..conditions.wind.unwrap_or_default() });
         }
         if let Some(name) = &self.obstacles {
-            let kinds: Vec<_> = ObstacleKind::ALL.into_iter().filter(|&kind| kind != ObstacleKind::Custom).collect();
+            let kinds = obstacle_kinds();
             one_of("obstacles", name, &kinds.iter().map(|kind| kind.name()).collect::<Vec<_>>())?;
             let config = conditions.obstacles.take().unwrap_or_default();
             let kind = kinds.into_iter().find(|kind| kind.name() == name).unwrap_or(config.kind);

@@ -7,7 +7,7 @@ use aviary::world::World;
 use clap::{Args, ValueHint};
 
 use crate::failure::Failure;
-use crate::options::{CAMERAS, FlightOptions, Names, named, size, vision_failure};
+use crate::options::{FlightOptions, Names, named, size, vision_failure};
 use crate::output::OutputFile;
 use crate::pilot::Pilot;
 
@@ -25,10 +25,10 @@ pub struct Render {
     #[arg(long, value_hint = ValueHint::FilePath)]
     out: PathBuf,
     /// Camera: track, fpv, fixed, front, top
-    #[arg(long, default_value = "track", value_parser = Names(&CAMERAS), hide_possible_values = true)]
+    #[arg(long, default_value = "track", value_parser = Names(|| View::ALL.map(View::name).to_vec()), hide_possible_values = true)]
     camera: String,
     /// What to show: rgb, depth, segmentation
-    #[arg(long, default_value = "rgb", value_parser = Names(&["rgb", "depth", "segmentation"]), hide_possible_values = true)]
+    #[arg(long, default_value = "rgb", value_parser = Names(|| ImageKind::ALL.map(ImageKind::name).to_vec()), hide_possible_values = true)]
     kind: String,
     /// Size, pixels
     #[arg(long, value_parser = size, default_value = "640x480")]

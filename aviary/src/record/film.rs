@@ -8,7 +8,7 @@ use crate::control::trajectory::Trajectory;
 use crate::env::{Env, EnvError};
 use crate::physics::wind::WindModel;
 use crate::simulation::Simulation;
-use crate::vision::{Decor, ImageSize, Painter, View};
+use crate::vision::{Decor, ImageSize, Painter, View, ring};
 use crate::world::Obstacle;
 
 /// What is drawn into pictures of a flight beside what is there. Drones have the colours that they have in plots.
@@ -119,8 +119,11 @@ impl Film {
         Ok(film)
     }
 
-    /// Looks up what drones plan to fly.
+    /// Looks up what drones plan to fly, where that is to be seen.
     fn plan(&mut self, env: &dyn Env) {
+        if !self.overlays.references {
+            return;
+        }
         for drone in 0..self.ways.len() {
             self.ways[drone].clear();
             if let Some(way) = env.plan(drone) {
@@ -262,7 +265,7 @@ impl Film {
                 painter.add_thread(&trails[drone].points, thread, rgba);
             }
             if let Some(radius) = overlays.rings {
-                painter.add_thread(&ring(state.position, radius), thread, rgba);
+                painter.add_thread(&ring(state.position, Vector3::z(), radius), thread, rgba);
             }
         }
         if overlays.wind
@@ -279,16 +282,6 @@ impl Film {
             }
         }
     }
-}
-
-/// A level ring about a point.
-fn ring(centre: Vector3<f64>, radius: f64) -> Vec<Vector3<f64>> {
-    const CORNERS: u32 = 40;
-    let corner = |i: u32| {
-        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(CORNERS)).sin_cos();
-        centre + radius * Vector3::new(cos, sin, 0.0)
-    };
-    (0..=CORNERS).map(corner).collect()
 }
 
 /// The way that a drone has come, in points that are so far apart that there are never many.

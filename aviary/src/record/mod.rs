@@ -13,7 +13,7 @@ mod recorded;
 mod recorder;
 mod replay;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use film::{Film, Overlays};
 pub use flight::{Flight, Sample, files};
@@ -88,4 +88,10 @@ pub enum RecordError {
         /// What the size needs.
         expected: usize,
     },
+}
+
+impl RecordError {
+    fn file(path: &Path, error: std::io::Error) -> Self {
+        Self::File { path: path.to_path_buf(), error }
+    }
 }

@@ -232,9 +232,3 @@ impl Row {
         self.count = numbers.len();
     }
 }
-
-impl RecordError {
-    pub(super) fn file(path: &Path, error: std::io::Error) -> Self {
-        Self::File { path: path.to_path_buf(), error }
-    }
-}

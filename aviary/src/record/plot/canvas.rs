@@ -3,6 +3,7 @@
 use std::sync::Once;
 
 use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
@@ -120,6 +121,36 @@ pub(super) fn titled<B: Canvas>(
     let middle = head.dim_in_pixel().0 as i32 / 2;
     head.draw(&Text::new(title.to_string(), (middle, px(24)), text(19, HPos::Center, VPos::Center)))?;
     Ok(rest)
+}
+
+/// A chart of numbers against numbers.
+pub(super) type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// An axis: its range, about how many ticks it has, and its name.
+pub(super) struct Axis<'a> {
+    pub range: (f64, f64),
+    pub ticks: usize,
+    pub name: &'a str,
+}
+
+/// Draws axes, ticks and a faint grid.
+pub(super) fn draw_axes<B: Canvas>(chart: &mut Chart<'_, B>, x: &Axis<'_>, y: &Axis<'_>) -> Drawn<B> {
+    let dark = RGBColor(40, 40, 40);
+    chart
+        .configure_mesh()
+        .axis_style(RGBColor(150, 150, 150).stroke_width(px(1) as u32))
+        .bold_line_style(RGBColor(225, 225, 225).stroke_width(px(1) as u32 / 2))
+        .light_line_style(TRANSPARENT)
+        .label_style(TextStyle::from(font(11)).color(&dark))
+        .x_labels(x.ticks)
+        .y_labels(y.ticks)
+        .set_all_tick_mark_size(px(4))
+        .x_label_formatter(&label_of(x.range))
+        .y_label_formatter(&label_of(y.range))
+        .axis_desc_style(TextStyle::from(font(12)).color(&dark))
+        .x_desc(x.name)
+        .y_desc(y.name)
+        .draw()
 }
 
 /// How a line looks.

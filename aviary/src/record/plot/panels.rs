@@ -5,7 +5,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::canvas::{Canvas, Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin};
+use super::canvas::{Axis, Canvas, Drawn, Stroke, draw_axes, draw_line, legend, px, span, text, thin};
 use super::{Series, check};
 use crate::record::{Flight, RecordError, Sample};
 
@@ -230,21 +230,10 @@ impl Panel {
             .x_label_area_size(px(if lowest { 40 } else { 24 }))
             .y_label_area_size(px(58))
             .build_cartesian_2d(times.0..times.1, values.0..values.1)?;
-        let grey = RGBColor(150, 150, 150);
-        chart
-            .configure_mesh()
-            .axis_style(grey.stroke_width(px(1) as u32))
-            .bold_line_style(RGBColor(225, 225, 225).stroke_width(px(1) as u32 / 2))
-            .light_line_style(TRANSPARENT)
-            .label_style(TextStyle::from(font(11)).color(&RGBColor(40, 40, 40)))
-            .x_labels(if body.dim_in_pixel().0 > px(450) as u32 { 11 } else { 6 })
-            .y_labels(6)
-            .set_all_tick_mark_size(px(4))
-            .x_label_formatter(&label_of(times))
-            .y_label_formatter(&label_of(values))
-            .axis_desc_style(TextStyle::from(font(12)).color(&RGBColor(40, 40, 40)))
-            .x_desc(if lowest { "time (s)" } else { "" })
-            .draw()?;
+        let many = body.dim_in_pixel().0 > px(450) as u32;
+        let name = if lowest { "time (s)" } else { "" };
+        let time = Axis { range: times, ticks: if many { 11 } else { 6 }, name };
+        draw_axes(&mut chart, &time, &Axis { range: values, ticks: 6, name: "" })?;
         let inner = chart.plotting_area().strip_coord_spec();
         let (left, top) =
             (chart.plotting_area().get_pixel_range().0.start, chart.plotting_area().get_pixel_range().1.start);

@@ -5,7 +5,9 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::canvas::{Canvas, Drawn, Stroke, draw_line, font, label_of, legend, px, span, text, thin_way};
+use super::canvas::{
+    Axis, Canvas, Drawn, Stroke, draw_axes, draw_line, font, label_of, legend, px, span, text, thin_way,
+};
 use super::{check, rgb};
 use crate::record::{Flight, RecordError};
 
@@ -82,21 +84,8 @@ impl Paths {
             .x_label_area_size(px(46))
             .y_label_area_size(px(68))
             .build_cartesian_2d(x.0..x.1, y.0..y.1)?;
-        chart
-            .configure_mesh()
-            .axis_style(RGBColor(150, 150, 150).stroke_width(px(1) as u32))
-            .bold_line_style(RGBColor(225, 225, 225).stroke_width(px(1) as u32 / 2))
-            .light_line_style(TRANSPARENT)
-            .label_style(TextStyle::from(font(11)).color(&RGBColor(40, 40, 40)))
-            .x_labels(7)
-            .y_labels(7)
-            .set_all_tick_mark_size(px(4))
-            .x_label_formatter(&label_of(x))
-            .y_label_formatter(&label_of(y))
-            .axis_desc_style(TextStyle::from(font(13)).color(&RGBColor(40, 40, 40)))
-            .x_desc("x (m)")
-            .y_desc("y (m)")
-            .draw()?;
+        let (across, up) = (Axis { range: x, ticks: 7, name: "x (m)" }, Axis { range: y, ticks: 7, name: "y (m)" });
+        draw_axes(&mut chart, &across, &up)?;
         let range = chart.plotting_area().get_pixel_range();
         let inner = chart.plotting_area().strip_coord_spec();
         let map = |point: &Vector3<f64>| {
