@@ -3,7 +3,7 @@
 use serde::{Deserialize, Deserializer};
 
 /// A TOML error on one line: where it is and what was expected, without the drawing of the source.
-pub(crate) fn toml_message(text: &str, error: &toml::de::Error) -> String {
+pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     let mut message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
     if message.starts_with("unknown ") {
         // serde's list of what there is, all of it in backquotes after the name that was found

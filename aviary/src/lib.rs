@@ -36,8 +36,10 @@ pub mod wrappers;
 
 pub mod vector;
 
+pub mod policy;
+
 pub mod record;
 
 mod error;
 
-pub use error::did_you_mean;
+pub use error::{did_you_mean, toml_message};

@@ -1,6 +1,6 @@
 use std::path::Path;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::{AviaryBuilder, EnvError, Randomization};
 use crate::physics::wind::WindConfig;
@@ -32,7 +32,7 @@ use crate::world::ObstacleConfig;
 /// assert_eq!(env.simulation().world().obstacles.len(), 10);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Default, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Conditions {
     /// The wind.
@@ -51,16 +51,25 @@ impl Conditions {
     pub fn from_toml(text: &str) -> Result<Self, EnvError> {
         let conditions: Self = toml::from_str(text)
             .map_err(|error| EnvError::Toml { message: crate::error::toml_message(text, &error) })?;
-        if let Some(wind) = &conditions.wind {
+        conditions.validate()?;
+        Ok(conditions)
+    }
+
+    /// Checks all of them.
+    ///
+    /// # Errors
+    /// What is impossible in a section.
+    pub fn validate(&self) -> Result<(), EnvError> {
+        if let Some(wind) = &self.wind {
             wind.validate().map_err(|error| EnvError::Simulation(error.into()))?;
         }
-        if let Some(obstacles) = &conditions.obstacles {
+        if let Some(obstacles) = &self.obstacles {
             obstacles.validate()?;
         }
-        if let Some(randomization) = &conditions.randomization {
+        if let Some(randomization) = &self.randomization {
             randomization.validate()?;
         }
-        Ok(conditions)
+        Ok(())
     }
 
     /// Reads and checks a file.

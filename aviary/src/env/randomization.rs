@@ -121,7 +121,7 @@ pub struct EnvironmentRanges {
     pub wind: Range,
 }
 
-/// Where an episode starts: largest change of each component, uniform both ways.
+/// Where an episode starts: largest change of each component, uniform both ways, about the environment's own start or a place beside it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InitialRanges {
@@ -131,6 +131,9 @@ pub struct InitialRanges {
     pub attitude: f64,
     /// Of the velocity, m/s.
     pub velocity: f64,
+    /// From the environment's own start to the middle of them, world frame, m; none by default.
+    #[serde(deserialize_with = "crate::error::triple")]
+    pub offset: [f64; 3],
 }
 
 impl Default for BodyRanges {
@@ -173,7 +176,7 @@ impl Default for EnvironmentRanges {
 
 impl Default for InitialRanges {
     fn default() -> Self {
-        Self { position: 0.2, attitude: 0.1, velocity: 0.5 }
+        Self { position: 0.2, attitude: 0.1, velocity: 0.5, offset: [0.0; 3] }
     }
 }
 
@@ -262,7 +265,10 @@ impl Randomization {
                 return wrong(option, got.to_string(), "zero or a positive number up to 1000");
             }
         }
-        Ok(())
+        match i.offset.iter().find(|x| !(-1e3..=1e3).contains(*x)) {
+            Some(x) => wrong("the randomized initial.offset", x.to_string(), "three numbers from −1000 to 1000"),
+            None => Ok(()),
+        }
     }
 }
 
@@ -462,6 +468,7 @@ impl Randomizer {
         rng: &mut Rng,
     ) -> DroneState {
         let params = &self.nominal[drone];
+        let middle = start.position + Vector3::from(ranges.offset);
         let rpy = start.rpy() + around(rng, ranges.attitude);
         let velocity = start.velocity + around(rng, ranges.velocity);
         let attitude = attitude_from_rpy(rpy);
@@ -469,9 +476,9 @@ impl Randomizer {
         // half the height of the cylinder as it leans
         let lowest = 0.5 * params.collision_height * tilted.cos().abs() + params.collision_radius * tilted.sin();
         let above_floor = |place: Vector3<f64>| Vector3::new(place.x, place.y, place.z.max(lowest + 1e-3));
-        let mut position = above_floor(start.position);
+        let mut position = above_floor(middle);
         for _ in 0..20 {
-            let place = above_floor(start.position + around(rng, ranges.position));
+            let place = above_floor(middle + around(rng, ranges.position));
             let reach = params.collision_radius.hypot(0.5 * params.collision_height);
             let off_obstacles = obstacles.iter().all(|obstacle| obstacle.distance(&place) > reach);
             let free = (0..drone).all(|other| {

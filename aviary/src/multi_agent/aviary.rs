@@ -211,6 +211,10 @@ impl<T: Task> ParallelEnv for ParallelAviary<T> {
         Ok(step)
     }
 
+    fn episode_steps(&self) -> u64 {
+        self.env.episode_steps()
+    }
+
     fn state(&self) -> Vec<f64> {
         self.env.simulation().states().iter().flat_map(state_vector).collect()
     }

@@ -8,9 +8,10 @@ pub use checker::check_parallel_env;
 
 use std::sync::Arc;
 
-use crate::env::{BoxSpace, EndReason, EnvError, ObservationSpace};
+use crate::env::{BoxSpace, EndReason, EnvConfig, EnvError, ObservationSpace};
 use crate::observation::Observation;
 use crate::simulation::Simulation;
+use crate::tasks::{for_task, unknown};
 use crate::vision::{ImageSize, View};
 
 /// The name of an agent: `drone0`, `drone1`, …
@@ -106,6 +107,27 @@ pub struct ParallelStep {
     pub infos: AgentMap<AgentInfo>,
 }
 
+/// Makes an environment of several agents for the task of a name.
+///
+/// ```
+/// use aviary::env::EnvConfig;
+/// use aviary::multi_agent::make_parallel;
+///
+/// let env = make_parallel("multi_hover", EnvConfig::default().num_drones(5))?;
+/// assert_eq!(env.possible_agents().len(), 5);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+///
+/// # Errors
+/// [`EnvError::UnknownTask`], and what building it finds.
+pub fn make_parallel(name: &str, options: EnvConfig) -> Result<Box<dyn ParallelEnv + Send>, EnvError> {
+    for_task!(name, |task| {
+        let env = options.with_task(task).build()?;
+        Ok(Box::new(ParallelAviary::new(env)) as Box<dyn ParallelEnv + Send>)
+    })
+    .unwrap_or_else(|| Err(unknown(name)))
+}
+
 /// An environment of several agents that all act at once (PettingZoo's `ParallelEnv`).
 ///
 /// ```
@@ -152,6 +174,9 @@ pub trait ParallelEnv {
     /// not a number: nothing has moved then. And what [`Env::step`](crate::env::Env::step) has, after which only a reset leads
     /// on.
     fn step(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<ParallelStep, EnvError>;
+
+    /// Control steps after which an episode is cut off.
+    fn episode_steps(&self) -> u64;
 
     /// The states of all drones, one after the other, each as a [`state_vector`](crate::observation::state_vector) (PettingZoo's
     /// `state`, for critics that see everything).

@@ -179,8 +179,8 @@ pub fn summary(name: &str) -> Option<TaskSummary> {
 ///
 /// # Errors
 /// [`EnvError::Option`] for a name that no task has, and what building it finds.
-pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn Env>, EnvError> {
-    for_task!(name, |task| Ok(Box::new(config.with_task(task).build()?) as Box<dyn Env>))
+pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn Env + Send>, EnvError> {
+    for_task!(name, |task| Ok(Box::new(config.with_task(task).build()?) as Box<dyn Env + Send>))
         .unwrap_or_else(|| Err(unknown(name)))
 }
 

@@ -84,6 +84,15 @@ impl Plot {
         Ok(Self { title: title.into(), size: (800, 50 + 250 * panels.rows()), kind: Kind::Panels(panels) })
     }
 
+    /// Something else than time along the common axis of its panels, with its unit; plots of paths have none.
+    #[must_use]
+    pub fn over(mut self, name: &str) -> Self {
+        if let Kind::Panels(panels) = &mut self.kind {
+            panels.over = name.into();
+        }
+        self
+    }
+
     /// Position, attitude, velocity and motor speeds over time, with the references in dashes. A single drone has a panel
     /// for each; of several, every axis has a panel, in which the drones lie over each other.
     ///

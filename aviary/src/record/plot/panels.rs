@@ -25,11 +25,16 @@ struct Panel {
     least: f64,
 }
 
+/// What panels are over unless somebody says otherwise.
+const TIME: &str = "time (s)";
+
 /// Panels over a common time axis.
 #[derive(Debug, Clone)]
 pub(super) struct Panels {
     panels: Vec<Panel>,
     columns: usize,
+    /// What they are over.
+    pub over: String,
     /// A legend for all of them, where they have none of their own.
     legend: Vec<(String, Stroke)>,
 }
@@ -71,7 +76,7 @@ impl Panels {
                 .collect(),
             least: 0.0,
         };
-        Ok(Self { panels: panels.iter().map(panel).collect(), columns: 1, legend: Vec::new() })
+        Ok(Self { panels: panels.iter().map(panel).collect(), columns: 1, over: TIME.into(), legend: Vec::new() })
     }
 
     pub fn of_flight(flight: &Flight) -> Result<Self, RecordError> {
@@ -117,6 +122,7 @@ impl Panels {
                 panel("motor speed (rpm)", 200.0, &["0", "1", "2", "3"], Motor),
             ],
             columns: 2,
+            over: TIME.into(),
             legend: Vec::new(),
         }
     }
@@ -177,7 +183,7 @@ impl Panels {
         if drones.iter().flatten().any(|sample| sample.reference.is_some()) {
             legend.push(("reference".into(), Stroke::REFERENCE));
         }
-        Self { panels: panels.collect(), columns: 4, legend }
+        Self { panels: panels.collect(), columns: 4, over: TIME.into(), legend }
     }
 
     pub fn columns(&self) -> usize {
@@ -203,14 +209,15 @@ impl Panels {
         let rows = self.rows() as usize;
         let cells = area.split_evenly((rows, self.columns));
         for (index, (cell, panel)) in cells.iter().zip(&self.panels).enumerate() {
-            panel.draw(cell, times, index / self.columns + 1 == rows)?;
+            let lowest = index / self.columns + 1 == rows;
+            panel.draw(cell, times, lowest.then_some(&*self.over))?;
         }
         Ok(())
     }
 }
 
 impl Panel {
-    fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>, times: (f64, f64), lowest: bool) -> Drawn<B> {
+    fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>, times: (f64, f64), over: Option<&str>) -> Drawn<B> {
         let values = span(self.lines.iter().flat_map(|line| &line.points).map(|(_, y)| *y), self.least, 0.06);
         let (head, body) = area.split_vertically(px(26));
         head.draw(&Text::new(self.label.clone(), (px(14), px(16)), text(13, HPos::Left, VPos::Center)))?;
@@ -227,11 +234,11 @@ impl Panel {
             .margin_left(px(6))
             .margin_right(px(14))
             .margin_top(px(2))
-            .x_label_area_size(px(if lowest { 40 } else { 24 }))
+            .x_label_area_size(px(if over.is_some() { 40 } else { 24 }))
             .y_label_area_size(px(58))
             .build_cartesian_2d(times.0..times.1, values.0..values.1)?;
         let many = body.dim_in_pixel().0 > px(450) as u32;
-        let name = if lowest { "time (s)" } else { "" };
+        let name = over.unwrap_or("");
         let time = Axis { range: times, ticks: if many { 11 } else { 6 }, name };
         draw_axes(&mut chart, &time, &Axis { range: values, ticks: 6, name: "" })?;
         let inner = chart.plotting_area().strip_coord_spec();

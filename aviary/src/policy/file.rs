@@ -1,0 +1,258 @@
+//! Policies as safetensors: the tensors, and under `policy` in the metadata what they are for, as JSON.
+
+use std::collections::HashMap;
+use std::io::Write as _;
+use std::path::Path;
+
+use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+
+use super::{Activation, Mlp, Policy, PolicyError, PolicyInfo};
+
+/// Key of the metadata: one alone, so that equal policies are equal files.
+const KEY: &str = "policy";
+
+/// What the metadata says.
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Header {
+    info: PolicyInfo,
+    activation: Activation,
+}
+
+fn bytes(numbers: &[f32]) -> Vec<u8> {
+    numbers.iter().flat_map(|x| x.to_le_bytes()).collect()
+}
+
+fn wrong(message: impl std::fmt::Display) -> PolicyError {
+    PolicyError::Format { message: message.to_string() }
+}
+
+/// The numbers of a tensor, and its shape.
+fn numbers(tensors: &SafeTensors<'_>, name: &str) -> Result<(Vec<f32>, Vec<usize>), PolicyError> {
+    let view = tensors.tensor(name).map_err(|_| wrong(format_args!("it has no tensor `{name}`")))?;
+    if view.dtype() != Dtype::F32 {
+        return Err(wrong(format_args!("the tensor `{name}` is of {:?}, expected F32", view.dtype())));
+    }
+    let numbers = view.data().chunks_exact(4).map(|x| f32::from_le_bytes([x[0], x[1], x[2], x[3]])).collect();
+    Ok((numbers, view.shape().to_vec()))
+}
+
+fn vector(tensors: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, PolicyError> {
+    Ok(numbers(tensors, name)?.0)
+}
+
+impl Policy {
+    /// The file's bytes. Equal policies have equal ones.
+    ///
+    /// # Panics
+    /// Never: all of it can be written.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
+        let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
+            tensors.push((name.into(), shape.to_vec(), bytes(numbers)));
+        };
+        add("observation.mean", &[self.mean.len()], &self.mean);
+        add("observation.deviation", &[self.deviation.len()], &self.deviation);
+        add("action.low", &[self.low.len()], &self.low);
+        add("action.high", &[self.high.len()], &self.high);
+        let mut left = self.net.parameters();
+        for (layer, pair) in self.net.sizes().windows(2).enumerate() {
+            let (weights, rest) = left.split_at(pair[0] * pair[1]);
+            let (biases, rest) = rest.split_at(pair[1]);
+            left = rest;
+            add(&format!("layer{layer}.weight"), pair, weights);
+            add(&format!("layer{layer}.bias"), &pair[1..], biases);
+        }
+        let header = Header { info: self.info.clone(), activation: self.net.activation() };
+        let header = serde_json::to_string(&header).unwrap_or_default();
+        let views = tensors.iter().filter_map(|(name, shape, data)| {
+            TensorView::new(Dtype::F32, shape.clone(), data).ok().map(|view| (name.clone(), view))
+        });
+        let metadata = HashMap::from([(KEY.to_string(), header)]);
+        safetensors::serialize(views, Some(metadata)).expect("tensors of single precision")
+    }
+
+    /// Reads the bytes of a file.
+    ///
+    /// # Errors
+    /// [`PolicyError`] saying what is wrong with them.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
+        let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(wrong)?;
+        let tensors = SafeTensors::deserialize(bytes).map_err(wrong)?;
+        let header = metadata.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
+        let header = header.ok_or_else(|| wrong("its metadata has no `policy`"))?;
+        let Header { info, activation } = serde_json::from_str(header).map_err(wrong)?;
+        let (mut sizes, mut parameters) = (Vec::new(), Vec::new());
+        for layer in 0..=Mlp::MAX_LAYERS {
+            let name = format!("layer{layer}.weight");
+            if layer > 0 && tensors.tensor(&name).is_err() {
+                break;
+            }
+            let (weights, shape) = numbers(&tensors, &name)?;
+            let &[inputs, outputs] = &shape[..] else {
+                return Err(wrong(format_args!("the tensor `{name}` has the shape {shape:?}, expected two sides")));
+            };
+            if let Some(before) = sizes.last()
+                && *before != inputs
+            {
+                return Err(wrong(format_args!(
+                    "the tensor `{name}` has the shape {shape:?}, expected {before} inputs"
+                )));
+            }
+            if sizes.is_empty() {
+                sizes.push(inputs);
+            }
+            sizes.push(outputs);
+            let biases = vector(&tensors, &format!("layer{layer}.bias"))?;
+            if biases.len() != outputs {
+                return Err(wrong(format_args!(
+                    "`layer{layer}.bias` has {} numbers, expected {outputs}",
+                    biases.len()
+                )));
+            }
+            parameters.extend(weights);
+            parameters.extend(biases);
+        }
+        let net = Mlp::new(&sizes, activation, &parameters)?;
+        let scale = [vector(&tensors, "observation.mean")?, vector(&tensors, "observation.deviation")?];
+        let bounds = [vector(&tensors, "action.low")?, vector(&tensors, "action.high")?];
+        Self::from_parts(info, net, scale, bounds)
+    }
+
+    /// Writes it as one file, which appears whole or not at all.
+    ///
+    /// # Errors
+    /// [`PolicyError::File`].
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<(), PolicyError> {
+        let path = path.as_ref();
+        write_whole(path, &self.to_bytes())
+            .map_err(|error| PolicyError::File { path: path.into(), message: error.to_string() })
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`PolicyError::File`] saying what is wrong.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, PolicyError> {
+        let path = path.as_ref();
+        let in_file = |message: String| PolicyError::File { path: path.into(), message };
+        let bytes = std::fs::read(path).map_err(|error| in_file(error.to_string()))?;
+        Self::from_bytes(&bytes).map_err(|error| in_file(error.to_string()))
+    }
+}
+
+/// Writes a file that is there whole or not at all.
+///
+/// # Errors
+/// What the file system says.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(directory)?;
+    file.write_all(bytes)?;
+    // a file of one's own is for one's own eyes; this one is for whoever may read the directory
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
+    }
+    file.persist(path)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn policy() -> Policy {
+        let info = PolicyInfo {
+            version: 1,
+            task: "hover".into(),
+            drone: "cf2x".into(),
+            num_drones: 1,
+            per_drone: false,
+            action_type: "rpm".into(),
+            sim_freq: 240,
+            ctrl_freq: 48,
+            seed: 7,
+            steps: 1000,
+            command: "aviary train --task hover".into(),
+            made_by: "a test".into(),
+        };
+        let sizes = [3, 5, 2];
+        let parameters: Vec<f32> = (0..Mlp::count(&sizes)).map(|k| (k as f32).sin()).collect();
+        let net = Mlp::new(&sizes, Activation::Softsign, &parameters).unwrap();
+        let bounds = [vec![-1.0, f32::NEG_INFINITY], vec![3.0, f32::INFINITY]];
+        Policy::from_parts(info, net, [vec![0.1, 0.2, 0.3], vec![1.0, 2.0, 3.0]], bounds).unwrap()
+    }
+
+    #[test]
+    fn a_policy_reads_back_as_it_was_from_equal_bytes() {
+        let policy = policy();
+        let bytes = policy.to_bytes();
+        assert_eq!(bytes, policy.clone().to_bytes());
+        assert_eq!(Policy::from_bytes(&bytes).unwrap(), policy);
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("policy.safetensors");
+        policy.save(&path).unwrap();
+        assert_eq!(Policy::load(&path).unwrap(), policy);
+        let error = policy.save(directory.path().join("nowhere/policy")).unwrap_err().to_string();
+        assert!(error.contains("nowhere"), "{error}");
+    }
+
+    #[test]
+    fn actions_are_scaled_to_bounds_where_there_are_two_and_clipped() {
+        let policy = policy();
+        let mut action = [0.0; 2];
+        policy.act(&[0.5, -0.4, 1.0], &mut action);
+        let mut plain = [0.0; 2];
+        policy.net.forward(&[0.4, -0.3, 0.7 / 3.0], &mut plain);
+        assert!((action[0] - f64::from((1.0 + 2.0 * plain[0]).clamp(-1.0, 3.0))).abs() < 1e-6);
+        assert!((action[1] - f64::from(plain[1])).abs() < 1e-6);
+        // an observation beyond all measure is clipped before it comes in
+        policy.act(&[1e30, -1e30, 0.0], &mut action);
+        assert!(action[0] >= -1.0 && action[0] <= 3.0 && action[1].is_finite());
+    }
+
+    #[test]
+    fn what_is_missing_or_of_the_wrong_kind_is_named() {
+        let refused = |bytes: &[u8]| Policy::from_bytes(bytes).unwrap_err().to_string();
+        assert!(refused(b"").starts_with("not a policy"));
+        assert!(refused(b"{\"task\": \"hover\"}").starts_with("not a policy"));
+        let data = bytes(&[1.0, 2.0]);
+        let view = TensorView::new(Dtype::F32, vec![2], &data).unwrap();
+        let other = safetensors::serialize([("weights", view)], None).unwrap();
+        assert!(refused(&other).contains("its metadata has no `policy`"));
+        let later = Policy { info: PolicyInfo { version: 2, ..policy().info }, ..policy() };
+        assert!(refused(&later.to_bytes()).contains("the version is 2, expected 1"));
+        let flat = Policy { deviation: vec![1.0, 0.0, 1.0], ..policy() };
+        assert!(refused(&flat.to_bytes()).contains("a deviation is 0, expected a positive number"));
+        let short = Policy { mean: vec![0.0; 2], deviation: vec![1.0; 2], ..policy() };
+        assert!(refused(&short.to_bytes()).contains("network"), "{}", refused(&short.to_bytes()));
+    }
+
+    proptest! {
+        #[test]
+        fn damaged_files_are_errors_or_other_policies_and_never_panics(
+            changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
+            length in any::<prop::sample::Index>(),
+            cut in any::<bool>(),
+        ) {
+            let mut bytes = policy().to_bytes();
+            for (place, byte) in changes {
+                let place = place.index(bytes.len());
+                bytes[place] = byte;
+            }
+            if cut {
+                bytes.truncate(length.index(bytes.len()));
+            }
+            if let Ok(policy) = Policy::from_bytes(&bytes) {
+                // what a network of huge numbers says may be no number: environments refuse those
+                let mut action = vec![0.0; policy.action_size()];
+                policy.act(&vec![0.5; policy.observation_size()], &mut action);
+                prop_assert_eq!(Policy::from_bytes(&policy.to_bytes()).unwrap(), policy);
+            }
+        }
+    }
+}
