@@ -1,0 +1,480 @@
+//! What a training run is, and what each task is trained with unless somebody says otherwise.
+
+use std::path::Path;
+
+use aviary::action::ActionType;
+use aviary::drone::{DroneModel, DroneParams};
+use aviary::engine::EngineKind;
+use aviary::env::{Conditions, EnvConfig, EnvError, InitialRanges, Randomization};
+use aviary::multi_agent::make_parallel;
+use aviary::physics::Physics;
+use aviary::physics::wind::WindConfig;
+use aviary::tasks::{self, Race};
+use aviary::vector::{Autoreset, OnFault, VecAviary, VecConfig, VecEnv, make_vec};
+use aviary::world::ObstacleConfig;
+use serde::{Deserialize, Serialize};
+
+use crate::TrainError;
+use crate::agents::{Agents, Batch, Swarm, Terms};
+use crate::evaluation::{AnyEnv, Success};
+use crate::ppo::{PpoConfig, SaidPpo};
+
+/// A training run, whole: with the same program on the same machine it gives the same policy to the bit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrainConfig {
+    /// The task.
+    pub task: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Airframe: the name of a built-in one, or a TOML file.
+    pub drone: String,
+    /// Physics mode, by name.
+    pub physics: String,
+    /// Number of drones; the task's where it is not said.
+    pub num_drones: Option<usize>,
+    /// Whether every drone is an agent of its own, and all fly by the same policy.
+    pub per_drone: bool,
+    /// What actions mean, by name.
+    pub action_type: String,
+    /// Physics rate, Hz.
+    pub sim_freq: u32,
+    /// Control rate, Hz.
+    pub ctrl_freq: u32,
+    /// Length of an episode, s; the task's where it is not said.
+    pub episode_seconds: Option<f64>,
+    /// Environment steps after which it ends.
+    pub steps: u64,
+    /// Whether it ends as soon as every episode of an evaluation succeeds, and of another one four times as large.
+    pub until_success: bool,
+    /// Iterations between two evaluations.
+    pub evaluate_every: u64,
+    /// Episodes of an evaluation.
+    pub episodes: usize,
+    /// Iterations between two checkpoints, at which all environments begin anew.
+    pub checkpoint_every: u64,
+    /// What counts as success.
+    pub success: Success,
+    /// Where episodes of training start, if elsewhere than those of evaluations: one after the other for as many environments as there are, and
+    /// again.
+    pub training_starts: Vec<TrainingStart>,
+    /// What leaving the task's space costs in training. Where it costs nothing, policies that cannot do better yet learn to leave.
+    pub out_of_bounds: f32,
+    /// What race pays in training: the paper's reward for speed is best earned by flying away.
+    pub race: Option<RaceRewards>,
+    /// Wind, obstacles and what is drawn anew for every episode, in training and evaluation.
+    pub conditions: Conditions,
+    /// The algorithm's.
+    pub ppo: PpoConfig,
+}
+
+/// Where some episodes of training start, and how long they are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainingStart {
+    /// Largest change of each coordinate, m.
+    pub position: f64,
+    /// Of roll, pitch and yaw, rad.
+    pub attitude: f64,
+    /// Of each component of the velocity, m/s.
+    pub velocity: f64,
+    /// From the task's own start to the middle of these, world frame, m.
+    pub offset: [f64; 3],
+    /// Time after which they are cut off, s; the task's where it is not said.
+    pub seconds: Option<f64>,
+}
+
+impl Default for TrainingStart {
+    fn default() -> Self {
+        let InitialRanges { position, attitude, velocity, offset } = START;
+        Self { position, attitude, velocity, offset, seconds: None }
+    }
+}
+
+impl TrainingStart {
+    fn ranges(&self) -> InitialRanges {
+        let Self { position, attitude, velocity, offset, .. } = *self;
+        InitialRanges { position, attitude, velocity, offset }
+    }
+}
+
+/// What a race pays: see [`Race`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RaceRewards {
+    /// For a gate.
+    pub gate: f64,
+    /// Per control step and m/s.
+    pub speed: f64,
+    /// Per control step and m of distance from the gate, taken off.
+    pub distance: f64,
+}
+
+/// A configuration file: what it says of a run.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Said {
+    drone: Option<String>,
+    physics: Option<String>,
+    num_drones: Option<usize>,
+    per_drone: Option<bool>,
+    action_type: Option<String>,
+    sim_freq: Option<u32>,
+    ctrl_freq: Option<u32>,
+    episode_seconds: Option<f64>,
+    steps: Option<u64>,
+    evaluate_every: Option<u64>,
+    episodes: Option<usize>,
+    checkpoint_every: Option<u64>,
+    success: Option<Success>,
+    training_starts: Option<Vec<TrainingStart>>,
+    out_of_bounds: Option<f32>,
+    race: Option<RaceRewards>,
+    ppo: SaidPpo,
+    wind: Option<WindConfig>,
+    obstacles: Option<ObstacleConfig>,
+    randomization: Option<Randomization>,
+}
+
+/// Where episodes start: ±0.2 m, ±0.1 rad, ±0.5 m/s about the task's own start.
+const START: InitialRanges = InitialRanges { position: 0.2, attitude: 0.1, velocity: 0.5, offset: [0.0; 3] };
+
+impl TrainConfig {
+    /// What a task is trained with.
+    ///
+    /// # Errors
+    /// [`EnvError::UnknownTask`].
+    pub fn of_task(name: &str) -> Result<Self, TrainError> {
+        let summary = tasks::summary(name).ok_or_else(|| unknown(name))?;
+        let held = Success::Held { seconds: 5.0 };
+        let near = Success::Near { seconds: 5.0, within: 0.05 };
+        let ppo = match name {
+            // looking further ahead, a waypoint costs more than it pays: the next one is far
+            "fly_through" => PpoConfig { discount: 0.98, ..PpoConfig::default() },
+            // each has two agents and more
+            "multi_hover" | "multi_agent" => PpoConfig { environments: 512, ..PpoConfig::default() },
+            _ => PpoConfig::default(),
+        };
+        let (success, steps, ppo) = match name {
+            "hover" => (near, 20_000_000, ppo),
+            "multi_hover" | "multi_agent" => (near, 20_000_000, ppo),
+            "velocity" => (held, 20_000_000, ppo),
+            "fly_through" | "race" => (Success::Done, 40_000_000, ppo),
+            "formation" | "track" | "stabilize" => (held, 20_000_000, ppo),
+            _ => (Success::Done, 20_000_000, ppo),
+        };
+        Ok(Self {
+            task: name.into(),
+            seed: 0,
+            drone: "cf2x".into(),
+            physics: "mjc".into(),
+            num_drones: None,
+            per_drone: matches!(name, "multi_hover" | "multi_agent"),
+            action_type: "rpm".into(),
+            sim_freq: 240,
+            ctrl_freq: 48,
+            episode_seconds: None,
+            steps,
+            until_success: false,
+            evaluate_every: 5,
+            episodes: 64,
+            checkpoint_every: 50,
+            success,
+            training_starts: starts_of(name),
+            race: (name == "race").then_some(RaceRewards { gate: 20.0, speed: 0.0, distance: 0.2 }),
+            out_of_bounds: 100.0,
+            conditions: Conditions { randomization: summary_start(&summary), ..Conditions::default() },
+            ppo,
+        })
+    }
+
+    /// Changes what a configuration in TOML says.
+    ///
+    /// # Errors
+    /// [`TrainError::Toml`] with line and column, [`TrainError::Env`] for what is impossible in wind, obstacles or randomization.
+    pub fn read_toml(&mut self, text: &str) -> Result<(), TrainError> {
+        let said: Said =
+            toml::from_str(text).map_err(|error| TrainError::Toml { message: aviary::toml_message(text, &error) })?;
+        macro_rules! take {
+            ($($field:ident)*) => {$(
+                if let Some(said) = said.$field {
+                    self.$field = said;
+                }
+            )*};
+        }
+        take!(drone physics per_drone action_type sim_freq ctrl_freq steps evaluate_every episodes checkpoint_every success out_of_bounds);
+        self.training_starts = said.training_starts.unwrap_or(std::mem::take(&mut self.training_starts));
+        self.num_drones = said.num_drones.or(self.num_drones);
+        self.race = said.race.or(self.race);
+        self.episode_seconds = said.episode_seconds.or(self.episode_seconds);
+        said.ppo.apply(&mut self.ppo);
+        self.conditions.wind = said.wind.or(self.conditions.wind);
+        self.conditions.obstacles = said.obstacles.or(self.conditions.obstacles.take());
+        if let Some(randomization) = said.randomization {
+            self.randomize(randomization);
+        }
+        self.conditions.validate()?;
+        Ok(())
+    }
+
+    /// Draws this anew for every episode; where it says nothing of the start, that stays as it was.
+    pub fn randomize(&mut self, mut randomization: Randomization) {
+        let start = self.conditions.randomization.take().and_then(|before| before.initial);
+        randomization.initial = randomization.initial.or(start);
+        self.conditions.randomization = Some(randomization);
+    }
+
+    /// All of it as a configuration file would say it.
+    ///
+    /// # Errors
+    /// [`TrainError::Toml`] for what no such file can say.
+    pub fn to_toml(&self) -> Result<String, TrainError> {
+        let wrong = |error: toml::ser::Error| TrainError::Toml { message: error.to_string() };
+        let mut table = toml::Table::try_from(self).map_err(wrong)?;
+        // who trains says those on the command line
+        for key in ["task", "seed", "until_success"] {
+            table.remove(key);
+        }
+        if let Some(toml::Value::Table(conditions)) = table.remove("conditions") {
+            table.extend(conditions);
+        }
+        toml::to_string_pretty(&table).map_err(wrong)
+    }
+
+    /// The same from a file.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] naming it, around what [`read_toml`](Self::read_toml) finds.
+    pub fn read_file(&mut self, path: impl AsRef<Path>) -> Result<(), TrainError> {
+        let path = path.as_ref();
+        let in_file = |message: String| TrainError::File { path: path.into(), message };
+        let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
+        self.read_toml(&text).map_err(|error| in_file(error.to_string()))
+    }
+
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// [`TrainError::Option`] naming the first one that is impossible.
+    pub fn validate(&self) -> Result<(), TrainError> {
+        let PpoConfig {
+            environments,
+            horizon,
+            epochs,
+            minibatch,
+            learning_rate,
+            divergence,
+            discount,
+            lambda,
+            clip,
+            value,
+            entropy,
+            max_gradient,
+            deviation,
+            ..
+        } = &self.ppo;
+        let counts: [(&str, u64, u64); 7] = [
+            ("environments", *environments as u64, 1 << 20),
+            ("horizon", *horizon as u64, 1 << 16),
+            ("epochs", *epochs as u64, 1000),
+            ("minibatch", *minibatch as u64, 1 << 24),
+            ("evaluate_every", self.evaluate_every, u64::MAX),
+            ("episodes", self.episodes as u64, 1 << 20),
+            ("checkpoint_every", self.checkpoint_every, u64::MAX),
+        ];
+        for (option, got, most) in counts {
+            if !(1..=most).contains(&got) {
+                return Err(TrainError::Option {
+                    option,
+                    got: got.to_string(),
+                    expected: "a positive number that memory can hold",
+                });
+            }
+        }
+        if environments.saturating_mul(*horizon) > 1 << 26 {
+            let got = format!("{environments} × {horizon}");
+            return Err(TrainError::Option { option: "environments × horizon", got, expected: "up to 67,108,864" });
+        }
+        for (option, got, low, high, expected) in [
+            ("learning_rate", *learning_rate, 1e-9, 1.0, "1e-9 to 1"),
+            ("divergence", *divergence, 0.0, 10.0, "0 to 10"),
+            ("discount", f64::from(*discount), 0.0, 1.0, "0 to 1"),
+            ("lambda", f64::from(*lambda), 0.0, 1.0, "0 to 1"),
+            ("clip", f64::from(*clip), 1e-3, 10.0, "0.001 to 10"),
+            ("value", f64::from(*value), 0.0, 1e3, "0 to 1000"),
+            ("entropy", f64::from(*entropy), 0.0, 1e3, "0 to 1000"),
+            ("max_gradient", f64::from(*max_gradient), 1e-6, 1e9, "a positive number"),
+            ("deviation", f64::from(*deviation), 1e-4, 10.0, "0.0001 to 10"),
+        ] {
+            if !(low..=high).contains(&got) {
+                return Err(TrainError::Option { option, got: got.to_string(), expected });
+            }
+        }
+        let (seconds, within) = match self.success {
+            Success::Near { seconds, within } => (seconds, within),
+            Success::Held { seconds } => (seconds, 1.0),
+            Success::Done => (1.0, 1.0),
+        };
+        if !(seconds > 0.0 && seconds.is_finite() && within > 0.0) {
+            let got = format!("{:?}", self.success);
+            return Err(TrainError::Option {
+                option: "success",
+                got,
+                expected: "positive numbers of seconds and metres",
+            });
+        }
+        Ok(())
+    }
+
+    /// The options of its environments.
+    ///
+    /// # Errors
+    /// What is wrong with a name.
+    pub fn options(&self) -> Result<EnvConfig, TrainError> {
+        let physics: Physics = named("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
+        let action_type: ActionType = named("action_type", &self.action_type, &ActionType::ALL.map(ActionType::name))?;
+        let mut options = EnvConfig::default()
+            .drone(self.airframe()?)
+            .physics(physics)
+            .engine(EngineKind::Hybrid)
+            .action_type(action_type)
+            .sim_freq(self.sim_freq)
+            .ctrl_freq(self.ctrl_freq)
+            .conditions(&self.conditions);
+        if let Some(count) = self.num_drones {
+            options = options.num_drones(count);
+        }
+        if let Some(seconds) = self.episode_seconds {
+            options = options.episode_seconds(seconds);
+        }
+        Ok(options)
+    }
+
+    fn airframe(&self) -> Result<DroneParams, TrainError> {
+        if Path::new(&self.drone).extension().is_some_and(|ending| ending == "toml") {
+            return DroneParams::from_file(&self.drone)
+                .map_err(|error| TrainError::Toml { message: error.to_string() });
+        }
+        let model: DroneModel = named("drone", &self.drone, &DroneModel::ALL.map(DroneModel::name))?;
+        Ok(model.params())
+    }
+
+    /// Number of drones in its environments.
+    ///
+    /// # Errors
+    /// [`EnvError::UnknownTask`].
+    pub fn environment_drones(&self) -> Result<usize, TrainError> {
+        let of_task = tasks::summary(&self.task).map(|summary| summary.defaults.num_drones);
+        self.num_drones.or(of_task).ok_or_else(|| unknown(&self.task))
+    }
+
+    /// The agents that gather experience.
+    ///
+    /// # Errors
+    /// What making the environments finds.
+    pub fn agents(&self) -> Result<Box<dyn Agents>, TrainError> {
+        let options = self.options()?;
+        let starts: Vec<Randomization> = (self.training_starts.iter())
+            .map(|start| {
+                let others = self.conditions.randomization.clone().unwrap_or(Randomization::NONE);
+                Randomization { initial: Some(start.ranges()), ..others }
+            })
+            .collect();
+        let options = match starts.first() {
+            Some(first) => options.randomization(first.clone()),
+            None => options,
+        };
+        let period = 1.0 / f64::from(self.ctrl_freq.max(1));
+        let steps = |start: &TrainingStart| start.seconds.map(|seconds| (seconds / period).round() as u64);
+        let lengths = self.training_starts.iter().map(steps).collect();
+        let terms = Terms { out_of_bounds: self.out_of_bounds, lengths };
+        let environments = self.ppo.environments;
+        if !self.per_drone {
+            let config = VecConfig {
+                autoreset: Autoreset::SameStep,
+                on_fault: OnFault::Truncate,
+                ..VecConfig::new(environments)
+            };
+            let mut env = match self.race {
+                Some(RaceRewards { gate, speed, distance }) if self.task == "race" => {
+                    let pay = |race: &mut Race| {
+                        (race.gate_reward, race.speed_reward, race.distance_penalty) = (gate, speed, distance);
+                    };
+                    let options = options.with_task(Race::default()).task(pay);
+                    Box::new(VecAviary::new(options, config)?) as Box<dyn VecEnv>
+                }
+                _ => make_vec(&self.task, options, config)?,
+            };
+            for (environment, start) in (0..environments).zip(starts.iter().cycle()) {
+                let mut done = Ok(());
+                env.with_env(environment, &mut |env| done = env.set_randomization(Some(start.clone())))?;
+                done?;
+            }
+            return Ok(Box::new(Batch::new(env, terms)));
+        }
+        let make = |stream| {
+            let options = options.clone().stream(stream);
+            let start = starts.iter().cycle().nth(stream as usize % starts.len().max(1));
+            make_parallel(
+                &self.task,
+                start.iter().fold(options, |options, &start| options.randomization(start.clone())),
+            )
+        };
+        Ok(Box::new(Swarm::new(environments, terms, make)?))
+    }
+
+    /// An environment to be evaluated in.
+    ///
+    /// # Errors
+    /// What making it finds.
+    pub fn environment(&self) -> Result<AnyEnv, TrainError> {
+        Ok(tasks::make(&self.task, self.options()?)?)
+    }
+}
+
+fn summary_start(summary: &tasks::TaskSummary) -> Option<Randomization> {
+    // a swarm that meets is arranged with care
+    (summary.name != "antipodal").then(|| Randomization { initial: Some(START), ..Randomization::NONE })
+}
+
+/// Where policies of a task learn best: all about the place that they have to hold or the course, and where they take off.
+fn starts_of(task: &str) -> Vec<TrainingStart> {
+    let start = TrainingStart { seconds: Some(2.0), ..TrainingStart::default() };
+    let about = |position: f64, offset: [f64; 3], seconds: f64| TrainingStart {
+        position,
+        attitude: 0.5,
+        velocity: 1.0,
+        offset,
+        seconds: Some(seconds),
+    };
+    match task {
+        "hover" | "multi_hover" | "multi_agent" => {
+            let about = about(0.9, [0.0, 0.0, 0.9], 3.5);
+            // falling towards a floor that is near: only full thrust at once is right
+            let falling = TrainingStart { position: 0.04, offset: [0.0, 0.0, -0.05], seconds: Some(0.25), ..start };
+            vec![about, about, falling, about, start, about, falling, about]
+        }
+        "fly_through" => {
+            let along = about(0.7, [0.5, 0.5, 1.0], 10.0);
+            vec![along, along, along, TrainingStart::default()]
+        }
+        "race" => {
+            let along = about(1.2, [0.5, 1.0, 1.3], 10.0);
+            vec![along, along, along, TrainingStart::default()]
+        }
+        _ => vec![],
+    }
+}
+
+fn unknown(task: &str) -> TrainError {
+    let expected = tasks::NAMES.join(", ") + &aviary::did_you_mean(task, &tasks::NAMES);
+    EnvError::UnknownTask { name: task.into(), expected }.into()
+}
+
+/// A value with a name from a list.
+fn named<T: std::str::FromStr>(option: &'static str, name: &str, names: &[&str]) -> Result<T, TrainError> {
+    name.parse().map_err(|_| {
+        let near = aviary::did_you_mean(name, names);
+        TrainError::Toml { message: format!("{option} is `{name}`, expected one of: {}{near}", names.join(", ")) }
+    })
+}

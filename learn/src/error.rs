@@ -1,0 +1,43 @@
+use std::path::PathBuf;
+
+use aviary::env::EnvError;
+use aviary::policy::PolicyError;
+
+/// What can go wrong with training.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrainError {
+    /// An environment.
+    #[error(transparent)]
+    Env(#[from] EnvError),
+    /// A policy.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// An option that is impossible.
+    #[error("{option} is {got}, expected {expected}")]
+    Option {
+        /// Which one.
+        option: &'static str,
+        /// What it is.
+        got: String,
+        /// What is possible.
+        expected: &'static str,
+    },
+    /// Text that is no configuration in TOML.
+    #[error("{message}")]
+    Toml {
+        /// Line, column and what was expected.
+        message: String,
+    },
+    /// A file that cannot be read or written, or is not what it should be.
+    #[error("{}: {message}", path.display())]
+    File {
+        /// Which one.
+        path: PathBuf,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// Gradients without bounds.
+    #[error("the gradient is no longer a number; try a lower learning_rate or max_gradient")]
+    Diverged,
+}

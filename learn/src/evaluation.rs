@@ -1,0 +1,202 @@
+//! How well a policy flies: episodes of its own, one environment at a time, as anybody would fly it.
+
+use std::fmt;
+
+use aviary::env::{EndReason, Env};
+use aviary::policy::Policy;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use crate::TrainError;
+
+/// What counts as success.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Success {
+    /// No drone is further from where the task wants it than so many metres, at any moment of the last seconds of a whole episode.
+    Near {
+        /// s.
+        seconds: f64,
+        /// m.
+        within: f64,
+    },
+    /// The task is fulfilled at every moment of the last seconds of a whole episode.
+    Held {
+        /// s.
+        seconds: f64,
+    },
+    /// The task is fulfilled when the episode ends.
+    Done,
+}
+
+impl fmt::Display for Success {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Near { seconds, within } => write!(f, "within {} cm for the last {seconds} s", 100.0 * within),
+            Self::Held { seconds } => write!(f, "the task fulfilled for the last {seconds} s"),
+            Self::Done => f.write_str("the task fulfilled at the end"),
+        }
+    }
+}
+
+/// An episode that was flown.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Episode {
+    /// Seed of its environment.
+    pub seed: u64,
+    /// Whether it succeeded.
+    pub success: bool,
+    /// Sum of its rewards.
+    pub reward: f64,
+    /// Its length, s.
+    pub seconds: f64,
+    /// Why it ended, by name.
+    pub end: &'static str,
+    /// Share of the task that was done.
+    pub progress: f64,
+    /// Distance from where the task wants the drones, of the furthest one, at the end, m.
+    pub final_position_error: f64,
+    /// The greatest in the last 5 s, m.
+    pub late_position_error: f64,
+}
+
+/// What many of them say.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Score {
+    /// Share that succeeded.
+    pub success: f64,
+    /// Mean of the sums of rewards.
+    pub reward: f64,
+    /// Mean share of the task that was done.
+    pub progress: f64,
+}
+
+impl Score {
+    /// Of episodes; zeros of none.
+    pub fn of(episodes: &[Episode]) -> Self {
+        let mean = |value: fn(&Episode) -> f64| episodes.iter().map(value).sum::<f64>() / episodes.len().max(1) as f64;
+        Self {
+            success: mean(|episode| f64::from(u8::from(episode.success))),
+            reward: mean(|episode| episode.reward),
+            progress: mean(|episode| episode.progress),
+        }
+    }
+
+    /// Whether it is better than another one: more successes, more of the task, more reward.
+    pub fn beats(&self, other: &Self) -> bool {
+        let key = |score: &Self| [score.success, score.progress, score.reward];
+        key(self).partial_cmp(&key(other)).is_some_and(std::cmp::Ordering::is_gt)
+    }
+}
+
+/// An environment that a thread may take over.
+pub type AnyEnv = Box<dyn Env + Send>;
+
+/// Time at the end of an episode over which errors are looked at, s.
+const LATE: f64 = 5.0;
+
+/// Flies an episode, and looks at every step.
+///
+/// # Errors
+/// [`TrainError::Policy`] for a policy that cannot fly the environment, and the environment's.
+pub fn fly(
+    env: &mut dyn Env,
+    policy: &Policy,
+    success: Success,
+    seed: u64,
+    look: &mut dyn FnMut(&dyn Env),
+) -> Result<Episode, TrainError> {
+    policy.check(env)?;
+    let period = env.simulation().control_period();
+    let steps_of = |seconds: f64| (seconds / period).round() as u64;
+    let late_from = env.episode_steps().saturating_sub(steps_of(LATE));
+    let mut action = vec![0.0; env.action_space().size()];
+    env.reset(Some(seed))?;
+    look(env);
+    let (mut reward, mut held, mut steps, mut late) = (0.0, 0_u64, 0_u64, 0.0_f64);
+    loop {
+        policy.act(&env.observation().vector, &mut action);
+        let step = env.step(&action)?;
+        reward += step.reward;
+        steps += 1;
+        let over = step.terminated || step.truncated;
+        let info = env.info();
+        let good = match success {
+            Success::Near { within, .. } => info.position_error < within,
+            Success::Held { .. } | Success::Done => info.success,
+        };
+        held = if good { held + 1 } else { 0 };
+        if steps > late_from {
+            late = late.max(info.position_error);
+        }
+        look(env);
+        if over {
+            let whole = info.end == Some(EndReason::TimeLimit);
+            let success = match success {
+                Success::Near { seconds, .. } | Success::Held { seconds } => {
+                    whole && held >= steps_of(seconds).min(env.episode_steps())
+                }
+                Success::Done => info.success,
+            };
+            return Ok(Episode {
+                seed,
+                success,
+                reward,
+                seconds: steps as f64 * period,
+                end: info.end.map_or("time_limit", EndReason::name),
+                progress: info.progress,
+                final_position_error: info.position_error,
+                late_position_error: if steps > late_from { late } else { info.position_error },
+            });
+        }
+    }
+}
+
+/// Environments to be evaluated in, one for every thread.
+pub struct Arena {
+    envs: Vec<AnyEnv>,
+    success: Success,
+}
+
+impl fmt::Debug for Arena {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Arena").field("success", &self.success).finish_non_exhaustive()
+    }
+}
+
+impl Arena {
+    /// With environments made by a function.
+    ///
+    /// # Errors
+    /// The function's.
+    pub fn new(success: Success, make: impl Fn() -> Result<AnyEnv, TrainError>) -> Result<Self, TrainError> {
+        let envs = (0..rayon::current_num_threads()).map(|_| make()).collect::<Result<_, _>>()?;
+        Ok(Self { envs, success })
+    }
+
+    /// What counts as success here.
+    pub fn success(&self) -> Success {
+        self.success
+    }
+
+    /// Flies an episode for each of the seeds from one on.
+    ///
+    /// # Errors
+    /// What [`fly`] finds.
+    pub fn fly(&mut self, policy: &Policy, first_seed: u64, episodes: usize) -> Result<Vec<Episode>, TrainError> {
+        let (threads, success) = (self.envs.len(), self.success);
+        let mut flown = (self.envs.par_iter_mut().enumerate())
+            .map(|(thread, env)| {
+                (thread..episodes)
+                    .step_by(threads)
+                    .map(|episode| {
+                        fly(&mut **env, policy, success, first_seed.wrapping_add(episode as u64), &mut |_| {})
+                    })
+                    .collect::<Result<Vec<_>, _>>()
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        // the k-th of them was flown by thread k mod threads
+        let mut lists: Vec<_> = flown.iter_mut().map(|list| list.drain(..)).collect();
+        Ok((0..episodes).filter_map(|episode| lists[episode % threads].next()).collect())
+    }
+}

@@ -1,0 +1,23 @@
+//! Policies from experience.
+//!
+//! A [`Trainer`] gathers experience from a batch of environments, improves a policy by proximal policy optimization, evaluates
+//! it and keeps the best one; a [`TrainConfig`] says of what task and how. What it makes is an
+//! [`aviary::policy::Policy`], which needs nothing of this crate to be flown.
+
+mod agents;
+mod checkpoint;
+mod config;
+mod error;
+mod evaluation;
+mod network;
+mod optimizer;
+mod ppo;
+mod scale;
+mod trainer;
+
+pub use agents::{Agents, Batch, Next, Outcome, Swarm, Terms};
+pub use config::{RaceRewards, TrainConfig, TrainingStart};
+pub use error::TrainError;
+pub use evaluation::{AnyEnv, Arena, Episode, Score, Success, fly};
+pub use ppo::{Clock, PpoConfig};
+pub use trainer::{Point, Stop, Trainer};

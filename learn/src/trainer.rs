@@ -1,0 +1,319 @@
+//! A training run from its first iteration to its last: evaluations, the best policy, checkpoints.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use aviary::env::Rng;
+use aviary::policy::{Policy, PolicyInfo};
+use rand::{Rng as _, SeedableRng as _};
+use serde::{Deserialize, Serialize};
+
+use crate::agents::Agents;
+use crate::checkpoint::Checkpoint;
+use crate::evaluation::{Arena, Episode, Score};
+use crate::ppo::{Clock, Ppo, Report};
+use crate::{TrainConfig, TrainError};
+
+/// First seed of evaluations; the environments of training draw from streams of other seeds.
+const EVALUATION_SEED: u64 = 1 << 40;
+
+/// And of those that confirm a success.
+const CONFIRMATION_SEED: u64 = 1 << 41;
+
+/// How the training stood after an iteration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// Iterations so far.
+    pub iteration: u64,
+    /// Environment steps so far.
+    pub steps: u64,
+    /// Mean return of the episodes that ended in it, if any did.
+    pub mean_return: Option<f64>,
+    /// Mean reward of a step.
+    pub mean_reward: f64,
+    /// Evaluation after it, if there was one.
+    pub score: Option<Score>,
+    /// Divergence of the policy from that before.
+    pub divergence: f64,
+    /// Share of ratios beyond the clip.
+    pub clipped: f64,
+    /// Mean loss.
+    pub loss: f64,
+    /// Mean standard deviation of actions.
+    pub deviation: f64,
+    /// Share of the returns' variance that the critic explains.
+    pub explained: f64,
+    /// Adam's rate.
+    pub rate: f64,
+}
+
+/// Why a run is over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stop {
+    /// All its steps are made.
+    Steps,
+    /// It succeeds, as was asked for.
+    Success,
+}
+
+/// A training run.
+///
+/// ```
+/// use learn::{TrainConfig, Trainer};
+///
+/// let mut config = TrainConfig::of_task("hover")?;
+/// config.steps = 2_000;
+/// (config.ppo.environments, config.ppo.horizon, config.episodes) = (64, 16, 2);
+/// let mut trainer = Trainer::new(config, "a test")?;
+/// while trainer.stop().is_none() {
+///     trainer.advance()?;
+/// }
+/// assert_eq!(trainer.curve().last().map(|point| point.steps), Some(2_048));
+/// assert_eq!(trainer.best().info().task, "hover");
+/// # Ok::<(), learn::TrainError>(())
+/// ```
+pub struct Trainer {
+    config: TrainConfig,
+    command: String,
+    agents: Box<dyn Agents>,
+    arena: Arena,
+    ppo: Ppo,
+    iteration: u64,
+    curve: Vec<Point>,
+    best: (Policy, Option<Score>),
+    stop: Option<Stop>,
+    /// Time before it was resumed.
+    before: Duration,
+    began: Instant,
+}
+
+impl std::fmt::Debug for Trainer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Trainer")
+            .field("config", &self.config)
+            .field("iteration", &self.iteration)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Trainer {
+    /// Begins a run. The command is what the policies say that made them.
+    ///
+    /// # Errors
+    /// What is impossible in the configuration.
+    pub fn new(config: TrainConfig, command: &str) -> Result<Self, TrainError> {
+        let began = Instant::now();
+        config.validate()?;
+        let agents = config.agents()?;
+        let ppo = Ppo::new(config.ppo.clone(), &*agents, config.seed)?;
+        let arena = Arena::new(config.success, || config.environment())?;
+        let best = (policy_of(&config, command, &*agents, &ppo, 0)?, None);
+        let command = command.to_string();
+        let (curve, before) = (Vec::new(), Duration::ZERO);
+        Ok(Self { config, command, agents, arena, ppo, iteration: 0, curve, best, stop: None, before, began })
+    }
+
+    /// Goes on from a checkpoint, to the same bits as if it had never stopped.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] for what is no checkpoint.
+    pub fn resume(path: impl AsRef<Path>) -> Result<Self, TrainError> {
+        let path: PathBuf = path.as_ref().into();
+        let checkpoint = Checkpoint::load(&path)?;
+        let mut trainer = Self::new(checkpoint.state.config.clone(), &checkpoint.state.command)?;
+        let wrong = |message: String| TrainError::File { path: path.clone(), message };
+        let expected = trainer.ppo.parameters.len();
+        let sizes = [&checkpoint.parameters, &checkpoint.moments.first, &checkpoint.moments.second].map(Vec::len);
+        if sizes.iter().any(|&size| size != expected) {
+            return Err(wrong(format!("it has {sizes:?} parameters and moments, expected {expected}")));
+        }
+        let Checkpoint { state, parameters, moments, best } = checkpoint;
+        trainer.ppo.parameters = parameters;
+        trainer.ppo.optimizer.restore(&moments);
+        trainer.ppo.rate = state.rate;
+        trainer.ppo.observations = state.observations;
+        trainer.ppo.rewards = state.rewards;
+        trainer.ppo.clock = state.clock;
+        trainer.ppo.refresh().map_err(|error| wrong(error.to_string()))?;
+        trainer.iteration = state.iteration;
+        trainer.curve = state.curve;
+        trainer.best = (Policy::from_bytes(&best).map_err(|error| wrong(error.to_string()))?, state.best);
+        trainer.before = state.clock.total;
+        trainer.stop = trainer.out_of_steps();
+        Ok(trainer)
+    }
+
+    /// What is trained.
+    pub fn config(&self) -> &TrainConfig {
+        &self.config
+    }
+
+    /// Lets a run that was resumed go on for longer, or until it succeeds.
+    pub fn extend(&mut self, steps: Option<u64>, until_success: bool) {
+        self.config.steps = steps.unwrap_or(self.config.steps);
+        self.config.until_success |= until_success;
+        self.stop = self.out_of_steps();
+    }
+
+    /// Environment steps of an iteration.
+    pub fn steps_per_iteration(&self) -> u64 {
+        (self.agents.rows() * self.config.ppo.horizon) as u64
+    }
+
+    /// Environment steps so far, of all agents.
+    pub fn steps(&self) -> u64 {
+        self.iteration * self.steps_per_iteration()
+    }
+
+    /// Why it is over; `None` while it is not.
+    pub fn stop(&self) -> Option<Stop> {
+        self.stop
+    }
+
+    /// All iterations so far.
+    pub fn curve(&self) -> &[Point] {
+        &self.curve
+    }
+
+    /// The policy as it is.
+    ///
+    /// # Errors
+    /// [`TrainError::Policy`] where it has left the range of numbers.
+    pub fn policy(&self) -> Result<Policy, TrainError> {
+        policy_of(&self.config, &self.command, &*self.agents, &self.ppo, self.steps())
+    }
+
+    /// The best one of those that were evaluated; the first one before any was.
+    pub fn best(&self) -> &Policy {
+        &self.best.0
+    }
+
+    /// How it did.
+    pub fn best_score(&self) -> Option<Score> {
+        self.best.1
+    }
+
+    /// Where the time went, over all of its parts.
+    pub fn clock(&self) -> Clock {
+        Clock { total: self.before + self.began.elapsed(), ..self.ppo.clock }
+    }
+
+    fn out_of_steps(&self) -> Option<Stop> {
+        (self.steps() >= self.config.steps).then_some(Stop::Steps)
+    }
+
+    /// A seed for something of an iteration.
+    fn seed_of(&self, iteration: u64, what: u64) -> u64 {
+        let mut rng = Rng::seed_from_u64(self.config.seed);
+        rng.set_stream(4 * iteration + what);
+        rng.next_u64()
+    }
+
+    /// One iteration, with the evaluation that is due after it.
+    ///
+    /// # Errors
+    /// [`TrainError::Diverged`], and what environments find.
+    pub fn advance(&mut self) -> Result<&Point, TrainError> {
+        if self.is_checkpoint() {
+            // whoever resumes begins here, too
+            let seed = self.seed_of(self.iteration, 0);
+            self.ppo.restart(&mut *self.agents, seed)?;
+        }
+        let seed = self.seed_of(self.iteration, 1);
+        let report = self.ppo.iterate(&mut *self.agents, seed)?;
+        self.iteration += 1;
+        self.stop = self.out_of_steps();
+        let due = self.iteration.is_multiple_of(self.config.evaluate_every) || self.stop.is_some();
+        let score = if due { Some(self.evaluate()?) } else { None };
+        let Report { episodes, mean_return, mean_reward, divergence, clipped, loss, deviation, explained } = report;
+        self.curve.push(Point {
+            iteration: self.iteration,
+            steps: self.steps(),
+            mean_return: (episodes > 0).then_some(mean_return),
+            mean_reward,
+            score,
+            divergence,
+            clipped,
+            loss,
+            deviation,
+            explained,
+            rate: self.ppo.rate,
+        });
+        Ok(&self.curve[self.curve.len() - 1])
+    }
+
+    /// Whether the next iteration begins with everything anew, so that a checkpoint taken now is resumed to the same bits.
+    pub fn is_checkpoint(&self) -> bool {
+        self.iteration.is_multiple_of(self.config.checkpoint_every)
+    }
+
+    fn evaluate(&mut self) -> Result<Score, TrainError> {
+        let began = Instant::now();
+        let policy = self.policy()?;
+        let score = Score::of(&self.arena.fly(&policy, EVALUATION_SEED, self.config.episodes)?);
+        let better = self.best.1.is_none_or(|best| score.beats(&best));
+        let mut confirmed = false;
+        if score.success == 1.0 && (better || self.config.until_success) {
+            // many pass an evaluation by luck
+            let again = Score::of(&self.arena.fly(&policy, CONFIRMATION_SEED, 4 * self.config.episodes)?);
+            confirmed = again.success == 1.0;
+        }
+        if better || confirmed {
+            self.best = (policy, Some(score));
+        }
+        if confirmed && self.config.until_success {
+            self.stop = Some(Stop::Success);
+        }
+        self.ppo.clock.evaluation += began.elapsed();
+        Ok(score)
+    }
+
+    /// Flies episodes with the best policy.
+    ///
+    /// # Errors
+    /// What environments find.
+    pub fn fly(&mut self, first_seed: u64, episodes: usize) -> Result<Vec<Episode>, TrainError> {
+        self.arena.fly(&self.best.0, first_seed, episodes)
+    }
+
+    /// Everything that it needs to go on. It is whole where [`is_checkpoint`](Self::is_checkpoint) says so.
+    ///
+    /// # Errors
+    /// [`TrainError::File`].
+    pub fn save_checkpoint(&self, path: impl AsRef<Path>) -> Result<(), TrainError> {
+        Checkpoint::of(self).save(path.as_ref())
+    }
+
+    pub(crate) fn parts(&self) -> (&str, &Ppo, u64, Option<Score>) {
+        (&self.command, &self.ppo, self.iteration, self.best.1)
+    }
+}
+
+fn policy_of(
+    config: &TrainConfig,
+    command: &str,
+    agents: &dyn Agents,
+    ppo: &Ppo,
+    steps: u64,
+) -> Result<Policy, TrainError> {
+    let drones = config.environment_drones()?;
+    let info = PolicyInfo {
+        version: PolicyInfo::VERSION,
+        task: config.task.clone(),
+        drone: config.drone.clone(),
+        num_drones: drones,
+        per_drone: config.per_drone,
+        action_type: config.action_type.clone(),
+        sim_freq: config.sim_freq,
+        ctrl_freq: config.ctrl_freq,
+        seed: config.seed,
+        steps,
+        command: command.into(),
+        made_by: concat!("mujoco-drones-gym ", env!("CARGO_PKG_VERSION")).into(),
+    };
+    let (mean, deviation) = ppo.normalization();
+    let policy =
+        Policy::new(info, ppo.actor().clone(), agents.observation_space().clone(), agents.action_space().clone())?;
+    Ok(policy.normalized(mean.to_vec(), deviation.to_vec())?)
+}

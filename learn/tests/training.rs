@@ -1,0 +1,236 @@
+//! Training from outside: the same bits however it is interrupted and on however many threads, files that are refused, agents.
+
+use aviary::env::EnvConfig;
+use aviary::multi_agent::{AgentMap, ParallelEnv as _, make_parallel};
+use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
+use learn::{Agents as _, Batch, Next, Outcome, Stop, Success, Swarm, Terms, TrainConfig, Trainer};
+
+/// A run that is over soon.
+fn small(task: &str) -> TrainConfig {
+    let mut config = TrainConfig::of_task(task).unwrap();
+    config.seed = 7;
+    config.steps = 5 * 64 * 16;
+    (config.ppo.environments, config.ppo.horizon, config.ppo.minibatch) = (64, 16, 256);
+    config.ppo.hidden = vec![16, 16];
+    (config.evaluate_every, config.episodes, config.checkpoint_every) = (2, 3, 2);
+    config.episode_seconds = Some(1.0);
+    config
+}
+
+fn finish(trainer: &mut Trainer) {
+    while trainer.stop().is_none() {
+        trainer.advance().unwrap();
+    }
+}
+
+#[test]
+fn a_run_that_was_killed_goes_on_to_the_same_bits() {
+    for task in ["hover", "multi_hover", "race"] {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("checkpoint");
+        let mut whole = Trainer::new(small(task), "a test").unwrap();
+        finish(&mut whole);
+        assert_eq!((whole.stop(), whole.curve().len()), (Some(Stop::Steps), if task == "multi_hover" { 3 } else { 5 }));
+
+        let mut killed = Trainer::new(small(task), "a test").unwrap();
+        killed.advance().unwrap();
+        killed.advance().unwrap();
+        assert!(killed.is_checkpoint());
+        killed.save_checkpoint(&path).unwrap();
+        killed.advance().unwrap();
+        drop(killed);
+
+        let mut resumed = Trainer::resume(&path).unwrap();
+        assert_eq!(resumed.curve().len(), 2);
+        finish(&mut resumed);
+        assert_eq!(resumed.curve(), whole.curve(), "{task}");
+        assert_eq!(resumed.policy().unwrap().to_bytes(), whole.policy().unwrap().to_bytes(), "{task}");
+        assert_eq!(resumed.best().to_bytes(), whole.best().to_bytes(), "{task}");
+        assert!(whole.clock().total >= whole.clock().gradient);
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_a_bit_and_the_seed_does() {
+    let run = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut trainer = Trainer::new(TrainConfig { seed, ..small("hover") }, "a test").unwrap();
+            finish(&mut trainer);
+            (trainer.curve().to_vec(), trainer.policy().unwrap().net().parameters().to_vec())
+        })
+    };
+    let one = run(1, 7);
+    assert_eq!(one, run(3, 7));
+    assert_ne!(one.1, run(1, 8).1);
+}
+
+#[test]
+fn a_policy_flies_as_the_trainers_evaluation_said() {
+    let mut config = small("hover");
+    config.success = Success::Done;
+    let mut trainer = Trainer::new(config.clone(), "a test").unwrap();
+    finish(&mut trainer);
+    let policy = aviary::policy::Policy::from_bytes(&trainer.best().to_bytes()).unwrap();
+    let mut env = config.environment().unwrap();
+    for episode in trainer.fly(40, 5).unwrap() {
+        // flown by hand, without the trainer
+        let mut action = [0.0; 4];
+        let (mut reward, mut steps) = (0.0, 0);
+        env.reset(Some(episode.seed)).unwrap();
+        while env.info().end.is_none() {
+            policy.act(&env.observation().vector.clone(), &mut action);
+            reward += env.step(&action).unwrap().reward;
+            steps += 1;
+        }
+        assert_eq!(
+            (reward, f64::from(steps) / 48.0, env.info().success),
+            (episode.reward, episode.seconds, episode.success)
+        );
+    }
+}
+
+#[test]
+fn files_that_are_no_checkpoints_are_refused_by_name() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("checkpoint");
+    let refused = |path: &std::path::Path| Trainer::resume(path).unwrap_err().to_string();
+    assert!(refused(&path).contains("checkpoint"));
+    let trainer = Trainer::new(small("hover"), "a test").unwrap();
+    trainer.save_checkpoint(&path).unwrap();
+    assert!(Trainer::resume(&path).is_ok());
+    let whole = std::fs::read(&path).unwrap();
+    for length in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
+        std::fs::write(&path, &whole[..length]).unwrap();
+        assert!(refused(&path).contains("not a checkpoint"), "{length}");
+    }
+    trainer.best().save(&path).unwrap();
+    assert!(refused(&path).contains("has no `training`"));
+}
+
+#[test]
+fn configurations_say_what_is_wrong_with_them() {
+    let refused = |text: &str| {
+        let mut config = TrainConfig::of_task("hover").unwrap();
+        config
+            .read_toml(text)
+            .and_then(|()| config.validate())
+            .and_then(|()| config.options().map(drop))
+            .unwrap_err()
+            .to_string()
+    };
+    for (text, wanted) in [
+        ("[ppo]\nclipp = 0.1", "clip"),
+        ("[ppo]\nclip = -1.0", "clip is -1, expected 0.001 to 10"),
+        ("[ppo]\nenvironments = 0", "environments is 0"),
+        ("[ppo]\nenvironments = 1000000\nhorizon = 1000", "environments × horizon"),
+        ("[ppo]\nlearning_rate = nan", "learning_rate is NaN"),
+        ("drone = \"cf2y\"", "did you mean `cf2x`"),
+        ("physics = \"mcj\"", "did you mean `mjc`"),
+        ("episodes = 0", "episodes is 0"),
+        ("success = { held = { seconds = -1.0 } }", "success"),
+        ("[wind]\nmodel = \"constant\"\nvelocity = [nan, 0, 0]", "velocity"),
+        ("[randomization.body]\nmass = [2.0, 1.0]", "mass"),
+        ("steps = ", "line 1"),
+    ] {
+        assert!(refused(text).contains(wanted), "{text}: {}", refused(text));
+    }
+    assert!(TrainConfig::of_task("hoover").unwrap_err().to_string().contains("did you mean `hover`"));
+    let small = TrainConfig { ppo: learn::PpoConfig { hidden: vec![300], ..Default::default() }, ..small("hover") };
+    assert!(Trainer::new(small, "").unwrap_err().to_string().contains("1 to 256 neurons"));
+}
+
+#[test]
+fn every_tasks_configuration_reads_back_as_it_is_written() {
+    for task in aviary::tasks::NAMES {
+        let config = TrainConfig::of_task(task).unwrap();
+        config.validate().unwrap();
+        let mut read = TrainConfig { conditions: Default::default(), ..TrainConfig::of_task("hover").unwrap() };
+        (read.task, read.race, read.num_drones) = (task.into(), None, None);
+        read.read_toml(&config.to_toml().unwrap()).unwrap();
+        assert_eq!(read, config, "{task}");
+    }
+}
+
+#[test]
+fn agents_of_a_swarm_see_and_are_paid_what_the_parallel_environment_says() {
+    let options = || EnvConfig::default().num_drones(3).episode_seconds(0.5);
+    let make = |stream| make_parallel("multi_hover", options().stream(stream));
+    let mut swarm = Swarm::new(2, Terms::default(), make).unwrap();
+    let mut alone = [make(0).unwrap(), make(1).unwrap()];
+    let mut outcome = Outcome::new(6, 13);
+    swarm.reset(5, &mut outcome.observations).unwrap();
+    for (world, env) in alone.iter_mut().enumerate() {
+        let (seen, _) = env.reset(Some(5)).unwrap();
+        for (agent, (_, seen)) in seen.iter().enumerate() {
+            let row = 3 * world + agent;
+            let written: Vec<f32> = seen.vector.iter().map(|&x| x as f32).collect();
+            assert_eq!(outcome.observations[13 * row..13 * (row + 1)], written);
+        }
+    }
+    // the second drone of the second environment falls, all others climb
+    let mut actions = vec![0.3; 6 * 4];
+    actions[4 * 4..5 * 4].fill(-1.0);
+    let mut ends = 0;
+    for step in 0..24 {
+        swarm.step(&actions, &mut outcome).unwrap();
+        for (world, env) in alone.iter_mut().enumerate() {
+            let said: AgentMap<Vec<f64>> = (env.agents().iter().enumerate())
+                .map(|(agent, name)| {
+                    let own = &actions[4 * (3 * world + agent)..][..4];
+                    (name.clone(), own.iter().map(|&x| f64::from(x)).collect())
+                })
+                .collect();
+            let flown = env.step(&said).unwrap();
+            for (agent, (_, reward)) in flown.rewards.iter().enumerate() {
+                let row = 3 * world + agent;
+                assert_eq!(outcome.rewards[row], *reward as f32);
+                let name = format!("drone{agent}");
+                let (terminated, truncated) = (flown.terminated.get(&name), flown.truncated.get(&name));
+                let anybody = flown.terminated.iter().any(|(_, end)| *end);
+                let next = match (terminated, truncated) {
+                    (Some(true), _) => Next::Terminated,
+                    (_, Some(true)) => Next::Truncated,
+                    _ if anybody => Next::Truncated,
+                    _ => Next::Running,
+                };
+                assert_eq!(outcome.next[row], next, "step {step}, environment {world}, agent {agent}");
+                if next.is_end() {
+                    ends += 1;
+                    let last: Vec<f32> =
+                        flown.observations.get(&name).unwrap().vector.iter().map(|&x| x as f32).collect();
+                    assert_eq!(outcome.finals[13 * row..13 * (row + 1)], last);
+                }
+            }
+            if flown.terminated.iter().any(|(_, end)| *end) || env.agents().is_empty() {
+                env.reset(None).unwrap();
+            }
+        }
+    }
+    assert!(ends >= 6 && outcome.returns.len() <= 6, "{ends}");
+}
+
+#[test]
+fn leaving_the_space_costs_what_the_terms_say_and_lengths_go_by_environment() {
+    let batch = |terms: Terms| {
+        let config = VecConfig { autoreset: Autoreset::SameStep, on_fault: OnFault::Truncate, ..VecConfig::new(2) };
+        Batch::new(make_vec("hover", EnvConfig::default(), config).unwrap(), terms)
+    };
+    let mut dear = batch(Terms { out_of_bounds: 50.0, lengths: vec![Some(10), None] });
+    let mut free = batch(Terms::default());
+    assert_eq!((dear.longest(0), dear.longest(1), free.longest(1)), (10, 480, 480));
+    let mut outcomes = [Outcome::new(2, 12), Outcome::new(2, 12)];
+    dear.reset(1, &mut outcomes[0].observations).unwrap();
+    free.reset(1, &mut outcomes[1].observations).unwrap();
+    loop {
+        let [first, second] = &mut outcomes;
+        dear.step(&[1.0; 8], first).unwrap();
+        free.step(&[1.0; 8], second).unwrap();
+        if second.next[0] == Next::Terminated {
+            break;
+        }
+        assert_eq!(first.rewards, second.rewards);
+    }
+    assert_eq!(outcomes[0].rewards[0], outcomes[1].rewards[0] - 50.0, "above 3 m");
+    assert_eq!(outcomes[0].returns, outcomes[1].returns, "what the task paid");
+}
