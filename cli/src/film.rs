@@ -3,15 +3,17 @@
 use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
+use aviary::control::Reference;
+use aviary::control::trajectory::Trajectory;
 use aviary::record::Overlays;
 use aviary::record::animation::{Animation, GifAnimation, Mp4, PngSequence};
+use aviary::simulation::Simulation;
 use aviary::vision::{ImageSize, View};
 use clap::{ArgGroup, Args, ValueHint};
 
 use crate::failure::Failure;
 use crate::options::{Names, named, size, vision_failure};
 use crate::output::{FileWriter, OutputFile};
-use crate::pilot::Pilot;
 
 /// What to film, and where to put it.
 #[derive(Debug, Args)]
@@ -68,19 +70,22 @@ impl FilmOptions {
         [&self.gif, &self.video, &self.frames].into_iter().flatten().cloned().collect()
     }
 
-    /// Begins the film, if one is asked for.
-    pub fn begin(&self, pilot: &Pilot) -> Result<Option<Film>, Failure> {
+    /// Begins the film, if one is asked for, of drones that have a way to fly or none.
+    pub fn begin<'a>(
+        &self,
+        simulation: &Simulation,
+        way: impl Fn(usize) -> Option<&'a dyn Trajectory>,
+    ) -> Result<Option<Film>, Failure> {
         if self.files().is_empty() {
             return Ok(None);
         }
         let size = self.size;
         let gif = self.gif.as_deref().map(OutputFile::begin).transpose()?;
         let video = self.video.as_deref().map(OutputFile::begin).transpose()?;
-        let simulation = pilot.env().simulation();
         let mut film =
             aviary::record::Film::of(simulation, self.view()?, size, self.overlays()?).map_err(vision_failure)?;
         for drone in 0..simulation.num_drones() {
-            if let Some(way) = pilot.way(drone) {
+            if let Some(way) = way(drone) {
                 film.set_way(drone, way);
             }
         }
@@ -106,9 +111,9 @@ pub struct Film {
 
 impl Film {
     /// Takes a frame if it is time for one.
-    pub fn look(&mut self, pilot: &Pilot) -> Result<(), Failure> {
+    pub fn look(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Reference) -> Result<(), Failure> {
         let Self { film, gif, video, frames } = self;
-        let rgb = film.look_at(pilot.env().simulation(), |drone| Some(pilot.reference(drone)));
+        let rgb = film.look_at(simulation, |drone| Some(reference(drone)));
         match rgb.map_err(vision_failure)? {
             Some(rgb) => put(rgb, gif, video, frames),
             None => Ok(()),
@@ -116,9 +121,9 @@ impl Film {
     }
 
     /// Adds the last moment and gives the files their names.
-    pub fn finish(mut self, pilot: &Pilot) -> Result<(), Failure> {
+    pub fn finish(mut self, simulation: &Simulation, reference: impl Fn(usize) -> Reference) -> Result<(), Failure> {
         let Self { film, gif, video, frames } = &mut self;
-        let rgb = film.frame(pilot.env().simulation(), |drone| Some(pilot.reference(drone))).map_err(vision_failure)?;
+        let rgb = film.frame(simulation, |drone| Some(reference(drone))).map_err(vision_failure)?;
         put(rgb, gif, video, frames)?;
         if let Some(gif) = self.gif {
             gif.finish().map_err(Failure::work)?.keep()?;

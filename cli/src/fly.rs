@@ -53,7 +53,7 @@ impl Fly {
         let plots = self.plot.then(|| self.out.clone().unwrap_or_else(|| Path::new("out").join(pilot.env().name())));
         let plots = plots.as_deref().map(OutputDir::create).transpose()?;
         let out = self.out.as_deref().map(OutputDir::create).transpose()?;
-        let film = self.film.begin(&pilot)?;
+        let film = self.film.begin(pilot.env().simulation(), |drone| pilot.way(drone))?;
         // what an earlier flight left there is not this one's
         for (dir, names) in [(&out, &["summary.json"][..]), (&out, &PLOTS), (&plots, &PLOTS)] {
             let stale = dir.iter().flat_map(|dir| names.iter().map(|name| dir.path().join(name)));
@@ -136,7 +136,7 @@ impl Fly {
         loop {
             log.note(pilot)?;
             if let Some(film) = &mut film {
-                film.look(pilot)?;
+                film.look(pilot.env().simulation(), |drone| pilot.reference(drone))?;
             }
             let start = Instant::now();
             let flown = pilot.step()?;
@@ -153,7 +153,7 @@ impl Fly {
         bar.finish_and_clear();
         log.note(pilot)?;
         if let Some(film) = film {
-            film.finish(pilot)?;
+            film.finish(pilot.env().simulation(), |drone| pilot.reference(drone))?;
         }
         let mut info = pilot.env().info();
         if pilot.has_plan() {

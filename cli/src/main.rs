@@ -10,9 +10,11 @@ mod fly;
 mod options;
 mod output;
 mod pilot;
+mod play;
 mod render;
 mod replay;
 mod tasks;
+mod train;
 
 use std::process::ExitCode;
 
@@ -25,6 +27,8 @@ use clap::{Parser, Subcommand};
   aviary fly --task hover
   aviary fly --task race --drone race --out out/race --plot --gif out/race.gif --overlay trails
   aviary capture --task fly_through --frames 100 --out out/frames
+  aviary train --task hover --until-success --out out/hover
+  aviary play --policy out/hover/policy.safetensors --episodes 20
   aviary bench --quick
 
 `aviary COMMAND --help` shows every option of a command.")]
@@ -43,6 +47,10 @@ enum Command {
     Render(render::Render),
     /// Fly recorded motor speeds and write the states
     Replay(replay::Replay),
+    /// Train a policy, or one for every task
+    Train(Box<train::Train>),
+    /// Fly a trained policy and report how well
+    Play(Box<play::Play>),
     /// Measure steps per second of the engines, one environment and many
     Bench(bench::Bench),
     /// List the tasks
@@ -68,6 +76,8 @@ fn main() -> ExitCode {
         Command::Capture(command) => command.run(),
         Command::Render(command) => command.run(),
         Command::Replay(command) => command.run(),
+        Command::Train(command) => command.run(),
+        Command::Play(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Doctor(command) => command.run(),

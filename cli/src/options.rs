@@ -44,6 +44,58 @@ impl TypedValueParser for Names {
     }
 }
 
+/// What a flight is flown under.
+#[derive(Debug, Args)]
+pub struct ConditionOptions {
+    /// Wind: none, constant, gust, dryden, sinusoidal, combined
+    #[arg(
+        long,
+        value_parser = Names(|| WindModel::ALL.map(WindModel::name).to_vec()),
+        hide_possible_values = true
+    )]
+    pub wind: Option<String>,
+    /// Obstacles: forest, urban, indoor, random, gates
+    #[arg(
+        long,
+        value_parser = Names(|| obstacle_kinds().iter().map(|kind| kind.name()).collect()),
+        hide_possible_values = true
+    )]
+    pub obstacles: Option<String>,
+    /// TOML file with sections [wind], [obstacles] and [randomization]; --wind and --obstacles choose the kind in them
+    #[arg(long, value_hint = ValueHint::FilePath)]
+    pub config: Option<PathBuf>,
+}
+
+impl ConditionOptions {
+    /// Wind, obstacles and randomization, obstacles where a seed has them.
+    pub fn read(&self, seed: u64) -> Result<Conditions, Failure> {
+        let mut conditions = match &self.config {
+            Some(path) => Conditions::from_file(path).map_err(Failure::input)?,
+            None => Conditions::default(),
+        };
+        if let Some(name) = &self.wind {
+            let model = named::<WindModel>("wind", name, &WindModel::ALL.map(WindModel::name))?;
+            conditions.wind = Some(WindConfig { model, ..conditions.wind.unwrap_or_default() });
+        }
+        if let Some(name) = &self.obstacles {
+            let kinds = obstacle_kinds();
+            one_of("obstacles", name, &kinds.iter().map(|kind| kind.name()).collect::<Vec<_>>())?;
+            let config = conditions.obstacles.take().unwrap_or_default();
+            let kind = kinds.into_iter().find(|kind| kind.name() == name).unwrap_or(config.kind);
+            // ten-centimetre trees fit everywhere, gates and rooms do not
+            let count = match kind {
+                ObstacleKind::Gates if self.config.is_none() => 4,
+                ObstacleKind::Forest => config.count,
+                _ if self.config.is_none() => 8,
+                _ => config.count,
+            };
+            let seed = if self.config.is_none() { seed } else { config.seed };
+            conditions.obstacles = Some(ObstacleConfig { kind, count, seed, ..config });
+        }
+        Ok(conditions)
+    }
+}
+
 /// Which flight it is.
 #[derive(Debug, Args)]
 pub struct FlightOptions {
@@ -76,23 +128,8 @@ pub struct FlightOptions {
     /// The flight starts at rest where it starts, and lasts as long as it does
     #[arg(long, value_parser = Names(|| trajectory::NAMES.to_vec()), hide_possible_values = true)]
     pub trajectory: Option<String>,
-    /// Wind: none, constant, gust, dryden, sinusoidal, combined
-    #[arg(
-        long,
-        value_parser = Names(|| WindModel::ALL.map(WindModel::name).to_vec()),
-        hide_possible_values = true
-    )]
-    pub wind: Option<String>,
-    /// Obstacles: forest, urban, indoor, random, gates
-    #[arg(
-        long,
-        value_parser = Names(|| obstacle_kinds().iter().map(|kind| kind.name()).collect()),
-        hide_possible_values = true
-    )]
-    pub obstacles: Option<String>,
-    /// TOML file with sections [wind], [obstacles] and [randomization]; --wind and --obstacles choose the kind in them
-    #[arg(long, value_hint = ValueHint::FilePath)]
-    pub config: Option<PathBuf>,
+    #[command(flatten)]
+    conditions: ConditionOptions,
     /// Simulated seconds of an episode; the task's or the trajectory's by default
     #[arg(long, allow_negative_numbers = true)]
     pub duration: Option<f64>,
@@ -140,34 +177,6 @@ impl FlightOptions {
         Ok(trajectory::named(name))
     }
 
-    /// Wind, obstacles and randomization.
-    fn conditions(&self) -> Result<Conditions, Failure> {
-        let mut conditions = match &self.config {
-            Some(path) => Conditions::from_file(path).map_err(Failure::input)?,
-            None => Conditions::default(),
-        };
-        if let Some(name) = &self.wind {
-            let model = named::<WindModel>("wind", name, &WindModel::ALL.map(WindModel::name))?;
-            conditions.wind = Some(WindConfig { model, ..conditions.wind.unwrap_or_default() });
-        }
-        if let Some(name) = &self.obstacles {
-            let kinds = obstacle_kinds();
-            one_of("obstacles", name, &kinds.iter().map(|kind| kind.name()).collect::<Vec<_>>())?;
-            let config = conditions.obstacles.take().unwrap_or_default();
-            let kind = kinds.into_iter().find(|kind| kind.name() == name).unwrap_or(config.kind);
-            // ten-centimetre trees fit everywhere, gates and rooms do not
-            let count = match kind {
-                ObstacleKind::Gates if self.config.is_none() => 4,
-                ObstacleKind::Forest => config.count,
-                _ if self.config.is_none() => 8,
-                _ => config.count,
-            };
-            let seed = if self.config.is_none() { self.seed } else { config.seed };
-            conditions.obstacles = Some(ObstacleConfig { kind, count, seed, ..config });
-        }
-        Ok(conditions)
-    }
-
     /// The environment they describe.
     pub fn environment(&self, trajectory: Option<&dyn Trajectory>) -> Result<Box<dyn Env>, Failure> {
         let summary = self.summary()?;
@@ -178,7 +187,7 @@ impl FlightOptions {
             .engine(named("engine", &self.engine, &EngineKind::ALL.map(EngineKind::name))?)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
-            .conditions(&self.conditions()?);
+            .conditions(&self.conditions.read(self.seed)?);
         if let Some(count) = self.num_drones {
             config = config.num_drones(count);
         }
@@ -198,7 +207,7 @@ impl FlightOptions {
                     .map(|env| Box::new(env) as Box<dyn Env>)
             }
             (None, "antipodal") => antipodal(config, self.controller()?),
-            (None, name) => tasks::make(name, config),
+            (None, name) => tasks::make(name, config).map(|env| env as Box<dyn Env>),
         };
         env.map_err(|error| match (&error, self.duration) {
             (EnvError::Option { option: "the length of an episode", expected, .. }, Some(seconds)) => {

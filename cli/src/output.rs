@@ -36,9 +36,13 @@ pub fn table(rows: &[(&str, String)]) -> String {
 
 /// A bar on a terminal, nothing where standard error is piped.
 pub fn progress(length: u64, what: &'static str) -> ProgressBar {
-    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {per_sec} {eta}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(length).with_style(style).with_message(what)
+    progress_with(length, "{msg} {wide_bar} {pos}/{len} {per_sec} {eta}").with_message(what)
+}
+
+/// The same in a form of its own.
+pub fn progress_with(length: u64, form: &str) -> ProgressBar {
+    let style = ProgressStyle::with_template(form).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(length).with_style(style)
 }
 
 /// Files that have been begun, some of which may have been finished since.

@@ -1,0 +1,181 @@
+//! Trained policies flown: how often they succeed, and how well.
+
+use std::path::PathBuf;
+
+use anyhow::anyhow;
+use aviary::drone::DroneModel;
+use aviary::env::Env;
+use aviary::physics::Physics;
+use aviary::policy::Policy;
+use aviary::tasks;
+use clap::{Args, ValueHint};
+use learn::{Arena, Episode, Score, TrainConfig};
+use serde_json::json;
+
+use crate::failure::Failure;
+use crate::film::FilmOptions;
+use crate::options::{ConditionOptions, Names};
+use crate::output;
+use crate::train::failure;
+
+/// Fly a trained policy and report how well
+///
+/// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start unless a configuration file says otherwise. What is
+/// not said here is as the policy was trained. Pictures show the first episode.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:
+  aviary play --policy assets/policies/hover.safetensors --episodes 20
+  aviary play --policy assets/policies/race.safetensors --episodes 1 --gif out/race.gif --overlay trails
+  aviary play --policy assets/policies/hover.safetensors --wind combined --physics mjc_gnd_drag_dw --json")]
+pub struct Play {
+    /// Policy to fly: a file that `aviary train` wrote
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
+    policy: PathBuf,
+    /// Episodes to fly
+    #[arg(long, default_value_t = 20, allow_negative_numbers = true)]
+    episodes: usize,
+    /// Task to fly; the policy's by default
+    #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
+    task: Option<String>,
+    /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own; the policy's by default
+    #[arg(long, value_parser = Names(|| DroneModel::ALL.map(DroneModel::name).to_vec()), hide_possible_values = true)]
+    drone: Option<String>,
+    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
+    #[arg(long, default_value = "mjc", value_parser = Names(|| Physics::ALL.map(Physics::name).to_vec()), hide_possible_values = true)]
+    physics: String,
+    /// Number of drones; the policy's by default
+    #[arg(long, allow_negative_numbers = true)]
+    num_drones: Option<usize>,
+    #[command(flatten)]
+    conditions: ConditionOptions,
+    /// Simulated seconds of an episode; the task's by default
+    #[arg(long, allow_negative_numbers = true)]
+    duration: Option<f64>,
+    /// Seed of the first episode; the others have the next ones
+    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    seed: u64,
+    #[command(flatten)]
+    film: FilmOptions,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+impl Play {
+    pub fn run(&self) -> Result<(), Failure> {
+        self.film.check()?;
+        if self.episodes == 0 {
+            return Err(Failure::input(anyhow!("--episodes is 0, expected at least 1")));
+        }
+        let policy = Policy::load(&self.policy).map_err(Failure::input)?;
+        let config = self.config(&policy)?;
+        let mut arena = Arena::new(config.success, || config.environment()).map_err(failure)?;
+        let bar = output::progress(self.episodes as u64, "flying");
+        let mut flown = Vec::new();
+        // in handfuls, for the bar
+        while flown.len() < self.episodes {
+            let count = (self.episodes - flown.len()).min(64);
+            let seed = self.seed.wrapping_add(flown.len() as u64);
+            flown.extend(arena.fly(&policy, seed, count).map_err(failure)?);
+            bar.set_position(flown.len() as u64);
+        }
+        bar.finish_and_clear();
+        self.draw(&policy, &config)?;
+        if self.json {
+            output::print_json(&self.report(&config, &flown))
+        } else {
+            output::print(&table(&config, &flown))
+        }
+    }
+
+    /// What is flown: as the policy was trained, but for what is said.
+    fn config(&self, policy: &Policy) -> Result<TrainConfig, Failure> {
+        let info = policy.info();
+        let mut config = TrainConfig::of_task(self.task.as_deref().unwrap_or(&info.task)).map_err(failure)?;
+        config.drone = self.drone.clone().unwrap_or_else(|| info.drone.clone());
+        config.physics = self.physics.clone();
+        let trained_on = (info.task == config.task).then_some(info.num_drones);
+        config.num_drones = self.num_drones.or(trained_on);
+        config.per_drone = info.per_drone;
+        config.action_type = info.action_type.clone();
+        (config.sim_freq, config.ctrl_freq) = (info.sim_freq, info.ctrl_freq);
+        config.episode_seconds = self.duration;
+        let said = self.conditions.read(self.seed)?;
+        config.conditions.wind = said.wind;
+        config.conditions.obstacles = said.obstacles;
+        if let Some(randomization) = said.randomization {
+            config.randomize(randomization);
+        }
+        Ok(config)
+    }
+
+    /// Films the first episode, if that is asked for.
+    fn draw(&self, policy: &Policy, config: &TrainConfig) -> Result<(), Failure> {
+        if self.film.files().is_empty() {
+            return Ok(());
+        }
+        let mut env = config.environment().map_err(failure)?;
+        env.reset(Some(self.seed)).map_err(Failure::work)?;
+        let mut film = self.film.begin(env.simulation(), |_| None)?;
+        let mut went_wrong = Ok(());
+        let mut look = |env: &dyn Env| {
+            if let (Some(film), Ok(())) = (&mut film, &went_wrong) {
+                went_wrong = film.look(env.simulation(), |drone| env.reference(drone));
+            }
+        };
+        learn::fly(&mut *env, policy, config.success, self.seed, &mut look).map_err(failure)?;
+        went_wrong?;
+        match film {
+            Some(film) => film.finish(env.simulation(), |drone| env.reference(drone)),
+            None => Ok(()),
+        }
+    }
+
+    fn report(&self, config: &TrainConfig, flown: &[Episode]) -> serde_json::Value {
+        let score = Score::of(flown);
+        json!({
+            "task": config.task,
+            "drone_model": config.drone,
+            "physics": config.physics,
+            "seed": self.seed,
+            "policy": self.policy.to_string_lossy(),
+            "criterion": config.success.to_string(),
+            "success_rate": score.success,
+            "succeeded": flown.iter().filter(|episode| episode.success).count(),
+            "mean_reward": score.reward,
+            "mean_progress": score.progress,
+            "episodes": flown,
+            "files": self.film.files().iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
+        })
+    }
+}
+
+fn table(config: &TrainConfig, flown: &[Episode]) -> String {
+    let mut text = format!(
+        "{:>7} {:>8} {:>10} {:>9} {:>9} {:>17} {:>22}  {}\n",
+        "seed", "success", "reward", "time (s)", "progress", "final error (cm)", "worst of last 5 s (cm)", "end"
+    );
+    for episode in flown {
+        text += &format!(
+            "{:>7} {:>8} {:>10.1} {:>9.2} {:>8.0}% {:>17.1} {:>22.1}  {}\n",
+            episode.seed,
+            if episode.success { "yes" } else { "no" },
+            episode.reward,
+            episode.seconds,
+            100.0 * episode.progress,
+            100.0 * episode.final_position_error,
+            100.0 * episode.late_position_error,
+            episode.end,
+        );
+    }
+    let score = Score::of(flown);
+    let succeeded = flown.iter().filter(|episode| episode.success).count();
+    text + &format!(
+        "{} of {} episodes of {} succeeded ({}), mean reward {:.1}\n",
+        succeeded,
+        flown.len(),
+        config.task,
+        config.success,
+        score.reward
+    )
+}

@@ -1,0 +1,378 @@
+//! Policies trained, with a curve, checkpoints, and the best one kept.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::anyhow;
+use aviary::record::plot::{Plot, Series};
+use aviary::tasks;
+use clap::{ArgGroup, Args, ValueHint};
+use learn::{Clock, Point, Stop, TrainConfig, TrainError, Trainer};
+use serde_json::{Value, json};
+
+use crate::failure::Failure;
+use crate::options::Names;
+use crate::output::{self, OutputDir};
+
+/// Train a policy, or one for every task
+///
+/// DIR gets policy.safetensors (the best one so far, at every moment), checkpoint.safetensors (what --resume goes on
+/// from, to the same bits), curve.csv, and curve.svg and curve.png. Exit status 1 where --until-success has no success.
+#[derive(Debug, Args)]
+#[command(group(ArgGroup::new("what").required(true).args(["task", "all", "resume"])))]
+#[command(after_help = "Examples:
+  aviary train --task hover --until-success --out out/hover
+  aviary train --task race --seed 3 --config race.toml --out out/race
+  aviary train --resume out/race --steps 60000000
+  aviary train --all --steps 100000 --out out/all
+
+A configuration file says what differs from the task's defaults, which `aviary train --task hover --show` prints.")]
+pub struct Train {
+    /// Task to train; `aviary tasks` lists them
+    #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
+    task: Option<String>,
+    /// A short run of every task, to see that all of it works
+    #[arg(long)]
+    all: bool,
+    /// Directory of an earlier run to go on with, as if it had never stopped
+    #[arg(long, value_hint = ValueHint::DirPath, conflicts_with_all = ["config", "seed", "envs", "out"])]
+    resume: Option<PathBuf>,
+    /// TOML file with what differs from the task's defaults: steps, drone, physics, …, and sections [ppo], [wind], [obstacles],
+    /// [randomization]
+    #[arg(long, value_hint = ValueHint::FilePath)]
+    config: Option<PathBuf>,
+    /// Seed of everything random: equal seeds give equal policies on a machine; 0 by default
+    #[arg(long, allow_negative_numbers = true)]
+    seed: Option<u64>,
+    /// Environment steps to make; the task's by default
+    #[arg(long, allow_negative_numbers = true)]
+    steps: Option<u64>,
+    /// End as soon as every episode of an evaluation succeeds, and of another one four times as large
+    #[arg(long)]
+    until_success: bool,
+    /// Environments that gather experience; the task's by default
+    #[arg(long, allow_negative_numbers = true)]
+    envs: Option<usize>,
+    /// Directory to write; out/train/TASK by default
+    #[arg(long, value_hint = ValueHint::DirPath)]
+    out: Option<PathBuf>,
+    /// Print the configuration that would be trained with, as TOML, and train nothing
+    #[arg(long, conflicts_with_all = ["resume", "all"])]
+    show: bool,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
+}
+
+/// Files of a run.
+const POLICY: &str = "policy.safetensors";
+const CHECKPOINT: &str = "checkpoint.safetensors";
+const CURVE: &str = "curve.csv";
+
+/// Steps of a task where all are tried.
+const TRIAL: u64 = 100_000;
+
+/// What training cannot do: the fault of what was asked for, or of the work.
+pub fn failure(error: TrainError) -> Failure {
+    match error {
+        TrainError::Diverged => Failure::work(error),
+        TrainError::Env(aviary::env::EnvError::InBatch { .. }) => Failure::work(error),
+        _ => Failure::input(error),
+    }
+}
+
+impl Train {
+    pub fn run(&self) -> Result<(), Failure> {
+        if self.all {
+            return self.every_task();
+        }
+        let (trainer, out) = match &self.resume {
+            Some(directory) => {
+                let mut trainer = Trainer::resume(directory.join(CHECKPOINT)).map_err(failure)?;
+                trainer.extend(self.steps, self.until_success);
+                (trainer, directory.clone())
+            }
+            None => {
+                let task = self.task.as_deref().unwrap_or_default();
+                let config = self.config(task)?;
+                if self.show {
+                    let text = config.to_toml().map_err(failure)?;
+                    return output::print(&text);
+                }
+                let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
+                (Trainer::new(config, &self.command(task)).map_err(failure)?, out)
+            }
+        };
+        let run = Run::begin(trainer, &out)?.finish()?;
+        if self.json {
+            output::print_json(&run.json())?;
+        } else {
+            output::print(&run.table())?;
+        }
+        run.verdict()
+    }
+
+    /// The command that makes the same policy, with nothing in it of where files lie.
+    fn command(&self, task: &str) -> String {
+        let mut command = format!("aviary train --task {task}");
+        if let Some(path) = &self.config {
+            let name = path.file_name().unwrap_or(path.as_os_str());
+            command += &format!(" --config {}", name.to_string_lossy());
+        }
+        let numbers = [("seed", self.seed), ("steps", self.steps), ("envs", self.envs.map(|envs| envs as u64))];
+        for (option, number) in numbers {
+            if let Some(number) = number {
+                command += &format!(" --{option} {number}");
+            }
+        }
+        if self.until_success {
+            command += " --until-success";
+        }
+        command
+    }
+
+    fn config(&self, task: &str) -> Result<TrainConfig, Failure> {
+        let mut config = TrainConfig::of_task(task).map_err(failure)?;
+        if let Some(path) = &self.config {
+            config.read_file(path).map_err(failure)?;
+        }
+        config.seed = self.seed.unwrap_or(config.seed);
+        config.steps = self.steps.unwrap_or(config.steps);
+        config.ppo.environments = self.envs.unwrap_or(config.ppo.environments);
+        config.until_success = self.until_success;
+        config.validate().map_err(failure)?;
+        Ok(config)
+    }
+
+    fn every_task(&self) -> Result<(), Failure> {
+        let out = self.out.clone().unwrap_or_else(|| "out/train".into());
+        let (mut rows, mut list) = (Vec::new(), Vec::new());
+        for task in tasks::NAMES {
+            let mut config = self.config(task)?;
+            config.steps = self.steps.unwrap_or(TRIAL);
+            config.ppo.environments = self.envs.unwrap_or(256);
+            config.episodes = config.episodes.min(8);
+            let trainer = Trainer::new(config, &self.command(task)).map_err(failure)?;
+            let run = Run::begin(trainer, &out.join(task))?.finish()?;
+            let curve = run.trainer.curve();
+            let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.mean_reward);
+            rows.push((
+                task,
+                format!(
+                    "{} steps in {:.1} s, mean reward {:.2} before, {:.2} after",
+                    run.trainer.steps(),
+                    run.trainer.clock().total.as_secs_f64(),
+                    reward(curve.first()),
+                    reward(curve.last()),
+                ),
+            ));
+            list.push(run.json());
+        }
+        if self.json { output::print_json(&json!(list)) } else { output::print(&output::table(&rows)) }
+    }
+}
+
+/// A run with its files.
+struct Run {
+    trainer: Trainer,
+    out: OutputDir,
+}
+
+impl Run {
+    fn begin(trainer: Trainer, out: &Path) -> Result<Self, Failure> {
+        let run = Self { trainer, out: OutputDir::create(out)? };
+        run.save_policy()?;
+        run.save_checkpoint()?;
+        Ok(run)
+    }
+
+    fn finish(mut self) -> Result<Self, Failure> {
+        let total = self.trainer.config().steps;
+        let bar = output::progress_with(total, "{msg} {wide_bar} {human_pos}/{human_len} {eta}");
+        while self.trainer.stop().is_none() {
+            let best = self.trainer.best().info().steps;
+            self.trainer.advance().map_err(failure)?;
+            if self.trainer.best().info().steps != best {
+                self.save_policy()?;
+            }
+            if self.trainer.is_checkpoint() {
+                self.save_checkpoint()?;
+                self.save_curve()?;
+            }
+            bar.set_position(self.trainer.steps().min(total));
+            bar.set_message(self.message());
+        }
+        bar.finish_and_clear();
+        self.save_policy()?;
+        self.save_curve()?;
+        let curve = self.trainer.curve();
+        let plot = plot(self.trainer.config(), curve).map_err(Failure::work)?;
+        self.out.write("curve.svg", plot.svg().map_err(Failure::work)?.as_bytes())?;
+        self.out.write("curve.png", &plot.png().map_err(Failure::work)?)?;
+        Ok(self)
+    }
+
+    /// What the bar says.
+    fn message(&self) -> String {
+        let curve = self.trainer.curve();
+        let (mean_return, score) = latest(curve);
+        format!(
+            "{:.0} steps/s, return {}, success {}",
+            per_second(self.trainer.steps(), &self.trainer.clock()),
+            mean_return.map_or("–".into(), |mean| format!("{mean:.1}")),
+            score.map_or("–".into(), |success| format!("{:.0} %", 100.0 * success)),
+        )
+    }
+
+    fn save_policy(&self) -> Result<(), Failure> {
+        self.out.write(POLICY, &self.trainer.best().to_bytes())
+    }
+
+    fn save_checkpoint(&self) -> Result<(), Failure> {
+        self.trainer.save_checkpoint(self.out.path().join(CHECKPOINT)).map_err(Failure::work)
+    }
+
+    fn save_curve(&self) -> Result<(), Failure> {
+        self.out.write(CURVE, curve(self.trainer.curve()).as_bytes())
+    }
+
+    fn json(&self) -> Value {
+        let (trainer, clock) = (&self.trainer, self.trainer.clock());
+        let shares: serde_json::Map<_, _> =
+            shares(&clock).into_iter().map(|(name, share)| (name.to_string(), json!(share))).collect();
+        let files = [POLICY, CHECKPOINT, CURVE, "curve.svg", "curve.png"]
+            .map(|name| self.out.path().join(name).to_string_lossy().into_owned());
+        json!({
+            "task": trainer.config().task,
+            "seed": trainer.config().seed,
+            "stop": trainer.stop(),
+            "iterations": trainer.curve().len(),
+            "steps": trainer.steps(),
+            "wall_seconds": clock.total.as_secs_f64(),
+            "steps_per_second": per_second(trainer.steps(), &clock),
+            "time": shares,
+            "best": trainer.best_score(),
+            "best_steps": trainer.best().info().steps,
+            "files": files,
+        })
+    }
+
+    fn table(&self) -> String {
+        let (trainer, clock) = (&self.trainer, self.trainer.clock());
+        let shares: Vec<_> =
+            shares(&clock).iter().map(|(name, share)| format!("{name} {:.0} %", 100.0 * share)).collect();
+        let score = trainer.best_score().map_or("not evaluated".into(), |score| {
+            format!(
+                "{:.0} % of {} episodes ({}), mean return {:.1}",
+                100.0 * score.success,
+                trainer.config().episodes,
+                trainer.config().success,
+                score.reward
+            )
+        });
+        output::table(&[
+            ("task", format!("{} with seed {}", trainer.config().task, trainer.config().seed)),
+            ("best policy", score),
+            ("environment steps", format!("{}, the best policy's {}", trainer.steps(), trainer.best().info().steps)),
+            ("wall time", format!("{:.1} s", clock.total.as_secs_f64())),
+            ("environment steps per s", format!("{:.0}", per_second(trainer.steps(), &clock))),
+            ("where the time went", shares.join(", ")),
+            ("policy", self.out.path().join(POLICY).display().to_string()),
+        ])
+    }
+
+    fn verdict(&self) -> Result<(), Failure> {
+        if self.trainer.config().until_success && self.trainer.stop() != Some(Stop::Success) {
+            let score = self.trainer.best_score().map_or(0.0, |score| score.success);
+            let steps = self.trainer.steps();
+            let best = 100.0 * score;
+            return Err(Failure::work(anyhow!("no success within {steps} steps; the best policy had {best:.0} %")));
+        }
+        Ok(())
+    }
+}
+
+/// The latest return and share of successes.
+fn latest(curve: &[Point]) -> (Option<f64>, Option<f64>) {
+    let mean = curve.iter().rev().find_map(|point| point.mean_return);
+    let success = curve.iter().rev().find_map(|point| point.score.map(|score| score.success));
+    (mean, success)
+}
+
+fn per_second(steps: u64, clock: &Clock) -> f64 {
+    steps as f64 / clock.total.as_secs_f64().max(1e-9)
+}
+
+/// Shares of the time.
+fn shares(clock: &Clock) -> [(&'static str, f64); 5] {
+    let total = clock.total.as_secs_f64().max(1e-9);
+    let known = [clock.simulation, clock.inference, clock.gradient, clock.evaluation];
+    let other = clock.total.saturating_sub(known.iter().sum::<Duration>());
+    let share = |time: Duration| time.as_secs_f64() / total;
+    let [simulation, inference, gradient, evaluation] = known.map(share);
+    [
+        ("simulation", simulation),
+        ("inference", inference),
+        ("gradient", gradient),
+        ("evaluation", evaluation),
+        ("other", share(other)),
+    ]
+}
+
+/// The curve as CSV: nothing in it depends on the machine's speed.
+fn curve(points: &[Point]) -> String {
+    let mut text = String::from(
+        "iteration,steps,mean_return,mean_reward,success,progress,evaluation_return,divergence,clipped,loss,deviation,explained,learning_rate\n",
+    );
+    let number = |x: Option<f64>| x.map_or(String::new(), |x| x.to_string());
+    for point in points {
+        let Point {
+            iteration,
+            steps,
+            mean_return,
+            mean_reward,
+            score,
+            divergence,
+            clipped,
+            loss,
+            deviation,
+            explained,
+            rate,
+        } = point;
+        text += &format!(
+            "{iteration},{steps},{},{mean_reward},{},{},{},{divergence},{clipped},{loss},{deviation},{explained},{rate}\n",
+            number(*mean_return),
+            number(score.map(|score| score.success)),
+            number(score.map(|score| score.progress)),
+            number(score.map(|score| score.reward)),
+        );
+    }
+    text
+}
+
+fn plot(config: &TrainConfig, points: &[Point]) -> Result<Plot, aviary::record::RecordError> {
+    let series = |name: &str, value: &dyn Fn(&Point) -> Option<f64>| Series {
+        name: name.into(),
+        points: points.iter().filter_map(|point| Some((point.steps as f64 / 1e6, value(point)?))).collect(),
+    };
+    let evaluated = |value: fn(&learn::Score) -> f64| move |point: &Point| point.score.as_ref().map(value);
+    let panels = [
+        (
+            "evaluation (%)",
+            vec![
+                series("success", &evaluated(|score| 100.0 * score.success)),
+                series("progress", &evaluated(|score| 100.0 * score.progress)),
+            ],
+        ),
+        (
+            "return",
+            vec![
+                series("evaluation", &evaluated(|score| score.reward)),
+                series("training", &|point| point.mean_return),
+            ],
+        ),
+        ("standard deviation of actions", vec![series("deviation", &|point| Some(point.deviation))]),
+    ];
+    let title = format!("{}, seed {}", config.task, config.seed);
+    Ok(Plot::time_series(&title, &panels)?.over("environment steps (millions)"))
+}
