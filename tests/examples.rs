@@ -151,6 +151,13 @@ fn a_task_of_ones_own_keeps_the_contract_and_is_flown() {
 }
 
 #[test]
+fn a_trained_policy_flies_two_laps_from_its_file() {
+    let Some((directory, printed)) = run("policy", &[]) else { return };
+    assert!(directory.path().join("path.png").metadata().unwrap().len() > 10_000);
+    assert!(printed.contains("aviary train --task race") && printed.contains("success: true"), "{printed}");
+}
+
+#[test]
 fn antipodal_swaps_places_in_six_pictures() {
     let Some((directory, printed)) = run("antipodal", &["1.5"]) else { return };
     assert!(directory.path().join("antipodal.png").metadata().unwrap().len() > 50_000);
