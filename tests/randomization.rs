@@ -292,6 +292,37 @@ fn no_drone_starts_in_the_floor_or_in_another_one() {
 }
 
 #[test]
+fn starts_lie_about_a_place_beside_the_environments_own() {
+    let beside = only("[initial]\nposition = 0.3\nvelocity = 0.0\nattitude = 0.0\noffset = [1.0, -2.0, 3.0]\n");
+    let mut env = MultiHover::builder().randomization(beside.clone()).build().unwrap();
+    let mut sums = [0.0; 3];
+    for seed in 0..200 {
+        env.reset(Some(seed)).unwrap();
+        for (drone, state) in env.simulation().states().iter().enumerate() {
+            for (axis, middle) in [drone as f64 + 1.0, -2.0, 3.1].into_iter().enumerate() {
+                let off = state.position[axis] - middle;
+                assert!(off.abs() <= 0.3, "drone {drone}, axis {axis}: {off}");
+                sums[axis] += off / 400.0;
+            }
+        }
+        // what the task wants is where it was
+        assert_eq!(env.reference(1).position.x, 1.0);
+    }
+    assert!(sums.iter().all(|mean| mean.abs() < 0.03), "{sums:?}");
+    // below the floor there is nothing
+    let below = only("[initial]\noffset = [0.0, 0.0, -5.0]\n");
+    let mut env = Hover::builder().randomization(below).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    let z = env.simulation().states()[0].position.z;
+    assert!((0.015..0.03).contains(&z), "{z}");
+    for wrong in ["[initial]\noffset = [0.0, nan, 0.0]\n", "[initial]\noffset = [0.0, 2e3, 0.0]\n"] {
+        assert!(Randomization::from_toml(wrong).unwrap_err().to_string().contains("initial.offset"));
+    }
+    assert!(Randomization::from_toml("[initial]\noffset = [0.0, 1.0]\n").is_err());
+    assert!(MultiHover::builder().randomization(beside).build().is_ok());
+}
+
+#[test]
 fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
     let flight = |env: &mut Aviary<Hover>| {
         env.reset(Some(4)).unwrap();

@@ -53,6 +53,8 @@ fn commands(page: &str) -> Vec<String> {
     }
     commands.sort();
     commands.dedup();
+    // what others fly must be trained before
+    commands.sort_by_key(|command| !command.starts_with("aviary train"));
     commands
 }
 
@@ -74,9 +76,17 @@ fn run(directory: &Path, line: &str) {
     if words.contains(&"--video") && Command::new("ffmpeg").arg("-version").output().is_err() {
         return;
     }
+    if words[0] == "play" {
+        words.extend(["--duration", "1"]);
+    }
     // pictures of a second look like those of ten
     if words.contains(&"--gif") && !words.contains(&"--duration") {
         words.extend(["--duration", "1"]);
+    }
+    // a policy that has seen little is a file like any other
+    if words[0] == "train" {
+        words.retain(|word| *word != "--until-success");
+        words.extend(["--steps", "4096", "--envs", "64"]);
     }
     let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(&words).current_dir(directory).output().unwrap();
     assert!(output.status.success(), "aviary {line}: {}", String::from_utf8_lossy(&output.stderr));

@@ -146,8 +146,6 @@ impl TrainConfig {
     /// [`EnvError::UnknownTask`].
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
         let summary = tasks::summary(name).ok_or_else(|| unknown(name))?;
-        let held = Success::Held { seconds: 5.0 };
-        let near = Success::Near { seconds: 5.0, within: 0.05 };
         let ppo = match name {
             // looking further ahead, a waypoint costs more than it pays: the next one is far
             "fly_through" => PpoConfig { discount: 0.98, ..PpoConfig::default() },
@@ -155,13 +153,10 @@ impl TrainConfig {
             "multi_hover" | "multi_agent" => PpoConfig { environments: 512, ..PpoConfig::default() },
             _ => PpoConfig::default(),
         };
-        let (success, steps, ppo) = match name {
-            "hover" => (near, 20_000_000, ppo),
-            "multi_hover" | "multi_agent" => (near, 20_000_000, ppo),
-            "velocity" => (held, 20_000_000, ppo),
-            "fly_through" | "race" => (Success::Done, 40_000_000, ppo),
-            "formation" | "track" | "stabilize" => (held, 20_000_000, ppo),
-            _ => (Success::Done, 20_000_000, ppo),
+        let success = match name {
+            "hover" | "multi_hover" | "multi_agent" => Success::Near { seconds: 5.0, within: 0.05 },
+            "velocity" | "formation" | "track" | "stabilize" => Success::Held { seconds: 5.0 },
+            _ => Success::Done,
         };
         Ok(Self {
             task: name.into(),
@@ -174,7 +169,7 @@ impl TrainConfig {
             sim_freq: 240,
             ctrl_freq: 48,
             episode_seconds: None,
-            steps,
+            steps: 20_000_000,
             until_success: false,
             evaluate_every: 5,
             episodes: 64,
@@ -456,11 +451,11 @@ fn starts_of(task: &str) -> Vec<TrainingStart> {
         }
         "fly_through" => {
             let along = about(0.7, [0.5, 0.5, 1.0], 10.0);
-            vec![along, along, along, TrainingStart::default()]
+            vec![along, along, along, start]
         }
         "race" => {
             let along = about(1.2, [0.5, 1.0, 1.3], 10.0);
-            vec![along, along, along, TrainingStart::default()]
+            vec![along, along, along, start]
         }
         _ => vec![],
     }

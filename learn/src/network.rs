@@ -187,6 +187,7 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
+    use aviary::env::Rng;
     use proptest::prelude::*;
     use rand::SeedableRng as _;
 
