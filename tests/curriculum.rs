@@ -92,7 +92,7 @@ fn saved_and_restored_it_goes_on_as_if_nothing_had_happened() {
 
 #[test]
 fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
-    let blow = |env: &mut Box<dyn Env>, level: usize| {
+    let blow = |env: &mut Box<dyn Env + Send>, level: usize| {
         let wind = WindConfig { velocity: [1.0 + level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Combined) };
         env.set_wind(Some(wind))
     };
@@ -112,7 +112,7 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
         let env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_field(field)).unwrap();
         let windy = WindWrapper::new(env, WindConfig::new(WindModel::Combined)).unwrap();
         let drawn = RandomizationWrapper::new(windy, Randomization::default()).unwrap();
-        let easy = |_: &mut RandomizationWrapper<WindWrapper<Box<dyn Env>>>, _: usize| Ok(());
+        let easy = |_: &mut RandomizationWrapper<WindWrapper<Box<dyn Env + Send>>>, _: usize| Ok(());
         check_env(&mut CurriculumWrapper::new(drawn, CurriculumConfig::default(), easy).unwrap()).unwrap();
     }
     let fails = |_: &mut Aviary<Hover>, _: usize| Err(EnvError::NeedsReset { when: "never" });

@@ -9,7 +9,7 @@ use aviary::env::{Conditions, EnvConfig, EnvError, InitialRanges, Randomization}
 use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
 use aviary::physics::wind::WindConfig;
-use aviary::tasks::{self, Race};
+use aviary::tasks::{self, FlyThrough, Race};
 use aviary::vector::{Autoreset, OnFault, VecAviary, VecConfig, VecEnv, make_vec};
 use aviary::world::ObstacleConfig;
 use serde::{Deserialize, Serialize};
@@ -60,8 +60,9 @@ pub struct TrainConfig {
     pub training_starts: Vec<TrainingStart>,
     /// What leaving the task's space costs in training. Where it costs nothing, policies that cannot do better yet learn to leave.
     pub out_of_bounds: f32,
-    /// What race pays in training: the paper's reward for speed is best earned by flying away.
-    pub race: Option<RaceRewards>,
+    /// What fly_through and race pay in training. The paper's reward for speed is best earned by flying away; and where staying beside a point
+    /// costs less than the way to the one after it, no point is ever passed.
+    pub course: Option<CourseRewards>,
     /// Wind, obstacles and what is drawn anew for every episode, in training and evaluation.
     pub conditions: Conditions,
     /// The algorithm's.
@@ -98,16 +99,16 @@ impl TrainingStart {
     }
 }
 
-/// What a race pays: see [`Race`].
+/// What a course pays: see [`FlyThrough`] and [`Race`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct RaceRewards {
-    /// For a gate.
-    pub gate: f64,
-    /// Per control step and m/s.
-    pub speed: f64,
-    /// Per control step and m of distance from the gate, taken off.
+pub struct CourseRewards {
+    /// For a waypoint or a gate.
+    pub point: f64,
+    /// Per control step and m of distance from it, taken off.
     pub distance: f64,
+    /// Per control step and m/s; a race's alone.
+    pub speed: f64,
 }
 
 /// A configuration file: what it says of a run.
@@ -129,7 +130,7 @@ struct Said {
     success: Option<Success>,
     training_starts: Option<Vec<TrainingStart>>,
     out_of_bounds: Option<f32>,
-    race: Option<RaceRewards>,
+    course: Option<CourseRewards>,
     ppo: SaidPpo,
     wind: Option<WindConfig>,
     obstacles: Option<ObstacleConfig>,
@@ -147,8 +148,6 @@ impl TrainConfig {
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
         let summary = tasks::summary(name).ok_or_else(|| unknown(name))?;
         let ppo = match name {
-            // looking further ahead, a waypoint costs more than it pays: the next one is far
-            "fly_through" => PpoConfig { discount: 0.98, ..PpoConfig::default() },
             // each has two agents and more
             "multi_hover" | "multi_agent" => PpoConfig { environments: 512, ..PpoConfig::default() },
             _ => PpoConfig::default(),
@@ -176,7 +175,11 @@ impl TrainConfig {
             checkpoint_every: 50,
             success,
             training_starts: starts_of(name),
-            race: (name == "race").then_some(RaceRewards { gate: 20.0, speed: 0.0, distance: 0.2 }),
+            course: match name {
+                "fly_through" => Some(CourseRewards { point: 10.0, distance: 0.02, speed: 0.0 }),
+                "race" => Some(CourseRewards { point: 20.0, distance: 0.1, speed: 0.0 }),
+                _ => None,
+            },
             out_of_bounds: 100.0,
             conditions: Conditions { randomization: summary_start(&summary), ..Conditions::default() },
             ppo,
@@ -200,7 +203,7 @@ impl TrainConfig {
         take!(drone physics per_drone action_type sim_freq ctrl_freq steps evaluate_every episodes checkpoint_every success out_of_bounds);
         self.training_starts = said.training_starts.unwrap_or(std::mem::take(&mut self.training_starts));
         self.num_drones = said.num_drones.or(self.num_drones);
-        self.race = said.race.or(self.race);
+        self.course = said.course.or(self.course);
         self.episode_seconds = said.episode_seconds.or(self.episode_seconds);
         said.ppo.apply(&mut self.ppo);
         self.conditions.wind = said.wind.or(self.conditions.wind);
@@ -390,13 +393,18 @@ impl TrainConfig {
                 on_fault: OnFault::Truncate,
                 ..VecConfig::new(environments)
             };
-            let mut env = match self.race {
-                Some(RaceRewards { gate, speed, distance }) if self.task == "race" => {
+            let mut env = match (self.course, &*self.task) {
+                (Some(CourseRewards { point, distance, .. }), "fly_through") => {
+                    let pay = |task: &mut FlyThrough| (task.capture_reward, task.distance_penalty) = (point, distance);
+                    let options = options.with_task(FlyThrough::default()).task(pay);
+                    Box::new(VecAviary::new(options, config)?) as Box<dyn VecEnv>
+                }
+                (Some(CourseRewards { point, distance, speed }), "race") => {
                     let pay = |race: &mut Race| {
-                        (race.gate_reward, race.speed_reward, race.distance_penalty) = (gate, speed, distance);
+                        (race.gate_reward, race.speed_reward, race.distance_penalty) = (point, speed, distance);
                     };
                     let options = options.with_task(Race::default()).task(pay);
-                    Box::new(VecAviary::new(options, config)?) as Box<dyn VecEnv>
+                    Box::new(VecAviary::new(options, config)?)
                 }
                 _ => make_vec(&self.task, options, config)?,
             };
@@ -429,7 +437,8 @@ impl TrainConfig {
 
 fn summary_start(summary: &tasks::TaskSummary) -> Option<Randomization> {
     // a swarm that meets is arranged with care
-    (summary.name != "antipodal").then(|| Randomization { initial: Some(START), ..Randomization::NONE })
+    let drawn = Randomization { initial: Some(START), ..Randomization::NONE };
+    (summary.name != "antipodal").then_some(drawn)
 }
 
 /// Where policies of a task learn best: all about the place that they have to hold or the course, and where they take off.

@@ -16,7 +16,7 @@ mod scale;
 mod trainer;
 
 pub use agents::{Agents, Batch, Next, Outcome, Swarm, Terms};
-pub use config::{RaceRewards, TrainConfig, TrainingStart};
+pub use config::{CourseRewards, TrainConfig, TrainingStart};
 pub use error::TrainError;
 pub use evaluation::{AnyEnv, Arena, Episode, Score, Success, fly};
 pub use ppo::{Clock, PpoConfig};

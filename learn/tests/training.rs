@@ -144,7 +144,7 @@ fn every_tasks_configuration_reads_back_as_it_is_written() {
         let config = TrainConfig::of_task(task).unwrap();
         config.validate().unwrap();
         let mut read = TrainConfig { conditions: Default::default(), ..TrainConfig::of_task("hover").unwrap() };
-        (read.task, read.race, read.num_drones) = (task.into(), None, None);
+        (read.task, read.course, read.num_drones) = (task.into(), None, None);
         read.read_toml(&config.to_toml().unwrap()).unwrap();
         assert_eq!(read, config, "{task}");
     }

@@ -162,6 +162,14 @@ pub(super) fn check(points: &[[f64; 3]], laps: usize, radius: f64) -> Result<(),
     Ok(())
 }
 
+/// Checks what a course pays.
+pub(super) fn check_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -> Result<(), EnvError> {
+    match rewards.into_iter().find(|(_, got)| !got.is_finite()) {
+        Some((option, got)) => Err(EnvError::Option { option, got: got.to_string(), expected: "a finite number" }),
+        None => Ok(()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

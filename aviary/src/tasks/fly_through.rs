@@ -47,6 +47,10 @@ pub struct FlyThrough {
     pub waypoints: Vec<[f64; 3]>,
     /// Distance within which a waypoint is captured, m; 0.1 by default.
     pub radius: f64,
+    /// Reward for a capture; 10 by default.
+    pub capture_reward: f64,
+    /// Reward per control step and m of distance from the waypoint, taken off; 0.1 by default.
+    pub distance_penalty: f64,
     /// When a drone counts as crashed.
     pub crash: CrashConditions,
     course: Course,
@@ -58,6 +62,8 @@ impl Default for FlyThrough {
         Self {
             waypoints: vec![[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.5], [0.0, 1.0, 1.0], [0.0, 0.0, 0.5]],
             radius: 0.1,
+            capture_reward: 10.0,
+            distance_penalty: 0.1,
             crash: CrashConditions::with_max_tilt(FRAC_PI_2),
             course: Course::default(),
             watch: CrashWatch::default(),
@@ -101,7 +107,11 @@ impl Task for FlyThrough {
 
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        course::check(&self.waypoints, 1, self.radius)
+        course::check(&self.waypoints, 1, self.radius)?;
+        course::check_rewards([
+            ("the reward for a capture", self.capture_reward),
+            ("the penalty for distance", self.distance_penalty),
+        ])
     }
 
     fn markers(&self) -> Vec<Marker> {
@@ -133,9 +143,9 @@ impl Task for FlyThrough {
         if !self.course.was_flying(drone) {
             return -crash_penalty(end);
         }
-        let capture = if self.course.just_passed(drone) { 10.0 } else { 0.0 };
+        let capture = if self.course.just_passed(drone) { self.capture_reward } else { 0.0 };
         capture
-            - 0.1 * self.course.distance(drone)
+            - self.distance_penalty * self.course.distance(drone)
             - 0.01 * simulation.states()[drone].angular_velocity.norm()
             - crash_penalty(end)
     }

@@ -123,16 +123,11 @@ impl Task for Race {
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         course::check(&self.gates, self.laps, self.radius)?;
-        for (option, got) in [
+        course::check_rewards([
             ("the reward for a gate", self.gate_reward),
             ("the reward for speed", self.speed_reward),
             ("the penalty for distance", self.distance_penalty),
-        ] {
-            if !got.is_finite() {
-                return Err(EnvError::Option { option, got: got.to_string(), expected: "a finite number" });
-            }
-        }
-        Ok(())
+        ])
     }
 
     /// Square frames that stand across the way from the gate before to the gate after.
