@@ -9,19 +9,19 @@ use aviary::physics::Physics;
 use aviary::policy::Policy;
 use aviary::tasks;
 use clap::{Args, ValueHint};
-use learn::{Arena, Episode, Score, TrainConfig};
+use learn::{Arena, Episode, Score, TrainConfig, TrainError};
 use serde_json::json;
 
 use crate::failure::Failure;
 use crate::film::FilmOptions;
 use crate::options::{ConditionOptions, Names};
 use crate::output;
-use crate::train::failure;
 
 /// Fly a trained policy and report how well
 ///
-/// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start unless a configuration file says otherwise. What is
-/// not said here is as the policy was trained. Pictures show the first episode.
+/// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start (antipodal's at it) unless a configuration file says
+/// otherwise. Task, airframe, number of drones, actions and rates are those that the policy was trained with, unless they are
+/// said. Pictures show the first episode.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   aviary play --policy assets/policies/hover.safetensors --episodes 20
@@ -69,14 +69,14 @@ impl Play {
         }
         let policy = Policy::load(&self.policy).map_err(Failure::input)?;
         let config = self.config(&policy)?;
-        let mut arena = Arena::new(config.success, || config.environment()).map_err(failure)?;
+        let mut arena = Arena::new(config.success, || config.environment()).map_err(Failure::input)?;
         let bar = output::progress(self.episodes as u64, "flying");
         let mut flown = Vec::new();
         // in handfuls, for the bar
         while flown.len() < self.episodes {
             let count = (self.episodes - flown.len()).min(64);
             let seed = self.seed.wrapping_add(flown.len() as u64);
-            flown.extend(arena.fly(&policy, seed, count).map_err(failure)?);
+            flown.extend(arena.fly(&policy, seed, count).map_err(flying)?);
             bar.set_position(flown.len() as u64);
         }
         bar.finish_and_clear();
@@ -91,7 +91,7 @@ impl Play {
     /// What is flown: as the policy was trained, but for what is said.
     fn config(&self, policy: &Policy) -> Result<TrainConfig, Failure> {
         let info = policy.info();
-        let mut config = TrainConfig::of_task(self.task.as_deref().unwrap_or(&info.task)).map_err(failure)?;
+        let mut config = TrainConfig::of_task(self.task.as_deref().unwrap_or(&info.task)).map_err(Failure::input)?;
         config.drone = self.drone.clone().unwrap_or_else(|| info.drone.clone());
         config.physics = self.physics.clone();
         let trained_on = (info.task == config.task).then_some(info.num_drones);
@@ -106,6 +106,9 @@ impl Play {
         if let Some(randomization) = said.randomization {
             config.randomize(randomization);
         }
+        let seconds =
+            config.environment().map_err(Failure::input)?.episode_steps() as f64 / f64::from(config.ctrl_freq);
+        config.success = config.success.within(seconds);
         Ok(config)
     }
 
@@ -114,16 +117,17 @@ impl Play {
         if self.film.files().is_empty() {
             return Ok(());
         }
-        let mut env = config.environment().map_err(failure)?;
+        let mut env = config.environment().map_err(Failure::input)?;
         env.reset(Some(self.seed)).map_err(Failure::work)?;
         let mut film = self.film.begin(env.simulation(), |_| None)?;
         let mut went_wrong = Ok(());
         let mut look = |env: &dyn Env| {
-            if let (Some(film), Ok(())) = (&mut film, &went_wrong) {
+            // the last moment is added when the film is finished
+            if let (Some(film), Ok(()), None) = (&mut film, &went_wrong, env.info().end) {
                 went_wrong = film.look(env.simulation(), |drone| env.reference(drone));
             }
         };
-        learn::fly(&mut *env, policy, config.success, self.seed, &mut look).map_err(failure)?;
+        learn::fly(&mut *env, policy, config.success, self.seed, &mut look).map_err(flying)?;
         went_wrong?;
         match film {
             Some(film) => film.finish(env.simulation(), |drone| env.reference(drone)),
@@ -147,6 +151,14 @@ impl Play {
             "episodes": flown,
             "files": self.film.files().iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
         })
+    }
+}
+
+/// A policy that does not fit is the fault of who asked, everything else the work's.
+fn flying(error: TrainError) -> Failure {
+    match error {
+        TrainError::Policy(_) => Failure::input(error),
+        _ => Failure::work(error),
     }
 }
 

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::anyhow;
+use anyhow::{Context as _, anyhow};
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks;
 use clap::{ArgGroup, Args, ValueHint};
-use learn::{Clock, Point, Stop, TrainConfig, TrainError, Trainer};
+use learn::{Clock, Point, Stop, TrainConfig, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -31,8 +31,8 @@ pub struct Train {
     /// Task to train; `aviary tasks` lists them
     #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
     task: Option<String>,
-    /// A short run of every task, to see that all of it works
-    #[arg(long)]
+    /// A short run of every task, to see that all of it works: 100,000 steps in 256 environments unless they are said
+    #[arg(long, conflicts_with_all = ["config", "until_success"])]
     all: bool,
     /// Directory of an earlier run to go on with, as if it had never stopped
     #[arg(long, value_hint = ValueHint::DirPath, conflicts_with_all = ["config", "seed", "envs", "out"])]
@@ -69,17 +69,8 @@ const POLICY: &str = "policy.safetensors";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const CURVE: &str = "curve.csv";
 
-/// Steps of a task where all are tried.
-const TRIAL: u64 = 100_000;
-
-/// What training cannot do: the fault of what was asked for, or of the work.
-pub fn failure(error: TrainError) -> Failure {
-    match error {
-        TrainError::Diverged => Failure::work(error),
-        TrainError::Env(aviary::env::EnvError::InBatch { .. }) => Failure::work(error),
-        _ => Failure::input(error),
-    }
-}
+/// Steps and environments of a task where all are tried.
+const TRIAL: (u64, usize) = (100_000, 256);
 
 impl Train {
     pub fn run(&self) -> Result<(), Failure> {
@@ -88,19 +79,26 @@ impl Train {
         }
         let (trainer, out) = match &self.resume {
             Some(directory) => {
-                let mut trainer = Trainer::resume(directory.join(CHECKPOINT)).map_err(failure)?;
+                let mut trainer = Trainer::resume(directory.join(CHECKPOINT)).map_err(Failure::input)?;
                 trainer.extend(self.steps, self.until_success);
+                if trainer.stop().is_some() {
+                    let steps = trainer.steps();
+                    return Err(Failure::input(anyhow!(
+                        "{}: {steps} steps are made already, expected --steps with more than that",
+                        directory.display()
+                    )));
+                }
                 (trainer, directory.clone())
             }
             None => {
                 let task = self.task.as_deref().unwrap_or_default();
                 let config = self.config(task)?;
                 if self.show {
-                    let text = config.to_toml().map_err(failure)?;
+                    let text = config.to_toml().map_err(Failure::input)?;
                     return output::print(&text);
                 }
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
-                (Trainer::new(config, &self.command(task)).map_err(failure)?, out)
+                (Trainer::new(config, &self.command(task)).map_err(Failure::input)?, out)
             }
         };
         let run = Run::begin(trainer, &out)?.finish()?;
@@ -119,7 +117,8 @@ impl Train {
             let name = path.file_name().unwrap_or(path.as_os_str());
             command += &format!(" --config {}", name.to_string_lossy());
         }
-        let numbers = [("seed", self.seed), ("steps", self.steps), ("envs", self.envs.map(|envs| envs as u64))];
+        let (steps, envs) = (self.trial(self.steps, TRIAL.0), self.trial(self.envs, TRIAL.1));
+        let numbers = [("seed", self.seed), ("steps", steps), ("envs", envs.map(|envs| envs as u64))];
         for (option, number) in numbers {
             if let Some(number) = number {
                 command += &format!(" --{option} {number}");
@@ -131,16 +130,21 @@ impl Train {
         command
     }
 
+    /// A number that is smaller where every task is tried.
+    fn trial<T>(&self, said: Option<T>, trial: T) -> Option<T> {
+        said.or(self.all.then_some(trial))
+    }
+
     fn config(&self, task: &str) -> Result<TrainConfig, Failure> {
-        let mut config = TrainConfig::of_task(task).map_err(failure)?;
+        let mut config = TrainConfig::of_task(task).map_err(Failure::input)?;
         if let Some(path) = &self.config {
-            config.read_file(path).map_err(failure)?;
+            config.read_file(path).map_err(Failure::input)?;
         }
         config.seed = self.seed.unwrap_or(config.seed);
-        config.steps = self.steps.unwrap_or(config.steps);
-        config.ppo.environments = self.envs.unwrap_or(config.ppo.environments);
+        config.steps = self.trial(self.steps, TRIAL.0).unwrap_or(config.steps);
+        config.ppo.environments = self.trial(self.envs, TRIAL.1).unwrap_or(config.ppo.environments);
         config.until_success = self.until_success;
-        config.validate().map_err(failure)?;
+        config.validate().map_err(Failure::input)?;
         Ok(config)
     }
 
@@ -149,10 +153,8 @@ impl Train {
         let (mut rows, mut list) = (Vec::new(), Vec::new());
         for task in tasks::NAMES {
             let mut config = self.config(task)?;
-            config.steps = self.steps.unwrap_or(TRIAL);
-            config.ppo.environments = self.envs.unwrap_or(256);
             config.episodes = config.episodes.min(8);
-            let trainer = Trainer::new(config, &self.command(task)).map_err(failure)?;
+            let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
             let run = Run::begin(trainer, &out.join(task))?.finish()?;
             let curve = run.trainer.curve();
             let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.mean_reward);
@@ -181,8 +183,16 @@ struct Run {
 impl Run {
     fn begin(trainer: Trainer, out: &Path) -> Result<Self, Failure> {
         let run = Self { trainer, out: OutputDir::create(out)? };
-        run.save_policy()?;
-        run.save_checkpoint()?;
+        if run.trainer.curve().is_empty() {
+            // what an earlier run left there is not this one's
+            for path in [CURVE, "curve.svg", "curve.png"].map(|name| run.out.path().join(name)) {
+                if path.is_file() {
+                    std::fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
+                }
+            }
+            run.save_policy()?;
+            run.save_checkpoint()?;
+        }
         Ok(run)
     }
 
@@ -191,7 +201,7 @@ impl Run {
         let bar = output::progress_with(total, "{msg} {wide_bar} {human_pos}/{human_len} {eta}");
         while self.trainer.stop().is_none() {
             let best = self.trainer.best().info().steps;
-            self.trainer.advance().map_err(failure)?;
+            self.trainer.advance().map_err(Failure::work)?;
             if self.trainer.best().info().steps != best {
                 self.save_policy()?;
             }
@@ -204,6 +214,7 @@ impl Run {
         }
         bar.finish_and_clear();
         self.save_policy()?;
+        self.save_checkpoint()?;
         self.save_curve()?;
         let curve = self.trainer.curve();
         let plot = plot(self.trainer.config(), curve).map_err(Failure::work)?;
@@ -218,7 +229,7 @@ impl Run {
         let (mean_return, score) = latest(curve);
         format!(
             "{:.0} steps/s, return {}, success {}",
-            per_second(self.trainer.steps(), &self.trainer.clock()),
+            per_second(self.trainer.steps_here(), &self.trainer.clock()),
             mean_return.map_or("–".into(), |mean| format!("{mean:.1}")),
             score.map_or("–".into(), |success| format!("{:.0} %", 100.0 * success)),
         )
@@ -229,7 +240,7 @@ impl Run {
     }
 
     fn save_checkpoint(&self) -> Result<(), Failure> {
-        self.trainer.save_checkpoint(self.out.path().join(CHECKPOINT)).map_err(Failure::work)
+        self.out.write(CHECKPOINT, &self.trainer.checkpoint().map_err(Failure::work)?)
     }
 
     fn save_curve(&self) -> Result<(), Failure> {
@@ -249,7 +260,7 @@ impl Run {
             "iterations": trainer.curve().len(),
             "steps": trainer.steps(),
             "wall_seconds": clock.total.as_secs_f64(),
-            "steps_per_second": per_second(trainer.steps(), &clock),
+            "steps_per_second": per_second(trainer.steps_here(), &clock),
             "time": shares,
             "best": trainer.best_score(),
             "best_steps": trainer.best().info().steps,
@@ -275,7 +286,7 @@ impl Run {
             ("best policy", score),
             ("environment steps", format!("{}, the best policy's {}", trainer.steps(), trainer.best().info().steps)),
             ("wall time", format!("{:.1} s", clock.total.as_secs_f64())),
-            ("environment steps per s", format!("{:.0}", per_second(trainer.steps(), &clock))),
+            ("environment steps per s", format!("{:.0}", per_second(trainer.steps_here(), &clock))),
             ("where the time went", shares.join(", ")),
             ("policy", self.out.path().join(POLICY).display().to_string()),
         ])

@@ -1,7 +1,7 @@
 //! The program as other programs see it: output, files, errors, exit status.
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Command;
 
 use serde_json::Value;
 

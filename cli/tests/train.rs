@@ -69,13 +69,19 @@ fn a_run_that_is_killed_is_resumed_to_the_same_files() {
     }
     child.kill().unwrap();
     child.wait().unwrap();
+    let rows = std::fs::read_to_string(killed.join("curve.csv")).unwrap().lines().count();
+    assert!(rows < 41, "it had ended before it was killed");
     assert!(checkpoint.exists());
     let output = aviary(&["train", "--resume", text(&killed)]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
     for name in ["policy.safetensors", "curve.csv", "curve.svg"] {
         assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(killed.join(name)).unwrap(), "{name}");
     }
-    // and goes on from there
+    // nothing is left to do, and nothing is touched
+    let policy = std::fs::read(killed.join("policy.safetensors")).unwrap();
+    refused(&["train", "--resume", text(&killed)], 2, &["40960 steps are made already"]);
+    assert_eq!(std::fs::read(killed.join("policy.safetensors")).unwrap(), policy);
+    // and it goes on from there
     let longer = json(&["train", "--resume", text(&killed), "--steps", "45056", "--json"]);
     assert_eq!(longer["steps"], 45_056);
 }

@@ -37,8 +37,6 @@ pub struct Outcome {
     pub rewards: Vec<f32>,
     /// How it goes on.
     pub next: Vec<Next>,
-    /// Returns of the episodes that have ended in this step.
-    pub returns: Vec<f64>,
 }
 
 impl Outcome {
@@ -49,7 +47,6 @@ impl Outcome {
             finals: vec![0.0; rows * observation],
             rewards: vec![0.0; rows],
             next: vec![Next::Running; rows],
-            returns: Vec::new(),
         }
     }
 }
@@ -168,7 +165,6 @@ impl Agents for Batch {
                 truncated: &mut self.buffers.truncated,
             },
         )?;
-        outcome.returns.clear();
         let size = self.env.observation_size();
         let ends = self.buffers.terminated.iter().zip(&self.buffers.truncated);
         for (row, ((&terminated, &truncated), next)) in ends.zip(&mut outcome.next).enumerate() {
@@ -178,7 +174,6 @@ impl Agents for Batch {
                 (false, false) => Next::Running,
             };
             if let Some(ended) = next.is_end().then(|| self.env.ended(row)).flatten() {
-                outcome.returns.push(ended.reward);
                 match ended.reason {
                     EndReason::Fault => *next = Next::Absent,
                     EndReason::OutOfBounds => outcome.rewards[row] -= self.terms.out_of_bounds,
@@ -218,8 +213,8 @@ impl std::fmt::Debug for Swarm {
 /// One environment of several agents.
 struct World {
     env: Box<dyn ParallelEnv + Send>,
-    /// What each agent has been paid in this episode.
-    paid: Vec<f64>,
+    /// How many agents there can be.
+    agents: usize,
 }
 
 /// The rows of one environment.
@@ -233,17 +228,16 @@ struct Rows<'a> {
 impl World {
     fn reset(&mut self, seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
         let (seen, _) = self.env.reset(seed)?;
-        let size = observations.len() / self.paid.len();
+        let size = observations.len() / self.agents;
         for ((_, seen), row) in seen.iter().zip(observations.chunks_exact_mut(size)) {
             seen.write_vector(row);
         }
-        self.paid.fill(0.0);
         Ok(())
     }
 
-    /// Every live agent acts; returns of those whose episode has ended.
-    fn step(&mut self, actions: &[f32], rows: Rows<'_>, out_of_bounds: f32) -> Result<Vec<f64>, EnvError> {
-        let (agents, mut returns) = (self.paid.len(), Vec::new());
+    /// Every agent acts.
+    fn step(&mut self, actions: &[f32], rows: Rows<'_>, out_of_bounds: f32) -> Result<(), EnvError> {
+        let agents = self.agents;
         let (action_size, size) = (actions.len() / agents, rows.observations.len() / agents);
         let place = |agent: &str, possible: &[Agent]| possible.iter().position(|name| **name == *agent).unwrap_or(0);
         let possible = self.env.possible_agents();
@@ -253,16 +247,16 @@ impl World {
                 (agent.clone(), own.iter().map(|&x| f64::from(x)).collect())
             })
             .collect();
-        let step = self.env.step(&said)?;
         rows.next.fill(Next::Absent);
         rows.rewards.fill(0.0);
+        // what a world that failed would have taught is lost, as in a batch
+        let Ok(step) = self.env.step(&said) else { return self.reset(None, rows.observations) };
         let flags = step.terminated.iter().zip(step.truncated.iter()).zip(step.rewards.iter());
         for ((agent, seen), (((_, &terminated), (_, &truncated)), (_, &reward))) in step.observations.iter().zip(flags)
         {
             let row = place(agent, self.env.possible_agents());
             let left = step.infos.get(agent).is_some_and(|info| info.end == Some(EndReason::OutOfBounds));
             rows.rewards[row] = reward as f32 - if left { out_of_bounds } else { 0.0 };
-            self.paid[row] += reward;
             rows.next[row] = match (terminated, truncated) {
                 (true, _) => Next::Terminated,
                 (false, true) => Next::Truncated,
@@ -272,16 +266,13 @@ impl World {
         }
         // once one has left, the others are cut off: alone they would learn little, among wrecks slowly
         if rows.next.iter().any(|next| next.is_end()) {
-            for (next, paid) in rows.next.iter_mut().zip(&self.paid) {
-                if *next == Next::Running {
-                    *next = Next::Truncated;
-                }
-                returns.push(*paid);
+            for next in rows.next.iter_mut().filter(|next| **next == Next::Running) {
+                *next = Next::Truncated;
             }
             rows.finals.copy_from_slice(rows.observations);
             self.reset(None, rows.observations)?;
         }
-        Ok(returns)
+        Ok(())
     }
 }
 
@@ -298,7 +289,7 @@ impl Swarm {
         let worlds = (0..environments.max(1) as u64)
             .map(|stream| {
                 let env = make(stream)?;
-                Ok(World { paid: vec![0.0; env.possible_agents().len()], env })
+                Ok(World { agents: env.possible_agents().len(), env })
             })
             .collect::<Result<Vec<_>, EnvError>>()?;
         let first = &worlds[0].env;
@@ -351,16 +342,12 @@ impl Agents for Swarm {
     fn step(&mut self, actions: &[f32], outcome: &mut Outcome) -> Result<(), EnvError> {
         let (agents, action, out_of_bounds) = (self.agents, self.action_space.size(), self.terms.out_of_bounds);
         let size = agents * self.observation_space.size();
-        let Outcome { observations, finals, rewards, next, returns } = outcome;
+        let Outcome { observations, finals, rewards, next } = outcome;
         let rows = (observations.par_chunks_exact_mut(size).zip(finals.par_chunks_exact_mut(size)))
             .zip(rewards.par_chunks_exact_mut(agents).zip(next.par_chunks_exact_mut(agents)))
             .map(|((observations, finals), (rewards, next))| Rows { observations, finals, rewards, next });
-        let ended = (self.worlds.par_iter_mut().zip(rows).zip(actions.par_chunks_exact(agents * action)))
-            .map(|((world, rows), actions)| world.step(actions, rows, out_of_bounds))
-            .collect::<Result<Vec<_>, _>>()?;
-        returns.clear();
-        returns.extend(ended.into_iter().flatten());
-        Ok(())
+        (self.worlds.par_iter_mut().zip(rows).zip(actions.par_chunks_exact(agents * action)))
+            .try_for_each(|((world, rows), actions)| world.step(actions, rows, out_of_bounds))
     }
 
     fn restart(&mut self, mask: &mut [bool], observations: &mut [f32]) -> Result<(), EnvError> {

@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use aviary::policy::PolicyError;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::Score;
 use crate::optimizer::Moments;
-use crate::ppo::Clock;
 use crate::scale::{RewardScale, Running};
 use crate::trainer::{Point, Trainer};
 use crate::{TrainConfig, TrainError};
@@ -29,8 +29,6 @@ pub(crate) struct State {
     pub observations: Running,
     pub rewards: RewardScale,
     pub best: Option<Score>,
-    pub curve: Vec<Point>,
-    pub clock: Clock,
 }
 
 #[derive(Debug)]
@@ -38,6 +36,7 @@ pub(crate) struct Checkpoint {
     pub state: State,
     pub parameters: Vec<f32>,
     pub moments: Moments,
+    pub curve: Vec<Point>,
     /// The best policy's file.
     pub best: Vec<u8>,
 }
@@ -56,34 +55,34 @@ impl Checkpoint {
                 observations: ppo.observations.clone(),
                 rewards: ppo.rewards.clone(),
                 best,
-                curve: trainer.curve().to_vec(),
-                clock: trainer.clock(),
             },
             parameters: ppo.parameters.clone(),
             moments,
+            curve: trainer.curve().to_vec(),
             best: trainer.best().to_bytes(),
         }
     }
 
-    pub fn save(&self, path: &Path) -> Result<(), TrainError> {
-        let in_file = |message: String| TrainError::File { path: path.into(), message };
+    pub fn to_bytes(&self) -> Result<Vec<u8>, TrainError> {
+        let wrong = |message: String| TrainError::from(PolicyError::Format { message });
         let bytes = |numbers: &[f32]| numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
-        let numbers = [
-            ("parameters", bytes(&self.parameters)),
-            ("moments.first", bytes(&self.moments.first)),
-            ("moments.second", bytes(&self.moments.second)),
+        let curve = serde_json::to_vec(&self.curve).map_err(|error| wrong(error.to_string()))?;
+        let parts = [
+            ("parameters", Dtype::F32, bytes(&self.parameters)),
+            ("moments.first", Dtype::F32, bytes(&self.moments.first)),
+            ("moments.second", Dtype::F32, bytes(&self.moments.second)),
+            ("curve", Dtype::U8, curve),
+            ("best", Dtype::U8, self.best.clone()),
         ];
         let mut views = Vec::new();
-        for (name, bytes) in &numbers {
-            let view = TensorView::new(Dtype::F32, vec![bytes.len() / 4], bytes);
-            views.push((*name, view.map_err(|error| in_file(error.to_string()))?));
+        for (name, kind, bytes) in &parts {
+            let size = if *kind == Dtype::F32 { 4 } else { 1 };
+            let view = TensorView::new(*kind, vec![bytes.len() / size], bytes);
+            views.push((*name, view.map_err(|error| wrong(error.to_string()))?));
         }
-        let best = TensorView::new(Dtype::U8, vec![self.best.len()], &self.best);
-        views.push(("best", best.map_err(|error| in_file(error.to_string()))?));
-        let state = serde_json::to_string(&self.state).map_err(|error| in_file(error.to_string()))?;
-        let bytes = safetensors::serialize(views, Some(HashMap::from([(KEY.to_string(), state)])))
-            .map_err(|error| in_file(error.to_string()))?;
-        aviary::policy::write_whole(path, &bytes).map_err(|error| in_file(error.to_string()))
+        let state = serde_json::to_string(&self.state).map_err(|error| wrong(error.to_string()))?;
+        safetensors::serialize(views, Some(HashMap::from([(KEY.to_string(), state)])))
+            .map_err(|error| wrong(error.to_string()))
     }
 
     pub fn load(path: &Path) -> Result<Self, TrainError> {
@@ -109,6 +108,7 @@ impl Checkpoint {
         Ok(Self {
             parameters: numbers("parameters")?,
             moments: Moments { time: state.time, first: numbers("moments.first")?, second: numbers("moments.second")? },
+            curve: serde_json::from_slice(tensor("curve", Dtype::U8)?).map_err(|error| error.to_string())?,
             best: tensor("best", Dtype::U8)?.to_vec(),
             state,
         })

@@ -9,6 +9,7 @@ use aviary::env::{Conditions, EnvConfig, EnvError, InitialRanges, Randomization}
 use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
 use aviary::physics::wind::WindConfig;
+use aviary::policy::Mlp;
 use aviary::tasks::{self, FlyThrough, Race};
 use aviary::vector::{Autoreset, OnFault, VecAviary, VecConfig, VecEnv, make_vec};
 use aviary::world::ObstacleConfig;
@@ -271,7 +272,7 @@ impl TrainConfig {
             deviation,
             ..
         } = &self.ppo;
-        let counts: [(&str, u64, u64); 7] = [
+        let counts: [(&str, u64, u64); 9] = [
             ("environments", *environments as u64, 1 << 20),
             ("horizon", *horizon as u64, 1 << 16),
             ("epochs", *epochs as u64, 1000),
@@ -279,6 +280,8 @@ impl TrainConfig {
             ("evaluate_every", self.evaluate_every, u64::MAX),
             ("episodes", self.episodes as u64, 1 << 20),
             ("checkpoint_every", self.checkpoint_every, u64::MAX),
+            ("steps", self.steps, u64::MAX),
+            ("ctrl_freq", self.ctrl_freq.into(), u64::MAX),
         ];
         for (option, got, most) in counts {
             if !(1..=most).contains(&got) {
@@ -296,24 +299,55 @@ impl TrainConfig {
         for (option, got, low, high, expected) in [
             ("learning_rate", *learning_rate, 1e-9, 1.0, "1e-9 to 1"),
             ("divergence", *divergence, 0.0, 10.0, "0 to 10"),
-            ("discount", f64::from(*discount), 0.0, 1.0, "0 to 1"),
-            ("lambda", f64::from(*lambda), 0.0, 1.0, "0 to 1"),
-            ("clip", f64::from(*clip), 1e-3, 10.0, "0.001 to 10"),
-            ("value", f64::from(*value), 0.0, 1e3, "0 to 1000"),
-            ("entropy", f64::from(*entropy), 0.0, 1e3, "0 to 1000"),
-            ("max_gradient", f64::from(*max_gradient), 1e-6, 1e9, "a positive number"),
-            ("deviation", f64::from(*deviation), 1e-4, 10.0, "0.0001 to 10"),
+            ("discount", *discount, 0.0, 1.0, "0 to 1"),
+            ("lambda", *lambda, 0.0, 1.0, "0 to 1"),
+            ("clip", *clip, 1e-3, 10.0, "0.001 to 10"),
+            ("value", *value, 0.0, 1e3, "0 to 1000"),
+            ("entropy", *entropy, 0.0, 1e3, "0 to 1000"),
+            ("max_gradient", *max_gradient, 1e-6, 1e9, "a positive number"),
+            ("deviation", *deviation, 1e-4, 10.0, "0.0001 to 10"),
         ] {
             if !(low..=high).contains(&got) {
                 return Err(TrainError::Option { option, got: got.to_string(), expected });
             }
+        }
+        for &width in &self.ppo.hidden {
+            if !(1..=Mlp::MAX_WIDTH).contains(&width) || self.ppo.hidden.len() >= Mlp::MAX_LAYERS {
+                let got = format!("{:?}", self.ppo.hidden);
+                return Err(TrainError::Option {
+                    option: "hidden",
+                    got,
+                    expected: "up to 7 layers of 1 to 256 neurons",
+                });
+            }
+        }
+        let positive = |x: f64| x > 0.0 && x <= 1e6;
+        if let Some(seconds) = self.training_starts.iter().filter_map(|start| start.seconds).find(|&x| !positive(x)) {
+            let got = format!("{seconds} s");
+            return Err(TrainError::Option {
+                option: "the length of a training start's episodes",
+                got,
+                expected: "a positive number of seconds",
+            });
+        }
+        if !(0.0..=1e6).contains(&self.out_of_bounds) {
+            let got = self.out_of_bounds.to_string();
+            return Err(TrainError::Option { option: "out_of_bounds", got, expected: "0 to 1,000,000" });
+        }
+        if self.course.is_some() && (self.per_drone || !matches!(&*self.task, "fly_through" | "race")) {
+            let got = format!("said for {}", self.task);
+            return Err(TrainError::Option {
+                option: "course",
+                got,
+                expected: "it for fly_through and race alone, without per_drone",
+            });
         }
         let (seconds, within) = match self.success {
             Success::Near { seconds, within } => (seconds, within),
             Success::Held { seconds } => (seconds, 1.0),
             Success::Done => (1.0, 1.0),
         };
-        if !(seconds > 0.0 && seconds.is_finite() && within > 0.0) {
+        if !(positive(seconds) && within > 0.0) {
             let got = format!("{:?}", self.success);
             return Err(TrainError::Option {
                 option: "success",
@@ -357,13 +391,15 @@ impl TrainConfig {
         Ok(model.params())
     }
 
-    /// Number of drones in its environments.
-    ///
-    /// # Errors
-    /// [`EnvError::UnknownTask`].
-    pub fn environment_drones(&self) -> Result<usize, TrainError> {
+    /// Number of drones in its environments; 1 for a task that this crate does not know, unless it is said.
+    pub(crate) fn drones(&self) -> usize {
         let of_task = tasks::summary(&self.task).map(|summary| summary.defaults.num_drones);
-        self.num_drones.or(of_task).ok_or_else(|| unknown(&self.task))
+        self.num_drones.or(of_task).unwrap_or(1)
+    }
+
+    /// Name of its airframe, which is not that of the file where it comes from one.
+    pub(crate) fn airframe_name(&self) -> String {
+        self.airframe().map_or_else(|_| self.drone.clone(), |params| params.name)
     }
 
     /// The agents that gather experience.

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use aviary::env::{EndReason, Env};
+use aviary::env::{EndReason, Env, EnvError};
 use aviary::policy::Policy;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -27,6 +27,18 @@ pub enum Success {
     },
     /// The task is fulfilled when the episode ends.
     Done,
+}
+
+impl Success {
+    /// The same in episodes of so many seconds, which may be shorter than what is looked at.
+    #[must_use]
+    pub fn within(self, length: f64) -> Self {
+        match self {
+            Self::Near { seconds, within } => Self::Near { seconds: seconds.min(length), within },
+            Self::Held { seconds } => Self::Held { seconds: seconds.min(length) },
+            Self::Done => Self::Done,
+        }
+    }
 }
 
 impl fmt::Display for Success {
@@ -56,7 +68,7 @@ pub struct Episode {
     pub progress: f64,
     /// Distance from where the task wants the drones, of the furthest one, at the end, m.
     pub final_position_error: f64,
-    /// The greatest in the last 5 s, m.
+    /// The greatest in the last 5 s of the task's time, or where the episode ended before; m.
     pub late_position_error: f64,
 }
 
@@ -116,7 +128,27 @@ pub fn fly(
     let (mut reward, mut held, mut steps, mut late) = (0.0, 0_u64, 0_u64, 0.0_f64);
     loop {
         policy.act(&env.observation().vector, &mut action);
-        let step = env.step(&action)?;
+        let step = match env.step(&action) {
+            Ok(step) => step,
+            // an action that is no number, a state beyond all bounds: the policy's failure
+            Err(EnvError::Action { .. } | EnvError::Simulation(_)) => {
+                let (seconds, progress) = (steps as f64 * period, 0.0);
+                let error = f64::from(f32::MAX);
+                let (final_position_error, late_position_error) = (error, error);
+                let (end, success) = (EndReason::Fault.name(), false);
+                return Ok(Episode {
+                    seed,
+                    success,
+                    reward,
+                    seconds,
+                    end,
+                    progress,
+                    final_position_error,
+                    late_position_error,
+                });
+            }
+            Err(error) => return Err(error.into()),
+        };
         reward += step.reward;
         steps += 1;
         let over = step.terminated || step.truncated;

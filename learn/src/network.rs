@@ -100,8 +100,6 @@ pub(crate) struct Loss {
     pub clip: f32,
     /// Weight of the critic's squared error.
     pub value: f32,
-    /// Weight of the entropy.
-    pub entropy: f32,
 }
 
 /// Sums over the rows of a shard.
@@ -116,7 +114,7 @@ pub(crate) struct Sums {
 }
 
 /// Gradient of the loss over a shard of a minibatch of `size` rows, and what it sums up to. The gradients of the shards of a minibatch
-/// add up to the minibatch's, but for the entropy's, which is added once by whoever adds them up.
+/// add up to the minibatch's; the entropy's depends on no row, and whoever adds them up adds it once.
 pub(crate) fn gradient(shape: &Shape, parameters: &[f32], shard: &Shard, loss: &Loss, size: usize) -> (Vec<f32>, Sums) {
     let device = Device::flex().autodiff();
     let rows = shard.returns.len();
@@ -273,7 +271,7 @@ mod tests {
                 *parameter += 0.1 * rng.sample::<f32, _>(StandardNormal);
             }
             let shard = shard(&shape, &parameters, rows, &mut rng);
-            let weights = Loss { clip: 0.2, value: 0.7, entropy: 0.0 };
+            let weights = Loss { clip: 0.2, value: 0.7 };
             let (found, sums) = gradient(&shape, &parameters, &shard, &weights, 10);
             let exact: Vec<f64> = parameters.iter().map(|&x| f64::from(x)).collect();
             let at = |index: usize, by: f64| {
@@ -328,7 +326,7 @@ mod tests {
         let mut rng = Rng::seed_from_u64(3);
         let parameters = shape.initial(0.3, &mut rng);
         let whole = shard(&shape, &parameters, 100, &mut rng);
-        let weights = Loss { clip: 0.2, value: 1.0, entropy: 0.0 };
+        let weights = Loss { clip: 0.2, value: 1.0 };
         let (all, sums) = gradient(&shape, &parameters, &whole, &weights, 100);
         let part = |rows: std::ops::Range<usize>| Shard {
             observations: whole.observations[rows.start * 12..rows.end * 12].to_vec(),

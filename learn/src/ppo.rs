@@ -89,19 +89,19 @@ settings! {
         /// Divergence that an update is to have, above whose double the rate goes down; 0 leaves the rate alone.
         divergence: f64 = 0.03,
         /// Discount per step, γ.
-        discount: f32 = 0.99,
+        discount: f64 = 0.99,
         /// λ of the advantages.
-        lambda: f32 = 0.95,
+        lambda: f64 = 0.95,
         /// How far the ratio of densities may leave 1, ε.
-        clip: f32 = 0.2,
+        clip: f64 = 0.2,
         /// Weight of the critic's error.
-        value: f32 = 1.0,
+        value: f64 = 1.0,
         /// Weight of the entropy.
-        entropy: f32 = 0.0,
+        entropy: f64 = 0.0,
         /// Largest norm of a gradient.
-        max_gradient: f32 = 1.0,
+        max_gradient: f64 = 1.0,
         /// Standard deviation of actions at the start, where 1 is half the width of the action space.
-        deviation: f32 = 0.3,
+        deviation: f64 = 0.3,
     }
 }
 
@@ -125,7 +125,7 @@ pub struct Clock {
 pub struct Report {
     /// Episodes that ended.
     pub episodes: usize,
-    /// Mean of their returns; NaN where none ended.
+    /// Mean of their returns, also of those that were cut off; NaN where none ended.
     pub mean_return: f64,
     /// Mean reward of a step.
     pub mean_reward: f64,
@@ -184,6 +184,8 @@ pub(crate) struct Ppo {
     seen: Vec<f32>,
     /// Steps of every row's episode so far, and after how many it is cut off.
     ages: Vec<[u64; 2]>,
+    /// Rewards of every row's episode so far.
+    sums: Vec<f64>,
     outcome: Outcome,
     experience: Experience,
     shards: Vec<Shard>,
@@ -193,7 +195,7 @@ impl Ppo {
     pub fn new(config: PpoConfig, agents: &dyn Agents, seed: u64) -> Result<Self, aviary::policy::PolicyError> {
         let (observation, actions) = (agents.observation_space().size(), agents.action_space());
         let shape = Shape::new(observation, actions.size(), &config.hidden, config.activation);
-        let parameters = shape.initial(config.deviation, &mut Rng::seed_from_u64(seed));
+        let parameters = shape.initial(config.deviation as f32, &mut Rng::seed_from_u64(seed));
         let reach = actions.low().iter().zip(actions.high()).map(|(&low, &high)| {
             if low.is_finite() && high.is_finite() {
                 [0.5 * (low + high) as f32, 0.5 * (high - low) as f32]
@@ -211,6 +213,7 @@ impl Ppo {
             reach: reach.collect(),
             seen: vec![0.0; agents.rows() * observation],
             ages: vec![[0; 2]; agents.rows()],
+            sums: vec![0.0; agents.rows()],
             outcome: Outcome::new(agents.rows(), observation),
             experience: Experience::default(),
             shards: vec![Shard::default(); shard_count],
@@ -253,6 +256,7 @@ impl Ppo {
         for (row, age) in self.ages.iter_mut().enumerate() {
             *age = [0, rng.random_range(1..=agents.longest(row))];
         }
+        self.sums.fill(0.0);
         self.rewards.restart(agents.rows());
         Ok(())
     }
@@ -347,7 +351,7 @@ impl Ppo {
             }
             self.clock.simulation += began.elapsed();
             let next = &self.outcome.next;
-            self.rewards.take(&self.outcome.rewards, |row| next[row].is_end(), self.config.discount);
+            self.rewards.take(&self.outcome.rewards, |row| next[row].is_end(), self.config.discount as f32);
             for (row, next) in next.iter().enumerate() {
                 if *next == Next::Truncated {
                     experience.cut.push(step * rows + row);
@@ -361,7 +365,15 @@ impl Ppo {
             let scale = |reward: &f32| (reward / divisor).clamp(-CLIP, CLIP);
             experience.rewards.extend(self.outcome.rewards.iter().map(scale));
             rewards += self.outcome.rewards.iter().map(|&x| f64::from(x)).sum::<f64>();
-            returns.extend_from_slice(&self.outcome.returns);
+            for ((sum, reward), next) in self.sums.iter_mut().zip(&self.outcome.rewards).zip(&self.outcome.next) {
+                *sum += f64::from(*reward);
+                if next.is_end() {
+                    let whole = std::mem::take(sum);
+                    if *next != Next::Absent {
+                        returns.push(whole);
+                    }
+                }
+            }
             self.seen.copy_from_slice(&self.outcome.observations);
         }
         Ok(Report {
@@ -397,7 +409,7 @@ impl Ppo {
         }
         let Experience { rewards, values, next_values, next, advantages, returns, .. } = experience;
         let estimate = Estimate { rewards, values, next_values, next, rows };
-        estimate.advantages(self.config.discount, self.config.lambda, advantages);
+        estimate.advantages(self.config.discount as f32, self.config.lambda as f32, advantages);
         returns.clear();
         returns.extend(advantages.iter().zip(&*values).map(|(advantage, value)| advantage + value));
     }
@@ -410,7 +422,8 @@ impl Ppo {
             .filter(|&entry| experience.next[entry as usize] != Next::Absent)
             .collect();
         let (mean, deviation) = moments(order.iter().map(|&entry| experience.advantages[entry as usize]));
-        let loss = Loss { clip: self.config.clip, value: self.config.value, entropy: self.config.entropy };
+        let loss = Loss { clip: self.config.clip as f32, value: self.config.value as f32 };
+        let entropy = self.config.entropy as f32;
         let mut rng = Rng::seed_from_u64(seed);
         let (mut totals, mut minibatches, mut seen) = (Sums::default(), 0, 0);
         for _ in 0..self.config.epochs {
@@ -451,13 +464,13 @@ impl Ppo {
                 }
                 let first_log = sum.len() - acts;
                 for x in &mut sum[first_log..] {
-                    *x -= loss.entropy;
+                    *x -= entropy;
                 }
                 let norm = sum.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
                 if !norm.is_finite() {
                     return Err(crate::TrainError::Diverged);
                 }
-                let shrink = (f64::from(self.config.max_gradient) / (norm + 1e-6)).min(1.0) as f32;
+                let shrink = (self.config.max_gradient / (norm + 1e-6)).min(1.0) as f32;
                 for x in &mut sum {
                     *x *= shrink;
                 }

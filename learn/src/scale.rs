@@ -45,6 +45,16 @@ impl Running {
         self.count = total;
     }
 
+    /// Whether it is one of vectors of this size, with numbers that can be.
+    pub fn is_of(&self, size: usize) -> bool {
+        let sane = |x: &f64| x.is_finite();
+        (self.mean.len(), self.squares.len()) == (size, size)
+            && self.count >= 0.0
+            && self.count.is_finite()
+            && self.mean.iter().all(sane)
+            && self.squares.iter().all(|x| sane(x) && *x >= 0.0)
+    }
+
     pub fn mean(&self) -> Vec<f32> {
         self.mean.iter().map(|&x| x as f32).collect()
     }
@@ -69,6 +79,11 @@ pub(crate) struct RewardScale {
 impl RewardScale {
     pub fn new() -> Self {
         Self { sums: Running::new(1), current: Vec::new() }
+    }
+
+    /// Whether its numbers can be.
+    pub fn is_sane(&self) -> bool {
+        self.sums.is_of(1)
     }
 
     /// Begins with every row's sum anew.

@@ -1,7 +1,7 @@
 //! A training run from its first iteration to its last: evaluations, the best policy, checkpoints.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use aviary::env::Rng;
 use aviary::policy::{Policy, PolicyInfo};
@@ -83,8 +83,10 @@ pub struct Trainer {
     curve: Vec<Point>,
     best: (Policy, Option<Score>),
     stop: Option<Stop>,
-    /// Time before it was resumed.
-    before: Duration,
+    /// Iterations before it was resumed.
+    first: u64,
+    /// Whether the environments are to begin anew.
+    fresh: bool,
     began: Instant,
 }
 
@@ -103,15 +105,25 @@ impl Trainer {
     /// # Errors
     /// What is impossible in the configuration.
     pub fn new(config: TrainConfig, command: &str) -> Result<Self, TrainError> {
-        let began = Instant::now();
         config.validate()?;
         let agents = config.agents()?;
-        let ppo = Ppo::new(config.ppo.clone(), &*agents, config.seed)?;
         let arena = Arena::new(config.success, || config.environment())?;
+        Self::with(config, command, agents, arena)
+    }
+
+    /// Begins a run of a task of one's own: its agents gather the experience, and the arena's environments are where it is evaluated. Of the
+    /// configuration, what describes environments is only written down.
+    ///
+    /// # Errors
+    /// What is impossible in the configuration.
+    pub fn with(config: TrainConfig, command: &str, agents: Box<dyn Agents>, arena: Arena) -> Result<Self, TrainError> {
+        let began = Instant::now();
+        config.validate()?;
+        let ppo = Ppo::new(config.ppo.clone(), &*agents, config.seed)?;
         let best = (policy_of(&config, command, &*agents, &ppo, 0)?, None);
-        let command = command.to_string();
-        let (curve, before) = (Vec::new(), Duration::ZERO);
-        Ok(Self { config, command, agents, arena, ppo, iteration: 0, curve, best, stop: None, before, began })
+        let (command, curve) = (command.to_string(), Vec::new());
+        let (iteration, first, stop, fresh) = (0, 0, None, true);
+        Ok(Self { config, command, agents, arena, ppo, iteration, first, fresh, curve, best, stop, began })
     }
 
     /// Goes on from a checkpoint, to the same bits as if it had never stopped.
@@ -122,26 +134,41 @@ impl Trainer {
         let path: PathBuf = path.as_ref().into();
         let checkpoint = Checkpoint::load(&path)?;
         let mut trainer = Self::new(checkpoint.state.config.clone(), &checkpoint.state.command)?;
+        trainer.restore(checkpoint, path)?;
+        Ok(trainer)
+    }
+
+    /// Takes over what a checkpoint has.
+    fn restore(&mut self, checkpoint: Checkpoint, path: PathBuf) -> Result<(), TrainError> {
+        let trainer = self;
         let wrong = |message: String| TrainError::File { path: path.clone(), message };
         let expected = trainer.ppo.parameters.len();
         let sizes = [&checkpoint.parameters, &checkpoint.moments.first, &checkpoint.moments.second].map(Vec::len);
         if sizes.iter().any(|&size| size != expected) {
             return Err(wrong(format!("it has {sizes:?} parameters and moments, expected {expected}")));
         }
-        let Checkpoint { state, parameters, moments, best } = checkpoint;
+        let Checkpoint { state, parameters, moments, curve, best } = checkpoint;
+        let numbers = parameters.iter().chain(&moments.first).chain(&moments.second);
+        let sane = numbers.into_iter().all(|x| x.is_finite())
+            && state.observations.is_of(trainer.ppo.shape.observation())
+            && state.rewards.is_sane()
+            && (state.rate > 0.0 && state.rate <= 1.0)
+            && curve.len() as u64 == state.iteration;
+        if !sane {
+            return Err(wrong("not a checkpoint: its numbers cannot be".into()));
+        }
         trainer.ppo.parameters = parameters;
         trainer.ppo.optimizer.restore(&moments);
         trainer.ppo.rate = state.rate;
         trainer.ppo.observations = state.observations;
         trainer.ppo.rewards = state.rewards;
-        trainer.ppo.clock = state.clock;
         trainer.ppo.refresh().map_err(|error| wrong(error.to_string()))?;
         trainer.iteration = state.iteration;
-        trainer.curve = state.curve;
+        trainer.first = state.iteration;
+        trainer.curve = curve;
         trainer.best = (Policy::from_bytes(&best).map_err(|error| wrong(error.to_string()))?, state.best);
-        trainer.before = state.clock.total;
         trainer.stop = trainer.out_of_steps();
-        Ok(trainer)
+        Ok(())
     }
 
     /// What is trained.
@@ -151,6 +178,12 @@ impl Trainer {
 
     /// Lets a run that was resumed go on for longer, or until it succeeds.
     pub fn extend(&mut self, steps: Option<u64>, until_success: bool) {
+        if let Some(steps) = steps {
+            self.command += &format!(", resumed with --steps {steps}");
+        }
+        if until_success && !self.config.until_success {
+            self.command += ", resumed with --until-success";
+        }
         self.config.steps = steps.unwrap_or(self.config.steps);
         self.config.until_success |= until_success;
         self.stop = self.out_of_steps();
@@ -164,6 +197,11 @@ impl Trainer {
     /// Environment steps so far, of all agents.
     pub fn steps(&self) -> u64 {
         self.iteration * self.steps_per_iteration()
+    }
+
+    /// Those of them that were made since it was made or resumed.
+    pub fn steps_here(&self) -> u64 {
+        (self.iteration - self.first) * self.steps_per_iteration()
     }
 
     /// Why it is over; `None` while it is not.
@@ -194,9 +232,9 @@ impl Trainer {
         self.best.1
     }
 
-    /// Where the time went, over all of its parts.
+    /// Where the time went since it was made or resumed.
     pub fn clock(&self) -> Clock {
-        Clock { total: self.before + self.began.elapsed(), ..self.ppo.clock }
+        Clock { total: self.began.elapsed(), ..self.ppo.clock }
     }
 
     fn out_of_steps(&self) -> Option<Stop> {
@@ -215,8 +253,9 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Diverged`], and what environments find.
     pub fn advance(&mut self) -> Result<&Point, TrainError> {
-        if self.is_checkpoint() {
+        if self.is_checkpoint() || self.fresh {
             // whoever resumes begins here, too
+            self.fresh = false;
             let seed = self.seed_of(self.iteration, 0);
             self.ppo.restart(&mut *self.agents, seed)?;
         }
@@ -254,7 +293,7 @@ impl Trainer {
         let score = Score::of(&self.arena.fly(&policy, EVALUATION_SEED, self.config.episodes)?);
         let better = self.best.1.is_none_or(|best| score.beats(&best));
         let mut confirmed = false;
-        if score.success == 1.0 && (better || self.config.until_success) {
+        if score.success == 1.0 && self.config.until_success {
             // many pass an evaluation by luck
             let again = Score::of(&self.arena.fly(&policy, CONFIRMATION_SEED, 4 * self.config.episodes)?);
             confirmed = again.success == 1.0;
@@ -262,7 +301,7 @@ impl Trainer {
         if better || confirmed {
             self.best = (policy, Some(score));
         }
-        if confirmed && self.config.until_success {
+        if confirmed {
             self.stop = Some(Stop::Success);
         }
         self.ppo.clock.evaluation += began.elapsed();
@@ -277,12 +316,13 @@ impl Trainer {
         self.arena.fly(&self.best.0, first_seed, episodes)
     }
 
-    /// Everything that it needs to go on. It is whole where [`is_checkpoint`](Self::is_checkpoint) says so.
+    /// The bytes of a file with everything that it needs to go on. Where [`is_checkpoint`](Self::is_checkpoint) says so, the run that
+    /// goes on from it is the one that was never stopped, to the bit; elsewhere its environments begin anew earlier than those of that one.
     ///
     /// # Errors
-    /// [`TrainError::File`].
-    pub fn save_checkpoint(&self, path: impl AsRef<Path>) -> Result<(), TrainError> {
-        Checkpoint::of(self).save(path.as_ref())
+    /// [`TrainError::Policy`] for what cannot be written.
+    pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
+        Checkpoint::of(self).to_bytes()
     }
 
     pub(crate) fn parts(&self) -> (&str, &Ppo, u64, Option<Score>) {
@@ -297,12 +337,11 @@ fn policy_of(
     ppo: &Ppo,
     steps: u64,
 ) -> Result<Policy, TrainError> {
-    let drones = config.environment_drones()?;
     let info = PolicyInfo {
         version: PolicyInfo::VERSION,
         task: config.task.clone(),
-        drone: config.drone.clone(),
-        num_drones: drones,
+        drone: config.airframe_name(),
+        num_drones: config.drones(),
         per_drone: config.per_drone,
         action_type: config.action_type.clone(),
         sim_freq: config.sim_freq,

@@ -12,7 +12,7 @@ fn small(task: &str) -> TrainConfig {
     config.steps = 5 * 64 * 16;
     (config.ppo.environments, config.ppo.horizon, config.ppo.minibatch) = (64, 16, 256);
     config.ppo.hidden = vec![16, 16];
-    (config.evaluate_every, config.episodes, config.checkpoint_every) = (2, 3, 2);
+    (config.evaluate_every, config.episodes, config.checkpoint_every) = (3, 3, 2);
     config.episode_seconds = Some(1.0);
     config
 }
@@ -36,7 +36,7 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
         killed.advance().unwrap();
         killed.advance().unwrap();
         assert!(killed.is_checkpoint());
-        killed.save_checkpoint(&path).unwrap();
+        std::fs::write(&path, killed.checkpoint().unwrap()).unwrap();
         killed.advance().unwrap();
         drop(killed);
 
@@ -46,7 +46,6 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
         assert_eq!(resumed.curve(), whole.curve(), "{task}");
         assert_eq!(resumed.policy().unwrap().to_bytes(), whole.policy().unwrap().to_bytes(), "{task}");
         assert_eq!(resumed.best().to_bytes(), whole.best().to_bytes(), "{task}");
-        assert!(whole.clock().total >= whole.clock().gradient);
     }
 }
 
@@ -55,7 +54,10 @@ fn the_number_of_threads_does_not_change_a_bit_and_the_seed_does() {
     let run = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut trainer = Trainer::new(TrainConfig { seed, ..small("hover") }, "a test").unwrap();
+            // several blocks of draws, several shards of a minibatch
+            let mut config = TrainConfig { seed, steps: 3 * 300 * 16, ..small("hover") };
+            (config.ppo.environments, config.ppo.minibatch) = (300, 1700);
+            let mut trainer = Trainer::new(config, "a test").unwrap();
             finish(&mut trainer);
             (trainer.curve().to_vec(), trainer.policy().unwrap().net().parameters().to_vec())
         })
@@ -95,12 +97,23 @@ fn files_that_are_no_checkpoints_are_refused_by_name() {
     let refused = |path: &std::path::Path| Trainer::resume(path).unwrap_err().to_string();
     assert!(refused(&path).contains("checkpoint"));
     let trainer = Trainer::new(small("hover"), "a test").unwrap();
-    trainer.save_checkpoint(&path).unwrap();
+    std::fs::write(&path, trainer.checkpoint().unwrap()).unwrap();
     assert!(Trainer::resume(&path).is_ok());
     let whole = std::fs::read(&path).unwrap();
     for length in [0, 7, 100, whole.len() / 2, whole.len() - 1] {
         std::fs::write(&path, &whole[..length]).unwrap();
         assert!(refused(&path).contains("not a checkpoint"), "{length}");
+    }
+    // every byte of the head that is another one is refused, or says the same or another number
+    let head = whole.len().min(3000);
+    for place in (8..head).step_by(3) {
+        let mut damaged = whole.clone();
+        damaged[place] ^= 0x15;
+        std::fs::write(&path, &damaged).unwrap();
+        if let Ok(mut trainer) = Trainer::resume(&path) {
+            let _ = trainer.policy().unwrap();
+            trainer.extend(None, false);
+        }
     }
     trainer.best().save(&path).unwrap();
     assert!(refused(&path).contains("has no `training`"));
@@ -130,12 +143,15 @@ fn configurations_say_what_is_wrong_with_them() {
         ("[wind]\nmodel = \"constant\"\nvelocity = [nan, 0, 0]", "velocity"),
         ("[randomization.body]\nmass = [2.0, 1.0]", "mass"),
         ("steps = ", "line 1"),
+        ("steps = 0", "steps is 0"),
+        ("[ppo]\nhidden = [9223372036854775807]", "up to 7 layers of 1 to 256"),
+        ("out_of_bounds = nan", "out_of_bounds is NaN"),
+        ("[[training_starts]]\nseconds = -3.0", "-3 s"),
+        ("[course]\npoint = 1.0\ndistance = 1.0\nspeed = 1.0", "course is said for hover"),
     ] {
         assert!(refused(text).contains(wanted), "{text}: {}", refused(text));
     }
     assert!(TrainConfig::of_task("hoover").unwrap_err().to_string().contains("did you mean `hover`"));
-    let small = TrainConfig { ppo: learn::PpoConfig { hidden: vec![300], ..Default::default() }, ..small("hover") };
-    assert!(Trainer::new(small, "").unwrap_err().to_string().contains("1 to 256 neurons"));
 }
 
 #[test]
@@ -205,7 +221,7 @@ fn agents_of_a_swarm_see_and_are_paid_what_the_parallel_environment_says() {
             }
         }
     }
-    assert!(ends >= 6 && outcome.returns.len() <= 6, "{ends}");
+    assert!(ends >= 6, "{ends}");
 }
 
 #[test]
@@ -230,5 +246,4 @@ fn leaving_the_space_costs_what_the_terms_say_and_lengths_go_by_environment() {
         assert_eq!(first.rewards, second.rewards);
     }
     assert_eq!(outcomes[0].rewards[0], outcomes[1].rewards[0] - 50.0, "above 3 m");
-    assert_eq!(outcomes[0].returns, outcomes[1].returns, "what the task paid");
 }

@@ -81,6 +81,12 @@ impl Policy {
         let tensors = SafeTensors::deserialize(bytes).map_err(wrong)?;
         let header = metadata.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
         let header = header.ok_or_else(|| wrong("its metadata has no `policy`"))?;
+        // later versions may say more
+        let said: serde_json::Value = serde_json::from_str(header).map_err(wrong)?;
+        if let Some(version) = said["info"]["version"].as_u64().filter(|&version| version > PolicyInfo::VERSION.into())
+        {
+            return Err(wrong(format_args!("its version is {version}, expected up to {}", PolicyInfo::VERSION)));
+        }
         let Header { info, activation } = serde_json::from_str(header).map_err(wrong)?;
         let (mut sizes, mut parameters) = (Vec::new(), Vec::new());
         for layer in 0..=Mlp::MAX_LAYERS {
@@ -141,11 +147,8 @@ impl Policy {
     }
 }
 
-/// Writes a file that is there whole or not at all.
-///
-/// # Errors
-/// What the file system says.
-pub fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
+/// A file that is there whole or not at all.
+fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut file = tempfile::NamedTempFile::new_in(directory)?;
     file.write_all(bytes)?;
@@ -225,7 +228,7 @@ mod tests {
         let other = safetensors::serialize([("weights", view)], None).unwrap();
         assert!(refused(&other).contains("its metadata has no `policy`"));
         let later = Policy { info: PolicyInfo { version: 2, ..policy().info }, ..policy() };
-        assert!(refused(&later.to_bytes()).contains("the version is 2, expected 1"));
+        assert!(refused(&later.to_bytes()).contains("its version is 2, expected up to 1"));
         let flat = Policy { deviation: vec![1.0, 0.0, 1.0], ..policy() };
         assert!(refused(&flat.to_bytes()).contains("a deviation is 0, expected a positive number"));
         let short = Policy { mean: vec![0.0; 2], deviation: vec![1.0; 2], ..policy() };

@@ -3,7 +3,6 @@
 mod file;
 mod mlp;
 
-pub use file::write_whole;
 pub use mlp::{Activation, Mlp};
 
 use std::path::PathBuf;
@@ -170,9 +169,9 @@ impl Policy {
         let wrong =
             |what, got: String, expected: &str| Err(PolicyError::Value { what, got, expected: expected.into() });
         if (net.inputs(), net.outputs()) != (mean.len(), low.len()) {
-            return Err(PolicyError::Mismatch {
-                policy: format!("{} observed numbers and {} of an action", mean.len(), low.len()),
-                env: format!("a network of {:?}", net.sizes()),
+            return Err(PolicyError::Network {
+                got: format!("layers of {:?}", net.sizes()),
+                expected: format!("{} numbers to come in and {} to go out", mean.len(), low.len()),
             });
         }
         if deviation.len() != mean.len() || high.len() != low.len() {
