@@ -149,6 +149,8 @@ impl TrainConfig {
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
         let summary = tasks::summary(name).ok_or_else(|| unknown(name))?;
         let ppo = match name {
+            // looking further ahead, staying beside a waypoint is no worse than going for the next one
+            "fly_through" => PpoConfig { discount: 0.97, ..PpoConfig::default() },
             // each has two agents and more
             "multi_hover" | "multi_agent" => PpoConfig { environments: 512, ..PpoConfig::default() },
             _ => PpoConfig::default(),
@@ -177,7 +179,7 @@ impl TrainConfig {
             success,
             training_starts: starts_of(name),
             course: match name {
-                "fly_through" => Some(CourseRewards { point: 10.0, distance: 0.02, speed: 0.0 }),
+                "fly_through" => Some(CourseRewards { point: 20.0, distance: 0.1, speed: 0.0 }),
                 "race" => Some(CourseRewards { point: 20.0, distance: 0.1, speed: 0.0 }),
                 _ => None,
             },
