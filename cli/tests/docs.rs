@@ -46,7 +46,11 @@ fn commands(page: &str) -> Vec<String> {
                     .filter(|text| text.starts_with("aviary ") || text.starts_with("cargo "))
                     .filter(|text| !general(text) && !text.contains('…'))
                     // the name of a command alone is no command line
-                    .filter(|text| !["aviary fly", "aviary capture", "aviary render", "aviary replay"].contains(text))
+                    .filter(|text| {
+                        !["fly", "capture", "render", "replay", "train", "play"]
+                            .iter()
+                            .any(|name| *text == format!("aviary {name}"))
+                    })
                     .map(str::to_string),
             );
         }
