@@ -96,7 +96,7 @@ impl PolicyInfo {
 /// A policy: a network between numbers that are brought to a common scale and actions.
 ///
 /// What it does is, for an observation o, `clip(centre + half · net(clip((o − mean) / deviation, ±10)), low, high)`, with the middle and half the width of the
-/// action space where that is bounded, else 0 and 1. The network is two or three small layers; flying a drone costs about a microsecond.
+/// action space where that is bounded, else 0 and 1. The network is two or three small layers; flying a drone costs about half a microsecond.
 ///
 /// ```
 /// use aviary::env::Env;
