@@ -132,19 +132,16 @@ pub fn fly(
             Ok(step) => step,
             // an action that is no number, a state beyond all bounds: the policy's failure
             Err(EnvError::Action { .. } | EnvError::Simulation(_)) => {
-                let (seconds, progress) = (steps as f64 * period, 0.0);
-                let error = f64::from(f32::MAX);
-                let (final_position_error, late_position_error) = (error, error);
-                let (end, success) = (EndReason::Fault.name(), false);
+                let info = env.info();
                 return Ok(Episode {
                     seed,
-                    success,
+                    success: false,
                     reward,
-                    seconds,
-                    end,
-                    progress,
-                    final_position_error,
-                    late_position_error,
+                    seconds: steps as f64 * period,
+                    end: EndReason::Fault.name(),
+                    progress: info.progress,
+                    final_position_error: info.position_error,
+                    late_position_error: late.max(info.position_error),
                 });
             }
             Err(error) => return Err(error.into()),
