@@ -7,7 +7,7 @@ use anyhow::{Context as _, anyhow};
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks;
 use clap::{ArgGroup, Args, ValueHint};
-use learn::{Clock, Point, Stop, TrainConfig, Trainer};
+use learn::{Clock, Point, Report, Stop, TrainConfig, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -157,7 +157,7 @@ impl Train {
             let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
             let run = Run::begin(trainer, &out.join(task))?.finish()?;
             let curve = run.trainer.curve();
-            let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.mean_reward);
+            let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.report.mean_reward);
             rows.push((
                 task,
                 format!(
@@ -305,7 +305,7 @@ impl Run {
 
 /// The latest return and share of successes.
 fn latest(curve: &[Point]) -> (Option<f64>, Option<f64>) {
-    let mean = curve.iter().rev().find_map(|point| point.mean_return);
+    let mean = curve.iter().rev().find_map(|point| point.report.mean_return);
     let success = curve.iter().rev().find_map(|point| point.score.map(|score| score.success));
     (mean, success)
 }
@@ -337,19 +337,8 @@ fn curve(points: &[Point]) -> String {
     );
     let number = |x: Option<f64>| x.map_or(String::new(), |x| x.to_string());
     for point in points {
-        let Point {
-            iteration,
-            steps,
-            mean_return,
-            mean_reward,
-            score,
-            divergence,
-            clipped,
-            loss,
-            deviation,
-            explained,
-            rate,
-        } = point;
+        let Point { iteration, steps, report, score, rate } = point;
+        let Report { mean_return, mean_reward, divergence, clipped, loss, deviation, explained } = report;
         text += &format!(
             "{iteration},{steps},{},{mean_reward},{},{},{},{divergence},{clipped},{loss},{deviation},{explained},{rate}\n",
             number(*mean_return),
@@ -379,10 +368,10 @@ fn plot(config: &TrainConfig, points: &[Point]) -> Result<Plot, aviary::record::
             "return",
             vec![
                 series("evaluation", &evaluated(|score| score.reward)),
-                series("training", &|point| point.mean_return),
+                series("training", &|point| point.report.mean_return),
             ],
         ),
-        ("standard deviation of actions", vec![series("deviation", &|point| Some(point.deviation))]),
+        ("standard deviation of actions", vec![series("deviation", &|point| Some(point.report.deviation))]),
     ];
     let title = format!("{}, seed {}", config.task, config.seed);
     Ok(Plot::time_series(&title, &panels)?.over("environment steps (millions)"))

@@ -19,5 +19,5 @@ pub use agents::{Agents, Batch, Next, Outcome, Swarm, Terms};
 pub use config::{CourseRewards, TrainConfig, TrainingStart};
 pub use error::TrainError;
 pub use evaluation::{AnyEnv, Arena, Episode, Score, Success, fly};
-pub use ppo::{Clock, PpoConfig};
+pub use ppo::{Clock, PpoConfig, Report};
 pub use trainer::{Point, Stop, Trainer};

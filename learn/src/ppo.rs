@@ -121,12 +121,10 @@ pub struct Clock {
 }
 
 /// What an iteration did.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// Episodes that ended.
-    pub episodes: usize,
-    /// Mean of their returns, also of those that were cut off; NaN where none ended.
-    pub mean_return: f64,
+    /// Mean return of the episodes that ended in it or were cut off, if any were.
+    pub mean_return: Option<f64>,
     /// Mean reward of a step.
     pub mean_reward: f64,
     /// Divergence of the new policy from the old one.
@@ -377,8 +375,7 @@ impl Ppo {
             self.seen.copy_from_slice(&self.outcome.observations);
         }
         Ok(Report {
-            episodes: returns.len(),
-            mean_return: returns.iter().sum::<f64>() / returns.len() as f64,
+            mean_return: (!returns.is_empty()).then(|| returns.iter().sum::<f64>() / returns.len() as f64),
             mean_reward: rewards / (self.config.horizon * rows) as f64,
             ..Report::default()
         })

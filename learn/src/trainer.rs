@@ -27,22 +27,10 @@ pub struct Point {
     pub iteration: u64,
     /// Environment steps so far.
     pub steps: u64,
-    /// Mean return of the episodes that ended in it, if any did.
-    pub mean_return: Option<f64>,
-    /// Mean reward of a step.
-    pub mean_reward: f64,
+    /// What the last one did.
+    pub report: Report,
     /// Evaluation after it, if there was one.
     pub score: Option<Score>,
-    /// Divergence of the policy from that before.
-    pub divergence: f64,
-    /// Share of ratios beyond the clip.
-    pub clipped: f64,
-    /// Mean loss.
-    pub loss: f64,
-    /// Mean standard deviation of actions.
-    pub deviation: f64,
-    /// Share of the returns' variance that the critic explains.
-    pub explained: f64,
     /// Adam's rate.
     pub rate: f64,
 }
@@ -265,20 +253,7 @@ impl Trainer {
         self.stop = self.out_of_steps();
         let due = self.iteration.is_multiple_of(self.config.evaluate_every) || self.stop.is_some();
         let score = if due { Some(self.evaluate()?) } else { None };
-        let Report { episodes, mean_return, mean_reward, divergence, clipped, loss, deviation, explained } = report;
-        self.curve.push(Point {
-            iteration: self.iteration,
-            steps: self.steps(),
-            mean_return: (episodes > 0).then_some(mean_return),
-            mean_reward,
-            score,
-            divergence,
-            clipped,
-            loss,
-            deviation,
-            explained,
-            rate: self.ppo.rate,
-        });
+        self.curve.push(Point { iteration: self.iteration, steps: self.steps(), report, score, rate: self.ppo.rate });
         Ok(&self.curve[self.curve.len() - 1])
     }
 
