@@ -1,9 +1,12 @@
 //! Exit codes and error lines, in one place.
 
-use std::io::Write as _;
+use std::error::Error as _;
+use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 use std::process::ExitCode;
 
-use clap::error::ErrorKind;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+
+use crate::output;
 
 /// Why a command did not do its work.
 #[derive(Debug)]
@@ -46,6 +49,7 @@ pub fn report(failure: &Failure) -> ExitCode {
 
 fn line(message: &str) {
     let message = message.split_whitespace().collect::<Vec<_>>().join(" ");
+    use std::io::Write as _;
     // nobody is left to tell when standard error is closed
     let _ = writeln!(std::io::stderr(), "error: {message}");
 }
@@ -53,15 +57,19 @@ fn line(message: &str) {
 /// What clap has to say: help and version as they are, everything else on one line.
 pub fn usage(error: &clap::Error) -> ExitCode {
     match error.kind() {
-        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => {
-            let _ = write!(std::io::stdout(), "{error}");
-            ExitCode::SUCCESS
-        }
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => match output::print(&error.to_string()) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(failure) => report(&failure),
+        },
         ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             line("no command given; `aviary --help` lists them");
             ExitCode::from(2)
         }
         _ => {
+            if let Some(message) = wrong_number(error) {
+                line(&message);
+                return ExitCode::from(2);
+            }
             let text = error.to_string();
             let parts: Vec<_> = text
                 .lines()
@@ -75,4 +83,31 @@ pub fn usage(error: &clap::Error) -> ExitCode {
             ExitCode::from(2)
         }
     }
+}
+
+/// The message for an option whose value is not the number that the option takes; `None` for every other error.
+fn wrong_number(error: &clap::Error) -> Option<String> {
+    let text = |kind| match error.get(kind) {
+        Some(ContextValue::String(text)) => Some(text.as_str()),
+        _ => None,
+    };
+    // `--duration <DURATION>`
+    let option = text(ContextKind::InvalidArg)?.split(' ').next()?;
+    let value = text(ContextKind::InvalidValue)?;
+    let source = error.source()?;
+    let range = source.to_string();
+    let expected = if source.is::<ParseFloatError>() {
+        "a number".to_string()
+    } else if let Some(error) = source.downcast_ref::<ParseIntError>() {
+        match error.kind() {
+            IntErrorKind::PosOverflow => format!("a whole number up to {}", u64::MAX),
+            _ => "a whole number, zero or positive".into(),
+        }
+    } else if let Some((_, range)) = range.split_once(" is not in ") {
+        let (low, high) = range.split_once("..=")?;
+        format!("a whole number from {low} to {high}")
+    } else {
+        return None;
+    };
+    Some(format!("{option} is `{value}`, expected {expected}"))
 }

@@ -13,7 +13,7 @@ use clap::{ArgGroup, Args, ValueHint};
 
 use crate::failure::Failure;
 use crate::options::{Names, named, size, vision_failure};
-use crate::output::{FileWriter, OutputFile};
+use crate::output::{FileWriter, OutputDir, OutputFile};
 
 /// What to film, and where to put it.
 #[derive(Debug, Args)]
@@ -96,6 +96,9 @@ impl FilmOptions {
             Some(file) => Some((Mp4::create(file.path(), size, seconds).map_err(Failure::work)?, file)),
             None => None,
         };
+        if let Some(path) = &self.frames {
+            OutputDir::create(path)?;
+        }
         let frames = self.frames.as_ref().map(|path| PngSequence::create(path, size)).transpose();
         Ok(Some(Film { film, gif, video, frames: frames.map_err(Failure::work)? }))
     }

@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context as _, anyhow};
+use anyhow::anyhow;
 use aviary::control::ControllerKind;
 use aviary::env::{Env, Info};
 use aviary::record::plot::Plot;
@@ -35,8 +35,8 @@ pub struct Fly {
     /// ends the flight) and summary (summary.json)
     #[arg(long, value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
-    /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png), into the directory of --out or
-    /// else out/TASK
+    /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png) into the directory of --out, which
+    /// is out/fly/TASK by default then
     #[arg(long)]
     plot: bool,
     #[command(flatten)]
@@ -50,16 +50,13 @@ impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
         self.film.check()?;
         let mut pilot = Pilot::new(&self.options)?;
-        let plots = self.plot.then(|| self.out.clone().unwrap_or_else(|| Path::new("out").join(pilot.env().name())));
-        let plots = plots.as_deref().map(OutputDir::create).transpose()?;
-        let out = self.out.as_deref().map(OutputDir::create).transpose()?;
+        // all files of a directory belong to one flight: plots are written to where its log is
+        let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
+        let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
         let film = self.film.begin(pilot.env().simulation(), |drone| pilot.way(drone))?;
-        // what an earlier flight left there is not this one's
-        for (dir, names) in [(&out, &["summary.json"][..]), (&out, &PLOTS), (&plots, &PLOTS)] {
-            let stale = dir.iter().flat_map(|dir| names.iter().map(|name| dir.path().join(name)));
-            for path in stale.filter(|path| path.is_file()) {
-                std::fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
-            }
+        if let Some(out) = &out {
+            out.remove(&["summary.json"])?;
+            out.remove(&PLOTS)?;
         }
         let (flight, samples) = self.flight(&mut pilot, out.as_ref(), film)?;
 
@@ -75,8 +72,8 @@ impl Fly {
             written.extend(aviary::record::files(out.path()));
             written.push(out.path().join("summary.json"));
         }
-        if let (Some(plots), Some(samples)) = (&plots, &samples) {
-            written.extend(self.draw(plots, pilot.env(), samples)?);
+        if let (Some(out), Some(samples)) = (&out, &samples) {
+            written.extend(self.draw(out, pilot.env(), samples)?);
         }
         if self.json {
             let mut summary = summary;

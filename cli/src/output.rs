@@ -1,21 +1,25 @@
 //! Standard output, output files, and progress.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context as _, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{
+    SIGALRM, SIGHUP, SIGINT, SIGPROF, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
+};
 use signal_hook::iterator::Signals;
 use tempfile::NamedTempFile;
 
 use crate::failure::Failure;
 
-/// Prints text on standard output; a reader that has gone away is no failure of the work.
+/// Prints text on standard output. A reader that has closed the pipe is not an error.
 pub fn print(text: &str) -> Result<(), Failure> {
-    match std::io::stdout().write_all(text.as_bytes()) {
+    let mut stdout = std::io::stdout().lock();
+    // standard output keeps what follows the last line break, and does not report at exit that it cannot be written
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => {
             Err(Failure::work(anyhow::Error::new(error).context("standard output cannot be written")))
         }
@@ -51,10 +55,24 @@ fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Removes unfinished files when the program is interrupted; a normal end removes its own.
+/// Signals that end a program which does not handle them. SIGINT and SIGTERM come first: these are handled even where the
+/// program's parent ignores them.
+const TERMINATING: [i32; 10] =
+    [SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM, SIGPROF, SIGXCPU];
+
+/// Removes unfinished files when a signal ends the program: the exit status is 128 plus the signal's number. A normal end
+/// removes its own files.
+///
+/// A signal that the parent ignores, as `nohup` does with SIGHUP, stays ignored. A file that exceeds the size limit of
+/// the shell (`ulimit -f`) is an error of the write, as a full disk is, and not a signal.
 pub fn clean_up_when_interrupted() {
+    // a handler that does nothing; without it the system ends the program
+    let _ = signal_hook::flag::register(SIGXFSZ, std::sync::Arc::default());
+    let ignored = ignored_signals();
+    let handled =
+        TERMINATING.iter().enumerate().filter(|&(index, signal)| index < 2 || ignored >> (signal - 1) & 1 == 0);
     // without a handler an interruption leaves a file behind, which is no reason not to work
-    let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
+    let Ok(mut signals) = Signals::new(handled.map(|(_, signal)| signal)) else { return };
     std::thread::spawn(move || {
         if let Some(signal) = signals.forever().next() {
             for path in unfinished().iter() {
@@ -64,6 +82,13 @@ pub fn clean_up_when_interrupted() {
             signal_hook::low_level::exit(128 + signal);
         }
     });
+}
+
+/// Signals that are ignored, bit n − 1 for signal n, as the system reports them; none where it does not.
+fn ignored_signals() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
 }
 
 /// A file that appears under its name when it is finished, whole, or not at all.
@@ -174,27 +199,34 @@ impl Write for FileWriter {
     }
 }
 
-/// A directory for output files, made where it is missing.
+/// A directory for output files, made where it is missing, to which no other run writes at the same time.
 #[derive(Debug)]
 pub struct OutputDir(PathBuf);
 
 impl OutputDir {
-    /// Makes sure that the directory is there and can be written to, before any work is done.
+    /// Makes the directory, locks it, and checks that it can be written to, before any work is done.
     pub fn create(path: &Path) -> Result<Self, Failure> {
         if path.exists() && !path.is_dir() {
             return Err(Failure::work(anyhow!("{}: it exists and is not a directory", path.display())));
         }
-        let prepare = || {
-            fs::create_dir_all(path)?;
-            NamedTempFile::new_in(path).map(drop).map_err(|error| std::io::Error::from(error.kind()))
-        };
-        prepare().with_context(|| path.display().to_string()).map_err(Failure::work)?;
+        fs::create_dir_all(path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
+        lock(path)?;
+        let probe = NamedTempFile::new_in(path).map(drop).map_err(|error| std::io::Error::from(error.kind()));
+        probe.with_context(|| path.display().to_string()).map_err(Failure::work)?;
         Ok(Self(path.to_path_buf()))
     }
 
     /// Where it is.
     pub fn path(&self) -> &Path {
         &self.0
+    }
+
+    /// Removes files that an earlier run has left there: they would describe another run.
+    pub fn remove(&self, names: &[&str]) -> Result<(), Failure> {
+        for path in names.iter().map(|name| self.0.join(name)).filter(|path| path.is_file()) {
+            fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
+        }
+        Ok(())
     }
 
     /// Begins a file in it.
@@ -206,4 +238,35 @@ impl OutputDir {
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
         self.begin(name)?.write(bytes)
     }
+}
+
+/// Locks a directory until the program ends: two runs that write to one directory would mix their files.
+///
+/// The lock is advisory and belongs to the directory itself (`flock`), so that it leaves no file behind, whatever ends the
+/// program. A second lock of the same directory by the same program succeeds.
+fn lock(path: &Path) -> Result<(), Failure> {
+    use std::os::unix::fs::MetadataExt as _;
+    static LOCKED: Mutex<Vec<(u64, u64, File)>> = Mutex::new(Vec::new());
+    let open = || {
+        let directory = File::open(path)?;
+        let metadata = directory.metadata()?;
+        Ok::<_, std::io::Error>((metadata.dev(), metadata.ino(), directory))
+    };
+    let (device, inode, directory) = open().with_context(|| path.display().to_string()).map_err(Failure::work)?;
+    let mut locked = LOCKED.lock().unwrap_or_else(PoisonError::into_inner);
+    if locked.iter().any(|&(d, i, _)| (d, i) == (device, inode)) {
+        return Ok(());
+    }
+    match directory.try_lock() {
+        Ok(()) => locked.push((device, inode, directory)),
+        Err(TryLockError::WouldBlock) => {
+            return Err(Failure::work(anyhow!(
+                "{}: another run is writing to this directory, expected one of its own for every run",
+                path.display()
+            )));
+        }
+        // some network file systems have no locks, which is no reason not to work
+        Err(TryLockError::Error(error)) => tracing::warn!("{}: the directory is not locked: {error}", path.display()),
+    }
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! The program as other programs see it: output, files, errors, exit status.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Child, Command, Stdio};
 
 use serde_json::Value;
 
@@ -309,25 +309,43 @@ fn what_is_no_file_is_not_replaced_by_one_and_links_stay_links() {
     assert!(std::fs::read_to_string(dir.join("file")).unwrap().starts_with("t,drone"));
 }
 
+/// Starts the program, with the signals of a terminal's programs.
+fn spawn(arguments: &[&str]) -> Child {
+    let mut command = Command::new("env");
+    command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary")]).args(arguments);
+    command.stdout(Stdio::null()).spawn().unwrap()
+}
+
+fn send(signal: &str, child: &Child) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+}
+
+/// Waits until a flight has written so many rows.
+fn wait_for_rows(dir: &Path, child: &mut Child, count: usize) {
+    while aviary::record::Flight::read(dir).map_or(0, |flight| flight.drones[0].len()) < count {
+        assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+}
+
 #[test]
 fn an_interrupted_flight_leaves_its_log_and_nothing_else() {
-    for signal in ["-INT", "-TERM", "-KILL"] {
+    let signals = [
+        ("-INT", Some(130)),
+        ("-TERM", Some(143)),
+        ("-HUP", Some(129)),
+        ("-QUIT", Some(131)),
+        ("-USR1", Some(138)),
+        ("-KILL", None),
+    ];
+    for (signal, status) in signals {
         let dir = directory(&format!("interrupted{signal}"));
-        let mut child = Command::new(env!("CARGO_BIN_EXE_aviary"))
-            .args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)])
-            .spawn()
-            .unwrap();
-        let rows = || aviary::record::Flight::read(&dir).map_or(0, |flight| flight.drones[0].len());
-        while rows() < 200 {
-            assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
-            std::thread::sleep(std::time::Duration::from_millis(10));
-        }
-        let interrupted = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
-        assert!(interrupted.success());
-        let status = [("-INT", Some(130)), ("-TERM", Some(143)), ("-KILL", None)];
-        assert!(status.contains(&(signal, child.wait().unwrap().code())), "{signal}");
+        let mut child = spawn(&["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)]);
+        wait_for_rows(&dir, &mut child, 200);
+        send(signal, &child);
+        assert_eq!(child.wait().unwrap().code(), status, "{signal}");
         assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1);
-        assert!(rows() >= 200);
+        assert!(aviary::record::Flight::read(&dir).unwrap().drones[0].len() >= 200);
     }
 }
 
@@ -336,20 +354,54 @@ fn an_interrupted_capture_or_film_leaves_no_half_of_a_file() {
     if !has_gl() {
         return;
     }
-    let dir = directory("interrupted-film");
-    std::fs::create_dir_all(&dir).unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_aviary"))
-        .args(["fly", "--task", "hover", "--duration", "100000", "--gif", text(&dir.join("hover.gif"))])
+    for (signal, status) in [("-INT", 130), ("-HUP", 129), ("-XCPU", 152)] {
+        let dir = directory(&format!("interrupted-film{signal}"));
+        std::fs::create_dir_all(&dir).unwrap();
+        let mut child =
+            spawn(&["fly", "--task", "hover", "--duration", "100000", "--gif", text(&dir.join("hover.gif"))]);
+        while std::fs::read_dir(&dir).unwrap().count() == 0 {
+            assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
+            std::thread::sleep(std::time::Duration::from_millis(10));
+        }
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        send(signal, &child);
+        assert_eq!(child.wait().unwrap().code(), Some(status));
+        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 0, "{signal}");
+    }
+}
+
+#[test]
+fn a_hangup_that_nohup_ignores_ends_nothing() {
+    let dir = directory("nohup");
+    let mut child = Command::new("sh")
+        .args(["-c", "trap '' HUP; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_aviary")])
+        .args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)])
         .spawn()
         .unwrap();
-    while std::fs::read_dir(&dir).unwrap().count() == 0 {
-        assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
-        std::thread::sleep(std::time::Duration::from_millis(10));
+    wait_for_rows(&dir, &mut child, 10);
+    send("-HUP", &child);
+    let rows = aviary::record::Flight::read(&dir).unwrap().drones[0].len();
+    wait_for_rows(&dir, &mut child, rows + 1000);
+    send("-TERM", &child);
+    assert_eq!(child.wait().unwrap().code(), Some(143));
+}
+
+/// Two runs into one directory mixed their files, and both ended with status 0.
+#[test]
+fn a_directory_that_another_run_writes_to_is_refused() {
+    let dir = directory("locked");
+    let mut child = spawn(&["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)]);
+    wait_for_rows(&dir, &mut child, 10);
+    let fly = ["fly", "--task", "hover", "--duration", "0.1", "--plot", "--out", text(&dir)];
+    let texts = [text(&dir), "another run is writing to this directory"];
+    refused(&fly, 1, &texts);
+    if has_gl() {
+        refused(&["capture", "--task", "hover", "--frames", "1", "--out", text(&dir)], 1, &texts);
     }
-    std::thread::sleep(std::time::Duration::from_millis(100));
-    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
-    assert_eq!(child.wait().unwrap().code(), Some(130));
-    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 0);
+    send("-KILL", &child);
+    child.wait().unwrap();
+    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1, "the lock is no file");
+    assert!(aviary(&fly).status.success(), "whatever ended the other run");
 }
 
 #[test]
@@ -376,13 +428,15 @@ fn plots_and_films_are_written_and_named() {
     let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).arg(&odd).output().unwrap();
     assert!(output.status.success() && odd.join("drone0.csv").exists());
 
-    // without a directory it is out/TASK
+    // without a directory it is out/fly/TASK, the whole flight: plots never lie next to the log of another one
     let here = directory("plots-here");
     std::fs::create_dir_all(&here).unwrap();
     let fly = ["fly", "--task", "hover", "--duration", "1", "--plot"];
     let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).current_dir(&here).output().unwrap();
-    assert!(String::from_utf8(output.stdout).unwrap().contains("wrote out/hover/path.png"));
-    assert!(here.join("out/hover/flight.svg").exists() && !here.join("out/hover/drone0.csv").exists());
+    assert!(String::from_utf8(output.stdout).unwrap().contains("wrote out/fly/hover/path.png"));
+    for name in ["flight.svg", "drone0.csv", "summary.json"] {
+        assert!(here.join("out/fly/hover").join(name).exists(), "{name}");
+    }
 
     if !has_gl() {
         return;
