@@ -148,39 +148,65 @@ fn fields(mujoco: &Mujoco) -> Vec<Field> {
     fields
 }
 
+/// Structures that this workspace reads and writes field by field.
+const STRUCTURES: [&str; 19] = [
+    "mjModel",
+    "mjData",
+    "mjOption",
+    "mjVisual",
+    "mjStatistic",
+    "mjContact",
+    "mjVFS",
+    "mjvScene",
+    "mjvOption",
+    "mjvCamera",
+    "mjvGeom",
+    "mjvLight",
+    "mjvGLCamera",
+    "mjvPerturb",
+    "mjrContext",
+    "mjrRect",
+    "mjWarningStat",
+    "mjTimerStat",
+    "mjSolverStat",
+];
+
+/// Fields of a structure in the generated bindings, those of nested anonymous structures as `outer.inner`.
+fn members(bindings: &str, structure: &str) -> Vec<String> {
+    let opening = format!("pub struct {structure} {{");
+    let Some(body) = bindings.split_once(&opening).and_then(|(_, rest)| rest.split_once("\n}")) else {
+        fail(&format!("{structure} is not in the bindings to MuJoCo's headers: {MEND}"));
+    };
+    let mut found = Vec::new();
+    for line in body.0.lines() {
+        let Some((name, kind)) = line.trim().strip_prefix("pub ").and_then(|field| field.split_once(": ")) else {
+            continue;
+        };
+        let kind = kind.trim_end_matches(',');
+        if kind.contains("__bindgen_ty_") && !kind.contains(' ') {
+            found.extend(members(bindings, kind).into_iter().map(|inner| format!("{name}.{inner}")));
+        } else {
+            found.push(name.to_string());
+        }
+    }
+    found
+}
+
 /// The same table twice, for the C compiler and for Rust; a test compares them entry by entry.
-fn layout(fields: &[Field], out: &Path) {
+fn layout(out: &Path) {
+    let path = out.join("bindings.rs");
+    let bindings = fs::read_to_string(&path).unwrap_or_else(|error| fail(&format!("{}: {error}", path.display())));
     let mut c = String::new();
     let mut rust = String::from("const RUST_LAYOUT: &[(&str, usize)] = &[\n");
-    for name in [
-        "mjModel",
-        "mjData",
-        "mjOption",
-        "mjVisual",
-        "mjStatistic",
-        "mjContact",
-        "mjVFS",
-        "mjvScene",
-        "mjvOption",
-        "mjvCamera",
-        "mjvGeom",
-        "mjvLight",
-        "mjvGLCamera",
-        "mjvPerturb",
-        "mjrContext",
-        "mjrRect",
-        "mjWarningStat",
-        "mjTimerStat",
-        "mjSolverStat",
-    ] {
-        let _ = writeln!(c, "sizeof({name}),");
-        let _ = writeln!(rust, "(\"sizeof {name}\", std::mem::size_of::<super::{name}>()),");
-    }
-    for field in fields {
-        let owner = if field.owner == "data" { "mjData" } else { "mjModel" };
-        let name = &field.name;
-        let _ = writeln!(c, "__builtin_offsetof({owner}, {name}),");
-        let _ = writeln!(rust, "(\"{owner}.{name}\", std::mem::offset_of!(super::{owner}, {name})),");
+    for structure in STRUCTURES {
+        let _ = writeln!(c, "sizeof({structure}),");
+        let _ = writeln!(rust, "(\"sizeof {structure}\", std::mem::size_of::<super::{structure}>()),");
+        for field in members(&bindings, &format!("{structure}_")) {
+            // bindgen's name of a field that is a keyword of Rust
+            let c_field = if field == "type_" { "type" } else { &field };
+            let _ = writeln!(c, "__builtin_offsetof({structure}, {c_field}),");
+            let _ = writeln!(rust, "(\"{structure}.{field}\", std::mem::offset_of!(super::{structure}, {field})),");
+        }
     }
     rust.push_str("];\n");
     write(&out.join("layout.inc"), &c);
@@ -199,7 +225,6 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_else(|| fail("OUT_DIR is not set")));
 
     let fields = fields(&mujoco);
-    layout(&fields, &out);
     let listing: String =
         fields.iter().map(|f| format!("{}|{}|{}|{}|{}\n", f.owner, f.kind, f.name, f.rows, f.columns)).collect();
     write(&out.join("fields.txt"), &listing);
@@ -207,6 +232,7 @@ fn main() {
     println!("cargo::metadata=INCLUDE={}", mujoco.include.display());
 
     bind(&mujoco, &out);
+    layout(&out);
     // the handler throws through MuJoCo's frames and, on the way into the parser, through its own
     let shim = || cc::Build::new().include(&mujoco.include).include(&out).warnings_into_errors(true).to_owned();
     let built = shim()

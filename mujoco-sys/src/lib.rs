@@ -18,7 +18,12 @@ mod layout {
 
     #[test]
     fn sizes_and_offsets_agree_with_the_c_compiler() {
-        assert!(RUST_LAYOUT.len() > 300, "the field list is suspiciously short");
+        assert!(RUST_LAYOUT.len() > 700, "the list of fields has only {} entries", RUST_LAYOUT.len());
+        for scalar in
+            ["mjvScene.ngeom", "mjvGeom.objid", "mjContact.dist", "mjVisual.quality.shadowsize", "mjData.ncon"]
+        {
+            assert!(RUST_LAYOUT.iter().any(|(name, _)| *name == scalar), "{scalar} is not in the list of fields");
+        }
         for (index, (name, rust)) in RUST_LAYOUT.iter().enumerate() {
             let c = unsafe { super::mjshim_layout(index as i32) };
             assert_eq!(*rust as u64, c, "{name}: Rust has {rust}, the C compiler has {c}");
