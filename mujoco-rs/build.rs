@@ -5,8 +5,92 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::{env, fs};
 
-/// Arrays that a caller may not write although they hold numbers: MuJoCo uses their values as indices.
-const INDEX_IN_DISGUISE: &[&str] = &["wrap_prm"];
+/// Arrays of mjModel that a caller may write freely: MuJoCo's C code calculates with their values, whatever they are, and
+/// nothing else. Every other array of numbers decides somewhere which memory is read or written (sizes and orientations of
+/// geoms in collision detection, height fields in rays, vertices of meshes), so that its slice is `unsafe` to write.
+const FREE_IN_MODEL: &[&str] = &[
+    "qpos0",
+    "qpos_spring",
+    "body_mass",
+    "body_subtreemass",
+    "body_inertia",
+    "body_invweight0",
+    "body_user",
+    "jnt_solref",
+    "jnt_solimp",
+    "jnt_stiffness",
+    "jnt_user",
+    "dof_solref",
+    "dof_solimp",
+    "dof_frictionloss",
+    "dof_armature",
+    "dof_damping",
+    "dof_invweight0",
+    "dof_M0",
+    "geom_solmix",
+    "geom_solref",
+    "geom_solimp",
+    "geom_friction",
+    "geom_user",
+    "geom_rgba",
+    "site_user",
+    "site_rgba",
+    "cam_user",
+    "light_attenuation",
+    "light_ambient",
+    "light_diffuse",
+    "light_specular",
+    "mat_emission",
+    "mat_specular",
+    "mat_shininess",
+    "mat_reflectance",
+    "mat_rgba",
+    "pair_solref",
+    "pair_solimp",
+    "pair_friction",
+    "eq_solref",
+    "eq_solimp",
+    "tendon_stiffness",
+    "tendon_damping",
+    "tendon_frictionloss",
+    "tendon_user",
+    "tendon_rgba",
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_ctrlrange",
+    "actuator_forcerange",
+    "actuator_actrange",
+    "actuator_gear",
+    "actuator_user",
+    "sensor_cutoff",
+    "sensor_noise",
+    "sensor_user",
+    "numeric_data",
+    "key_time",
+    "key_qpos",
+    "key_qvel",
+    "key_act",
+    "key_mpos",
+    "key_mquat",
+    "key_ctrl",
+];
+
+/// Arrays of mjData that a caller may write: MuJoCo's inputs, whose range every step and forward pass checks, and where
+/// lights stand, which only drawing reads. MuJoCo computes the others from these, so that writing them is `unsafe`.
+const FREE_IN_DATA: &[&str] = &[
+    "qpos",
+    "qvel",
+    "act",
+    "qacc_warmstart",
+    "ctrl",
+    "qfrc_applied",
+    "xfrc_applied",
+    "mocap_pos",
+    "mocap_quat",
+    "userdata",
+    "light_xpos",
+    "light_xdir",
+];
 
 /// The comment behind a field's declaration in MuJoCo's headers, which is its documentation there.
 fn comment(headers: &str, name: &str) -> String {
@@ -95,7 +179,8 @@ fn main() {
         let text = comment(headers, name);
         let shape = if columns == "1" { rows.to_string() } else { format!("{rows} × {columns}") };
         let length = format!("{} * ({})", size(rows), size(columns));
-        let writable = matches!(element, "f64" | "f32") && !INDEX_IN_DISGUISE.contains(&name);
+        let writable = matches!(element, "f64" | "f32");
+        let free = if owner == "model" { FREE_IN_MODEL } else { FREE_IN_DATA }.contains(&name);
         let (reader, writer) = if owner == "model" { (&mut model, Some(&mut model_mut)) } else { (&mut data, None) };
         let bind = if owner == "model" { "let model = self.raw();" } else { "let model = self.model().raw();" };
         let _ = writeln!(
@@ -105,9 +190,18 @@ fn main() {
              unsafe {{ view(self.raw().{name}, {length}) }}\n    }}"
         );
         if writable {
+            let (keyword, terms) = if free {
+                ("", "")
+            } else {
+                (
+                    "unsafe ",
+                    "    ///\n    /// # Safety\n    /// MuJoCo trusts these numbers where it finds memory by them: every value must be one that its compiler, \
+                     or its last\n    /// step, could have put here.\n",
+                )
+            };
             let _ = writeln!(
                 writer.unwrap_or(reader),
-                "    /// `{name}` to be written, {shape}: {text}.\n    #[inline]\n    pub fn {name}_mut(&mut self) -> &mut [{element}] {{\n        {bind}\n        \
+                "    /// `{name}` to be written, {shape}: {text}.\n{terms}    #[inline]\n    pub {keyword}fn {name}_mut(&mut self) -> &mut [{element}] {{\n        {bind}\n        \
                  // SAFETY: as above, and self is borrowed mutably.\n        \
                  unsafe {{ view_mut(self.raw().{name}, {length}) }}\n    }}"
             );

@@ -116,7 +116,7 @@ impl Rangefinder {
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         for (index, obstacle) in obstacles.iter().enumerate() {
             let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
-            place_geom(&mut self.data.patch_model()?, geom.index(), obstacle);
+            place_geom(&mut self.data.patch_model()?, geom, obstacle)?;
         }
         Ok(())
     }

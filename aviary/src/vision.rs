@@ -223,11 +223,11 @@ impl Painter {
         }
         for (index, obstacle) in world.obstacles.iter().enumerate() {
             let geom: GeomId = model.find(&World::obstacle_name(index))?;
-            place_geom(&mut model.patch(), geom.index(), obstacle);
+            place_geom(&mut model.patch(), geom, obstacle)?;
         }
         for marker in &world.markers {
             let geom: GeomId = model.find(&marker.name)?;
-            place_geom(&mut model.patch(), geom.index(), &marker.body);
+            place_geom(&mut model.patch(), geom, &marker.body)?;
         }
         let data = Data::new(model)?;
         let model = data.shared_model();
@@ -301,7 +301,7 @@ impl Painter {
             let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
             // the renderer shares the model: it has only meshes and textures of it, which stay
             let mut model = self.data.patch_model()?;
-            place_geom(&mut model, geom.index(), obstacle);
+            place_geom(&mut model, geom, obstacle)?;
             let colour = obstacle.rgba.map(|x| x as f32);
             model.geom_rgba_mut()[4 * geom.index()..][..4].copy_from_slice(&colour);
         }

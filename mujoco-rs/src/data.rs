@@ -6,7 +6,7 @@ use crate::contact::Contact;
 use crate::error::{DivergedQuantity, Divergence, Error};
 use crate::id::{GeomId, ObjectId};
 use crate::model::{Model, ModelMut};
-use crate::runtime::{check_library, guarded};
+use crate::runtime::{check_library, guarded, was_raised};
 
 /// One simulation of a [`Model`].
 ///
@@ -73,6 +73,9 @@ impl WarningKind {
     }
 }
 
+/// Largest position that MuJoCo steps from (`mjMAXVAL`).
+const MAX_POSITION: f64 = 1e10;
+
 /// How often a warning was raised since the last reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WarningStat {
@@ -129,14 +132,15 @@ impl Data {
     /// # Errors
     /// [`Error::Diverged`] where the state left the range of numbers: MuJoCo has then put the simulation back to the
     /// model's initial state (and may have gone one step on from it). [`Error::Raised`] with MuJoCo's message for its other errors: the simulation must be
-    /// [reset](Self::reset).
+    /// [reset](Self::reset). [`Error::Value`] for a mocap body that is not at finite coordinates.
     pub fn step(&mut self) -> Result<(), Error> {
         self.usable()?;
+        self.mocap_bounded()?;
         let time = self.raw().time;
         // SAFETY: model and data belong together and are valid; no Rust frame lies under the shim's guard.
         let status = unsafe { mujoco_sys::mjshim_step(self.model.as_ptr(), self.pointer.as_ptr()) };
         if status != 0 {
-            return Err(self.fault("mj_step"));
+            return Err(self.fault("mj_step", status));
         }
         self.divergence(time)
     }
@@ -144,12 +148,15 @@ impl Data {
     /// Computes everything that follows from the state, up to the accelerations, without advancing time.
     ///
     /// # Errors
-    /// As for [`step`](Self::step), but nothing is put back: bad numbers show in the results.
+    /// [`Error::Diverged`] for positions (`qpos`) that are not finite or exceed 1e10: nothing is computed and nothing is put
+    /// back. Bad velocities and forces show in the results. Otherwise as for [`step`](Self::step).
     pub fn forward(&mut self) -> Result<(), Error> {
         self.usable()?;
+        self.mocap_bounded()?;
+        self.bounded(self.qpos())?;
         // SAFETY: as for `step`.
         let status = unsafe { mujoco_sys::mjshim_forward(self.model.as_ptr(), self.pointer.as_ptr()) };
-        if status != 0 { Err(self.fault("mj_forward")) } else { Ok(()) }
+        if status != 0 { Err(self.fault("mj_forward", status)) } else { Ok(()) }
     }
 
     /// Computes where bodies, geoms, sites, cameras and lights are, and nothing else.
@@ -158,9 +165,11 @@ impl Data {
     /// As for [`forward`](Self::forward).
     pub fn kinematics(&mut self) -> Result<(), Error> {
         self.usable()?;
+        self.mocap_bounded()?;
+        self.bounded(self.qpos())?;
         // SAFETY: as for `step`.
         let status = unsafe { mujoco_sys::mjshim_kinematics(self.model.as_ptr(), self.pointer.as_ptr()) };
-        if status != 0 { Err(self.fault("mj_kinematics")) } else { Ok(()) }
+        if status != 0 { Err(self.fault("mj_kinematics", status)) } else { Ok(()) }
     }
 
     /// Back to the model's initial state, time 0, no warnings, no applied forces.
@@ -308,13 +317,45 @@ impl Data {
     }
 
     #[cold]
-    fn fault(&mut self, call: &'static str) -> Error {
-        let error = match guarded(call, 1) {
+    fn fault(&mut self, call: &'static str, status: i32) -> Error {
+        let error = match guarded(call, status) {
             Err(error) => error,
             Ok(()) => Error::Raised { call, message: String::new() },
         };
-        self.broken = Some(error.clone());
+        if was_raised(status) {
+            self.broken = Some(error.clone());
+        }
         error
+    }
+
+    /// Refuses positions that MuJoCo's collision detection was not written for. `mj_step` checks `qpos` itself, and no call
+    /// checks the mocap bodies.
+    #[inline]
+    fn bounded(&self, positions: &[f64]) -> Result<(), Error> {
+        let within = |value: &f64| value.abs() <= MAX_POSITION;
+        match positions.iter().position(|value| !within(value)) {
+            None => Ok(()),
+            Some(index) => {
+                Err(Error::Diverged(Divergence { quantity: DivergedQuantity::Position, index, time: self.time() }))
+            }
+        }
+    }
+
+    #[inline]
+    fn mocap_bounded(&self) -> Result<(), Error> {
+        match self
+            .mocap_pos()
+            .iter()
+            .chain(self.mocap_quat())
+            .find(|value| value.is_nan() || value.abs() > MAX_POSITION)
+        {
+            None => Ok(()),
+            Some(&got) => Err(Error::Value {
+                what: "the position or orientation of a mocap body",
+                got,
+                expected: "finite numbers of at most 1e10",
+            }),
+        }
     }
 
     /// MuJoCo resets a diverged simulation by itself and only counts a warning.

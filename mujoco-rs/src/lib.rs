@@ -30,6 +30,7 @@ mod data;
 mod error;
 mod gl;
 mod id;
+mod limits;
 mod model;
 mod renderer;
 mod runtime;
@@ -52,5 +53,6 @@ pub use scene::{Camera, Decor, Effects, Scene};
 #[doc(hidden)]
 pub mod testing {
     //! For this crate's own tests.
-    pub use crate::runtime::raise;
+    pub use crate::model::load_unchecked;
+    pub use crate::runtime::{assert_host_is_left_alone, raise};
 }

@@ -43,7 +43,13 @@ extern "C" fn on_warning(message: *const c_char) {
     }
 }
 
-/// The result of a guarded call of the shim: 0, or 1 and a message kept for this thread.
+/// Whether a guarded call of the shim ended in an error of MuJoCo, in the middle of its work.
+#[inline]
+pub(crate) fn was_raised(status: i32) -> bool {
+    status == mujoco_sys::MJSHIM_RAISED as i32
+}
+
+/// Result of a guarded call of the shim: done, or an error whose message the shim keeps for this thread.
 pub(crate) fn guarded(call: &'static str, status: i32) -> Result<(), Error> {
     if status == 0 {
         return Ok(());
@@ -60,4 +66,37 @@ pub fn raise(message: &str, guarded_call: bool) -> Result<(), Error> {
     let message = CString::new(message).map_err(|_| Error::Nul { what: "message" })?;
     // SAFETY: the string is terminated; under the guard only C frames are left behind.
     guarded("mju_error", unsafe { mujoco_sys::mjshim_raise(message.as_ptr(), guarded_call.into()) })
+}
+
+/// Runs work in a process that has handlers of its own and draws from `rand()`, and checks that both are there afterwards.
+#[doc(hidden)]
+pub fn assert_host_is_left_alone(work: impl Fn()) {
+    unsafe extern "C" fn handler(_: *const c_char) {}
+    unsafe extern "C" {
+        fn srand(seed: u32);
+        fn rand() -> i32;
+    }
+    // SAFETY: functions of the C library without arguments that could be wrong.
+    let draw = || unsafe { rand() };
+    // SAFETY: as above.
+    unsafe { srand(7) };
+    let expected = [draw(), draw(), draw()];
+    // SAFETY: as above; the handlers are written before any other thread calls MuJoCo.
+    unsafe {
+        srand(7);
+        mujoco_sys::mju_user_error = Some(handler);
+        mujoco_sys::mju_user_warning = Some(handler);
+    }
+    let mut drawn = Vec::new();
+    for _ in 0..3 {
+        work();
+        drawn.push(draw());
+    }
+    assert_eq!(drawn, expected, "the host's random numbers");
+    // SAFETY: reads what was written above, on the same thread.
+    let handlers = unsafe { [mujoco_sys::mju_user_error, mujoco_sys::mju_user_warning] };
+    let is_ours = |found: Option<unsafe extern "C" fn(*const c_char)>| {
+        found.is_some_and(|found| std::ptr::fn_addr_eq(found, handler as unsafe extern "C" fn(*const c_char)))
+    };
+    assert!(handlers.into_iter().all(is_ours), "the host's handlers");
 }

@@ -139,6 +139,46 @@ fn patching_a_copy_leaves_the_original_as_it_was() {
     assert!(copy.patch().set_gravity([0.0, f64::INFINITY, 0.0]).is_err());
 }
 
+#[test]
+fn numbers_by_which_mujoco_finds_memory_are_checked_when_they_are_written() {
+    let xml = "<mujoco><asset><hfield name='h' nrow='2' ncol='3' size='1 1 1 1'/></asset><worldbody>
+        <geom name='box' type='box' size='.1 .1 .1'/><geom name='plane' type='plane' size='1 1 1'/>
+        <geom type='hfield' hfield='h'/></worldbody></mujoco>";
+    let mut model = Model::from_xml(xml).unwrap();
+    let (cube, plane): (GeomId, GeomId) = (model.find("box").unwrap(), model.find("plane").unwrap());
+    let mut patch = model.patch();
+    for bad in [-0.1, 0.0, f64::NAN, f64::INFINITY, 1e-300, 1e11] {
+        let error = patch.set_geom_size(cube, [0.1, bad, 0.1]).unwrap_err();
+        assert!(error.to_string().starts_with(&format!("a geom's size is {bad}, expected ")), "{error}");
+        assert!(patch.set_hfield_size(0, [1.0, 1.0, bad, 1.0]).is_err(), "{bad}");
+    }
+    for bad in [f64::NAN, f64::INFINITY, -1e11] {
+        assert!(patch.set_geom_pos(cube, [0.0, bad, 0.0]).is_err());
+        assert!(patch.set_geom_rbound(cube, bad).is_err());
+        assert!(patch.set_geom_quat(cube, [1.0, bad, 0.0, 0.0]).is_err());
+    }
+    assert!(patch.set_geom_quat(cube, [2.0, 0.0, 0.0, 0.0]).is_err());
+    assert!(patch.set_geom_quat(cube, [0.0; 4]).is_err());
+    assert!(patch.set_geom_size(plane, [0.0, 0.0, 1.0]).is_ok(), "an infinite plane");
+    assert!(patch.set_geom_size(plane, [-1.0, 0.0, 1.0]).is_err());
+    let strange = mujoco_rs::ObjectId::new(7);
+    assert_eq!(
+        patch.set_geom_pos(strange, [0.0; 3]),
+        Err(Error::NotOfModel { kind: ObjectKind::Geom, index: 7, count: 3 })
+    );
+    assert!(patch.set_hfield_size(1, [1.0; 4]).is_err());
+    patch.set_geom_pos(cube, [1.0, 2.0, 3.0]).unwrap();
+    patch.set_geom_quat(cube, [0.0, 1.0, 0.0, 0.0]).unwrap();
+    patch.set_geom_size(cube, [0.2, 0.3, 0.4]).unwrap();
+    patch.set_geom_rbound(cube, 0.6).unwrap();
+    patch.set_hfield_size(0, [1.0, 2.0, 3.0, 4.0]).unwrap();
+    let row = cube.index();
+    assert_eq!(model.geom_pos()[3 * row..][..3], [1.0, 2.0, 3.0]);
+    assert_eq!(model.geom_quat()[4 * row..][..4], [0.0, 1.0, 0.0, 0.0]);
+    assert_eq!(model.geom_size()[3 * row..][..3], [0.2, 0.3, 0.4]);
+    assert_eq!((model.geom_rbound()[row], model.hfield_size()), (0.6, &[1.0, 2.0, 3.0, 4.0][..]));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 

@@ -153,3 +153,91 @@ fn rays_hit_what_is_in_their_way() {
     assert!(data.ray([0.0; 3], [0.0; 3], [true; 6], None).is_err());
     assert!(data.ray([f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], [true; 6], None).is_err());
 }
+
+/// MuJoCo's compiler leaves its own handler behind when an exception passes through it, with a jump into a frame that is gone.
+#[test]
+fn an_error_after_a_scene_that_threw_inside_the_compiler_is_an_error() {
+    // file names of two letters: std::out_of_range
+    for asset in [
+        "<mesh name='m' file='ab'/>",
+        "<texture name='t' type='2d' file='ab'/>",
+        "<hfield name='h' file='ab' size='1 1 1 1'/>",
+    ] {
+        let xml = format!("<mujoco><asset>{asset}</asset></mujoco>");
+        // SAFETY: MuJoCo throws before it looks at a file.
+        #[allow(unsafe_code)]
+        let loaded = unsafe { mujoco_rs::testing::load_unchecked(&xml) };
+        assert!(loaded.is_err(), "{xml}");
+        let error = mujoco_rs::testing::raise("raised afterwards", true).unwrap_err();
+        assert_eq!(error, Error::Raised { call: "mju_error", message: "raised afterwards".into() });
+    }
+    let xml = BALL.replace("<worldbody>", "<size nstack='250' njmax='40' nconmax='10'/><worldbody>");
+    let mut data = Data::new(Model::from_xml(&xml).unwrap()).unwrap();
+    data.qpos_mut()[2] = 0.09;
+    assert!(matches!(data.step(), Err(Error::Raised { .. })), "a guarded step, too");
+}
+
+#[test]
+fn positions_that_are_no_positions_are_errors_of_a_forward_pass() {
+    let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
+    for bad in [f64::NAN, f64::INFINITY, -2e10] {
+        data.qpos_mut()[1] = bad;
+        for result in [data.forward(), data.kinematics()] {
+            assert!(matches!(result, Err(Error::Diverged(d)) if d.index == 1), "{bad}: {result:?}");
+        }
+    }
+    data.qpos_mut()[1] = 0.0;
+    data.forward().unwrap();
+    let xml = "<mujoco><worldbody><body mocap='true'><geom size='.1'/></body></worldbody></mujoco>";
+    let mut data = Data::new(Model::from_xml(xml).unwrap()).unwrap();
+    data.mocap_pos_mut()[2] = f64::NAN;
+    assert!(matches!(data.step(), Err(Error::Value { .. })));
+    assert!(matches!(data.forward(), Err(Error::Value { .. })));
+    data.mocap_pos_mut()[2] = 1.0;
+    data.step().unwrap();
+}
+
+#[test]
+fn a_thread_without_stack_for_mujoco_gets_an_error() {
+    let model = Arc::new(Model::from_xml(BALL).unwrap());
+    let step = |kib: usize| {
+        let model = Arc::clone(&model);
+        std::thread::Builder::new()
+            .stack_size(kib << 10)
+            .spawn(move || Data::new(model).and_then(|mut data| data.step().and_then(|()| data.step())))
+            .unwrap()
+            .join()
+            .unwrap()
+    };
+    match step(64) {
+        Err(Error::Raised { message, .. }) => assert!(message.contains("KiB of stack"), "{message}"),
+        other => panic!("{other:?}"),
+    }
+    step(512).unwrap();
+    let load = |kib: usize| {
+        let loader = std::thread::Builder::new().stack_size(kib << 10);
+        loader.spawn(|| Model::from_xml(BALL).map(|model| model.nbody())).unwrap().join().unwrap()
+    };
+    assert!(load(256).unwrap_err().to_string().contains("KiB of stack"));
+    assert_eq!(load(2048).unwrap(), 2);
+}
+
+/// A child process, because `rand()` and the handlers belong to the process.
+#[test]
+fn a_host_programs_random_numbers_and_handlers_are_left_alone() {
+    const CHILD: &str = "MUJOCO_RS_TEST_HOST";
+    if std::env::var_os(CHILD).is_some() {
+        mujoco_rs::testing::assert_host_is_left_alone(|| {
+            let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
+            data.step().unwrap();
+            assert!(Model::from_xml("<mujoco><worldbody><geom/></worldbody></mujoco>").is_err());
+        });
+        return;
+    }
+    let output = Command::new(std::env::current_exe().unwrap())
+        .args(["--exact", "a_host_programs_random_numbers_and_handlers_are_left_alone", "--nocapture"])
+        .env(CHILD, "1")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}

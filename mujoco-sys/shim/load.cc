@@ -2,8 +2,10 @@
 // here: an exception runs their destructors and releases their lock, where a jump would skip both.
 #include "shim.h"
 
-#include <exception>
 #include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <mutex>
 
 namespace {
 
@@ -17,6 +19,51 @@ void Say(char* error, int error_sz, const char* message) {
   }
 }
 
+// Stack that loading must find; a scene of 95 bodies inside each other, the most that the parser takes, was measured to
+// take 205 KiB.
+constexpr size_t kLoadStack = 512 * 1024;
+
+// MuJoCo seeds rand() to make its textures reproducible. Its numbers are drawn from a state of their own here, so that
+// those of the host program go on where they were. The state belongs to the process, so one thread at a time loads (MuJoCo
+// has a lock for that, which is taken later).
+class OwnRandomState {
+ public:
+  OwnRandomState() : lock_(Mutex()) {
+    static char state[128];
+    host_ = initstate(1, state, sizeof(state));
+  }
+
+  ~OwnRandomState() {
+    if (host_) {
+      setstate(host_);
+    }
+  }
+
+ private:
+  static std::mutex& Mutex() {
+    static std::mutex mutex;
+    return mutex;
+  }
+
+  std::lock_guard<std::mutex> lock_;
+  char* host_;
+};
+
+// MuJoCo's compiler installs handlers of its own and puts the earlier ones back, but not when an exception that it does not
+// know passes through it.
+class Handlers {
+ public:
+  Handlers() : outer_(mjshim_enter()) { loading = true; }
+
+  ~Handlers() {
+    loading = false;
+    mjshim_leave(outer_);
+  }
+
+ private:
+  const mjshim_handlers outer_;
+};
+
 }  // namespace
 
 extern "C" int mjshim_is_loading(void) {
@@ -28,8 +75,13 @@ extern "C" void mjshim_throw(void) {
 }
 
 extern "C" mjModel* mjshim_load_xml(const char* filename, const mjVFS* vfs, char* error, int error_sz) {
+  if (mjshim_short_of_stack(kLoadStack)) {
+    Say(error, error_sz, mjshim_last_error());
+    return nullptr;
+  }
+  const OwnRandomState random;
+  const Handlers handlers;
   mjModel* model = nullptr;
-  loading = true;
   try {
     model = mj_loadXML(filename, vfs, error, error_sz);
   } catch (const Raised&) {
@@ -39,6 +91,5 @@ extern "C" mjModel* mjshim_load_xml(const char* filename, const mjVFS* vfs, char
   } catch (...) {
     Say(error, error_sz, "unknown exception");
   }
-  loading = false;
   return model;
 }

@@ -1,6 +1,8 @@
 //! The reference engine: MuJoCo's `mj_step`, forces through `xfrc_applied`.
 
-use mujoco_rs::{ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model, ModelMut};
+use mujoco_rs::{
+    ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model, ModelMut, ObjectId,
+};
 use nalgebra::Vector3;
 
 use super::{Bodies, Contact, Load, Touched};
@@ -235,11 +237,11 @@ impl MujocoEngine {
         let mut model = self.data.patch_model()?;
         let Some(obstacle) = holds else {
             // so deep under the floor that nothing meets it
-            model.geom_pos_mut()[3 * geom..][..3].copy_from_slice(&[0.0, 0.0, -1e6]);
+            model.set_geom_pos(GeomId::new(geom), [0.0, 0.0, -1e6])?;
             self.owners[geom] = Owner::Nobody;
             return Ok(());
         };
-        place_geom(&mut model, geom, &self.obstacles.list[obstacle]);
+        place_geom(&mut model, GeomId::new(geom), &self.obstacles.list[obstacle])?;
         self.owners[geom] = Owner::Obstacle(obstacle);
         Ok(())
     }
@@ -406,11 +408,11 @@ impl MujocoEngine {
 }
 
 /// Gives a geom of the world the pose and size of an obstacle of its shape.
-pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: usize, obstacle: &Obstacle) {
-    model.geom_pos_mut()[3 * geom..][..3].copy_from_slice(obstacle.position.as_slice());
-    model.geom_quat_mut()[4 * geom..][..4].copy_from_slice(&wxyz(&attitude_from_rpy(obstacle.rpy)));
-    model.geom_size_mut()[3 * geom..][..3].copy_from_slice(&obstacle.shape.sizes());
-    model.geom_rbound_mut()[geom] = obstacle.shape.reach();
+pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: GeomId, obstacle: &Obstacle) -> Result<(), Error> {
+    model.set_geom_pos(geom, obstacle.position.into())?;
+    model.set_geom_quat(geom, wxyz(&attitude_from_rpy(obstacle.rpy)))?;
+    model.set_geom_size(geom, obstacle.shape.sizes())?;
+    model.set_geom_rbound(geom, obstacle.shape.reach())
 }
 
 /// MuJoCo's indices of things that exist are never negative.
