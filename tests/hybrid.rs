@@ -5,6 +5,7 @@ use mujoco_drones_gym::engine::flight::{Airframe, Airframes, Flow, FreeBody, LAN
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::physics::drag;
 use mujoco_drones_gym::physics::rotor::RotorModel;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
@@ -117,6 +118,48 @@ fn ten_seconds_of_tumbling_are_those_of_mj_step_in_every_width() {
             assert!(error < 1e-11, "{model:?} {forcing:?} {medium:?} {gravity}: {error:e} at {:?}", scalar.position);
             for (width, lanes) in &fields {
                 assert_eq!(lanes.state(lane), scalar, "{model:?} {forcing:?} {medium:?} {width:?}");
+            }
+        }
+    }
+}
+
+/// Lanes in wind: a lane's force is its wind's, the ground's, the blades' in the relative wind and that of a medium that moves with the
+/// air; and the bits are those of one drone.
+#[test]
+fn lanes_in_wind_and_medium_are_single_drones_to_the_last_bit() {
+    let (dt, params) = (1.0 / 240.0, DroneModel::Cf2x.params());
+    let rotors = RotorModel::new(&params);
+    let drag = Vector3::from(params.drag_coefficients);
+    for medium in [None, Some(Medium::AIR)] {
+        let body = FreeBody::new(params.mass, &params.inertia_vector(), 9.81, medium);
+        let frames = Airframes::all(&Airframe { body, rotors, drag, share: 1.0, ..Airframe::default() });
+        let (force, air) = (Vector3::new(0.001, -0.002, 0.003), Vector3::new(2.0, -1.0, 0.5));
+        let rpm = [14_000.0, 15_000.0, 14_500.0, 13_500.0];
+        for width in Width::available() {
+            let mut lanes = Lanes::default();
+            for lane in 0..LANES {
+                lanes.set(lane, &start(lane, 50.0), &rpm, &rpm);
+                // every other lane is in still air
+                if lane % 2 == 0 {
+                    lanes.set_wind(lane, &force, &air);
+                }
+            }
+            let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), air: true, width };
+            advance(&flow, &mut lanes, &frames, 1);
+            for lane in 0..LANES {
+                let state = start(lane, 50.0);
+                let (force, air) = if lane % 2 == 0 { (force, air) } else { (Vector3::zeros(), Vector3::zeros()) };
+                let wrench = rotors.wrench(&rpm);
+                let mut total = force;
+                if medium.is_some() {
+                    total += body.moving_medium(&state.attitude, &state.velocity, &air);
+                }
+                total += drag::force(&params, &state, &rpm, &air);
+                let expected = match medium {
+                    None => body.step::<false, false>(dt, &wrench, &total, &state),
+                    Some(_) => body.step::<false, true>(dt, &wrench, &total, &state),
+                };
+                assert_eq!(lanes.state(lane), expected, "{width:?} {medium:?} lane {lane}");
             }
         }
     }

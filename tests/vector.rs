@@ -135,6 +135,7 @@ fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_al
     assert!(compare(&hover().randomization(bodies), config(2), 90) > 5);
     assert!(compare(&hover().randomization(Randomization::default()), config(2), 90) > 5);
     assert!(compare(&hover().wind(WindConfig::new(WindModel::Combined)), config(2), 90) > 5);
+    assert!(compare(&hover().wind(WindConfig { still_air_drag: true, ..WindConfig::default() }), config(2), 90) > 5);
     let lag = ActuatorParams { lag: 0.03, gains: [1.0, 0.99, 1.0, 1.01], ..ActuatorParams::default() };
     assert!(compare(&hover().actuators(lag), config(1), 90) > 5);
     let late = ActuatorParams { latency: 0.02, ..ActuatorParams::default() };

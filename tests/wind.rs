@@ -7,6 +7,7 @@ use mujoco_drones_gym::physics::drag;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel, drag_law};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::NAMES;
+use mujoco_drones_gym::world::Medium;
 use mujoco_drones_gym::wrappers::WindWrapper;
 use nalgebra::Vector3;
 
@@ -14,18 +15,26 @@ fn constant(velocity: [f64; 3]) -> WindConfig {
     WindConfig { velocity, ..WindConfig::new(WindModel::Constant) }
 }
 
+/// A combined wind of which the constant velocity alone is left.
+fn combined(velocity: [f64; 3]) -> WindConfig {
+    let still = WindConfig { turbulence: 0.0, gust_force: 0.0, sinusoidal_force: 0.0, ..WindConfig::default() };
+    WindConfig { model: WindModel::Combined, velocity, ..still }
+}
+
 /// A drone that hovers by motor speeds alone is carried away: v(t) = U·k·U·t/(1 + k·U·t), k = ρ·C_d·A/2m, and ends at U.
 #[test]
 fn a_drone_that_only_carries_its_weight_drifts_to_the_winds_velocity() {
-    for physics in [Physics::Mjc, Physics::Dyn] {
+    let wind = [6.0, -8.0, 0.0];
+    for (physics, config) in
+        [(Physics::Mjc, constant(wind)), (Physics::Dyn, constant(wind)), (Physics::Mjc, combined(wind))]
+    {
         for (model, yaw) in [(DroneModel::Cf2x, 0.0), (DroneModel::Race, 1.1)] {
             let params = model.params();
-            let wind = [6.0, -8.0, 0.0];
             let mut simulation = Simulation::builder(model)
                 .physics(physics)
                 .initial_positions([[0.0, 0.0, 5.0]])
                 .initial_rpys([[0.0, 0.0, yaw]])
-                .wind(constant(wind))
+                .wind(config)
                 .build()
                 .unwrap();
             let k = 0.5 * 1.225 * params.drag_area() / params.mass;
@@ -40,6 +49,147 @@ fn a_drone_that_only_carries_its_weight_drifts_to_the_winds_velocity() {
             assert!(simulation.states()[0].velocity.norm() > 5.0);
         }
     }
+}
+
+/// A drone that starts with the velocity of the air keeps it, and nothing acts on it: neither the drag law, nor blades, nor
+/// MuJoCo's medium, whose force the load cancels.
+#[test]
+fn a_drone_that_moves_with_the_air_feels_no_drag() {
+    let wind = Vector3::new(3.0, -1.0, 0.5);
+    let params = DroneModel::Cf2x.params();
+    for config in [constant(wind.into()), combined(wind.into())] {
+        for (physics, medium) in [(Physics::Mjc, None), (Physics::MjcDrag, None), (Physics::MjcDrag, Some(Medium::AIR))]
+        {
+            for engine in EngineKind::ALL {
+                let mut simulation = Simulation::builder(DroneModel::Cf2x)
+                    .num_drones(2)
+                    .initial_positions([[0.0, 0.0, 5.0], [0.0, 3.0, 6.0]])
+                    .initial_rpys([[0.0, 0.0, 0.8], [0.0, 0.0, -2.5]])
+                    .initial_velocities([wind.into(); 2])
+                    .physics(physics)
+                    .medium(medium)
+                    .engine(engine)
+                    .wind(config)
+                    .build()
+                    .unwrap();
+                for _ in 0..240 {
+                    simulation.step(&[[params.hover_rpm(); 4]; 2]).unwrap();
+                    for (state, load) in simulation.states().iter().zip(simulation.loads()) {
+                        let error = (state.velocity - wind).norm();
+                        assert!(error < 1e-9, "{config:?} {physics} {medium:?} {engine:?}: {error:e} m/s");
+                        let force = load.external.force_world.norm();
+                        assert!(medium.is_some() || force < 1e-9, "{config:?} {physics} {engine:?}: {force:e} N");
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// In the medium a drone at rest in moving air feels what a drone feels that moves through still air the other way.
+#[test]
+fn the_medium_moves_with_the_wind() {
+    let wind = Vector3::new(2.0, 1.0, -0.5);
+    let settle = |velocity: Vector3<f64>, config: Option<WindConfig>, engine| {
+        let mut simulation = Simulation::builder(DroneModel::Race)
+            .initial_positions([[0.0, 0.0, 5.0]])
+            .initial_rpys([[0.1, -0.2, 0.8]])
+            .initial_velocities([velocity.into()])
+            .medium(Medium::AIR)
+            .engine(engine)
+            .sim_freq(24_000)
+            .ctrl_freq(24_000)
+            .wind(config)
+            .build()
+            .unwrap();
+        simulation.step(&[[0.0; 4]]).unwrap();
+        simulation.states()[0].velocity - velocity
+    };
+    // air without density for the drag law: the medium alone
+    let config = WindConfig { air_density: 0.0, ..constant(wind.into()) };
+    for engine in EngineKind::ALL {
+        let moving = settle(Vector3::zeros(), Some(config), engine);
+        let still = settle(-wind, None, engine);
+        let gained = (still - settle(Vector3::zeros(), None, engine)).norm();
+        // the change in force is held over a physics step: first order in its length
+        assert!((moving - still).norm() < 1e-3 * gained && gained > 1e-7, "{engine:?}: {moving} {still} {gained}");
+    }
+}
+
+/// Constant wind of 0 m/s and combined wind with nothing in it are no wind, to the last bit: at any heading, for several
+/// drones, near the floor and above it, alone and in a batch.
+#[test]
+fn a_wind_of_zero_velocity_is_a_flight_without_wind() {
+    let task = MultiHover::builder()
+        .initial_positions([[0.0, 0.0, 0.05], [0.5, 0.0, 1.0]])
+        .initial_rpys([[0.0, 0.0, 2.0], [0.2, -0.1, -1.3]])
+        .initial_velocities([[0.0, 0.3, 0.4], [1.0, -2.0, 0.0]])
+        .physics(Physics::MjcGndDragDw)
+        .task(|task| task.crash.floor_contact = false)
+        .episode_seconds(1.0);
+    let fly = |wind: Option<WindConfig>, engine| {
+        let mut env = task.clone().engine(engine).wind(wind).build().unwrap();
+        let mut batch =
+            VecAviary::new(task.clone().engine(engine).wind(wind), VecConfig { threads: 1, ..VecConfig::new(9) })
+                .unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(5), &mut buffers.observations).unwrap();
+        env.reset(Some(5)).unwrap();
+        let mut bits = Vec::new();
+        for step in 0..60 {
+            if env.info().end.is_some() {
+                env.reset(None).unwrap();
+            }
+            let action = [0.3, 0.31, 0.3, 0.31, 0.0, 0.01, 0.0, 0.0].map(|a| if step % 20 < 10 { a } else { -0.2 * a });
+            env.step(&action).unwrap();
+            bits.extend(env.observation().vector.iter().map(|x| x.to_bits()));
+            let actions: Vec<f32> = action.iter().cycle().take(8 * 9).map(|&x| x as f32).collect();
+            batch.step(&actions, buffers.step()).unwrap();
+            bits.extend(buffers.observations.iter().map(|x| u64::from(x.to_bits())));
+        }
+        bits
+    };
+    for engine in EngineKind::ALL {
+        let none = fly(None, engine);
+        for config in [WindConfig::default(), constant([0.0; 3]), combined([0.0; 3])] {
+            assert!(fly(Some(config), engine) == none, "{engine:?} {config:?}");
+        }
+        assert!(fly(Some(constant([1e-6, 0.0, 0.0])), engine) != none, "air that moves has drag");
+        assert!(fly(Some(WindConfig { still_air_drag: true, ..WindConfig::default() }), engine) != none);
+    }
+}
+
+/// Still-air drag by the law slows a drone as v/(1 + k·v·t), k = ρ·C_d·A/2m, whatever the model is whose air is still.
+#[test]
+fn still_air_drag_slows_a_drone_by_its_closed_form() {
+    let params = DroneModel::Cf2x.params();
+    let k = 0.5 * 1.225 * params.drag_area() / params.mass;
+    for config in [WindConfig::default(), constant([0.0; 3]), combined([0.0; 3])] {
+        let mut simulation = Simulation::builder(DroneModel::Cf2x)
+            .initial_positions([[0.0, 0.0, 5.0]])
+            .initial_velocities([[3.0, 4.0, 0.0]])
+            .wind(WindConfig { still_air_drag: true, ..config })
+            .build()
+            .unwrap();
+        for step in 1..=240 {
+            simulation.step(&[[params.hover_rpm(); 4]]).unwrap();
+            let expected = 5.0 / (1.0 + k * 5.0 * f64::from(step) / 48.0);
+            assert!((simulation.states()[0].velocity.norm() - expected).abs() < 0.005, "{config:?}");
+        }
+        assert!(simulation.states()[0].velocity.norm() < 2.0);
+    }
+}
+
+/// A changed airframe meets the wind with its own drag area.
+#[test]
+fn an_airframe_that_changes_changes_what_the_wind_pushes_against() {
+    let mut simulation = Simulation::builder(DroneModel::Cf2x).wind(constant([3.0, 0.0, 0.0])).build().unwrap();
+    let large = DroneParams { drag_area_override: Some(0.02), ..DroneModel::Cf2x.params() };
+    simulation.set_airframe(0, large).unwrap();
+    simulation.reset().unwrap();
+    simulation.step(&[[14_000.0; 4]]).unwrap();
+    let relative = 0.5 * 1.225 * 0.02 * 9.0;
+    assert!((simulation.loads()[0].external.force_world.x / relative - 1.0).abs() < 0.05);
 }
 
 /// Two drones in one wind fly as each would alone: the clock does not run faster for more of them.

@@ -116,8 +116,8 @@ pub struct SensorRanges {
 pub struct EnvironmentRanges {
     /// Factor on gravity.
     pub gravity: Range,
-    /// Speed of a [combined](WindModel::Combined) wind from any side, m/s, in place of any other wind; `[0, 0]` leaves the wind
-    /// alone.
+    /// Speed of a [combined](WindModel::Combined) wind from any side, m/s, in place of any other wind, of which only
+    /// [`still_air_drag`](WindConfig::still_air_drag) is kept; `[0, 0]` leaves the wind alone.
     pub wind: Range,
 }
 
@@ -435,7 +435,8 @@ impl Randomizer {
             let speed = within(environment, ranges.wind);
             let velocity = [speed * cos, speed * sin, 0.0];
             // gusts and turbulence grow with the wind
-            let full = WindConfig::new(WindModel::Combined);
+            let still_air_drag = self.wind.is_some_and(|wind| wind.still_air_drag);
+            let full = WindConfig { still_air_drag, ..WindConfig::new(WindModel::Combined) };
             let wind = WindConfig {
                 velocity,
                 turbulence: full.turbulence * speed,

@@ -1,4 +1,8 @@
-//! Wind: forces of moving air on the airframe, and the velocity of the air that blades meet (paper, §3.5.1).
+//! Wind: forces of moving air on the airframe, and the velocity of the air that blades meet
+//! (*MuJoCo-Drones-Gym*, Tayal, §3.5.1).
+//!
+//! The steady wind and the turbulence are velocities of one air mass. They are added, and one drag law acts on the velocity of
+//! the drone relative to the sum. Gusts and the sinusoidal wind are forces and are added to that of the drag law.
 
 use std::fmt;
 use std::str::FromStr;
@@ -18,15 +22,15 @@ pub enum WindModel {
     /// Still air.
     #[default]
     None,
-    /// Steady wind, through the drag law.
+    /// Air that moves at a constant velocity.
     Constant,
-    /// Pushes at random moments.
+    /// Forces that start at random times.
     Gust,
-    /// Dryden turbulence, through the drag law.
+    /// Air that moves as Dryden turbulence does.
     Dryden,
-    /// A force that goes round.
+    /// A force that turns at a constant rate.
     Sinusoidal,
-    /// The sum of the four.
+    /// All four: the air moves at the sum of the constant velocity and the turbulence; gusts and the sinusoidal force add.
     Combined,
 }
 
@@ -101,6 +105,9 @@ pub struct WindConfig {
     pub sinusoidal_frequency: f64,
     /// Density of the air, kg/m³.
     pub air_density: f64,
+    /// Whether the drag law acts in still air, too: with model `none`, for gusts and the sinusoidal force alone, and for a
+    /// wind of zero velocity; off by default. The drag law always acts in air that moves.
+    pub still_air_drag: bool,
 }
 
 impl Default for WindConfig {
@@ -115,6 +122,7 @@ impl Default for WindConfig {
             sinusoidal_force: 0.002,
             sinusoidal_frequency: 1.0,
             air_density: 1.225,
+            still_air_drag: false,
         }
     }
 }
@@ -157,6 +165,28 @@ impl WindConfig {
             check(field, got, 0.0, "0 to 1000")?;
         }
         Ok(())
+    }
+
+    /// Whether the drag law acts: in air that moves, and in still air where [`still_air_drag`](Self::still_air_drag) says so.
+    pub(crate) fn has_drag(&self) -> bool {
+        self.still_air_drag
+            || self.model.has(WindModel::Constant) && self.velocity != [0.0; 3]
+            || self.model.has(WindModel::Dryden) && self.turbulence > 0.0
+    }
+
+    /// Whether a flight under these settings is a flight without wind.
+    ///
+    /// ```
+    /// use aviary::physics::wind::{WindConfig, WindModel};
+    ///
+    /// let calm = WindConfig { velocity: [0.0; 3], ..WindConfig::new(WindModel::Constant) };
+    /// assert!(calm.is_calm() && WindConfig::default().is_calm());
+    /// assert!(!WindConfig { still_air_drag: true, ..calm }.is_calm());
+    /// ```
+    pub fn is_calm(&self) -> bool {
+        let gusts = self.model.has(WindModel::Gust) && self.gust_force > 0.0 && self.gust_rate > 0.0;
+        let sinusoidal = self.model.has(WindModel::Sinusoidal) && self.sinusoidal_force > 0.0;
+        !(self.has_drag() || gusts || sinusoidal)
     }
 }
 
@@ -299,6 +329,11 @@ impl WindField {
         (self.config, self.velocity) = (config, velocity);
     }
 
+    /// Changes the drag area of a drone, m².
+    pub(crate) fn set_area(&mut self, drone: usize, drag_area: f64) {
+        self.locals[drone].drag_area = drag_area;
+    }
+
     /// Bytes that it takes for its drones.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(&self.locals[..])
@@ -332,9 +367,7 @@ impl WindField {
         let last = drone + 1 == locals.len();
         let Some(local) = locals.get_mut(drone) else { return (Vector3::zeros(), Vector3::zeros()) };
         let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
-        let law = |air: &Vector3<f64>| drag_law(config.air_density, local.drag_area, &(air - state.velocity));
         if config.model.has(WindModel::Constant) {
-            force += law(velocity);
             air += *velocity;
         }
         if config.model.has(WindModel::Dryden) {
@@ -363,9 +396,11 @@ impl WindField {
             *x = level * *x + sigma[0] * spread * a;
             *y = level * *y + sigma[1] * spread * b;
             *z = upwards * *z + sigma[2] * spread_up * c;
-            let turbulence = axes[0] * *x + axes[1] * *y + axes[2] * *z;
-            force += law(&turbulence);
-            air += turbulence;
+            air += axes[0] * *x + axes[1] * *y + axes[2] * *z;
+        }
+        // velocities of one air mass are summed before the law, which is not linear
+        if config.has_drag() {
+            force += drag_law(config.air_density, local.drag_area, &(air - state.velocity));
         }
         if config.model.has(WindModel::Gust) {
             let (peak, over) = &mut local.gust;
@@ -400,6 +435,7 @@ mod tests {
     use super::*;
     use crate::drone::DroneModel;
     use proptest::prelude::*;
+    use std::f64::consts::TAU;
 
     const DT: f64 = 1.0 / 240.0;
 
@@ -517,22 +553,130 @@ mod tests {
     }
 
     proptest! {
+        /// The air moves at the constant velocity plus the turbulence; the forces of the gusts and the sinusoidal wind add.
         #[test]
-        fn a_combined_wind_is_the_sum_of_its_parts_where_nothing_is_random(
+        fn a_combined_wind_is_one_air_mass_and_the_sum_of_its_forces(
+            wind in prop::array::uniform3(-5.0..5.0), velocity in prop::array::uniform3(-5.0..5.0f64), seed in 0..1000u64,
+        ) {
+            let config = WindConfig { velocity: wind, gust_rate: 100.0, ..WindConfig::default() };
+            let state = DroneState { velocity: velocity.into(), ..DroneState::default() };
+            let area = DroneModel::Cf2x.params().drag_area();
+            let law = |air: Vector3<f64>| drag_law(1.225, area, &(air - state.velocity));
+            let start = |model| {
+                let mut field = field(WindConfig { model, ..config }, 1);
+                field.reset(seed, &[state]);
+                field
+            };
+            let mut all = start(WindModel::Combined);
+            let [mut turbulent, mut turning] = [WindModel::Dryden, WindModel::Sinusoidal].map(start);
+            let (total, air) = all.advance(DT, 0, &state);
+            let (turbulence_force, turbulence) = turbulent.advance(DT, 0, &state);
+            prop_assert!((turbulence_force - law(turbulence)).norm() < 1e-15);
+            prop_assert!((air - (Vector3::from(wind) + turbulence)).norm() < 1e-12);
+            // a gust starts with a force of zero
+            prop_assert!((total - law(air) - turning.advance(DT, 0, &state).0).norm() < 1e-15);
+            let (total, air) = all.advance(DT, 0, &state);
+            let (peak, over) = all.locals[0].gust;
+            let gust = if over < 1.0 { peak * (std::f64::consts::PI * over).sin() } else { Vector3::zeros() };
+            prop_assert!((total - law(air) - gust - turning.advance(DT, 0, &state).0).norm() < 1e-15);
+        }
+
+        /// A drone that moves with the air feels no drag; one that does not feels it along the relative velocity, squared.
+        #[test]
+        fn drag_is_along_the_velocity_relative_to_the_air(
             wind in prop::array::uniform3(-5.0..5.0), velocity in prop::array::uniform3(-5.0..5.0f64),
         ) {
-            let config = WindConfig { velocity: wind, turbulence: 0.0, gust_rate: 0.0, ..WindConfig::default() };
-            let state = DroneState { velocity: velocity.into(), ..DroneState::default() };
-            let force = |model| field(WindConfig { model, ..config }, 1).advance(DT, 0, &state).0;
-            let parts = [WindModel::Constant, WindModel::Gust, WindModel::Dryden, WindModel::Sinusoidal].map(force);
-            let sum: Vector3<f64> = parts.iter().sum();
-            prop_assert!((force(WindModel::Combined) - sum).norm() < 1e-12);
-            // quadratic in the relative velocity, and along it
-            let relative = Vector3::from(wind) - state.velocity;
+            let still = WindConfig { turbulence: 0.0, gust_rate: 0.0, sinusoidal_force: 0.0, ..WindConfig::default() };
+            let force = |model, velocity: Vector3<f64>| {
+                let state = DroneState { velocity, ..DroneState::default() };
+                field(WindConfig { model, velocity: wind, ..still }, 1).advance(DT, 0, &state).0
+            };
+            let relative = Vector3::from(wind) - Vector3::from(velocity);
             let area = DroneModel::Cf2x.params().drag_area();
-            prop_assert!((parts[0].norm() - 0.5 * 1.225 * area * relative.norm_squared()).abs() < 1e-12);
-            prop_assert!(parts[0].dot(&relative) >= 0.0);
-            prop_assert_eq!(force(WindModel::None), Vector3::zeros());
+            for model in [WindModel::Constant, WindModel::Combined] {
+                prop_assert_eq!(force(model, wind.into()), Vector3::zeros());
+                let force = force(model, velocity.into());
+                prop_assert!((force.norm() - 0.5 * 1.225 * area * relative.norm_squared()).abs() < 1e-12);
+                prop_assert!(force.dot(&relative) >= 0.0);
+            }
+            prop_assert_eq!(force(WindModel::None, velocity.into()), Vector3::zeros());
+        }
+    }
+
+    /// Force along a mean wind of 3 m/s with turbulence on a drone that does not move: mean and standard deviation are those
+    /// of ½·ρ·C_d·A·‖U + u‖·(U + u), u normal with the variances of [`dryden`], by quadrature.
+    #[test]
+    fn turbulence_in_a_mean_wind_has_the_force_of_their_sum() {
+        let config = WindConfig {
+            velocity: [3.0, 0.0, 0.0],
+            turbulence: 15.0,
+            gust_rate: 0.0,
+            sinusoidal_force: 0.0,
+            ..WindConfig::new(WindModel::Combined)
+        };
+        // the first step after a reset is a draw from the stationary distribution: as many independent samples as resets
+        let mut field = field(config, 1);
+        let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
+        let count = 20_000_u32;
+        let samples: Vec<f64> = (0..count)
+            .map(|seed| {
+                field.reset(u64::from(seed), &[state]);
+                field.advance(DT, 0, &state).0.x
+            })
+            .collect();
+        let mean = samples.iter().sum::<f64>() / f64::from(count);
+        let central = |power: i32| samples.iter().map(|x| (x - mean).powi(power)).sum::<f64>() / f64::from(count);
+        let ([u, v, w], _) = dryden(30.0, 15.0);
+        // the trapezoidal rule over ±6 standard deviations is exact to rounding for what is smooth
+        let nodes: Vec<(f64, f64)> =
+            (-24..=24).map(|i| f64::from(i) * 0.25).map(|x| (x, 0.25 * (-0.5 * x * x).exp() / TAU.sqrt())).collect();
+        let k = 0.5 * 1.225 * DroneModel::Cf2x.params().drag_area();
+        let (mut first, mut second) = (0.0, 0.0);
+        for (a, wa) in &nodes {
+            for (b, wb) in &nodes {
+                for (c, wc) in &nodes {
+                    let air = Vector3::new(3.0 + u * a, v * b, w * c);
+                    let force = k * air.norm() * air.x;
+                    first += wa * wb * wc * force;
+                    second += wa * wb * wc * force * force;
+                }
+            }
+        }
+        let (variance, n) = (second - first * first, f64::from(count));
+        assert!((mean - first).abs() < 3.0 * (variance / n).sqrt(), "mean {mean}, expected {first}");
+        let error = ((central(4) - variance * variance) / n).sqrt();
+        assert!((central(2) - variance).abs() < 3.0 * error, "variance {}, expected {variance}", central(2));
+        // two laws, one for the mean wind and one for the turbulence, have less than half the deviation
+        assert!(variance.sqrt() > 0.03, "{}", variance.sqrt());
+    }
+
+    /// Settings under which nothing blows: no force on a drone that moves, unless still-air drag is on.
+    #[test]
+    fn still_air_has_drag_only_where_that_is_asked_for() {
+        let zero = WindConfig {
+            velocity: [0.0; 3],
+            turbulence: 0.0,
+            gust_force: 0.0,
+            sinusoidal_force: 0.0,
+            ..WindConfig::default()
+        };
+        let state = DroneState { velocity: Vector3::new(1.0, -2.0, 2.0), ..DroneState::default() };
+        let area = DroneModel::Cf2x.params().drag_area();
+        for model in WindModel::ALL {
+            let still = WindConfig { model, ..zero };
+            assert!(still.is_calm());
+            assert_eq!(field(still, 1).advance(DT, 0, &state), (Vector3::zeros(), Vector3::zeros()), "{model}");
+            let drag = WindConfig { still_air_drag: true, ..still };
+            assert!(!drag.is_calm());
+            let (force, air) = field(drag, 1).advance(DT, 0, &state);
+            assert!((force + 0.5 * 1.225 * area * 3.0 * state.velocity).norm() < 1e-15, "{model}: {force}");
+            assert_eq!(air, Vector3::zeros());
+            // where the air moves the option changes nothing
+            let windy = WindConfig { model, velocity: [0.1, 0.0, 0.0], turbulence: 1.0, ..zero };
+            let dragged = WindConfig { still_air_drag: true, ..windy };
+            if windy.has_drag() {
+                assert_eq!(field(windy, 1).advance(DT, 0, &state), field(dragged, 1).advance(DT, 0, &state));
+            }
         }
     }
 

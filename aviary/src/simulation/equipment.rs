@@ -130,6 +130,9 @@ impl Equipment {
         params.thrust_to_weight = ratio;
         (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
         self.wakes[drone] = Wake::new(&own.params);
+        if let Some(wind) = &mut self.wind {
+            wind.set_area(drone, own.params.drag_area());
+        }
         self.changed = true;
         sound
     }

@@ -15,7 +15,7 @@ use crate::drone::DroneParams;
 use crate::engine::{Contact, Engine, Load, Substeps, clearance};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::downwash;
-use crate::physics::wind::{WindConfig, WindField, WindModel};
+use crate::physics::wind::{WindConfig, WindField};
 use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
 use crate::world::{Obstacle, World};
@@ -144,7 +144,9 @@ impl Simulation {
     /// Turns the rotors on by one physics step and computes what acts on every drone, from the states at its start.
     fn compute_loads(&mut self) {
         let (effects, dt) = (self.effects, self.world.timestep);
-        let Equipment { drones, actuators, wakes, wind, motor_speeds, .. } = &mut *self.equipment;
+        // the engine's medium is still
+        let medium = self.world.medium.is_some() && self.physics != Physics::Dyn;
+        let Equipment { drones, actuators, wakes, bodies, wind, motor_speeds, .. } = &mut *self.equipment;
         if effects.downwash {
             self.downwash.fill(0.0);
             downwash::add_forces(wakes, &self.states, &mut self.downwash);
@@ -155,6 +157,9 @@ impl Simulation {
             let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
             if let Some(wind) = wind {
                 (force, air) = wind.advance(dt, index, state);
+                if medium {
+                    force += bodies.drones[index].free.moving_medium(&state.attitude, &state.velocity, &air);
+                }
             }
             if effects.ground {
                 force.z += drone.ground.force(state, rotors.thrust);
@@ -393,14 +398,19 @@ impl Simulation {
         self.update_rpys();
     }
 
-    /// Changes the wind, from now on; `None` for still air. It starts anew, from this seed.
+    /// Changes the wind, from now on; `None` for still air, which [calm](WindConfig::is_calm) settings are as well. The wind
+    /// starts again from this seed.
     ///
     /// # Errors
     /// [`SimulationError::Wind`], and then nothing has changed.
     pub fn set_wind(&mut self, wind: impl Into<Option<WindConfig>>, seed: u64) -> Result<(), SimulationError> {
         let Equipment { drones, wind: field, .. } = &mut *self.equipment;
         let areas = drones.iter().map(|drone| drone.params.drag_area());
-        match (wind.into().filter(|wind| wind.model != WindModel::None), field) {
+        let wind = wind.into();
+        if let Some(wind) = &wind {
+            wind.validate()?;
+        }
+        match (wind.filter(|wind| !wind.is_calm()), field) {
             (Some(config), Some(field)) => field.set(config, areas)?,
             (Some(config), field) => *field = Some(WindField::of_areas(config, areas)?),
             (None, field) => *field = None,
@@ -410,7 +420,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// The wind that blows.
+    /// The wind; `None` in still air.
     pub fn wind(&self) -> Option<&WindConfig> {
         self.equipment.wind.as_ref().map(WindField::config)
     }

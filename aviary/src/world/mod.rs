@@ -18,7 +18,8 @@ pub use obstacle::{Marker, Obstacle, Shape};
 /// The air, as MuJoCo's own fluid model sees it.
 ///
 /// Off by default: the physics modes say which aerodynamic effects there are, and MuJoCo's drag on top of them would
-/// count it twice.
+/// count it twice. In wind the medium moves with the air: the simulation adds the difference to MuJoCo's force of a still
+/// medium, from the state at the start of the physics step.
 ///
 /// ```
 /// use aviary::drone::DroneModel;

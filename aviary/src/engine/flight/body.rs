@@ -1,4 +1,4 @@
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::math::{MAX_HALF_ANGLE_SQUARED, Real, Turn, V3, half_angle};
 use crate::physics::rotor::RotorWrench;
@@ -93,6 +93,17 @@ impl FreeBody {
         }
     }
 
+    /// Force of a medium that moves with the air (world frame, m/s) less that of a still medium, on a body of this attitude
+    /// and velocity (world frame, m/s): world frame, N. [`step`](Self::step) and MuJoCo compute the force of a still medium.
+    pub fn moving_medium(
+        &self,
+        attitude: &UnitQuaternion<f64>,
+        velocity: &Vector3<f64>,
+        air: &Vector3<f64>,
+    ) -> Vector3<f64> {
+        self.medium_change(&Turn::from(attitude), V3::from(velocity), V3::from(air)).into()
+    }
+
     /// One step of MuJoCo's RK4 over `dt` seconds under the rotors and a force (world frame, N) that is constant
     /// through it. The rotors' wrench is constant in the world frame as well, or, where it is `BODY_FIXED`, it turns with the
     /// body inside the stages. A body without a medium may be told so, which saves work.
@@ -168,6 +179,14 @@ impl<R: Real> FreeBody<R> {
             velocity: start.velocity + gained,
             rate: new_rate,
         }
+    }
+
+    /// [`moving_medium`](FreeBody::moving_medium) of one body or of many.
+    #[inline(always)]
+    pub(super) fn medium_change(&self, attitude: &Turn<R>, velocity: V3<R>, air: V3<R>) -> V3<R> {
+        let still = self.fluid.slowing(attitude.back(velocity));
+        let moving = self.fluid.slowing(attitude.back(velocity - air));
+        attitude.forth(moving - still) * (self.inverse_mass.all(1.0) / self.inverse_mass)
     }
 
     /// Euler's equations, body frame, rad/s².

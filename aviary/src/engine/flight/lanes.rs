@@ -150,7 +150,8 @@ impl Lanes {
         take(&self.target, lane)
     }
 
-    /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) about a drone.
+    /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) at a drone: blades and the
+    /// medium move with that air.
     pub fn set_wind(&mut self, lane: usize, force: &Vector3<f64>, air: &Vector3<f64>) {
         put(&mut self.force, lane, (*force).into());
         put(&mut self.air, lane, (*air).into());
@@ -361,9 +362,12 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
                     (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
                     let ground =
                         GroundEffect { coefficient: part.get(&frames.ground[0]), clip: part.get(&frames.ground[1]) };
-                    let mut sum = part.get3(&lanes.force);
+                    let (mut sum, air) = (part.get3(&lanes.force), part.get3(&lanes.air));
+                    if MEDIUM && <Pack<S> as Real>::any(none.less(air.dot(air))) {
+                        sum = sum + body.medium_change(&motion.attitude, motion.velocity, air);
+                    }
                     sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
-                    let relative = motion.velocity - part.get3(&lanes.air);
+                    let relative = motion.velocity - air;
                     sum = sum + drag::push(part.get3(&frames.drag), &motion.attitude, &rpm, relative);
                     sum.z = sum.z + part.get(&lanes.downwash);
                     push.force = sum;
