@@ -31,6 +31,8 @@ mod error;
 mod gl;
 mod id;
 mod limits;
+mod mesh;
+mod mjcf;
 mod model;
 mod renderer;
 mod runtime;

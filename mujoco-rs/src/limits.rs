@@ -10,6 +10,10 @@ pub(crate) const MIN_LENGTH: f64 = 1e-15;
 /// Largest length and coordinate (`mjMAXVAL`), m.
 pub(crate) const MAX_LENGTH: f64 = 1e10;
 
+/// Largest number of points of a height field, texture or mesh: three times as many bytes for each of six faces of a cube still
+/// have a size that MuJoCo's integers can hold.
+pub(crate) const MAX_COUNT: i64 = 1 << 26;
+
 /// How many of a geom's three sizes its type has, and whether they may be 0.
 fn sizes(geom_type: i32) -> (usize, bool) {
     match u32::try_from(geom_type).unwrap_or(u32::MAX) {

@@ -1,3 +1,4 @@
+use std::collections::BTreeSet;
 use std::ffi::{CStr, CString, c_char};
 use std::fmt;
 use std::path::Path;
@@ -7,6 +8,8 @@ use std::sync::Arc;
 use crate::error::Error;
 use crate::id::{GeomId, ObjectId, ObjectKind};
 use crate::limits;
+use crate::mesh;
+use crate::mjcf::{self, Source};
 use crate::runtime::{check_library, guarded};
 
 /// A compiled scene.
@@ -87,6 +90,10 @@ impl Assets {
     pub fn is_empty(&self) -> bool {
         self.files.is_empty()
     }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, &[u8])> {
+        self.files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
+    }
 }
 
 /// MuJoCo's virtual file system: fixed slots for file names and pointers to copies of their content.
@@ -102,9 +109,22 @@ impl FileSystem {
         }
     }
 
-    fn add(&mut self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+    /// Files in addition to the scene's text; MuJoCo leaves one place empty.
+    const ROOM: usize = mujoco_sys::mjMAXVFS as usize - 2;
+
+    fn full(name: &str) -> Error {
+        Error::Asset { name: name.to_string(), reason: format!("more than {} files", Self::ROOM) }
+    }
+
+    fn repeated(name: &str) -> Error {
+        Error::Asset {
+            name: name.to_string(),
+            reason: "a file of that name is there already (names are compared without regard to case)".into(),
+        }
+    }
+
+    fn check_name(name: &str) -> Result<(), Error> {
         let refuse = |reason: String| Error::Asset { name: name.to_string(), reason };
-        let slots = mujoco_sys::mjMAXVFS;
         let longest = mujoco_sys::mjMAXVFSNAME as usize - 1;
         if name.is_empty() || name.len() > longest {
             return Err(refuse(format!("the name has {} bytes, expected 1 to {longest}", name.len())));
@@ -112,6 +132,12 @@ impl FileSystem {
         if name.contains(['/', '\\']) {
             return Err(refuse("the name holds a directory, expected a bare file name".into()));
         }
+        Ok(())
+    }
+
+    fn add(&mut self, name: &str, bytes: &[u8]) -> Result<(), Error> {
+        Self::check_name(name)?;
+        let refuse = |reason: String| Error::Asset { name: name.to_string(), reason };
         let c_name = CString::new(name).map_err(|_| Error::Nul { what: "asset name" })?;
         let Ok(size) = i32::try_from(bytes.len()) else {
             return Err(refuse(format!("{} bytes, expected less than 2 GiB", bytes.len())));
@@ -123,8 +149,8 @@ impl FileSystem {
         let status = unsafe { mujoco_sys::mj_makeEmptyFileVFS(&mut *self.0, c_name.as_ptr(), size) };
         match status {
             0 => {}
-            1 => return Err(refuse(format!("more than {slots} files"))),
-            2 => return Err(refuse("a file of that name is there already".into())),
+            1 => return Err(Self::full(name)),
+            2 => return Err(Self::repeated(name)),
             other => return Err(refuse(format!("MuJoCo's file system answered {other}"))),
         }
         // SAFETY: as above.
@@ -154,47 +180,68 @@ const TEXT_NAME: &str = "__scene__.xml";
 impl Model {
     /// Compiles a scene from MJCF text.
     ///
-    /// Mistakes in it are errors, but MuJoCo's parser does not guard against malice: sizes whose product overflows
-    /// (a height field or texture of 65,536 by 65,536, say) or meshes without faces can crash it. Compile only scenes from sources you trust.
+    /// MuJoCo's parser and compiler trust sizes, counts and indices in a scene, so this crate reads the text first and refuses
+    /// those that would lead them outside of their memory: numbers that are not finite, lengths above 1e10 m, faces that name
+    /// vertices which are not there, height fields with more rows than columns (MuJoCo's rays read outside of their data).
     ///
     /// # Errors
-    /// [`Error::Load`] with MuJoCo's message, [`Error::Version`] for a library that is not the one of the headers.
+    /// [`Error::Load`] with the line and what is expected there, or with MuJoCo's message; [`Error::Asset`] for a file, because
+    /// there are none; [`Error::Version`] for a library that is not the one of the headers.
     pub fn from_xml(xml: &str) -> Result<Self, Error> {
         Self::from_xml_with_assets(xml, &Assets::new())
     }
 
-    /// Compiles a scene from MJCF text that refers to files in memory; files that are not there are read from disk.
+    /// Compiles a scene from MJCF text that refers to files in memory, under names without directories. No file is read from
+    /// disk.
     ///
     /// # Errors
-    /// [`Error::Asset`] where a file cannot be taken, and as for [`from_xml`](Self::from_xml).
+    /// [`Error::Asset`] where a file is missing, damaged or cannot be taken, and as for [`from_xml`](Self::from_xml).
     pub fn from_xml_with_assets(xml: &str, assets: &Assets) -> Result<Self, Error> {
         check_library()?;
         if xml.trim().is_empty() {
             return Err(Error::Load { source_name: "scene".into(), message: "the text is empty".into() });
         }
         let mut files = FileSystem::new();
-        for (name, bytes) in &assets.files {
-            files.add(name, bytes)?;
+        // names first: MuJoCo looks files up by them
+        let mut names = BTreeSet::new();
+        for (name, _) in assets.iter() {
+            FileSystem::check_name(name)?;
+            if !names.insert(name.to_ascii_lowercase()) {
+                return Err(FileSystem::repeated(name));
+            }
+            if names.len() > FileSystem::ROOM {
+                return Err(FileSystem::full(name));
+            }
         }
-        files.add(TEXT_NAME, xml.as_bytes())?;
+        let checked = mjcf::check(xml, &Source::Memory(assets), "scene")?;
+        for (name, bytes) in assets.iter() {
+            files.add(name, checked.files.get(&name.to_ascii_lowercase()).map_or(bytes, Vec::as_slice))?;
+        }
+        files.add(TEXT_NAME, checked.text.as_bytes())?;
         Self::load(TEXT_NAME, Some(&files), "scene")
     }
 
-    /// Compiles a scene from an MJCF (or URDF) file; what it refers to is found relative to it.
+    /// Compiles a scene from an MJCF file; what it refers to is found relative to it. Files of one name in several directories
+    /// are refused.
     ///
     /// # Errors
-    /// [`Error::Load`] with the path and MuJoCo's message, [`Error::Version`] as for [`from_xml`](Self::from_xml).
+    /// [`Error::Load`] with the path; [`Error::Asset`] with that of a file that the scene refers to; otherwise as for
+    /// [`from_xml`](Self::from_xml).
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self, Error> {
         check_library()?;
         let path = path.as_ref();
         let shown = path.display().to_string();
-        if let Err(error) = std::fs::metadata(path) {
-            return Err(Error::Load { source_name: shown, message: error.to_string() });
+        let refuse = |message: String| Error::Load { source_name: shown.clone(), message };
+        let bytes = std::fs::read(path).map_err(|error| refuse(error.to_string()))?;
+        let xml = String::from_utf8(bytes).map_err(|_| refuse("the file is not UTF-8 text".into()))?;
+        let directory = path.parent().unwrap_or(Path::new(""));
+        let checked = mjcf::check(&xml, &Source::Directory(directory), &shown)?;
+        let mut files = FileSystem::new();
+        for (name, bytes) in &checked.files {
+            files.add(name, bytes)?;
         }
-        let Some(name) = path.to_str() else {
-            return Err(Error::Load { source_name: shown, message: "the path is not UTF-8".into() });
-        };
-        Self::load(name, None, &shown)
+        files.add(TEXT_NAME, checked.text.as_bytes())?;
+        Self::load(TEXT_NAME, Some(&files), &shown)
     }
 
     fn load(name: &str, files: Option<&FileSystem>, shown: &str) -> Result<Self, Error> {
@@ -220,13 +267,51 @@ impl Model {
                 if !text.is_empty() {
                     tracing::warn!(target: "mujoco", "{shown}: {text}");
                 }
-                Ok(Self { pointer, structure: Arc::default() })
+                let model = Self { pointer, structure: Arc::default() };
+                model.check_compiled().map_err(|message| Error::Load { source_name: shown.to_string(), message })?;
+                Ok(model)
             }
             None => {
                 let message = if text.is_empty() { "MuJoCo gives no reason".into() } else { text };
                 Err(Error::Load { source_name: shown.to_string(), message })
             }
         }
+    }
+
+    /// Checks what the compiler made of the text: numbers by which MuJoCo finds memory in every step.
+    fn check_compiled(&self) -> Result<(), String> {
+        for geom in 0..self.ngeom() {
+            let of_geom = |error: Error| format!("geom {geom}: {error}");
+            let quaternion = self.geom_quat()[4 * geom..].first_chunk().copied().unwrap_or_default();
+            let size = self.geom_size()[3 * geom..].first_chunk().copied().unwrap_or_default();
+            limits::unit_quaternion(&quaternion).map_err(of_geom)?;
+            limits::geom_size(self.geom_type()[geom], &size).map_err(of_geom)?;
+            limits::position(&self.geom_pos()[3 * geom..][..3]).map_err(of_geom)?;
+            limits::bounding_radius(self.geom_rbound()[geom]).map_err(of_geom)?;
+        }
+        for (field, size) in self.hfield_size().as_chunks().0.iter().enumerate() {
+            limits::hfield_size(size).map_err(|error| format!("height field {field}: {error}"))?;
+            mesh::height_field(self.hfield_nrow()[field].into(), self.hfield_ncol()[field].into())?;
+        }
+        let within = |indices: &[i32], count: i32| indices.iter().all(|index| (0..count).contains(index));
+        let part = |starts: &[i32], counts: &[i32], index: usize, width: usize| {
+            let place = |value: i32| usize::try_from(value).unwrap_or(0) * width;
+            place(starts[index])..place(starts[index]) + place(counts[index])
+        };
+        for mesh in 0..self.nmesh() {
+            let faces = self.mesh_face().get(part(self.mesh_faceadr(), self.mesh_facenum(), mesh, 3));
+            if !faces.is_some_and(|faces| within(faces, self.mesh_vertnum()[mesh])) {
+                return Err(format!("mesh {mesh} has faces of vertices that it does not have"));
+            }
+        }
+        for skin in 0..self.nskin() {
+            let vertices = self.skin_vertnum()[skin];
+            let faces = self.skin_face().get(part(self.skin_faceadr(), self.skin_facenum(), skin, 3));
+            if !faces.is_some_and(|faces| within(faces, vertices)) {
+                return Err(format!("skin {skin} has faces of vertices that it does not have"));
+            }
+        }
+        Ok(())
     }
 
     /// A copy with memory of its own.

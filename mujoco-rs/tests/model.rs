@@ -97,8 +97,8 @@ fn assets_in_memory_are_used_and_bad_ones_refused() {
     assert!(Model::from_xml_with_assets(xml, &many).unwrap_err().to_string().contains("more than"));
     let missing = Model::from_xml(xml).unwrap_err().to_string();
     assert!(missing.contains("tetra.obj"), "{missing}");
-    let garbage = Model::from_xml_with_assets(xml, &Assets::new().with("tetra.obj", "garbage"));
-    assert!(matches!(garbage, Err(Error::Load { .. })));
+    assert!(refused("tetra.obj", b"garbage").contains("0 vertices"));
+    assert!(refused("other.obj", tetra.as_bytes()).contains("not among the assets"), "no file is read from disk");
 }
 
 #[test]
@@ -177,6 +177,139 @@ fn numbers_by_which_mujoco_finds_memory_are_checked_when_they_are_written() {
     assert_eq!(model.geom_quat()[4 * row..][..4], [0.0, 1.0, 0.0, 0.0]);
     assert_eq!(model.geom_size()[3 * row..][..3], [0.2, 0.3, 0.4]);
     assert_eq!((model.geom_rbound()[row], model.hfield_size()), (0.6, &[1.0, 2.0, 3.0, 4.0][..]));
+}
+
+/// Texts that lead MuJoCo's parser or compiler outside of its memory, or into a loop, each of which a process would not survive.
+#[test]
+fn scenes_that_the_compiler_must_not_see_are_errors_with_their_line() {
+    let asset = |inner: &str| format!("<mujoco>\n<asset>\n{inner}</asset></mujoco>");
+    let geom = |inner: &str| format!("<mujoco><worldbody>\n\n<geom {inner}/></worldbody></mujoco>");
+    let square = "0 0 0 1 0 0 0 1 0 0 0 1";
+    for (xml, found) in [
+        (asset(&format!("<mesh name='m' vertex='{square}' face='0 1 2 0 1 99'/>")), "face of <mesh> is `99`"),
+        (asset(&format!("<mesh name='m' vertex='{square}' face='0 1 -1'/>")), "face of <mesh> is `-1`"),
+        (asset("<mesh name='m' vertex='0 0 0 1 0 0'/>"), "vertex of <mesh> is `2 points`"),
+        (asset("<mesh name='m' vertex='0 0 0 1 0 0 0 1 0 0 0 nan'/>"), "vertex of <mesh> is `nan`"),
+        (asset("<skin name='s' vertex='0 0 0 1 0 0 0 1 0' face='0 1 7'/>"), "face of <skin> is `7`"),
+        (asset("<hfield name='h' nrow='65536' ncol='65536' size='1 1 1 1'/>"), "65536 rows"),
+        (asset("<hfield name='h' nrow='5' ncol='4' size='1 1 1 1'/>"), "5 rows and 4 columns"),
+        (asset("<hfield name='h' nrow='1' ncol='4' size='1 1 1 1'/>"), "nrow of <hfield> is `1`"),
+        (asset("<hfield name='h' nrow='4' ncol='4' size='1 1 inf 1'/>"), "size of <hfield> is `inf`"),
+        (asset("<texture name='t' type='2d' builtin='flat' width='65536' height='65536'/>"), "width of <texture>"),
+        (asset("<texture name='t' file='a.png' gridsize='65536 65536'/>"), "gridsize of <texture>"),
+        (geom("type='box' size='nan 1 1'"), "size of <geom> is `nan`"),
+        (geom("type='box' size='1e400 1 1'"), "size of <geom> is `1e400`"),
+        (geom("type='box' size='1 1e-320 1'"), "size of <geom> is `1e-320`"),
+        (geom("size='1' pos='0 0 1e15'"), "pos of <geom> is `1e15`"),
+        (geom("size='1' quat='1 0 0 1e200'"), "quat of <geom> is `1e200`"),
+        (
+            "<mujoco>\n<custom>\n<numeric name='n' size='1000' data='1'/></custom></mujoco>".into(),
+            "size of <numeric> is `1000`",
+        ),
+        (
+            format!("<mujoco>\n<custom>\n<numeric name='n' data='{}'/></custom></mujoco>", "1 ".repeat(501)),
+            "data of <numeric>",
+        ),
+        ("<mujoco>\n\n<size nkey='2000000000'/></mujoco>".into(), "nkey of <size>"),
+        ("<mujoco>\n\n<option mpr_tolerance='-1'/></mujoco>".into(), "mpr_tolerance of <option>"),
+    ] {
+        let message = Model::from_xml(&xml).unwrap_err().to_string();
+        assert!(message.starts_with("scene: line 3: ") && message.contains(found), "{xml}: {message}");
+    }
+    let deep = |n: usize| {
+        format!("<mujoco><worldbody>{}{}</worldbody></mujoco>", "<body><geom size='1'/>".repeat(n), "</body>".repeat(n))
+    };
+    assert!(Model::from_xml(&deep(100_000)).unwrap_err().to_string().contains("deep"));
+    assert!(Model::from_xml(&deep(90)).is_ok());
+}
+
+#[test]
+fn files_that_the_compiler_must_not_see_are_errors_with_their_name() {
+    fn with(name: &str, element: &str, bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
+        let xml = format!("<mujoco><asset><{element} file='{name}'/></asset></mujoco>");
+        Model::from_xml_with_assets(&xml, &Assets::new().with(name, bytes))
+    }
+    let bytes = |numbers: &[i32]| numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let floats = |numbers: &[f32]| numbers.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<u8>>();
+    let corner = floats(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    let msh = |face: i32| [bytes(&[4, 0, 0, 2]), corner.clone(), bytes(&[0, 2, 1, 0, 1, face])].concat();
+    let png = |width: u32, height: u32| {
+        let mut file = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
+        file.extend([width.to_be_bytes(), height.to_be_bytes()].concat());
+        file
+    };
+    let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nf 1//1 3//1 2//1\nf 1//1 2//1 4//1\nf 1//1 4//1 3//1\nf 2//1 3//1 4//1\n";
+    with("m.obj", "mesh", obj).unwrap();
+    with("m.msh", "mesh", msh(3)).unwrap();
+    let cases: [(&str, &str, Vec<u8>, &str); 14] = [
+        ("m.obj", "mesh", obj.replace("f 1//1 2//1 4//1", "f 1 2 4").into(), "line 7: corner `1` names no normal"),
+        (
+            "m.obj",
+            "mesh",
+            obj.replace("f 1//1 2//1 4//1", "f 1//1 2//1 9//1").into(),
+            "names vertex `9`, the file has 4",
+        ),
+        ("m.obj", "mesh", obj.replace("f 1//1 2//1 4//1", "# \rf 1//1 2//1 9//1").into(), "names vertex `9`"),
+        ("m.obj", "mesh", obj.replace("f 1//1 2//1 4//1", "f 1//1 2//1 -9//1").into(), "names vertex `-9`"),
+        ("m.obj", "mesh", obj.replace("v 0 0 1\n", "v 0 0 inf\n").into(), "line 4: `inf`"),
+        ("m.obj", "mesh", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n".into(), "4 vertices and 0 faces"),
+        ("m.msh", "mesh", msh(4), "names vertex 4, the file has 4"),
+        ("m.msh", "mesh", bytes(&[i32::MAX, 0, 0, 0]), "the number of vertices is 2147483647"),
+        ("m.stl", "mesh", vec![0; 84], "0 triangles in 0 bytes"),
+        ("m.txt", "mesh", obj.into(), "expected a mesh file"),
+        ("s.skn", "skin", [bytes(&[1, 0, 1, 0]), floats(&[0.0; 3]), bytes(&[0, 0, 1])].concat(), "names vertex 1"),
+        ("t.png", "texture type='2d'", png(65536, 65536), "65536 by 65536"),
+        ("h.png", "hfield size='1 1 1 1'", png(3, 4), "4 rows and 3 columns"),
+        ("h.bin", "hfield size='1 1 1 1'", [bytes(&[2, 2]), floats(&[0.0, 1.0, f32::NAN, 0.0])].concat(), "NaN"),
+    ];
+    for (name, element, bytes, found) in cases {
+        let error = with(name, element, bytes).unwrap_err();
+        assert!(
+            matches!(&error, Error::Asset { name: of, reason } if of == name && reason.contains(found)),
+            "{found}: {error}"
+        );
+    }
+}
+
+/// What MuJoCo is given is written again from what was read: names, texts and line numbers come through.
+#[test]
+fn a_scene_means_the_same_after_it_has_been_checked() {
+    let xml = "<?xml version='1.0'?>\n<!-- a <comment> -->\n<mujoco model=\"a&amp;b &lt;c&gt;\">\n<worldbody>\n<body name='x &quot;y&quot; \u{e4}'>
+        <freejoint/><geom size='\n.1\n'/></body></worldbody>text<![CDATA[more]]></mujoco>\n";
+    let model = Model::from_xml(xml).unwrap();
+    assert!(model.find::<BodyId>("x \"y\" \u{e4}").is_ok());
+    assert_eq!(model.geom_size()[0], 0.1);
+    let error = Model::from_xml("<mujoco>\n\n<worldbody>\n  <geom\n\n size='1' nosuch='1'/>\n</worldbody></mujoco>")
+        .unwrap_err();
+    assert!(error.to_string().contains("nosuch") && error.to_string().contains("line 4"), "{error}");
+    for xml in
+        ["<mujoco/><mujoco/>", "<!DOCTYPE x><mujoco/>", "<mujoco a='1' a='2'/>", "<robot/>", "<mujoco><a></b></mujoco>"]
+    {
+        assert!(Model::from_xml(xml).unwrap_err().to_string().starts_with("scene: XML error at line 1: "), "{xml}");
+    }
+}
+
+#[test]
+fn a_scene_file_brings_what_it_refers_to() {
+    let directory = std::env::temp_dir().join(format!("mujoco-rs-scene-{}", std::process::id()));
+    std::fs::create_dir_all(directory.join("meshes")).unwrap();
+    let write = |name: &str, text: &str| std::fs::write(directory.join(name), text).unwrap();
+    write(
+        "scene.xml",
+        "<mujoco><compiler meshdir='meshes'/><include file='assets.xml'/>
+        <worldbody><geom type='mesh' mesh='m'/></worldbody></mujoco>",
+    );
+    write("assets.xml", "<mujoco><asset><mesh name='m' file='Tetra.obj'/></asset></mujoco>");
+    write("meshes/Tetra.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf -3 -2 -1\n");
+    let load = || Model::from_file(directory.join("scene.xml"));
+    assert_eq!(load().unwrap().mesh_facenum(), [4]);
+    write("meshes/Tetra.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 5\n");
+    let error = load().unwrap_err().to_string();
+    assert!(error.starts_with("asset `Tetra.obj`: line 5: "), "{error}");
+    std::fs::remove_file(directory.join("meshes/Tetra.obj")).unwrap();
+    let error = load().unwrap_err().to_string();
+    assert!(error.contains("meshes/Tetra.obj: No such file"), "{error}");
+    std::fs::remove_dir_all(&directory).unwrap();
 }
 
 proptest! {
