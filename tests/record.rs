@@ -81,7 +81,7 @@ fn every_drone_of_any_environment_reads_back_to_the_same_bits() {
 }
 
 #[test]
-fn columns_have_units_and_other_programs_can_read_them() {
+fn columns_are_those_of_every_table_and_other_programs_can_read_them() {
     let directory = tempfile::tempdir().unwrap();
     let mut env = Hover::builder().initial_rpys([[0.2, -0.1, 1.0]]).build().unwrap();
     fly(&mut env, directory.path(), 10);
@@ -92,11 +92,12 @@ fn columns_have_units_and_other_programs_can_read_them() {
     let column = |name: &str| COLUMNS.iter().position(|column| *column == name).unwrap();
     let last = |name: &str| -> f64 { rows[10][column(name)].parse().unwrap() };
     let (state, rpy) = (env.simulation().states()[0], *env.simulation().rpy(0));
-    assert_eq!([last("x_m"), last("y_m"), last("z_m")], [state.position.x, state.position.y, state.position.z]);
+    assert_eq!([last("x"), last("y"), last("z")], [state.position.x, state.position.y, state.position.z]);
     assert_eq!([last("qw"), last("qx"), last("qy"), last("qz")], wxyz(&state.attitude));
-    assert_eq!([last("roll_rad"), last("pitch_rad"), last("yaw_rad")], [rpy.x, rpy.y, rpy.z]);
-    assert_eq!(last("wz_rad_s"), state.angular_velocity.z);
-    assert_eq!((last("z_ref_m"), last("t_s")), (1.0, 10.0 / 48.0));
+    assert_eq!([last("roll"), last("pitch"), last("yaw")], [rpy.x, rpy.y, rpy.z]);
+    assert_eq!(last("wz"), state.angular_velocity.z);
+    assert_eq!((last("z_ref"), last("t")), (1.0, 10.0 / 48.0));
+    assert_eq!(&rows[10][1], "0", "the drone's index");
 }
 
 #[test]
@@ -186,7 +187,7 @@ fn rewards_that_are_no_numbers_read_back_as_they_are() {
     }
     let flight = Flight::read(directory.path()).unwrap();
     let rewards: Vec<_> = flight.drones[0].iter().map(|sample| sample.reward).collect();
-    assert!(rewards[0].is_nan() && rewards[1] == f64::NEG_INFINITY && rewards[2].to_bits() == (-0.0_f64).to_bits());
+    assert!(rewards[0].is_nan() && rewards[1] == f64::NEG_INFINITY && rewards[2].to_bits() == 0.0_f64.to_bits());
     assert_eq!((rewards[3], flight.drones[0][3].reference), (1e-300, None));
 }
 
@@ -283,16 +284,18 @@ fn a_file_that_is_no_flight_is_refused_by_line_and_column() {
     assert!(Flight::read(directory.path()).unwrap_err().to_string().contains("drone0.csv"));
     assert!(refused("").contains("empty"));
     assert!(refused("t,x,y\n1,2,3\n").contains("line 1"));
-    assert!(refused(&format!("{header}\n1,2,3\n")).contains("line 2: 3 columns, expected 29"));
+    assert!(refused(&format!("{header}\n1,2,3\n")).contains("line 2: 3 cells, expected 30"));
     let row =
-        |cell: &str| format!("{header}\n{}\n{}\n", vec!["0"; 29].join(","), ["1", cell].join(",") + &",1".repeat(27));
+        |cell: &str| format!("{header}\n{}\n{}\n", vec!["0"; 30].join(","), ["1,0", cell].join(",") + &",1".repeat(27));
     for bad in ["NaN", "inf", "one", "1e999"] {
         let message = refused(&row(bad));
-        assert!(message.contains("line 3: x_m is") && message.contains(bad), "{message}");
+        assert!(message.contains("line 3: x is") && message.contains(bad), "{message}");
     }
-    assert!(refused(&row("")).contains("line 3: x_m is empty"));
-    let part = format!("{header}\n{},1,,,\n", vec!["0"; 25].join(","));
-    assert!(refused(&part).contains("a reference is there in part"));
+    assert!(refused(&row("")).contains("line 3: x is ``, expected a finite number"));
+    let other = format!("{header}\n{}\n", ["0", "1"].join(",") + &",0".repeat(28));
+    assert!(refused(&other).contains("line 2: drone is 1, expected 0"));
+    let part = format!("{header}\n{},1,,,\n", vec!["0"; 26].join(","));
+    assert!(refused(&part).contains("a part of the reference is empty"));
     let recorder = Recorder::create(directory.path(), 2).unwrap();
     drop(recorder);
     let mut wrong = Recorder::create(directory.path(), 1).unwrap();

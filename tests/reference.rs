@@ -42,7 +42,9 @@ fn worst_difference(name: &str, engine: EngineKind) -> f64 {
 #[test]
 fn every_reference_flight_agrees_in_position_attitude_velocity_and_rate() {
     for name in ["mjc_cf2x", "mjc_gnd_race", "mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
-        for engine in EngineKind::ALL {
+        // the dyn mode integrates by itself
+        let engines = if name.starts_with("dyn") { &EngineKind::ALL[..1] } else { &EngineKind::ALL[..] };
+        for &engine in engines {
             let worst = worst_difference(name, engine);
             assert!(worst < 1e-8, "{name}, {engine}: largest difference {worst:e}");
         }

@@ -2,9 +2,21 @@
 
 use serde::{Deserialize, Deserializer};
 
-/// A TOML error on one line: where it is and what was expected, without the drawing of the source.
+/// A TOML error on one line: where it is and what was expected, without the drawing of the source, and with numbers named by
+/// what they are instead of by Rust's types.
 pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     let mut message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
+    if let Some((found, expected)) = message.split_once(", expected ") {
+        let expected = match expected {
+            "f64" | "f32" => "a number",
+            "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, zero or positive",
+            "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
+            "a sequence" => "a list",
+            other if other.starts_with("struct ") => "a section",
+            other => other,
+        };
+        message = format!("{found}, expected {expected}");
+    }
     if message.starts_with("unknown ") {
         // serde's list of what there is, all of it in backquotes after the name that was found
         let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
@@ -16,7 +28,7 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
         Some(span) => {
             let before = &text[..span.start.min(text.len())];
             let line = before.matches('\n').count() + 1;
-            let column = before.rsplit('\n').next().map_or(0, |rest| rest.chars().count()) + 1;
+            let column = before.rsplit('\n').next().map_or(0, |rest| without_byte_order_mark(rest).chars().count()) + 1;
             format!("line {line}, column {column}: {message}")
         }
         None => message,
@@ -34,6 +46,20 @@ pub fn did_you_mean(name: &str, names: &[&str]) -> String {
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
         .unwrap_or_default()
+}
+
+/// A count with its noun: `1 drone`, `2 drones`, `3 entries`.
+pub fn count(count: usize, noun: &str) -> String {
+    match (count, noun.strip_suffix('y')) {
+        (1, _) => format!("1 {noun}"),
+        (_, Some(stem)) => format!("{count} {stem}ies"),
+        (_, None) => format!("{count} {noun}s"),
+    }
+}
+
+/// Text without the byte-order mark (U+FEFF) that some editors write at its start.
+pub fn without_byte_order_mark(text: &str) -> &str {
+    text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
 /// Exactly three numbers: serde's own arrays take the first three of a longer list.
@@ -60,7 +86,7 @@ impl TryFrom<Vec<f64>> for Triple {
 
     fn try_from(numbers: Vec<f64>) -> Result<Self, String> {
         let count = numbers.len();
-        numbers.try_into().map(Self).map_err(|_| format!("{count} numbers, expected 3"))
+        numbers.try_into().map(Self).map_err(|_| format!("{}, expected 3", self::count(count, "number")))
     }
 }
 

@@ -42,4 +42,4 @@ pub mod record;
 
 mod error;
 
-pub use error::{did_you_mean, toml_message};
+pub use error::{count, did_you_mean, toml_message, without_byte_order_mark};

@@ -1,15 +1,17 @@
+use std::collections::HashSet;
+use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::PathBuf;
 
-use anyhow::anyhow;
-use aviary::record::picture;
-use aviary::state::wxyz;
+use anyhow::{Context as _, anyhow};
+use aviary::record::{STATE_COLUMNS, picture, state_numbers};
 use aviary::vision::{CAMERA_SIZE, ImageSize, Painter, intrinsics};
 use aviary::world::World;
 use clap::Args;
+use mujoco_rs::AppendFile;
 use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
-use crate::options::{FlightOptions, size, vision_failure};
+use crate::options::{FlightOptions, Names, Variation, size, vision_failure};
 use crate::output::{self, OutputDir};
 use crate::pilot::Pilot;
 
@@ -17,11 +19,14 @@ use crate::pilot::Pilot;
 ///
 /// DIR/frames.csv has one row per frame and drone. Depth is 16-bit PNG in millimetres (0: nothing within 65.5 m),
 /// segmentation 16-bit PNG of numbers that DIR/segmentation.json names. DIR/camera.json has the intrinsics and the
-/// pose in the body. When an episode ends, the next one begins. An earlier capture in DIR is replaced.
+/// pose in the body. When an episode ends, the next one begins, from another start and among obstacles in another layout
+/// unless --vary says otherwise. An earlier capture in DIR is replaced. Rows are written with their images: what ends the program
+/// leaves every frame up to then.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   aviary capture --task hover --frames 100 --out out/frames
-  aviary capture --task hover --frames 1000 --every 4 --size 128x96 --out out/frames")]
+  aviary capture --task hover --frames 1000 --every 4 --size 128x96 --out out/frames
+  aviary capture --task fly_through --obstacles forest --frames 200 --vary layouts --out out/forest")]
 pub struct Capture {
     #[command(flatten)]
     options: FlightOptions,
@@ -37,12 +42,14 @@ pub struct Capture {
     /// Control steps from one frame to the next
     #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
     every: u64,
+    /// What is sampled for every episode: starts (within 0.2 m, 0.1 rad and 0.5 m/s of the task's, unless --config says
+    /// otherwise; the task's own in antipodal), layouts (of obstacles placed at random), all, none
+    #[arg(long, default_value = "all", value_parser = Names(|| Variation::NAMES.to_vec()), hide_possible_values = true)]
+    vary: String,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
 }
-
-const STATE: [&str; 13] = ["x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz"];
 
 impl Capture {
     pub fn run(&self) -> Result<(), Failure> {
@@ -51,21 +58,25 @@ impl Capture {
                 return Err(Failure::input(anyhow!("--{option} is 0, expected at least 1")));
             }
         }
-        let mut pilot = Pilot::new(&self.options)?;
+        let mut pilot = Pilot::varied(&self.options, Variation::named(&self.vary)?)?;
         let world = pilot.env().simulation().world().clone();
         let mut painter = Painter::for_observations(&world).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;
-        self.clear()?;
-
-        let mut rows = csv::Writer::from_writer(out.begin("frames.csv")?.into_writer());
-        let table = |error: csv::Error| Failure::work(anyhow::Error::new(error).context("frames.csv"));
-        let header =
-            ["frame", "episode", "t", "drone"].into_iter().chain(STATE).chain(["rgb", "depth", "segmentation"]);
-        rows.write_record(header).map_err(table)?;
+        self.clear(&out)?;
+        // whatever ends the program, what the numbers in the images mean is there
+        out.write("camera.json", &pretty(&self.camera()))?;
+        out.write("segmentation.json", &pretty(&self.objects(&painter)))?;
+        let table = self.out.join("frames.csv");
+        let unwritten =
+            |error: std::io::Error| Failure::work(anyhow::Error::new(error).context(table.display().to_string()));
+        let mut rows = AppendFile::create(&table).map_err(unwritten)?;
+        let header: Vec<_> =
+            (["frame", "episode"].into_iter()).chain(STATE_COLUMNS).chain(["rgb", "depth", "segmentation"]).collect();
+        rows.append(format!("{}\n", header.join(",")).as_bytes()).map_err(unwritten)?;
 
         let pixels = self.size.pixels();
         let (mut rgba, mut depth, mut objects) = (vec![0; 4 * pixels], vec![0.0; pixels], vec![[0; 2]; pixels]);
-        let mut episode = 0;
+        let mut seen = Seen::default();
         let bar = output::progress(self.frames, "capturing");
         for frame in 0..self.frames {
             let simulation = pilot.env().simulation();
@@ -80,56 +91,56 @@ impl Capture {
                 out.write(&files[1], &picture::png_depth(self.size, &depth).map_err(Failure::work)?)?;
                 out.write(&files[2], &picture::png_segmentation(self.size, &objects).map_err(Failure::work)?)?;
 
-                let numbers = (state.position.iter())
-                    .chain(&wxyz(&state.attitude))
-                    .chain(&state.velocity)
-                    .chain(&state.angular_velocity)
-                    .map(f64::to_string)
-                    .collect::<Vec<_>>();
-                let place = [frame.to_string(), episode.to_string(), simulation.time().to_string(), drone.to_string()];
-                rows.write_record(place.iter().chain(&numbers).chain(&files)).map_err(table)?;
+                let numbers = state_numbers(state);
+                seen.note(&rgb, &numbers);
+                let mut row = format!("{frame},{},{},{drone}", seen.episodes, simulation.time());
+                for number in numbers {
+                    row += &format!(",{number}");
+                }
+                row += &format!(",{}\n", files.join(","));
+                // after its images: a row never names a file that is not there
+                rows.append(row.as_bytes()).map_err(unwritten)?;
             }
             bar.inc(1);
             if frame + 1 < self.frames {
-                self.advance(&mut pilot, &mut episode)?;
+                self.advance(&mut pilot, &mut painter, &mut seen)?;
             }
         }
         bar.finish_and_clear();
-
-        out.write("segmentation.json", &pretty(&self.objects(&painter)))?;
-        out.write("camera.json", &pretty(&self.camera()))?;
-        let file = rows.into_inner().map_err(|error| Failure::work(anyhow!("frames.csv: {}", error.error())))?;
-        file.keep()?;
+        seen.end_episode();
+        let images = self.frames * pilot.env().simulation().num_drones() as u64;
         if self.json {
             return output::print_json(&json!({
                 "task": pilot.env().name(),
                 "frames": self.frames,
-                "episodes": episode + 1,
+                "images": images,
+                "distinct_images": seen.images.len(),
+                "episodes": seen.episodes,
+                "distinct_episodes": seen.distinct,
+                "crashes": seen.crashes,
                 "width": self.size.width,
                 "height": self.size.height,
                 "directory": self.out,
                 "seed": self.options.seed,
             }));
         }
+        let of = |all: u64, distinct: u64| match all == distinct {
+            true => format!("{all}, all distinct"),
+            false => format!("{all}, {distinct} distinct"),
+        };
         output::print(&output::table(&[
             ("frames", self.frames.to_string()),
-            ("episodes", (episode + 1).to_string()),
+            ("colour images", of(images, seen.images.len() as u64)),
+            ("episodes", of(seen.episodes, seen.distinct)),
+            ("crashes", seen.crashes.to_string()),
             ("size", self.size.to_string()),
             ("directory", self.out.display().to_string()),
         ]))
     }
 
     /// Removes an earlier capture from the directory: its tables would describe other pictures than are there.
-    fn clear(&self) -> Result<(), Failure> {
-        let remove = |path: PathBuf| match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                Err(Failure::work(anyhow!("{}: {error}", path.display())))
-            }
-            _ => Ok(()),
-        };
-        for table in ["frames.csv", "camera.json", "segmentation.json"] {
-            remove(self.out.join(table))?;
-        }
+    fn clear(&self, out: &OutputDir) -> Result<(), Failure> {
+        out.remove(&["frames.csv", "camera.json", "segmentation.json"])?;
         for kind in ["rgb", "depth", "segmentation"] {
             for entry in std::fs::read_dir(self.out.join(kind)).into_iter().flatten().flatten() {
                 let name = entry.file_name();
@@ -142,7 +153,8 @@ impl Capture {
                     })
                 });
                 if ours {
-                    remove(entry.path())?;
+                    let path = entry.path();
+                    std::fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
                 }
             }
         }
@@ -150,14 +162,16 @@ impl Capture {
     }
 
     /// Flies on to the next frame.
-    fn advance(&self, pilot: &mut Pilot, episode: &mut u64) -> Result<(), Failure> {
+    fn advance(&self, pilot: &mut Pilot, painter: &mut Painter, seen: &mut Seen) -> Result<(), Failure> {
         for _ in 0..self.every {
             if pilot.step()?.over {
+                seen.crashes += u64::from(pilot.env().info().crashed());
+                seen.end_episode();
                 pilot.restart().map_err(|failure| match failure {
                     Failure::Work(error) => Failure::Work(error.context("the next episode cannot begin")),
-                    input @ Failure::Input(_) => input,
+                    other => other,
                 })?;
-                *episode += 1;
+                painter.set_obstacles(&pilot.env().simulation().world().obstacles).map_err(vision_failure)?;
                 return Ok(());
             }
         }
@@ -198,6 +212,42 @@ impl Capture {
             "rotation_in_body": [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]],
             "quaternion_in_body_wxyz": [0.5, -0.5, 0.5, -0.5],
         })
+    }
+}
+
+/// What a capture has seen so far.
+#[derive(Default)]
+struct Seen {
+    /// Hashes of the colour images.
+    images: HashSet<u64>,
+    /// Hashes of the beginnings of all episodes: one for every image of an episode, over it and all before it.
+    beginnings: HashSet<u64>,
+    /// Hashes of the current episode's beginnings.
+    current: Vec<u64>,
+    /// Episodes that have ended.
+    episodes: u64,
+    /// Episodes that are neither the same as an earlier one nor its beginning.
+    distinct: u64,
+    /// Episodes that ended in a crash.
+    crashes: u64,
+}
+
+impl Seen {
+    fn note(&mut self, rgb: &[u8], state: &[f64]) {
+        let mut image = DefaultHasher::new();
+        rgb.hash(&mut image);
+        self.images.insert(image.finish());
+        let mut beginning = DefaultHasher::new();
+        (self.current.last(), image.finish()).hash(&mut beginning);
+        state.iter().for_each(|x| x.to_bits().hash(&mut beginning));
+        self.current.push(beginning.finish());
+    }
+
+    fn end_episode(&mut self) {
+        self.episodes += 1;
+        let whole = self.current.last();
+        self.distinct += u64::from(whole.is_none_or(|whole| !self.beginnings.contains(whole)));
+        self.beginnings.extend(self.current.drain(..));
     }
 }
 

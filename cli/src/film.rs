@@ -27,6 +27,9 @@ pub struct FilmOptions {
     video: Option<PathBuf>,
     /// Directory for the frames as PNG files: 00000.png and on
     #[arg(long, group = "pictures", value_name = "DIR", value_hint = ValueHint::DirPath)]
+    png: Option<PathBuf>,
+    /// The name that --png had in earlier versions
+    #[arg(long, group = "pictures", hide = true)]
     frames: Option<PathBuf>,
     /// Camera of these: track (follows the drones), fpv (on board the first one), fixed (over the whole scene), front (from ahead,
     /// standing still), top (from above, standing still)
@@ -43,6 +46,12 @@ pub struct FilmOptions {
 impl FilmOptions {
     /// Checks what can be checked before anything is flown.
     pub fn check(&self) -> Result<(), Failure> {
+        if let Some(path) = &self.frames {
+            let path = path.display();
+            return Err(Failure::input(anyhow!(
+                "--frames is `{path}`, expected --png {path}: a directory for PNG files"
+            )));
+        }
         self.view()?;
         self.overlays()?;
         for (option, path, ending) in [("gif", &self.gif, "gif"), ("video", &self.video, "mp4")] {
@@ -67,7 +76,7 @@ impl FilmOptions {
 
     /// The files, and the directory of frames, that are there when it is done.
     pub fn files(&self) -> Vec<PathBuf> {
-        [&self.gif, &self.video, &self.frames].into_iter().flatten().cloned().collect()
+        [&self.gif, &self.video, &self.png].into_iter().flatten().cloned().collect()
     }
 
     /// Begins the film, if one is asked for, of drones that have a way to fly or none.
@@ -96,10 +105,10 @@ impl FilmOptions {
             Some(file) => Some((Mp4::create(file.path(), size, seconds).map_err(Failure::work)?, file)),
             None => None,
         };
-        if let Some(path) = &self.frames {
+        if let Some(path) = &self.png {
             OutputDir::create(path)?;
         }
-        let frames = self.frames.as_ref().map(|path| PngSequence::create(path, size)).transpose();
+        let frames = self.png.as_ref().map(|path| PngSequence::create(path, size)).transpose();
         Ok(Some(Film { film, gif, video, frames: frames.map_err(Failure::work)? }))
     }
 }

@@ -6,14 +6,14 @@ use anyhow::anyhow;
 use aviary::control::ControllerKind;
 use aviary::env::{Env, Info};
 use aviary::record::plot::Plot;
-use aviary::record::{Flight as Samples, RecordError, Recorder};
+use aviary::record::{Flight as Samples, RecordError, Recorder, Scenario, state_numbers};
 use clap::{Args, ValueHint};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
 use crate::film::{Film, FilmOptions};
 use crate::options::FlightOptions;
-use crate::output::{self, OutputDir};
+use crate::output::{self, OutputDir, decimals};
 use crate::pilot::Pilot;
 
 /// Fly a task with a built-in controller and report how well
@@ -32,7 +32,7 @@ pub struct Fly {
     #[command(flatten)]
     options: FlightOptions,
     /// Directory for the flight's log (drone0.csv, one file per drone, row by row while it is flown, so that it is there whatever
-    /// ends the flight) and summary (summary.json)
+    /// ends the flight), what `aviary replay` needs to fly it again (scenario.toml), and the summary (summary.json)
     #[arg(long, value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
     /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png) into the directory of --out, which
@@ -55,8 +55,12 @@ impl Fly {
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
         let film = self.film.begin(pilot.env().simulation(), |drone| pilot.way(drone))?;
         if let Some(out) = &out {
-            out.remove(&["summary.json"])?;
+            out.remove(&["summary.json", SCENARIO])?;
             out.remove(&PLOTS)?;
+        }
+        if let Some(out) = &out {
+            let scenario = Scenario::of(pilot.env().simulation()).and_then(|scenario| scenario.to_toml());
+            out.write(SCENARIO, scenario.map_err(Failure::work)?.as_bytes())?;
         }
         let (flight, samples) = self.flight(&mut pilot, out.as_ref(), film)?;
 
@@ -70,7 +74,7 @@ impl Fly {
             }
             out.write("summary.json", format!("{file:#}\n").as_bytes())?;
             written.extend(aviary::record::files(out.path()));
-            written.push(out.path().join("summary.json"));
+            written.extend([SCENARIO, "summary.json"].map(|name| out.path().join(name)));
         }
         if let (Some(out), Some(samples)) = (&out, &samples) {
             written.extend(self.draw(out, pilot.env(), samples)?);
@@ -82,8 +86,7 @@ impl Fly {
             output::print_json(&summary)?;
         } else {
             output::print(&flight.table(pilot.env()))?;
-            let list: String = written.iter().map(|path| format!("wrote {}\n", path.display())).collect();
-            output::print(&list)?;
+            output::print_written(&written)?;
         }
         match flight.info.end {
             Some(end) if end.is_crash() => {
@@ -152,6 +155,7 @@ impl Fly {
         if let Some(film) = film {
             film.finish(pilot.env().simulation(), |drone| pilot.reference(drone))?;
         }
+        let simulation = pilot.env().simulation();
         let mut info = pilot.env().info();
         if pilot.has_plan() {
             // the error that is told is that from the way flown
@@ -160,7 +164,7 @@ impl Fly {
         if pilot.trajectory().is_some() {
             // the trajectory, not the task, says where to be
             info.position_error = pilot.position_error();
-            info.progress = 1.0;
+            info.progress = simulation.control_steps() as f64 / pilot.env().episode_steps() as f64;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }
         Ok((Flight { controller: pilot.kind(), info, reward, wall_seconds, errors }, log.samples))
@@ -175,8 +179,8 @@ struct Log {
 
 impl Log {
     fn note(&mut self, pilot: &Pilot) -> Result<(), Failure> {
-        let (env, simulation) = (pilot.env(), pilot.env().simulation());
-        let of = |drone| (env.drone_reward(drone), Some(pilot.reference(drone)));
+        let simulation = pilot.env().simulation();
+        let of = |drone| (pilot.reward(drone), Some(pilot.reference(drone)));
         if let Some(samples) = &mut self.samples {
             samples.note_with(simulation, of);
         }
@@ -186,6 +190,23 @@ impl Log {
         }
     }
 }
+
+/// A task's measure with its unit. Counts have no decimals, and what a randomization samples is a factor on the nominal value.
+fn measure(name: &str, value: f64) -> String {
+    let number = decimals(value, 3);
+    match name {
+        "gates_passed" | "waypoints_captured" => decimals(value, 0),
+        "minimum_distance" | "mean_formation_error" | "tracking_error" => format!("{number} m"),
+        "speed" | "velocity_error" => format!("{number} m/s"),
+        "body_rate" => format!("{number} rad/s"),
+        "drawn_lag" | "drawn_latency" => format!("{number} s"),
+        name if name.starts_with("drawn_") => format!("{number} × nominal"),
+        _ => number,
+    }
+}
+
+/// The file with which a flight can be flown again.
+const SCENARIO: &str = "scenario.toml";
 
 /// The files of `--plot`.
 const PLOTS: [&str; 4] = ["flight.svg", "flight.png", "path.svg", "path.png"];
@@ -251,7 +272,7 @@ impl Flight {
         let drones: Vec<_> = (simulation.states().iter().enumerate())
             .map(|(drone, state)| {
                 let crashed = env.drone_end(drone).is_some_and(|end| end.is_crash());
-                json!({ "final_position": state.position.as_slice(), "crashed": crashed })
+                json!({ "final_position": state_numbers(state)[..3], "crashed": crashed })
             })
             .collect();
         let mut measures: serde_json::Map<_, _> =
@@ -287,14 +308,14 @@ impl Flight {
     }
 
     fn table(&self, env: &dyn Env) -> String {
-        let centimetres = |metres: f64| format!("{:.2} cm", 100.0 * metres);
+        let centimetres = |metres: f64| format!("{} cm", decimals(100.0 * metres, 2));
         let success = match (self.info.success, self.info.end) {
             (true, _) => "yes".to_string(),
             (false, Some(end)) => format!("no ({end})"),
             (false, None) => "no".to_string(),
         };
         let mut measures: Vec<_> = Vec::new();
-        env.measures(&mut |name, value| measures.push((name.replace('_', " "), format!("{value:.3}"))));
+        env.measures(&mut |name, value| measures.push((name.replace('_', " "), measure(name, value))));
         let mut rows = vec![
             (
                 "task",
@@ -308,7 +329,7 @@ impl Flight {
             ("RMS position error, last 2 s", centimetres(self.errors.rms_last_2s())),
             ("mean position error", centimetres(self.errors.mean())),
             ("peak position error", centimetres(self.errors.peak)),
-            ("reward", format!("{:.2}", self.reward)),
+            ("reward", decimals(self.reward, 2)),
             ("simulated time", format!("{:.2} s", self.info.time)),
             ("simulated s per wall s", format!("{:.0}", self.info.time / self.wall_seconds.max(1e-9))),
         ];

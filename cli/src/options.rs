@@ -10,7 +10,7 @@ use aviary::control::trajectory::{self, Trajectory};
 use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::{BuildError, EngineKind};
-use aviary::env::{Conditions, Env, EnvConfig, EnvError};
+use aviary::env::{Conditions, Env, EnvConfig, EnvError, Randomization};
 use aviary::physics::Physics;
 use aviary::physics::wind::{WindConfig, WindModel};
 use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
@@ -96,6 +96,55 @@ impl ConditionOptions {
     }
 }
 
+/// What differs from episode to episode of one command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Variation {
+    /// Whether episodes start from sampled states.
+    pub starts: bool,
+    /// Whether episodes have sampled layouts of the obstacles.
+    pub layouts: bool,
+}
+
+impl Variation {
+    /// Episodes differ only in what a task or a configuration file samples.
+    pub const NONE: Self = Self { starts: false, layouts: false };
+
+    /// Names, for `--vary`.
+    pub const NAMES: [&'static str; 4] = ["all", "starts", "layouts", "none"];
+
+    /// The variation of a name.
+    pub fn named(name: &str) -> Result<Self, Failure> {
+        one_of("vary", name, &Self::NAMES)?;
+        let has = |part| name == "all" || name == part;
+        Ok(Self { starts: has("starts"), layouts: has("layouts") })
+    }
+
+    /// Adds it to conditions that do not say otherwise.
+    fn apply(self, conditions: &mut Conditions, task: &str) -> Result<(), Failure> {
+        let mut placed = conditions.obstacles.as_mut().filter(|obstacles| obstacles.kind != ObstacleKind::Custom);
+        if let Some(obstacles) = &mut placed {
+            obstacles.new_layout |= self.layouts;
+        }
+        // the drones of antipodal start close to their safety radius
+        let starts = self.starts && task != "antipodal";
+        if starts {
+            let randomization = conditions.randomization.get_or_insert(Randomization::NONE);
+            randomization.initial.get_or_insert_default();
+            return Ok(());
+        }
+        // of all there may be one without the other
+        match (self.starts, self.layouts) {
+            (false, true) if placed.is_none() => Err(Failure::input(anyhow!(
+                "--vary is `layouts`, but no obstacles are placed at random; expected --obstacles, or [obstacles] in --config"
+            ))),
+            (true, false) => Err(Failure::input(anyhow!(
+                "--vary is `starts`, but the drones of {task} start from their places on a circle; expected layouts or none"
+            ))),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// Which flight it is.
 #[derive(Debug, Args)]
 pub struct FlightOptions {
@@ -178,8 +227,14 @@ impl FlightOptions {
     }
 
     /// The environment they describe.
-    pub fn environment(&self, trajectory: Option<&dyn Trajectory>) -> Result<Box<dyn Env>, Failure> {
+    pub fn environment(
+        &self,
+        trajectory: Option<&dyn Trajectory>,
+        variation: Variation,
+    ) -> Result<Box<dyn Env>, Failure> {
         let summary = self.summary()?;
+        let mut conditions = self.conditions.read(self.seed)?;
+        variation.apply(&mut conditions, summary.name)?;
         let physics = named::<Physics>("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
         let mut config = EnvConfig::default()
             .drone(drone(&self.drone)?)
@@ -187,7 +242,7 @@ impl FlightOptions {
             .engine(named("engine", &self.engine, &EngineKind::ALL.map(EngineKind::name))?)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
-            .conditions(&self.conditions.read(self.seed)?);
+            .conditions(&conditions);
         if let Some(count) = self.num_drones {
             config = config.num_drones(count);
         }

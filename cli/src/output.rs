@@ -32,6 +32,21 @@ pub fn print_json(value: &serde_json::Value) -> Result<(), Failure> {
     print(&format!("{value:#}\n"))
 }
 
+/// Prints which files have been written, one per line.
+pub fn print_written(paths: &[PathBuf]) -> Result<(), Failure> {
+    let list: String = paths.iter().map(|path| format!("wrote {}\n", path.display())).collect();
+    print(&list)
+}
+
+/// A number with so many decimals, and no sign where all digits are zero.
+pub fn decimals(x: f64, count: usize) -> String {
+    let text = format!("{x:.count$}");
+    match text.strip_prefix('-') {
+        Some(digits) if digits.bytes().all(|byte| matches!(byte, b'0' | b'.')) => digits.to_string(),
+        _ => text,
+    }
+}
+
 /// A table of labels and values.
 pub fn table(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(label, _)| label.chars().count()).max().unwrap_or(0);

@@ -4,9 +4,10 @@ use aviary::action::ActionType;
 use aviary::control::trajectory::Trajectory;
 use aviary::control::{AnyController, Controller as _, ControllerKind, Reference};
 use aviary::env::Env;
+use aviary::tasks::hover_reward;
 
 use crate::failure::Failure;
-use crate::options::FlightOptions;
+use crate::options::{FlightOptions, Variation};
 
 /// An environment and one controller for each of its drones.
 pub struct Pilot {
@@ -30,9 +31,14 @@ pub struct Flown {
 impl Pilot {
     /// At the start of the first episode.
     pub fn new(options: &FlightOptions) -> Result<Self, Failure> {
+        Self::varied(options, Variation::NONE)
+    }
+
+    /// The same with episodes that differ.
+    pub fn varied(options: &FlightOptions, variation: Variation) -> Result<Self, Failure> {
         let kind = options.controller()?;
         let trajectory = options.trajectory()?;
-        let mut env = options.environment(trajectory.as_deref())?;
+        let mut env = options.environment(trajectory.as_deref(), variation)?;
         let drones = env.simulation().num_drones();
         let controllers = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
         let (dt, action) = (env.simulation().control_period(), vec![0.0; env.action_space().size()]);
@@ -74,6 +80,17 @@ impl Pilot {
         match self.way(drone) {
             Some(way) => way.reference(self.env.simulation().time()),
             None => self.env.reference(drone),
+        }
+    }
+
+    /// A drone's reward for the last control step. Along a trajectory, which replaces the target of hover, it is hover's
+    /// reward with the point that the trajectory has reached as the target.
+    pub fn reward(&self, drone: usize) -> f64 {
+        let simulation = self.env.simulation();
+        match &self.trajectory {
+            Some(_) if simulation.control_steps() == 0 => 0.0,
+            Some(_) => hover_reward(simulation, drone, &self.reference(drone).position, self.env.drone_end(drone)),
+            None => self.env.drone_reward(drone),
         }
     }
 
@@ -132,7 +149,10 @@ impl Pilot {
 
     fn advance(&mut self) -> Result<Flown, Failure> {
         let step = self.env.step(&self.action).map_err(Failure::work)?;
-        Ok(Flown { reward: step.reward, over: step.terminated || step.truncated })
+        let (reward, over) = (step.reward, step.terminated || step.truncated);
+        let drones = 0..self.controllers.len();
+        let reward = if self.trajectory.is_some() { drones.map(|drone| self.reward(drone)).sum() } else { reward };
+        Ok(Flown { reward, over })
     }
 
     pub fn env(&self) -> &dyn Env {

@@ -5,10 +5,11 @@ use aviary::record::picture;
 use aviary::vision::{ImageKind, ImageSize, Painter, View};
 use aviary::world::World;
 use clap::{Args, ValueHint};
+use serde_json::json;
 
 use crate::failure::Failure;
 use crate::options::{FlightOptions, Names, named, size, vision_failure};
-use crate::output::OutputFile;
+use crate::output::{self, OutputFile};
 use crate::pilot::Pilot;
 
 /// One picture of a task's scene as PNG
@@ -36,6 +37,9 @@ pub struct Render {
     /// Moment of the flight, s
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
     at: f64,
+    /// Print JSON instead of a line
+    #[arg(long)]
+    json: bool,
 }
 
 impl Render {
@@ -64,7 +68,19 @@ impl Render {
                 return Err(Failure::input(anyhow!("--at is {} s, but the flight ends ({end}) at {time} s", self.at)));
             }
         }
-        file.write(&self.picture(&pilot, view, kind)?)
+        file.write(&self.picture(&pilot, view, kind)?)?;
+        if self.json {
+            return output::print_json(&json!({
+                "task": pilot.env().name(),
+                "camera": view.name(),
+                "kind": kind.name(),
+                "width": self.size.width,
+                "height": self.size.height,
+                "time": pilot.env().simulation().time(),
+                "files": [self.out.to_string_lossy()],
+            }));
+        }
+        output::print_written(std::slice::from_ref(&self.out))
     }
 
     fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind) -> Result<Vec<u8>, Failure> {

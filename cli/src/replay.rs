@@ -2,29 +2,37 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow};
-use aviary::record::{CsvLog, RecordError, Scenario, read_actions};
+use aviary::record::{CsvLog, RecordError, Scenario, read_motor_speeds};
 use clap::{Args, ValueHint};
+use serde_json::json;
 
 use crate::failure::Failure;
 use crate::output::{self, OutputFile};
 
 /// Fly recorded motor speeds, open loop, and write the states
 ///
-/// The scenario is TOML, the motor speeds CSV with the columns drone0_rpm0,drone0_rpm1,… and one row per control step;
-/// the result has one row per control step and drone, after the step.
+/// The scenario is TOML: `aviary fly --out DIR` writes DIR/scenario.toml. The motor speeds are the log of a flight (DIR, or its
+/// files drone0.csv and on, or what this command wrote), or CSV with the columns drone0_rpm0,drone0_rpm1,… and one row per
+/// control step. The result has one row per control step and drone, after the step, with the columns of a log up to the motor
+/// speeds. Under its own scenario a flight is flown to the same bits.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:
-  aviary replay --scenario tests/reference/mjc_cf2x.toml --actions tests/reference/mjc_cf2x.actions.csv --out out/flight.csv")]
+#[command(after_help = "Examples:
+  aviary replay --scenario tests/reference/mjc_cf2x.toml --actions tests/reference/mjc_cf2x.actions.csv --out out/flight.csv
+  aviary replay --scenario out/hover/scenario.toml --actions out/hover --out out/again.csv")]
 pub struct Replay {
     /// Where and how the flight begins
-    #[arg(long)]
-    scenario: PathBuf,
-    /// Motor speeds, rpm, as CSV: drone0_rpm0, drone0_rpm1, …, one row a control step
     #[arg(long, value_hint = ValueHint::FilePath)]
-    actions: PathBuf,
+    scenario: PathBuf,
+    /// Motor speeds: the directory or the files of a flight's log, or CSV with drone0_rpm0, drone0_rpm1, … (rpm), one row a
+    /// control step
+    #[arg(long, value_hint = ValueHint::AnyPath, num_args = 1.., required = true, value_name = "PATH")]
+    actions: Vec<PathBuf>,
     /// File to write
-    #[arg(long)]
+    #[arg(long, value_hint = ValueHint::FilePath)]
     out: PathBuf,
+    /// Print JSON instead of a table
+    #[arg(long)]
+    json: bool,
 }
 
 impl Replay {
@@ -32,25 +40,43 @@ impl Replay {
         let text = read(&self.scenario)?;
         let scenario = Scenario::from_toml(&text).map_err(|error| in_file(&self.scenario, error))?;
         let mut simulation = scenario.simulation().map_err(|error| in_file(&self.scenario, error))?;
-        let actions = fs::File::open(&self.actions)
-            .with_context(|| self.actions.display().to_string())
-            .map_err(Failure::Input)?;
-        let actions = read_actions(actions, scenario.num_drones).map_err(|error| in_file(&self.actions, error))?;
+        let actions = read_motor_speeds(&self.actions, scenario.num_drones, scenario.ctrl_freq);
+        let actions = actions.map_err(Failure::input)?;
 
         let file = OutputFile::begin(&self.out)?;
         let mut log = CsvLog::new(file.into_writer()).map_err(Failure::work)?;
         let bar = output::progress(actions.len() as u64, "flying");
         let unwritten = |error: RecordError| Failure::Work(anyhow!(error).context(self.out.display().to_string()));
         for (index, row) in actions.iter().enumerate() {
-            // the header is the first line
-            simulation
-                .step(row)
-                .map_err(|error| Failure::Work(anyhow!("{}: line {}: {error}", self.actions.display(), index + 2)))?;
+            simulation.step(row).map_err(|error| {
+                let step = index + 1;
+                Failure::Work(anyhow!("{}: control step {step}: {error}", self.actions[0].display()))
+            })?;
             log.record(&simulation).map_err(unwritten)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
-        log.finish().map_err(unwritten)?.keep()
+        log.finish().map_err(unwritten)?.keep()?;
+        if self.json {
+            let positions: Vec<_> = simulation.states().iter().map(|state| state.position.as_slice()).collect();
+            return output::print_json(&json!({
+                "drone_model": scenario.drone_model,
+                "physics": scenario.physics.name(),
+                "engine": simulation.engine().name(),
+                "control_steps": actions.len(),
+                "simulated_seconds": simulation.time(),
+                "final_positions": positions,
+                "files": [self.out.to_string_lossy()],
+            }));
+        }
+        output::print(&output::table(&[
+            ("drones", format!("{} {}", simulation.num_drones(), scenario.drone_model)),
+            ("physics", simulation.physics().to_string()),
+            ("engine", simulation.engine().name().to_string()),
+            ("control steps", actions.len().to_string()),
+            ("simulated time", format!("{:.2} s", simulation.time())),
+        ]))?;
+        output::print_written(std::slice::from_ref(&self.out))
     }
 }
 

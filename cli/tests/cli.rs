@@ -156,11 +156,15 @@ fn replays_that_cannot_be_flown_are_refused_by_file_and_line() {
     };
     let typo = file("typo.toml", &good.replace("sim_freq", "sim_frq"));
     replay(&typo, &actions, &["typo.toml: line", "sim_frq"]);
-    replay(&file("two.toml", &good.replace("num_drones = 1", "num_drones = 2")), &actions, &["two.toml", "1 entries"]);
+    replay(&file("two.toml", &good.replace("num_drones = 1", "num_drones = 2")), &actions, &["two.toml", "1 entry"]);
     replay(text(&dir.join("none.toml")), &actions, &["none.toml", "No such file"]);
     replay(&scenario, text(&dir.join("none.csv")), &["none.csv", "No such file"]);
     let header = "drone0_rpm0,drone0_rpm1,drone0_rpm2,drone0_rpm3\n";
-    replay(&scenario, &file("short.csv", &format!("{header}1,2,3,4\n1,2\n")), &["short.csv: line 3", "2 numbers"]);
+    replay(
+        &scenario,
+        &file("short.csv", &format!("{header}1,2,3,4\n1,2\n")),
+        &["short.csv: line 3", "2 numbers, expected 4"],
+    );
     replay(&scenario, &file("nan.csv", &format!("{header}1,2,nan,4\n")), &["nan.csv: line 2", "drone0_rpm2 is `nan`"]);
     replay(&scenario, &file("header.csv", "a,b,c,d\n1,2,3,4\n"), &["header.csv: line 1", "`a`"]);
     let blocked = file("blocked", "in the way");
@@ -344,7 +348,8 @@ fn an_interrupted_flight_leaves_its_log_and_nothing_else() {
         wait_for_rows(&dir, &mut child, 200);
         send(signal, &child);
         assert_eq!(child.wait().unwrap().code(), status, "{signal}");
-        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1);
+        assert!(dir.join("scenario.toml").exists(), "what it takes to fly the log again");
+        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 2);
         assert!(aviary::record::Flight::read(&dir).unwrap().drones[0].len() >= 200);
     }
 }
@@ -400,7 +405,7 @@ fn a_directory_that_another_run_writes_to_is_refused() {
     }
     send("-KILL", &child);
     child.wait().unwrap();
-    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1, "the lock is no file");
+    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 2, "the log and the scenario: the lock is no file");
     assert!(aviary(&fly).status.success(), "whatever ended the other run");
 }
 
@@ -411,7 +416,16 @@ fn plots_and_films_are_written_and_named() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
     let files: Vec<&str> = flight["files"].as_array().unwrap().iter().map(|file| file.as_str().unwrap()).collect();
-    let names = ["drone0.csv", "drone1.csv", "summary.json", "flight.svg", "flight.png", "path.svg", "path.png"];
+    let names = [
+        "drone0.csv",
+        "drone1.csv",
+        "scenario.toml",
+        "summary.json",
+        "flight.svg",
+        "flight.png",
+        "path.svg",
+        "path.png",
+    ];
     assert_eq!(files, names.map(|name| text(&dir.join(name)).to_string()));
     for name in names {
         assert!(dir.join(name).metadata().unwrap().len() > 300, "{name}");
@@ -444,7 +458,7 @@ fn plots_and_films_are_written_and_named() {
     let frames = dir.join("frames");
     let film =
         ["--size", "64x48", "--camera", "top", "--overlay", "trails,references,rings,wind", "--wind", "constant"];
-    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--frames", text(&frames)];
+    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--png", text(&frames)];
     let output = aviary(&[&fly[..], &film].concat());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     assert_eq!(std::fs::read_dir(&frames).unwrap().count(), 13, "24 a second, and the last moment");

@@ -70,7 +70,7 @@ fn has_gl() -> bool {
 fn run(directory: &Path, line: &str) {
     let mut words: Vec<&str> = line.split_whitespace().collect();
     let draws = ["render", "capture", "doctor"].contains(&words[0])
-        || words.iter().any(|word| ["--gif", "--video", "--frames"].contains(word));
+        || words.iter().any(|word| ["--gif", "--video", "--png"].contains(word));
     if draws && !has_gl() {
         return;
     }

@@ -367,10 +367,13 @@ impl TrainConfig {
     pub fn options(&self) -> Result<EnvConfig, TrainError> {
         let physics: Physics = named("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
         let action_type: ActionType = named("action_type", &self.action_type, &ActionType::ALL.map(ActionType::name))?;
-        let mut options = EnvConfig::default()
+        let mut options = EnvConfig::default();
+        if physics != Physics::Dyn {
+            options = options.engine(EngineKind::Hybrid);
+        }
+        options = options
             .drone(self.airframe()?)
             .physics(physics)
-            .engine(EngineKind::Hybrid)
             .action_type(action_type)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)

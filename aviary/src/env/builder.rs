@@ -177,8 +177,8 @@ impl<T> AviaryBuilder<T> {
         initial_velocities(velocities: impl IntoIterator<Item = [f64; 3]>);
         /// Initial body rates, body frame, rad/s; none by default.
         initial_angular_velocities(rates: impl IntoIterator<Item = [f64; 3]>);
-        /// Who integrates, but in the `dyn` mode; MuJoCo alone by default (the hybrid engine in batches). The hybrid engine gives
-        /// the same flights, many times faster.
+        /// The engine; MuJoCo alone by default (the hybrid engine in batches). The hybrid engine gives the same flights, many
+        /// times faster. The `dyn` mode integrates by itself: the hybrid engine with it is an error.
         engine(engine: EngineKind);
         /// How the rotors' wrench acts during a physics step; frozen by default.
         forcing(forcing: Forcing);

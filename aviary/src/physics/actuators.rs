@@ -18,7 +18,8 @@ use crate::drone::DroneParams;
 /// assert!((share - (1.0 - (-1.0_f64).exp())).abs() < 1e-9);
 /// # Ok::<(), aviary::simulation::SimulationError>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct ActuatorParams {
     /// Time constant of the rotor speed's first-order lag, s; 0 for none.
     pub lag: f64,

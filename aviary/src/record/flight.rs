@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector3;
 
 use super::RecordError;
-use super::recorder::{COLUMNS, file_of};
+use super::recorder::file_of;
+use super::table::{self, Row};
 use crate::control::Reference;
 use crate::env::Env;
 use crate::simulation::Simulation;
-use crate::state::{DroneState, attitude_from_wxyz};
+use crate::state::DroneState;
 
 /// One drone at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,11 +43,7 @@ impl Sample {
         before: Option<&Self>,
     ) -> Self {
         let (time, state) = (simulation.time(), simulation.states()[drone]);
-        // another episode has begun where time goes backwards
-        let acceleration = match before.filter(|before| before.time < time) {
-            Some(before) => (state.velocity - before.state.velocity) / (time - before.time),
-            None => Vector3::zeros(),
-        };
+        let acceleration = acceleration(time, &state, before);
         Self {
             time,
             state,
@@ -107,100 +104,96 @@ impl Flight {
         self.drones[drone].iter().map(|sample| sample.state.position).collect()
     }
 
-    /// Reads what a [`Recorder`](super::Recorder) wrote into a directory, `drone0.csv` and on, also while it does. A row that a
-    /// program which was killed has left unfinished is left out.
+    /// Reads a flight: a directory in which a [`Recorder`](super::Recorder) has written `drone0.csv` and on, also while it
+    /// does, or one [table](super::COLUMNS) with the rows of every drone, as a replay writes it. A row that a program which
+    /// was killed has left unfinished is left out.
+    ///
+    /// The table needs the columns of the state and of the motor speeds, in any order. Without columns for it, the
+    /// acceleration is computed from the velocities and the reward is 0. Logs of earlier versions, with units in the names of
+    /// their columns, are read as well.
     ///
     /// # Errors
     /// [`RecordError::Read`] naming the file, the line and the column.
-    pub fn read(directory: impl AsRef<Path>) -> Result<Self, RecordError> {
-        Self::read_named(directory, "")
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, RecordError> {
+        let path = path.as_ref();
+        if path.is_file() { read_table(path) } else { Self::read_named(path, "") }
     }
 
-    /// The same for files with a prefix before their names, as [`Recorded`](super::Recorded) writes them.
+    /// Reads files of a directory with a prefix before their names, as [`Recorded`](super::Recorded) writes them.
     ///
     /// # Errors
     /// As for [`read`](Self::read).
     pub fn read_named(directory: impl AsRef<Path>, prefix: &str) -> Result<Self, RecordError> {
         let file = |drone| file_of(directory.as_ref(), prefix, drone);
-        let mut drones = vec![read_drone(&file(0))?];
+        let mut drones = vec![read_drone(&file(0), 0)?];
         while file(drones.len()).exists() {
-            drones.push(read_drone(&file(drones.len()))?);
+            drones.push(read_drone(&file(drones.len()), drones.len())?);
         }
         Ok(Self { drones })
     }
 }
 
-/// The column of the reward; those of the reference follow.
-const REWARD: usize = 24;
-
-fn read_drone(path: &Path) -> Result<Vec<Sample>, RecordError> {
-    let wrong = |line: usize, message: String| RecordError::Read { path: path.to_path_buf(), line, message };
-    let bytes = std::fs::read(path).map_err(|error| wrong(0, error.to_string()))?;
-    // empty lines are what a recorder that was not dropped leaves behind; what a killed program had begun and not finished comes
-    // after one, or has no end
-    let ends = (0..bytes.len()).filter(|&at| bytes[at] == b'\n');
-    let mut whole = 0;
-    for end in ends {
-        if end == whole && whole > 0 {
-            break;
-        }
-        whole = end + 1;
-    }
-    let text = std::str::from_utf8(&bytes[..whole]).map_err(|error| wrong(0, error.to_string()))?;
-    let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
-    match lines.next() {
-        Some((_, header)) if header.split(',').eq(COLUMNS) => {}
-        Some((line, header)) => {
-            return Err(wrong(line, format!("the columns are `{header}`, expected `{}`", COLUMNS.join(","))));
-        }
-        None => return Err(wrong(1, "the file is empty, expected a line with the names of the columns".into())),
-    }
-    lines.map(|(line, row)| sample(row).map_err(|message| wrong(line, message))).collect()
+/// Rows of a file.
+pub(super) fn rows(path: &Path) -> Result<Vec<Row>, RecordError> {
+    let bytes = std::fs::read(path).map_err(|error| wrong(path, 0, error.to_string()))?;
+    table::read(&bytes).map_err(|(line, message)| wrong(path, line, message))
 }
 
-/// Reads a row.
-fn sample(row: &str) -> Result<Sample, String> {
-    let mut numbers = [None; COLUMNS.len()];
-    let mut count = 0;
-    for cell in row.split(',') {
-        if let Some(number) = numbers.get_mut(count).filter(|_| !cell.is_empty()) {
-            // rewards and references are whatever a task says
-            let column = COLUMNS[count];
-            let read = cell.parse().ok().filter(|x: &f64| x.is_finite() || count >= REWARD);
-            *number = Some(read.ok_or_else(|| format!("{column} is `{cell}`, expected a finite number"))?);
+pub(super) fn wrong(path: &Path, line: usize, message: String) -> RecordError {
+    RecordError::Read { path: path.to_path_buf(), line, message }
+}
+
+/// Reads the file of one drone.
+fn read_drone(path: &Path, drone: usize) -> Result<Vec<Sample>, RecordError> {
+    let mut samples = Vec::new();
+    for row in rows(path)? {
+        if let Some(other) = row.drone.filter(|&other| other != drone) {
+            return Err(wrong(path, row.line, format!("drone is {other}, expected {drone} in this file")));
         }
-        count += 1;
+        let sample = sample(&row, samples.last()).map_err(|message| wrong(path, row.line, message))?;
+        samples.push(sample);
     }
-    if count != COLUMNS.len() {
-        return Err(format!("{count} columns, expected {}", COLUMNS.len()));
+    Ok(samples)
+}
+
+/// Reads one file with rows of every drone.
+fn read_table(path: &Path) -> Result<Flight, RecordError> {
+    let mut drones: Vec<Vec<Sample>> = Vec::new();
+    for row in rows(path)? {
+        let drone = row.drone.unwrap_or(0);
+        if drone > drones.len() {
+            let expected = drones.len();
+            return Err(wrong(path, row.line, format!("drone is {drone}, expected one up to {expected}")));
+        }
+        if drone == drones.len() {
+            drones.push(Vec::new());
+        }
+        let sample = sample(&row, drones[drone].last()).map_err(|message| wrong(path, row.line, message))?;
+        drones[drone].push(sample);
     }
-    let required = COLUMNS.len() - 4;
-    if let Some(column) = numbers[..required].iter().position(Option::is_none) {
-        return Err(format!("{} is empty, expected a number", COLUMNS[column]));
-    }
-    let number = |column: usize| numbers[column].unwrap_or(0.0);
-    let vector = |column: usize| Vector3::new(number(column), number(column + 1), number(column + 2));
-    let four = |column: usize| [0, 1, 2, 3].map(|i| number(column + i));
-    // columns 8 to 10 are roll, pitch and yaw, which follow from the quaternion
-    let state = DroneState {
-        position: vector(1),
-        attitude: attitude_from_wxyz(four(4)),
-        velocity: vector(11),
-        angular_velocity: vector(14),
-    };
-    let reference = match numbers[required..] {
-        [Some(x), Some(y), Some(z), Some(yaw)] => Some(([x, y, z], yaw)),
-        [None, None, None, None] => None,
-        _ => return Err("a reference is there in part, expected all four columns of it or none".into()),
-    };
+    Ok(Flight { drones: if drones.is_empty() { vec![Vec::new()] } else { drones } })
+}
+
+/// A row as a sample, after `before`, that of the same drone.
+fn sample(row: &Row, before: Option<&Sample>) -> Result<Sample, String> {
+    let motor_speeds = row.motor_speeds.ok_or("no columns `rpm0` to `rpm3`, expected the motor speeds of a flight")?;
+    let acceleration = row.acceleration.unwrap_or_else(|| acceleration(row.time, &row.state, before));
     Ok(Sample {
-        time: number(0),
-        state,
-        acceleration: vector(17),
-        motor_speeds: four(20),
-        reward: number(REWARD),
-        reference,
+        time: row.time,
+        state: row.state,
+        acceleration,
+        motor_speeds,
+        reward: row.reward.unwrap_or(0.0),
+        reference: row.reference,
     })
+}
+
+/// Mean acceleration of a drone since the sample before. Another episode has begun where time goes backwards.
+fn acceleration(time: f64, state: &DroneState, before: Option<&Sample>) -> Vector3<f64> {
+    match before.filter(|before| before.time < time) {
+        Some(before) => (state.velocity - before.state.velocity) / (time - before.time),
+        None => Vector3::zeros(),
+    }
 }
 
 /// Where a flight's error lies: for messages.

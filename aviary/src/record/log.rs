@@ -1,19 +1,12 @@
 use std::io::Write;
 
-use super::RecordError;
+use super::table::{FLOWN_COLUMNS, state_numbers, written};
+use super::{COLUMNS, RecordError};
 use crate::simulation::Simulation;
-use crate::state::wxyz;
 
-/// Columns of a log: unit and frame in the name where the convention does not say it.
-const COLUMNS: [&str; 22] = [
-    "t", "drone", "x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz", "roll", "pitch", "yaw",
-    "rpm0", "rpm1", "rpm2", "rpm3",
-];
-
-/// A flight as CSV: one row per control step and drone.
+/// A flight as CSV: one row per control step and drone, with the [`COLUMNS`] up to the motor speeds.
 ///
-/// `t` s, position m and velocity m/s in the world frame, quaternion body to world, angular velocity rad/s in the body
-/// frame, roll, pitch and yaw rad, motor speeds rpm. Numbers read back to the same bits.
+/// Numbers read back to the same bits; a negative zero is written as zero.
 pub struct CsvLog<W: Write> {
     writer: csv::Writer<W>,
 }
@@ -25,7 +18,7 @@ impl<W: Write> CsvLog<W> {
     /// [`RecordError::Write`].
     pub fn new(target: W) -> Result<Self, RecordError> {
         let mut writer = csv::Writer::from_writer(target);
-        writer.write_record(COLUMNS)?;
+        writer.write_record(&COLUMNS[..FLOWN_COLUMNS])?;
         Ok(Self { writer })
     }
 
@@ -38,16 +31,9 @@ impl<W: Write> CsvLog<W> {
         for (drone, (state, rpm)) in simulation.states().iter().zip(simulation.motor_speeds()).enumerate() {
             self.writer.write_field(time.to_string())?;
             self.writer.write_field(drone.to_string())?;
-            let rpy = state.rpy();
-            let numbers = (state.position.iter())
-                .chain(&wxyz(&state.attitude))
-                .chain(&state.velocity)
-                .chain(&state.angular_velocity)
-                .chain(&rpy)
-                .chain(rpm)
-                .map(f64::to_string)
-                .collect::<Vec<_>>();
-            self.writer.write_record(&numbers)?;
+            let (rpy, numbers) = (state.rpy(), state_numbers(state));
+            let numbers = numbers.iter().chain(&rpy).chain(rpm);
+            self.writer.write_record(numbers.map(|&x| written(x).to_string()))?;
         }
         Ok(())
     }
@@ -65,6 +51,7 @@ impl<W: Write> CsvLog<W> {
 mod tests {
     use super::*;
     use crate::drone::DroneModel;
+    use crate::state::wxyz;
 
     #[test]
     fn a_log_reads_back_to_the_same_bits() {
@@ -80,7 +67,7 @@ mod tests {
         let bytes = log.finish().unwrap();
 
         let mut reader = csv::Reader::from_reader(&bytes[..]);
-        assert_eq!(reader.headers().unwrap(), COLUMNS.to_vec());
+        assert_eq!(reader.headers().unwrap(), COLUMNS[..FLOWN_COLUMNS].to_vec());
         let rows: Vec<Vec<f64>> =
             reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect();
         assert_eq!(rows.len(), 4);

@@ -12,6 +12,8 @@ pub mod plot;
 mod recorded;
 mod recorder;
 mod replay;
+mod scenario;
+mod table;
 
 use std::path::{Path, PathBuf};
 
@@ -19,8 +21,10 @@ pub use film::{Film, Overlays};
 pub use flight::{Flight, Sample, files};
 pub use log::CsvLog;
 pub use recorded::Recorded;
-pub use recorder::{COLUMNS, Recorder};
-pub use replay::{ReplayError, Scenario, read_actions};
+pub use recorder::Recorder;
+pub use replay::{read_actions, read_motor_speeds};
+pub use scenario::{IntegratorName, ReplayError, Scenario, ScenarioBody};
+pub use table::{COLUMNS, STATE_COLUMNS, state_numbers};
 
 use crate::vision::ImageSize;
 
@@ -47,7 +51,7 @@ pub enum RecordError {
         message: String,
     },
     /// A recorder for another number of drones.
-    #[error("a flight of {got} drones, expected {expected}")]
+    #[error("a flight of {}, expected {expected}", crate::count(*got, "drone"))]
     Drones {
         /// How many there are.
         got: usize,

@@ -2,46 +2,12 @@ use std::path::{Path, PathBuf};
 
 use mujoco_rs::AppendFile;
 
-use super::RecordError;
 use super::flight::Sample;
+use super::table::{state_numbers, written};
+use super::{COLUMNS, RecordError};
 use crate::control::Reference;
 use crate::env::Env;
 use crate::simulation::Simulation;
-use crate::state::wxyz;
-
-/// Columns of a drone's file, with their units. Positions, velocities and accelerations are in the world frame, the
-/// quaternion is body to world, angular velocities are in the body frame.
-pub const COLUMNS: [&str; 29] = [
-    "t_s",
-    "x_m",
-    "y_m",
-    "z_m",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-    "roll_rad",
-    "pitch_rad",
-    "yaw_rad",
-    "vx_m_s",
-    "vy_m_s",
-    "vz_m_s",
-    "wx_rad_s",
-    "wy_rad_s",
-    "wz_rad_s",
-    "ax_m_s2",
-    "ay_m_s2",
-    "az_m_s2",
-    "motor0_rpm",
-    "motor1_rpm",
-    "motor2_rpm",
-    "motor3_rpm",
-    "reward",
-    "x_ref_m",
-    "y_ref_m",
-    "z_ref_m",
-    "yaw_ref_rad",
-];
 
 /// A drone's file in a directory, in which `prefix` tells one flight from another.
 pub(super) fn file_of(directory: &Path, prefix: &str, drone: usize) -> PathBuf {
@@ -49,7 +15,7 @@ pub(super) fn file_of(directory: &Path, prefix: &str, drone: usize) -> PathBuf {
 }
 
 /// Writes a flight as CSV while it is flown: one file per drone, `drone0.csv` and on, one row per call with the
-/// [columns](COLUMNS) of a [`Sample`]. Numbers read back to the same bits.
+/// [`COLUMNS`] of a [`Sample`]. Numbers read back to the same bits; a negative zero is written as zero.
 ///
 /// Every row belongs to the operating system before the call returns ([`AppendFile`]), so that a program that crashes or is
 /// killed leaves files that can be read up to the last row. Empty lines follow in them until the recorder is dropped, and
@@ -144,7 +110,7 @@ impl Recorder {
         for (drone, (((path, file), last), row)) in drones.enumerate() {
             let (reward, reference) = of(drone);
             let sample = Sample::of(simulation, drone, reward, reference.as_ref(), last.as_ref());
-            row.write(&sample, simulation.rpy(drone).as_slice());
+            row.write(drone, &sample, simulation.rpy(drone).as_slice());
             file.append(&row.text).map_err(|error| RecordError::file(path, error))?;
             *last = Some(sample);
         }
@@ -154,6 +120,9 @@ impl Recorder {
 
 /// Columns that every row has; the rest is a reference, where there is one.
 const WITHOUT_REFERENCE: usize = COLUMNS.len() - 4;
+
+/// The column of the drone's index.
+const DRONE: usize = 1;
 
 /// A row as text. Numbers that are those of the row before are copied from it: a reference that stands still, what is zero.
 #[derive(Debug, Clone, Default)]
@@ -168,7 +137,7 @@ struct Row {
 }
 
 impl Row {
-    fn write(&mut self, sample: &Sample, rpy: &[f64]) {
+    fn write(&mut self, drone: usize, sample: &Sample, rpy: &[f64]) {
         let Sample { time, state, acceleration, motor_speeds, reward, reference } = sample;
         let mut numbers = [0.0; COLUMNS.len()];
         let mut count = 0;
@@ -176,20 +145,18 @@ impl Row {
             numbers[count..count + part.len()].copy_from_slice(part);
             count += part.len();
         };
-        add(&[*time]);
-        add(state.position.as_slice());
-        add(&wxyz(&state.attitude));
+        add(&[*time, drone as f64]);
+        add(&state_numbers(state));
         add(rpy);
-        add(state.velocity.as_slice());
-        add(state.angular_velocity.as_slice());
-        add(acceleration.as_slice());
         add(motor_speeds);
+        add(acceleration.as_slice());
         add(&[*reward]);
         debug_assert_eq!(count, WITHOUT_REFERENCE);
         if let Some((position, yaw)) = reference {
             numbers[WITHOUT_REFERENCE..].copy_from_slice(&[position[0], position[1], position[2], *yaw]);
             count = COLUMNS.len();
         }
+        numbers = numbers.map(written);
         self.format(&numbers[..count]);
         if count == WITHOUT_REFERENCE {
             self.text.extend_from_slice(b",,,,");
@@ -220,8 +187,10 @@ impl Row {
                 }
                 column += run;
             } else {
-                // the shortest text that reads back to the same bits
-                self.text.extend_from_slice(buffer.format(numbers[column]).as_bytes());
+                // the shortest text that reads back to the same bits; an index has no decimals
+                let text = buffer.format(numbers[column]);
+                let text = if column == DRONE { text.trim_end_matches(".0") } else { text };
+                self.text.extend_from_slice(text.as_bytes());
                 self.text.push(b',');
                 ends[column] = self.text.len();
                 column += 1;

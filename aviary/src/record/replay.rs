@@ -1,225 +1,10 @@
-//! Recorded flights that can be flown again: a scenario in TOML, motor speeds in CSV.
+//! Motor speeds of recorded flights, from files.
 
-use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
-
-use crate::drone::{DroneError, DroneModel, DroneParams};
-use crate::engine::EngineKind;
-use crate::physics::Physics;
-use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
-use crate::world::{Forcing, Integrator, Medium};
-
-/// The start and the rules of a flight.
-///
-/// ```
-/// use aviary::record::Scenario;
-///
-/// let scenario = Scenario::from_toml(
-///     r#"
-///     drone_model = "cf2x"
-///     physics = "mjc_gnd"
-///     num_drones = 1
-///     sim_freq = 240
-///     ctrl_freq = 48
-///     initial_xyzs = [[0.0, 0.0, 0.3]]
-///     initial_rpys = [[0.0, 0.0, 1.0]]
-///     "#,
-/// )?;
-/// let mut simulation = scenario.simulation()?;
-/// simulation.step(&[[14_476.0; 4]])?;
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Scenario {
-    /// Airframe: a built-in one by name, or a TOML file.
-    pub drone_model: String,
-    /// Physics mode.
-    pub physics: Physics,
-    /// Number of drones.
-    pub num_drones: usize,
-    /// Physics rate, Hz.
-    pub sim_freq: u32,
-    /// Control rate, Hz.
-    pub ctrl_freq: u32,
-    /// Initial positions, world frame, m.
-    #[serde(deserialize_with = "crate::error::triples")]
-    pub initial_xyzs: Vec<[f64; 3]>,
-    /// Initial roll, pitch, yaw, rad.
-    #[serde(deserialize_with = "crate::error::triples")]
-    pub initial_rpys: Vec<[f64; 3]>,
-    /// Initial velocities, world frame, m/s.
-    #[serde(default, deserialize_with = "crate::error::optional_triples")]
-    pub initial_velocities: Option<Vec<[f64; 3]>>,
-    /// Initial body rates, body frame, rad/s.
-    #[serde(default, deserialize_with = "crate::error::optional_triples")]
-    pub initial_angular_velocities: Option<Vec<[f64; 3]>>,
-    /// MuJoCo's fluid forces.
-    pub medium: Option<Medium>,
-    /// How the rotors' wrench acts during a physics step.
-    #[serde(default)]
-    pub forcing: Forcing,
-    /// MuJoCo's integrator.
-    #[serde(default)]
-    pub integrator: IntegratorName,
-    /// Who integrates.
-    #[serde(default)]
-    pub engine: EngineKind,
-    /// The line that each field stands on, where it was read from text.
-    #[serde(skip)]
-    lines: BTreeMap<&'static str, usize>,
-}
-
-/// MuJoCo's integrators by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum IntegratorName {
-    /// Fourth-order Runge-Kutta.
-    #[default]
-    Rk4,
-    /// Semi-implicit Euler.
-    Euler,
-    /// Implicit in velocity.
-    Implicit,
-}
-
-/// What can be wrong with a recorded flight.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReplayError {
-    /// The scenario is not one.
-    #[error("{0}")]
-    Toml(String),
-    /// A field of it is impossible.
-    #[error("{}{field}: {message}", line.map_or_else(String::new, |line| format!("line {line}: ")))]
-    Field {
-        /// The field.
-        field: &'static str,
-        /// Its line, from 1, where it was read from text.
-        line: Option<usize>,
-        /// What is wrong with it, and what is expected.
-        message: String,
-    },
-    /// A file of motor speeds that is not one.
-    #[error("line {line}: {message}")]
-    Actions {
-        /// Line of the file, from 1.
-        line: usize,
-        /// What is wrong there, and what is expected.
-        message: String,
-    },
-}
-
-impl Scenario {
-    /// Reads a scenario.
-    ///
-    /// # Errors
-    /// [`ReplayError::Toml`] with line and column.
-    pub fn from_toml(text: &str) -> Result<Self, ReplayError> {
-        let mut scenario: Self =
-            toml::from_str(text).map_err(|error| ReplayError::Toml(crate::error::toml_message(text, &error)))?;
-        for field in FIELDS {
-            let line = text.lines().position(|line| {
-                line.trim_start().strip_prefix(field).is_some_and(|rest| rest.trim_start().starts_with('='))
-            });
-            scenario.lines.extend(line.map(|line| (field, line + 1)));
-        }
-        Ok(scenario)
-    }
-
-    fn wrong(&self, field: &'static str, message: impl ToString) -> ReplayError {
-        ReplayError::Field { field, line: self.lines.get(field).copied(), message: message.to_string() }
-    }
-
-    /// The airframe. A file is found relative to the current directory.
-    ///
-    /// # Errors
-    /// [`ReplayError::Field`].
-    pub fn drone(&self) -> Result<DroneParams, ReplayError> {
-        let params = if self.drone_model.ends_with(".toml") {
-            DroneParams::from_file(&self.drone_model)
-        } else {
-            self.drone_model.parse::<DroneModel>().map(DroneModel::params)
-        };
-        params.map_err(|error: DroneError| self.wrong("drone_model", error))
-    }
-
-    /// The simulation at its start.
-    ///
-    /// # Errors
-    /// [`ReplayError::Field`] naming what is impossible.
-    pub fn simulation(&self) -> Result<Simulation, ReplayError> {
-        let vectors = [
-            ("initial_xyzs", Some(&self.initial_xyzs)),
-            ("initial_rpys", Some(&self.initial_rpys)),
-            ("initial_velocities", self.initial_velocities.as_ref()),
-            ("initial_angular_velocities", self.initial_angular_velocities.as_ref()),
-        ];
-        for (field, list) in vectors {
-            let Some(list) = list else { continue };
-            if list.len() != self.num_drones {
-                let expected = self.num_drones;
-                return Err(
-                    self.wrong(field, format!("{} entries, expected one for each of {expected} drones", list.len()))
-                );
-            }
-            // what is further away or faster than this is no flight, and MuJoCo gives up on it
-            if let Some(got) = list.iter().flatten().find(|x| !(-1e9..=1e9).contains(*x)) {
-                return Err(self.wrong(field, format!("{got}, expected finite numbers between -1e9 and 1e9")));
-            }
-        }
-        if let Some(medium) = self.medium {
-            for (what, got) in [("density", medium.density), ("viscosity", medium.viscosity)] {
-                if !(0.0..=1e5).contains(&got) {
-                    return Err(self.wrong("medium", format!("{what} is {got}, expected 0 to 1e5")));
-                }
-            }
-        }
-        let mut builder: SimulationBuilder = Simulation::builder(self.drone()?)
-            .num_drones(self.num_drones)
-            .physics(self.physics)
-            .engine(self.engine)
-            .sim_freq(self.sim_freq)
-            .ctrl_freq(self.ctrl_freq)
-            .initial_positions(self.initial_xyzs.iter().copied())
-            .initial_rpys(self.initial_rpys.iter().copied())
-            .medium(self.medium)
-            .forcing(self.forcing)
-            .integrator(match self.integrator {
-                IntegratorName::Rk4 => Integrator::Rk4,
-                IntegratorName::Euler => Integrator::Euler,
-                IntegratorName::Implicit => Integrator::Implicit,
-            });
-        if let Some(velocities) = &self.initial_velocities {
-            builder = builder.initial_velocities(velocities.iter().copied());
-        }
-        if let Some(rates) = &self.initial_angular_velocities {
-            builder = builder.initial_angular_velocities(rates.iter().copied());
-        }
-        builder.build().map_err(|error| {
-            let field = match &error {
-                SimulationError::Rates { .. } => "sim_freq",
-                SimulationError::NumDrones { .. } => "num_drones",
-                _ => "drone_model",
-            };
-            self.wrong(field, error)
-        })
-    }
-}
-
-/// Fields of a scenario that can be impossible although they are well-formed.
-const FIELDS: [&str; 8] = [
-    "drone_model",
-    "num_drones",
-    "sim_freq",
-    "initial_xyzs",
-    "initial_rpys",
-    "initial_velocities",
-    "initial_angular_velocities",
-    "medium",
-];
+use super::flight::{rows, wrong};
+use super::{RecordError, ReplayError, table};
 
 /// Reads motor speeds (rpm) from CSV: columns `drone0_rpm0,…,drone0_rpm3,drone1_rpm0,…`, one row per control step.
 ///
@@ -249,7 +34,14 @@ pub fn read_actions(source: impl Read, num_drones: usize) -> Result<Vec<Vec<[f64
             has_header = true;
             if cells.len() != columns.len() {
                 let (got, expected) = (cells.len(), columns.len());
-                return Err(wrong(line, format!("{got} columns, expected {expected} for {num_drones} drones")));
+                return Err(wrong(
+                    line,
+                    format!(
+                        "{}, expected {expected} for {}",
+                        crate::count(got, "column"),
+                        crate::count(num_drones, "drone")
+                    ),
+                ));
             }
             if let Some((found, expected)) = cells.iter().zip(&columns).find(|(found, expected)| found != expected) {
                 return Err(wrong(line, format!("column `{found}`, expected `{expected}`")));
@@ -257,7 +49,7 @@ pub fn read_actions(source: impl Read, num_drones: usize) -> Result<Vec<Vec<[f64
             continue;
         }
         if cells.len() != columns.len() {
-            return Err(wrong(line, format!("{} numbers, expected {}", cells.len(), columns.len())));
+            return Err(wrong(line, format!("{}, expected {}", crate::count(cells.len(), "number"), columns.len())));
         }
         let mut row = vec![[0.0; 4]; num_drones];
         for (index, text) in cells.into_iter().enumerate() {
@@ -270,6 +62,87 @@ pub fn read_actions(source: impl Read, num_drones: usize) -> Result<Vec<Vec<[f64
     }
     if has_header { Ok(rows) } else { Err(wrong(1, format!("the file is empty, expected {}", columns.join(",")))) }
 }
+
+/// Motor speeds (rpm) of a flight at a control rate (Hz), one row per control step, from files:
+///
+/// - a file of motor speeds, as [`read_actions`] reads it;
+/// - the log of a flight: a directory with `drone0.csv` and on, such files themselves, or one table with the rows of all drones
+///   ([`COLUMNS`](super::COLUMNS), of this version or an earlier one). A row says what was commanded before it. A row at
+///   t = 0 is the start, before any command.
+///
+/// # Errors
+/// [`RecordError::Read`] naming the file and the line: of a file that is none of these, of a time that is not that of the next
+/// control step, of a drone whose rows are missing.
+pub fn read_motor_speeds(
+    paths: &[PathBuf],
+    num_drones: usize,
+    ctrl_freq: u32,
+) -> Result<Vec<Vec<[f64; 4]>>, RecordError> {
+    let whole = |path: &Path, message: String| wrong(path, 0, message);
+    let files: Vec<PathBuf> = match paths {
+        [directory] if directory.is_dir() => {
+            let there = super::files(directory);
+            if there.len() != num_drones {
+                let (found, expected) = (crate::count(there.len(), "log"), crate::count(num_drones, "drone"));
+                return Err(whole(directory, format!("{found} drone0.csv and on, expected those of {expected}")));
+            }
+            there
+        }
+        [file] => {
+            let bytes = std::fs::read(file).map_err(|error| whole(file, error.to_string()))?;
+            let header = bytes.split(|&byte| byte == b'\n').next().unwrap_or_default();
+            let header = String::from_utf8_lossy(header);
+            if !table::is_header(crate::without_byte_order_mark(&header)) {
+                return read_actions(&bytes[..], num_drones).map_err(|error| match error {
+                    ReplayError::Actions { line, message } => wrong(file, line, message),
+                    other => whole(file, other.to_string()),
+                });
+            }
+            vec![file.clone()]
+        }
+        files => files.to_vec(),
+    };
+    let mut speeds: Vec<Vec<[f64; 4]>> = vec![Vec::new(); num_drones];
+    for (index, file) in files.iter().enumerate() {
+        for row in rows(file)? {
+            let wrong = |message: String| wrong(file, row.line, message);
+            // the log of a single drone of an earlier version does not say which one it is
+            let drone = row.drone.unwrap_or(index);
+            let Some(list) = speeds.get_mut(drone) else {
+                let drones = crate::count(num_drones, "drone");
+                return Err(wrong(format!("drone is {drone}, expected an index of {drones}")));
+            };
+            let step = row.time * f64::from(ctrl_freq);
+            if list.is_empty() && step.abs() < NEAR {
+                continue;
+            }
+            let expected = list.len() + 1;
+            if (step - expected as f64).abs() >= NEAR {
+                let (time, seconds) = (row.time, expected as f64 / f64::from(ctrl_freq));
+                return Err(wrong(format!(
+                    "t is {time}, expected {seconds}: control step {expected} of drone {drone} at {ctrl_freq} Hz"
+                )));
+            }
+            let rpm =
+                row.motor_speeds.ok_or_else(|| wrong("no columns `rpm0` to `rpm3`, expected motor speeds".into()))?;
+            list.push(rpm);
+        }
+    }
+    // a program that is killed may have written the last row for some of the drones
+    let steps = speeds.iter().map(Vec::len).min().unwrap_or(0);
+    if let Some(drone) = speeds.iter().position(|list| list.len() > steps + 1) {
+        let file = files.first().map_or(Path::new(""), PathBuf::as_path);
+        let found = crate::count(speeds[drone].len(), "row");
+        return Err(whole(
+            file,
+            format!("{found} of drone {drone}, of another drone {steps}, expected the same number"),
+        ));
+    }
+    Ok((0..steps).map(|step| speeds.iter().map(|list| list[step]).collect()).collect())
+}
+
+/// Share of a control step by which a time may miss it.
+const NEAR: f64 = 0.01;
 
 #[cfg(test)]
 mod tests {
@@ -285,30 +158,6 @@ ctrl_freq = 48
 initial_xyzs = [[0.0, 0.0, 1.0]]
 initial_rpys = [[0.0, 0.0, 0.0]]
 "#;
-
-    #[test]
-    fn wrong_scenarios_are_refused_by_line_and_field() {
-        let message = |from: &str, to: &str| match Scenario::from_toml(&SCENARIO.replace(from, to)) {
-            Err(error) => error.to_string(),
-            Ok(scenario) => scenario.simulation().unwrap_err().to_string(),
-        };
-        assert!(message("num_drones", "nmu_drones").contains("line 4") && message("num_drones", "x").contains("x"));
-        assert!(message("\"mjc\"", "\"bullet\"").contains("line 3"));
-        assert!(message("\"cf2x\"", "\"cf3x\"").starts_with("line 2: drone_model: no drone model `cf3x`"));
-        assert!(message("= 48", "= 49").starts_with("line 5: sim_freq: sim_freq is 240 Hz and ctrl_freq 49 Hz"));
-        assert!(message("num_drones = 1", "num_drones = 2").starts_with("line 7: initial_xyzs: 1 entries"));
-        assert!(message("1.0]]", "nan]]").starts_with("line 7: initial_xyzs: NaN"));
-        assert!(message("1.0]]", "1e12]]").starts_with("line 7: initial_xyzs: 1000000000000"));
-        assert!(message("1.0]]", "1.0, 7]]").contains("4 numbers, expected 3"));
-        assert!(message("1.0]]", "1.0], [1.0]]").contains("line"));
-        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\nengine = \"bullet\"\n").contains("bullet"));
-        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\nforcing = \"soft\"\n").contains("soft"));
-        assert!(
-            message("ctrl_freq = 48\n", "ctrl_freq = 48\nmedium = { density = -1, viscosity = 0 }\n").contains("-1")
-        );
-        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\ninitial_velocities = []\n").contains("velocities"));
-        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\ninitial_velocities = [[inf, 0, 0]]\n").contains("finite"));
-    }
 
     #[test]
     fn wrong_actions_are_refused_by_line() {
@@ -343,12 +192,12 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         fn damaged_files_are_errors_or_sound(bytes in prop::collection::vec(any::<u8>(), 0..300), cut in 0usize..200, letter in any::<u8>()) {
             let _ = read_actions(&bytes[..], 1);
             if let Ok(text) = std::str::from_utf8(&bytes) {
-                let _ = Scenario::from_toml(text);
+                let _ = super::super::Scenario::from_toml(text);
             }
             let mut damaged = SCENARIO.as_bytes().to_vec();
             let place = cut % damaged.len();
             damaged[place] = letter;
-            if let Ok(text) = std::str::from_utf8(&damaged) && let Ok(scenario) = Scenario::from_toml(text) {
+            if let Ok(text) = std::str::from_utf8(&damaged) && let Ok(scenario) = super::super::Scenario::from_toml(text) {
                 prop_assert!(scenario.initial_xyzs.len() <= 1);
             }
         }

@@ -44,6 +44,8 @@ pub struct SimulationBuilder {
     medium: Option<Medium>,
     wind: Option<WindConfig>,
     engine: Option<EngineKind>,
+    /// The engine where none is asked for.
+    default_engine: EngineKind,
 }
 
 impl SimulationBuilder {
@@ -68,6 +70,7 @@ impl SimulationBuilder {
             medium: None,
             wind: None,
             engine: None,
+            default_engine: EngineKind::default(),
         }
     }
 
@@ -138,8 +141,8 @@ impl SimulationBuilder {
         self
     }
 
-    /// Who integrates, but in the `dyn` mode; MuJoCo alone by default. The hybrid engine gives the same flights, many times
-    /// faster.
+    /// The engine; MuJoCo alone by default. The hybrid engine gives the same flights, many times faster. The `dyn` mode
+    /// integrates by itself: the hybrid engine with it is an error.
     #[must_use]
     pub fn engine(mut self, engine: EngineKind) -> Self {
         self.engine = Some(engine);
@@ -148,7 +151,7 @@ impl SimulationBuilder {
 
     /// The engine, for callers that have their own idea of a default.
     pub(crate) fn engine_or(mut self, engine: EngineKind) -> Self {
-        self.engine.get_or_insert(engine);
+        self.default_engine = engine;
         self
     }
 
@@ -282,7 +285,8 @@ impl SimulationBuilder {
             markers: self.markers,
             ..World::new(bodies)
         };
-        let engine = match (self.physics, self.engine.unwrap_or_default()) {
+        let engine = match (self.physics, self.engine.unwrap_or(self.default_engine)) {
+            (Physics::Dyn, EngineKind::Hybrid) if self.engine.is_some() => return Err(SimulationError::HybridDyn),
             (Physics::Dyn, _) => Engine::Explicit(ExplicitEngine::new(&world)?),
             (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&world)?),
             (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&world)?),

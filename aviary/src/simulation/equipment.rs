@@ -20,6 +20,8 @@ pub(crate) struct Equipment {
     pub(super) wakes: Vec<Wake>,
     pub(super) bodies: Bodies,
     pub(super) wind: Option<WindField>,
+    /// What the wind was started from.
+    pub(super) wind_seed: u64,
     pub(super) memory: Memory,
     /// Motor speeds commanded during the last control step, rpm.
     pub(super) motor_speeds: Vec<[f64; 4]>,
@@ -64,6 +66,7 @@ impl Equipment {
             wakes: world.drones.iter().map(|body| Wake::new(&body.params)).collect(),
             bodies: Bodies { drones: Vec::with_capacity(count), gravity: world.gravity },
             wind: None,
+            wind_seed: 0,
             memory: Memory::default(),
             motor_speeds: vec![[0.0; 4]; count],
             changed: true,

@@ -43,7 +43,7 @@ pub enum SimulationError {
         ctrl_freq: u32,
     },
     /// A list that does not have one entry per drone.
-    #[error("{what} has {got} entries, expected one for each of {expected} drones")]
+    #[error("{what} has {}, expected one for each of {}", crate::count(*got, "entry"), crate::count(*expected, "drone"))]
     Length {
         /// Which list.
         what: &'static str,
@@ -52,6 +52,11 @@ pub enum SimulationError {
         /// Number of drones.
         expected: usize,
     },
+    /// The hybrid engine in the `dyn` mode.
+    #[error(
+        "the engine is hybrid and the physics mode dyn, which integrates by itself; expected another mode or no engine"
+    )]
+    HybridDyn,
     /// No drones at all, or too many.
     #[error("the number of drones is {got}, expected 1 to {}", Simulation::MAX_DRONES)]
     NumDrones {

@@ -425,8 +425,19 @@ impl Simulation {
         self.equipment.wind.as_ref().map(WindField::config)
     }
 
+    /// Gravity, downwards, m/s².
+    pub fn gravity(&self) -> f64 {
+        self.equipment.bodies.gravity
+    }
+
+    /// The seed that the wind started from last.
+    pub fn wind_seed(&self) -> u64 {
+        self.equipment.wind_seed
+    }
+
     /// Starts the wind anew from a seed, which a reset by itself does not.
     pub fn reset_wind(&mut self, seed: u64) {
+        self.equipment.wind_seed = seed;
         if let Some(wind) = &mut self.equipment.wind {
             wind.reset(seed, &self.states);
         }

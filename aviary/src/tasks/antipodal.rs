@@ -139,7 +139,7 @@ impl Task for Antipodal {
         if drones.len() > 1 && apart <= self.safety_radius {
             return Err(EnvError::Option {
                 option: "the distance of neighbours on the circle",
-                got: format!("{apart:.3} m for {} drones", drones.len()),
+                got: format!("{apart:.3} m for {}", crate::count(drones.len(), "drone")),
                 expected: "more than the safety radius",
             });
         }

@@ -144,13 +144,12 @@ pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool 
     (position.z - target.z).abs() < AT_TARGET && (position - target).xy().norm() < AT_TARGET
 }
 
-/// The paper's reward of a drone that is to hover at a target.
-pub(super) fn hover_reward(
-    simulation: &Simulation,
-    drone: usize,
-    target: &Vector3<f64>,
-    end: Option<EndReason>,
-) -> f64 {
+/// The paper's reward of a drone that is to hover at a target (world frame, m), for the last control step: the formula of
+/// [`Hover`]. `end` is how the step ended for the drone.
+///
+/// # Panics
+/// If there is no drone of that index.
+pub fn hover_reward(simulation: &Simulation, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
     let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
     -(state.position.z - target.z).abs()
         - 0.1 * (state.position - target).xy().norm()

@@ -18,7 +18,7 @@ pub use antipodal::Antipodal;
 pub use conditions::{CrashConditions, CrashWatch};
 pub use fly_through::FlyThrough;
 pub use formation::Formation;
-pub use hover::Hover;
+pub use hover::{Hover, hover_reward};
 pub use multi_hover::MultiHover;
 pub use race::Race;
 pub use stabilize::Stabilize;

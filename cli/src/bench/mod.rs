@@ -88,7 +88,7 @@ impl Bench {
                 "rows": list,
             }));
         }
-        let mut text = format!("{}, {} threads, {}\n", machine(), cores(), Width::best().name());
+        let mut text = format!("{}, {}, {}\n", machine(), aviary::count(cores(), "thread"), Width::best().name());
         let _ = writeln!(text, "bare mj_step: {mj_step:.0} per second ({:.2} µs)\n", 1e6 / mj_step);
         let _ = writeln!(
             text,

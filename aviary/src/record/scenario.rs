@@ -1,0 +1,589 @@
+//! The start and the rules of a flight, as a file with which the flight can be flown again.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::table::written;
+use crate::drone::{DroneError, DroneModel, DroneParams, GRAVITY};
+use crate::engine::{Engine, EngineKind};
+use crate::physics::Physics;
+use crate::physics::actuators::ActuatorParams;
+use crate::physics::wind::WindConfig;
+use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
+use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
+use crate::world::{Forcing, Integrator, Medium, Obstacle, ObstacleConfig, ObstacleKind};
+
+/// The start and the rules of a flight.
+///
+/// ```
+/// use aviary::record::Scenario;
+///
+/// let scenario = Scenario::from_toml(
+///     r#"
+///     drone_model = "cf2x"
+///     physics = "mjc_gnd"
+///     num_drones = 1
+///     sim_freq = 240
+///     ctrl_freq = 48
+///     initial_xyzs = [[0.0, 0.0, 0.3]]
+///     initial_rpys = [[0.0, 0.0, 1.0]]
+///     "#,
+/// )?;
+/// let mut simulation = scenario.simulation()?;
+/// simulation.step(&[[14_476.0; 4]])?;
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// [`Scenario::of`] describes a simulation as it has started, with the wind, obstacles, motors and bodies that were sampled
+/// for it: under the motor speeds of its log, the scenario's simulation flies to the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scenario {
+    /// Airframe: a built-in one by name, a TOML file, or the name of `airframe`.
+    pub drone_model: String,
+    /// Physics mode.
+    pub physics: Physics,
+    /// Number of drones.
+    pub num_drones: usize,
+    /// Physics rate, Hz.
+    pub sim_freq: u32,
+    /// Control rate, Hz.
+    pub ctrl_freq: u32,
+    /// Initial positions, world frame, m.
+    #[serde(deserialize_with = "crate::error::triples")]
+    pub initial_xyzs: Vec<[f64; 3]>,
+    /// Initial roll, pitch, yaw, rad.
+    #[serde(deserialize_with = "crate::error::triples")]
+    pub initial_rpys: Vec<[f64; 3]>,
+    /// Initial attitudes `[w, x, y, z]`, body to world, of unit length, where `initial_rpys` do not give them to the last bit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub initial_quaternions: Option<Vec<[f64; 4]>>,
+    /// Initial velocities, world frame, m/s.
+    #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
+    pub initial_velocities: Option<Vec<[f64; 3]>>,
+    /// Initial body rates, body frame, rad/s.
+    #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
+    pub initial_angular_velocities: Option<Vec<[f64; 3]>>,
+    /// How the rotors' wrench acts during a physics step.
+    #[serde(default)]
+    pub forcing: Forcing,
+    /// MuJoCo's integrator.
+    #[serde(default)]
+    pub integrator: IntegratorName,
+    /// The engine, in every physics mode but `dyn`.
+    #[serde(default)]
+    pub engine: EngineKind,
+    /// Gravity, downwards, m/s²; 9.81 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gravity: Option<f64>,
+    /// Seed of the wind, written as text: TOML has no integers of 64 bits without a sign.
+    #[serde(default, with = "seed", skip_serializing_if = "Option::is_none")]
+    pub wind_seed: Option<u64>,
+    /// MuJoCo's fluid forces.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub medium: Option<Medium>,
+    /// The wind.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wind: Option<WindConfig>,
+    /// Obstacles, of the kind `custom`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub obstacles: Option<ObstacleConfig>,
+    /// The airframe, where it is not a built-in one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub airframe: Option<DroneParams>,
+    /// Body and motors of every drone, where they are not those of the airframe.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bodies: Option<Vec<ScenarioBody>>,
+    /// The line that each field stands on, where it was read from text.
+    #[serde(skip)]
+    lines: BTreeMap<&'static str, usize>,
+}
+
+/// Body and motors of a drone that differ from its airframe's, as a randomization samples them. Motor commands are clipped
+/// to the airframe's own greatest speed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ScenarioBody {
+    /// The body.
+    pub airframe: DroneParams,
+    /// The motors.
+    #[serde(default)]
+    pub actuators: ActuatorParams,
+}
+
+/// Seeds as text.
+mod seed {
+    use serde::{Deserialize as _, Deserializer, Serializer, de::Error as _};
+
+    pub fn serialize<S: Serializer>(seed: &Option<u64>, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(&seed.unwrap_or_default())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        let expected = || D::Error::custom(format!("`{text}`, expected a whole number up to {} as text", u64::MAX));
+        text.parse().map(Some).map_err(|_| expected())
+    }
+}
+
+/// MuJoCo's integrators by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IntegratorName {
+    /// Fourth-order Runge-Kutta.
+    #[default]
+    Rk4,
+    /// Semi-implicit Euler.
+    Euler,
+    /// Implicit in velocity.
+    Implicit,
+}
+
+/// What can be wrong with a recorded flight.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplayError {
+    /// The scenario is not one.
+    #[error("{0}")]
+    Toml(String),
+    /// A field of it is impossible.
+    #[error("{}{field}: {message}", line.map_or_else(String::new, |line| format!("line {line}: ")))]
+    Field {
+        /// The field.
+        field: &'static str,
+        /// Its line, from 1, where it was read from text.
+        line: Option<usize>,
+        /// What is wrong with it, and what is expected.
+        message: String,
+    },
+    /// A file of motor speeds that is not one.
+    #[error("line {line}: {message}")]
+    Actions {
+        /// Line of the file, from 1.
+        line: usize,
+        /// What is wrong there, and what is expected.
+        message: String,
+    },
+}
+
+impl Scenario {
+    /// Reads a scenario.
+    ///
+    /// # Errors
+    /// [`ReplayError::Toml`] with line and column.
+    pub fn from_toml(text: &str) -> Result<Self, ReplayError> {
+        let mut scenario: Self =
+            toml::from_str(text).map_err(|error| ReplayError::Toml(crate::error::toml_message(text, &error)))?;
+        for field in FIELDS {
+            let line = text.lines().position(|line| {
+                line.trim_start().strip_prefix(field).is_some_and(|rest| rest.trim_start().starts_with('='))
+            });
+            scenario.lines.extend(line.map(|line| (field, line + 1)));
+        }
+        Ok(scenario)
+    }
+
+    /// The scenario as TOML, which [`from_toml`](Self::from_toml) reads back to the same scenario.
+    ///
+    /// # Errors
+    /// [`ReplayError::Toml`] for what TOML cannot say.
+    pub fn to_toml(&self) -> Result<String, ReplayError> {
+        toml::to_string(self).map_err(|error| ReplayError::Toml(error.to_string()))
+    }
+
+    /// The scenario of a flight: call it at the flight's start, after the reset of its environment.
+    ///
+    /// # Errors
+    /// [`ReplayError::Field`] for what a scenario cannot describe: a flight under way, drones of different airframes, effects that
+    /// are not those of the physics mode.
+    pub fn of(simulation: &Simulation) -> Result<Self, ReplayError> {
+        let wrong = |field, message: &str| Err(ReplayError::Field { field, line: None, message: message.into() });
+        let (world, states) = (simulation.world(), simulation.states());
+        let nominal = &world.drones[0].params;
+        if simulation.control_steps() > 0 {
+            return wrong("initial_xyzs", "the flight is under way, expected its start");
+        }
+        if world.drones.iter().any(|drone| drone.params != *nominal) {
+            return wrong("drone_model", "the drones have different airframes, expected one for all");
+        }
+        if simulation.effects() != simulation.physics().effects() {
+            return wrong("physics", "the effects are chosen one by one, expected those of the physics mode");
+        }
+        let built_in = nominal.name.parse::<DroneModel>().is_ok_and(|model| model.params() == *nominal);
+        let count = states.len();
+        let all = |vector: fn(&DroneState) -> Vector3<f64>| -> Vec<[f64; 3]> {
+            states.iter().map(|state| vector(state).into()).collect()
+        };
+        let moving = |list: Vec<[f64; 3]>| list.iter().flatten().any(|&x| x != 0.0).then_some(list);
+        let rpys: Vec<[f64; 3]> = all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect();
+        let quaternions: Vec<_> = states.iter().map(|state| wxyz(&state.attitude)).collect();
+        let bits = |q: [f64; 4]| q.map(f64::to_bits);
+        let of_rpys = rpys.iter().map(|&rpy| bits(wxyz(&attitude_from_rpy(rpy.into()))));
+        let exact = of_rpys.eq(quaternions.iter().copied().map(bits));
+        let body = |drone| ScenarioBody {
+            airframe: simulation.params(drone).clone(),
+            actuators: *simulation.actuator_params(drone),
+        };
+        let plain = |drone| {
+            simulation.params(drone) == nominal && *simulation.actuator_params(drone) == ActuatorParams::default()
+        };
+        let obstacles = ObstacleConfig { custom: world.obstacles.clone(), ..ObstacleConfig::new(ObstacleKind::Custom) };
+        Ok(Self {
+            drone_model: nominal.name.clone(),
+            physics: simulation.physics(),
+            num_drones: count,
+            sim_freq: simulation.sim_freq(),
+            ctrl_freq: simulation.ctrl_freq(),
+            initial_xyzs: all(|state| state.position),
+            initial_rpys: rpys,
+            initial_quaternions: (!exact).then_some(quaternions),
+            initial_velocities: moving(all(|state| state.velocity)),
+            initial_angular_velocities: moving(all(|state| state.angular_velocity)),
+            forcing: world.forcing,
+            integrator: match world.integrator {
+                Integrator::Rk4 => IntegratorName::Rk4,
+                Integrator::Euler => IntegratorName::Euler,
+                Integrator::Implicit => IntegratorName::Implicit,
+            },
+            engine: match simulation.engine() {
+                Engine::Hybrid(_) => EngineKind::Hybrid,
+                Engine::Mujoco(_) | Engine::Explicit(_) => EngineKind::Mujoco,
+            },
+            gravity: Some(simulation.gravity()).filter(|&gravity| gravity != GRAVITY),
+            wind_seed: simulation.wind().map(|_| simulation.wind_seed()),
+            medium: world.medium,
+            wind: simulation.wind().copied(),
+            obstacles: (!world.obstacles.is_empty()).then_some(obstacles),
+            airframe: (!built_in).then(|| nominal.clone()),
+            bodies: (!(0..count).all(plain)).then(|| (0..count).map(body).collect()),
+            lines: BTreeMap::new(),
+        })
+    }
+
+    fn wrong(&self, field: &'static str, message: impl ToString) -> ReplayError {
+        ReplayError::Field { field, line: self.lines.get(field).copied(), message: message.to_string() }
+    }
+
+    /// The airframe. A file is found relative to the current directory.
+    ///
+    /// # Errors
+    /// [`ReplayError::Field`].
+    pub fn drone(&self) -> Result<DroneParams, ReplayError> {
+        if let Some(params) = &self.airframe {
+            if params.name != self.drone_model {
+                let (name, found) = (&params.name, &self.drone_model);
+                return Err(self.wrong("drone_model", format!("`{found}`, expected `{name}`, the name in [airframe]")));
+            }
+            return Ok(params.clone());
+        }
+        let params = if self.drone_model.ends_with(".toml") {
+            DroneParams::from_file(&self.drone_model)
+        } else {
+            self.drone_model.parse::<DroneModel>().map(DroneModel::params)
+        };
+        params.map_err(|error: DroneError| self.wrong("drone_model", error))
+    }
+
+    /// The simulation at its start.
+    ///
+    /// # Errors
+    /// [`ReplayError::Field`] naming what is impossible.
+    pub fn simulation(&self) -> Result<Simulation, ReplayError> {
+        let (quaternions, bodies) = (self.initial_quaternions.as_ref(), self.bodies.as_ref());
+        let lengths = [("initial_quaternions", quaternions.map(Vec::len)), ("bodies", bodies.map(Vec::len))];
+        let vectors = [
+            ("initial_xyzs", Some(&self.initial_xyzs)),
+            ("initial_rpys", Some(&self.initial_rpys)),
+            ("initial_velocities", self.initial_velocities.as_ref()),
+            ("initial_angular_velocities", self.initial_angular_velocities.as_ref()),
+        ];
+        let vector_lengths = vectors.map(|(field, list)| (field, list.map(Vec::len)));
+        for (field, length) in vector_lengths.into_iter().chain(lengths) {
+            if let Some(length) = length.filter(|&length| length != self.num_drones) {
+                let (found, drones) = (crate::count(length, "entry"), crate::count(self.num_drones, "drone"));
+                return Err(self.wrong(field, format!("{found}, expected one for each of {drones}")));
+            }
+        }
+        for (field, list) in vectors {
+            let Some(list) = list else { continue };
+            // what is further away or faster than this is no flight, and MuJoCo gives up on it
+            if let Some(got) = list.iter().flatten().find(|x| !(-1e9..=1e9).contains(*x)) {
+                return Err(self.wrong(field, format!("{got}, expected finite numbers between -1e9 and 1e9")));
+            }
+        }
+        if let Some(medium) = self.medium {
+            for (what, got) in [("density", medium.density), ("viscosity", medium.viscosity)] {
+                if !(0.0..=1e5).contains(&got) {
+                    return Err(self.wrong("medium", format!("{what} is {got}, expected 0 to 1e5")));
+                }
+            }
+        }
+        let mut builder: SimulationBuilder = Simulation::builder(self.drone()?)
+            .num_drones(self.num_drones)
+            .physics(self.physics)
+            .engine(self.engine)
+            .obstacles(self.obstacles()?)
+            .sim_freq(self.sim_freq)
+            .ctrl_freq(self.ctrl_freq)
+            .initial_positions(self.initial_xyzs.iter().copied())
+            .initial_rpys(self.initial_rpys.iter().copied())
+            .medium(self.medium)
+            .forcing(self.forcing)
+            .integrator(match self.integrator {
+                IntegratorName::Rk4 => Integrator::Rk4,
+                IntegratorName::Euler => Integrator::Euler,
+                IntegratorName::Implicit => Integrator::Implicit,
+            });
+        if let Some(velocities) = &self.initial_velocities {
+            builder = builder.initial_velocities(velocities.iter().copied());
+        }
+        if let Some(rates) = &self.initial_angular_velocities {
+            builder = builder.initial_angular_velocities(rates.iter().copied());
+        }
+        let mut simulation = builder.build().map_err(|error| {
+            let field = match &error {
+                SimulationError::Rates { .. } => "sim_freq",
+                SimulationError::NumDrones { .. } => "num_drones",
+                SimulationError::HybridDyn => "engine",
+                _ => "drone_model",
+            };
+            self.wrong(field, error)
+        })?;
+        for (drone, body) in bodies.into_iter().flatten().enumerate() {
+            simulation
+                .set_airframe(drone, body.airframe.clone())
+                .and_then(|()| simulation.set_actuators(drone, &body.actuators))
+                .map_err(|error| self.wrong("bodies", error))?;
+        }
+        if let Some(gravity) = self.gravity {
+            simulation.set_gravity(gravity).map_err(|error| self.wrong("gravity", error))?;
+        }
+        if let Some(quaternions) = quaternions {
+            let states = self.states_with(quaternions, simulation.states())?;
+            simulation.reset_to(&states).map_err(|error| self.wrong("initial_quaternions", error))?;
+        } else if bodies.is_some() || self.gravity.is_some() {
+            simulation.reset().map_err(|error| self.wrong("bodies", error))?;
+        }
+        if self.wind.is_none() && self.wind_seed.is_some() {
+            return Err(self.wrong("wind_seed", "a seed without a section [wind], expected both or none"));
+        }
+        let seed = self.wind_seed.unwrap_or_default();
+        simulation.set_wind(self.wind, seed).map_err(|error| self.wrong("wind", error))?;
+        Ok(simulation)
+    }
+
+    /// The obstacles.
+    fn obstacles(&self) -> Result<Vec<Obstacle>, ReplayError> {
+        let Some(config) = &self.obstacles else { return Ok(Vec::new()) };
+        if config.kind != ObstacleKind::Custom {
+            let kind = config.kind.name();
+            return Err(
+                self.wrong("obstacles", format!("kind is {kind}, expected custom: a scenario lists its obstacles"))
+            );
+        }
+        config.validate().map_err(|error| self.wrong("obstacles", error))?;
+        Ok(config.custom.clone())
+    }
+
+    /// These states with the attitudes of the quaternions, which must be those of `initial_rpys`.
+    fn states_with(&self, quaternions: &[[f64; 4]], states: &[DroneState]) -> Result<Vec<DroneState>, ReplayError> {
+        let with = |(state, &q): (&DroneState, &[f64; 4])| {
+            let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+            if !(1.0 - 1e-9..=1.0 + 1e-9).contains(&length) {
+                return Err(self.wrong("initial_quaternions", format!("{q:?} has length {length}, expected 1")));
+            }
+            let attitude = attitude_from_wxyz(q);
+            if attitude.angle_to(&state.attitude) > 1e-6 {
+                let message = format!("{q:?} is another attitude than that of initial_rpys, expected the same");
+                return Err(self.wrong("initial_quaternions", message));
+            }
+            Ok(DroneState { attitude, ..*state })
+        };
+        states.iter().zip(quaternions).map(with).collect()
+    }
+}
+
+/// Fields of a scenario that can be impossible although they are well-formed.
+const FIELDS: [&str; 14] = [
+    "drone_model",
+    "num_drones",
+    "sim_freq",
+    "initial_xyzs",
+    "initial_rpys",
+    "initial_quaternions",
+    "initial_velocities",
+    "initial_angular_velocities",
+    "engine",
+    "gravity",
+    "wind_seed",
+    "medium",
+    "wind",
+    "obstacles",
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::physics::wind::WindModel;
+    use crate::record::{CsvLog, Recorder, read_motor_speeds};
+    use proptest::prelude::*;
+
+    const SCENARIO: &str = r#"
+drone_model = "cf2x"
+physics = "mjc"
+num_drones = 1
+sim_freq = 240
+ctrl_freq = 48
+initial_xyzs = [[0.0, 0.0, 1.0]]
+initial_rpys = [[0.0, 0.0, 0.0]]
+"#;
+
+    #[test]
+    fn wrong_scenarios_are_refused_by_line_and_field() {
+        let message = |from: &str, to: &str| match Scenario::from_toml(&SCENARIO.replace(from, to)) {
+            Err(error) => error.to_string(),
+            Ok(scenario) => scenario.simulation().unwrap_err().to_string(),
+        };
+        assert!(message("num_drones", "nmu_drones").contains("line 4") && message("num_drones", "x").contains("x"));
+        assert!(message("\"mjc\"", "\"bullet\"").contains("line 3"));
+        assert!(message("\"cf2x\"", "\"cf3x\"").starts_with("line 2: drone_model: no drone model `cf3x`"));
+        assert!(message("= 48", "= 49").starts_with("line 5: sim_freq: sim_freq is 240 Hz and ctrl_freq 49 Hz"));
+        assert!(message("num_drones = 1", "num_drones = 2").starts_with("line 7: initial_xyzs: 1 entry"));
+        assert!(message("1.0]]", "nan]]").starts_with("line 7: initial_xyzs: NaN"));
+        assert!(message("1.0]]", "1e12]]").starts_with("line 7: initial_xyzs: 1000000000000"));
+        assert!(message("1.0]]", "1.0, 7]]").contains("4 numbers, expected 3"));
+        assert!(message("1.0]]", "1.0], [1.0]]").contains("line"));
+        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\nengine = \"bullet\"\n").contains("bullet"));
+        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\nforcing = \"soft\"\n").contains("soft"));
+        assert!(
+            message("ctrl_freq = 48\n", "ctrl_freq = 48\nmedium = { density = -1, viscosity = 0 }\n").contains("-1")
+        );
+        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\ninitial_velocities = []\n").contains("velocities"));
+        assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\ninitial_velocities = [[inf, 0, 0]]\n").contains("finite"));
+    }
+
+    #[test]
+    fn what_contradicts_itself_is_refused_and_seeds_have_all_64_bits() {
+        let with = |more: &str| Scenario::from_toml(&format!("{SCENARIO}{more}"));
+        let message = |more: &str| match with(more) {
+            Err(error) => error.to_string(),
+            Ok(scenario) => scenario.simulation().unwrap_err().to_string(),
+        };
+        assert!(message("wind_seed = \"3\"\n").starts_with("line 9: wind_seed: a seed without"));
+        assert!(message("wind_seed = \"x\"\n").contains("expected a whole number up to 18446744073709551615"));
+        let seed = with(&format!("wind_seed = \"{}\"\n[wind]\nmodel = \"gust\"\n", u64::MAX)).unwrap();
+        assert_eq!(seed.simulation().unwrap().wind_seed(), u64::MAX);
+        assert!(message("initial_quaternions = [[1, 0, 0, 1]]\n").starts_with("line 9: initial_quaternions:"));
+        assert!(
+            message("initial_quaternions = [[0, 1, 0, 0]]\n").contains("another attitude than that of initial_rpys")
+        );
+        assert!(message("initial_quaternions = []\n").contains("0 entries, expected one for each of 1 drone"));
+        assert!(message("gravity = nan\n").starts_with("line 9: gravity"));
+        assert!(message("[obstacles]\nkind = \"forest\"\n").contains("expected custom"));
+        let hybrid = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"hybrid\"\n";
+        let error = Scenario::from_toml(&hybrid).unwrap().simulation().unwrap_err().to_string();
+        assert!(error.starts_with("line 9: engine: the engine is hybrid"), "{error}");
+        let airframe = include_str!("../../../assets/airframes/race.toml");
+        assert!(
+            message(&format!("[airframe]\n{airframe}")).starts_with("line 2: drone_model: `cf2x`, expected `race`")
+        );
+    }
+
+    #[test]
+    fn a_flight_under_way_or_of_chosen_effects_has_no_scenario() {
+        let mut simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
+        simulation.step(&[[1e4; 4]]).unwrap();
+        assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("under way"));
+        let effects = crate::physics::Effects { drag: true, ..Physics::Mjc.effects() };
+        let simulation = Simulation::builder(DroneModel::Cf2x).effects(effects).build().unwrap();
+        assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("effects"));
+        let two = [DroneModel::Cf2x.params(), DroneModel::Race.params()];
+        let simulation = Simulation::builder(DroneModel::Cf2x).drones(two).build().unwrap();
+        assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("different airframes"));
+    }
+
+    fn vector(size: f64) -> impl Strategy<Value = [f64; 3]> {
+        prop::array::uniform3(-size..size)
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(48))]
+        /// Whatever a flight starts from and is flown with, its scenario and its log fly it again to the same bits, from
+        /// each of the two tables that are written.
+        #[test]
+        fn a_scenario_and_a_log_are_the_flight(
+            starts in prop::collection::vec((vector(3.0), vector(3.1), vector(5.0), vector(20.0)), 1..4),
+            speeds in prop::collection::vec(prop::array::uniform4(-1e3..3e4_f64), 1..12),
+            physics in prop::sample::select(&Physics::ALL[..]),
+            hybrid in any::<bool>(),
+            wind in prop::option::of(any::<u64>()),
+            lag in prop::option::of(0.0..0.1_f64),
+            heavier in prop::option::of(0.9..1.3_f64),
+            gravity in prop::option::of(9.0..10.0_f64),
+        ) {
+            let count = starts.len();
+            let engine = if hybrid && physics != Physics::Dyn { EngineKind::Hybrid } else { EngineKind::Mujoco };
+            let mut simulation = Simulation::builder(DroneModel::Cf2p)
+                .num_drones(count)
+                .physics(physics)
+                .engine(engine)
+                .wind(wind.map(|_| WindConfig::new(WindModel::Combined)))
+                .build()
+                .unwrap();
+            for drone in 0..count {
+                if let Some(factor) = heavier {
+                    let nominal = simulation.params(drone).clone();
+                    simulation.set_airframe(drone, DroneParams { mass: factor * nominal.mass, ..nominal }).unwrap();
+                }
+                if let Some(lag) = lag {
+                    simulation.set_actuators(drone, &ActuatorParams { lag, ..ActuatorParams::default() }).unwrap();
+                }
+            }
+            if let Some(gravity) = gravity {
+                simulation.set_gravity(gravity).unwrap();
+            }
+            let states: Vec<_> = (starts.iter().enumerate())
+                .map(|(drone, &(place, rpy, velocity, rate))| DroneState {
+                    position: Vector3::from(place) + Vector3::new(10.0 * drone as f64, 0.0, 5.0),
+                    // a turn after another one: roll, pitch and yaw do not give it to the last bit
+                    attitude: attitude_from_rpy(rpy.into()) * attitude_from_rpy(place.into()),
+                    velocity: velocity.into(),
+                    angular_velocity: rate.into(),
+                })
+                .collect();
+            simulation.reset_to(&states).unwrap();
+            if let Some(seed) = wind {
+                simulation.reset_wind(seed);
+            }
+            let text = Scenario::of(&simulation).unwrap().to_toml().unwrap();
+            let scenario = Scenario::from_toml(&text).unwrap();
+            let mut again = scenario.simulation().unwrap();
+            prop_assert_eq!(again.states(), simulation.states());
+            prop_assert_eq!(Scenario::of(&again).unwrap().to_toml().unwrap(), text);
+
+            let directory = tempfile::tempdir().unwrap();
+            let mut recorder = Recorder::create(directory.path(), count).unwrap();
+            let mut log = CsvLog::new(Vec::new()).unwrap();
+            let mut flown = Vec::new();
+            recorder.record_with(&simulation, |_| (0.0, None)).unwrap();
+            for speeds in &speeds {
+                simulation.step(&vec![*speeds; count]).unwrap();
+                recorder.record_with(&simulation, |_| (0.0, None)).unwrap();
+                log.record(&simulation).unwrap();
+                flown.push(simulation.states().to_vec());
+            }
+            let table = directory.path().join("table.csv");
+            std::fs::write(&table, log.finish().unwrap()).unwrap();
+            let read = |path: &std::path::Path| read_motor_speeds(&[path.to_path_buf()], count, scenario.ctrl_freq).unwrap();
+            let speeds = read(directory.path());
+            prop_assert_eq!(&read(&table), &speeds);
+            for (speeds, states) in speeds.iter().zip(&flown) {
+                again.step(speeds).unwrap();
+                prop_assert_eq!(again.states(), &states[..]);
+            }
+            prop_assert_eq!(speeds.len(), flown.len());
+        }
+    }
+}

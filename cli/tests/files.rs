@@ -1,0 +1,474 @@
+//! Files that commands write and read: logs that are flown again, datasets, encodings, and the words of errors.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use aviary::record::{Flight, STATE_COLUMNS};
+use serde_json::Value;
+
+mod common;
+
+use common::{aviary, directory, refused, text};
+
+/// Runs a command that must succeed and gives its standard output.
+fn run(arguments: &[&str]) -> String {
+    let output = aviary(arguments);
+    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(arguments: &[&str]) -> Value {
+    serde_json::from_str(&run(&[arguments, &["--json"]].concat())).unwrap()
+}
+
+fn has_gl() -> bool {
+    mujoco_rs::gl_info().is_ok()
+}
+
+fn write(path: &Path, text: &str) -> PathBuf {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, text).unwrap();
+    path.to_path_buf()
+}
+
+/// States and motor speeds of a replay are those of the flight after its start.
+fn assert_same_flight(flight: &Flight, again: &Flight, what: &str) {
+    assert_eq!(flight.drones.len(), again.drones.len(), "{what}");
+    for (drone, again) in flight.drones.iter().zip(&again.drones) {
+        assert_eq!(drone.len(), again.len() + 1, "{what}: a replay has no row of the start");
+        for (sample, again) in drone[1..].iter().zip(again) {
+            assert_eq!((sample.time, sample.state), (again.time, again.state), "{what}");
+            assert_eq!(sample.motor_speeds, again.motor_speeds, "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_flight_is_flown_again_from_its_log_to_the_same_bits() {
+    let dir = directory("again");
+    let heavy = include_str!("../../assets/airframes/cf2x.toml").replace("mass = 0.027", "mass = 0.031");
+    let heavy = write(&dir.join("heavy.toml"), &heavy.replace("\"cf2x\"", "\"heavy\""));
+    let sampled = "[randomization.body]\n[randomization.aerodynamics]\n[randomization.actuators]\n\
+         [randomization.environment]\n[randomization.initial]\n[obstacles]\nkind = \"forest\"\nnew_layout = true\n";
+    let sampled = write(&dir.join("sampled.toml"), sampled);
+    for (name, options) in [
+        ("hover", &["--task", "hover"][..]),
+        ("race", &["--task", "race", "--drone", "race", "--engine", "hybrid", "--duration", "4"]),
+        ("wind", &["--task", "multi_hover", "--wind", "combined", "--physics", "mjc_gnd_drag_dw", "--seed", "3"]),
+        ("start", &["--task", "stabilize", "--seed", "9", "--sim-freq", "500", "--ctrl-freq", "100"]),
+        ("dyn", &["--task", "hover", "--physics", "dyn", "--drone", "cf2p", "--trajectory", "circle"]),
+        ("airframe", &["--task", "hover", "--drone", text(&heavy), "--obstacles", "forest"]),
+        ("sampled", &["--task", "hover", "--controller", "geometric", "--config", text(&sampled), "--seed", "5"]),
+    ] {
+        let out = dir.join(name);
+        let duration = if options.contains(&"--duration") { &[][..] } else { &["--duration", "2"] };
+        // a flight that crashes is a flight
+        aviary(&[&["fly", "--out", text(&out)], options, duration].concat());
+        let (scenario, again) = (out.join("scenario.toml"), dir.join(format!("{name}.csv")));
+        let replay = ["replay", "--scenario", text(&scenario), "--out", text(&again), "--actions"];
+        let printed = run(&[&replay[..], &[text(&out)]].concat());
+        assert!(printed.ends_with(&format!("wrote {}\n", again.display())), "{printed}");
+        let (flight, flown) = (Flight::read(&out).unwrap(), Flight::read(&again).unwrap());
+        assert!(flight.drones[0].len() > 90, "{name}");
+        assert_same_flight(&flight, &flown, name);
+
+        // the files of the drones, in any order, and what the replay itself has written
+        let mut files: Vec<_> = aviary::record::files(&out).iter().map(|path| text(path).to_string()).collect();
+        files.reverse();
+        let once = std::fs::read(&again).unwrap();
+        run(&[&replay[..], &files.iter().map(String::as_str).collect::<Vec<_>>()].concat());
+        assert!(std::fs::read(&again).unwrap() == once, "{name}");
+        let third = dir.join("third.csv");
+        run(&["replay", "--scenario", text(&scenario), "--out", text(&third), "--actions", text(&again)]);
+        assert!(std::fs::read(&third).unwrap() == once, "{name}");
+    }
+}
+
+/// The log of a flight as the program wrote it before there was one table for all files.
+fn earlier(log: &str) -> String {
+    let names = [
+        ("x_ref", "x_ref_m"),
+        ("y_ref", "y_ref_m"),
+        ("z_ref", "z_ref_m"),
+        ("yaw_ref", "yaw_ref_rad"),
+        ("t", "t_s"),
+        ("x", "x_m"),
+        ("y", "y_m"),
+        ("z", "z_m"),
+        ("vx", "vx_m_s"),
+        ("vy", "vy_m_s"),
+        ("vz", "vz_m_s"),
+        ("wx", "wx_rad_s"),
+        ("wy", "wy_rad_s"),
+        ("wz", "wz_rad_s"),
+        ("roll", "roll_rad"),
+        ("pitch", "pitch_rad"),
+        ("yaw", "yaw_rad"),
+        ("ax", "ax_m_s2"),
+        ("ay", "ay_m_s2"),
+        ("az", "az_m_s2"),
+        ("rpm0", "motor0_rpm"),
+        ("rpm1", "motor1_rpm"),
+        ("rpm2", "motor2_rpm"),
+        ("rpm3", "motor3_rpm"),
+    ];
+    let order = "t_s,x_m,y_m,z_m,qw,qx,qy,qz,roll_rad,pitch_rad,yaw_rad,vx_m_s,vy_m_s,vz_m_s,wx_rad_s,wy_rad_s,\
+         wz_rad_s,ax_m_s2,ay_m_s2,az_m_s2,motor0_rpm,motor1_rpm,motor2_rpm,motor3_rpm,reward,x_ref_m,y_ref_m,z_ref_m,\
+         yaw_ref_rad";
+    let mut lines = log.lines();
+    let header: Vec<_> = (lines.next().unwrap().split(','))
+        .map(|now| names.iter().find(|(name, _)| *name == now).map_or(now, |(_, earlier)| earlier))
+        .collect();
+    let places: Vec<_> =
+        order.split(',').map(|name| header.iter().position(|column| *column == name).unwrap()).collect();
+    let mut text = format!("{order}\n");
+    for line in lines {
+        let cells: Vec<_> = line.split(',').collect();
+        text += &places.iter().map(|&place| cells[place]).collect::<Vec<_>>().join(",");
+        text.push('\n');
+    }
+    text
+}
+
+#[test]
+fn logs_of_earlier_versions_are_read_and_flown() {
+    let dir = directory("earlier");
+    let (now, before) = (dir.join("now"), dir.join("before"));
+    run(&["fly", "--task", "multi_hover", "--duration", "0.5", "--out", text(&now)]);
+    for drone in ["drone0.csv", "drone1.csv"] {
+        // some editors write a byte-order mark
+        let log = earlier(&std::fs::read_to_string(now.join(drone)).unwrap());
+        write(&before.join(drone), &format!("\u{feff}{log}"));
+    }
+    assert_eq!(Flight::read(&before).unwrap(), Flight::read(&now).unwrap());
+    let scenario = now.join("scenario.toml");
+    let replay = |actions: &[&str], out: &str| {
+        let out = dir.join(out);
+        run(&[&["replay", "--scenario", text(&scenario), "--out", text(&out), "--actions"], actions].concat());
+        std::fs::read(out).unwrap()
+    };
+    let same = replay(&[text(&now)], "now.csv");
+    assert!(replay(&[text(&before)], "before.csv") == same);
+    // the files of an earlier version do not say which drone they are of: they are given in order
+    let files = ["drone0.csv", "drone1.csv"].map(|name| before.join(name));
+    assert!(replay(&[text(&files[0]), text(&files[1])], "files.csv") == same);
+}
+
+#[test]
+fn logs_that_do_not_fit_a_scenario_are_refused_by_file_and_line() {
+    let dir = directory("misfits");
+    let out = dir.join("flight");
+    run(&["fly", "--task", "hover", "--duration", "0.5", "--out", text(&out)]);
+    let good = std::fs::read_to_string(out.join("scenario.toml")).unwrap();
+    let scenario = |name: &str, from: &str, to: &str| {
+        assert!(good.contains(from), "{good}");
+        write(&dir.join(name), &good.replace(from, to))
+    };
+    let refuse = |scenario: &Path, actions: &Path, texts: &[&str]| {
+        let again = dir.join("again.csv");
+        let arguments = ["replay", "--scenario", text(scenario), "--actions", text(actions), "--out", text(&again)];
+        refused(&arguments, 2, texts);
+        assert!(!again.exists());
+    };
+    let slow = scenario("slow.toml", "ctrl_freq = 48", "ctrl_freq = 24");
+    refuse(&slow, &out, &["drone0.csv: line 3", "t is 0.0208", "expected 0.0416", "24 Hz"]);
+    let two = good.replace("num_drones = 1", "num_drones = 2");
+    let two = two.replace("initial_xyzs = [[0.0, 0.0, 0.1]]", "initial_xyzs = [[0.0, 0.0, 0.1], [1.0, 0.0, 0.1]]");
+    let two = two.replace("initial_rpys = [[0.0, 0.0, 0.0]]", "initial_rpys = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]");
+    refuse(&write(&dir.join("two.toml"), &two), &out, &["1 log", "expected those of 2 drones"]);
+    let states = write(&dir.join("states.csv"), &format!("{}\n0.5{}\n", STATE_COLUMNS.join(","), ",0".repeat(14)));
+    refuse(&out.join("scenario.toml"), &states, &["states.csv: line 2", "t is 0.5"]);
+    let states =
+        write(&dir.join("s.csv"), &format!("{}\n{}{}\n", STATE_COLUMNS.join(","), 1.0 / 48.0, ",0".repeat(14)));
+    refuse(&out.join("scenario.toml"), &states, &["s.csv: line 2", "no columns `rpm0` to `rpm3`"]);
+    let seed = scenario("seed.toml", "ctrl_freq = 48", "ctrl_freq = 48\nwind_seed = \"-1\"");
+    refuse(&seed, &out, &["seed.toml: line 6", "expected a whole number"]);
+    let engine = scenario("engine.toml", "engine = \"mujoco\"", "engine = \"hybrid\"");
+    let engine = write(&engine, &std::fs::read_to_string(&engine).unwrap().replace("\"mjc\"", "\"dyn\""));
+    refuse(&engine, &out, &["engine.toml: line", "engine", "hybrid", "dyn"]);
+}
+
+/// A byte-order mark, which some editors write, is no part of any text.
+#[test]
+fn every_text_file_may_begin_with_a_byte_order_mark() {
+    let dir = directory("marks");
+    let marked = |name: &str, text: &str| write(&dir.join(name), &format!("\u{feff}{text}"));
+    let airframe = marked("quad.toml", include_str!("../../assets/airframes/cf2x.toml"));
+    let config = marked("config.toml", "[wind]\nmodel = \"constant\"\n");
+    let circle = marked("circle.toml", "kind = \"circle\"\nradius = 0.3\nperiod = 6.0\n");
+    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--drone", text(&airframe), "--config", text(&config)];
+    let out = dir.join("out");
+    run(&[&fly[..], &["--trajectory", text(&circle), "--out", text(&out)]].concat());
+    for name in ["scenario.toml", "drone0.csv"] {
+        let written = std::fs::read_to_string(out.join(name)).unwrap();
+        marked(&format!("out/{name}"), &written);
+    }
+    Flight::read(&out).unwrap();
+    let again = dir.join("again.csv");
+    let scenario = out.join("scenario.toml");
+    run(&["replay", "--scenario", text(&scenario), "--actions", text(&out), "--out", text(&again)]);
+    let actions = marked("actions.csv", "drone0_rpm0,drone0_rpm1,drone0_rpm2,drone0_rpm3\n1,2,3,4\n");
+    run(&["replay", "--scenario", text(&scenario), "--actions", text(&actions), "--out", text(&again)]);
+    let training = marked("training.toml", "steps = 1000\n");
+    run(&["train", "--task", "hover", "--config", text(&training), "--show"]);
+    // what is wrong stands where an editor shows it
+    let wrong = marked("wrong.toml", "wnd = 1\n");
+    refused(&["fly", "--task", "hover", "--config", text(&wrong)], 2, &["line 1, column 1", "wnd"]);
+}
+
+#[test]
+fn numbers_are_refused_in_words_of_the_command_line() {
+    for (option, value, expected) in [
+        ("--duration", "long", "expected a number"),
+        ("--duration", "", "expected a number"),
+        ("--sim-freq", "fast", "expected a whole number"),
+        ("--sim-freq", "240.5", "expected a whole number"),
+        ("--ctrl-freq", "-5", "expected a whole number from 0 to 4294967295"),
+        ("--seed", "1e3", "expected a whole number, zero or positive"),
+        ("--seed", "99999999999999999999", "expected a whole number up to 18446744073709551615"),
+        ("--num-drones", "two", "expected a whole number, zero or positive"),
+    ] {
+        let error = format!("{option} is `{value}`, {expected}");
+        refused(&["fly", "--task", "hover", option, value], 2, &[&error]);
+    }
+    let dir = directory("numbers");
+    for (content, expected) in [
+        ("[obstacles]\ncount = \"many\"\n", "expected a whole number, zero or positive"),
+        ("[obstacles]\ncount = -3\n", "expected a whole number, zero or positive"),
+        ("[wind]\nturbulence = \"high\"\n", "expected a number"),
+        ("wind = 3\n", "expected a section"),
+    ] {
+        let config = write(&dir.join("config.toml"), content);
+        let output = aviary(&["fly", "--task", "hover", "--config", text(&config)]);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(output.status.code() == Some(2) && error.contains(expected), "{content}: {error}");
+        for word in ["f64", "usize", "u64", "struct"] {
+            assert!(!error.contains(word), "{content}: {error}");
+        }
+    }
+}
+
+#[test]
+fn standard_output_that_is_full_is_status_1_and_a_closed_pipe_is_not() {
+    for arguments in [&["--help"][..], &["--version"], &["fly", "--help"], &["tasks"], &["completions", "bash"]] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).stdout(full).output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{arguments:?}: {error}");
+        assert!(error.contains("standard output"), "{error}");
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let closed = Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).stdout(writer).output().unwrap();
+        assert!(closed.status.success() && closed.stderr.is_empty(), "{arguments:?}");
+    }
+}
+
+#[test]
+fn tables_have_units_counts_and_no_negative_zeros() {
+    let row = |task: &[&str], label: &str| {
+        let table = run(&[&["fly"], task].concat());
+        let row = table.lines().find_map(|line| line.strip_prefix(label)).unwrap_or_else(|| panic!("{label}: {table}"));
+        row.trim().to_string()
+    };
+    assert_eq!(row(&["--task", "race", "--drone", "race"], "gates passed"), "12");
+    assert_eq!(row(&["--task", "fly_through"], "waypoints captured"), "5");
+    for (task, label, unit) in [
+        ("antipodal", "minimum distance", " m"),
+        ("formation", "mean formation error", " m"),
+        ("track", "tracking error", " m"),
+        ("velocity", "velocity error", " m/s"),
+        ("stabilize", "body rate", " rad/s"),
+    ] {
+        assert!(row(&["--task", task, "--duration", "1"], label).ends_with(unit), "{task}");
+    }
+    let dir = directory("zeros");
+    run(&["fly", "--task", "hover", "--duration", "1", "--out", text(&dir)]);
+    let again = dir.join("again.csv");
+    let scenario = dir.join("scenario.toml");
+    run(&["replay", "--scenario", text(&scenario), "--actions", text(&dir), "--out", text(&again)]);
+    for path in [dir.join("drone0.csv"), again, dir.join("summary.json")] {
+        let text = std::fs::read_to_string(path).unwrap();
+        let zero = |cell: &str| cell.starts_with('-') && cell.parse().is_ok_and(|x: f64| x == 0.0);
+        assert!(!text.split([',', '\n', ' ']).any(zero));
+    }
+}
+
+/// The reward was that of hovering at 1 m, which a trajectory replaces.
+#[test]
+fn the_reward_along_a_trajectory_is_about_the_trajectory() {
+    let dir = directory("trajectory-reward");
+    let fly = |trajectory: &str| {
+        let arguments = ["fly", "--task", "hover", "--trajectory", trajectory, "--duration", "2", "--out", text(&dir)];
+        let flight = json(&arguments);
+        let logged: f64 = Flight::read(&dir).unwrap().drones[0].iter().map(|sample| sample.reward).sum();
+        assert!((flight["reward"].as_f64().unwrap() - logged).abs() < 1e-9);
+        flight
+    };
+    // a point to hover at, 5 m above the task's own target: every step is worth the 0.5 of a drone at its target
+    let high = write(&dir.join("high.toml"), "kind = \"steps\"\nstart = [0, 0, 6]\npoints = [[0, 0, 6]]\nhold = 2.0\n");
+    let flight = fly(text(&high));
+    assert!((flight["reward"].as_f64().unwrap() - 0.5 * 96.0).abs() < 0.5, "{flight}");
+    assert_eq!((&flight["success"], &flight["progress"]), (&true.into(), &1.0.into()));
+}
+
+#[test]
+fn the_hybrid_engine_in_the_dyn_mode_is_a_contradiction() {
+    let fly = ["fly", "--task", "hover", "--physics", "dyn"];
+    refused(&[&fly[..], &["--engine", "hybrid"]].concat(), 2, &["hybrid", "dyn"]);
+    assert_eq!(json(&fly)["engine"], "explicit");
+}
+
+#[test]
+fn frames_of_a_film_are_written_by_png_and_the_earlier_option_names_it() {
+    let dir = directory("film-frames");
+    refused(&["fly", "--task", "hover", "--frames", text(&dir)], 2, &["--frames", "expected --png"]);
+    assert!(!dir.exists());
+}
+
+#[test]
+fn commands_that_write_a_file_name_it() {
+    let dir = directory("named");
+    let (scenario, actions) = (reference("mjc_cf2x.toml"), reference("mjc_cf2x.actions.csv"));
+    let out = dir.join("flight.csv");
+    let replay = ["replay", "--scenario", &scenario, "--actions", &actions, "--out", text(&out)];
+    assert!(run(&replay).contains(&format!("wrote {}", out.display())));
+    let flight = json(&replay);
+    assert_eq!(flight["files"][0], text(&out));
+    let rows = Flight::read(&out).unwrap().drones[0].len();
+    assert_eq!(flight["control_steps"], rows);
+    if !has_gl() {
+        return;
+    }
+    let out = dir.join("hover.png");
+    let render = ["render", "--task", "hover", "--size", "40x30", "--out", text(&out)];
+    assert_eq!(run(&render), format!("wrote {}\n", out.display()));
+    assert_eq!(json(&render)["files"][0], text(&out));
+}
+
+fn reference(name: &str) -> String {
+    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// 200 frames were 18 images: every episode was the same and ended in the same tree.
+#[test]
+fn episodes_of_a_dataset_differ_unless_they_are_to_be_equal() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("varied");
+    let capture = |name: &str, more: &[&str]| {
+        let out = dir.join(name);
+        let arguments =
+            ["capture", "--task", "fly_through", "--obstacles", "forest", "--every", "8", "--size", "16x12"];
+        json(&[&arguments[..], &["--frames", "60", "--out", text(&out)], more].concat())
+    };
+    let number = |summary: &Value, key: &str| summary[key].as_u64().unwrap();
+    let varied = capture("a", &[]);
+    assert!(number(&varied, "episodes") > 2, "{varied}");
+    assert_eq!(varied["distinct_episodes"], varied["episodes"], "{varied}");
+    assert!(number(&varied, "distinct_images") > 50, "{varied}");
+    let equal = capture("equal", &["--vary", "none"]);
+    assert!(number(&equal, "episodes") > 2 && number(&equal, "distinct_episodes") == 1, "{equal}");
+    assert!(number(&equal, "distinct_images") < 30 && number(&equal, "crashes") > 1, "{equal}");
+    // equal seeds give equal files, others do not
+    capture("b", &[]);
+    capture("c", &["--seed", "1"]);
+    let bytes = |name: &str, file: &str| std::fs::read(dir.join(name).join(file)).unwrap();
+    for file in ["frames.csv", "rgb/000059_0.png", "depth/000059_0.png", "segmentation.json"] {
+        assert!(bytes("a", file) == bytes("b", file), "{file}");
+    }
+    assert!(bytes("a", "frames.csv") != bytes("c", "frames.csv"));
+    let refuse = |task: &str, vary: &str, texts: &[&str]| {
+        refused(&["capture", "--task", task, "--frames", "1", "--vary", vary, "--out", "x"], 2, texts);
+    };
+    refuse("hover", "al", &["`all`", "starts"]);
+    refuse("hover", "layouts", &["no obstacles are placed at random"]);
+    refuse("antipodal", "starts", &["antipodal", "start"]);
+}
+
+/// Trees that have moved are where the images and their depth show them.
+#[test]
+fn images_show_the_layout_of_their_own_episode() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("layouts");
+    let capture = |out: &Path, more: &[&str]| {
+        let arguments = ["capture", "--task", "hover", "--obstacles", "forest", "--size", "64x48", "--out", text(out)];
+        run(&[&arguments[..], &["--duration", "0.1", "--vary", "layouts"], more].concat());
+    };
+    // the first frame of each of four episodes: same start, same camera
+    capture(&dir, &["--frames", "4", "--every", "5"]);
+    let rows = std::fs::read_to_string(dir.join("frames.csv")).unwrap();
+    let episodes: Vec<_> = rows.lines().skip(1).map(|row| row.split(',').nth(1).unwrap()).collect();
+    assert_eq!(episodes, ["0", "1", "2", "3"]);
+    let images: std::collections::HashSet<_> =
+        (0..4).map(|frame| std::fs::read(dir.join(format!("segmentation/{frame:06}_0.png"))).unwrap()).collect();
+    assert_eq!(images.len(), 4);
+}
+
+/// The files of a dataset that a program was killed over, or that ended on a full disk.
+fn assert_dataset_is_whole(dir: &Path) -> usize {
+    let mut rows = csv::Reader::from_path(dir.join("frames.csv")).unwrap();
+    let header: Vec<_> = rows.headers().unwrap().iter().map(str::to_string).collect();
+    assert_eq!(header[2..17], STATE_COLUMNS);
+    let segmentation: Value = serde_json::from_slice(&std::fs::read(dir.join("segmentation.json")).unwrap()).unwrap();
+    let camera: Value = serde_json::from_slice(&std::fs::read(dir.join("camera.json")).unwrap()).unwrap();
+    assert!(camera["fx"].is_number());
+    let rows: Vec<_> = rows.records().map(Result::unwrap).collect();
+    for row in &rows {
+        assert_eq!(row.len(), header.len());
+        for file in 17..20 {
+            image::open(dir.join(&row[file])).unwrap();
+        }
+        let objects = image::open(dir.join(&row[19])).unwrap().into_luma16();
+        assert!(objects.pixels().all(|pixel| segmentation[pixel[0].to_string()].is_object()));
+    }
+    // an image set is complete with its last image, and has a row unless the program ended between the two
+    let sets = std::fs::read_dir(dir.join("segmentation")).unwrap();
+    let sets = sets.filter(|entry| entry.as_ref().unwrap().path().extension().is_some_and(|ending| ending == "png"));
+    assert!((0..=1).contains(&(sets.count() - rows.len())));
+    rows.len()
+}
+
+#[test]
+fn a_capture_that_is_killed_or_interrupted_keeps_every_label() {
+    if !has_gl() {
+        return;
+    }
+    for signal in ["-KILL", "-INT", "-HUP"] {
+        let dir = directory(&format!("killed-capture{signal}"));
+        let mut child = Command::new("env")
+            .args(["--default-signal", env!("CARGO_BIN_EXE_aviary"), "capture", "--task", "multi_hover"])
+            .args(["--obstacles", "forest", "--size", "16x12", "--frames", "1000000", "--out", text(&dir)])
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        while !dir.join("segmentation/000040_0.png").exists() {
+            assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        child.wait().unwrap();
+        assert!(assert_dataset_is_whole(&dir) >= 80, "{signal}");
+    }
+}
+
+/// The size limit of the shell stands for a full disk: a write fails in both.
+#[test]
+fn a_capture_that_cannot_be_written_any_further_keeps_every_label() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("full-capture");
+    // the table grows by 64 KiB
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -f 100; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_aviary"), "capture", "--task", "hover"])
+        .args(["--size", "8x6", "--frames", "100000", "--out", text(&dir)])
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
+    assert!(error.contains("frames.csv"), "{error}");
+    assert!(assert_dataset_is_whole(&dir) > 100);
+}
