@@ -564,6 +564,9 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
 struct Odd {
     hover: Hover,
     update: fn(&Simulation),
+    /// Episodes so far whose start is impossible.
+    impossible: fn(u32) -> bool,
+    starts: u32,
 }
 
 impl Task for Odd {
@@ -581,6 +584,15 @@ impl Task for Odd {
 
     fn observation_space(&self) -> BoxSpace {
         self.hover.observation_space()
+    }
+
+    fn start(&mut self, _: &Simulation, _: &mut Rng, states: &mut [DroneState]) -> bool {
+        self.starts += 1;
+        let impossible = (self.impossible)(self.starts);
+        if impossible {
+            states[0].position.z = f64::NAN;
+        }
+        impossible
     }
 
     fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
@@ -615,7 +627,7 @@ impl Task for Odd {
 }
 
 fn odd(update: fn(&Simulation)) -> AviaryBuilder<Odd> {
-    AviaryBuilder::new(Odd { hover: Hover::default(), update })
+    AviaryBuilder::new(Odd { hover: Hover::default(), update, impossible: |_| false, starts: 0 })
 }
 
 #[test]
@@ -739,4 +751,43 @@ fn looking_at_an_environment_shows_its_own_commands_and_end_and_changes_nothing(
     assert_eq!(ends, [EndReason::FloorContact]);
     assert!(!buffers.truncated[0] && !buffers.terminated[0]);
     assert!(batch.faults()[0].1.to_string().contains("after the end"));
+}
+
+#[test]
+fn a_step_that_could_not_start_an_episode_is_no_step_of_an_episode() {
+    for autoreset in [Autoreset::SameStep, Autoreset::NextStep] {
+        let config = VecConfig { autoreset, on_fault: OnFault::Truncate, ..VecConfig::new(9) };
+        // twice in a row, and once more
+        let impossible = |start| [2, 3, 6].contains(&start);
+        let builder = odd(|_| {}).episode_seconds(0.25).task(move |odd| odd.impossible = impossible);
+        let mut batch = VecAviary::new(builder, config).unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        let (mut ends, mut steps, mut faults) = (Vec::new(), 0, 0);
+        for _ in 0..65 {
+            // with NextStep, the step after an end starts the next episode
+            let starts = autoreset == Autoreset::NextStep && batch.ended(8).is_some();
+            batch.step(&[0.01; 36], buffers.step()).unwrap();
+            assert_eq!(batch.ended(0), batch.ended(8));
+            faults += batch.faults().len();
+            match batch.ended(8) {
+                Some(ended) => {
+                    assert!(buffers.truncated[8] && !buffers.terminated[8]);
+                    ends.push((ended.reason, ended.steps));
+                    steps += u32::from(ended.reason != EndReason::Fault);
+                }
+                None => {
+                    assert!(!buffers.truncated[8]);
+                    steps += u32::from(!starts);
+                }
+            }
+        }
+        let whole = (EndReason::TimeLimit, 12);
+        let failed = (EndReason::Fault, 0);
+        assert_eq!(ends[..7], [whole, failed, failed, whole, whole, failed, whole], "{autoreset:?}");
+        assert_eq!(faults, 3 * 9);
+        let running = batch.with(8, |env| env.simulation().control_steps()).unwrap() as u32;
+        let wholes = ends.iter().filter(|end| **end == whole).count() as u32;
+        assert_eq!(steps, 12 * wholes + running, "{autoreset:?}: every other step belongs to an episode");
+    }
 }

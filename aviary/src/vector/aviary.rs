@@ -180,6 +180,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
                 decoders: if memory { first.decoders.clone() } else { Vec::new() },
                 control_steps: 0,
                 begun: false,
+                start_failed: false,
                 reward: 0.0,
                 ended: None,
                 ends: Default::default(),

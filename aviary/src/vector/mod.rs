@@ -72,7 +72,9 @@ pub enum OnFault {
     /// The step is an error. A bad action is found before anything has moved; after another fault all other environments have made their step.
     #[default]
     Error,
-    /// Its episode is truncated, without a reward for this step; [`VecEnv::faults`] says why.
+    /// Its episode is truncated, without a reward for this step; [`VecEnv::faults`] says why. An episode that cannot start is reported
+    /// as one of zero steps: the step that should have started it (with [`Autoreset::SameStep`] the one after) is truncated with
+    /// [`EndReason::Fault`](crate::env::EndReason::Fault), and the next step tries again.
     Truncate,
 }
 

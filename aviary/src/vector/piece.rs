@@ -380,7 +380,12 @@ impl<T: Task> Worker<'_, T> {
             }),
             Turn::Begin => {
                 (piece.rewards[index], piece.terminated[index], piece.truncated[index]) = (0.0, false, false);
+                // with a reset in the same step, this step has ignored its action because the start in the step before failed
+                let late = self.common.autoreset == Autoreset::SameStep && piece.slots[index].start_failed;
                 self.begin(piece, index, None);
+                if late || piece.slots[index].start_failed {
+                    self.end_without_start(piece, index);
+                }
             }
             Turn::Fail(error) => {
                 let running = piece.slots[index].episode.phase == Phase::Running;
@@ -447,6 +452,16 @@ impl<T: Task> Worker<'_, T> {
         }
     }
 
+    /// Reports an episode that could not start, as a fault after zero steps.
+    fn end_without_start(&mut self, piece: &mut Piece<'_, T>, index: usize) {
+        piece.truncated[index] = true;
+        piece.slots[index].ended = Some(Ended { reason: EndReason::Fault, success: false, steps: 0, reward: 0.0 });
+        if self.common.autoreset == Autoreset::SameStep {
+            let row = Self::row(self.common, index);
+            piece.finals[row.clone()].copy_from_slice(&piece.observations[row]);
+        }
+    }
+
     fn observe(&mut self, piece: &mut Piece<'_, T>, index: usize, whole: bool) {
         let row = Self::row(self.common, index);
         let seen = self.stage.observe(&mut piece.slots[index], whole, &mut piece.observations[row]);
@@ -467,7 +482,9 @@ impl<T: Task> Worker<'_, T> {
         for lookout in piece.lookouts.iter_mut().skip(self.common.drones * index).take(self.common.drones) {
             *lookout = Lookout::default();
         }
-        match self.stage.env.begin(seed) {
+        let started = self.stage.env.begin(seed);
+        piece.slots[index].start_failed = started.is_err();
+        match started {
             Ok(()) => self.observe(piece, index, true),
             Err(error) => {
                 self.stage.env.episode.phase = Phase::New;
