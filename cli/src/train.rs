@@ -236,7 +236,7 @@ impl Run {
     }
 
     fn save_policy(&self) -> Result<(), Failure> {
-        self.out.write(POLICY, &self.trainer.best().to_bytes())
+        self.out.write(POLICY, &self.trainer.best().to_bytes().map_err(Failure::work)?)
     }
 
     fn save_checkpoint(&self) -> Result<(), Failure> {

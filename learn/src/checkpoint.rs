@@ -3,11 +3,12 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use aviary::policy::PolicyError;
+use aviary::policy::{Policy, PolicyError};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::Score;
+use crate::network::{LOG_DEVIATIONS, Shape};
 use crate::optimizer::Moments;
 use crate::scale::{RewardScale, Running};
 use crate::trainer::{Point, Trainer};
@@ -41,11 +42,19 @@ pub(crate) struct Checkpoint {
     pub best: Vec<u8>,
 }
 
+/// What the numbers of a checkpoint must fit.
+pub(crate) struct Limits<'a> {
+    pub shape: &'a Shape,
+    pub steps_per_iteration: u64,
+    /// Largest number of optimizer steps in an iteration.
+    pub updates_per_iteration: u64,
+}
+
 impl Checkpoint {
-    pub fn of(trainer: &Trainer) -> Self {
+    pub fn of(trainer: &Trainer) -> Result<Self, TrainError> {
         let (command, ppo, iteration, best) = trainer.parts();
         let moments = ppo.optimizer.moments(ppo.parameters.len());
-        Self {
+        Ok(Self {
             state: State {
                 config: trainer.config().clone(),
                 command: command.into(),
@@ -59,8 +68,71 @@ impl Checkpoint {
             parameters: ppo.parameters.clone(),
             moments,
             curve: trainer.curve().to_vec(),
-            best: trainer.best().to_bytes(),
+            best: trainer.best().to_bytes()?,
+        })
+    }
+
+    /// Checks every number.
+    pub fn check(&self, run: &Limits<'_>, best: &Policy) -> Result<(), String> {
+        let Self { state, parameters, moments, curve, .. } = self;
+        let expected = run.shape.count();
+        for (name, numbers) in [
+            ("parameters", parameters),
+            ("moments.first", &moments.first),
+            ("moments.second", &moments.second),
+        ] {
+            if numbers.len() != expected {
+                return Err(format!("`{name}` has {} numbers, expected {expected}", numbers.len()));
+            }
+            if let Some((index, x)) = numbers.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+                return Err(format!("entry {index} of `{name}` is {x}, expected a finite number"));
+            }
         }
+        if let Some((index, x)) = moments.second.iter().enumerate().find(|(_, x)| **x < 0.0) {
+            return Err(format!("entry {index} of `moments.second` is {x}, expected a mean of squares"));
+        }
+        let (_, _, logs) = run.shape.split(parameters);
+        if let Some(log) = logs.iter().find(|log| !LOG_DEVIATIONS.contains(log)) {
+            return Err(format!("the logarithm of a deviation is {log}, expected {LOG_DEVIATIONS:?}"));
+        }
+        let entries = curve.len() as u64;
+        if state.iteration != entries {
+            return Err(format!("`iteration` is {}, expected {entries}, the length of `curve`", state.iteration));
+        }
+        // the optimizer raises a number to this power, as an i32
+        let most = entries.saturating_mul(run.updates_per_iteration).min((i32::MAX as u64).saturating_sub(run.updates_per_iteration));
+        if moments.time as u64 > most {
+            return Err(format!("`time` is {}, expected up to {most} optimizer steps", moments.time));
+        }
+        if !(state.rate > 0.0 && state.rate <= state.config.ppo.learning_rate) {
+            let most = state.config.ppo.learning_rate;
+            return Err(format!("`rate` is {}, expected above 0 and up to {most}", state.rate));
+        }
+        if !state.observations.is_of(run.shape.observation()) {
+            return Err("`observations` are no means and sums of squares of the observations".into());
+        }
+        if !state.rewards.is_sane() {
+            return Err("`rewards` are no mean and sum of squares".into());
+        }
+        for (index, point) in (1..).zip(curve) {
+            let steps = index * run.steps_per_iteration;
+            if (point.iteration, point.steps) != (index, steps) {
+                let (iteration, got) = (point.iteration, point.steps);
+                return Err(format!(
+                    "entry {index} of `curve` is iteration {iteration} with {got} steps, expected {index} with {steps}"
+                ));
+            }
+        }
+        let sizes = (best.observation_size(), best.action_size());
+        let wanted = (run.shape.observation(), run.shape.action());
+        if (&best.info().task, sizes) != (&state.config.task, wanted) {
+            return Err(format!(
+                "its best policy is for {} with sizes {sizes:?}, expected {} with {wanted:?}",
+                best.info().task,
+                state.config.task
+            ));
+        }
+        Ok(())
     }
 
     pub fn to_bytes(&self) -> Result<Vec<u8>, TrainError> {

@@ -274,16 +274,18 @@ impl TrainConfig {
             deviation,
             ..
         } = &self.ppo;
+        // a configuration file has no larger integers
+        let largest = i64::MAX as u64;
         let counts: [(&str, u64, u64); 9] = [
             ("environments", *environments as u64, 1 << 20),
             ("horizon", *horizon as u64, 1 << 16),
             ("epochs", *epochs as u64, 1000),
             ("minibatch", *minibatch as u64, 1 << 24),
-            ("evaluate_every", self.evaluate_every, u64::MAX),
+            ("evaluate_every", self.evaluate_every, largest),
             ("episodes", self.episodes as u64, 1 << 20),
-            ("checkpoint_every", self.checkpoint_every, u64::MAX),
-            ("steps", self.steps, u64::MAX),
-            ("ctrl_freq", self.ctrl_freq.into(), u64::MAX),
+            ("checkpoint_every", self.checkpoint_every, largest),
+            ("steps", self.steps, largest),
+            ("ctrl_freq", self.ctrl_freq.into(), largest),
         ];
         for (option, got, most) in counts {
             if !(1..=most).contains(&got) {

@@ -1,5 +1,6 @@
 //! How well a policy flies: episodes of its own, one environment at a time, as anybody would fly it.
 
+use std::collections::VecDeque;
 use std::fmt;
 
 use aviary::env::{EndReason, Env, EnvError};
@@ -68,7 +69,7 @@ pub struct Episode {
     pub progress: f64,
     /// Distance from where the task wants the drones, of the furthest one, at the end, m.
     pub final_position_error: f64,
-    /// The greatest in the last 5 s of the task's time, or where the episode ended before; m.
+    /// Greatest such distance during the last 5 s of the episode, or during all of a shorter one, m.
     pub late_position_error: f64,
 }
 
@@ -107,6 +108,31 @@ pub type AnyEnv = Box<dyn Env + Send>;
 /// Time at the end of an episode over which errors are looked at, s.
 const LATE: f64 = 5.0;
 
+/// Position errors of the last control steps.
+struct Recent {
+    errors: VecDeque<f64>,
+    length: usize,
+}
+
+impl Recent {
+    /// An empty window of so many steps, at least one.
+    fn new(steps: u64) -> Self {
+        let length = usize::try_from(steps).unwrap_or(usize::MAX).max(1);
+        Self { errors: VecDeque::new(), length }
+    }
+
+    fn push(&mut self, error: f64) {
+        if self.errors.len() == self.length {
+            self.errors.pop_front();
+        }
+        self.errors.push_back(error);
+    }
+
+    fn greatest(&self) -> f64 {
+        self.errors.iter().copied().fold(0.0, f64::max)
+    }
+}
+
 /// Flies an episode, and looks at every step.
 ///
 /// # Errors
@@ -121,11 +147,11 @@ pub fn fly(
     policy.check(env)?;
     let period = env.simulation().control_period();
     let steps_of = |seconds: f64| (seconds / period).round() as u64;
-    let late_from = env.episode_steps().saturating_sub(steps_of(LATE));
+    let mut recent = Recent::new(steps_of(LATE));
     let mut action = vec![0.0; env.action_space().size()];
     env.reset(Some(seed))?;
     look(env);
-    let (mut reward, mut held, mut steps, mut late) = (0.0, 0_u64, 0_u64, 0.0_f64);
+    let (mut reward, mut held, mut steps) = (0.0, 0_u64, 0_u64);
     loop {
         policy.act(&env.observation().vector, &mut action);
         let step = match env.step(&action) {
@@ -141,7 +167,7 @@ pub fn fly(
                     end: EndReason::Fault.name(),
                     progress: info.progress,
                     final_position_error: info.position_error,
-                    late_position_error: late.max(info.position_error),
+                    late_position_error: recent.greatest().max(info.position_error),
                 });
             }
             Err(error) => return Err(error.into()),
@@ -155,9 +181,7 @@ pub fn fly(
             Success::Held { .. } | Success::Done => info.success,
         };
         held = if good { held + 1 } else { 0 };
-        if steps > late_from {
-            late = late.max(info.position_error);
-        }
+        recent.push(info.position_error);
         look(env);
         if over {
             let whole = info.end == Some(EndReason::TimeLimit);
@@ -175,7 +199,7 @@ pub fn fly(
                 end: info.end.map_or("time_limit", EndReason::name),
                 progress: info.progress,
                 final_position_error: info.position_error,
-                late_position_error: if steps > late_from { late } else { info.position_error },
+                late_position_error: recent.greatest(),
             });
         }
     }

@@ -73,21 +73,29 @@ fn orthogonal(rows: usize, columns: usize, rng: &mut Rng) -> Vec<f32> {
     (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))).map(|(i, j)| at(i, j) as f32).collect()
 }
 
+/// Range of the logarithms of the actions' standard deviations. The bounds (4.5e-5 and 20, in half widths of the action space) keep
+/// every term of the loss within single precision.
+pub(crate) const LOG_DEVIATIONS: std::ops::RangeInclusive<f32> = -10.0..=3.0;
+
+/// Bound of the log-ratio of new and old action probabilities, either way. A row beyond it has the ratio exp(±20) and no gradient:
+/// unbounded, exp overflows at 88.
+const MAX_LOG_RATIO: f32 = 20.0;
+
 /// A part of a minibatch: rows beside each other.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Shard {
     pub observations: Vec<f32>,
     pub actions: Vec<f32>,
-    /// Logarithms of the actions' densities when they were drawn.
-    pub densities: Vec<f32>,
+    /// Log-probabilities of the actions under the policy that drew them.
+    pub log_probs: Vec<f32>,
     pub advantages: Vec<f32>,
     pub returns: Vec<f32>,
 }
 
 impl Shard {
     pub fn clear(&mut self) {
-        let Self { observations, actions, densities, advantages, returns } = self;
-        for list in [observations, actions, densities, advantages, returns] {
+        let Self { observations, actions, log_probs, advantages, returns } = self;
+        for list in [observations, actions, log_probs, advantages, returns] {
             list.clear();
         }
     }
@@ -96,7 +104,7 @@ impl Shard {
 /// What the loss is made of (Schulman et al. 2017, eq. 9).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Loss {
-    /// How far the ratio of densities may leave 1.
+    /// How far the ratio of probabilities may leave 1.
     pub clip: f32,
     /// Weight of the critic's squared error.
     pub value: f32,
@@ -107,8 +115,8 @@ pub(crate) struct Loss {
 pub(crate) struct Sums {
     /// Of the loss, already divided by the minibatch's size.
     pub loss: f64,
-    /// Of the divergence of the policy from what it was.
-    pub divergence: f64,
+    /// Approximate KL divergence of the policy from the one that drew the actions.
+    pub approx_kl: f64,
     /// Of rows beyond the clip.
     pub clipped: f64,
 }
@@ -142,9 +150,9 @@ pub(crate) fn gradient(shape: &Shape, parameters: &[f32], shard: &Shard, loss: &
     let off = (tensor(&shard.actions, [rows, shape.action()]) - forward(&actor, observations.clone()))
         * (deviations.clone() * -1.0).exp();
     let half_log_tau = 0.5 * std::f32::consts::TAU.ln() * shape.action() as f32;
-    let density = (off.clone() * off).sum_dim(1) * -0.5 - deviations.clone().sum_dim(1) - half_log_tau;
-    let change = density - column(&shard.densities);
-    let ratio = change.clone().exp();
+    let log_probs = (off.clone() * off).sum_dim(1) * -0.5 - deviations.clone().sum_dim(1) - half_log_tau;
+    let log_ratio = (log_probs - column(&shard.log_probs)).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
+    let ratio = log_ratio.clone().exp();
     let clipped = ratio.clone().clamp(1.0 - loss.clip, 1.0 + loss.clip);
     let gain = (ratio.clone() * advantages.clone()).min_pair(clipped * advantages).sum();
     let error = forward(&critic, observations) - column(&shard.returns);
@@ -156,9 +164,9 @@ pub(crate) fn gradient(shape: &Shape, parameters: &[f32], shard: &Shard, loss: &
         gradient.extend(numbers(leaf.grad(&gradients).unwrap_or_else(|| leaf.clone().inner().zeros_like())));
     }
     let mut sums = Sums { loss: f64::from(numbers(total.inner())[0]), ..Sums::default() };
-    for (change, ratio) in numbers(change.inner()).into_iter().zip(numbers(ratio.inner())) {
-        // (r − 1) − log r, which is never negative and whose mean is the divergence (Schulman 2020)
-        sums.divergence += f64::from(ratio - 1.0 - change);
+    for (log_ratio, ratio) in numbers(log_ratio.inner()).into_iter().zip(numbers(ratio.inner())) {
+        // (r − 1) − log r, which is never negative and whose mean is the KL divergence (Schulman 2020)
+        sums.approx_kl += f64::from(ratio - 1.0 - log_ratio);
         sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > loss.clip));
     }
     (gradient, sums)
@@ -217,12 +225,12 @@ mod tests {
         for row in 0..shard.returns.len() {
             let seen = &shard.observations[row * shape.observation()..][..shape.observation()];
             let mean = run(&shape.actor, actor, seen);
-            let mut density = 0.0;
+            let mut log_prob = 0.0;
             for (j, log) in logs.iter().enumerate() {
                 let off = (f64::from(shard.actions[row * shape.action() + j]) - mean[j]) / log.exp();
-                density += -0.5 * off * off - log - 0.5 * std::f64::consts::TAU.ln();
+                log_prob += -0.5 * off * off - log - 0.5 * std::f64::consts::TAU.ln();
             }
-            let ratio = (density - f64::from(shard.densities[row])).exp();
+            let ratio = (log_prob - f64::from(shard.log_probs[row])).exp();
             let (advantage, clip) = (f64::from(shard.advantages[row]), f64::from(weights.clip));
             total -= (ratio * advantage).min(ratio.clamp(1.0 - clip, 1.0 + clip) * advantage);
             let error = run(&shape.critic, critic, seen)[0] - f64::from(shard.returns[row]);
@@ -241,7 +249,7 @@ mod tests {
         actor.forward(&observations, &mut mean);
         // as they were drawn, and the policy somewhat different since
         let actions: Vec<f32> = actions.iter().zip(&mean).map(|(x, mean)| mean + 0.3 * x).collect();
-        let density = |row: usize| -> f32 {
+        let log_prob = |row: usize| -> f32 {
             let entries = row * shape.action()..(row + 1) * shape.action();
             let each = entries.zip(logs).map(|(entry, log)| {
                 let off = (actions[entry] - mean[entry]) / log.exp();
@@ -249,8 +257,8 @@ mod tests {
             });
             each.sum()
         };
-        let densities = (0..rows).map(|row| density(row) + 0.3 * noise[row]).collect();
-        Shard { observations, actions, densities, advantages: normals(rows), returns: normals(rows) }
+        let log_probs = (0..rows).map(|row| log_prob(row) + 0.3 * noise[row]).collect();
+        Shard { observations, actions, log_probs, advantages: normals(rows), returns: normals(rows) }
     }
 
     proptest! {
@@ -331,7 +339,7 @@ mod tests {
         let part = |rows: std::ops::Range<usize>| Shard {
             observations: whole.observations[rows.start * 12..rows.end * 12].to_vec(),
             actions: whole.actions[rows.start * 4..rows.end * 4].to_vec(),
-            densities: whole.densities[rows.clone()].to_vec(),
+            log_probs: whole.log_probs[rows.clone()].to_vec(),
             advantages: whole.advantages[rows.clone()].to_vec(),
             returns: whole.returns[rows].to_vec(),
         };
@@ -342,8 +350,36 @@ mod tests {
         }
         let sum = |value: fn(&Sums) -> f64| parts.iter().map(|(_, sums)| value(sums)).sum::<f64>();
         assert!((sums.loss - sum(|sums| sums.loss)).abs() < 1e-5);
-        assert!((sums.divergence - sum(|sums| sums.divergence)).abs() < 1e-3);
+        assert!((sums.approx_kl - sum(|sums| sums.approx_kl)).abs() < 1e-3);
         assert_eq!(sums.clipped, sum(|sums| sums.clipped));
+    }
+
+    #[test]
+    fn gradients_stay_finite_where_probabilities_leave_single_precision() {
+        let shape = Shape::new(3, 2, &[8], Activation::Relu);
+        let mut rng = Rng::seed_from_u64(4);
+        for log_deviation in [*LOG_DEVIATIONS.start(), 0.0, *LOG_DEVIATIONS.end()] {
+            let mut parameters = shape.initial(1.0, &mut rng);
+            let first = parameters.len() - shape.action();
+            parameters[first..].fill(log_deviation);
+            // log-ratios of up to ±4e19, where exp is infinite beyond 88
+            for (action, log_prob) in [(1e5, 0.0), (0.0, -1e5), (0.1, 1e5), (1e5, -1e30)] {
+                for advantage in [1.0, -1.0] {
+                    let shard = Shard {
+                        observations: vec![0.5; 6],
+                        actions: vec![action; 4],
+                        log_probs: vec![log_prob; 2],
+                        advantages: vec![advantage; 2],
+                        returns: vec![0.0; 2],
+                    };
+                    let weights = Loss { clip: 0.2, value: 1.0 };
+                    let (found, sums) = gradient(&shape, &parameters, &shard, &weights, 2);
+                    assert!(found.iter().all(|x| x.is_finite()), "{log_deviation} {action} {log_prob}: {found:?}");
+                    assert!(sums.loss.is_finite() && sums.approx_kl.is_finite(), "{sums:?}");
+                    assert!(sums.approx_kl > 0.0);
+                }
+            }
+        }
     }
 
     #[test]

@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::agents::{Agents, Next, Outcome};
-use crate::network::{Loss, Shape, Shard, Sums, gradient};
+use crate::network::{LOG_DEVIATIONS, Loss, Shape, Shard, Sums, gradient};
 use crate::optimizer::Optimizer;
 use crate::scale::{RewardScale, Running};
 
@@ -92,7 +92,7 @@ settings! {
         discount: f64 = 0.99,
         /// λ of the advantages.
         lambda: f64 = 0.95,
-        /// How far the ratio of densities may leave 1, ε.
+        /// How far the ratio of probabilities may leave 1, ε.
         clip: f64 = 0.2,
         /// Weight of the critic's error.
         value: f64 = 1.0,
@@ -147,7 +147,7 @@ struct Experience {
     /// As they were.
     raw: Vec<f32>,
     actions: Vec<f32>,
-    densities: Vec<f32>,
+    log_probs: Vec<f32>,
     rewards: Vec<f32>,
     next: Vec<Next>,
     /// Estimates of the return at every step.
@@ -226,9 +226,21 @@ impl Ppo {
         })
     }
 
+    /// Observations of the last iteration, as the networks see them.
+    #[cfg(test)]
+    pub fn inputs(&self) -> &[f32] {
+        &self.experience.observations
+    }
+
     /// The actor as it is.
     pub fn actor(&self) -> &Mlp {
         &self.actor
+    }
+
+    /// Largest number of optimizer steps in an iteration of so many rows.
+    pub fn updates_per_iteration(&self, rows: usize) -> u64 {
+        let minibatches = (rows * self.config.horizon).div_ceil(self.config.minibatch);
+        (self.config.epochs * minibatches) as u64
     }
 
     /// What observations are scaled with: mean and deviation.
@@ -244,6 +256,21 @@ impl Ppo {
         self.mean = self.observations.mean();
         // what never moves is not blown up when it does
         self.deviation = self.observations.deviation().iter().map(|deviation| deviation.max(1e-2)).collect();
+        Ok(())
+    }
+
+    /// Whether the scales of observations and rewards have been estimated.
+    pub fn has_scales(&self) -> bool {
+        !self.observations.is_empty()
+    }
+
+    /// Estimates the scales of observations and rewards before the first update, from one horizon of the initial policy. Nothing
+    /// else is learned from it. Call [`restart`](Self::restart) afterwards.
+    pub fn estimate_scales(&mut self, agents: &mut dyn Agents, seeds: [u64; 2]) -> Result<(), crate::TrainError> {
+        self.restart(agents, seeds[0])?;
+        self.collect(agents, seeds[1])?;
+        self.observations.take(&self.experience.raw);
+        self.refresh()?;
         Ok(())
     }
 
@@ -291,7 +318,7 @@ impl Ppo {
         experience.clear();
         experience.observations.resize(self.config.horizon * rows * size, 0.0);
         experience.actions.resize(self.config.horizon * rows * acts, 0.0);
-        experience.densities.resize(self.config.horizon * rows, 0.0);
+        experience.log_probs.resize(self.config.horizon * rows, 0.0);
         for step in 0..self.config.horizon {
             let began = Instant::now();
             let own = step * rows..(step + 1) * rows;
@@ -305,16 +332,16 @@ impl Ppo {
                 .zip(
                     (
                         actions.par_chunks_mut(BLOCK * acts),
-                        experience.densities[own].par_chunks_mut(BLOCK),
+                        experience.log_probs[own].par_chunks_mut(BLOCK),
                         draws.par_iter_mut(),
                     )
                         .into_par_iter(),
                 )
-                .for_each(|((seen, scaled, drawn), (actions, densities, rng))| {
+                .for_each(|((seen, scaled, drawn), (actions, log_probs, rng))| {
                     normalize(seen, mean, deviation, scaled);
                     actor.forward(scaled, drawn);
-                    let each = drawn.chunks_exact_mut(acts).zip(actions.chunks_exact_mut(acts)).zip(densities);
-                    for ((drawn, action), density) in each {
+                    let each = drawn.chunks_exact_mut(acts).zip(actions.chunks_exact_mut(acts)).zip(log_probs);
+                    for ((drawn, action), log_prob) in each {
                         let mut off = 0.0;
                         for (entry, (x, action)) in drawn.iter_mut().zip(action).enumerate() {
                             let normal: f32 = rng.sample(StandardNormal);
@@ -323,7 +350,7 @@ impl Ppo {
                             let [middle, half] = reach[entry];
                             *action = middle + half * *x;
                         }
-                        *density = -0.5 * off - spread;
+                        *log_prob = -0.5 * off - spread;
                     }
                 });
             self.clock.inference += began.elapsed();
@@ -425,7 +452,7 @@ impl Ppo {
         let (mut totals, mut minibatches, mut seen) = (Sums::default(), 0, 0);
         for _ in 0..self.config.epochs {
             // the divergence of the last epoch is what the whole update did
-            (totals.divergence, seen) = (0.0, 0);
+            (totals.approx_kl, seen) = (0.0, 0);
             order.shuffle(&mut rng);
             // what would be a much smaller minibatch than the others is left for another epoch
             let minibatches_of = order
@@ -442,7 +469,7 @@ impl Ppo {
                         for entry in entries.iter().map(|&entry| entry as usize) {
                             shard.observations.extend_from_slice(&experience.observations[entry * size..][..size]);
                             shard.actions.extend_from_slice(&experience.actions[entry * acts..][..acts]);
-                            shard.densities.push(experience.densities[entry]);
+                            shard.log_probs.push(experience.log_probs[entry]);
                             shard.advantages.push((experience.advantages[entry] - mean) / (deviation + 1e-8));
                             shard.returns.push(experience.returns[entry]);
                         }
@@ -456,7 +483,7 @@ impl Ppo {
                         *sum += x;
                     }
                     sums.loss += add.loss;
-                    sums.divergence += add.divergence;
+                    sums.approx_kl += add.approx_kl;
                     sums.clipped += add.clipped;
                 }
                 let first_log = sum.len() - acts;
@@ -472,9 +499,12 @@ impl Ppo {
                     *x *= shrink;
                 }
                 self.optimizer.step(self.rate, &mut self.parameters, &sum);
+                for log in &mut self.parameters[first_log..] {
+                    *log = log.clamp(*LOG_DEVIATIONS.start(), *LOG_DEVIATIONS.end());
+                }
                 self.clock.gradient += began.elapsed();
                 totals.loss += sums.loss;
-                totals.divergence += sums.divergence;
+                totals.approx_kl += sums.approx_kl;
                 totals.clipped += sums.clipped;
                 minibatches += 1;
                 seen += minibatch.len();
@@ -482,7 +512,7 @@ impl Ppo {
         }
         let count = seen.max(1) as f64;
         report.loss = totals.loss / f64::from(minibatches.max(1));
-        report.divergence = totals.divergence / count;
+        report.divergence = totals.approx_kl / count;
         report.clipped = totals.clipped / count / self.config.epochs as f64;
         self.rate = follow(self.rate, self.config.learning_rate, self.config.divergence, report.divergence);
         // what was seen counts from the next iteration on

@@ -45,6 +45,11 @@ impl Running {
         self.count = total;
     }
 
+    /// Whether no row has been taken in yet.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0.0
+    }
+
     /// Whether it is one of vectors of this size, with numbers that can be.
     pub fn is_of(&self, size: usize) -> bool {
         let sane = |x: &f64| x.is_finite();

@@ -9,7 +9,7 @@ use rand::{Rng as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
 use crate::agents::Agents;
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Checkpoint, Limits};
 use crate::evaluation::{Arena, Episode, Score};
 use crate::ppo::{Clock, Ppo, Report};
 use crate::{TrainConfig, TrainError};
@@ -130,21 +130,14 @@ impl Trainer {
     fn restore(&mut self, checkpoint: Checkpoint, path: PathBuf) -> Result<(), TrainError> {
         let trainer = self;
         let wrong = |message: String| TrainError::File { path: path.clone(), message };
-        let expected = trainer.ppo.parameters.len();
-        let sizes = [&checkpoint.parameters, &checkpoint.moments.first, &checkpoint.moments.second].map(Vec::len);
-        if sizes.iter().any(|&size| size != expected) {
-            return Err(wrong(format!("it has {sizes:?} parameters and moments, expected {expected}")));
-        }
-        let Checkpoint { state, parameters, moments, curve, best } = checkpoint;
-        let numbers = parameters.iter().chain(&moments.first).chain(&moments.second);
-        let sane = numbers.into_iter().all(|x| x.is_finite())
-            && state.observations.is_of(trainer.ppo.shape.observation())
-            && state.rewards.is_sane()
-            && (state.rate > 0.0 && state.rate <= 1.0)
-            && curve.len() as u64 == state.iteration;
-        if !sane {
-            return Err(wrong("not a checkpoint: its numbers cannot be".into()));
-        }
+        let best = Policy::from_bytes(&checkpoint.best).map_err(|error| wrong(error.to_string()))?;
+        let run = Limits {
+            shape: &trainer.ppo.shape,
+            steps_per_iteration: trainer.steps_per_iteration(),
+            updates_per_iteration: trainer.ppo.updates_per_iteration(trainer.agents.rows()),
+        };
+        checkpoint.check(&run, &best).map_err(|message| wrong(format!("not a checkpoint: {message}")))?;
+        let Checkpoint { state, parameters, moments, curve, .. } = checkpoint;
         trainer.ppo.parameters = parameters;
         trainer.ppo.optimizer.restore(&moments);
         trainer.ppo.rate = state.rate;
@@ -154,7 +147,7 @@ impl Trainer {
         trainer.iteration = state.iteration;
         trainer.first = state.iteration;
         trainer.curve = curve;
-        trainer.best = (Policy::from_bytes(&best).map_err(|error| wrong(error.to_string()))?, state.best);
+        trainer.best = (best, state.best);
         trainer.stop = trainer.out_of_steps();
         Ok(())
     }
@@ -244,6 +237,10 @@ impl Trainer {
         if self.is_checkpoint() || self.fresh {
             // whoever resumes begins here, too
             self.fresh = false;
+            if !self.ppo.has_scales() {
+                let seeds = [2, 3].map(|what| self.seed_of(self.iteration, what));
+                self.ppo.estimate_scales(&mut *self.agents, seeds)?;
+            }
             let seed = self.seed_of(self.iteration, 0);
             self.ppo.restart(&mut *self.agents, seed)?;
         }
@@ -297,7 +294,7 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Policy`] for what cannot be written.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
-        Checkpoint::of(self).to_bytes()
+        Checkpoint::of(self)?.to_bytes()
     }
 
     pub(crate) fn parts(&self) -> (&str, &Ppo, u64, Option<Score>) {
@@ -312,6 +309,8 @@ fn policy_of(
     ppo: &Ppo,
     steps: u64,
 ) -> Result<Policy, TrainError> {
+    // no path of this machine
+    let training = TrainConfig { drone: config.airframe_name(), ..config.clone() }.to_toml()?;
     let info = PolicyInfo {
         version: PolicyInfo::VERSION,
         task: config.task.clone(),
@@ -325,9 +324,85 @@ fn policy_of(
         steps,
         command: command.into(),
         made_by: concat!("mujoco-drones-gym ", env!("CARGO_PKG_VERSION")).into(),
+        training: Some(training),
     };
     let (mean, deviation) = ppo.normalization();
     let policy =
         Policy::new(info, ppo.actor().clone(), agents.observation_space().clone(), agents.action_space().clone())?;
     Ok(policy.normalized(mean.to_vec(), deviation.to_vec())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use aviary::env::{BoxSpace, EnvError};
+
+    use rand::RngExt as _;
+
+    use super::*;
+    use crate::agents::Outcome;
+
+    /// Agents that observe 1000 ± 50, independently of their actions.
+    struct Far {
+        observations: BoxSpace,
+        actions: BoxSpace,
+        rng: Rng,
+    }
+
+    impl Far {
+        fn observe(&mut self, out: &mut [f32]) {
+            out.fill_with(|| 1000.0 + 50.0 * self.rng.sample::<f32, _>(rand_distr::StandardNormal));
+        }
+    }
+
+    impl Agents for Far {
+        fn rows(&self) -> usize {
+            64
+        }
+
+        fn observation_space(&self) -> &BoxSpace {
+            &self.observations
+        }
+
+        fn action_space(&self) -> &BoxSpace {
+            &self.actions
+        }
+
+        fn longest(&self, _: usize) -> u64 {
+            100
+        }
+
+        fn reset(&mut self, seed: u64, observations: &mut [f32]) -> Result<(), EnvError> {
+            self.rng = Rng::seed_from_u64(seed);
+            self.observe(observations);
+            Ok(())
+        }
+
+        fn step(&mut self, _: &[f32], outcome: &mut Outcome) -> Result<(), EnvError> {
+            outcome.rewards.fill(1.0);
+            self.observe(&mut outcome.observations);
+            Ok(())
+        }
+
+        fn restart(&mut self, _: &mut [bool], _: &mut [f32]) -> Result<(), EnvError> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn the_first_iteration_learns_from_scaled_observations() {
+        let mut config = TrainConfig::of_task("hover").unwrap();
+        config.ppo.horizon = 16;
+        let space = |size| BoxSpace::new(vec![[f64::NEG_INFINITY, f64::INFINITY]; size]);
+        let agents = Far { observations: space(3), actions: space(2), rng: Rng::seed_from_u64(0) };
+        let arena = Arena::new(config.success, || config.environment()).unwrap();
+        let mut trainer = Trainer::with(config.clone(), "a test", Box::new(agents), arena).unwrap();
+        trainer.advance().unwrap();
+        let inputs = trainer.ppo.inputs();
+        assert_eq!(inputs.len(), 16 * 64 * 3);
+        let count = inputs.len() as f32;
+        let mean = inputs.iter().sum::<f32>() / count;
+        let variance = inputs.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / count;
+        // unscaled, all of them are 10, where inputs are clipped
+        assert!(mean.abs() < 0.1 && (variance - 1.0).abs() < 0.2, "{mean} {variance}");
+    }
 }

@@ -1,7 +1,9 @@
 //! Training from outside: the same bits however it is interrupted and on however many threads, files that are refused, agents.
 
-use aviary::env::EnvConfig;
+use aviary::env::{Env as _, EnvConfig};
 use aviary::multi_agent::{AgentMap, make_parallel};
+use aviary::policy::{Activation, Mlp, Policy, PolicyInfo};
+use aviary::tasks::Hover;
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
 use learn::{Agents as _, Batch, Next, Outcome, Stop, Success, Swarm, Terms, TrainConfig, Trainer};
 
@@ -15,6 +17,10 @@ fn small(task: &str) -> TrainConfig {
     (config.evaluate_every, config.episodes, config.checkpoint_every) = (3, 3, 2);
     config.episode_seconds = Some(1.0);
     config
+}
+
+fn bytes(policy: &Policy) -> Vec<u8> {
+    policy.to_bytes().unwrap()
 }
 
 fn finish(trainer: &mut Trainer) {
@@ -44,8 +50,8 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
         assert_eq!(resumed.curve().len(), 2);
         finish(&mut resumed);
         assert_eq!(resumed.curve(), whole.curve(), "{task}");
-        assert_eq!(resumed.policy().unwrap().to_bytes(), whole.policy().unwrap().to_bytes(), "{task}");
-        assert_eq!(resumed.best().to_bytes(), whole.best().to_bytes(), "{task}");
+        assert_eq!(bytes(&resumed.policy().unwrap()), bytes(&whole.policy().unwrap()), "{task}");
+        assert_eq!(bytes(resumed.best()), bytes(whole.best()), "{task}");
     }
 }
 
@@ -73,7 +79,7 @@ fn a_policy_flies_as_the_trainers_evaluation_said() {
     config.success = Success::Done;
     let mut trainer = Trainer::new(config.clone(), "a test").unwrap();
     finish(&mut trainer);
-    let policy = aviary::policy::Policy::from_bytes(&trainer.best().to_bytes()).unwrap();
+    let policy = Policy::from_bytes(&bytes(trainer.best())).unwrap();
     let mut env = config.environment().unwrap();
     for episode in trainer.fly(40, 5).unwrap() {
         // flown by hand, without the trainer
@@ -117,6 +123,114 @@ fn files_that_are_no_checkpoints_are_refused_by_name() {
     }
     trainer.best().save(&path).unwrap();
     assert!(refused(&path).contains("has no `training`"));
+}
+
+/// A checkpoint with one value of its state changed, or a number of a tensor.
+fn changed(checkpoint: &[u8], key: &str, value: &serde_json::Value) -> Vec<u8> {
+    let tensors = safetensors::SafeTensors::deserialize(checkpoint).unwrap();
+    let (_, head) = safetensors::SafeTensors::read_metadata(checkpoint).unwrap();
+    let mut state: serde_json::Value =
+        serde_json::from_str(&head.metadata().as_ref().unwrap()["training"]).unwrap();
+    let mut parts: Vec<_> =
+        tensors.iter().map(|(name, view)| (name.to_string(), view.dtype(), view.data().to_vec())).collect();
+    if let Some((_, kind, data)) = parts.iter_mut().find(|(name, ..)| name == key) {
+        match kind {
+            safetensors::Dtype::F32 => data[8..12].copy_from_slice(&(value.as_f64().unwrap() as f32).to_le_bytes()),
+            _ => *data = value.to_string().into_bytes(),
+        }
+    } else {
+        *state.pointer_mut(key).unwrap() = value.clone();
+    }
+    let views = parts.iter().map(|(name, kind, data)| {
+        let size = if *kind == safetensors::Dtype::F32 { 4 } else { 1 };
+        (name, safetensors::tensor::TensorView::new(*kind, vec![data.len() / size], data).unwrap())
+    });
+    let metadata = [("training".to_string(), state.to_string())].into();
+    safetensors::serialize(views, Some(metadata)).unwrap()
+}
+
+#[test]
+fn every_number_of_a_checkpoint_is_checked() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("checkpoint");
+    let mut trainer = Trainer::new(small("hover"), "a test").unwrap();
+    trainer.advance().unwrap();
+    trainer.advance().unwrap();
+    let whole = trainer.checkpoint().unwrap();
+    let time = serde_json::json!(32);
+    std::fs::write(&path, changed(&whole, "/time", &time)).unwrap();
+    Trainer::resume(&path).unwrap().advance().unwrap();
+    let mut curve = serde_json::to_value(trainer.curve()).unwrap();
+    curve[1]["steps"] = 7.into();
+    for (key, value, wanted) in [
+        // two iterations of four epochs of four minibatches
+        ("/time", u64::MAX.into(), "`time` is 18446744073709551615, expected up to 32"),
+        ("/time", 33.into(), "`time` is 33, expected up to 32"),
+        ("/iteration", u64::MAX.into(), "`iteration` is 18446744073709551615, expected 2"),
+        ("/rate", (-0.1).into(), "`rate` is -0.1, expected above 0 and up to 0.0015"),
+        ("/rate", 0.5.into(), "`rate` is 0.5"),
+        ("/observations/count", (-1.0).into(), "`observations`"),
+        ("/observations/squares/3", (-1.0).into(), "`observations`"),
+        ("/rewards/sums/count", (-1.0).into(), "`rewards`"),
+        ("/config/task", "race".into(), "a checkpoint"),
+        ("moments.second", (-1.0).into(), "entry 2 of `moments.second` is -1"),
+        ("moments.first", 1e60.into(), "entry 2 of `moments.first` is inf"),
+        ("parameters", 1e60.into(), "entry 2 of `parameters` is inf"),
+        ("curve", curve, "entry 2 of `curve` is iteration 2 with 7 steps, expected 2 with 2048"),
+    ] {
+        std::fs::write(&path, changed(&whole, key, &value)).unwrap();
+        let error = Trainer::resume(&path).unwrap_err().to_string();
+        assert!(error.contains(wanted), "{key}: {error}");
+    }
+}
+
+#[test]
+fn the_late_error_is_of_the_episodes_last_five_seconds() {
+    let mut lengths = Vec::new();
+    for thrust in [0.3, 0.02] {
+        let info = PolicyInfo {
+            version: PolicyInfo::VERSION,
+            task: "hover".into(),
+            drone: "cf2x".into(),
+            num_drones: 1,
+            per_drone: false,
+            action_type: "rpm".into(),
+            sim_freq: 240,
+            ctrl_freq: 48,
+            seed: 0,
+            steps: 0,
+            command: String::new(),
+            made_by: String::new(),
+            training: None,
+        };
+        // climbs past 1 m and out of the task's space
+        let mut weights = vec![0.0; 12 * 4 + 4];
+        weights[12 * 4..].fill(thrust);
+        let net = Mlp::new(&[12, 4], Activation::Relu, &weights).unwrap();
+        let mut env = Hover::builder().task(|hover| hover.max_height = 1.2).episode_seconds(30.0).build().unwrap();
+        let spaces = (env.observation_space().vector.clone(), env.action_space().clone());
+        let policy = Policy::new(info, net, spaces.0, spaces.1).unwrap();
+        let mut errors = Vec::new();
+        let mut look = |env: &dyn aviary::env::Env| errors.push(env.info().position_error);
+        let flown = learn::fly(&mut env, &policy, Success::Done, 1, &mut look).unwrap();
+        // the first one is before the first step
+        let late = errors[1..].iter().rev().take(5 * 48).copied().fold(0.0, f64::max);
+        assert_eq!((flown.end, flown.late_position_error), ("out_of_bounds", late));
+        assert_eq!(flown.final_position_error, errors[errors.len() - 1]);
+        assert!(flown.seconds < 25.0 && late > flown.final_position_error + 0.3, "{flown:?}");
+        lengths.push(flown.seconds);
+    }
+    assert!(lengths[0] < 5.0, "{lengths:?}");
+}
+
+#[test]
+fn a_policy_has_the_configuration_that_trained_it() {
+    let mut config = small("hover");
+    config.read_toml("physics = \"mjc_drag\"\n[randomization.body]\nmass = [0.8, 1.2]").unwrap();
+    let policy = Trainer::new(config.clone(), "a test").unwrap().policy().unwrap();
+    let mut read = TrainConfig { seed: config.seed, ..TrainConfig::of_task("hover").unwrap() };
+    read.read_toml(policy.info().training.as_ref().unwrap()).unwrap();
+    assert_eq!(read, config);
 }
 
 #[test]

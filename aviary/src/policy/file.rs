@@ -42,11 +42,11 @@ fn vector(tensors: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, PolicyError
 }
 
 impl Policy {
-    /// The file's bytes. Equal policies have equal ones.
+    /// Returns the bytes of the policy's file. Equal policies have equal bytes.
     ///
-    /// # Panics
-    /// Never: all of it can be written.
-    pub fn to_bytes(&self) -> Vec<u8> {
+    /// # Errors
+    /// [`PolicyError::Value`] where the texts of [`info`](Self::info) exceed the 100 MB that a safetensors header may have.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, PolicyError> {
         let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
         let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
             tensors.push((name.into(), shape.to_vec(), bytes(numbers)));
@@ -64,12 +64,17 @@ impl Policy {
             add(&format!("layer{layer}.bias"), &pair[1..], biases);
         }
         let header = Header { info: self.info.clone(), activation: self.net.activation() };
-        let header = serde_json::to_string(&header).unwrap_or_default();
+        let header = serde_json::to_string(&header).map_err(wrong)?;
+        let size = header.len();
         let views = tensors.iter().filter_map(|(name, shape, data)| {
             TensorView::new(Dtype::F32, shape.clone(), data).ok().map(|view| (name.clone(), view))
         });
         let metadata = HashMap::from([(KEY.to_string(), header)]);
-        safetensors::serialize(views, Some(metadata)).expect("tensors of single precision")
+        safetensors::serialize(views, Some(metadata)).map_err(|error| PolicyError::Value {
+            what: "the policy's information",
+            got: format!("{size} bytes of JSON ({error})"),
+            expected: "up to 100 MB in a safetensors header".into(),
+        })
     }
 
     /// Reads the bytes of a file.
@@ -131,8 +136,9 @@ impl Policy {
     /// [`PolicyError::File`].
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), PolicyError> {
         let path = path.as_ref();
-        write_whole(path, &self.to_bytes())
-            .map_err(|error| PolicyError::File { path: path.into(), message: error.to_string() })
+        let in_file = |message: String| PolicyError::File { path: path.into(), message };
+        let bytes = self.to_bytes().map_err(|error| in_file(error.to_string()))?;
+        write_whole(path, &bytes).map_err(|error| in_file(error.to_string()))
     }
 
     /// Reads a file.
@@ -170,7 +176,7 @@ mod tests {
 
     fn policy() -> Policy {
         let info = PolicyInfo {
-            version: 1,
+            version: 2,
             task: "hover".into(),
             drone: "cf2x".into(),
             num_drones: 1,
@@ -182,6 +188,7 @@ mod tests {
             steps: 1000,
             command: "aviary train --task hover".into(),
             made_by: "a test".into(),
+            training: Some("physics = \"mjc\"\n".into()),
         };
         let sizes = [3, 5, 2];
         let parameters: Vec<f32> = (0..Mlp::count(&sizes)).map(|k| (k as f32).sin()).collect();
@@ -193,8 +200,8 @@ mod tests {
     #[test]
     fn a_policy_reads_back_as_it_was_from_equal_bytes() {
         let policy = policy();
-        let bytes = policy.to_bytes();
-        assert_eq!(bytes, policy.clone().to_bytes());
+        let bytes = policy.to_bytes().unwrap();
+        assert_eq!(bytes, policy.clone().to_bytes().unwrap());
         assert_eq!(Policy::from_bytes(&bytes).unwrap(), policy);
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("policy.safetensors");
@@ -227,12 +234,33 @@ mod tests {
         let view = TensorView::new(Dtype::F32, vec![2], &data).unwrap();
         let other = safetensors::serialize([("weights", view)], None).unwrap();
         assert!(refused(&other).contains("its metadata has no `policy`"));
-        let later = Policy { info: PolicyInfo { version: 2, ..policy().info }, ..policy() };
-        assert!(refused(&later.to_bytes()).contains("its version is 2, expected up to 1"));
+        let later = Policy { info: PolicyInfo { version: 3, ..policy().info }, ..policy() };
+        assert!(refused(&later.to_bytes().unwrap()).contains("its version is 3, expected up to 2"));
         let flat = Policy { deviation: vec![1.0, 0.0, 1.0], ..policy() };
-        assert!(refused(&flat.to_bytes()).contains("a deviation is 0, expected a positive number"));
+        assert!(refused(&flat.to_bytes().unwrap()).contains("a deviation is 0, expected a positive number"));
         let short = Policy { mean: vec![0.0; 2], deviation: vec![1.0; 2], ..policy() };
-        assert!(refused(&short.to_bytes()).contains("network"), "{}", refused(&short.to_bytes()));
+        let short = refused(&short.to_bytes().unwrap());
+        assert!(short.contains("network"), "{short}");
+    }
+
+    #[test]
+    fn policies_of_version_1_are_read_and_written_as_they_are() {
+        let old = Policy { info: PolicyInfo { version: 1, training: None, ..policy().info }, ..policy() };
+        let bytes = old.to_bytes().unwrap();
+        assert!(!String::from_utf8_lossy(&bytes).contains("training"), "no key that version 1 does not know");
+        assert_eq!(Policy::from_bytes(&bytes).unwrap(), old);
+    }
+
+    #[test]
+    fn information_larger_than_a_header_is_an_error_and_not_a_panic() {
+        let command = "x".repeat(100_000_001);
+        let large = Policy { info: PolicyInfo { command, ..policy().info }, ..policy() };
+        let error = large.to_bytes().unwrap_err().to_string();
+        assert!(error.contains("the policy's information") && error.contains("up to 100 MB"), "{error}");
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("policy.safetensors");
+        assert!(large.save(&path).unwrap_err().to_string().contains("policy.safetensors"));
+        assert!(!path.exists());
     }
 
     proptest! {
@@ -242,7 +270,7 @@ mod tests {
             length in any::<prop::sample::Index>(),
             cut in any::<bool>(),
         ) {
-            let mut bytes = policy().to_bytes();
+            let mut bytes = policy().to_bytes().unwrap();
             for (place, byte) in changes {
                 let place = place.index(bytes.len());
                 bytes[place] = byte;
@@ -254,7 +282,7 @@ mod tests {
                 // what a network of huge numbers says may be no number: environments refuse those
                 let mut action = vec![0.0; policy.action_size()];
                 policy.act(&vec![0.5; policy.observation_size()], &mut action);
-                prop_assert_eq!(Policy::from_bytes(&policy.to_bytes()).unwrap(), policy);
+                prop_assert_eq!(Policy::from_bytes(&policy.to_bytes().unwrap()).unwrap(), policy);
             }
         }
     }

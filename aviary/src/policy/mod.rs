@@ -86,11 +86,16 @@ pub struct PolicyInfo {
     pub command: String,
     /// The program that made it, and its version.
     pub made_by: String,
+    /// Configuration of its training, in TOML: physics, wind, obstacles, randomization, and the trainer's own options. `None` in
+    /// policies of version 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub training: Option<String>,
 }
 
 impl PolicyInfo {
-    /// Version of the format that this program writes, and the newest that it reads.
-    pub const VERSION: u32 = 1;
+    /// Version of the format that this program writes, and the newest that it reads. Version 2 added
+    /// [`training`](Self::training).
+    pub const VERSION: u32 = 2;
 }
 
 /// A policy: a network between numbers that are brought to a common scale and actions.
@@ -121,6 +126,7 @@ impl PolicyInfo {
 ///     steps: 0,
 ///     command: String::new(),
 ///     made_by: String::new(),
+///     training: None,
 /// };
 /// let net = Mlp::new(&[12, 4], Activation::Relu, &weights)?;
 /// let policy = Policy::new(info, net, env.observation_space().vector.clone(), env.action_space().clone())?;
@@ -192,7 +198,7 @@ impl Policy {
             return wrong("the bounds of an action", format!("{low} and {high}"), "one below the other");
         }
         if info.version == 0 || info.version > PolicyInfo::VERSION {
-            return wrong("the version", info.version.to_string(), "1");
+            return wrong("the version", info.version.to_string(), "1 or 2");
         }
         if info.num_drones == 0 {
             return wrong("the number of drones", "0".into(), "at least 1");
