@@ -6,6 +6,7 @@ use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 
+use crate::interrupt::Interruption;
 use crate::output;
 
 /// Why a command did not do its work.
@@ -13,7 +14,7 @@ use crate::output;
 pub enum Failure {
     /// The command line or an input file is wrong: status 2.
     Input(anyhow::Error),
-    /// The work itself failed: status 1.
+    /// The work itself failed: status 1, or that of an [`Interruption`].
     Work(anyhow::Error),
 }
 
@@ -33,7 +34,7 @@ impl Failure {
 pub fn report(failure: &Failure) -> ExitCode {
     let (error, status) = match failure {
         Failure::Input(error) => (error, 2),
-        Failure::Work(error) => (error, 1),
+        Failure::Work(error) => (error, error.downcast_ref().map_or(1, Interruption::status)),
     };
     // some errors repeat what is behind them
     let mut message = String::new();

@@ -7,6 +7,7 @@ mod doctor;
 mod failure;
 mod film;
 mod fly;
+mod interrupt;
 mod options;
 mod output;
 mod pilot;

@@ -14,6 +14,7 @@ use signal_hook::iterator::Signals;
 use tempfile::NamedTempFile;
 
 use crate::failure::Failure;
+use crate::interrupt;
 
 /// Prints text on standard output. A reader that has closed the pipe is not an error.
 pub fn print(text: &str) -> Result<(), Failure> {
@@ -89,7 +90,7 @@ pub fn clean_up_when_interrupted() {
     // without a handler an interruption leaves a file behind, which is no reason not to work
     let Ok(mut signals) = Signals::new(handled.map(|(_, signal)| signal)) else { return };
     std::thread::spawn(move || {
-        if let Some(signal) = signals.forever().next() {
+        if let Some(signal) = signals.forever().find(|&signal| !interrupt::is_deferred(signal)) {
             for path in unfinished().iter() {
                 let _ = fs::remove_file(path);
             }

@@ -1,9 +1,10 @@
 //! Policies trained, with a curve, checkpoints, and the best one kept.
 
+use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::{Context as _, anyhow};
+use anyhow::anyhow;
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks;
 use clap::{ArgGroup, Args, ValueHint};
@@ -11,13 +12,18 @@ use learn::{Clock, Point, Report, Stop, TrainConfig, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
+use crate::interrupt::{self, Interruption};
 use crate::options::Names;
 use crate::output::{self, OutputDir};
 
 /// Train a policy, or one for every task
 ///
-/// DIR gets policy.safetensors (the best one so far, at every moment), checkpoint.safetensors (what --resume goes on
-/// from, to the same bits), curve.csv, and curve.svg and curve.png. Exit status 1 where --until-success has no success.
+/// DIR gets policy.safetensors (the best policy so far, at any time), checkpoint.safetensors (from which --resume continues with
+/// the same bits), curve.csv, curve.svg and curve.png. A directory that has an earlier run is refused.
+///
+/// Ctrl-C (SIGINT), SIGTERM and SIGHUP end the run after the current iteration and print the command that continues it; a second
+/// signal ends it at once. Exit status: 1 where --until-success has no success, 128 plus the number of the signal (130, 143, 129)
+/// after a signal. Without a terminal, every evaluation prints one line on standard error.
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("what").required(true).args(["task", "all", "resume"])))]
 #[command(after_help = "Examples:
@@ -44,7 +50,7 @@ pub struct Train {
     /// Seed of everything random: equal seeds give equal policies on a machine; 0 by default
     #[arg(long, allow_negative_numbers = true)]
     seed: Option<u64>,
-    /// Environment steps to make; the task's by default
+    /// Environment steps to make, in whole iterations of all environments; the task's by default
     #[arg(long, allow_negative_numbers = true)]
     steps: Option<u64>,
     /// End as soon as every episode of an evaluation succeeds, and of another one four times as large
@@ -53,7 +59,7 @@ pub struct Train {
     /// Environments that gather experience; the task's by default
     #[arg(long, allow_negative_numbers = true)]
     envs: Option<usize>,
-    /// Directory to write; out/train/TASK by default
+    /// Directory to write, one for every run; out/train/TASK by default
     #[arg(long, value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
     /// Print the configuration that would be trained with, as TOML, and train nothing
@@ -68,6 +74,7 @@ pub struct Train {
 const POLICY: &str = "policy.safetensors";
 const CHECKPOINT: &str = "checkpoint.safetensors";
 const CURVE: &str = "curve.csv";
+const FILES: [&str; 5] = [CHECKPOINT, POLICY, CURVE, "curve.svg", "curve.png"];
 
 /// Steps and environments of a task where all are tried.
 const TRIAL: (u64, usize) = (100_000, 256);
@@ -77,19 +84,8 @@ impl Train {
         if self.all {
             return self.every_task();
         }
-        let (trainer, out) = match &self.resume {
-            Some(directory) => {
-                let mut trainer = Trainer::resume(directory.join(CHECKPOINT)).map_err(Failure::input)?;
-                trainer.extend(self.steps, self.until_success);
-                if trainer.stop().is_some() {
-                    let steps = trainer.steps();
-                    return Err(Failure::input(anyhow!(
-                        "{}: {steps} steps are made already, expected --steps with more than that",
-                        directory.display()
-                    )));
-                }
-                (trainer, directory.clone())
-            }
+        let run = match &self.resume {
+            Some(directory) => Run::resume(directory, self.steps, self.until_success)?,
             None => {
                 let task = self.task.as_deref().unwrap_or_default();
                 let config = self.config(task)?;
@@ -98,10 +94,14 @@ impl Train {
                     return output::print(&text);
                 }
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
-                (Trainer::new(config, &self.command(task)).map_err(Failure::input)?, out)
+                let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
+                Run::begin(trainer, &out)?
             }
         };
-        let run = Run::begin(trainer, &out)?.finish()?;
+        if self.steps.is_some() {
+            run.note_rounded_steps();
+        }
+        let run = run.finish()?;
         if self.json {
             output::print_json(&run.json())?;
         } else {
@@ -150,6 +150,9 @@ impl Train {
 
     fn every_task(&self) -> Result<(), Failure> {
         let out = self.out.clone().unwrap_or_else(|| "out/train".into());
+        for task in tasks::NAMES {
+            check_new(&out.join(task))?;
+        }
         let (mut rows, mut list) = (Vec::new(), Vec::new());
         for task in tasks::NAMES {
             let mut config = self.config(task)?;
@@ -174,34 +177,89 @@ impl Train {
     }
 }
 
+/// Refuses a directory that has files of an earlier run.
+fn check_new(directory: &Path) -> Result<(), Failure> {
+    let Some(name) = FILES.iter().find(|name| directory.join(name).exists()) else { return Ok(()) };
+    let resume =
+        if *name == CHECKPOINT { format!("--resume {} to continue it, or ", quoted(directory)) } else { String::new() };
+    Err(Failure::input(anyhow!(
+        "{}: it has {name} of an earlier run, expected {resume}another directory in --out",
+        directory.display()
+    )))
+}
+
+/// Prints a line on standard error. A reader that has closed it is not an error.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stderr(), "{line}");
+}
+
+/// A path as a shell reads it.
+fn quoted(path: &Path) -> String {
+    let text = path.display().to_string();
+    let plain = |c: char| c.is_alphanumeric() || "_-./+=:,@%".contains(c);
+    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+}
+
 /// A run with its files.
 struct Run {
     trainer: Trainer,
     out: OutputDir,
+    /// Iteration of the checkpoint in the directory.
+    saved: u64,
 }
 
 impl Run {
+    /// Starts a run in a directory that has none.
     fn begin(trainer: Trainer, out: &Path) -> Result<Self, Failure> {
-        let run = Self { trainer, out: OutputDir::create(out)? };
-        if run.trainer.curve().is_empty() {
-            // what an earlier run left there is not this one's
-            for path in [CURVE, "curve.svg", "curve.png"].map(|name| run.out.path().join(name)) {
-                if path.is_file() {
-                    std::fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
-                }
-            }
-            run.save_policy()?;
-            run.save_checkpoint()?;
-        }
+        let out = OutputDir::create(out)?;
+        check_new(out.path())?;
+        let mut run = Self { trainer, out, saved: 0 };
+        run.save_policy()?;
+        run.save_checkpoint()?;
         Ok(run)
+    }
+
+    /// Continues the run of a directory.
+    fn resume(directory: &Path, steps: Option<u64>, until_success: bool) -> Result<Self, Failure> {
+        let path = directory.join(CHECKPOINT);
+        // a directory without a checkpoint is not created
+        let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
+        let mut trainer = Trainer::resume(&path).map_err(Failure::input)?;
+        trainer.extend(steps, until_success);
+        let Some(out) = locked.filter(|_| trainer.stop().is_none()) else {
+            let steps = trainer.steps();
+            return Err(Failure::input(anyhow!(
+                "{}: {steps} steps are made already, expected --steps with more than that",
+                directory.display()
+            )));
+        };
+        let mut run = Self { trainer, out, saved: 0 };
+        // with the steps that it has now
+        run.save_checkpoint()?;
+        Ok(run)
+    }
+
+    /// Says on standard error that the run has more steps than were asked for.
+    fn note_rounded_steps(&self) {
+        let (asked, iteration) = (self.trainer.config().steps, self.trainer.steps_per_iteration());
+        let steps = asked.div_ceil(iteration) * iteration;
+        if steps != asked {
+            say(&format!("note: {asked} steps are rounded up to {steps}, whole iterations of {iteration} steps"));
+        }
     }
 
     fn finish(mut self) -> Result<Self, Failure> {
         let total = self.trainer.config().steps;
         let bar = output::progress_with(total, "{msg} {wide_bar} {human_pos}/{human_len} {eta}");
+        let watched = std::io::stderr().is_terminal();
+        interrupt::defer();
         while self.trainer.stop().is_none() {
+            if let Some(signal) = interrupt::received() {
+                bar.finish_and_clear();
+                return Err(self.interrupted(signal));
+            }
             let best = self.trainer.best().info().steps;
-            self.trainer.advance().map_err(Failure::work)?;
+            let evaluated = self.trainer.advance().map_err(Failure::work)?.score.is_some();
             if self.trainer.best().info().steps != best {
                 self.save_policy()?;
             }
@@ -211,6 +269,10 @@ impl Run {
             }
             bar.set_position(self.trainer.steps().min(total));
             bar.set_message(self.message());
+            if evaluated && !watched {
+                let (task, steps) = (&self.trainer.config().task, self.trainer.steps());
+                say(&format!("{task}: {steps} of {total} steps, {}", self.message()));
+            }
         }
         bar.finish_and_clear();
         self.save_policy()?;
@@ -221,6 +283,28 @@ impl Run {
         self.out.write("curve.svg", plot.svg().map_err(Failure::work)?.as_bytes())?;
         self.out.write("curve.png", &plot.png().map_err(Failure::work)?)?;
         Ok(self)
+    }
+
+    /// Ends a run that a signal has stopped. The checkpoint stays that of the last restart of the environments: only from there,
+    /// with the iterations since then repeated, does the run continue with the same bits.
+    fn interrupted(&self, signal: i32) -> Failure {
+        let iterations = self.trainer.curve().len() as u64;
+        let (steps, saved) = (self.trainer.steps(), self.saved * self.trainer.steps_per_iteration());
+        let repeated = match iterations - self.saved {
+            0 => String::new(),
+            _ => format!(" (the {} steps since its last checkpoint are repeated)", steps - saved),
+        };
+        let (name, resume) =
+            (signal_hook::low_level::signal_name(signal).unwrap_or("a signal"), quoted(self.out.path()));
+        match self.save_curve() {
+            Ok(()) => Failure::work(Interruption {
+                signal,
+                message: format!(
+                    "stopped by {name} after {steps} steps; `aviary train --resume {resume}` continues the run{repeated}"
+                ),
+            }),
+            Err(failure) => failure,
+        }
     }
 
     /// What the bar says.
@@ -239,8 +323,10 @@ impl Run {
         self.out.write(POLICY, &self.trainer.best().to_bytes().map_err(Failure::work)?)
     }
 
-    fn save_checkpoint(&self) -> Result<(), Failure> {
-        self.out.write(CHECKPOINT, &self.trainer.checkpoint().map_err(Failure::work)?)
+    fn save_checkpoint(&mut self) -> Result<(), Failure> {
+        self.out.write(CHECKPOINT, &self.trainer.checkpoint().map_err(Failure::work)?)?;
+        self.saved = self.trainer.curve().len() as u64;
+        Ok(())
     }
 
     fn save_curve(&self) -> Result<(), Failure> {
@@ -251,14 +337,14 @@ impl Run {
         let (trainer, clock) = (&self.trainer, self.trainer.clock());
         let shares: serde_json::Map<_, _> =
             shares(&clock).into_iter().map(|(name, share)| (name.to_string(), json!(share))).collect();
-        let files = [POLICY, CHECKPOINT, CURVE, "curve.svg", "curve.png"]
-            .map(|name| self.out.path().join(name).to_string_lossy().into_owned());
+        let files = FILES.map(|name| self.out.path().join(name).to_string_lossy().into_owned());
         json!({
             "task": trainer.config().task,
             "seed": trainer.config().seed,
             "stop": trainer.stop(),
             "iterations": trainer.curve().len(),
             "steps": trainer.steps(),
+            "requested_steps": trainer.config().steps,
             "wall_seconds": clock.total.as_secs_f64(),
             "steps_per_second": per_second(trainer.steps_here(), &clock),
             "time": shares,
@@ -281,10 +367,12 @@ impl Run {
                 score.reward
             )
         });
+        let (made, asked) = (trainer.steps(), trainer.config().steps);
+        let steps = if made > asked { format!("{made} ({asked} in whole iterations)") } else { made.to_string() };
         output::table(&[
             ("task", format!("{} with seed {}", trainer.config().task, trainer.config().seed)),
             ("best policy", score),
-            ("environment steps", format!("{}, the best policy's {}", trainer.steps(), trainer.best().info().steps)),
+            ("environment steps", format!("{steps}, the best policy's {}", trainer.best().info().steps)),
             ("wall time", format!("{:.1} s", clock.total.as_secs_f64())),
             ("environment steps per s", format!("{:.0}", per_second(trainer.steps_here(), &clock))),
             ("where the time went", shares.join(", ")),

@@ -1,5 +1,6 @@
 //! Training and flying of policies, as other programs see them.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -62,11 +63,8 @@ fn a_run_that_is_killed_is_resumed_to_the_same_files() {
     assert!(run(&whole).status().unwrap().success());
     let mut child = run(&killed).spawn().unwrap();
     let checkpoint = killed.join("checkpoint.safetensors");
-    let began = Instant::now();
     // beyond the first checkpoint, which is written before anything is done
-    while !killed.join("curve.csv").exists() && began.elapsed() < Duration::from_secs(60) {
-        std::thread::sleep(Duration::from_millis(5));
-    }
+    wait_for(&killed.join("curve.csv"));
     child.kill().unwrap();
     child.wait().unwrap();
     let rows = std::fs::read_to_string(killed.join("curve.csv")).unwrap().lines().count();
@@ -78,12 +76,141 @@ fn a_run_that_is_killed_is_resumed_to_the_same_files() {
         assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(killed.join(name)).unwrap(), "{name}");
     }
     // nothing is left to do, and nothing is touched
+    let files = ["policy.safetensors", "checkpoint.safetensors", "curve.csv"];
+    let before = files.map(|name| std::fs::read(killed.join(name)).unwrap());
     let policy = std::fs::read(killed.join("policy.safetensors")).unwrap();
     refused(&["train", "--resume", text(&killed)], 2, &["40960 steps are made already"]);
     assert_eq!(std::fs::read(killed.join("policy.safetensors")).unwrap(), policy);
+    assert_eq!(files.map(|name| std::fs::read(killed.join(name)).unwrap()), before);
     // and it goes on from there
     let longer = json(&["train", "--resume", text(&killed), "--steps", "45056", "--json"]);
     assert_eq!(longer["steps"], 45_056);
+}
+
+/// Waits until a file is there.
+fn wait_for(path: &Path) {
+    let began = Instant::now();
+    while !path.exists() && began.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    assert!(path.exists(), "{}", path.display());
+}
+
+#[test]
+fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
+    let config = directory("stopped_config").with_extension("toml");
+    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
+    std::fs::write(&config, "checkpoint_every = 4\nevaluate_every = 3\nepisodes = 2\n").unwrap();
+    let train = ["train", "--task", "hover", "--envs", "64", "--steps", "122880", "--config", text(&config), "--out"];
+    let (whole, stopped) = (directory("not stopped"), directory("it is stopped"));
+    let output = aviary(&[&train[..], &[text(&whole)]].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+
+    let mut arguments: Vec<String> = train.iter().map(ToString::to_string).collect();
+    arguments.push(text(&stopped).into());
+    for (signal, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
+        let child = command.args(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        // written at the next checkpoint
+        wait_for(&stopped.join("curve.csv"));
+        let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
+        assert!(sent.success());
+        let output = child.wait_with_output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(status), "{signal}: {error}");
+        assert!(output.stdout.is_empty());
+        let last = error.lines().last().unwrap();
+        assert!(last.contains(&format!("stopped by SIG{signal} after")), "{error}");
+        // what a shell makes of the command
+        let quoted = last.split('`').nth(1).unwrap().strip_prefix("aviary ").unwrap();
+        let words = Command::new("sh").args(["-c", &format!("printf '%s\\n' {quoted}")]).output().unwrap();
+        arguments = String::from_utf8(words.stdout).unwrap().lines().map(str::to_string).collect();
+        assert_eq!(arguments, ["train", "--resume", text(&stopped)]);
+        let left = std::fs::read_dir(&stopped).unwrap().map(|entry| entry.unwrap().file_name());
+        let mut left: Vec<_> = left.map(|name| name.into_string().unwrap()).collect();
+        left.sort();
+        assert_eq!(left, ["checkpoint.safetensors", "curve.csv", "policy.safetensors"]);
+        std::fs::remove_file(stopped.join("curve.csv")).unwrap();
+    }
+    let output = aviary(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
+    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    for name in ["policy.safetensors", "checkpoint.safetensors", "curve.csv", "curve.svg", "curve.png"] {
+        assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(stopped.join(name)).unwrap(), "{name}");
+    }
+}
+
+#[test]
+fn an_earlier_run_is_not_replaced() {
+    let out = directory("earlier");
+    let train = [&["train", "--task", "hover", "--out", text(&out)][..], &SMALL].concat();
+    assert_eq!(aviary(&train).status.code(), Some(0));
+    let files = || ["checkpoint.safetensors", "policy.safetensors"].map(|name| std::fs::read(out.join(name)).unwrap());
+    let before = files();
+    let resume = format!("--resume {} to continue it", text(&out));
+    refused(
+        &train,
+        2,
+        &[text(&out), "checkpoint.safetensors of an earlier run", &resume, "another directory in --out"],
+    );
+    // another task is another run
+    refused(&["train", "--task", "race", "--out", text(&out)], 2, &["checkpoint.safetensors"]);
+    assert_eq!(files(), before);
+    std::fs::remove_file(out.join("checkpoint.safetensors")).unwrap();
+    refused(&train, 2, &["policy.safetensors of an earlier run, expected another directory in --out"]);
+
+    // of all tasks, none is trained where one has a run already
+    let all = directory("earlier_all");
+    std::fs::create_dir_all(all.join("race")).unwrap();
+    std::fs::write(all.join("race/policy.safetensors"), b"mine").unwrap();
+    refused(&["train", "--all", "--out", text(&all)], 2, &["race: it has policy.safetensors"]);
+    assert_eq!(std::fs::read_dir(&all).unwrap().count(), 1);
+}
+
+#[test]
+fn two_runs_do_not_write_to_one_directory_at_a_time() {
+    let out = directory("together");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
+    command.args(["train", "--task", "hover", "--envs", "64", "--steps", "20000000", "--out", text(&out)]);
+    let mut first = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    wait_for(&out.join("checkpoint.safetensors"));
+    let train = [&["train", "--task", "hover", "--out", text(&out)][..], &SMALL].concat();
+    refused(&train, 1, &[text(&out), "another run is writing"]);
+    refused(&["train", "--resume", text(&out)], 1, &[text(&out), "another run is writing"]);
+    first.kill().unwrap();
+    first.wait().unwrap();
+}
+
+#[test]
+fn steps_are_whole_iterations_and_say_so() {
+    let out = directory("rounded");
+    let output = aviary(&["train", "--task", "hover", "--envs", "64", "--steps", "100", "--out", text(&out)]);
+    let (error, table) = (String::from_utf8(output.stderr).unwrap(), String::from_utf8(output.stdout).unwrap());
+    assert_eq!(output.status.code(), Some(0), "{error}");
+    assert!(error.contains("note: 100 steps are rounded up to 2048, whole iterations of 2048 steps"), "{error}");
+    assert!(table.contains("2048 (100 in whole iterations)"), "{table}");
+    let longer = aviary(&["train", "--resume", text(&out), "--steps", "2049", "--json"]);
+    let error = String::from_utf8(longer.stderr).unwrap();
+    assert!(error.contains("note: 2049 steps are rounded up to 4096"), "{error}");
+    let run: Value = serde_json::from_slice(&longer.stdout).unwrap();
+    assert_eq!((&run["steps"], &run["requested_steps"]), (&4096.into(), &2049.into()));
+}
+
+#[test]
+fn without_a_terminal_every_evaluation_prints_a_line() {
+    let config = directory("lines_config").with_extension("toml");
+    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
+    std::fs::write(&config, "evaluate_every = 2\nepisodes = 2\n").unwrap();
+    let out = directory("lines");
+    let train = ["train", "--task", "hover", "--config", text(&config), "--out", text(&out)];
+    let output = aviary(&[&train[..], &SMALL].concat());
+    assert_eq!(output.status.code(), Some(0));
+    let error = String::from_utf8(output.stderr).unwrap();
+    let lines: Vec<&str> = error.lines().collect();
+    assert_eq!(lines.len(), 3, "{error}");
+    for (line, steps) in lines.iter().zip([4096, 8192, 12_288]) {
+        assert!(line.starts_with(&format!("hover: {steps} of 12288 steps, ")), "{line}");
+        assert!(line.contains("success") && line.contains("steps/s"), "{line}");
+    }
 }
 
 #[test]

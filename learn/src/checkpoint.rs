@@ -76,11 +76,9 @@ impl Checkpoint {
     pub fn check(&self, run: &Limits<'_>, best: &Policy) -> Result<(), String> {
         let Self { state, parameters, moments, curve, .. } = self;
         let expected = run.shape.count();
-        for (name, numbers) in [
-            ("parameters", parameters),
-            ("moments.first", &moments.first),
-            ("moments.second", &moments.second),
-        ] {
+        for (name, numbers) in
+            [("parameters", parameters), ("moments.first", &moments.first), ("moments.second", &moments.second)]
+        {
             if numbers.len() != expected {
                 return Err(format!("`{name}` has {} numbers, expected {expected}", numbers.len()));
             }
@@ -100,7 +98,9 @@ impl Checkpoint {
             return Err(format!("`iteration` is {}, expected {entries}, the length of `curve`", state.iteration));
         }
         // the optimizer raises a number to this power, as an i32
-        let most = entries.saturating_mul(run.updates_per_iteration).min((i32::MAX as u64).saturating_sub(run.updates_per_iteration));
+        let most = entries
+            .saturating_mul(run.updates_per_iteration)
+            .min((i32::MAX as u64).saturating_sub(run.updates_per_iteration));
         if moments.time as u64 > most {
             return Err(format!("`time` is {}, expected up to {most} optimizer steps", moments.time));
         }

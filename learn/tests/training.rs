@@ -129,8 +129,7 @@ fn files_that_are_no_checkpoints_are_refused_by_name() {
 fn changed(checkpoint: &[u8], key: &str, value: &serde_json::Value) -> Vec<u8> {
     let tensors = safetensors::SafeTensors::deserialize(checkpoint).unwrap();
     let (_, head) = safetensors::SafeTensors::read_metadata(checkpoint).unwrap();
-    let mut state: serde_json::Value =
-        serde_json::from_str(&head.metadata().as_ref().unwrap()["training"]).unwrap();
+    let mut state: serde_json::Value = serde_json::from_str(&head.metadata().as_ref().unwrap()["training"]).unwrap();
     let mut parts: Vec<_> =
         tensors.iter().map(|(name, view)| (name.to_string(), view.dtype(), view.data().to_vec())).collect();
     if let Some((_, kind, data)) = parts.iter_mut().find(|(name, ..)| name == key) {
