@@ -69,8 +69,17 @@ pub struct ConditionOptions {
 impl ConditionOptions {
     /// Wind, obstacles and randomization, obstacles where a seed has them.
     pub fn read(&self, seed: u64) -> Result<Conditions, Failure> {
+        self.read_with(seed, |path| Conditions::from_file(path).map_err(Failure::input))
+    }
+
+    /// Wind, obstacles and randomization, with a reader for the file of --config.
+    pub fn read_with(
+        &self,
+        seed: u64,
+        read: impl FnOnce(&Path) -> Result<Conditions, Failure>,
+    ) -> Result<Conditions, Failure> {
         let mut conditions = match &self.config {
-            Some(path) => Conditions::from_file(path).map_err(Failure::input)?,
+            Some(path) => read(path)?,
             None => Conditions::default(),
         };
         if let Some(name) = &self.wind {

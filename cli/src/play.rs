@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use aviary::drone::DroneModel;
-use aviary::env::Env;
+use aviary::env::{Conditions, Env};
 use aviary::physics::Physics;
 use aviary::policy::Policy;
 use aviary::tasks;
@@ -20,13 +20,19 @@ use crate::output;
 /// Fly a trained policy and report how well
 ///
 /// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start (antipodal's at it) unless a configuration file says
-/// otherwise. Task, airframe, number of drones, actions and rates are those that the policy was trained with, unless they are
-/// said. Pictures show the first episode.
+/// otherwise. Task, airframe, number of drones, actions and rates are those that the policy was trained with, unless options or the
+/// file change them. Physics is mjc in still air without obstacles by default; --as-trained flies what the policy was trained under.
+/// Pictures show the first episode.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   aviary play --policy assets/policies/hover.safetensors --episodes 20
   aviary play --policy assets/policies/race.safetensors --episodes 1 --gif out/race.gif --overlay trails
-  aviary play --policy assets/policies/hover.safetensors --wind combined --physics mjc_gnd_drag_dw --json")]
+  aviary play --policy out/hover/policy.safetensors --as-trained
+  aviary play --policy assets/policies/hover_randomized.safetensors --config assets/policies/hover_randomized.toml
+  aviary play --policy assets/policies/hover.safetensors --wind combined --physics mjc_gnd_drag_dw --json
+
+The file of --config may be the one that `aviary train` was given: its options of the environments (drone, physics, num_drones,
+sim_freq, ctrl_freq, episode_seconds, success) and its sections count, those of the trainer do not.")]
 pub struct Play {
     /// Policy to fly: a file that `aviary train` wrote
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
@@ -40,9 +46,12 @@ pub struct Play {
     /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own; the policy's by default
     #[arg(long, value_parser = Names(|| DroneModel::ALL.map(DroneModel::name).to_vec()), hide_possible_values = true)]
     drone: Option<String>,
-    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
-    #[arg(long, default_value = "mjc", value_parser = Names(|| Physics::ALL.map(Physics::name).to_vec()), hide_possible_values = true)]
-    physics: String,
+    /// Fly under the physics, wind, obstacles and randomization of the training, which the policy's file has
+    #[arg(long, conflicts_with_all = ["task", "physics", "wind", "obstacles", "config"])]
+    as_trained: bool,
+    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn; mjc by default
+    #[arg(long, value_parser = Names(|| Physics::ALL.map(Physics::name).to_vec()), hide_possible_values = true)]
+    physics: Option<String>,
     /// Number of drones; the policy's by default
     #[arg(long, allow_negative_numbers = true)]
     num_drones: Option<usize>,
@@ -88,24 +97,41 @@ impl Play {
         }
     }
 
-    /// What is flown: as the policy was trained, but for what is said.
+    /// What is flown: the policy's own task, airframe and rates, under what the options, the file or the policy's training say.
     fn config(&self, policy: &Policy) -> Result<TrainConfig, Failure> {
         let info = policy.info();
         let mut config = TrainConfig::of_task(self.task.as_deref().unwrap_or(&info.task)).map_err(Failure::input)?;
-        config.drone = self.drone.clone().unwrap_or_else(|| info.drone.clone());
-        config.physics = self.physics.clone();
-        let trained_on = (info.task == config.task).then_some(info.num_drones);
-        config.num_drones = self.num_drones.or(trained_on);
+        config.drone = info.drone.clone();
+        config.num_drones = (info.task == config.task).then_some(info.num_drones);
         config.per_drone = info.per_drone;
         config.action_type = info.action_type.clone();
         (config.sim_freq, config.ctrl_freq) = (info.sim_freq, info.ctrl_freq);
-        config.episode_seconds = self.duration;
-        let said = self.conditions.read(self.seed)?;
-        config.conditions.wind = said.wind;
-        config.conditions.obstacles = said.obstacles;
-        if let Some(randomization) = said.randomization {
-            config.randomize(randomization);
+        if self.as_trained {
+            let Some(text) = &info.training else {
+                return Err(Failure::input(anyhow!(
+                    "{}: a policy of version {} does not say what it was trained under, expected --config with the file of its training \
+                     in place of --as-trained",
+                    self.policy.display(),
+                    info.version
+                )));
+            };
+            let in_file = |error: TrainError| anyhow!("{}: its training: {error}", self.policy.display());
+            config.read_toml(text).map_err(in_file).map_err(Failure::input)?;
+        } else {
+            let said = self.conditions.read_with(self.seed, |path| {
+                config.read_file(path).map_err(Failure::input)?;
+                let in_file = |message: String| Failure::input(anyhow!("{}: {message}", path.display()));
+                let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
+                let sections = TrainConfig::conditions_of(&text).map_err(|error| in_file(error.to_string()))?;
+                Conditions::from_toml(&sections).map_err(|error| in_file(error.to_string()))
+            })?;
+            // a randomization has been added to the task's starts already
+            (config.conditions.wind, config.conditions.obstacles) = (said.wind, said.obstacles);
         }
+        config.drone = self.drone.clone().unwrap_or(config.drone);
+        config.physics = self.physics.clone().unwrap_or(config.physics);
+        config.num_drones = self.num_drones.or(config.num_drones);
+        config.episode_seconds = self.duration.or(config.episode_seconds);
         let seconds =
             config.environment().map_err(Failure::input)?.episode_steps() as f64 / f64::from(config.ctrl_freq);
         config.success = config.success.within(seconds);

@@ -267,6 +267,50 @@ fn a_policy_is_flown_under_other_conditions_and_filmed() {
 }
 
 #[test]
+fn a_policy_is_flown_under_what_it_was_trained_under() {
+    let config = directory("trained_config").with_extension("toml");
+    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
+    let text = "physics = \"mjc_drag\"\nepisode_seconds = 1.5\nevaluate_every = 2\nepisodes = 2\n[ppo]\nhidden = [8]\n\
+        [wind]\nmodel = \"constant\"\nvelocity = [3.0, 0.0, 0.0]\n[randomization.body]\nmass = [0.8, 1.2]\n";
+    std::fs::write(&config, text).unwrap();
+    let out = directory("trained");
+    let config = config.to_str().unwrap();
+    json(
+        &[&["train", "--task", "hover", "--config", config, "--json", "--out", out.to_str().unwrap()][..], &SMALL]
+            .concat(),
+    );
+    let policy = out.join("policy.safetensors");
+    let play = |more: &[&str]| {
+        json(&[&["play", "--policy", policy.to_str().unwrap(), "--episodes", "3", "--json"][..], more].concat())
+    };
+    let trained = play(&["--as-trained"]);
+    assert_eq!(trained["physics"], "mjc_drag");
+    // the trainer's own options in the file are left out
+    assert_eq!(play(&["--config", config]), trained);
+    let plain = play(&[]);
+    assert_eq!(plain["physics"], "mjc");
+    assert_ne!(plain["episodes"], trained["episodes"]);
+    // options come before the file
+    assert_eq!(play(&["--config", config, "--physics", "mjc"])["physics"], "mjc");
+    let shorter = play(&["--as-trained", "--duration", "0.25"]);
+    let lengths = |run: &Value| -> Vec<f64> {
+        run["episodes"].as_array().unwrap().iter().map(|episode| episode["seconds"].as_f64().unwrap()).collect()
+    };
+    assert!(lengths(&shorter).iter().all(|&seconds| seconds <= 0.25));
+    assert!(lengths(&trained).iter().all(|&seconds| seconds <= 1.5), "{trained:#}");
+
+    let policy = policy.to_str().unwrap();
+    refused(&["play", "--policy", policy, "--as-trained", "--wind", "gust"], 2, &["--as-trained", "--wind"]);
+    refused(&["play", "--policy", policy, "--as-trained", "--config", config], 2, &["--as-trained", "--config"]);
+    let wrong = directory("wrong_config").with_extension("toml");
+    std::fs::write(&wrong, "steps = 1\nstepps = 2\n").unwrap();
+    let wrong = wrong.to_str().unwrap();
+    refused(&["play", "--policy", policy, "--config", wrong], 2, &["wrong_config.toml", "line 2", "stepps"]);
+    let old = pretrained("race");
+    refused(&["play", "--policy", &old, "--as-trained"], 2, &["race.safetensors", "version 1", "expected --config"]);
+}
+
+#[test]
 fn what_cannot_be_trained_or_flown_is_refused_on_one_line() {
     let out = directory("refused");
     let path = text(&out);

@@ -218,6 +218,18 @@ impl TrainConfig {
         Ok(())
     }
 
+    /// Returns the sections of a configuration in TOML that describe what is flown under (`[wind]`, `[obstacles]`,
+    /// `[randomization]`), as TOML that [`Conditions::from_toml`] reads.
+    ///
+    /// # Errors
+    /// [`TrainError::Toml`] with line and column.
+    pub fn conditions_of(text: &str) -> Result<String, TrainError> {
+        let wrong = |error: toml::de::Error| TrainError::Toml { message: aviary::toml_message(text, &error) };
+        let mut table: toml::Table = text.parse().map_err(wrong)?;
+        table.retain(|key, _| matches!(key, "wind" | "obstacles" | "randomization"));
+        toml::to_string(&table).map_err(|error| TrainError::Toml { message: error.to_string() })
+    }
+
     /// Draws this anew for every episode; where it says nothing of the start, that stays as it was.
     pub fn randomize(&mut self, mut randomization: Randomization) {
         let start = self.conditions.randomization.take().and_then(|before| before.initial);
