@@ -7,8 +7,12 @@ use crate::error::Error;
 /// Smallest length of a solid (`mjMINVAL`), m.
 pub(crate) const MIN_LENGTH: f64 = 1e-15;
 
-/// Largest length and coordinate (`mjMAXVAL`), m.
-pub(crate) const MAX_LENGTH: f64 = 1e10;
+/// Largest coordinate (`mjMAXVAL`), m.
+pub(crate) const MAX_COORDINATE: f64 = 1e10;
+
+/// Largest length of a solid, m. Among sizes of 1e8 m and more the search of libccd for the depth of a contact can go on for
+/// ever: rounding is then larger than its tolerance, and it counts no iterations.
+pub(crate) const MAX_LENGTH: f64 = 1e6;
 
 /// Largest number of points of a height field, texture or mesh: three times as many bytes for each of six faces of a cube still
 /// have a size that MuJoCo's integers can hold.
@@ -34,7 +38,7 @@ pub(crate) fn geom_size(geom_type: i32, size: &[f64; 3]) -> Result<(), Error> {
             return Err(Error::Value {
                 what: "a geom's size",
                 got,
-                expected: "1e-15 m to 1e10 m, or 0 where the type has no such size",
+                expected: "1e-15 m to 1e6 m, or 0 where the type has no such size",
             });
         }
     }
@@ -43,7 +47,7 @@ pub(crate) fn geom_size(geom_type: i32, size: &[f64; 3]) -> Result<(), Error> {
 
 #[inline]
 pub(crate) fn position(position: &[f64]) -> Result<(), Error> {
-    match position.iter().find(|value| !(-MAX_LENGTH..=MAX_LENGTH).contains(*value)) {
+    match position.iter().find(|value| !(-MAX_COORDINATE..=MAX_COORDINATE).contains(*value)) {
         None => Ok(()),
         Some(&got) => {
             Err(Error::Value { what: "a coordinate", got, expected: "a finite number of metres of at most 1e10" })
@@ -66,13 +70,13 @@ pub(crate) fn bounding_radius(got: f64) -> Result<(), Error> {
     if (0.0..=10.0 * MAX_LENGTH).contains(&got) {
         Ok(())
     } else {
-        Err(Error::Value { what: "a geom's bounding radius", got, expected: "0 m to 1e11 m" })
+        Err(Error::Value { what: "a geom's bounding radius", got, expected: "0 m to 1e7 m" })
     }
 }
 
 pub(crate) fn hfield_size(size: &[f64; 4]) -> Result<(), Error> {
     match size.iter().find(|value| !(MIN_LENGTH..=MAX_LENGTH).contains(*value)) {
         None => Ok(()),
-        Some(&got) => Err(Error::Value { what: "a height field's size", got, expected: "1e-15 m to 1e10 m" }),
+        Some(&got) => Err(Error::Value { what: "a height field's size", got, expected: "1e-15 m to 1e6 m" }),
     }
 }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-use crate::limits::{MAX_COUNT, MAX_LENGTH};
+use crate::limits::{MAX_COORDINATE, MAX_COUNT};
 
 /// What the scene uses a file as.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -113,7 +113,7 @@ fn obj(bytes: &[u8]) -> Result<(String, f64), String> {
         for &word in words.iter().take(numbers) {
             let plain = word.bytes().all(|byte| byte.is_ascii_digit() || b"+-.eE".contains(&byte));
             match word.parse::<f64>() {
-                Ok(value) if plain && value.abs() <= MAX_LENGTH => {
+                Ok(value) if plain && value.abs() <= MAX_COORDINATE => {
                     if list == 0 {
                         reach = reach.max(value.abs());
                     }
@@ -195,7 +195,7 @@ impl Binary<'_> {
         let mut largest = 0.0_f64;
         for _ in 0..count {
             let value = f64::from(f32::from_le_bytes(self.take()?));
-            if value.is_nan() || value.abs() > MAX_LENGTH {
+            if value.is_nan() || value.abs() > MAX_COORDINATE {
                 return Err(format!("{what} has the number {value}, expected finite ones of at most 1e10"));
             }
             largest = largest.max(value.abs());

@@ -12,7 +12,7 @@ use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
 use crate::error::Error;
-use crate::limits::{MAX_COUNT, MAX_LENGTH, MIN_LENGTH};
+use crate::limits::{MAX_COORDINATE, MAX_COUNT, MAX_LENGTH, MIN_LENGTH};
 use crate::mesh::{self, FileKind};
 use crate::model::Assets;
 
@@ -418,11 +418,14 @@ impl Element<'_> {
                 if number.is_nan() || (number.is_infinite() && !UNBOUNDED.contains(&key)) {
                     return Err(self.wrong(key, word, "finite numbers"));
                 }
-                if LENGTHS.contains(&key) && number.abs() > MAX_LENGTH {
+                if LENGTHS.contains(&key) && number.abs() > MAX_COORDINATE {
                     return Err(self.wrong(key, word, "numbers of at most 1e10"));
                 }
-                if key == "size" && number != 0.0 && number.abs() < MIN_LENGTH {
-                    return Err(self.wrong(key, word, "0 or at least 1e-15"));
+                if key == "size" && number != 0.0 && !(MIN_LENGTH..=MAX_LENGTH).contains(&number.abs()) {
+                    return Err(self.wrong(key, word, "0, or 1e-15 to 1e6"));
+                }
+                if ["fromto", "margin", "gap", "o_margin"].contains(&key) && number.abs() > MAX_LENGTH {
+                    return Err(self.wrong(key, word, "numbers of at most 1e6"));
                 }
                 if key == "mpr_tolerance" && number < 1e-12 {
                     return Err(self.wrong(key, word, "at least 1e-12"));

@@ -181,7 +181,7 @@ impl Model {
     /// Compiles a scene from MJCF text.
     ///
     /// MuJoCo's parser and compiler trust sizes, counts and indices in a scene, so this crate reads the text first and refuses
-    /// those that would lead them outside of their memory: numbers that are not finite, lengths above 1e10 m, faces that name
+    /// those that would lead them outside of their memory: numbers that are not finite, lengths above 1e6 m, faces that name
     /// vertices which are not there, height fields with more rows than columns (MuJoCo's rays read outside of their data).
     ///
     /// # Errors
@@ -536,7 +536,7 @@ impl ModelMut<'_> {
     /// type does not have are 0.
     ///
     /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a size that is not finite, negative, or outside 1e-15 m to 1e10 m where
+    /// [`Error::NotOfModel`]; [`Error::Value`] for a size that is not finite, negative, or outside 1e-15 m to 1e6 m where
     /// the type has it.
     #[inline]
     pub fn set_geom_size(&mut self, geom: GeomId, size: [f64; 3]) -> Result<(), Error> {
@@ -579,7 +579,7 @@ impl ModelMut<'_> {
     /// Sets the radius of the ball around a geom outside of which MuJoCo looks for no contacts, m; 0 for a plane.
     ///
     /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a radius that is not finite, negative or above 1e11.
+    /// [`Error::NotOfModel`]; [`Error::Value`] for a radius that is not finite, negative or above 1e7.
     #[inline]
     pub fn set_geom_rbound(&mut self, geom: GeomId, radius: f64) -> Result<(), Error> {
         let row = self.geom_row(geom)?;
@@ -594,7 +594,7 @@ impl ModelMut<'_> {
     /// highest point, thickness of its base.
     ///
     /// # Errors
-    /// [`Error::Value`] unless there is such a field and all sizes lie between 1e-15 m and 1e10 m.
+    /// [`Error::Value`] unless there is such a field and all sizes lie between 1e-15 m and 1e6 m.
     pub fn set_hfield_size(&mut self, hfield: usize, size: [f64; 4]) -> Result<(), Error> {
         if hfield >= self.model.nhfield() {
             return Err(Error::Value {
