@@ -160,3 +160,27 @@ proptest! {
         }
     }
 }
+
+/// More drones in one place than there can be contacts for: the step says so, and every step after it, until a reset.
+#[test]
+fn contacts_beyond_the_buffer_are_an_error_of_the_step() {
+    let heap = |count: usize| {
+        let place = move |i: usize| [1e-3 * i as f64, 0.0, 1.0];
+        Simulation::builder(DroneModel::Cf2x)
+            .num_drones(count)
+            .initial_positions((0..count).map(place))
+            .build()
+            .unwrap()
+    };
+    let mut few = heap(8);
+    few.step(&[[0.0; 4]; 8]).unwrap();
+    assert_eq!(few.contacts().len(), 8 * 7, "each pair, from both sides");
+    let mut many = heap(40);
+    let error = many.step(&[[0.0; 4]; 40]).unwrap_err();
+    assert!(error.to_string().contains("more contacts than the 320 that the scene has room for"), "{error}");
+    assert_eq!(many.step(&[[0.0; 4]; 40]), Err(error));
+    let apart: Vec<_> =
+        (0..40).map(|i| DroneState::at_rest(Vector3::new(f64::from(i), 0.0, 1.0), Vector3::zeros())).collect();
+    many.reset_to(&apart).unwrap();
+    many.step(&[[0.0; 4]; 40]).unwrap();
+}

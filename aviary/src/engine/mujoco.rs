@@ -2,6 +2,7 @@
 
 use mujoco_rs::{
     ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model, ModelMut, ObjectId,
+    WarningKind,
 };
 use nalgebra::Vector3;
 
@@ -348,7 +349,8 @@ impl MujocoEngine {
     /// so are the rotors, or they turn with the body where forcing is body-fixed.
     ///
     /// # Errors
-    /// [`Error::Diverged`] and MuJoCo's own errors; the drones must then be [reset](Self::reset).
+    /// [`Error::Diverged`], MuJoCo's own errors, and [`Error::Raised`] for more contacts than there is room for; the drones must
+    /// then be [reset](Self::reset).
     pub fn advance(&mut self, loads: &[Load], states: &[DroneState]) -> Result<(), Error> {
         if self.obstacles.crowded {
             self.look_around(states)?;
@@ -369,9 +371,23 @@ impl MujocoEngine {
             let (f, t) = (wrench.force_world, wrench.torque_world);
             *row = [f.x, f.y, f.z, t.x, t.y, t.z];
         }
+        let before = self.full_buffers();
         self.data.step()?;
         self.steps += 1;
+        if self.full_buffers() != before {
+            let model = self.data.model();
+            let message = format!(
+                "more contacts than the {} that the scene has room for: the drones and obstacles overlap too much",
+                model.nconmax()
+            );
+            return Err(Error::Raised { call: "mj_step", message });
+        }
         Ok(())
+    }
+
+    /// How often MuJoCo has dropped contacts, which it only counts.
+    fn full_buffers(&self) -> usize {
+        self.data.warning(WarningKind::ContactFull).count + self.data.warning(WarningKind::ConstraintFull).count
     }
 
     /// The drone a divergence is about.

@@ -1,4 +1,4 @@
-use super::{Equipment, Simulation, SimulationError};
+use super::{Equipment, Simulation, SimulationError, out_of_range};
 use crate::drone::DroneParams;
 use crate::engine::{Engine, EngineKind, ExplicitEngine, HybridEngine, Load, MujocoEngine};
 use crate::physics::actuators::ActuatorParams;
@@ -188,6 +188,16 @@ impl SimulationBuilder {
         self.positions.as_deref().unwrap_or_default()
     }
 
+    /// Whether there are obstacles so far.
+    pub(crate) fn has_obstacles(&self) -> bool {
+        !self.obstacles.is_empty()
+    }
+
+    /// The wind so far.
+    pub(crate) fn wind_config(&self) -> Option<&WindConfig> {
+        self.wind.as_ref()
+    }
+
     /// Airframes so far, in order.
     pub(crate) fn airframes(&self) -> &[DroneParams] {
         &self.drones
@@ -276,6 +286,9 @@ impl SimulationBuilder {
                 ..DroneState::at_rest(body.position, body.rpy)
             })
             .collect();
+        if let Some(drone) = initial.iter().position(|state| out_of_range(state).is_some()) {
+            return Err(SimulationError::State { drone });
+        }
         let world = World {
             timestep: 1.0 / f64::from(sim_freq),
             integrator: self.integrator,
@@ -291,9 +304,6 @@ impl SimulationBuilder {
             (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&world)?),
             (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&world)?),
         };
-        if let Some(drone) = initial.iter().position(|state| !state.is_finite()) {
-            return Err(SimulationError::State { drone });
-        }
         let contacts = Vec::with_capacity(engine.mujoco_engine().max_contacts());
         let no_load = Load { rotors: RotorModel::new(&self.drones[0]).wrench(&[0.0; 4]), external: Wrench::ZERO };
         let mut simulation = Simulation {

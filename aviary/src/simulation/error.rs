@@ -3,19 +3,20 @@ use crate::drone::DroneError;
 use crate::engine::BuildError;
 use crate::physics::actuators::ActuatorError;
 use crate::physics::wind::WindError;
+use crate::world::World;
 
 /// What can go wrong with a simulation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
     /// An obstacle that cannot take an earlier one's place.
-    #[error("obstacle {index} has another shape than the one before, or numbers that no obstacle has")]
+    #[error("obstacle {index} has another shape than the one before")]
     Obstacle {
         /// Its index.
         index: usize,
     },
-    /// Gravity that is not a number.
-    #[error("gravity is {got} m/s², expected a finite number")]
+    /// Gravity out of its range.
+    #[error("gravity is {got} m/s², expected a number within ±{}", World::MAX_GRAVITY)]
     Gravity {
         /// What it is.
         got: f64,
@@ -66,8 +67,8 @@ pub enum SimulationError {
     /// Motors that cannot be.
     #[error(transparent)]
     Actuators(#[from] ActuatorError),
-    /// A state with a number that is not one.
-    #[error("the state of drone {drone} is not finite")]
+    /// A state that is not finite or out of MuJoCo's range.
+    #[error("the state of drone {drone} has a number that is not finite or not below 1e10, or no attitude")]
     State {
         /// Index of the drone.
         drone: usize,

@@ -12,7 +12,7 @@ pub use error::SimulationError;
 use nalgebra::Vector3;
 
 use crate::drone::DroneParams;
-use crate::engine::{Contact, Engine, Load, Substeps, clearance};
+use crate::engine::{BuildError, Contact, Engine, Load, Substeps, clearance};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::downwash;
 use crate::physics::wind::{WindConfig, WindField};
@@ -228,7 +228,7 @@ impl Simulation {
         if states.len() != expected {
             return Err(SimulationError::Length { what: "the list of states", got: states.len(), expected });
         }
-        let sound = |state: &DroneState| state.is_finite() && state.attitude.norm_squared() > 1e-6;
+        let sound = |state: &DroneState| out_of_range(state).is_none() && state.attitude.norm_squared() > 1e-6;
         if let Some(drone) = states.iter().position(|state| !sound(state)) {
             return Err(SimulationError::State { drone });
         }
@@ -324,8 +324,9 @@ impl Simulation {
     /// from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape or numbers
-    /// that no obstacle has; and then nothing has changed. [`SimulationError::Engine`] where MuJoCo cannot copy the scene.
+    /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape,
+    /// [`SimulationError::Build`] for a number out of its range; and then nothing has changed. [`SimulationError::Engine`] where
+    /// MuJoCo cannot copy the scene.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
         let old = &self.world.obstacles;
         if obstacles.len() != old.len() {
@@ -333,12 +334,10 @@ impl Simulation {
             return Err(SimulationError::Length { what: "the list of obstacles", got, expected });
         }
         for (index, (new, old)) in obstacles.iter().zip(old).enumerate() {
-            let sound = new.shape.geom().1.iter().all(|&size| size > 0.0 && size < 1e6)
-                && new.position.iter().chain(&new.rpy).all(|x| x.is_finite())
-                && new.rgba.iter().all(|x| (0.0..=1.0).contains(x));
-            if new.shape.kind() != old.shape.kind() || !sound {
+            if new.shape.kind() != old.shape.kind() {
                 return Err(SimulationError::Obstacle { index });
             }
+            new.validate(&format!("obstacle {index}")).map_err(BuildError::from)?;
         }
         self.engine.set_obstacles(obstacles).map_err(|error| SimulationError::Engine { time: 0.0, error })?;
         self.world.obstacles.copy_from_slice(obstacles);
@@ -367,7 +366,7 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError::Gravity`] for what is not a number.
     pub fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
-        if !gravity.is_finite() {
+        if !(-World::MAX_GRAVITY..=World::MAX_GRAVITY).contains(&gravity) {
             return Err(SimulationError::Gravity { got: gravity });
         }
         self.equipment.bodies.gravity = gravity;

@@ -117,48 +117,144 @@ impl Look {
     }
 }
 
-/// Checks what MuJoCo's reader takes on trust: it crashes on a mesh without faces and reads past the end of its
-/// vertices where a face names one that is not there.
-fn check_obj(bytes: &[u8]) -> Result<(), String> {
-    let text = std::str::from_utf8(bytes).map_err(|_| "it is no OBJ file (not text)".to_string())?;
-    let count = |key: &str| text.lines().filter(|line| line.split_whitespace().next() == Some(key)).count();
-    let (vertices, textures, normals) = (count("v"), count("vt"), count("vn"));
-    let mut faces = 0;
-    for (number, line) in text.lines().enumerate() {
-        let wrong = |what: &str| Err(format!("line {}: {what}", number + 1));
-        let mut words = line.split_whitespace();
-        match words.next() {
-            Some("v" | "vn") => {
-                let numbers: Vec<_> = words.take(3).map(str::parse::<f64>).collect();
-                if numbers.len() < 3 || numbers.iter().any(|x| !x.as_ref().is_ok_and(|x| x.is_finite())) {
-                    return wrong("expected three finite numbers");
-                }
-            }
-            Some("f") => {
-                let mut corners = 0;
-                for corner in words {
-                    corners += 1;
-                    for (index, most) in corner.split('/').zip([vertices, textures, normals]) {
-                        // a corner without texture or normal leaves its place empty
-                        let there = match index.parse::<i64>() {
-                            Ok(index) => index != 0 && index.unsigned_abs() <= most as u64,
-                            Err(_) => index.is_empty(),
-                        };
-                        if !there {
-                            return wrong(&format!("corner `{corner}` names nothing that is there"));
-                        }
-                    }
-                }
-                if corners < 3 {
-                    return wrong("expected a face of at least three corners");
-                }
-                faces += 1;
-            }
+/// Largest mesh file, bytes: its indices and MuJoCo's copies of them then fit into 32 bits.
+const MAX_MESH_BYTES: usize = 64 << 20;
+
+/// Most corners of a face: the reader's triangulation takes time with the cube of them.
+const MAX_CORNERS: usize = 64;
+
+/// A number as MuJoCo's OBJ reader and Rust read it alike. The reader has its own parser: it takes `0e999` for NaN and computes in
+/// single precision.
+fn coordinate(word: &str) -> Option<f64> {
+    const LONGEST: usize = 40;
+    let (digits, exponent) = word.split_once(['e', 'E']).unwrap_or((word, "0"));
+    let plain = |text: &str| text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'+' | b'-' | b'.'));
+    let exponent_fits = exponent.parse::<i32>().is_ok_and(|exponent| exponent.abs() < 100);
+    if word.len() > LONGEST || !plain(digits) || !exponent_fits {
+        return None;
+    }
+    word.parse().ok().filter(|x| (-1e3..=1e3).contains(x))
+}
+
+/// Number of vertices, texture coordinates and normals, of a whole file or up to a line.
+#[derive(Debug, Clone, Copy, Default)]
+struct ObjCounts {
+    vertices: usize,
+    textures: usize,
+    normals: usize,
+}
+
+impl ObjCounts {
+    fn count(&mut self, key: &str) {
+        match key {
+            "v" => self.vertices += 1,
+            "vt" => self.textures += 1,
+            "vn" => self.normals += 1,
             _ => {}
         }
     }
-    if vertices < 4 || faces < 4 {
-        return Err(format!("{vertices} vertices and {faces} faces, expected at least 4 of each"));
+
+    /// Checks a corner of a face, `v`, `v/vt`, `v//vn` or `v/vt/vn`, in a file with these counts, where so many are defined
+    /// before it. MuJoCo reads a texture coordinate and a normal for every corner as soon as the file has any.
+    fn check_corner(&self, before: &Self, corner: &str) -> Result<(), String> {
+        let parts: Vec<_> = corner.split('/').collect();
+        let (vertex, texture, normal) = match parts[..] {
+            [vertex] => (Some(vertex), None, None),
+            [vertex, texture] => (Some(vertex), Some(texture), None),
+            [vertex, "", normal] => (Some(vertex), None, Some(normal)),
+            [vertex, texture, normal] => (Some(vertex), Some(texture), Some(normal)),
+            _ => return Err(format!("corner `{corner}`, expected `v`, `v/vt`, `v//vn` or `v/vt/vn`")),
+        };
+        for (what, index, total, so_far) in [
+            ("vertex", vertex, self.vertices, before.vertices),
+            ("texture coordinate", texture, self.textures, before.textures),
+            ("normal", normal, self.normals, before.normals),
+        ] {
+            match index.map(str::parse::<i64>) {
+                None if total == 0 => {}
+                None => return Err(format!("corner `{corner}` has no {what}, and the file has {total} of them")),
+                // negative indices count back from what is defined so far
+                Some(Ok(index @ 1..)) if index.unsigned_abs() <= total as u64 => {}
+                Some(Ok(index @ ..=-1)) if index.unsigned_abs() <= so_far as u64 => {}
+                Some(_) => return Err(format!("corner `{corner}` has a {what} that is not in the file")),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Checks an OBJ mesh for what MuJoCo's reader (tinyobjloader) takes on trust.
+///
+/// The reader reads past the end of its vertices, normals and texture
+/// coordinates where a face names one that is not there or none where there are some, and crashes on a mesh without faces.
+/// Lines and words end where they end for that reader: a lone carriage return ends a line, and no other white space than space
+/// and tab parts words.
+///
+/// # Errors
+/// A message with the line, what was found and what is expected.
+///
+/// ```
+/// use aviary::world::check_obj;
+///
+/// let solid = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+/// assert!(check_obj(solid.as_bytes()).is_ok());
+/// assert!(check_obj(solid.replace("f 2 3 4", "f 2 3 5").as_bytes()).is_err());
+/// ```
+pub fn check_obj(bytes: &[u8]) -> Result<(), String> {
+    if bytes.len() > MAX_MESH_BYTES {
+        return Err(format!("{} bytes, expected at most {MAX_MESH_BYTES}", bytes.len()));
+    }
+    let text = std::str::from_utf8(bytes).map_err(|_| "it is no OBJ file (not text)".to_string())?;
+    let text = text.replace("\r\n", "\n");
+    let lines = || text.split(['\n', '\r']).enumerate();
+    let words = |line| str::split(line, [' ', '\t']).filter(|word: &&str| !word.is_empty());
+    let mut total = ObjCounts::default();
+    for (_, line) in lines() {
+        total.count(words(line).next().unwrap_or_default());
+    }
+    // MuJoCo takes the first group that has faces
+    let (mut faces, mut in_first_group) = (0, true);
+    let mut before = ObjCounts::default();
+    for (number, line) in lines() {
+        let wrong = |what: String| Err(format!("line {}: {what}", number + 1));
+        if let Some(control) = line.chars().find(|c| c.is_control() && *c != '\t') {
+            return wrong(format!("the control character {control:?}, expected text"));
+        }
+        let mut words = words(line);
+        let key = words.next().unwrap_or_default();
+        before.count(key);
+        match key {
+            "v" | "vn" | "vt" => {
+                let (least, most) = if key == "vt" { (1, 3) } else { (3, 3) };
+                let numbers = words.take(most).map(coordinate).collect::<Option<Vec<_>>>();
+                if numbers.is_none_or(|numbers| numbers.len() < least) {
+                    return wrong(format!("expected {least} numbers within ±1000 after `{key}`"));
+                }
+            }
+            "f" => {
+                let mut corners = 0;
+                for corner in words {
+                    corners += 1;
+                    if let Err(message) = total.check_corner(&before, corner) {
+                        return wrong(message);
+                    }
+                }
+                if !(3..=MAX_CORNERS).contains(&corners) {
+                    return wrong(format!("a face of {corners} corners, expected 3 to {MAX_CORNERS}"));
+                }
+                faces += usize::from(in_first_group);
+            }
+            "g" | "o" => in_first_group = faces == 0,
+            // the reader keeps them once per material, and MuJoCo draws none of them
+            "l" | "p" | "t" | "vw" => return wrong(format!("`{key}`, expected a mesh of faces only")),
+            _ => {}
+        }
+    }
+    if total.vertices < 4 || faces < 4 {
+        return Err(format!(
+            "{} vertices and {faces} faces in the first group, expected at least 4 of each",
+            total.vertices
+        ));
     }
     Ok(())
 }
@@ -168,33 +264,79 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    const SOLID: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+
     #[test]
     fn meshes_that_would_crash_the_reader_are_refused_by_line() {
         for part in CRAZYFLIE.iter().chain(&RACER) {
             check_obj(part.embedded).unwrap_or_else(|message| panic!("{}: {message}", part.file));
         }
-        let solid = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
-        assert!(check_obj(solid.as_bytes()).is_ok());
-        let refused = |from: &str, to: &str| check_obj(solid.replace(from, to).as_bytes()).unwrap_err();
-        assert!(refused("v 0 0 1", "v 0 0 nan").starts_with("line 4"));
-        assert!(refused("v 0 0 1", "v 0 0").starts_with("line 4"));
-        assert!(refused("f 2 3 4", "f 2 3 9").starts_with("line 8"));
-        assert!(refused("f 2 3 4", "f 2 3 0").starts_with("line 8"));
-        assert!(refused("f 2 3 4", "f 2//1 3//1 4//1").starts_with("line 8"));
-        assert!(refused("f 2 3 4", "f 2 3").starts_with("line 8"));
+        assert!(check_obj(SOLID.as_bytes()).is_ok());
+        let refused = |from: &str, to: &str| check_obj(SOLID.replace(from, to).as_bytes()).unwrap_err();
+        for bad in ["v 0 0 nan", "v 0 0", "v 0 0 1e9", "v 0 0 0e999", "v 0 0 0x1", "v 0 0 1\u{b}", "vw 0 0 1", "l 1 2"]
+        {
+            let message = refused("v 0 0 1", bad);
+            assert!(message.starts_with("line 4: "), "{bad}: {message}");
+        }
+        for bad in [
+            "f 2 3 9",
+            "f 2 3 0",
+            "f 2//1 3//1 4//1",
+            "f 2/1 3/1 4/1",
+            "f 2 3",
+            "f 2/ 3 4",
+            "f 2 3 4/1/1/1",
+            "f 2 3 \\",
+        ] {
+            let message = refused("f 2 3 4", bad);
+            assert!(message.starts_with("line 8: "), "{bad}: {message}");
+        }
         assert!(refused("f 2 3 4\n", "").contains("3 faces"));
+        assert!(refused("f 1 3 2", "f 1 3 2\ng other").contains("1 faces in the first group"));
         assert!(check_obj(b"v 0 0 0").unwrap_err().contains("1 vertices") && check_obj(&[0xff, 0xfe]).is_err());
+        assert!(refused("f 2 3 4", &format!("f {}", "2 3 4 ".repeat(40))).contains("120 corners"));
+    }
+
+    #[test]
+    fn a_carriage_return_ends_a_line_of_a_mesh() {
+        // a comment and a face to those who end lines at line feeds only
+        let message = check_obj(SOLID.replace("f 2 3 4", "# note\rf 2 3 900000").as_bytes()).unwrap_err();
+        assert!(message.starts_with("line 9: ") && message.contains("900000"), "{message}");
+        assert!(check_obj(SOLID.replace('\n', "\r").as_bytes()).is_ok());
+        assert!(check_obj(SOLID.replace('\n', "\r\n").as_bytes()).is_ok());
+    }
+
+    #[test]
+    fn corners_have_a_normal_and_a_texture_coordinate_as_soon_as_the_file_has_any() {
+        let message = check_obj(format!("{SOLID}vn 0 0 1\n").as_bytes()).unwrap_err();
+        assert!(message.contains("line 5: corner `1` has no normal"), "{message}");
+        let message = check_obj(format!("vt 0 1\n{SOLID}").as_bytes()).unwrap_err();
+        assert!(message.contains("line 6: corner `1` has no texture coordinate"), "{message}");
+        let full = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvn 0 0 1\n\
+            f 1/1/1 3/1/1 2/1/1\nf 1/1/1 2/1/1 4/1/1\nf 1/1/1 4/1/1 3/1/1\nf -3/-1/-1 -2/-1/-1 -1/-1/-1\n";
+        assert!(check_obj(full.as_bytes()).is_ok());
+        // counted back from vertices that are only defined further down
+        let early = SOLID.replace("v 0 0 1\nf 1 3 2\n", "f 1 -4 2\nv 0 0 1\n");
+        assert!(check_obj(early.as_bytes()).unwrap_err().starts_with("line 4: "), "{early}");
     }
 
     proptest! {
         /// What passes the check compiles or is an error of MuJoCo's, and never a crash.
         #[test]
-        fn damaged_meshes_are_refused_or_read(at in 0usize..120, letter in 32u8..127) {
-            let mut bytes = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nf 1//1 3//1 2//1\nf 1 2 4\nf 1 4 3\nf 2 3 4\n".to_vec();
-            let place = at % bytes.len();
-            bytes[place] = letter;
+        fn damaged_meshes_are_refused_or_read(
+            edits in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"\r\n\t /-+.#0123456789evfntgo".to_vec())), 1..4),
+            plain in any::<bool>(),
+        ) {
+            let full = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 1\nvn 0 0 1\n# end\rf 1/1/1 3/1/1 2/1/1\n\
+                f -4/1/1 2/1/-1 4/1/1\nf 1/1/1 4/1/1 3/1/1 2/1/1\nf 2/1/1 3/1/1 4/1/1\n";
+            let mut bytes = if plain { SOLID } else { full }.as_bytes().to_vec();
+            for (place, letter) in edits {
+                let place = place.index(bytes.len());
+                bytes[place] = letter;
+            }
             if check_obj(&bytes).is_ok() {
-                let xml = "<mujoco><asset><mesh name='m' file='m.obj'/></asset></mujoco>";
+                let xml = "<mujoco><asset><mesh name='m' file='m.obj'/></asset>\
+                    <worldbody><geom type='mesh' mesh='m' contype='0' conaffinity='0'/></worldbody></mujoco>";
                 let _ = mujoco_rs::Model::from_xml_with_assets(xml, &Assets::new().with("m.obj", bytes));
             }
         }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::io;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use mujoco_rs::{Assets, Integrator};
@@ -11,6 +12,7 @@ use quick_xml::events::{BytesEnd, BytesStart, Event};
 
 use super::look::Look;
 use super::{DroneBody, Forcing, Obstacle, World};
+use crate::drone::DroneError;
 use crate::state::{attitude_from_rpy, wxyz};
 
 /// What can be wrong with a scene before MuJoCo sees it.
@@ -26,6 +28,14 @@ pub enum SceneError {
         got: f64,
         /// What is possible.
         expected: &'static str,
+    },
+    /// An airframe with impossible parameters.
+    #[error("drone {index}: {error}")]
+    Drone {
+        /// Index of the drone.
+        index: usize,
+        /// The parameter.
+        error: DroneError,
     },
     /// A mesh that cannot be read.
     #[error("{}: {message}", path.display())]
@@ -54,7 +64,9 @@ impl Sizes {
         let drones = world.drones.len();
         // a cylinder meets a plane in up to four points; in a pile each has about four more contacts of its own, and more
         // than a few dozen do not pile up (memory grows with the square of this number)
-        let on_obstacles = if world.obstacles.is_empty() { 0 } else { 12 * drones.min(64) };
+        // each obstacle touches a drone in one point
+        let on_each = world.slots().len().min(if drones <= 4 { 24 } else { 12 });
+        let on_obstacles = on_each * drones.min(64);
         let contacts = 4 * drones + 4 * drones.min(64) + on_obstacles;
         // a pyramidal friction cone has four edges
         let constraints = 4 * contacts;
@@ -256,49 +268,39 @@ impl World {
         );
     }
 
+    /// Checks every number that reaches MuJoCo. Its compiler takes any finite number, and its collision code does not end for
+    /// some of them.
     fn check(&self) -> Result<(), SceneError> {
-        let value = |what: &str, got: f64, good: bool, expected: &'static str| {
-            if good { Ok(()) } else { Err(SceneError::Value { what: what.to_string(), got, expected }) }
+        let value = |what: &str, got: f64, range: RangeInclusive<f64>, expected: &'static str| {
+            // NaN is in no range
+            if range.contains(&got) {
+                return Ok(());
+            }
+            Err(SceneError::Value { what: what.to_string(), got, expected })
         };
-        value(
-            "the time step",
-            self.timestep,
-            self.timestep.is_finite() && self.timestep > 0.0,
-            "a positive number of seconds",
-        )?;
-        value("gravity", self.gravity, self.gravity.is_finite(), "a finite number of m/s²")?;
+        value("the time step", self.timestep, 1e-7..=1.0, "1e-7 to 1 s")?;
+        let gravity = -World::MAX_GRAVITY..=World::MAX_GRAVITY;
+        value("gravity", self.gravity, gravity, "a number within ±10,000 m/s²")?;
         if let Some(medium) = self.medium {
-            let good = |x: f64| x.is_finite() && x >= 0.0;
-            value("the medium's density", medium.density, good(medium.density), "zero or a positive number of kg/m³")?;
-            value(
-                "the medium's viscosity",
-                medium.viscosity,
-                good(medium.viscosity),
-                "zero or a positive number of Pa·s",
-            )?;
+            value("the medium's density", medium.density, 0.0..=1e5, "0 to 100,000 kg/m³")?;
+            value("the medium's viscosity", medium.viscosity, 0.0..=1e5, "0 to 100,000 Pa·s")?;
         }
-        let named = |(index, obstacle): (usize, _)| (format!("obstacle {index}"), obstacle);
-        let obstacles = self.obstacles.iter().enumerate().map(named);
-        let markers = self.markers.iter().map(|marker| (format!("the marker `{}`", marker.name), &marker.body));
-        for (name, obstacle) in obstacles.chain(markers) {
-            for got in obstacle.shape.geom().1 {
-                let good = got.is_finite() && got > 0.0;
-                value(&format!("the size of {name}"), got, good, "positive numbers of metres")?;
-            }
-            for &got in obstacle.position.iter().chain(&obstacle.rpy) {
-                value(&format!("the pose of {name}"), got, got.is_finite(), "finite numbers")?;
-            }
-            for got in obstacle.rgba {
-                let good = (0.0..=1.0).contains(&got);
-                value(&format!("the colour of {name}"), got, good, "four numbers from 0 to 1")?;
-            }
+        for (index, obstacle) in self.obstacles.iter().enumerate() {
+            obstacle.validate(&format!("obstacle {index}"))?;
+        }
+        for marker in &self.markers {
+            marker.body.validate(&format!("the marker `{}`", marker.name))?;
         }
         for (index, drone) in self.drones.iter().enumerate() {
-            for (what, vector) in [("position", drone.position), ("attitude", drone.rpy)] {
-                for &got in vector.iter() {
-                    value(&format!("the {what} of drone {index}"), got, got.is_finite(), "finite numbers")?;
-                }
+            for &got in &drone.position {
+                let range = -World::MAX_COORDINATE..=World::MAX_COORDINATE;
+                value(&format!("the position of drone {index}"), got, range, "coordinates within ±100,000 m")?;
             }
+            for &got in &drone.rpy {
+                let range = -World::MAX_ANGLE..=World::MAX_ANGLE;
+                value(&format!("the attitude of drone {index}"), got, range, "angles within ±1000 rad")?;
+            }
+            drone.params.validate().map_err(|error| SceneError::Drone { index, error })?;
         }
         Ok(())
     }
@@ -553,7 +555,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bad_numbers_are_refused_by_name(at in 0usize..8, bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY])) {
+        fn bad_numbers_are_refused_by_name(at in 0usize..8, bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e15, -1e15, 1e300])) {
             let mut world = World::new(vec![body(DroneModel::Cf2p, Vector3::z())]);
             match at {
                 0 => world.timestep = bad,

@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use crate::drone::{DroneParams, GRAVITY};
 
 pub use field::{FieldError, ObstacleConfig, ObstacleKind};
-pub use look::CF2_ASSETS;
+pub use look::{CF2_ASSETS, check_obj};
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
 pub use obstacle::{Marker, Obstacle, Shape};
@@ -165,6 +165,21 @@ impl World {
     pub fn camera_name(index: usize) -> String {
         format!("drone{index}_camera")
     }
+
+    /// Smallest size of an obstacle or marker, m.
+    pub const MIN_SIZE: f64 = 1e-4;
+
+    /// Largest size of an obstacle or marker, m.
+    pub const MAX_SIZE: f64 = 1e4;
+
+    /// Largest coordinate of an obstacle, a marker or an initial position, m, in both directions.
+    pub const MAX_COORDINATE: f64 = 1e5;
+
+    /// Largest roll, pitch or yaw of an obstacle, a marker or an initial attitude, rad, in both directions.
+    pub const MAX_ANGLE: f64 = 1e3;
+
+    /// Largest acceleration of gravity, m/s², in both directions.
+    pub const MAX_GRAVITY: f64 = 1e4;
 
     /// Vertical field of view of every onboard camera, degrees.
     pub const CAMERA_FOVY: f64 = 60.0;

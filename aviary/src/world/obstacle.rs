@@ -1,5 +1,6 @@
 use nalgebra::Vector3;
 
+use super::{SceneError, World};
 use crate::state::attitude_from_rpy;
 
 /// Shape and size of an obstacle, in its own frame.
@@ -125,6 +126,30 @@ impl Obstacle {
     pub fn distance(&self, point: &Vector3<f64>) -> f64 {
         let own = attitude_from_rpy(self.rpy).inverse_transform_vector(&(point - self.position));
         self.shape.distance(&own)
+    }
+
+    /// Checks sizes, pose and colour against the ranges of [`World`]: MuJoCo's collision code does not end for a body of 10¹⁵ m.
+    pub(crate) fn validate(&self, name: &str) -> Result<(), SceneError> {
+        let value = |what: &str, got: f64, range: std::ops::RangeInclusive<f64>, expected| {
+            // NaN is in no range
+            if range.contains(&got) {
+                return Ok(());
+            }
+            Err(SceneError::Value { what: format!("the {what} of {name}"), got, expected })
+        };
+        for got in self.shape.geom().1 {
+            value("size", got, World::MIN_SIZE..=World::MAX_SIZE, "0.0001 to 10,000 m")?;
+        }
+        for &got in &self.position {
+            value("position", got, -World::MAX_COORDINATE..=World::MAX_COORDINATE, "coordinates within ±100,000 m")?;
+        }
+        for &got in &self.rpy {
+            value("attitude", got, -World::MAX_ANGLE..=World::MAX_ANGLE, "angles within ±1000 rad")?;
+        }
+        for got in self.rgba {
+            value("colour", got, 0.0..=1.0, "four numbers from 0 to 1")?;
+        }
+        Ok(())
     }
 
     /// An upright one in the colour of wood.
