@@ -24,7 +24,7 @@ fn main() -> anyhow::Result<()> {
     ] {
         // a room is looked into from above its walls
         let height = if kind == ObstacleKind::Indoor { 0.8 } else { 1.6 };
-        let field = ObstacleConfig { count, seed, arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
+        let field = ObstacleConfig { count, seed: Some(seed), arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
         let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_field(field).build()?;
         env.reset(Some(seed))?;
         let mut painter = Painter::for_people(env.simulation().world())?;

@@ -1,8 +1,9 @@
 //! Obstacles keep their distance, move in place, are met where they stand, and are seen.
 
 use mujoco_drones_gym::engine::{Contact, Touched};
-use mujoco_drones_gym::env::{EndReason, check_env, check_independence};
+use mujoco_drones_gym::env::{ConditionChoice, Conditions, EndReason, Randomization, check_env, check_independence};
 use mujoco_drones_gym::mujoco::{Error, Model, gl_info};
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::sensing::{RangeConfig, Rangefinder};
 use mujoco_drones_gym::tasks::NAMES;
@@ -327,5 +328,144 @@ fn what_has_moved_is_drawn_where_it_is() {
         moved.set_obstacles(&layout(seed)).unwrap();
         let after = draw(&mut moved);
         assert!(after != before && after == draw(&mut painter(seed)), "seed {seed}");
+    }
+}
+
+#[test]
+fn defaults_of_obstacles_depend_on_their_kind_alone() {
+    for kind in ObstacleKind::ALL {
+        let text = format!("kind = \"{}\"\n", kind.name());
+        let config: ObstacleConfig = toml::from_str(&text).unwrap();
+        assert_eq!(config, ObstacleConfig::new(kind));
+        // and they fit
+        for seed in 0..200 {
+            config.generate(&[[0.0, 0.0, 0.1]], &mut Rng::seed_from_u64(seed)).unwrap();
+        }
+    }
+    assert_eq!(toml::from_str::<ObstacleConfig>("").unwrap(), ObstacleConfig::default());
+}
+
+#[test]
+fn settings_of_obstacles_that_exclude_each_other_are_refused() {
+    let refused = |text: &str, expected: &str| {
+        let text = format!("[obstacles]\n{text}");
+        let error = Conditions::from_toml(&text).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    };
+    let custom = "[[obstacles.custom]]\nshape = \"sphere\"\nsize = [0.1]\nposition = [1.0, 0.0, 1.0]\n";
+    refused(custom, "kind is forest, but there is a custom list");
+    refused(&format!("kind = \"custom\"\ncount = 3\n{custom}"), "count is 3, but the custom list has 1 entries");
+    refused(&format!("kind = \"custom\"\nnew_layout = true\n{custom}"), "new_layout is true");
+    let huge = custom.replace("0.1", "1e15");
+    refused(&format!("kind = \"custom\"\n{huge}"), "the size of custom obstacle 0 is 1000000000000000");
+    let both = Hover::builder()
+        .obstacle_field(ObstacleConfig::default())
+        .obstacles([Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.0, 0.0, 1.0))]);
+    assert!(both.build().unwrap_err().to_string().contains("a list and a field"));
+}
+
+#[test]
+fn a_wind_beside_one_that_is_drawn_and_a_kind_beside_another_are_refused() {
+    let drawn = "[randomization.environment]\n";
+    let choice = ConditionChoice { wind: Some(WindModel::Constant), ..ConditionChoice::default() };
+    let error = Conditions::from_toml_with(drawn, &choice).unwrap_err().to_string();
+    assert!(error.contains("the wind is constant, expected none beside a randomization"), "{error}");
+    let calm = Conditions::from_toml_with("[randomization.environment]\nwind = [0.0, 0.0]\n", &choice).unwrap();
+    assert_eq!(calm.wind.unwrap().model, WindModel::Constant);
+    let built = Hover::builder().wind(WindConfig::new(WindModel::Gust)).randomization(Randomization::default()).build();
+    assert!(built.unwrap_err().to_string().contains("the wind is gust"));
+
+    let error = Conditions::from_toml_with("[wind]\nmodel = \"dryden\"\n", &choice).unwrap_err().to_string();
+    assert!(error.contains("[wind] has model = \"dryden\", but `constant` is chosen"), "{error}");
+    let chosen = Conditions::from_toml_with("[wind]\nvelocity = [3.0, 0.0, 0.0]\n", &choice).unwrap().wind.unwrap();
+    assert_eq!((chosen.model, chosen.velocity), (WindModel::Constant, [3.0, 0.0, 0.0]));
+    let error = Conditions::from_toml("[wind]\nvelocity = [3.0, 0.0, 0.0]\n").unwrap_err().to_string();
+    assert!(error.contains("[wind] has no model"), "{error}");
+}
+
+#[test]
+fn furniture_stands_clear_of_doorways() {
+    let config = ObstacleConfig { arena: [6.0, 4.0, 2.0], count: 20, ..ObstacleConfig::new(ObstacleKind::Indoor) };
+    let mut doorways = 0;
+    for seed in 0..300 {
+        let obstacles = config.generate(&[[0.0, 0.0, 0.1]], &mut Rng::seed_from_u64(seed)).unwrap();
+        let (walls, furniture) = obstacles.split_at(obstacles.len() - config.count);
+        // after the four outer walls, two parts of every partition with the doorway between them
+        for pair in walls[4..].chunks_exact(2) {
+            let [Shape::Box { half_size: below }, Shape::Box { half_size: above }] = [pair[0].shape, pair[1].shape]
+            else {
+                panic!("a wall is a box")
+            };
+            let (low, high) = (pair[0].position.y + below[1], pair[1].position.y - above[1]);
+            assert!((high - low - 0.8).abs() < 1e-9, "seed {seed}");
+            doorways += 1;
+            for piece in furniture {
+                // the doorway and 0.4 m before and behind it
+                for x in [-0.4, -0.2, 0.0, 0.2, 0.4] {
+                    for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
+                        let place = Vector3::new(pair[0].position.x + x, low + share * (high - low), piece.position.z);
+                        assert!(piece.distance(&place) > 0.0, "seed {seed}: furniture at {}", piece.position);
+                    }
+                }
+            }
+        }
+    }
+    assert_eq!(doorways, 900);
+}
+
+/// Sizes and places from a tenth of a micrometre to far beyond what is accepted.
+fn any_obstacle() -> impl Strategy<Value = Obstacle> {
+    let wide = || (-7.0..17.0f64).prop_map(|exponent| 10_f64.powf(exponent));
+    let place = prop_oneof![-1.0..1.0f64, wide(), wide().prop_map(|x| -x)];
+    let near =
+        || prop_oneof![3 => 0.01..1.0f64, 1 => -4.0..4.0f64].prop_map(|x| if x < 0.01 { 10_f64.powf(x) } else { x });
+    let size = prop_oneof![4 => prop::array::uniform3(near()), 1 => prop::array::uniform3(wide())];
+    let position = prop_oneof![4 => prop::array::uniform3(-1.0..1.0f64), 1 => prop::array::uniform3(place)];
+    (0..4_usize, size, position, prop::array::uniform3(-4.0..4.0f64), prop::array::uniform4(0.0..1.0f64)).prop_map(
+        |(kind, size, position, rpy, rgba)| {
+            let shape = match kind {
+                0 => Shape::Box { half_size: size },
+                1 => Shape::Sphere { radius: size[0] },
+                2 => Shape::Cylinder { radius: size[0], half_height: size[1] },
+                _ => Shape::Capsule { radius: size[0], half_height: size[1] },
+            };
+            Obstacle { rpy: rpy.into(), rgba, ..Obstacle::new(shape, position.into()) }
+        },
+    )
+}
+
+proptest! {
+    /// What is accepted is compiled and stepped, whatever its size: MuJoCo's collision code does not end for 1e15 m.
+    #[test]
+    fn obstacles_that_are_accepted_are_flown_among(
+        obstacles in prop::collection::vec(any_obstacle(), 1..5),
+        start in prop::array::uniform3(-1.0..1.0f64), rpy in prop::array::uniform3(-3.0..3.0f64),
+        radius in -4.0..3.0f64,
+    ) {
+        let mut params = DroneModel::Cf2x.params();
+        params.collision_radius = 10_f64.powf(radius);
+        let built = Simulation::builder(params)
+            .initial_positions([start])
+            .initial_rpys([rpy])
+            .obstacles(obstacles.clone())
+            .build();
+        match built {
+            Ok(mut simulation) => for _ in 0..2 {
+                // pushed out of a wall too fast is an error, too
+                let _ = simulation.step(&[[12_000.0; 4]]);
+            },
+            Err(error) => prop_assert!(error.to_string().contains("obstacle"), "{error}"),
+        }
+    }
+
+    #[test]
+    fn obstacles_survive_being_written_as_toml(
+        custom in prop::collection::vec(any_obstacle(), 0..6), kind in prop::sample::select(ObstacleKind::ALL.to_vec()),
+        count in 0..2000_usize, arena in prop::array::uniform3(0.5..1e3f64), spacing in 0.0..1e3f64, safe_zone in 0.0..1e3f64,
+        seed in prop::option::of(0..=i64::MAX as u64), new_layout in any::<bool>(),
+    ) {
+        let config = ObstacleConfig { kind, count, arena, spacing, safe_zone, new_layout, seed, custom };
+        let text = toml::to_string(&config).unwrap();
+        prop_assert_eq!(toml::from_str::<ObstacleConfig>(&text).unwrap(), config, "{}", text);
     }
 }

@@ -10,12 +10,12 @@ use aviary::control::trajectory::{self, Trajectory};
 use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::{BuildError, EngineKind};
-use aviary::env::{Conditions, Env, EnvConfig, EnvError, Randomization};
+use aviary::env::{ConditionChoice, Conditions, Env, EnvConfig, EnvError, Randomization};
 use aviary::physics::Physics;
-use aviary::physics::wind::{WindConfig, WindModel};
+use aviary::physics::wind::WindModel;
 use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
 use aviary::vision::ImageSize;
-use aviary::world::{ObstacleConfig, ObstacleKind};
+use aviary::world::ObstacleKind;
 use aviary::wrappers::SafetyWrapper;
 use clap::builder::{PossibleValue, StringValueParser, TypedValueParser};
 use clap::{Arg, Args, Command, ValueHint};
@@ -69,37 +69,30 @@ pub struct ConditionOptions {
 impl ConditionOptions {
     /// Wind, obstacles and randomization, obstacles where a seed has them.
     pub fn read(&self, seed: u64) -> Result<Conditions, Failure> {
-        self.read_with(seed, |path| Conditions::from_file(path).map_err(Failure::input))
+        self.read_with(seed, |path, choice| Conditions::from_file_with(path, choice).map_err(Failure::input))
     }
 
-    /// Wind, obstacles and randomization, with a reader for the file of --config.
+    /// Wind, obstacles and randomization, with a reader for the file of --config, of the kinds that --wind and --obstacles choose.
     pub fn read_with(
         &self,
         seed: u64,
-        read: impl FnOnce(&Path) -> Result<Conditions, Failure>,
+        read: impl FnOnce(&Path, &ConditionChoice) -> Result<Conditions, Failure>,
     ) -> Result<Conditions, Failure> {
-        let mut conditions = match &self.config {
-            Some(path) => read(path)?,
-            None => Conditions::default(),
-        };
+        let kinds = obstacle_kinds();
+        let mut choice = ConditionChoice::default();
         if let Some(name) = &self.wind {
-            let model = named::<WindModel>("wind", name, &WindModel::ALL.map(WindModel::name))?;
-            conditions.wind = Some(WindConfig { model, ..conditions.wind.unwrap_or_default() });
+            choice.wind = Some(named("wind", name, &WindModel::ALL.map(WindModel::name))?);
         }
         if let Some(name) = &self.obstacles {
-            let kinds = obstacle_kinds();
             one_of("obstacles", name, &kinds.iter().map(|kind| kind.name()).collect::<Vec<_>>())?;
-            let config = conditions.obstacles.take().unwrap_or_default();
-            let kind = kinds.into_iter().find(|kind| kind.name() == name).unwrap_or(config.kind);
-            // ten-centimetre trees fit everywhere, gates and rooms do not
-            let count = match kind {
-                ObstacleKind::Gates if self.config.is_none() => 4,
-                ObstacleKind::Forest => config.count,
-                _ if self.config.is_none() => 8,
-                _ => config.count,
-            };
-            let seed = if self.config.is_none() { seed } else { config.seed };
-            conditions.obstacles = Some(ObstacleConfig { kind, count, seed, ..config });
+            choice.obstacles = kinds.into_iter().find(|kind| kind.name() == name);
+        }
+        let mut conditions = match &self.config {
+            Some(path) => read(path, &choice)?,
+            None => Conditions::from_toml_with("", &choice).map_err(Failure::input)?,
+        };
+        if let Some(obstacles) = &mut conditions.obstacles {
+            obstacles.seed.get_or_insert(seed);
         }
         Ok(conditions)
     }
@@ -351,5 +344,58 @@ pub fn vision_failure(error: impl Into<EnvError>) -> Failure {
             mujoco_rs::Error::GlName { .. } | mujoco_rs::Error::GlDevice { .. } | mujoco_rs::Error::Load { .. },
         )) => Failure::input(error),
         _ => Failure::work(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(
+        wind: Option<&str>,
+        obstacles: Option<&str>,
+        config: Option<&str>,
+        seed: u64,
+    ) -> Result<Conditions, String> {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("conditions.toml");
+        if let Some(text) = config {
+            std::fs::write(&path, text).unwrap();
+        }
+        let text = |name: Option<&str>| name.map(str::to_string);
+        let config = config.map(|_| path);
+        let options = ConditionOptions { wind: text(wind), obstacles: text(obstacles), config };
+        options.read(seed).map_err(|failure| match failure {
+            Failure::Input(error) | Failure::Work(error) => error.to_string(),
+        })
+    }
+
+    #[test]
+    fn a_file_about_something_else_leaves_the_obstacles_as_they_are() {
+        let wind = "[wind]\nmodel = \"constant\"\n";
+        for kind in obstacle_kinds() {
+            let alone = read(None, Some(kind.name()), None, 7).unwrap();
+            assert_eq!(alone.obstacles.as_ref().unwrap().seed, Some(7));
+            for text in [wind, "[obstacles]\n", "[randomization]\n"] {
+                assert_eq!(read(None, Some(kind.name()), Some(text), 7).unwrap().obstacles, alone.obstacles, "{text}");
+            }
+            let named = format!("[obstacles]\nkind = \"{}\"\n", kind.name());
+            assert_eq!(read(None, None, Some(&named), 7).unwrap().obstacles, alone.obstacles);
+        }
+        let given =
+            read(None, Some("urban"), Some("[obstacles]\ncount = 3\nseed = 2\n"), 7).unwrap().obstacles.unwrap();
+        assert_eq!((given.count, given.seed), (3, Some(2)));
+    }
+
+    #[test]
+    fn options_that_contradict_the_file_are_refused() {
+        let refused = |wind, obstacles, text, expected: &str| {
+            let error = read(wind, obstacles, Some(text), 0).unwrap_err();
+            assert!(error.contains("conditions.toml: ") && error.contains(expected), "{error}");
+        };
+        refused(Some("constant"), None, "[randomization.environment]\n", "the wind is constant, expected none");
+        refused(Some("gust"), None, "[wind]\nmodel = \"dryden\"\n", "[wind] has model = \"dryden\"");
+        refused(None, Some("urban"), "[obstacles]\nkind = \"forest\"\n", "[obstacles] has kind = \"forest\"");
+        refused(None, None, "[wind]\nvelocity = [1.0, 0.0, 0.0]\n", "[wind] has no model");
     }
 }

@@ -118,12 +118,12 @@ impl Play {
             let in_file = |error: TrainError| anyhow!("{}: its training: {error}", self.policy.display());
             config.read_toml(text).map_err(in_file).map_err(Failure::input)?;
         } else {
-            let said = self.conditions.read_with(self.seed, |path| {
+            let said = self.conditions.read_with(self.seed, |path, choice| {
                 config.read_file(path).map_err(Failure::input)?;
                 let in_file = |message: String| Failure::input(anyhow!("{}: {message}", path.display()));
                 let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
                 let sections = TrainConfig::conditions_of(&text).map_err(|error| in_file(error.to_string()))?;
-                Conditions::from_toml(&sections).map_err(|error| in_file(error.to_string()))
+                Conditions::from_toml_with(&sections, choice).map_err(|error| in_file(error.to_string()))
             })?;
             // a randomization has been added to the task's starts already
             (config.conditions.wind, config.conditions.obstacles) = (said.wind, said.obstacles);

@@ -224,7 +224,7 @@ impl<T> AviaryBuilder<T> {
         self
     }
 
-    /// Obstacles that are placed at random, in place of [`obstacles`](Self::obstacles); none by default.
+    /// Obstacles that are placed at random; none by default. They exclude a list of [`obstacles`](Self::obstacles).
     #[must_use]
     pub fn obstacle_field(mut self, field: impl Into<Option<ObstacleConfig>>) -> Self {
         self.field = field.into();
@@ -268,6 +268,9 @@ impl<T> AviaryBuilder<T> {
 }
 
 impl<T: Task> AviaryBuilder<T> {
+    /// Most pixels of all onboard cameras together: about 1.5 GB of images.
+    const MAX_CAMERA_PIXELS: usize = 1 << 27;
+
     /// Compiles the world. The environment must be [reset](super::Env::reset) before its first step.
     ///
     /// # Errors
@@ -296,10 +299,20 @@ impl<T: Task> AviaryBuilder<T> {
                 expected: "zero or a positive number of metres",
             });
         }
+        if let (Some(randomization), Some(wind)) = (&self.randomization, simulation.wind_config()) {
+            randomization.check_wind(wind)?;
+        }
+        if self.field.is_some() && simulation.has_obstacles() {
+            return Err(EnvError::Option {
+                option: "the obstacles",
+                got: "a list and a field".into(),
+                expected: "one of the two",
+            });
+        }
         let positions = self.task.initial_positions(simulation.airframes());
         let mut simulation = simulation.initial_positions_or(positions).markers(self.task.markers());
         if let Some(field) = &self.field {
-            let mut rng = Rng::seed_from_u64(field.seed);
+            let mut rng = Rng::seed_from_u64(field.seed.unwrap_or(0));
             let obstacles = field.generate(simulation.starts(), &mut rng)?;
             simulation = simulation.obstacles(obstacles);
         }
@@ -321,6 +334,13 @@ impl<T: Task> AviaryBuilder<T> {
                 option: "the camera's size",
                 got: camera_size.to_string(),
                 expected: "sides of 1 to 8192 pixels",
+            });
+        }
+        if kind.has_images() && camera_size.pixels().saturating_mul(count) > Self::MAX_CAMERA_PIXELS {
+            return Err(EnvError::Option {
+                option: "the camera's size",
+                got: format!("{camera_size} for {count} drones"),
+                expected: "at most 2^27 pixels of all onboard cameras together",
             });
         }
         let limits = &self.action_limits;

@@ -3,8 +3,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{AviaryBuilder, EnvError, Randomization};
-use crate::physics::wind::WindConfig;
-use crate::world::ObstacleConfig;
+use crate::physics::wind::{WindConfig, WindModel};
+use crate::world::{ObstacleConfig, ObstacleKind};
 
 /// What an episode is flown under, as a configuration file says it: wind, obstacles, randomization. A section that is not
 /// there is left alone.
@@ -43,14 +43,82 @@ pub struct Conditions {
     pub randomization: Option<Randomization>,
 }
 
+/// Kinds that are chosen outside the configuration file, by a command line for example.
+///
+/// The file's sections give the numbers; a section with another kind of its own is an error.
+///
+/// ```
+/// use aviary::env::{ConditionChoice, Conditions};
+/// use aviary::world::ObstacleKind;
+///
+/// let choice = ConditionChoice { obstacles: Some(ObstacleKind::Urban), ..ConditionChoice::default() };
+/// let conditions = Conditions::from_toml_with("[obstacles]\nspacing = 0.3\n", &choice)?;
+/// assert_eq!(conditions.obstacles.map(|obstacles| (obstacles.count, obstacles.spacing)), Some((8, 0.3)));
+/// assert!(Conditions::from_toml_with("[obstacles]\nkind = \"forest\"\n", &choice).is_err());
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ConditionChoice {
+    /// Wind model; the file's own where there is none.
+    pub wind: Option<WindModel>,
+    /// Kind of the obstacles; the file's own where there is none.
+    pub obstacles: Option<ObstacleKind>,
+}
+
+impl ConditionChoice {
+    /// Writes the chosen kinds into the sections of a file.
+    fn apply(&self, table: &mut toml::Table) -> Result<(), EnvError> {
+        let choices = [
+            ("wind", "model", self.wind.map(WindModel::name)),
+            ("obstacles", "kind", self.obstacles.map(ObstacleKind::name)),
+        ];
+        for (section, key, chosen) in choices {
+            let Some(chosen) = chosen else { continue };
+            let entry = table.entry(section).or_insert_with(|| toml::Table::new().into());
+            // a section that is no table has been refused before
+            let Some(section_table) = entry.as_table_mut() else { continue };
+            if let Some(own) = section_table.insert(key.into(), chosen.into())
+                && own.as_str() != Some(chosen)
+            {
+                let message =
+                    format!("[{section}] has {key} = {own}, but `{chosen}` is chosen beside it; leave one of them out");
+                return Err(EnvError::Toml { message });
+            }
+        }
+        Ok(())
+    }
+}
+
 impl Conditions {
     /// Reads and checks conditions from TOML text.
     ///
     /// # Errors
     /// [`EnvError::Toml`] with line and column, or what is impossible in a section.
     pub fn from_toml(text: &str) -> Result<Self, EnvError> {
-        let conditions: Self = toml::from_str(text)
-            .map_err(|error| EnvError::Toml { message: crate::error::toml_message(text, &error) })?;
+        Self::from_toml_with(text, &ConditionChoice::default())
+    }
+
+    /// Reads and checks conditions from TOML text, of the kinds that are chosen.
+    ///
+    /// # Errors
+    /// [`EnvError::Toml`] with line and column or with a kind that is not the chosen one, or what is impossible in a section.
+    pub fn from_toml_with(text: &str, choice: &ConditionChoice) -> Result<Self, EnvError> {
+        let wrong = |error: toml::de::Error| EnvError::Toml { message: crate::error::toml_message(text, &error) };
+        let mut conditions: Self = toml::from_str(text).map_err(wrong)?;
+        let mut table: toml::Table = text.parse().map_err(wrong)?;
+        let wind = table.get("wind").and_then(toml::Value::as_table);
+        if choice.wind.is_none() && wind.is_some_and(|wind| !wind.is_empty() && !wind.contains_key("model")) {
+            let message = "[wind] has no model, without which nothing blows; expected constant, gust, dryden, sinusoidal, combined \
+                or none"
+                .into();
+            return Err(EnvError::Toml { message });
+        }
+        if *choice != ConditionChoice::default() {
+            // defaults depend on the kind: it must be there when the rest is read
+            choice.apply(&mut table)?;
+            conditions =
+                table.try_into().map_err(|error: toml::de::Error| EnvError::Toml { message: error.to_string() })?;
+        }
         conditions.validate()?;
         Ok(conditions)
     }
@@ -58,7 +126,7 @@ impl Conditions {
     /// Checks all of them.
     ///
     /// # Errors
-    /// What is impossible in a section.
+    /// What is impossible in a section, and a wind beside one that the randomization draws.
     pub fn validate(&self) -> Result<(), EnvError> {
         if let Some(wind) = &self.wind {
             wind.validate().map_err(|error| EnvError::Simulation(error.into()))?;
@@ -68,6 +136,9 @@ impl Conditions {
         }
         if let Some(randomization) = &self.randomization {
             randomization.validate()?;
+            if let Some(wind) = &self.wind {
+                randomization.check_wind(wind)?;
+            }
         }
         Ok(())
     }
@@ -77,10 +148,18 @@ impl Conditions {
     /// # Errors
     /// [`EnvError::Toml`] with the file, the line and what is expected.
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self, EnvError> {
+        Self::from_file_with(path, &ConditionChoice::default())
+    }
+
+    /// Reads and checks a file, of the kinds that are chosen.
+    ///
+    /// # Errors
+    /// [`EnvError::Toml`] with the file, around what [`from_toml_with`](Self::from_toml_with) finds.
+    pub fn from_file_with(path: impl AsRef<Path>, choice: &ConditionChoice) -> Result<Self, EnvError> {
         let path = path.as_ref();
         let in_file = |message: String| EnvError::Toml { message: format!("{}: {message}", path.display()) };
         let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-        Self::from_toml(&text).map_err(|error| in_file(error.to_string()))
+        Self::from_toml_with(&text, choice).map_err(|error| in_file(error.to_string()))
     }
 }
 

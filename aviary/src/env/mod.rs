@@ -12,7 +12,7 @@ pub use aviary::Aviary;
 pub(crate) use aviary::{Episode, Phase, Verdict};
 pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
-pub use conditions::Conditions;
+pub use conditions::{ConditionChoice, Conditions};
 pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, Draw, DroneDraw, EnvironmentRanges, InitialRanges, Randomization,
     Range, SensorRanges,

@@ -210,6 +210,21 @@ impl Randomization {
         Ok(config)
     }
 
+    /// Whether the wind of an episode is drawn, in place of the environment's own.
+    pub fn draws_wind(&self) -> bool {
+        self.environment.is_some_and(|ranges| ranges.wind[1] > 0.0)
+    }
+
+    /// Refuses a wind of the environment that the draws would replace in every episode.
+    pub(super) fn check_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
+        if !self.draws_wind() || wind.model == WindModel::None {
+            return Ok(());
+        }
+        let expected =
+            "none beside a randomization that draws the wind; environment.wind = [0, 0] there leaves the wind alone";
+        Err(EnvError::Option { option: "the wind", got: wind.model.to_string(), expected })
+    }
+
     /// Checks that every range is one, and that nothing in it is impossible.
     ///
     /// # Errors

@@ -1,8 +1,8 @@
 use nalgebra::Vector3;
 use rand::RngExt as _;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::{Obstacle, Shape};
+use super::{Obstacle, SceneError, Shape};
 use crate::error::triple;
 use crate::random::Rng;
 
@@ -28,6 +28,17 @@ impl ObstacleKind {
     /// All of them.
     pub const ALL: [Self; 6] = [Self::Forest, Self::Urban, Self::Indoor, Self::Random, Self::Gates, Self::Custom];
 
+    /// Number of obstacles where none is given: 20 trees, 4 gates, 8 of the other kinds, which fit into the default arena; 0 for a
+    /// custom list.
+    pub fn default_count(self) -> usize {
+        match self {
+            Self::Forest => 20,
+            Self::Gates => 4,
+            Self::Urban | Self::Indoor | Self::Random => 8,
+            Self::Custom => 0,
+        }
+    }
+
     /// The name in lower snake case.
     pub fn name(self) -> &'static str {
         match self {
@@ -43,6 +54,8 @@ impl ObstacleKind {
 
 /// Obstacles that are placed at random, about the origin.
 ///
+/// Every setting has a default of its kind, in Rust ([`new`](Self::new)) and in TOML, where a key that is not given takes it.
+///
 /// ```
 /// use aviary::env::Rng;
 /// use aviary::world::{ObstacleConfig, ObstacleKind};
@@ -54,14 +67,14 @@ impl ObstacleKind {
 /// # Ok::<(), aviary::world::FieldError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[serde(from = "Fields")]
 pub struct ObstacleConfig {
-    /// What kind.
+    /// What kind; a forest by default.
     pub kind: ObstacleKind,
-    /// How many: trees, buildings, pieces of furniture, things in the air, gates; 20 by default.
+    /// How many: trees, buildings, pieces of furniture, things in the air, gates; [`ObstacleKind::default_count`] by default. A
+    /// list of custom obstacles has its own length: 0 or the same number.
     pub count: usize,
     /// Length along x, y and z of the space they stand in, centred on the origin, from the floor up, m; 3 × 3 × 2 by default.
-    #[serde(deserialize_with = "triple")]
     pub arena: [f64; 3],
     /// Least room between two of them, m; 0.2 by default. (Walls of a room may meet.)
     pub spacing: f64,
@@ -69,32 +82,61 @@ pub struct ObstacleConfig {
     pub safe_zone: f64,
     /// Whether every episode has another layout; the same for all by default.
     pub new_layout: bool,
-    /// Seed of the layout, where it is the same for all.
-    pub seed: u64,
+    /// Seed of the layout, and of the first one where every episode has another, which takes the place of one that has no room;
+    /// 0 by default, and `--seed` in the program.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
     /// What stands around where the kind is [`Custom`](ObstacleKind::Custom). In TOML `[[custom]]` with `shape` (`box`, `sphere`,
     /// `cylinder`, `capsule`), `size` (half sizes; radius; radius and half height), `position`, `euler` (roll, pitch, yaw, rad)
     /// and `rgba`.
-    #[serde(skip_serializing, deserialize_with = "custom")]
+    #[serde(skip_serializing_if = "Vec::is_empty", serialize_with = "write_custom")]
     pub custom: Vec<Obstacle>,
 }
 
 impl Default for ObstacleConfig {
     fn default() -> Self {
+        Self::new(ObstacleKind::Forest)
+    }
+}
+
+/// A configuration as TOML gives it, before the kind's defaults fill it up.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields {
+    kind: Option<ObstacleKind>,
+    count: Option<usize>,
+    #[serde(default, deserialize_with = "optional_triple")]
+    arena: Option<[f64; 3]>,
+    spacing: Option<f64>,
+    safe_zone: Option<f64>,
+    new_layout: Option<bool>,
+    seed: Option<u64>,
+    #[serde(default, deserialize_with = "read_custom")]
+    custom: Vec<Obstacle>,
+}
+
+impl From<Fields> for ObstacleConfig {
+    fn from(fields: Fields) -> Self {
+        let defaults = Self::new(fields.kind.unwrap_or(ObstacleKind::Forest));
         Self {
-            kind: ObstacleKind::Forest,
-            count: 20,
-            arena: [3.0, 3.0, 2.0],
-            spacing: 0.2,
-            safe_zone: 0.3,
-            new_layout: false,
-            seed: 0,
-            custom: Vec::new(),
+            kind: defaults.kind,
+            count: fields.count.unwrap_or(defaults.count),
+            arena: fields.arena.unwrap_or(defaults.arena),
+            spacing: fields.spacing.unwrap_or(defaults.spacing),
+            safe_zone: fields.safe_zone.unwrap_or(defaults.safe_zone),
+            new_layout: fields.new_layout.unwrap_or(defaults.new_layout),
+            seed: fields.seed,
+            custom: fields.custom,
         }
     }
 }
 
+fn optional_triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 3]>, D::Error> {
+    triple(deserializer).map(Some)
+}
+
 /// An obstacle in TOML.
-#[derive(Deserialize)]
+#[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct CustomObstacle {
     shape: CustomShape,
@@ -106,7 +148,7 @@ struct CustomObstacle {
     rgba: Option<[f64; 4]>,
 }
 
-#[derive(Deserialize, Clone, Copy)]
+#[derive(Serialize, Deserialize, Clone, Copy)]
 #[serde(rename_all = "snake_case")]
 enum CustomShape {
     Box,
@@ -115,7 +157,22 @@ enum CustomShape {
     Capsule,
 }
 
-fn custom<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Vec<Obstacle>, D::Error> {
+fn write_custom<S: Serializer>(obstacles: &[Obstacle], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(obstacles.iter().map(|obstacle| CustomObstacle {
+        shape: match obstacle.shape {
+            Shape::Box { .. } => CustomShape::Box,
+            Shape::Sphere { .. } => CustomShape::Sphere,
+            Shape::Cylinder { .. } => CustomShape::Cylinder,
+            Shape::Capsule { .. } => CustomShape::Capsule,
+        },
+        size: obstacle.shape.geom().1,
+        position: obstacle.position.into(),
+        euler: obstacle.rpy.into(),
+        rgba: Some(obstacle.rgba),
+    }))
+}
+
+fn read_custom<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Obstacle>, D::Error> {
     let read = |one: CustomObstacle| {
         let shape = match (one.shape, &one.size[..]) {
             (CustomShape::Box, &[x, y, z]) => Shape::Box { half_size: [x, y, z] },
@@ -148,6 +205,12 @@ pub enum FieldError {
         /// What is possible.
         expected: &'static str,
     },
+    /// Two settings of which one would be ignored.
+    #[error("the obstacles' {0}")]
+    Contradiction(String),
+    /// An obstacle of the custom list that is impossible.
+    #[error(transparent)]
+    Custom(#[from] SceneError),
     /// There is no room for so many.
     #[error(
         "{placed} of {asked} obstacles fit into {arena:?} m with {spacing} m between them and {safe_zone} m around every drone"
@@ -186,13 +249,33 @@ struct Taken {
     radius: f64,
 }
 
+/// Walls, and what furniture keeps out of.
+#[derive(Debug, Default)]
+struct Room {
+    walls: Vec<Obstacle>,
+    /// Boxes before and behind the doorways, as wide as these.
+    passages: Vec<Obstacle>,
+}
+
 impl ObstacleConfig {
+    /// Depth of the space before and behind a doorway that furniture keeps out of, m.
+    const PASSAGE: f64 = 0.4;
+
     /// Most obstacles of a field.
     pub const MAX_COUNT: usize = 2000;
 
     /// The defaults of a kind.
     pub fn new(kind: ObstacleKind) -> Self {
-        Self { kind, ..Self::default() }
+        Self {
+            kind,
+            count: kind.default_count(),
+            arena: [3.0, 3.0, 2.0],
+            spacing: 0.2,
+            safe_zone: 0.3,
+            new_layout: false,
+            seed: None,
+            custom: Vec::new(),
+        }
     }
 
     /// Checks every setting.
@@ -208,7 +291,32 @@ impl ObstacleConfig {
             check("arena", side, 0.5, 1e3, "sides of 0.5 to 1000 m")?;
         }
         check("spacing", self.spacing, 0.0, 1e3, "0 to 1000 m")?;
-        check("safe_zone", self.safe_zone, 0.0, 1e3, "0 to 1000 m")
+        check("safe_zone", self.safe_zone, 0.0, 1e3, "0 to 1000 m")?;
+        if self.kind == ObstacleKind::Custom {
+            check("number of custom obstacles", self.custom.len() as f64, 0.0, Self::MAX_COUNT as f64, "0 to 2000")?;
+        }
+        for (index, obstacle) in self.custom.iter().enumerate() {
+            obstacle.validate(&format!("custom obstacle {index}"))?;
+        }
+        let contradiction = |message: String| Err(FieldError::Contradiction(message));
+        match (self.kind, self.custom.len()) {
+            (ObstacleKind::Custom, length) => {
+                if self.count != 0 && self.count != length {
+                    return contradiction(format!("count is {}, but the custom list has {length} entries", self.count));
+                }
+                if self.new_layout {
+                    return contradiction("new_layout is true, but a custom list has one layout".into());
+                }
+            }
+            (_, 0) => {}
+            (kind, _) => {
+                let kind = kind.name();
+                return contradiction(format!(
+                    "kind is {kind}, but there is a custom list, which goes with kind custom"
+                ));
+            }
+        }
+        Ok(())
     }
 
     /// Places them, around drones that start at these positions (world frame, m). The shapes are the same, in the same order,
@@ -222,15 +330,15 @@ impl ObstacleConfig {
         if self.kind == ObstacleKind::Custom {
             return Ok(self.custom.clone());
         }
-        let mut fixed = Vec::new();
+        let mut room = Room::default();
         if self.kind == ObstacleKind::Indoor {
-            fixed = self.room(&starts, rng)?;
+            room = self.room(&starts, rng)?;
         }
         let mut best = 0;
         // a full arena may need another beginning
         for _ in 0..30 {
-            match self.scatter(&starts, &fixed, rng) {
-                Ok(obstacles) => return Ok(fixed.into_iter().chain(obstacles).collect()),
+            match self.scatter(&starts, &room, rng) {
+                Ok(obstacles) => return Ok(room.walls.into_iter().chain(obstacles).collect()),
                 Err(placed) => best = best.max(placed),
             }
         }
@@ -244,7 +352,7 @@ impl ObstacleConfig {
     }
 
     /// One after the other, each where there is room; how many were placed where there was none for the next.
-    fn scatter(&self, starts: &[Vector3<f64>], walls: &[Obstacle], rng: &mut Rng) -> Result<Vec<Obstacle>, usize> {
+    fn scatter(&self, starts: &[Vector3<f64>], room: &Room, rng: &mut Rng) -> Result<Vec<Obstacle>, usize> {
         let mut taken: Vec<Taken> = Vec::with_capacity(self.count);
         let mut obstacles = Vec::new();
         for index in 0..self.count {
@@ -260,7 +368,12 @@ impl ObstacleConfig {
                 let clear_of =
                     |start: &Vector3<f64>| parts.iter().all(|part: &Obstacle| part.distance(start) >= self.safe_zone);
                 let off_walls = |wall: &Obstacle| wall.distance(&middle) >= radius + self.spacing;
-                if taken.iter().all(apart) && starts.iter().all(clear_of) && walls.iter().all(off_walls) {
+                let off_passages = |passage: &Obstacle| passage.distance(&middle) >= radius;
+                if taken.iter().all(apart)
+                    && starts.iter().all(clear_of)
+                    && room.walls.iter().all(off_walls)
+                    && room.passages.iter().all(off_passages)
+                {
                     taken.push(Taken { middle, radius });
                     found = Some(parts);
                     break;
@@ -354,7 +467,7 @@ impl ObstacleConfig {
     }
 
     /// Walls around the arena, and across it wherever 1.5 m are left, with a doorway of 0.8 m.
-    fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Vec<Obstacle>, FieldError> {
+    fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Room, FieldError> {
         const THICKNESS: f64 = 0.03;
         const DOORWAY: f64 = 0.8;
         let [length, width, height] = self.arena;
@@ -382,13 +495,16 @@ impl ObstacleConfig {
         }
         let rooms = ((length / 1.5) as usize).clamp(1, 6);
         let wide = width > DOORWAY + 0.4;
+        let mut passages = Vec::new();
         for partition in 1..if wide { rooms } else { 1 } {
             let mut pair = Vec::new();
+            let mut passage = Vector3::zeros();
             for attempt in 0..200 {
                 // about its share of the length, further from it the longer there is no room
                 let spread = 0.1 + 0.4 * f64::from(attempt) / 200.0;
                 let x = length * (partition as f64 / rooms as f64 - 0.5) + within(rng, -spread, spread);
                 let door = within(rng, -0.5 * width + 0.2, 0.5 * width - 0.2 - DOORWAY);
+                passage = Vector3::new(x, door + 0.5 * DOORWAY, 0.5 * height);
                 let (below, above) = (door + 0.5 * width, 0.5 * width - door - DOORWAY);
                 pair = vec![
                     wall(x, -0.5 * width + 0.5 * below, [THICKNESS, 0.5 * below]),
@@ -405,7 +521,9 @@ impl ObstacleConfig {
                 }
             }
             walls.extend(pair);
+            let half_size = [THICKNESS + Self::PASSAGE, 0.5 * DOORWAY, 0.5 * height];
+            passages.push(Obstacle::new(Shape::Box { half_size }, passage));
         }
-        Ok(walls)
+        Ok(Room { walls, passages })
     }
 }

@@ -36,6 +36,8 @@ pub struct SafetyWrapper<E> {
     action: Vec<f64>,
     /// Control steps of this episode in which it had to change something.
     interventions: u64,
+    /// Whether it has been reset: before that there is no state to filter for.
+    started: bool,
 }
 
 impl<E> SafetyWrapper<E> {
@@ -44,14 +46,15 @@ impl<E> SafetyWrapper<E> {
 }
 
 impl<E: Env> SafetyWrapper<E> {
-    /// Around an environment whose actions are velocities ([`ActionType::Vel`]).
+    /// Around an environment whose actions are velocities ([`ActionType::Vel`]). It must be reset before its first step, also
+    /// where the environment has been.
     ///
     /// # Errors
     /// [`EnvError::Option`] for other actions, [`EnvError::Safety`] for a filter that cannot be.
     pub fn new(env: E, filter: CollisionCone) -> Result<Self, EnvError> {
         let guard = Guard::new(filter, 10.0, env.action_type(), env.simulation().num_drones())?;
         let action = vec![0.0; env.action_space().size()];
-        Ok(Self { env, guard, action, interventions: 0 })
+        Ok(Self { env, guard, action, interventions: 0, started: false })
     }
 
     /// How fast the controller beneath takes up a velocity, 1/s: 10 (the default) for the geometric controller, 5 for the
@@ -156,11 +159,16 @@ impl<E: Env> Env for SafetyWrapper<E> {
     forward_env!(self => self.env);
 
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
-        self.interventions = 0;
-        self.env.reset(seed)
+        (self.interventions, self.started) = (0, false);
+        let observation = self.env.reset(seed)?;
+        self.started = true;
+        Ok(observation)
     }
 
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
+        if !self.started {
+            return Err(EnvError::NeedsReset { when: "on a new safety filter" });
+        }
         // what is wrong with an action the environment itself says best
         let sound = action.len() == self.action.len() && action.iter().all(|x| x.is_finite());
         if !sound || self.env.info().end.is_some() {
@@ -172,5 +180,24 @@ impl<E: Env> Env for SafetyWrapper<E> {
             self.interventions += 1;
         }
         self.env.step(&self.action)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::ControllerKind;
+    use crate::tasks::Antipodal;
+
+    #[test]
+    fn nothing_is_filtered_before_the_first_reset() {
+        let env = Antipodal::builder().num_drones(2).action_type(ActionType::Vel).controller(ControllerKind::Geometric);
+        let mut env = SafetyWrapper::new(env.build().unwrap(), CollisionCone::new(0.4)).unwrap();
+        // towards each other
+        let action = [-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
+        assert!(matches!(env.step(&action), Err(EnvError::NeedsReset { .. })));
+        assert_eq!(env.interventions(), 0);
+        env.reset(Some(1)).unwrap();
+        env.step(&action).unwrap();
     }
 }
