@@ -106,7 +106,7 @@ const LENGTHS: &[&str] = &[
 
 /// Whole numbers by which MuJoCo allocates, with what they may be.
 const COUNTS: &[(&str, &str, i64, i64)] = &[
-    ("size", "njmax", -1, 1_000_000),
+    ("size", "njmax", -1, 100_000),
     ("size", "nconmax", -1, 1_000_000),
     ("size", "nstack", -1, i32::MAX as i64),
     ("size", "nuserdata", 0, MAX_COUNT),
@@ -145,7 +145,7 @@ const COUNTS: &[(&str, &str, i64, i64)] = &[
 const MAX_DEPTH: usize = 200;
 
 /// Largest number of parts of a composite object.
-const MAX_COMPOSITE: i64 = 100_000;
+const MAX_COMPOSITE: i64 = 10_000;
 
 /// Most numbers of a custom field: MuJoCo reads them into an array of this length.
 const MAX_NUMERIC: usize = 500;
@@ -478,11 +478,6 @@ impl Element<'_> {
         let count = (vertices.len() / 3) as i64;
         if self.name == "mesh" && self.get("vertex").is_some() && count < 4 {
             return Err(self.wrong("vertex", &format!("{count} points"), "at least 4"));
-        }
-        for (key, words) in [("normal", self.get("normal")), ("texcoord", self.get("texcoord"))] {
-            if let Some(words) = words {
-                self.numbers::<f64>(key, words)?;
-            }
         }
         if let Some(value) = self.get("face") {
             let faces = self.numbers::<i64>("face", value)?;
