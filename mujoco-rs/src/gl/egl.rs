@@ -127,15 +127,7 @@ impl Egl {
 }
 
 fn open(visibility: i32) -> Result<(&'static str, Library), String> {
-    let mut answers = Vec::new();
-    for name in NAMES {
-        // SAFETY: a system library, whose initialisers are those of any program that draws.
-        match unsafe { Library::open(Some(name), RTLD_NOW | visibility) } {
-            Ok(library) => return Ok((name, library)),
-            Err(error) => answers.push(reason(&error)),
-        }
-    }
-    Err(answers.join(", "))
+    super::open(&NAMES, RTLD_NOW | visibility)
 }
 
 impl Functions {
@@ -214,7 +206,7 @@ fn displays(library: &Library, functions: Functions, wanted: Option<usize>) -> R
     }
 
     let mut found: Vec<Display> = Vec::new();
-    let mut answers = Vec::new();
+    let mut answers: Vec<(String, String)> = Vec::new();
     for (name, platform, native) in candidates {
         // SAFETY: a device that EGL listed, or the surfaceless platform's null.
         let handle = unsafe { platform_display(platform, native, ptr::null()) };
@@ -224,12 +216,17 @@ fn displays(library: &Library, functions: Functions, wanted: Option<usize>) -> R
                 found.push(display.display);
             }
             Ok(_) => {}
-            Err(answer) => answers.push(format!("{name}: {answer}")),
+            // several displays mostly fail for the same reason, which is said once
+            Err(answer) => match answers.iter_mut().find(|(_, same)| *same == answer) {
+                Some((names, _)) => *names += &format!(", {name}"),
+                None => answers.push((name, answer)),
+            },
         }
     }
     if !found.is_empty() {
         return Ok(found);
     }
+    let answers: Vec<_> = answers.iter().map(|(names, answer)| format!("{answer} ({names})")).collect();
     Err(Refusal::Answer(if answers.is_empty() { "there is no EGL device".into() } else { answers.join(", ") }))
 }
 

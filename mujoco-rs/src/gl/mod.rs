@@ -9,6 +9,8 @@ mod osmesa;
 use std::fmt;
 use std::sync::{OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
+use libloading::os::unix::Library as SystemLibrary;
+
 use crate::error::{Error, GlAttempt};
 
 /// A way to an OpenGL context.
@@ -182,6 +184,26 @@ impl GlContext {
         let _release = Release(&self.context);
         Ok(draw())
     }
+}
+
+/// Opens the first of these libraries that is there. The error is one short reason: of a library that is there and cannot be
+/// loaded, if there is one, or else that the first one is missing.
+fn open(names: &[&'static str], flags: i32) -> Result<(&'static str, SystemLibrary), String> {
+    let mut damaged = None;
+    for &name in names {
+        // SAFETY: a system library, whose initialisers are those of any program that draws.
+        match unsafe { SystemLibrary::open(Some(name), flags) } {
+            Ok(library) => return Ok((name, library)),
+            Err(error) => {
+                let reason = reason(&error);
+                // a library that it needs may be missing, too: that is another name
+                if !(reason.starts_with(name) && reason.contains("No such file")) {
+                    damaged.get_or_insert(reason);
+                }
+            }
+        }
+    }
+    Err(damaged.unwrap_or_else(|| format!("{} is not installed", names.first().copied().unwrap_or_default())))
 }
 
 /// What the loader says, down to the system's own words.

@@ -44,15 +44,8 @@ unsafe impl Send for Context {}
 
 impl Osmesa {
     pub(super) fn load() -> Result<Self, String> {
-        let mut answers = Vec::new();
-        for name in NAMES {
-            // SAFETY: a system library, whose initialisers are those of any program that draws.
-            match unsafe { Library::open(Some(name), RTLD_NOW | RTLD_LOCAL) } {
-                Ok(library) => return Self::try_out(name, library),
-                Err(error) => answers.push(reason(&error)),
-            }
-        }
-        Err(answers.join(", "))
+        let (name, library) = super::open(&NAMES, RTLD_NOW | RTLD_LOCAL)?;
+        Self::try_out(name, library)
     }
 
     fn try_out(name: &str, library: Library) -> Result<Self, String> {
