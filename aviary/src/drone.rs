@@ -1,11 +1,15 @@
 //! Airframes: the three that are built in, the user's own from TOML, and what follows from their parameters.
 
+mod plausibility;
+
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use nalgebra::{Matrix4, Vector3};
 use serde::{Deserialize, Serialize};
+
+pub use plausibility::DerivedNumber;
 
 /// Acceleration of gravity that every derived constant is computed with, m/s².
 pub const GRAVITY: f64 = 9.81;

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use anyhow::anyhow;
 use aviary::control::ControllerKind;
+use aviary::drone::DroneParams;
 use aviary::env::{Env, Info};
 use aviary::record::plot::Plot;
 use aviary::record::{Flight as Samples, RecordError, Recorder, Scenario, state_numbers};
@@ -284,6 +285,8 @@ impl Flight {
         json!({
             "task": env.name(),
             "drone_model": simulation.params(0).name,
+            "hover_rpm": nominal(env).hover_rpm(),
+            "hover_share": nominal(env).hover_rpm() / nominal(env).max_rpm(),
             "physics": simulation.physics().name(),
             "engine": simulation.engine().name(),
             "controller": self.controller.name(),
@@ -321,6 +324,7 @@ impl Flight {
                 "task",
                 format!("{} with {} {}", env.name(), env.simulation().num_drones(), env.simulation().params(0).name),
             ),
+            ("hover speed", hover_speed(nominal(env))),
             ("controller", self.controller.to_string()),
             ("physics", env.simulation().physics().to_string()),
             ("engine", env.simulation().engine().name().to_string()),
@@ -333,7 +337,23 @@ impl Flight {
             ("simulated time", format!("{:.2} s", self.info.time)),
             ("simulated s per wall s", format!("{:.0}", self.info.time / self.wall_seconds.max(1e-9))),
         ];
+        let implausible = nominal(env).derived().iter().filter(|number| !number.is_plausible()).count();
+        if implausible > 0 {
+            let numbers = if implausible == 1 { "number is" } else { "numbers are" };
+            rows.push(("warning", format!("{implausible} {numbers} implausible: see `aviary airframe`")));
+        }
         rows.extend(measures.iter().map(|(name, value)| (&**name, value.clone())));
         output::table(&rows)
     }
+}
+
+/// The airframe that every drone was built with, before anything is drawn at random.
+fn nominal(env: &dyn Env) -> &DroneParams {
+    &env.simulation().world().drones[0].params
+}
+
+/// Hover speed of an airframe and its share of the largest.
+fn hover_speed(params: &DroneParams) -> String {
+    let (hover, most) = (params.hover_rpm(), params.max_rpm());
+    format!("{hover:.0} rpm, {:.0} % of the largest", 100.0 * hover / most)
 }

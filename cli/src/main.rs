@@ -1,5 +1,6 @@
 //! The command line of mujoco-drones-gym: parses, calls, prints.
 
+mod airframe;
 mod bench;
 mod capture;
 mod completions;
@@ -56,6 +57,8 @@ enum Command {
     Bench(bench::Bench),
     /// List the tasks
     Tasks(tasks::Tasks),
+    /// Print derived numbers of an airframe and warn where one is implausible
+    Airframe(airframe::Airframe),
     /// Check what the program needs from this machine
     Doctor(doctor::Doctor),
     /// Print what a shell needs to complete commands and names
@@ -81,6 +84,7 @@ fn main() -> ExitCode {
         Command::Play(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Tasks(command) => command.run(),
+        Command::Airframe(command) => command.run(),
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(),
     };

@@ -45,7 +45,7 @@ impl TypedValueParser for Names {
 }
 
 /// What a flight is flown under.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub struct ConditionOptions {
     /// Wind: none, constant, gust, dryden, sinusoidal, combined
     #[arg(
@@ -148,7 +148,7 @@ impl Variation {
 }
 
 /// Which flight it is.
-#[derive(Debug, Args)]
+#[derive(Debug, Clone, Args)]
 pub struct FlightOptions {
     /// Task to fly; `aviary tasks` lists them
     #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
@@ -167,8 +167,8 @@ pub struct FlightOptions {
     /// Engine: mujoco, or hybrid, which gives the same flight many times faster
     #[arg(long, default_value = "mujoco", value_parser = Names(|| EngineKind::ALL.map(EngineKind::name).to_vec()), hide_possible_values = true)]
     pub engine: String,
-    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (for trajectories, and their default); else the
-    /// task's by default
+    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (stiffest); by default the task's, and geometric
+    /// for trajectories and, in place of pid, in wind
     #[arg(long, value_parser = Names(|| ControllerKind::ALL.map(ControllerKind::name).to_vec()), hide_possible_values = true)]
     pub controller: Option<String>,
     /// Number of drones; the task's by default
@@ -208,7 +208,13 @@ impl FlightOptions {
             Some(name) => named("controller", name, &ControllerKind::ALL.map(ControllerKind::name)),
             // a trajectory wants its derivatives followed
             None if self.trajectory.is_some() => Ok(ControllerKind::Geometric),
-            None => Ok(self.summary()?.defaults.controller),
+            None => {
+                let default = self.summary()?.defaults.controller;
+                // the paper's PID drifts tens of centimetres in gusts, and its integral is slow to carry a steady wind
+                let windy =
+                    || Ok(self.conditions.read(self.seed)?.wind.is_some_and(|wind| wind.model != WindModel::None));
+                Ok(if default == ControllerKind::Pid && windy()? { ControllerKind::Geometric } else { default })
+            }
         }
     }
 
@@ -224,7 +230,7 @@ impl FlightOptions {
         if Path::new(name).extension().is_some_and(|extension| extension == "toml") {
             return trajectory::from_file(name).map(Some).map_err(Failure::input);
         }
-        one_of_or_file("trajectory", name, &trajectory::NAMES)?;
+        one_of_or_file("--trajectory", name, &trajectory::NAMES)?;
         Ok(trajectory::named(name))
     }
 
@@ -239,7 +245,7 @@ impl FlightOptions {
         variation.apply(&mut conditions, summary.name)?;
         let physics = named::<Physics>("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
         let mut config = EnvConfig::default()
-            .drone(drone(&self.drone)?)
+            .drone(drone("--drone", &self.drone)?)
             .physics(physics)
             .engine(named("engine", &self.engine, &EngineKind::ALL.map(EngineKind::name))?)
             .sim_freq(self.sim_freq)
@@ -290,7 +296,7 @@ fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn En
 }
 
 /// A built-in airframe by name, or one from a file.
-fn drone(name: &str) -> Result<DroneParams, Failure> {
+pub fn drone(option: &str, name: &str) -> Result<DroneParams, Failure> {
     if let Ok(model) = name.parse::<DroneModel>() {
         return Ok(model.params());
     }
@@ -298,13 +304,13 @@ fn drone(name: &str) -> Result<DroneParams, Failure> {
         return DroneParams::from_file(name).map_err(Failure::input);
     }
     let models: Vec<_> = DroneModel::ALL.iter().map(|model| model.name()).collect();
-    one_of_or_file("drone", name, &models)?;
-    Err(Failure::input(anyhow!("--drone is `{name}`")))
+    one_of_or_file(option, name, &models)?;
+    Err(Failure::input(anyhow!("{option} is `{name}`")))
 }
 
 /// Refuses a name that is not in the list, with the nearest one that is.
 pub fn one_of(option: &str, name: &str, names: &[&str]) -> Result<(), Failure> {
-    one_of_with(option, name, names, "")
+    one_of_with(&format!("--{option}"), name, names, "")
 }
 
 /// The same where a TOML file would do, too.
@@ -317,7 +323,7 @@ fn one_of_with(option: &str, name: &str, names: &[&str], more: &str) -> Result<(
         return Ok(());
     }
     let near = aviary::did_you_mean(name, names);
-    Err(Failure::input(anyhow!("--{option} is `{name}`, expected one of: {}{more}{near}", names.join(", "))))
+    Err(Failure::input(anyhow!("{option} is `{name}`, expected one of: {}{more}{near}", names.join(", "))))
 }
 
 /// A value with a name from a list.

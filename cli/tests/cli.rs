@@ -589,10 +589,15 @@ fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
             "render" => vec!["render", "--task", "hover", "--out", text(&out)],
             _ => vec!["capture", "--task", "hover", "--frames", "1", "--out", text(&out)],
         };
-        let (status, _, error) = run(&arguments);
+        let (status, table, error) = run(&arguments);
         assert_eq!((status, error.lines().count()), (Some(1), 1), "{error}");
         assert!(error.contains("apt-get install libegl1 libgl1-mesa-dri libosmesa6"), "{error}");
-        assert!(error.contains("libEGL.so.1") && error.contains("libOSMesa.so.8"), "{error}");
+        // one short reason per library, in the table where there is one
+        let reasons = if command == "doctor" { table } else { error };
+        for library in ["libEGL", "libOSMesa"] {
+            assert_eq!(reasons.matches(library).count(), 1, "{reasons}");
+        }
+        assert!(reasons.contains("libEGL.so.1: file too short") && reasons.contains("libOSMesa.so.8: "), "{reasons}");
         assert!(!out.exists());
     }
     let (status, doctor, _) = run(&["doctor", "--json"]);
@@ -600,8 +605,105 @@ fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
     assert_eq!((status, &doctor["ok"]), (Some(1), &false.into()));
     for answer in doctor["gl"].as_array().unwrap() {
         assert!(answer["works"] == false && answer["detail"].as_str().unwrap().contains(".so"), "{answer}");
+        assert!(answer["install"].as_str().unwrap().starts_with("apt-get install lib"), "{answer}");
     }
     assert_eq!(run(&["fly", "--task", "hover"]).0, Some(0));
+}
+
+/// An airframe in wrong units flies: its derived numbers show it.
+#[test]
+fn airframes_are_checked_for_numbers_that_no_quadrotor_has() {
+    for name in ["cf2x", "cf2p", "race"] {
+        let output = aviary(&["airframe", name, "--json"]);
+        let airframe: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!((&airframe["name"], &airframe["plausible"]), (&name.into(), &true.into()));
+        assert_eq!((&airframe["warnings"], &airframe["suspected_unit"]), (&Value::Array(vec![]), &Value::Null));
+    }
+    let table = String::from_utf8(aviary(&["airframe", "cf2x"]).stdout).unwrap();
+    assert!(table.contains("14476 rpm") && table.contains("0.6667") && !table.contains("warning"), "{table}");
+
+    let dir = directory("airframes");
+    std::fs::create_dir_all(&dir).unwrap();
+    let path = dir.join("in_grams.toml");
+    let crazyflie = include_str!("../../assets/airframes/cf2x.toml");
+    std::fs::write(&path, crazyflie.replace("mass = 0.027", "mass = 1200")).unwrap();
+    let output = aviary(&["airframe", text(&path)]);
+    assert_eq!(output.status.code(), Some(0));
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.lines().any(|line| line.starts_with("warning: ") && line.contains("check mass")), "{table}");
+    std::fs::write(&path, crazyflie.replace("mass = 0.027", "mass = 27")).unwrap();
+    let table = String::from_utf8(aviary(&["airframe", text(&path)]).stdout).unwrap();
+    assert!(table.contains("every warning disappears with mass in grams (in kg it is 0.027)"), "{table}");
+    // a flight with it goes on, and says so
+    let fly = |drone: &str| {
+        let output = aviary(&["fly", "--task", "hover", "--duration", "0.1", "--drone", drone]);
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert!(fly(text(&path)).contains("implausible: see `aviary airframe`"));
+    let table = fly("cf2x");
+    assert!(table.contains("hover speed") && table.contains("14476 rpm, 67 % of the largest"), "{table}");
+    assert!(!table.contains("implausible"), "{table}");
+
+    refused(&["airframe", "cf2xx"], 2, &["the airframe is `cf2xx`", "did you mean `cf2x`", ".toml"]);
+    refused(&["airframe", "no.toml"], 2, &["no.toml: No such file"]);
+    std::fs::write(&path, crazyflie.replace("mass = 0.027", "mass = \"27 g\"")).unwrap();
+    refused(&["airframe", text(&path)], 2, &["in_grams.toml", "line 3"]);
+}
+
+/// ffmpeg is optional: its absence is reported with the command that installs it, and is no failure.
+#[test]
+fn doctor_reports_whether_there_is_an_ffmpeg() {
+    let dir = directory("no-ffmpeg");
+    std::fs::create_dir_all(&dir).unwrap();
+    let run = |arguments: &[&str], fake: Option<&str>| {
+        if let Some(text) = fake {
+            use std::os::unix::fs::PermissionsExt as _;
+            let path = dir.join("ffmpeg");
+            std::fs::write(&path, text).unwrap();
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
+        }
+        let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env("PATH", &dir).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stdout).unwrap())
+    };
+    let works = if has_gl() { Some(0) } else { Some(1) };
+    let (status, table) = run(&["doctor"], None);
+    assert_eq!(status, works, "{table}");
+    assert_eq!(table.matches("apt-get install ffmpeg").count(), 1, "{table}");
+    let (status, doctor) = run(&["doctor", "--json"], None);
+    let doctor: Value = serde_json::from_str(&doctor).unwrap();
+    assert_eq!((status, &doctor["ffmpeg"]["works"]), (works, &false.into()));
+    let fake = "#!/bin/sh\necho 'ffmpeg version 5.1.6-0+deb12u1 Copyright (c) 2000-2024'\n";
+    let (_, table) = run(&["doctor"], Some(fake));
+    assert!(table.contains("works (5.1.6-0+deb12u1)") && !table.contains("install ffmpeg"), "{table}");
+}
+
+/// `./setup` of a user who is not root, on a machine without sudo, without the packages, without Rust and without curl.
+#[test]
+fn setup_names_everything_that_is_missing_at_once() {
+    use std::os::unix::fs::{PermissionsExt as _, symlink};
+    let dir = directory("bare-machine");
+    std::fs::create_dir_all(dir.join("home")).unwrap();
+    for tool in ["dirname", "sed", "cut", "sort", "head", "env"] {
+        let path = ["/usr/bin", "/bin"].map(|at| Path::new(at).join(tool)).into_iter().find(|path| path.exists());
+        symlink(path.unwrap(), dir.join(tool)).unwrap();
+    }
+    for (name, text) in [("id", "echo 1000"), ("dpkg-query", "exit 1")] {
+        std::fs::write(dir.join(name), format!("#!/bin/sh\n{text}\n")).unwrap();
+        std::fs::set_permissions(dir.join(name), std::fs::Permissions::from_mode(0o755)).unwrap();
+    }
+    let output = Command::new("/bin/sh")
+        .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../setup"))
+        .env_clear()
+        .envs([("PATH", dir.as_path()), ("HOME", &dir.join("home"))])
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{error}");
+    let install: Vec<_> = error.lines().filter(|line| line.contains("apt-get")).collect();
+    let [install] = install[..] else { panic!("{error}") };
+    for part in ["apt-get update", "libmujoco-dev", "libclang-dev", "g++", "libegl1", "libosmesa6", "curl"] {
+        assert!(install.contains(part), "{part}: {install}");
+    }
 }
 
 #[test]
@@ -628,7 +730,7 @@ fn help_and_version_are_no_errors() {
         let output = aviary(arguments);
         assert!(output.status.success() && output.stderr.is_empty() && !output.stdout.is_empty());
     }
-    for command in ["fly", "capture", "render", "replay", "bench", "tasks", "doctor", "completions"] {
+    for command in ["fly", "capture", "render", "replay", "bench", "tasks", "airframe", "doctor", "completions"] {
         let help = String::from_utf8(aviary(&[command, "--help"]).stdout).unwrap();
         assert!(help.contains("Example"), "{command}");
     }
