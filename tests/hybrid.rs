@@ -1,7 +1,9 @@
 //! The flight kernel is MuJoCo's RK4 to rounding, and the hybrid engine flies as MuJoCo alone does, contacts included.
 
 use mujoco_drones_gym::control::AnyController;
-use mujoco_drones_gym::engine::flight::{Airframe, Airframes, Flow, FreeBody, LANES, Lanes, Width, advance};
+use mujoco_drones_gym::engine::flight::{
+    Airframe, Airframes, Flow, FreeBody, LANES, Lanes, Width, advance, compute_rpys,
+};
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
@@ -118,6 +120,30 @@ fn ten_seconds_of_tumbling_are_those_of_mj_step_in_every_width() {
             assert!(error < 1e-11, "{model:?} {forcing:?} {medium:?} {gravity}: {error:e} at {:?}", scalar.position);
             for (width, lanes) in &fields {
                 assert_eq!(lanes.state(lane), scalar, "{model:?} {forcing:?} {medium:?} {width:?}");
+            }
+        }
+    }
+}
+
+/// Roll, pitch and yaw of lanes are those of single drones to the last bit, at and near gimbal lock too, whatever is in the
+/// other lanes.
+#[test]
+fn angles_of_lanes_are_those_of_single_drones_to_the_last_bit() {
+    use std::f64::consts::FRAC_PI_2;
+    let mut rng = Rng::seed_from_u64(4);
+    for _ in 0..200 {
+        let states: [DroneState; LANES] = std::array::from_fn(|lane| {
+            let [roll, yaw, share] = [(); 3].map(|()| rng.random::<f64>());
+            let off = [1.0, 1e-4, 1e-9, 1e-12, 1e-14, 1e-16, 0.0][rng.random_range(0..7)] * share;
+            let pitch = if lane % 3 == 0 { FRAC_PI_2 - off } else { off - FRAC_PI_2 };
+            DroneState::at_rest(Vector3::zeros(), Vector3::new(6.0 * roll - 3.0, pitch, 6.0 * yaw - 3.0))
+        });
+        for width in Width::available() {
+            let mut lanes = Lanes::default();
+            states.iter().enumerate().for_each(|(lane, state)| lanes.set(lane, state, &[0.0; 4], &[0.0; 4]));
+            compute_rpys(width, &mut lanes);
+            for (lane, state) in states.iter().enumerate() {
+                assert_eq!(lanes.rpy(lane).map(f64::to_bits), state.rpy().map(f64::to_bits), "{width:?} {state:?}");
             }
         }
     }

@@ -5,7 +5,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::math::{Turn, atan2};
+use crate::math::Turn;
 
 /// Position and motion of one drone: the paper's 13 numbers.
 ///
@@ -52,15 +52,14 @@ impl DroneState {
         }
     }
 
-    /// Roll, pitch and yaw, rad: intrinsic z-y'-x'' (yaw, then pitch, then roll).
+    /// Roll, pitch and yaw, rad: intrinsic z-y'-x'' (yaw, then pitch, then roll), as [`rpy_from_attitude`] has them.
     pub fn rpy(&self) -> Vector3<f64> {
         rpy_from_attitude(&self.attitude)
     }
 
-    /// Yaw alone, rad, in (−π, π].
+    /// Yaw alone, rad, in [−π, π]: that of [`rpy`](Self::rpy).
     pub fn yaw(&self) -> f64 {
-        let [w, x, y, z] = wxyz(&self.attitude);
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        Turn::from(&self.attitude).yaw()
     }
 
     /// Angle between the body's and the world's z axis, rad: 0 upright, π upside down.
@@ -129,7 +128,20 @@ pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_euler_angles(rpy.x, rpy.y, rpy.z)
 }
 
-/// Roll in (−π, π], pitch in [−π/2, π/2], yaw in (−π, π], rad.
+/// Roll in [−π, π], pitch in [−π/2, π/2], yaw in [−π, π], rad. [`attitude_from_rpy`] of them is the attitude again, to 1e-12.
+///
+/// At a pitch of ±π/2 only the sum or the difference of roll and yaw is defined (gimbal lock): roll is 0 and yaw is all of it.
+///
+/// ```
+/// use std::f64::consts::FRAC_PI_2;
+///
+/// use aviary::state::{attitude_from_rpy, rpy_from_attitude};
+/// use nalgebra::Vector3;
+///
+/// // straight up: rolling by 0.3 and yawing by 0.5 is yawing by 0.2
+/// let up = attitude_from_rpy(Vector3::new(0.3, FRAC_PI_2, 0.5));
+/// assert!((rpy_from_attitude(&up) - Vector3::new(0.0, FRAC_PI_2, 0.2)).norm() < 1e-12);
+/// ```
 #[inline]
 pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
     Turn::from(attitude).rpy().into()
@@ -166,6 +178,47 @@ mod tests {
             prop_assert!(rotation.angle_to(&by_hand) < 1e-7);
             let back = rpy_from_attitude(&rotation);
             prop_assert!((back - Vector3::new(roll, pitch, yaw)).norm() < 1e-7, "{back}");
+        }
+
+        /// At and near ±90° of pitch, on both sides, the angles rebuild the attitude; nalgebra's own angles are not used.
+        #[test]
+        fn rpy_rebuilds_every_attitude_gimbal_lock_included(
+            roll in -PI..=PI, yaw in -PI..=PI, exponent in 0.0..17.0f64, beyond: bool, down: bool,
+            axis in prop::array::uniform3(-1.0..1.0f64), scale in prop::array::uniform4(-1.0..1.0f64),
+        ) {
+            let off = if exponent > 16.5 { 0.0 } else { 10f64.powf(-exponent) };
+            let pitch = (FRAC_PI_2 + if beyond { off } else { -off }) * if down { -1.0 } else { 1.0 };
+            let by_axes = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw)
+                * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch)
+                * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), roll);
+            let lock = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), FRAC_PI_2.copysign(pitch));
+            // a small rotation about any axis away from a lock, a random rotation
+            let nearby = UnitQuaternion::new(Vector3::from(axis) * off) * by_axes * lock.inverse() * lock;
+            let any = UnitQuaternion::new_normalize(Quaternion::new(scale[0], scale[1], scale[2], scale[3] + 1e-3));
+            for attitude in [by_axes, nearby, any] {
+                let rpy = rpy_from_attitude(&attitude);
+                let again = attitude_from_rpy(rpy).coords;
+                let apart = (again - attitude.coords).norm().min((again + attitude.coords).norm());
+                prop_assert!(apart < 1e-12, "{attitude} has {rpy}, which is {apart:e} away");
+                prop_assert!(rpy.x.abs() <= PI && rpy.y.abs() <= FRAC_PI_2 && rpy.z.abs() <= PI, "{rpy}");
+                let state = DroneState { attitude, ..DroneState::default() };
+                prop_assert_eq!(state.yaw().to_bits(), rpy.z.to_bits());
+            }
+        }
+
+        /// Roll is 0 there, and yaw the rest: the yaw of an unrolled drone that pitches up to the lock.
+        #[test]
+        fn roll_is_zero_in_gimbal_lock(roll in -PI..=PI, yaw in -PI..=PI) {
+            for pitch in [FRAC_PI_2, -FRAC_PI_2] {
+                let rest = if pitch > 0.0 { yaw - roll } else { yaw + roll };
+                let rpy = rpy_from_attitude(&attitude_from_rpy(Vector3::new(roll, pitch, yaw)));
+                prop_assert!(rpy.x == 0.0 && (rpy.y - pitch).abs() < 1e-12, "{rpy}");
+                prop_assert!(wrap_angle(rpy.z - rest).abs() < 1e-12, "{rpy}, expected yaw {rest}");
+                for off in [1e-12, 1e-9, 1e-6, 1e-3] {
+                    let before = rpy_from_attitude(&attitude_from_rpy(Vector3::new(0.0, pitch * (1.0 - off), yaw)));
+                    prop_assert!(wrap_angle(before.z - yaw).abs() < 1e-3, "{before} at {off:e}");
+                }
+            }
         }
 
         #[test]

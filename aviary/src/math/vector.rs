@@ -1,3 +1,4 @@
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::{Add, Mul, Neg, Sub};
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -125,17 +126,75 @@ impl<R: Real> Turn<R> {
         V3::new((x * z + w * y) * 2.0, (y * z - w * x) * 2.0, w.all(1.0) - (x * x + y * y) * 2.0)
     }
 
-    /// Roll, pitch and yaw.
+    /// Above this sine of the pitch (0.06° short of ±90°) roll and yaw are computed from half angles: the entries of the
+    /// rotation matrix that they are otherwise read from all but cancel.
+    const STEEP: f64 = 1.0 - 5e-7;
+
+    /// Below this distance from a pitch of ±90° (about 1.4e-14 rad) an attitude says nothing but the sum or the difference of
+    /// roll and yaw: gimbal lock.
+    const LOCKED: f64 = 1e-14;
+
+    /// Roll, pitch and yaw, rad. In gimbal lock, at a pitch of ±90°, roll is 0 and yaw is the rest of the rotation.
     #[inline(always)]
     pub fn rpy(&self) -> V3<R> {
         let (w, V3 { x, y, z }) = (self.w, self.v);
         let one = w.all(1.0);
-        V3::new(
+        let sine = (w * y - z * x) * 2.0;
+        let plain = V3::new(
             atan2((w * x + y * z) * 2.0, one - (x * x + y * y) * 2.0),
-            asin((w * y - z * x) * 2.0),
+            asin(sine),
             atan2((w * z + x * y) * 2.0, one - (y * y + z * z) * 2.0),
-        )
+        );
+        let steep = one.all(Self::STEEP).less(sine.abs());
+        if R::any(steep) {
+            let exact = self.steep_rpy();
+            V3::new(
+                R::choose(steep, exact.x, plain.x),
+                R::choose(steep, exact.y, plain.y),
+                R::choose(steep, exact.z, plain.z),
+            )
+        } else {
+            plain
+        }
     }
+
+    /// Yaw alone, with the bits of [`rpy`](Self::rpy).
+    #[inline(always)]
+    pub fn yaw(&self) -> R {
+        let (w, V3 { x, y, z }) = (self.w, self.v);
+        let one = w.all(1.0);
+        let steep = one.all(Self::STEEP).less(((w * y - z * x) * 2.0).abs());
+        let plain = atan2((w * z + x * y) * 2.0, one - (y * y + z * z) * 2.0);
+        if R::any(steep) { R::choose(steep, self.steep_rpy().z, plain) } else { plain }
+    }
+
+    /// Roll, pitch and yaw from half angles, exact at any pitch (Bernardes and Viollet, "Quaternion to Euler angles conversion",
+    /// PLoS ONE 17(11), 2022). With roll φ, pitch θ, yaw ψ:
+    ///
+    /// (w − y, x + z) = √2·cos(θ/2 + π/4)·(cos, sin)((φ + ψ)/2), (w + y, x − z) = √2·sin(θ/2 + π/4)·(cos, sin)((φ − ψ)/2)
+    #[inline(always)]
+    fn steep_rpy(&self) -> V3<R> {
+        let (w, V3 { x, y, z }) = (self.w, self.v);
+        let (sum_cos, sum_sin, difference_cos, difference_sin) = (w - y, x + z, w + y, x - z);
+        let above = (sum_cos * sum_cos + sum_sin * sum_sin).sqrt();
+        let below = (difference_cos * difference_cos + difference_sin * difference_sin).sqrt();
+        let pitch = atan2(below, above) * 2.0 - FRAC_PI_2;
+        let sum = atan2(sum_sin, sum_cos);
+        let difference = atan2(difference_sin, difference_cos);
+        // up or down: the half angle that is left makes yaw alone
+        let locked = w.all(Self::LOCKED);
+        let sum = R::choose(above.less(locked), -difference, sum);
+        let difference = R::choose(below.less(locked), -sum, difference);
+        V3::new(wrapped(sum + difference), pitch, wrapped(sum - difference))
+    }
+}
+
+/// An angle of up to two turns brought into [−π, π].
+#[inline(always)]
+fn wrapped<R: Real>(angle: R) -> R {
+    let half = angle.all(PI);
+    let angle = R::choose(half.less(angle), angle - TAU, angle);
+    R::choose(angle.less(-half), angle + TAU, angle)
 }
 
 impl From<&UnitQuaternion<f64>> for Turn<f64> {
