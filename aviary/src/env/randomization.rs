@@ -117,7 +117,7 @@ pub struct EnvironmentRanges {
     /// Factor on gravity.
     pub gravity: Range,
     /// Speed of a [combined](WindModel::Combined) wind from any side, m/s, in place of any other wind, of which only
-    /// [`still_air_drag`](WindConfig::still_air_drag) is kept; `[0, 0]` leaves the wind alone.
+    /// [`filter`](WindConfig::filter) and [`still_air_drag`](WindConfig::still_air_drag) are kept; `[0, 0]` leaves the wind alone.
     pub wind: Range,
 }
 
@@ -450,8 +450,8 @@ impl Randomizer {
             let speed = within(environment, ranges.wind);
             let velocity = [speed * cos, speed * sin, 0.0];
             // gusts and turbulence grow with the wind
-            let still_air_drag = self.wind.is_some_and(|wind| wind.still_air_drag);
-            let full = WindConfig { still_air_drag, ..WindConfig::new(WindModel::Combined) };
+            let WindConfig { filter, still_air_drag, .. } = self.wind.unwrap_or_default();
+            let full = WindConfig { filter, still_air_drag, ..WindConfig::new(WindModel::Combined) };
             let wind = WindConfig {
                 velocity,
                 turbulence: full.turbulence * speed,

@@ -26,7 +26,7 @@ pub enum WindModel {
     Constant,
     /// Forces that start at random times.
     Gust,
-    /// Air that moves as Dryden turbulence does.
+    /// Air that moves as Dryden turbulence does, through the filters of [`DrydenFilter`].
     Dryden,
     /// A force that turns at a constant rate.
     Sinusoidal,
@@ -59,6 +59,33 @@ impl fmt::Display for WindModel {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
     }
+}
+
+/// Spectra of the Dryden turbulence, all with the standard deviations σ and length scales L of [`dryden`].
+///
+/// With T = L/V, V the airspeed, the autocorrelation at a lag τ is
+///
+/// | component | `first_order` | `mil_f_8785c` |
+/// | --- | --- | --- |
+/// | along the mean wind | σ²·exp(−τ/T) | σ²·exp(−τ/T) |
+/// | across it, and upwards | σ²·exp(−τ/T) | σ²·exp(−τ/T)·(1 − τ/2T) |
+///
+/// ```
+/// use aviary::physics::wind::{DrydenFilter, WindConfig, WindModel};
+///
+/// let wind = WindConfig { filter: DrydenFilter::MilF8785c, ..WindConfig::new(WindModel::Dryden) };
+/// assert!(wind.validate().is_ok());
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+pub enum DrydenFilter {
+    /// First-order noise along every axis, x ← α·x + σ·√(1 − α²)·ξ with α = exp(−dt/T): the recursion of the paper.
+    #[default]
+    #[serde(rename = "first_order")]
+    FirstOrder,
+    /// The spectra of MIL-F-8785C, §3.7.2.1: a first-order filter along the mean wind, the second-order filter
+    /// (1 + √3·T·s)/(1 + T·s)² across it and upwards.
+    #[serde(rename = "mil_f_8785c")]
+    MilF8785c,
 }
 
 /// A name that is no wind's.
@@ -97,8 +124,10 @@ pub struct WindConfig {
     pub gust_duration: f64,
     /// Gusts per second on average while there is none: one begins in a physics step with this probability times its length.
     pub gust_rate: f64,
-    /// Mean wind 20 feet (6 m) above the ground that the turbulence belongs to, m/s: MIL-F-8785C makes σ_w a tenth of it.
+    /// Mean wind 20 feet (6 m) above the ground that the turbulence belongs to, m/s: σ_w is a tenth of it ([`dryden`]).
     pub turbulence: f64,
+    /// Spectra of the turbulence.
+    pub filter: DrydenFilter,
     /// Amplitude A of the sinusoidal force, N.
     pub sinusoidal_force: f64,
     /// Its angular frequency ω, rad/s.
@@ -119,6 +148,7 @@ impl Default for WindConfig {
             gust_duration: 0.5,
             gust_rate: 0.3,
             turbulence: 3.0,
+            filter: DrydenFilter::FirstOrder,
             sinusoidal_force: 0.002,
             sinusoidal_frequency: 1.0,
             air_density: 1.225,
@@ -204,7 +234,7 @@ pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Ve
     0.5 * air_density * drag_area * relative.norm() * relative
 }
 
-/// Low-altitude turbulence of MIL-F-8785C (§3.7.2.5): standard deviations (m/s) and length scales (m) along the mean wind,
+/// Scales of low-altitude turbulence by MIL-F-8785C (§3.7.2.5), which both [filters](DrydenFilter) have: standard deviations (m/s) and length scales (m) along the mean wind,
 /// across it and upwards, at a height (m) and for a mean wind at 20 feet (m/s). Heights below 10 and above 1,000 feet, where
 /// the model ends, count as those.
 ///
@@ -231,13 +261,73 @@ fn feet(height: f64) -> f64 {
     (height / FOOT).clamp(10.0, 1000.0)
 }
 
+/// The filter (1 + √3·T·s)/(1 + T·s)² under white noise, with an output of variance 1.
+///
+/// With T·ṗ = −p + noise and T·ṙ = −r + p the output is √3·p + (1 − √3)·r. Over a step of s = dt/T both are multiplied by
+/// e⁻ˢ·[[1, 0], [s, 1]] and gain normal noise of covariance ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du: the discretization is exact for
+/// steps of any length.
+#[derive(Debug, Clone, Copy, Default)]
+struct SecondOrder {
+    p: f64,
+    r: f64,
+}
+
+impl SecondOrder {
+    /// From the stationary distribution, of covariance [[1/2, 1/4], [1/4, 1/4]], by two normal draws.
+    fn stationary([a, b]: [f64; 2]) -> Self {
+        let p = 0.5_f64.sqrt() * a;
+        Self { p, r: 0.5 * p + 0.125_f64.sqrt() * b }
+    }
+
+    /// Goes through a step of `s` time constants with two normal draws.
+    fn advance(&mut self, s: f64, [a, b]: [f64; 2]) {
+        let decay = (-s).exp();
+        let [[pp, pr], [_, rr]] = Self::covariance(s);
+        // Cholesky's factor; no noise in a step of no length
+        let first = pp.sqrt();
+        let second = if first > 0.0 { pr / first } else { 0.0 };
+        let third = (rr - second * second).max(0.0).sqrt();
+        let (p, r) = (self.p, self.r);
+        self.p = decay * p + first * a;
+        self.r = decay * (s * p + r) + second * a + third * b;
+    }
+
+    /// ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du.
+    fn covariance(s: f64) -> [[f64; 2]; 2] {
+        let pp = -0.5 * (-2.0 * s).exp_m1();
+        let (pr, rr) = if s < 0.125 {
+            // the closed forms below cancel: integrals of the terms of the exponential series
+            let (mut term, mut pr, mut rr) = (1.0, 0.0, 0.0);
+            for k in 0..12 {
+                let order = f64::from(k);
+                pr += term / (order + 2.0);
+                rr += term / (order + 3.0);
+                term *= -2.0 * s / (order + 1.0);
+            }
+            (pr * s * s, rr * s * s * s)
+        } else {
+            let decay = (-2.0 * s).exp();
+            (0.25 - decay * (0.5 * s + 0.25), 0.25 - decay * (0.5 * s * s + 0.5 * s + 0.25))
+        };
+        [[pp, pr], [pr, rr]]
+    }
+
+    fn output(self) -> f64 {
+        let root = 3.0_f64.sqrt();
+        root * self.p + (1.0 - root) * self.r
+    }
+}
+
 /// One drone's gust and turbulence.
 #[derive(Debug, Clone)]
 struct Local {
     rng: Rng,
     drag_area: f64,
-    /// Velocity of the turbulence along the mean wind, across it and upwards, m/s.
+    /// Velocity of the turbulence along the mean wind, across it and upwards, m/s; of the latter two nothing by the filters
+    /// of second order.
     turbulence: [f64; 3],
+    /// Filters of second order, across the mean wind and upwards.
+    filters: [SecondOrder; 2],
     /// The turbulence's constants at a height within the model's limits.
     constants: (f64, [f64; 3], [f64; 3]),
     /// A normal draw that is left over.
@@ -293,6 +383,7 @@ impl WindField {
             rng: Rng::seed_from_u64(0),
             drag_area,
             turbulence: [0.0; 3],
+            filters: [SecondOrder::default(); 2],
             constants: (0.0, [0.0; 3], [1.0; 3]),
             spare: None,
             gust: (Vector3::zeros(), 1.0),
@@ -357,6 +448,9 @@ impl WindField {
             let [a, b] = normals(&mut local.rng);
             let [c, _] = normals(&mut local.rng);
             local.turbulence = [a * sigma[0], b * sigma[1], c * sigma[2]];
+            if self.config.filter == DrydenFilter::MilF8785c {
+                local.filters = [(); 2].map(|()| SecondOrder::stationary(normals(&mut local.rng)));
+            }
         }
     }
 
@@ -380,23 +474,43 @@ impl WindField {
             }
             let (_, sigma, length) = local.constants;
             let [a, b] = normals(&mut local.rng);
-            let c = match local.spare.take() {
-                Some(spare) => spare,
-                None => {
-                    let [now, next] = normals(&mut local.rng);
-                    local.spare = Some(next);
-                    now
-                }
-            };
-            // x ← α·x + σ·√(1 − α²)·ξ, α = exp(−dt·V/L); along and across the wind L is the same
+            // α = exp(−dt·V/L); along and across the wind L is the same
             let level = (-dt * airspeed / length[0]).exp();
-            let upwards = (-dt * airspeed / length[2]).exp();
-            let (spread, spread_up) = ((1.0 - level * level).sqrt(), (1.0 - upwards * upwards).sqrt());
+            let spread = (1.0 - level * level).sqrt();
             let [x, y, z] = &mut local.turbulence;
             *x = level * *x + sigma[0] * spread * a;
-            *y = level * *y + sigma[1] * spread * b;
-            *z = upwards * *z + sigma[2] * spread_up * c;
-            air += axes[0] * *x + axes[1] * *y + axes[2] * *z;
+            let parts = match config.filter {
+                DrydenFilter::FirstOrder => {
+                    let c = match local.spare.take() {
+                        Some(spare) => spare,
+                        None => {
+                            let [now, next] = normals(&mut local.rng);
+                            local.spare = Some(next);
+                            now
+                        }
+                    };
+                    let upwards = (-dt * airspeed / length[2]).exp();
+                    *y = level * *y + sigma[1] * spread * b;
+                    *z = upwards * *z + sigma[2] * (1.0 - upwards * upwards).sqrt() * c;
+                    [*x, *y, *z]
+                }
+                DrydenFilter::MilF8785c => {
+                    let [across, up] = &mut local.filters;
+                    let [c, d] = normals(&mut local.rng);
+                    let e = match local.spare.take() {
+                        Some(spare) => spare,
+                        None => {
+                            let [now, next] = normals(&mut local.rng);
+                            local.spare = Some(next);
+                            now
+                        }
+                    };
+                    across.advance(dt * airspeed / length[1], [b, c]);
+                    up.advance(dt * airspeed / length[2], [d, e]);
+                    [*x, sigma[1] * across.output(), sigma[2] * up.output()]
+                }
+            };
+            air += axes[0] * parts[0] + axes[1] * parts[1] + axes[2] * parts[2];
         }
         // velocities of one air mass are summed before the law, which is not linear
         if config.has_drag() {
@@ -445,42 +559,110 @@ mod tests {
         field
     }
 
-    /// σ² within three standard errors, and the autocorrelation at lags of half and one length scale.
+    /// Mean of products at a lag of a stationary Gaussian series, over its closed form, and the standard error of that mean.
+    fn covariance_at(x: &[f64], lag: usize, closed: impl Fn(usize) -> f64) -> (f64, f64) {
+        let n = (x.len() - lag) as f64;
+        let mean = x.iter().zip(&x[lag..]).map(|(a, b)| a * b).sum::<f64>() / n;
+        // Bartlett: Σ over all k of ρ(k)² + ρ(k + lag)·ρ(k − lag)
+        let terms = (-4000..=4000_isize).map(|k: isize| {
+            let at = |k: isize| closed(k.unsigned_abs());
+            let lag = lag.cast_signed();
+            at(k) * at(k) + at(k + lag) * at(k - lag)
+        });
+        (mean, (terms.sum::<f64>() / n).sqrt())
+    }
+
+    /// Variance and autocorrelation within three standard errors, for both filters and all components, at lags of zero to three time
+    /// constants: long enough for the second-order filters to be anticorrelated.
     #[test]
     fn turbulence_has_the_variance_and_the_memory_of_its_closed_form() {
-        // long steps, so that 10⁵ of them are many lengths of the turbulence
-        let dt = 0.5;
-        let config = WindConfig { velocity: [6.0, 8.0, 0.0], turbulence: 4.0, ..WindConfig::new(WindModel::Dryden) };
-        let mut field = field(config, 1);
+        // long steps, so that 2·10⁵ of them are many lengths of the turbulence
+        let (dt, airspeed, count) = (0.5, 10.0, 200_000);
         let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
-        let count = 100_000;
-        let mut samples = [vec![], vec![], vec![]];
-        for _ in 0..count {
-            let (_, air) = field.advance(dt, 0, &state);
-            // along the mean wind (0.6, 0.8, 0), to its left, up
-            let parts = [0.6 * air.x + 0.8 * air.y, 0.6 * air.y - 0.8 * air.x, air.z];
-            samples.iter_mut().zip(parts).for_each(|(samples, x)| samples.push(x));
-        }
         let (sigma, length) = dryden(30.0, 4.0);
         assert!((length[0] - 0.3048 * 98.425 / (0.177 + 8.23e-4 * 98.425_f64).powf(1.2)).abs() < 0.01);
         assert!((sigma[2] - 0.4).abs() < 1e-12 && (length[2] - 30.0).abs() < 1e-9);
-        for axis in 0..3 {
-            let alpha = (-dt * 10.0 / length[axis]).exp();
-            let x = &samples[axis];
-            let variance = x.iter().map(|x| x * x).sum::<f64>() / f64::from(count);
-            // a Gaussian AR(1): the mean of x² has variance 2σ⁴/n·(1 + α²)/(1 − α²)
-            let error = (2.0 / f64::from(count) * (1.0 + alpha * alpha) / (1.0 - alpha * alpha)).sqrt();
-            let expected = sigma[axis] * sigma[axis];
-            assert!((variance / expected - 1.0).abs() < 3.0 * error, "axis {axis}: {variance} for {expected}");
-            let lag = (length[axis] / 10.0 / dt).round() as usize;
-            for lag in [lag / 2, lag] {
-                let pairs = x.iter().zip(&x[lag..]).map(|(a, b)| a * b).sum::<f64>();
-                let correlation = pairs / (f64::from(count) - lag as f64) / expected;
-                let closed = alpha.powi(i32::try_from(lag).unwrap());
-                // no wider than the sum of everything correlated
-                let error = ((1.0 + alpha * alpha) / (1.0 - alpha * alpha) / f64::from(count)).sqrt();
-                assert!((correlation - closed).abs() < 3.0 * error, "axis {axis}, lag {lag}: {correlation}, {closed}");
+        for filter in [DrydenFilter::FirstOrder, DrydenFilter::MilF8785c] {
+            let config =
+                WindConfig { velocity: [6.0, 8.0, 0.0], turbulence: 4.0, filter, ..WindConfig::new(WindModel::Dryden) };
+            let mut field = field(config, 1);
+            let mut samples = [vec![], vec![], vec![]];
+            for _ in 0..count {
+                let (_, air) = field.advance(dt, 0, &state);
+                // along the mean wind (0.6, 0.8, 0), to its left, up
+                let parts = [0.6 * air.x + 0.8 * air.y, 0.6 * air.y - 0.8 * air.x, air.z];
+                samples.iter_mut().zip(parts).for_each(|(samples, x)| samples.push(x));
             }
+            for axis in 0..3 {
+                let time = length[axis] / airspeed;
+                let second_order = filter == DrydenFilter::MilF8785c && axis > 0;
+                let closed = |lag: usize| {
+                    let s = dt * lag as f64 / time;
+                    sigma[axis].powi(2) * (-s).exp() * if second_order { 1.0 - 0.5 * s } else { 1.0 }
+                };
+                for constants in [0.0, 0.5, 1.0, 2.0, 3.0] {
+                    let lag = (constants * time / dt).round() as usize;
+                    let (got, error) = covariance_at(&samples[axis], lag, closed);
+                    let expected = closed(lag);
+                    assert!(
+                        (got - expected).abs() < 3.0 * error,
+                        "{filter:?} {axis} {lag}: {got}, {expected} ± {error}"
+                    );
+                }
+                // at three time constants the filters are apart by more than the test can miss
+                let lag = (3.0 * time / dt).round() as usize;
+                let (got, error) = covariance_at(&samples[axis], lag, closed);
+                let first_order = sigma[axis].powi(2) * (-dt * lag as f64 / time).exp();
+                assert_eq!((got - first_order).abs() > 6.0 * error, second_order, "{filter:?} {axis}");
+            }
+        }
+    }
+
+    /// A step of a filter of second order keeps the stationary covariance, for steps of every length.
+    #[test]
+    fn the_second_order_filter_is_stationary_in_steps_of_every_length() {
+        for exponent in -40..=10 {
+            let s = 2f64.powi(exponent);
+            let [[pp, pr], [_, rr]] = SecondOrder::covariance(s);
+            let decay = (-2.0 * s).exp();
+            // Φ·Σ·Φᵀ + Q = Σ
+            assert!((decay * 0.5 + pp - 0.5).abs() < 1e-15, "{s}");
+            assert!((decay * (0.5 * s + 0.25) + pr - 0.25).abs() < 1e-15, "{s}");
+            assert!((decay * (0.5 * s * s + 0.5 * s + 0.25) + rr - 0.25).abs() < 1e-15, "{s}");
+            // the noise of short steps is that of twice integrated white noise, s³/3 and s³/12 about the regression
+            if s < 1e-3 {
+                assert!((rr / s.powi(3) * 3.0 - 1.0).abs() < 2.0 * s && rr * pp - pr * pr > 0.0, "{s}");
+            }
+        }
+        assert_eq!(SecondOrder::covariance(0.0), [[0.0; 2]; 2]);
+        // two half steps are a whole one
+        let (a, b) = (SecondOrder { p: 0.3, r: -0.8 }, SecondOrder { p: 0.3, r: -0.8 });
+        let (mut whole, mut halves) = (a, b);
+        whole.advance(0.2, [0.0; 2]);
+        (0..2).for_each(|_| halves.advance(0.1, [0.0; 2]));
+        assert!((whole.p - halves.p).abs() < 1e-15 && (whole.r - halves.r).abs() < 1e-15);
+    }
+
+    /// An episode starts from the stationary distribution: variances over many starts, before and after a step.
+    #[test]
+    fn second_order_turbulence_starts_as_if_it_had_always_been_there() {
+        let config =
+            WindConfig { filter: DrydenFilter::MilF8785c, turbulence: 4.0, ..WindConfig::new(WindModel::Dryden) };
+        let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
+        let (sigma, _) = dryden(30.0, 4.0);
+        let mut field = field(config, 1);
+        let count = 20_000_u32;
+        for dt in [1e-6, 20.0] {
+            let mut sums = [0.0; 3];
+            for seed in 0..count {
+                field.reset(u64::from(seed), &[state]);
+                let (_, air) = field.advance(dt, 0, &state);
+                // the mean wind is along y
+                let parts = [air.y, -air.x, air.z];
+                sums.iter_mut().zip(parts).zip(sigma).for_each(|((sum, x), sigma)| *sum += (x / sigma).powi(2));
+            }
+            let error = (2.0 / f64::from(count)).sqrt();
+            assert!(sums.iter().all(|sum| (sum / f64::from(count) - 1.0).abs() < 3.0 * error), "{dt}: {sums:?}");
         }
     }
 
@@ -688,6 +870,8 @@ mod tests {
         refused(WindConfig { velocity: [0.0, f64::NAN, 0.0], ..WindConfig::default() }, "the wind's velocity is NaN");
         refused(WindConfig { turbulence: -1.0, ..WindConfig::default() }, "the wind's turbulence is -1");
         refused(WindConfig { gust_duration: 0.0, ..WindConfig::default() }, "the wind's gust_duration is 0");
+        let error = toml::from_str::<WindConfig>("filter = \"mil\"").unwrap_err().to_string();
+        assert!(error.contains("first_order") && error.contains("mil_f_8785c"), "{error}");
         refused(WindConfig { air_density: f64::INFINITY, ..WindConfig::default() }, "the wind's air_density is inf");
     }
 }
