@@ -8,7 +8,7 @@ use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary,
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Recorded;
 use mujoco_drones_gym::state::attitude_from_rpy;
-use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, Race, Velocity, make};
+use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, NAMES, Race, Velocity, make};
 use mujoco_drones_gym::wrappers::SafetyWrapper;
 use mujoco_drones_gym::{Rng, SeedableRng};
 use nalgebra::Vector3;
@@ -32,6 +32,50 @@ fn fly(env: &mut dyn Env, kind: ControllerKind, seed: u64) -> f64 {
         sum += env.step(&action).unwrap().reward;
     }
     sum
+}
+
+/// Rows of single precision are of their space where an angle is at its bound: π in single precision is larger than π. Every task,
+/// one environment and a batch, with rays of a range that single precision rounds up, on the first row and after steps.
+#[test]
+fn rows_of_single_precision_are_of_their_space_at_the_bounds_of_every_angle() {
+    use mujoco_drones_gym::sensing::RangeConfig;
+    use std::f64::consts::{FRAC_PI_2, PI};
+    assert!(f64::from(PI as f32) > PI && f64::from(FRAC_PI_2 as f32) > FRAC_PI_2 && f64::from(4.3_f32) > 4.3);
+    let mut at_bound = 0;
+    for name in NAMES {
+        let drones = make(name, EnvConfig::default()).unwrap().simulation().num_drones();
+        for rpy in [[0.0, 0.0, PI], [PI, 0.0, 0.0], [0.0, FRAC_PI_2, PI], [0.0, -FRAC_PI_2, 0.3], [-PI, 0.0, -PI]] {
+            let kind: ObservationType = "kin_ranges_obstacle_adjacency".parse().unwrap();
+            let config = EnvConfig::default()
+                .initial_rpys(vec![rpy; drones])
+                .observation_type(kind)
+                .rays(RangeConfig { max_range: 4.3, ..RangeConfig::default() });
+            let mut env = make(name, config.clone()).unwrap();
+            let space = env.observation_space().vector.clone();
+            env.reset(Some(1)).unwrap();
+            let mut row = vec![0.0; space.size()];
+            let mut batch = make_vec(name, config, VecConfig { threads: 1, ..VecConfig::new(3) }).unwrap();
+            let rows = batch.observation_space().row();
+            assert_eq!(rows.size(), batch.observation_size());
+            let mut buffers = VecBuffers::new(&*batch);
+            batch.reset(Some(1), &mut buffers.observations).unwrap();
+            for step in 0..4 {
+                let vector = &env.observation().vector;
+                at_bound += vector.iter().filter(|x| [PI, FRAC_PI_2].contains(&x.abs())).count();
+                space.write_f32(vector, &mut row);
+                assert!(space.contains(vector) && space.contains(&row), "{name} {rpy:?} {step}: {row:?}");
+                assert!(row.iter().zip(vector).all(|(&y, &x)| (f64::from(y) - x).abs() <= 2e-7 * x.abs().max(1e-30)));
+                for row in buffers.observations.chunks_exact(rows.size()) {
+                    assert!(rows.contains(row), "{name} {rpy:?} {step}: {row:?}");
+                }
+                if env.info().end.is_none() {
+                    env.step(&vec![0.0; env.action_space().size()]).unwrap();
+                }
+                batch.step(&vec![0.0; 3 * batch.action_size()], buffers.step()).unwrap();
+            }
+        }
+    }
+    assert!(at_bound > 30, "{at_bound} angles at their bounds");
 }
 
 #[test]

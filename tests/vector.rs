@@ -50,10 +50,10 @@ fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: 
     let mut buffers = VecBuffers::new(&batch);
     let mut alone: Vec<_> = (0..count).map(|i| builder.clone().stream(i as u64).build().unwrap()).collect();
     let mut over = vec![false; count];
-    let mut row = vec![0.0_f32; o];
+    let (space, mut row) = (batch.observation_space().vector.clone(), vec![0.0_f32; o]);
     batch.reset(Some(11), &mut buffers.observations).unwrap();
     for (i, env) in alone.iter_mut().enumerate() {
-        env.reset(Some(11)).unwrap().write_vector(&mut row);
+        space.write_f32(&env.reset(Some(11)).unwrap().vector, &mut row);
         assert_eq!(bits(&row), bits(&buffers.observations[i * o..][..o]), "reset of {i}");
     }
     let mut wander = Wander::new(5, count, a);
@@ -65,7 +65,7 @@ fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: 
             let seen = &buffers.observations[i * o..][..o];
             let got = (buffers.rewards[i], buffers.terminated[i], buffers.truncated[i]);
             if over[i] {
-                env.reset(None).unwrap().write_vector(&mut row);
+                space.write_f32(&env.reset(None).unwrap().vector, &mut row);
                 assert_eq!(bits(&row), bits(seen), "next reset of {i}");
                 assert_eq!(got, (0.0, false, false));
                 over[i] = false;
@@ -73,7 +73,7 @@ fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: 
             }
             let action: Vec<f64> = actions[i * a..][..a].iter().map(|&x| f64::from(x)).collect();
             let Step { observation, reward, terminated, truncated } = env.step(&action).unwrap();
-            observation.write_vector(&mut row);
+            space.write_f32(&observation.vector, &mut row);
             assert_eq!(got, (reward as f32, terminated, truncated), "step {step} of {i}");
             let ends = terminated || truncated;
             if ends {
@@ -86,7 +86,7 @@ fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: 
             }
             if ends && config.autoreset == Autoreset::SameStep {
                 assert_eq!(bits(&row), bits(&batch.final_observations()[i * o..][..o]));
-                env.reset(None).unwrap().write_vector(&mut row);
+                space.write_f32(&env.reset(None).unwrap().vector, &mut row);
             } else {
                 over[i] = ends;
             }

@@ -144,9 +144,10 @@ impl FromStr for ObservationType {
 /// use aviary::tasks::MultiHover;
 ///
 /// let mut env = MultiHover::builder().build()?;
+/// let space = env.observation_space().vector.clone();
 /// let observation = env.reset(Some(1))?;
 /// let mut row = [0.0_f32; 26];
-/// observation.write_vector(&mut row);
+/// space.write_f32(&observation.vector, &mut row);
 /// // two blocks of 13 numbers; the second drone starts 1 m along x
 /// assert_eq!(row[13], 1.0);
 /// assert_eq!(observation.of_drone(1, 2).vector[0], 1.0);
@@ -186,17 +187,6 @@ impl Observation {
             adjacency: vec![false; if kind.adjacency { cameras * cameras } else { 0 }],
             obstacle: vec![Self::FAR; if kind.obstacle { cameras } else { 0 }],
             ranges: vec![0.0; if kind.ranges { cameras * rays } else { 0 }],
-        }
-    }
-
-    /// Copies the vector into a buffer of single precision, as batches and policies want it.
-    ///
-    /// # Panics
-    /// If the buffer has another length than the vector.
-    pub fn write_vector(&self, out: &mut [f32]) {
-        assert_eq!(out.len(), self.vector.len(), "a buffer for the observation's vector");
-        for (out, &x) in out.iter_mut().zip(&self.vector) {
-            *out = x as f32;
         }
     }
 

@@ -215,6 +215,8 @@ struct World {
     env: Box<dyn ParallelEnv + Send>,
     /// How many agents there can be.
     agents: usize,
+    /// Bounds of an agent's row.
+    space: BoxSpace,
 }
 
 /// The rows of one environment.
@@ -230,7 +232,7 @@ impl World {
         let (seen, _) = self.env.reset(seed)?;
         let size = observations.len() / self.agents;
         for ((_, seen), row) in seen.iter().zip(observations.chunks_exact_mut(size)) {
-            seen.write_vector(row);
+            self.space.write_f32(&seen.vector, row);
         }
         Ok(())
     }
@@ -262,7 +264,7 @@ impl World {
                 (false, true) => Next::Truncated,
                 (false, false) => Next::Running,
             };
-            seen.write_vector(&mut rows.observations[row * size..(row + 1) * size]);
+            self.space.write_f32(&seen.vector, &mut rows.observations[row * size..(row + 1) * size]);
         }
         // once one has left, the others are cut off: alone they would learn little, among wrecks slowly
         if rows.next.iter().any(|next| next.is_end()) {
@@ -286,23 +288,23 @@ impl Swarm {
         terms: Terms,
         make: impl Fn(u64) -> Result<Box<dyn ParallelEnv + Send>, EnvError>,
     ) -> Result<Self, EnvError> {
+        let empty = || BoxSpace::new([]);
         let worlds = (0..environments.max(1) as u64)
             .map(|stream| {
                 let env = make(stream)?;
-                Ok(World { agents: env.possible_agents().len(), env })
+                let agents = env.possible_agents();
+                let space = agents.first().and_then(|agent| env.observation_space(agent));
+                let space = space.map_or_else(empty, |space| space.vector.clone());
+                Ok(World { agents: agents.len(), space, env })
             })
             .collect::<Result<Vec<_>, EnvError>>()?;
         let first = &worlds[0].env;
         let agents = first.possible_agents();
-        let empty = || BoxSpace::new([]);
-        let of_first = |space: &dyn Fn(&str) -> Option<BoxSpace>| {
-            agents.first().and_then(|agent| space(agent)).unwrap_or_else(empty)
-        };
         Ok(Self {
             terms,
             agents: agents.len(),
-            observation_space: of_first(&|agent| first.observation_space(agent).map(|space| space.vector.clone())),
-            action_space: of_first(&|agent| first.action_space(agent).cloned()),
+            observation_space: worlds[0].space.clone(),
+            action_space: agents.first().and_then(|agent| first.action_space(agent).cloned()).unwrap_or_else(empty),
             episode_steps: first.episode_steps(),
             worlds,
         })

@@ -170,7 +170,8 @@ impl Renderer {
         // d = (1 − near/z) / (1 − near/far), the perspective projection's depth, solved for z
         let slope = 1.0 - near / far;
         for value in depth.iter_mut() {
-            *value = (near / (1.0 - f64::from(*value) * slope)) as f32;
+            // rounding does not reach beyond the far plane
+            *value = (near / (1.0 - f64::from(*value) * slope)).min(far) as f32;
         }
         let width = size.width as usize;
         let rows = size.height as usize;

@@ -36,6 +36,8 @@ pub struct Aviary<T> {
     /// What makes motor speeds of actions.
     pub(crate) decoders: Vec<ActionDecoder>,
     pub(super) observation_space: ObservationSpace,
+    /// Bounds of a row of [`write_numbers`](Self::write_numbers).
+    pub(super) row_space: BoxSpace,
     pub(super) action_space: BoxSpace,
     pub(super) episode_steps: u64,
     /// Obstacles that are placed at random.
@@ -210,17 +212,17 @@ impl<T: Task> Aviary<T> {
         &self.observation
     }
 
-    /// Copies everything that is no picture into a row of single precision.
+    /// Copies everything that is no picture into a row of single precision, within its bounds.
     pub(crate) fn write_numbers(&self, row: &mut [f32]) {
         let Observation { vector, obstacle, ranges, adjacency, .. } = &self.observation;
         let (first, rest) = row.split_at_mut(vector.len());
         first.iter_mut().zip(vector).for_each(|(out, &x)| *out = x as f32);
-        if rest.is_empty() {
-            return;
+        if !rest.is_empty() {
+            let others = obstacle.iter().chain(ranges).map(|&x| x as f32);
+            let others = others.chain(adjacency.iter().map(|&near| f32::from(u8::from(near))));
+            rest.iter_mut().zip(others).for_each(|(out, x)| *out = x);
         }
-        let others = obstacle.iter().chain(ranges).map(|&x| x as f32);
-        let others = others.chain(adjacency.iter().map(|&near| f32::from(u8::from(near))));
-        rest.iter_mut().zip(others).for_each(|(out, x)| *out = x);
+        self.row_space.round_inside(row);
     }
 
     /// Whether every episode has its obstacles elsewhere.

@@ -350,18 +350,21 @@ impl<T: Task> AviaryBuilder<T> {
         let bounds = (0..count).flat_map(|drone| self.action_type.bounds(simulation.params(drone), limits));
         let action_space = BoxSpace::new(bounds);
         let cameras = kind.has_images().then(|| Painter::for_observations(simulation.world())).transpose()?;
+        let observation = Observation::with_sizes(kind, vector.size(), count, camera_size, self.rays.directions.len());
+        let observation_space = ObservationSpace {
+            vector: if kind.kinematic { vector } else { BoxSpace::new([]) },
+            kind,
+            cameras: count,
+            neighbours: count,
+            rays: (self.rays.directions.len(), self.rays.max_range),
+            camera_size,
+        };
         Ok(Aviary {
             block: block.size(),
             neighbourhood_radius: self.neighbourhood_radius,
-            observation: Observation::with_sizes(kind, vector.size(), count, camera_size, self.rays.directions.len()),
-            observation_space: ObservationSpace {
-                vector: if kind.kinematic { vector } else { BoxSpace::new([]) },
-                kind,
-                cameras: count,
-                neighbours: count,
-                rays: (self.rays.directions.len(), self.rays.max_range),
-                camera_size,
-            },
+            observation,
+            row_space: observation_space.row(),
+            observation_space,
             episode: Episode::new(
                 self.task,
                 self.stream,

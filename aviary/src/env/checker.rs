@@ -59,7 +59,7 @@ const LONGEST: usize = 400;
 /// Checks that an environment, of this crate or of one's own, keeps the contract of [`Env`] (in the spirit of Gymnasium's
 /// `check_env`): it flies a few episodes under random actions.
 ///
-/// - observations are of their space, rewards are numbers, and so is everything in [`info`](Env::info)
+/// - observations are of their space, in single precision too, rewards are numbers, and so is everything in [`info`](Env::info)
 /// - the same seed gives the same episode to the bit, and an episode leaves nothing behind
 /// - after a reset time is zero, nothing has ended and the drones are where the simulation says they start
 /// - what should move moves: no entry of the observation stays the same, unless it may
@@ -251,6 +251,12 @@ impl<'a> Checker<'a> {
                 Some(entry) => format!("observation[{entry}] is {}, out of its space", observation.vector[entry]),
                 None => "an observation is not of its space".into(),
             });
+        }
+        let space = &self.env.observation_space().vector;
+        let mut row = vec![0.0; space.size()];
+        space.write_f32(&observation.vector, &mut row);
+        if !space.contains(&row) {
+            return self.broken(format!("in single precision an observation is not of its space: {row:?}"));
         }
         if !reward.is_finite() {
             return self.broken(format!("a reward is {reward}"));

@@ -19,6 +19,26 @@ use crate::world::World;
 pub struct BoxSpace {
     low: Vec<f64>,
     high: Vec<f64>,
+    outward: Vec<Outward>,
+}
+
+/// A bound that single precision rounds out of the space, and the nearest number of single precision within it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Outward {
+    entry: usize,
+    rounded: f32,
+    inside: f32,
+}
+
+/// The largest number of single precision that is not above a bound.
+fn largest_below(bound: f64) -> f32 {
+    let rounded = bound as f32;
+    if f64::from(rounded) > bound { rounded.next_down() } else { rounded }
+}
+
+/// The least number of single precision that is not below a bound.
+fn least_above(bound: f64) -> f32 {
+    -largest_below(-bound)
 }
 
 impl BoxSpace {
@@ -29,13 +49,72 @@ impl BoxSpace {
     pub fn new(bounds: impl IntoIterator<Item = [f64; 2]>) -> Self {
         let (low, high): (Vec<_>, Vec<_>) = bounds.into_iter().map(|[low, high]| (low, high)).unzip();
         assert!(low.iter().zip(&high).all(|(low, high)| low <= high), "a space whose bounds are the wrong way round");
-        Self { low, high }
+        Self::of(low, high)
+    }
+
+    fn of(low: Vec<f64>, high: Vec<f64>) -> Self {
+        let mut outward = Vec::new();
+        for (entry, (&low, &high)) in low.iter().zip(&high).enumerate() {
+            let inside = [least_above(low), largest_below(high)];
+            // bounds that are nearly one number have none of single precision between them
+            if inside[0] <= inside[1] {
+                let rounded = [low as f32, high as f32].into_iter().zip(inside);
+                outward.extend(
+                    rounded.filter(|(rounded, inside)| rounded != inside).map(|(rounded, inside)| Outward {
+                        entry,
+                        rounded,
+                        inside,
+                    }),
+                );
+            }
+        }
+        Self { low, high, outward }
     }
 
     /// The same bounds so many times, one after the other.
     #[must_use]
     pub fn repeated(&self, times: usize) -> Self {
-        Self { low: self.low.repeat(times), high: self.high.repeat(times) }
+        Self::of(self.low.repeat(times), self.high.repeat(times))
+    }
+
+    /// The bounds in single precision, rounded into the space.
+    pub fn bounds_f32(&self) -> (Vec<f32>, Vec<f32>) {
+        (self.low.iter().map(|&x| least_above(x)).collect(), self.high.iter().map(|&x| largest_below(x)).collect())
+    }
+
+    /// Copies a vector into a buffer of single precision. A number within its bounds stays within them: where the nearest number
+    /// of single precision is outside, the next one inside is written.
+    ///
+    /// ```
+    /// use std::f64::consts::PI;
+    ///
+    /// use aviary::env::BoxSpace;
+    ///
+    /// let space = BoxSpace::new([[-PI, PI]; 3]);
+    /// let mut row = [0.0; 3];
+    /// space.write_f32(&[PI, -PI, 0.1], &mut row);
+    /// // π in single precision is larger than π
+    /// assert!(f64::from(PI as f32) > PI && !space.contains(&[PI as f32; 3]));
+    /// assert!(space.contains(&row) && row[2] == 0.1);
+    /// ```
+    ///
+    /// # Panics
+    /// If the vector or the buffer has another length than the space.
+    pub fn write_f32(&self, vector: &[f64], out: &mut [f32]) {
+        assert_eq!([vector.len(), out.len()], [self.size(); 2], "a vector and a buffer of the space");
+        out.iter_mut().zip(vector).for_each(|(out, &x)| *out = x as f32);
+        self.round_inside(out);
+    }
+
+    /// Moves numbers that were rounded to single precision, and thereby out of the space, back into it.
+    #[inline]
+    pub(crate) fn round_inside(&self, row: &mut [f32]) {
+        for bound in &self.outward {
+            let x = &mut row[bound.entry];
+            if *x == bound.rounded {
+                *x = bound.inside;
+            }
+        }
     }
 
     /// How many entries a vector has.
@@ -53,10 +132,11 @@ impl BoxSpace {
         &self.high
     }
 
-    /// Whether a vector is of this space: right length, every entry a number within its bounds.
-    pub fn contains(&self, vector: &[f64]) -> bool {
+    /// Whether a vector, of double or of single precision, is of this space: right length, every entry a number within its
+    /// bounds.
+    pub fn contains<X: Copy + Into<f64>>(&self, vector: &[X]) -> bool {
         vector.len() == self.size()
-            && vector.iter().zip(&self.low).zip(&self.high).all(|((x, low), high)| low <= x && x <= high)
+            && vector.iter().zip(&self.low).zip(&self.high).all(|((&x, &low), &high)| (low..=high).contains(&x.into()))
     }
 
     /// A random vector: uniform where both bounds are finite, standard normal beyond them (shifted to a single
@@ -147,6 +227,33 @@ impl ObservationSpace {
         parts
     }
 
+    /// Bounds of an environment's row in a [batch](crate::vector::VecEnv): the vector's, then, where they are observed, those of the
+    /// distances of obstacles, the ranges and the adjacency.
+    ///
+    /// ```
+    /// use aviary::env::Env;
+    /// use aviary::observation::ObservationType;
+    /// use aviary::tasks::Hover;
+    /// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+    ///
+    /// let builder = Hover::builder().observation_type(ObservationType::KIN_RANGES);
+    /// let mut env = VecAviary::new(builder, VecConfig::new(4))?;
+    /// let (space, mut buffers) = (env.observation_space().row(), VecBuffers::new(&env));
+    /// env.reset(Some(1), &mut buffers.observations)?;
+    /// assert!(buffers.observations.chunks_exact(env.observation_size()).all(|row| space.contains(row)));
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    pub fn row(&self) -> BoxSpace {
+        let (rays, range) = self.rays;
+        let count = |on: bool, count: usize| if on { count } else { 0 };
+        let vector = self.vector.low.iter().zip(&self.vector.high).map(|(&low, &high)| [low, high]);
+        let obstacle =
+            std::iter::repeat_n([f64::NEG_INFINITY, Observation::FAR], count(self.kind.obstacle, self.cameras));
+        let ranges = std::iter::repeat_n([0.0, range], count(self.kind.ranges, self.cameras * rays));
+        let adjacency = std::iter::repeat_n([0.0, 1.0], count(self.kind.adjacency, self.cameras * self.neighbours));
+        BoxSpace::new(vector.chain(obstacle).chain(ranges).chain(adjacency))
+    }
+
     /// A random observation of this space.
     pub fn sample(&self, rng: &mut super::Rng) -> Observation {
         let (rays, range) = self.rays;
@@ -168,7 +275,7 @@ impl ObservationSpace {
 
     /// Whether an observation is of this space.
     pub fn contains(&self, observation: &Observation) -> bool {
-        let far = World::CLIP_PLANES[1] as f32 * 1.001;
+        let far = largest_below(World::CLIP_PLANES[1]);
         let pixels = |on: bool| if on { self.cameras * self.camera_size.pixels() } else { 0 };
         self.vector.contains(&observation.vector)
             && observation.rgb.len() == 4 * pixels(self.kind.rgb)
@@ -231,6 +338,40 @@ mod tests {
             }
         }
         assert!(seen[0][0] < -0.9 && seen[0][1] > 0.9 && seen[3][0] < -2.0 && seen[3][1] > 2.0);
+    }
+
+    /// Every number within its bounds is written within them, the nearest number of single precision where that is inside.
+    #[test]
+    fn numbers_of_single_precision_stay_within_their_bounds() {
+        use std::f64::consts::{FRAC_PI_2, PI};
+        let bounds =
+            [[-PI, PI], [-FRAC_PI_2, FRAC_PI_2], [0.1, 0.7], [-1.0, 1e-60], [-1e300, f64::INFINITY], [0.3, 0.3]];
+        let space = BoxSpace::new(bounds);
+        let mut rng = super::super::Rng::seed_from_u64(6);
+        let mut row = [0.0; 6];
+        for share in 0..2000 {
+            let vector = bounds.map(|[low, high]: [f64; 2]| match share {
+                0 => low,
+                1 => high.min(1e300),
+                // near one bound or the other
+                _ => {
+                    let off = rng.random::<f64>() * 10f64.powi(-rng.random_range(0..17));
+                    if rng.random() { (low + off).min(high) } else { (high.min(1e300) - off).max(low) }
+                }
+            });
+            space.write_f32(&vector, &mut row);
+            for (entry, ((&x, &y), [low, high])) in vector.iter().zip(&row).zip(bounds).enumerate() {
+                // 0.3 alone is no number of single precision
+                assert!(entry == 5 || (low..=high).contains(&f64::from(y)), "{x:?} in {low} to {high} becomes {y:?}");
+                let nearest = f64::from(x as f32);
+                assert!(entry == 5 || !(low..=high).contains(&nearest) || f64::from(y) == nearest, "{x:?} {y:?}");
+            }
+        }
+        let (low, high) = space.bounds_f32();
+        assert!((0..5).all(|i| bounds[i][0] <= f64::from(low[i]) && f64::from(high[i]) <= bounds[i][1]));
+        // what is outside, or no number, is not hidden
+        space.write_f32(&[3.2, -1.6, f64::NAN, 1.0, 0.0, 0.3], &mut row);
+        assert!(!space.contains(&row) && row[0] == 3.2 && row[1] == -1.6 && row[2].is_nan());
     }
 
     #[test]

@@ -1,14 +1,15 @@
 use rand::SeedableRng as _;
 
 use super::{AgentMap, ParallelEnv, ParallelStep};
-use crate::env::{CheckFailure, EndReason, EnvError, Rng};
+use crate::env::{CheckFailure, EndReason, EnvError, ObservationSpace, Rng};
+use crate::observation::Observation;
 
 /// Checks that an environment keeps the contract of [`ParallelEnv`], in the spirit of PettingZoo's parallel API test: it
 /// flies `episodes` episodes under random actions.
 ///
 /// - after a reset all possible agents are live; nobody comes back within an episode
 /// - the five maps of a step are about the agents that were live at its start, and nobody else
-/// - observations and actions are of the agent's spaces, rewards are numbers
+/// - observations, in single precision too, and actions are of the agent's spaces, rewards are numbers
 /// - an agent leaves exactly when it is terminated or truncated, and its info says why
 /// - an action that is missing or for nobody is an error that changes nothing
 /// - the same seed gives the same episode to the bit
@@ -37,6 +38,15 @@ pub fn check_parallel_env(env: &mut dyn ParallelEnv, episodes: u64) -> Result<()
     Ok(())
 }
 
+/// Whether an observation is of a space, in single precision too.
+fn holds(space: &ObservationSpace, observation: &Observation) -> bool {
+    let mut row = vec![0.0; space.vector.size()];
+    space.contains(observation) && {
+        space.vector.write_f32(&observation.vector, &mut row);
+        space.vector.contains(&row)
+    }
+}
+
 fn episode(env: &mut dyn ParallelEnv, seed: u64) -> Result<Vec<ParallelStep>, CheckFailure> {
     let task = env.name();
     let check = |good: bool, what: &str| {
@@ -52,7 +62,7 @@ fn episode(env: &mut dyn ParallelEnv, seed: u64) -> Result<Vec<ParallelStep>, Ch
     )?;
     for (agent, observation) in observations.iter() {
         let space = env.observation_space(agent);
-        check(space.is_some_and(|space| space.contains(observation)), "an observation is not of the agent's space")?;
+        check(space.is_some_and(|space| holds(space, observation)), "an observation is not of the agent's space")?;
     }
     let mut steps = Vec::new();
     while !env.agents().is_empty() && steps.len() < 400 {
@@ -87,7 +97,7 @@ fn episode(env: &mut dyn ParallelEnv, seed: u64) -> Result<Vec<ParallelStep>, Ch
             let space = env.observation_space(agent);
             let (seen, reward) = (step.observations.get(agent), step.rewards.get(agent));
             check(
-                space.zip(seen).is_some_and(|(space, seen)| space.contains(seen)),
+                space.zip(seen).is_some_and(|(space, seen)| holds(space, seen)),
                 "an observation is not of the agent's space",
             )?;
             check(reward.is_some_and(|reward| reward.is_finite()), "a reward is not a number")?;

@@ -162,8 +162,8 @@ impl Policy {
         actions: crate::env::BoxSpace,
     ) -> Result<Self, PolicyError> {
         let size = observations.size();
-        let bound = |bounds: &[f64]| bounds.iter().map(|&x| x as f32).collect();
-        Self::from_parts(info, net, [vec![0.0; size], vec![1.0; size]], [bound(actions.low()), bound(actions.high())])
+        let (low, high) = actions.bounds_f32();
+        Self::from_parts(info, net, [vec![0.0; size], vec![1.0; size]], [low, high])
     }
 
     fn from_parts(
@@ -292,4 +292,51 @@ fn to_bounds(x: f32, low: f32, high: f32) -> f32 {
     let (middle, half) =
         if low.is_finite() && high.is_finite() { (0.5 * (low + high), 0.5 * (high - low)) } else { (0.0, 1.0) };
     (middle + half * x).clamp(low, high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tasks::Hover;
+
+    /// Actions of single precision are of the action space where the network's output is beyond both bounds.
+    #[test]
+    fn actions_at_the_bounds_are_of_their_space() {
+        let mut rounded_up = 0;
+        for action_type in ActionType::ALL {
+            let env = Hover::builder().action_type(action_type).build().unwrap();
+            let (seen, space) = (env.observation_space().vector.clone(), env.action_space().clone());
+            rounded_up += space.high().iter().filter(|&&x| f64::from(x as f32) > x).count();
+            let sizes = [seen.size(), space.size()];
+            let info = PolicyInfo {
+                version: PolicyInfo::VERSION,
+                task: "hover".into(),
+                drone: "cf2x".into(),
+                num_drones: 1,
+                per_drone: false,
+                action_type: action_type.name().into(),
+                sim_freq: 240,
+                ctrl_freq: 48,
+                seed: 0,
+                steps: 0,
+                command: String::new(),
+                made_by: String::new(),
+                training: None,
+            };
+            for sign in [-1.0, 1.0] {
+                let mut weights = vec![0.0; Mlp::count(&sizes)];
+                let bias = weights.len() - space.size();
+                weights[bias..].fill(100.0 * sign);
+                let net = Mlp::new(&sizes, Activation::Relu, &weights).unwrap();
+                let policy = Policy::new(info.clone(), net, seen.clone(), space.clone()).unwrap();
+                let mut action = vec![0.0; space.size()];
+                policy.act(&vec![0.0; seen.size()], &mut action);
+                assert!(space.contains(&action), "{action_type}: {action:?}");
+                let bound = if sign > 0.0 { space.high() } else { space.low() };
+                let close = |(x, bound): (&f64, &f64)| (x - bound).abs() <= 2e-7 * bound.abs();
+                assert!(action.iter().zip(bound).all(close), "{action_type}: {action:?}");
+            }
+        }
+        assert!(rounded_up > 0, "no bound that single precision rounds up");
+    }
 }

@@ -300,7 +300,7 @@ fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize
     let measured = meter.measure(|| {
         let mut spent = Duration::ZERO;
         for _ in 0..20 {
-            env.observation().write_vector(&mut seen);
+            env.observation_space().vector.write_f32(&env.observation().vector, &mut seen);
             for (out, &x) in action.iter_mut().zip(policy.act(&seen)) {
                 *out = f64::from(x);
             }
