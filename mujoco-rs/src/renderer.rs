@@ -4,7 +4,7 @@ use std::mem::MaybeUninit;
 use std::sync::Arc;
 
 use crate::error::Error;
-use crate::gl::{GlContext, drawing, loading};
+use crate::gl::{GlContext, Limits, drawing, limits, loading};
 use crate::model::Model;
 use crate::runtime::guarded;
 use crate::scene::Scene;
@@ -12,13 +12,19 @@ use crate::scene::Scene;
 /// Quality of a [`Renderer`], fixed when it is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quality {
-    /// Samples per pixel; 0 draws each pixel once.
+    /// Samples per pixel, up to [`MAX_SAMPLES`](Self::MAX_SAMPLES); 0 draws each pixel once. A driver that can do fewer (Mesa's
+    /// software rasteriser does 4) takes its own maximum.
     pub samples: u32,
-    /// Side of the shadow map in texels; 0 for no shadows at all.
+    /// Side of the shadow map in texels, up to [`MAX_SHADOW_MAP`](Self::MAX_SHADOW_MAP) and the driver's limit for textures; 0
+    /// for no shadows at all.
     pub shadow_map: u32,
 }
 
 impl Quality {
+    /// Most samples per pixel that can be asked for.
+    pub const MAX_SAMPLES: u32 = 64;
+    /// Largest side of the shadow map that can be asked for, texels.
+    pub const MAX_SHADOW_MAP: u32 = 16_384;
     /// For observations: one sample, no shadows.
     pub const FAST: Self = Self { samples: 0, shadow_map: 0 };
     /// For people: four samples, soft shadows.
@@ -86,6 +92,8 @@ pub struct Renderer {
     model: Arc<Model>,
     quality: Quality,
     size: ImageSize,
+    /// Half of the side of what the shadow map covers, m, where it is not the model's.
+    shadow_reach: Option<f32>,
     /// Bytes of the last picture before they are turned round, and colours of segments.
     scratch: Vec<u8>,
 }
@@ -99,15 +107,31 @@ impl Renderer {
     /// A renderer of a model's scenes. Its buffer grows to the largest picture asked for.
     ///
     /// # Errors
-    /// What [`gl_info`](crate::gl_info) has where there is nothing to draw with, [`Error::Gl`] where OpenGL fails,
-    /// [`Error::Raised`] with MuJoCo's message.
+    /// What [`gl_info`](crate::gl_info) has where there is nothing to draw with, [`Error::Value`] for a quality beyond its limits
+    /// and for a model whose own (`visual/quality`) are, [`Error::Gl`] where OpenGL fails or can do less, [`Error::Raised`] with
+    /// MuJoCo's message.
     pub fn new(model: impl Into<Arc<Model>>, quality: Quality) -> Result<Self, Error> {
         crate::check_library()?;
         let model = model.into();
+        check_quality(&model, quality, limits()?)?;
         let mut gl = GlContext::new()?;
         let size = ImageSize { width: 64, height: 48 };
         let raw = gl.current(|| make(&model, quality, size))??;
-        Ok(Self { raw, gl, model, quality, size, scratch: Vec::new() })
+        Ok(Self { raw, gl, model, quality, size, shadow_reach: None, scratch: Vec::new() })
+    }
+
+    /// Sets how far shadows reach from the axis of their light, m: the shadow map of a directional light covers a square with half
+    /// this side, in place of the model's `shadowclip`.
+    ///
+    /// # Errors
+    /// [`Error::Value`] for a number that is not positive and finite.
+    pub fn set_shadow_reach(&mut self, metres: f64) -> Result<(), Error> {
+        if !(metres.is_finite() && metres > 0.0) {
+            let what = "the reach of shadows";
+            return Err(Error::Value { what, got: metres, expected: "a positive number of metres" });
+        }
+        self.shadow_reach = Some(metres as f32);
+        Ok(())
     }
 
     /// Draws a scene as RGB, three bytes per pixel, top row first.
@@ -240,6 +264,7 @@ impl Renderer {
         let depth = depth.map_or(std::ptr::null_mut(), <[f32]>::as_mut_ptr);
         let viewport = mujoco_sys::mjrRect { left: 0, bottom: 0, width: size.width as i32, height: size.height as i32 };
         let raw = &mut self.raw.0;
+        raw.shadowClip = self.shadow_reach.unwrap_or(raw.shadowClip);
         let passes = if self.quality.shadow_map > 0 { scene.passes() } else { 1.0 };
         scene.scale_lines(1.0 / passes);
         let drawn = self.gl.current(|| {
@@ -259,6 +284,12 @@ impl Renderer {
             return Ok(());
         }
         let size = ImageSize { width: size.width.max(self.size.width), height: size.height.max(self.size.height) };
+        let most = limits()?.picture;
+        if size.width.max(size.height) > most {
+            return Err(Error::Gl {
+                message: format!("a picture of {size} is beyond this driver's limit of {most} pixels"),
+            });
+        }
         let (raw, model, quality) = (&mut self.raw, &self.model, self.quality);
         self.gl.current(|| {
             let larger = make(model, quality, size)?;
@@ -286,6 +317,7 @@ impl std::fmt::Debug for Renderer {
 
 /// MuJoCo's objects in the current context.
 fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> {
+    let most_samples = limits()?.samples;
     let _lock = loading();
     // MuJoCo reads sizes and quality from the model. This copy of its header shares the arrays, is only read, and is
     // forgotten without being freed.
@@ -293,7 +325,7 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
     let mut header = unsafe { MaybeUninit::new(std::ptr::read(model.as_ptr())).assume_init() };
     header.vis.global.offwidth = size.width as i32;
     header.vis.global.offheight = size.height as i32;
-    header.vis.quality.offsamples = quality.samples as i32;
+    header.vis.quality.offsamples = quality.samples.min(most_samples) as i32;
     header.vis.quality.shadowsize = quality.shadow_map as i32;
     let mut raw: Box<MaybeUninit<mujoco_sys::mjrContext>> = Box::new_uninit();
     // SAFETY: initialises the structure, then fills it; an OpenGL context is current.
@@ -317,6 +349,35 @@ fn free(raw: &mut Raw) {
     let _lock = drawing();
     // SAFETY: made in this context; a second call finds nothing to free.
     unsafe { mujoco_sys::mjr_freeContext(&mut *raw.0) };
+}
+
+/// Refuses numbers that MuJoCo and drivers would take as they are: a shadow map whose size in bytes overflows, display lists
+/// without end.
+fn check_quality(model: &Model, quality: Quality, limits: Limits) -> Result<(), Error> {
+    let own = model.raw().vis.quality;
+    for (what, got, range, expected) in [
+        ("the number of samples", quality.samples.into(), 0..=Quality::MAX_SAMPLES.into(), "0 to 64 per pixel"),
+        (
+            "the side of the shadow map",
+            quality.shadow_map.into(),
+            0..=Quality::MAX_SHADOW_MAP.into(),
+            "0 to 16384 texels",
+        ),
+        ("the model's numslices", own.numslices.into(), 3..=1000, "3 to 1000"),
+        ("the model's numstacks", own.numstacks.into(), 2..=1000, "2 to 1000"),
+        ("the model's numquads", own.numquads.into(), 1..=100, "1 to 100"),
+    ] {
+        let got: i64 = got;
+        if !range.contains(&got) {
+            return Err(Error::Value { what, got: got as f64, expected });
+        }
+    }
+    if quality.shadow_map > limits.texture {
+        let (side, most) = (quality.shadow_map, limits.texture);
+        let message = format!("a shadow map of {side} texels a side is beyond this driver's limit of {most}");
+        return Err(Error::Gl { message });
+    }
+    Ok(())
 }
 
 fn check_size(size: ImageSize) -> Result<(), Error> {

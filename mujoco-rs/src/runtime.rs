@@ -26,6 +26,7 @@ pub fn library_version() -> [u32; 3] {
 /// [`Error::Version`] if the library's version is not that of the headers.
 pub fn check_library() -> Result<(), Error> {
     static VERSION: OnceLock<[u32; 3]> = OnceLock::new();
+    crate::gl::gate::know_main();
     let found = *VERSION.get_or_init(|| {
         // SAFETY: before any other call of MuJoCo, once in the process; the callback returns and never unwinds.
         unsafe { mujoco_sys::mjshim_install(Some(on_warning)) };

@@ -1,4 +1,4 @@
-#define _GNU_SOURCE  // pthread_getattr_np, setenv
+#define _GNU_SOURCE  // pthread_getattr_np
 
 #include "shim.h"
 
@@ -29,14 +29,6 @@ static void on_error(const char* message) {
   fprintf(stderr, "mujoco: fatal error: %s\n", last_error);
   fflush(stderr);
   abort();
-}
-
-// Mesa's software rasteriser starts threads of its own unless it is told not to. At the size of observations waking
-// them costs more than they draw, and whoever draws on several threads has a context for each. It reads this when a
-// driver starts; it is set here, before main and before there is any other thread, because setting it later could
-// race with whatever C code reads the environment. What the user has set stands.
-__attribute__((constructor)) static void without_rasteriser_threads(void) {
-  setenv("LP_NUM_THREADS", "0", 0);
 }
 
 static mjshim_warning_fn warning_callback = NULL;

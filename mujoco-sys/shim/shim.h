@@ -76,6 +76,17 @@ int mjshim_look(const mjModel* m, mjData* d, mjvCamera* cam, mjvScene* scn);
 int mjshim_make_context(const mjModel* m, mjrContext* con);
 int mjshim_draw(mjrRect viewport, mjvScene* scn, mjrContext* con, unsigned char* rgb, float* depth);
 
+// Mesa's software rasteriser starts threads of its own, as many as LP_NUM_THREADS says, when a driver starts. The first function
+// adds `LP_NUM_THREADS=0` to the environment unless the variable is there, the second takes it out again. Not for two threads
+// at once; other threads may use the environment meanwhile.
+void mjshim_without_rasteriser_threads(void);
+void mjshim_restore_environment(void);
+
+// Stores a line into the pages of a mapped file, its first byte last; 1 where the file no longer reaches so far. Needs
+// `mjshim_catch_bus_errors`, once in the process, which returns whether it failed.
+int mjshim_catch_bus_errors(void);
+int mjshim_store(char* target, const char* line, size_t length);
+
 // Raises an error on purpose: guarded != 0 under setjmp, otherwise as an unguarded call would.
 int mjshim_raise(const char* message, int guarded);
 

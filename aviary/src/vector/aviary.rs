@@ -1,10 +1,10 @@
 use std::sync::{Mutex, PoisonError};
 
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use smallvec::SmallVec;
 
 use super::piece::{Common, Desk, Faults, Piece, Worker};
 use super::stage::{Ended, Slot, Stage};
+use super::threads::Threads;
 use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
 use crate::control::CollisionCone;
 use crate::engine::flight::{Airframes, Flow, LANES, Lanes, Width};
@@ -211,14 +211,11 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         while places.len() < threads {
             places.push(place(make()?));
         }
-        let pool = (threads > 1)
-            .then(|| ThreadPoolBuilder::new().num_threads(threads).thread_name(|i| format!("aviary{i}")).build())
-            .transpose()
-            .map_err(|error| EnvError::Option {
-                option: "the number of threads",
-                got: format!("{threads} ({error})"),
-                expected: "no more than the machine gives",
-            })?;
+        let pool = (threads > 1).then(|| Threads::new(threads)).transpose().map_err(|error| EnvError::Option {
+            option: "the number of threads",
+            got: format!("{threads} ({error})"),
+            expected: "no more than the machine gives",
+        })?;
         Ok(Self {
             common,
             config: VecConfig { threads, ..config },
@@ -316,7 +313,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
 #[derive(Debug)]
 struct Crew<T> {
     places: Vec<Mutex<Place<T>>>,
-    pool: Option<ThreadPool>,
+    pool: Option<Threads>,
     faults: Faults,
 }
 
@@ -365,7 +362,7 @@ impl<T: Task + Send> Crew<T> {
         };
         match &self.pool {
             None => take(0),
-            Some(pool) => pool.install(|| each(0..self.places.len(), &take)),
+            Some(pool) => pool.run(|| each(0..self.places.len(), &take)),
         }
         Ok(())
     }

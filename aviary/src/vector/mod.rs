@@ -9,6 +9,7 @@ mod aviary;
 mod curriculum;
 mod piece;
 mod stage;
+mod threads;
 
 pub use aviary::VecAviary;
 pub use curriculum::VecCurriculum;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
 
-use super::reason;
+use super::{Limits, reason};
 
 type Pointer = *mut c_void;
 type Int = i32;
@@ -58,13 +58,15 @@ struct Functions {
     create_surface: unsafe extern "C" fn(Pointer, Pointer, *const Int) -> Pointer,
     destroy_surface: unsafe extern "C" fn(Pointer, Pointer) -> Bool,
     make_current: unsafe extern "C" fn(Pointer, Pointer, Pointer, Pointer) -> Bool,
+    release_thread: unsafe extern "C" fn() -> Bool,
+    get_proc_address: GetProcAddress,
 }
 
-#[derive(Clone)]
 struct Display {
     handle: Pointer,
     config: Pointer,
     description: String,
+    limits: Limits,
 }
 
 // SAFETY: EGL's displays and functions may be used from any thread; it locks inside.
@@ -104,7 +106,7 @@ impl Egl {
     pub(super) fn load(device: Option<usize>) -> Result<Self, Refusal> {
         let (name, library) = open(RTLD_LOCAL)?;
         let functions = Functions::load(&library)?;
-        let displays = displays(&library, functions, device);
+        let displays = displays(functions, device);
         // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
         std::mem::forget(library);
         let displays = displays?;
@@ -118,11 +120,24 @@ impl Egl {
         self.displays.first().map(|display| display.description.clone()).unwrap_or_default()
     }
 
+    pub(super) fn limits(&self) -> Limits {
+        // there is one at least, and all are drawn on by the same kind of driver
+        self.displays[0].limits
+    }
+
+    /// Frees what EGL keeps for the calling thread, which has no current context. Otherwise the thread's end frees it, and the
+    /// exit handler of the vendor-neutral library frees it for all threads there are, and the two may meet.
+    pub(super) fn release_thread(&self) {
+        // SAFETY: may be called at any time.
+        unsafe { (self.functions.release_thread)() };
+    }
+
     /// A new context. Mesa's software rasteriser works for one context of a display at a time, so that they take
     /// turns among the displays there are.
     pub(super) fn context(&self) -> Result<Context, String> {
         let turn = self.next.fetch_add(1, Ordering::Relaxed) % self.displays.len();
-        self.displays[turn].context(self.functions)
+        let Display { handle, config, .. } = self.displays[turn];
+        context(self.functions, handle, config)
     }
 }
 
@@ -149,6 +164,8 @@ impl Functions {
             create_surface: symbol!(b"eglCreatePbufferSurface\0"),
             destroy_surface: symbol!(b"eglDestroySurface\0"),
             make_current: symbol!(b"eglMakeCurrent\0"),
+            release_thread: symbol!(b"eglReleaseThread\0"),
+            get_proc_address: symbol!(b"eglGetProcAddress\0"),
         })
     }
 
@@ -169,12 +186,11 @@ impl Functions {
 }
 
 /// Every display that a context can be made on and that is of the kind of the first one.
-fn displays(library: &Library, functions: Functions, wanted: Option<usize>) -> Result<Vec<Display>, Refusal> {
+fn displays(functions: Functions, wanted: Option<usize>) -> Result<Vec<Display>, Refusal> {
     // SAFETY: the types are those of EGL's registry; extensions may be missing, which is a null pointer.
     let (query_devices, platform_display) = unsafe {
-        let get_proc_address: GetProcAddress = *library.get(b"eglGetProcAddress\0").map_err(|error| reason(&error))?;
-        let query = get_proc_address(c"eglQueryDevicesEXT".as_ptr());
-        let platform = get_proc_address(c"eglGetPlatformDisplayEXT".as_ptr());
+        let query = (functions.get_proc_address)(c"eglQueryDevicesEXT".as_ptr());
+        let platform = (functions.get_proc_address)(c"eglGetPlatformDisplayEXT".as_ptr());
         (
             std::mem::transmute::<Pointer, Option<QueryDevices>>(query),
             std::mem::transmute::<Pointer, Option<GetPlatformDisplay>>(platform),
@@ -267,55 +283,56 @@ impl Display {
         if chosen == 0 || count < 1 {
             return Err("no configuration for OpenGL off screen".into());
         }
-        let mut display = Self { handle, config, description: String::new() };
-        let context = display.context(functions)?;
+        let context = context(functions, handle, config)?;
         context.make_current()?;
-        let renderer = renderer();
+        let renderer = renderer(functions);
+        let limits = Limits::of(|name| context.address(name));
         context.release();
         let is_software = renderer.contains("llvmpipe") || renderer.contains("softpipe") || renderer.contains("swrast");
         let kind = if is_software { "software" } else { "GPU" };
-        display.description = format!("{name}, {}, {renderer}, {kind}", functions.string(handle, VENDOR));
-        Ok(Opened { display, is_software })
+        let description = format!("{name}, {}, {renderer}, {kind}", functions.string(handle, VENDOR));
+        Ok(Opened { display: Self { handle, config, description, limits }, is_software })
     }
+}
 
-    fn context(&self, functions: Functions) -> Result<Context, String> {
-        // SAFETY: an initialised display and one of its configurations; the API is chosen per thread.
-        unsafe {
-            if (functions.bind_api)(OPENGL_API) == 0 {
-                return Err(functions.failure("eglBindAPI(EGL_OPENGL_API)"));
-            }
-            let context = (functions.create_context)(self.handle, self.config, ptr::null_mut(), ptr::null());
-            if context.is_null() {
-                return Err(functions.failure("eglCreateContext"));
-            }
-            let attributes = [[WIDTH, 8], [HEIGHT, 8], [NONE, NONE]];
-            let surface = (functions.create_surface)(self.handle, self.config, attributes.as_ptr().cast());
-            let context = Context { functions, display: self.handle, context, surface };
-            if surface.is_null() {
-                return Err(functions.failure("eglCreatePbufferSurface"));
-            }
-            Ok(context)
+/// A context and its surface on an initialised display, with one of its configurations.
+fn context(functions: Functions, display: Pointer, config: Pointer) -> Result<Context, String> {
+    // SAFETY: as the callers have them from EGL; the API is chosen per thread.
+    unsafe {
+        if (functions.bind_api)(OPENGL_API) == 0 {
+            return Err(functions.failure("eglBindAPI(EGL_OPENGL_API)"));
         }
+        let context = (functions.create_context)(display, config, ptr::null_mut(), ptr::null());
+        if context.is_null() {
+            return Err(functions.failure("eglCreateContext"));
+        }
+        let attributes = [[WIDTH, 8], [HEIGHT, 8], [NONE, NONE]];
+        let surface = (functions.create_surface)(display, config, attributes.as_ptr().cast());
+        let context = Context { functions, display, context, surface };
+        if surface.is_null() {
+            return Err(functions.failure("eglCreatePbufferSurface"));
+        }
+        Ok(context)
     }
 }
 
 /// The name of what draws in the current context.
-fn renderer() -> String {
+fn renderer(functions: Functions) -> String {
     const GL_RENDERER: u32 = 0x1F01;
-    // EGL itself hands out OpenGL's functions; a second handle on the same library finds it
-    let name = || {
-        let (_, library) = open(RTLD_LOCAL).ok()?;
-        // SAFETY: the types are those of EGL's and OpenGL's registries; a context is current.
-        unsafe {
-            let get_proc_address: GetProcAddress = *library.get(b"eglGetProcAddress\0").ok()?;
-            let get_string = std::mem::transmute::<Pointer, Option<unsafe extern "C" fn(u32) -> *const c_char>>(
-                get_proc_address(c"glGetString".as_ptr()),
-            )?;
-            let text = get_string(GL_RENDERER);
-            (!text.is_null()).then(|| CStr::from_ptr(text).to_string_lossy().into_owned())
-        }
+    // SAFETY: the type is the one of OpenGL's registry; a context is current, whose strings live as long as it does.
+    let name = unsafe {
+        let get_string =
+            std::mem::transmute::<Pointer, Option<unsafe extern "C" fn(u32) -> *const c_char>>((functions
+                .get_proc_address)(
+                c"glGetString".as_ptr(),
+            ));
+        get_string.map(|get_string| get_string(GL_RENDERER)).filter(|text| !text.is_null())
     };
-    name().unwrap_or_else(|| "unknown renderer".into())
+    // SAFETY: not null, terminated.
+    name.map_or_else(
+        || "unknown renderer".into(),
+        |text| unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned(),
+    )
 }
 
 impl Context {
@@ -328,6 +345,12 @@ impl Context {
                 _ => Ok(()),
             }
         }
+    }
+
+    /// The address of one of OpenGL's functions.
+    pub(super) fn address(&self, name: &CStr) -> *mut c_void {
+        // SAFETY: a terminated name.
+        unsafe { (self.functions.get_proc_address)(name.as_ptr()) }
     }
 
     pub(super) fn release(&self) {

@@ -4,9 +4,12 @@
 //! exactly one of the two is made global, once it has shown that it can make a context; the other stays invisible.
 
 mod egl;
+pub(crate) mod gate;
 mod osmesa;
 
+use std::ffi::{CStr, c_void};
 use std::fmt;
+use std::mem::ManuallyDrop;
 use std::sync::{OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 use libloading::os::unix::Library as SystemLibrary;
@@ -55,9 +58,53 @@ enum Library {
     Osmesa(osmesa::Osmesa),
 }
 
+/// What the library can draw at most.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// Side of a texture, pixels.
+    pub texture: u32,
+    /// Side of a picture, pixels.
+    pub picture: u32,
+    /// Samples per pixel.
+    pub samples: u32,
+}
+
+impl Limits {
+    /// Those of the current context, whose functions `address` finds.
+    fn of(address: impl Fn(&CStr) -> *mut c_void) -> Self {
+        const MAX_TEXTURE_SIZE: u32 = 0x0D33;
+        const MAX_RENDERBUFFER_SIZE: u32 = 0x84E8;
+        const MAX_SAMPLES: u32 = 0x8D57;
+        let get_integer = address(c"glGetIntegerv");
+        let limit = |name: u32| {
+            let mut value = 0_i32;
+            // SAFETY: null or OpenGL's function of that name, of the type in its registry; a context is current, and each of
+            // these limits is one number.
+            unsafe {
+                let get = std::mem::transmute::<*mut c_void, Option<unsafe extern "C" fn(u32, *mut i32)>>(get_integer);
+                if let Some(get) = get {
+                    get(name, &mut value);
+                }
+            }
+            u32::try_from(value).unwrap_or(0)
+        };
+        Self { texture: limit(MAX_TEXTURE_SIZE), picture: limit(MAX_RENDERBUFFER_SIZE), samples: limit(MAX_SAMPLES) }
+    }
+}
+
+/// What can be drawn at most.
+pub(crate) fn limits() -> Result<Limits, Error> {
+    Ok(match library()? {
+        Library::Egl(egl) => egl.limits(),
+        Library::Osmesa(osmesa) => osmesa.limits(),
+    })
+}
+
 /// A context of its own, current on no thread between calls of [`current`](Self::current), so that it can be moved.
 pub(crate) struct GlContext {
-    context: Context,
+    context: ManuallyDrop<Context>,
+    /// How often it has been current.
+    uses: u32,
 }
 
 enum Context {
@@ -80,7 +127,46 @@ pub(crate) fn loading() -> RwLockWriteGuard<'static, ()> {
 /// The library, found at the first call. A failure is final for the process, as a success is.
 fn library() -> Result<&'static Library, Error> {
     static LIBRARY: OnceLock<Result<Library, Error>> = OnceLock::new();
+    let find = || {
+        let _inside = gate::enter().ok_or_else(ending)?;
+        // SAFETY: one thread at a time, which the lock around it sees to; between the two calls drivers start and read it.
+        unsafe { mujoco_sys::mjshim_without_rasteriser_threads() };
+        let found = find();
+        // SAFETY: as above.
+        unsafe { mujoco_sys::mjshim_restore_environment() };
+        if let Ok(Library::Egl(egl)) = &found {
+            egl.release_thread();
+        }
+        gate::close_at_exit();
+        found
+    };
     LIBRARY.get_or_init(find).as_ref().map_err(Clone::clone)
+}
+
+/// A use of OpenGL by the calling thread, which leaves nothing of it behind: no context and no state that the thread's end would
+/// have to free.
+struct Session {
+    library: &'static Library,
+    _inside: gate::Inside,
+}
+
+impl Session {
+    fn begin() -> Result<Self, Error> {
+        let library = library()?;
+        Ok(Self { library, _inside: gate::enter().ok_or_else(ending)? })
+    }
+}
+
+impl Drop for Session {
+    fn drop(&mut self) {
+        if let Library::Egl(egl) = self.library {
+            egl.release_thread();
+        }
+    }
+}
+
+fn ending() -> Error {
+    Error::Gl { message: "the process is ending".into() }
 }
 
 fn find() -> Result<Library, Error> {
@@ -135,7 +221,8 @@ pub struct GlInfo {
 /// Finds out what draws in this process, loading it if nothing has been drawn yet.
 ///
 /// `MUJOCO_GL` (`egl` or `osmesa`) chooses the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; without them each is
-/// tried in turn.
+/// tried in turn. While the library starts, `LP_NUM_THREADS=0` is in the environment unless the variable is there: it keeps
+/// Mesa's software rasteriser from starting threads of its own, which small pictures have no use for.
 ///
 /// ```
 /// use mujoco_rs::{GlBackend, gl_info};
@@ -158,14 +245,16 @@ pub fn gl_info() -> Result<GlInfo, Error> {
 
 impl GlContext {
     pub(crate) fn new() -> Result<Self, Error> {
-        let context = match library()? {
+        let session = Session::begin()?;
+        let context = match session.library {
             Library::Egl(egl) => egl.context().map(Context::Egl),
             Library::Osmesa(osmesa) => osmesa.context().map(Context::Osmesa),
         };
-        context.map(|context| Self { context }).map_err(|message| Error::Gl { message })
+        let context = context.map_err(|message| Error::Gl { message })?;
+        Ok(Self { context: ManuallyDrop::new(context), uses: 0 })
     }
 
-    /// Runs `draw` with this context current on the calling thread, and on none afterwards.
+    /// Runs `draw` with this context current on the calling thread, and on none afterwards. Not to be nested.
     pub(crate) fn current<T>(&mut self, draw: impl FnOnce() -> T) -> Result<T, Error> {
         struct Release<'a>(&'a Context);
         impl Drop for Release<'_> {
@@ -176,13 +265,30 @@ impl GlContext {
                 }
             }
         }
-        match &mut self.context {
+        let _session = Session::begin()?;
+        match &mut *self.context {
             Context::Egl(context) => context.make_current(),
             Context::Osmesa(context) => context.make_current(),
         }
         .map_err(|message| Error::Gl { message })?;
         let _release = Release(&self.context);
-        Ok(draw())
+        let drawn = draw();
+        // parts of a driver start in the first uses of a context, or when something new is drawn
+        self.uses = self.uses.saturating_add(1);
+        if self.uses.is_power_of_two() {
+            gate::close_at_exit();
+        }
+        Ok(drawn)
+    }
+}
+
+impl Drop for GlContext {
+    fn drop(&mut self) {
+        // where the process is ending, the context ends with it
+        if let Ok(_session) = Session::begin() {
+            // SAFETY: nobody uses it afterwards.
+            unsafe { ManuallyDrop::drop(&mut self.context) };
+        }
     }
 }
 

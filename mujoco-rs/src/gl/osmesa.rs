@@ -1,11 +1,11 @@
 //! Mesa's off-screen library.
 
-use std::ffi::c_void;
+use std::ffi::{CStr, c_char, c_void};
 use std::ptr;
 
 use libloading::os::unix::{Library, RTLD_GLOBAL, RTLD_LOCAL, RTLD_NOW};
 
-use super::reason;
+use super::{Limits, reason};
 
 type Pointer = *mut c_void;
 
@@ -17,6 +17,7 @@ const SIDE: i32 = 8;
 
 pub(super) struct Osmesa {
     functions: Functions,
+    limits: Limits,
     /// Never unloaded: MuJoCo keeps its functions.
     _library: Library,
 }
@@ -26,6 +27,7 @@ struct Functions {
     create: unsafe extern "C" fn(u32, i32, i32, i32, Pointer) -> Pointer,
     destroy: unsafe extern "C" fn(Pointer),
     make_current: unsafe extern "C" fn(Pointer, Pointer, u32, i32, i32) -> u8,
+    get_proc_address: unsafe extern "C" fn(*const c_char) -> Pointer,
 }
 
 // SAFETY: Mesa's contexts may be made on any thread; it locks inside.
@@ -52,15 +54,20 @@ impl Osmesa {
         let functions = Functions::of(&library)?;
         let tried = functions.context().and_then(|mut context| {
             context.make_current()?;
+            let limits = Limits::of(|name| context.address(name));
             context.release();
-            Ok(())
+            Ok(limits)
         });
         // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
         std::mem::forget(library);
-        tried?;
+        let limits = tried?;
         // SAFETY: already loaded before; this makes its symbols global.
         let library = unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| reason(&error))?;
-        Ok(Self { functions: Functions::of(&library)?, _library: library })
+        Ok(Self { functions: Functions::of(&library)?, limits, _library: library })
+    }
+
+    pub(super) fn limits(&self) -> Limits {
+        self.limits
     }
 
     pub(super) fn context(&self) -> Result<Context, String> {
@@ -80,6 +87,7 @@ impl Functions {
             create: symbol!(b"OSMesaCreateContextExt\0"),
             destroy: symbol!(b"OSMesaDestroyContext\0"),
             make_current: symbol!(b"OSMesaMakeCurrent\0"),
+            get_proc_address: symbol!(b"OSMesaGetProcAddress\0"),
         })
     }
 
@@ -101,6 +109,12 @@ impl Context {
             0 => Err("OSMesaMakeCurrent failed".into()),
             _ => Ok(()),
         }
+    }
+
+    /// The address of one of OpenGL's functions.
+    pub(super) fn address(&self, name: &CStr) -> *mut c_void {
+        // SAFETY: a terminated name.
+        unsafe { (self.functions.get_proc_address)(name.as_ptr()) }
     }
 
     pub(super) fn release(&self) {
