@@ -130,7 +130,7 @@ impl OutputFile {
         let begin = || {
             fs::create_dir_all(directory)?;
             // the name of the temporary file in it is nobody's business
-            NamedTempFile::new_in(directory).map_err(|error| std::io::Error::from(error.kind()))
+            temporary_file(directory).map_err(|error| std::io::Error::from(error.kind()))
         };
         let file = begin().with_context(|| path.display().to_string()).map_err(Failure::work)?;
         unfinished().push(file.path().to_path_buf());
@@ -157,12 +157,6 @@ impl OutputFile {
     pub fn keep(self) -> Result<(), Failure> {
         let Self { file, path } = self;
         let keep = || {
-            // temporary files are private to their owner; output files are like any other
-            #[cfg(unix)]
-            {
-                use std::os::unix::fs::PermissionsExt as _;
-                file.as_file().set_permissions(fs::Permissions::from_mode(0o644))?;
-            }
             let begun = file.path().to_path_buf();
             let kept = file.persist(&path).map_err(|error| error.error).map(drop);
             unfinished().retain(|path| *path != begun);
@@ -176,6 +170,17 @@ impl OutputFile {
         self.file.write_all(bytes).with_context(|| self.path.display().to_string()).map_err(Failure::work)?;
         self.keep()
     }
+}
+
+/// A temporary file with the permissions of any other new file: those that the umask leaves.
+fn temporary_file(directory: &Path) -> std::io::Result<NamedTempFile> {
+    let mut builder = tempfile::Builder::new();
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        builder.permissions(fs::Permissions::from_mode(0o666));
+    }
+    builder.tempfile_in(directory)
 }
 
 /// An [`OutputFile`] that is being written.

@@ -156,14 +156,15 @@ impl Policy {
 /// A file that is there whole or not at all.
 fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(directory)?;
-    file.write_all(bytes)?;
-    // a file of one's own is for one's own eyes; this one is for whoever may read the directory
+    let mut builder = tempfile::Builder::new();
+    // the permissions of any other new file: those that the umask leaves
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
-        file.as_file().set_permissions(std::fs::Permissions::from_mode(0o644))?;
+        builder.permissions(std::fs::Permissions::from_mode(0o666));
     }
+    let mut file = builder.tempfile_in(directory)?;
+    file.write_all(bytes)?;
     file.persist(path)?;
     Ok(())
 }
