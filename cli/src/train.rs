@@ -241,15 +241,21 @@ impl Run {
 
     /// Says on standard error that the run has more steps than were asked for.
     fn note_rounded_steps(&self) {
-        let (asked, iteration) = (self.trainer.config().steps, self.trainer.steps_per_iteration());
-        let steps = asked.div_ceil(iteration) * iteration;
+        let (asked, iteration, steps) =
+            (self.trainer.config().steps, self.trainer.steps_per_iteration(), self.total_steps());
         if steps != asked {
             say(&format!("note: {asked} steps are rounded up to {steps}, whole iterations of {iteration} steps"));
         }
     }
 
+    /// Steps of the whole run, unless it ends before: what was asked for, in whole iterations.
+    fn total_steps(&self) -> u64 {
+        let iteration = self.trainer.steps_per_iteration();
+        self.trainer.config().steps.div_ceil(iteration).saturating_mul(iteration)
+    }
+
     fn finish(mut self) -> Result<Self, Failure> {
-        let total = self.trainer.config().steps;
+        let total = self.total_steps();
         let bar = output::progress_with(total, "{msg} {wide_bar} {human_pos}/{human_len} {eta}");
         let watched = std::io::stderr().is_terminal();
         interrupt::defer();
@@ -267,7 +273,7 @@ impl Run {
                 self.save_checkpoint()?;
                 self.save_curve()?;
             }
-            bar.set_position(self.trainer.steps().min(total));
+            bar.set_position(self.trainer.steps());
             bar.set_message(self.message());
             if evaluated && !watched {
                 let (task, steps) = (&self.trainer.config().task, self.trainer.steps());

@@ -92,6 +92,12 @@ fn run(directory: &Path, line: &str) {
         words.retain(|word| *word != "--until-success");
         words.extend(["--steps", "4096", "--envs", "64"]);
     }
+    // a directory has one run, and several pages train the same task into the default one
+    let own = line.replace(|c: char| !c.is_alphanumeric(), "_");
+    let own = format!("out/train/{own}");
+    if words[0] == "train" && !["--out", "--show", "--resume"].iter().any(|option| words.contains(option)) {
+        words.extend(["--out", own.as_str()]);
+    }
     let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(&words).current_dir(directory).output().unwrap();
     assert!(output.status.success(), "aviary {line}: {}", String::from_utf8_lossy(&output.stderr));
 }

@@ -109,8 +109,10 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
     let mut arguments: Vec<String> = train.iter().map(ToString::to_string).collect();
     arguments.push(text(&stopped).into());
     for (signal, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
-        let child = command.args(&arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        // also where the tests run under nohup, which ignores SIGHUP
+        let mut command = Command::new("env");
+        command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_aviary")]).args(&arguments);
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         // written at the next checkpoint
         wait_for(&stopped.join("curve.csv"));
         let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
@@ -187,6 +189,7 @@ fn steps_are_whole_iterations_and_say_so() {
     let (error, table) = (String::from_utf8(output.stderr).unwrap(), String::from_utf8(output.stdout).unwrap());
     assert_eq!(output.status.code(), Some(0), "{error}");
     assert!(error.contains("note: 100 steps are rounded up to 2048, whole iterations of 2048 steps"), "{error}");
+    assert!(error.contains("hover: 2048 of 2048 steps"), "{error}");
     assert!(table.contains("2048 (100 in whole iterations)"), "{table}");
     let longer = aviary(&["train", "--resume", text(&out), "--steps", "2049", "--json"]);
     let error = String::from_utf8(longer.stderr).unwrap();
@@ -246,6 +249,9 @@ fn policies_that_come_along_do_what_they_are_for() {
         let mean = numbers("reward").iter().sum::<f64>() / f64::from(episodes);
         assert!((flown["mean_reward"].as_f64().unwrap() - mean).abs() < 1e-9);
     }
+    let randomized = pretrained("hover_randomized");
+    let flown = json(&["play", "--policy", &randomized, "--as-trained", "--episodes", "10", "--seed", "777", "--json"]);
+    assert_eq!(flown["success_rate"], 1.0, "{flown:#}");
     let table = aviary(&["play", "--policy", &pretrained("hover"), "--episodes", "3"]);
     let table = String::from_utf8(table.stdout).unwrap();
     assert!(table.lines().count() == 5 && table.contains("3 of 3 episodes of hover succeeded"), "{table}");
