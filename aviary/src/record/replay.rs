@@ -83,8 +83,11 @@ pub fn read_motor_speeds(
         [directory] if directory.is_dir() => {
             let there = super::files(directory);
             if there.len() != num_drones {
-                let (found, expected) = (crate::count(there.len(), "log"), crate::count(num_drones, "drone"));
-                return Err(whole(directory, format!("{found} drone0.csv and on, expected those of {expected}")));
+                let (found, expected) = (crate::count(there.len(), "drone"), crate::count(num_drones, "drone"));
+                return Err(whole(
+                    directory,
+                    format!("a log of {found} (drone0.csv and on), expected one of {expected}"),
+                ));
             }
             there
         }

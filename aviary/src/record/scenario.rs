@@ -57,7 +57,8 @@ pub struct Scenario {
     /// Initial roll, pitch, yaw, rad.
     #[serde(deserialize_with = "crate::error::triples")]
     pub initial_rpys: Vec<[f64; 3]>,
-    /// Initial attitudes `[w, x, y, z]`, body to world, of unit length, where `initial_rpys` do not give them to the last bit.
+    /// Initial attitudes `[w, x, y, z]`, body to world, of unit length, where the episode starts from others than those of the
+    /// compiled scene, which is level then. They are those of `initial_rpys`, to the last bit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub initial_quaternions: Option<Vec<[f64; 4]>>,
     /// Initial velocities, world frame, m/s.
@@ -217,11 +218,13 @@ impl Scenario {
             states.iter().map(|state| vector(state).into()).collect()
         };
         let moving = |list: Vec<[f64; 3]>| list.iter().flatten().any(|&x| x != 0.0).then_some(list);
-        let rpys: Vec<[f64; 3]> = all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect();
+        // attitudes of the compiled scene: MuJoCo's inertia has their rounding
+        let scene: Vec<[f64; 3]> = world.drones.iter().map(|drone| drone.rpy.into()).collect();
         let quaternions: Vec<_> = states.iter().map(|state| wxyz(&state.attitude)).collect();
         let bits = |q: [f64; 4]| q.map(f64::to_bits);
-        let of_rpys = rpys.iter().map(|&rpy| bits(wxyz(&attitude_from_rpy(rpy.into()))));
-        let exact = of_rpys.eq(quaternions.iter().copied().map(bits));
+        let of_scene = scene.iter().map(|&rpy| bits(wxyz(&attitude_from_rpy(rpy.into()))));
+        let exact = of_scene.eq(quaternions.iter().copied().map(bits));
+        let rpys = if exact { scene } else { all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect() };
         let body = |drone| ScenarioBody {
             airframe: simulation.params(drone).clone(),
             actuators: *simulation.actuator_params(drone),
@@ -328,7 +331,7 @@ impl Scenario {
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .initial_positions(self.initial_xyzs.iter().copied())
-            .initial_rpys(self.initial_rpys.iter().copied())
+            .initial_rpys(self.initial_rpys.iter().map(|&rpy| if quaternions.is_some() { [0.0; 3] } else { rpy }))
             .medium(self.medium)
             .forcing(self.forcing)
             .integrator(match self.integrator {
@@ -389,19 +392,19 @@ impl Scenario {
 
     /// These states with the attitudes of the quaternions, which must be those of `initial_rpys`.
     fn states_with(&self, quaternions: &[[f64; 4]], states: &[DroneState]) -> Result<Vec<DroneState>, ReplayError> {
-        let with = |(state, &q): (&DroneState, &[f64; 4])| {
+        let with = |((state, &q), &rpy): ((&DroneState, &[f64; 4]), &[f64; 3])| {
             let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
             if !(1.0 - 1e-9..=1.0 + 1e-9).contains(&length) {
                 return Err(self.wrong("initial_quaternions", format!("{q:?} has length {length}, expected 1")));
             }
             let attitude = attitude_from_wxyz(q);
-            if attitude.angle_to(&state.attitude) > 1e-6 {
+            if attitude.angle_to(&attitude_from_rpy(rpy.into())) > 1e-6 {
                 let message = format!("{q:?} is another attitude than that of initial_rpys, expected the same");
                 return Err(self.wrong("initial_quaternions", message));
             }
             Ok(DroneState { attitude, ..*state })
         };
-        states.iter().zip(quaternions).map(with).collect()
+        states.iter().zip(quaternions).zip(&self.initial_rpys).map(with).collect()
     }
 }
 
