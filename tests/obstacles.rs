@@ -469,3 +469,22 @@ proptest! {
         prop_assert_eq!(toml::from_str::<ObstacleConfig>(&text).unwrap(), config, "{}", text);
     }
 }
+
+/// A rangefinder looked through obstacles that cannot be seen, which drones hit all the same.
+#[test]
+fn transparent_obstacles_are_solid_for_rangefinders() {
+    for alpha in [1.0, 0.4, 0.0] {
+        let mut pane = Obstacle::new(Shape::Box { half_size: [0.01, 1.0, 1.0] }, Vector3::new(1.51, 0.0, 1.0));
+        pane.rgba[3] = alpha;
+        let world = world(vec![pane], [0.0, 0.0, 1.0]);
+        let ahead = RangeConfig { directions: vec![[1.0, 0.0, 0.0]], max_range: 5.0 };
+        let mut finder = Rangefinder::new(&world, &ahead).unwrap();
+        let state = DroneState { position: Vector3::new(0.0, 0.0, 1.0), ..DroneState::default() };
+        let mut distance = [0.0];
+        finder.measure(&[state], &mut distance).unwrap();
+        assert!((distance[0] - 1.5).abs() < 1e-9, "alpha {alpha}: {distance:?}");
+        finder.set_obstacles(&[pane]).unwrap();
+        finder.measure(&[state], &mut distance).unwrap();
+        assert!((distance[0] - 1.5).abs() < 1e-9, "alpha {alpha}: {distance:?}");
+    }
+}

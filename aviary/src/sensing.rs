@@ -41,7 +41,8 @@ impl Default for RangeConfig {
     }
 }
 
-/// Rangefinders of all drones of a world: `mj_ray` in a scene that has every obstacle, the floor and the drones.
+/// Rangefinders of all drones of a world: `mj_ray` in a scene that has every obstacle, the floor and the drones. Transparent
+/// obstacles are as solid for rays as they are for drones.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -86,7 +87,9 @@ impl Rangefinder {
             }
             directions.push(direction / length);
         }
-        let model = Model::from_xml(&world.to_whole_mjcf()?)?;
+        let mut model = Model::from_xml(&world.to_whole_mjcf()?)?;
+        // MuJoCo's rays pass through what cannot be seen; drones do not
+        model.patch().geom_rgba_mut().chunks_exact_mut(4).for_each(|rgba| rgba[3] = 1.0);
         let (mut joints, mut bodies) = (Vec::new(), Vec::new());
         for index in 0..world.drones.len() {
             let joint: JointId = model.find(&World::drone_name(index))?;

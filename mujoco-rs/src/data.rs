@@ -220,6 +220,23 @@ impl Data {
         self.raw().time
     }
 
+    /// Moves a geom to a place in the world frame, m, until the next [`kinematics`](Self::kinematics) or step: for rays and
+    /// pictures.
+    ///
+    /// # Errors
+    /// [`Error::NotOfModel`]; [`Error::Value`] for a coordinate that is not finite or exceeds 1e10.
+    pub fn set_geom_xpos(&mut self, geom: GeomId, position: [f64; 3]) -> Result<(), Error> {
+        let count = self.model().ngeom();
+        if geom.index() >= count {
+            return Err(Error::NotOfModel { kind: GeomId::KIND, index: geom.index(), count });
+        }
+        crate::limits::position(&position)?;
+        // SAFETY: finite numbers within MuJoCo's range; as many places as the model has geoms.
+        let places = unsafe { self.geom_xpos_mut() };
+        places[3 * geom.index()..][..3].copy_from_slice(&position);
+        Ok(())
+    }
+
     /// Sets the simulated time, s.
     pub fn set_time(&mut self, time: f64) {
         self.raw_mut().time = time;

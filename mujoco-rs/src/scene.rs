@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::data::Data;
 use crate::error::Error;
-use crate::id::{BodyId, CameraId, ObjectId};
+use crate::id::{BodyId, CameraId, GeomId, ObjectId};
 use crate::model::Model;
 use crate::runtime::guarded;
 
@@ -180,18 +180,32 @@ pub struct Scene {
     full: i32,
     /// Type and index of the object of each segment.
     objects: Vec<[i32; 2]>,
+    /// Point of the world that is the origin of what OpenGL is given, m.
+    origin: [f64; 3],
+    ground: Option<GeomId>,
 }
 
 // SAFETY: plain memory without thread affinity, owned by this value alone.
 unsafe impl Send for Scene {}
 
 impl Scene {
+    /// Spacing of the points, in m, that are the origin of what is drawn. OpenGL computes in single precision: 1 km away it would be
+    /// wrong by tenths of a millimetre at every vertex. So coordinates are counted from the point of this grid that is closest to
+    /// the camera; up to half the spacing from the world's origin that is the world's origin.
+    pub const GRID: f64 = 128.0;
+    /// Most shapes that can be added.
+    pub const MAX_DECOR: usize = 1_000_000;
+
     /// A scene with room for `decor` shapes beside the model's own.
     ///
     /// # Errors
-    /// [`Error::Raised`] where MuJoCo cannot allocate it.
+    /// [`Error::Value`] for more than [`MAX_DECOR`](Self::MAX_DECOR) shapes, [`Error::Raised`] where MuJoCo cannot allocate it.
     pub fn new(model: impl Into<Arc<Model>>, decor: usize) -> Result<Self, Error> {
         crate::check_library()?;
+        if decor > Self::MAX_DECOR {
+            let what = "the number of shapes that are not in the model";
+            return Err(Error::Value { what, got: decor as f64, expected: "up to 1,000,000" });
+        }
         let model = model.into();
         let mut raw: Box<MaybeUninit<mujoco_sys::mjvScene>> = Box::new_uninit();
         let mut options = MaybeUninit::uninit();
@@ -206,7 +220,14 @@ impl Scene {
             guarded("mjv_makeScene", status)?;
             (raw.assume_init(), options.assume_init())
         };
-        Ok(Self { raw, options, model, camera_set: false, full: 0, objects: Vec::new() })
+        let (objects, origin) = (Vec::new(), [0.0; 3]);
+        Ok(Self { raw, options, model, camera_set: false, full: 0, objects, origin, ground: None })
+    }
+
+    /// Names a horizontal plane that has no end: it is drawn under the camera however far away that is, moved by whole multiples
+    /// of [`GRID`](Self::GRID) along x and y, which must be multiples of the period of its texture.
+    pub fn set_ground(&mut self, plane: Option<GeomId>) {
+        self.ground = plane;
     }
 
     /// Which of the six geom groups are drawn; MuJoCo's default is the first three.
@@ -251,6 +272,8 @@ impl Scene {
         self.camera_set = status == 0;
         guarded("mjv_updateScene", status)?;
         self.full = self.raw.ngeom;
+        self.origin = [0.0; 3];
+        self.recentre(data);
         self.objects.clear();
         self.objects.resize(self.geoms().len(), [-1, -1]);
         for slot in 0..self.objects.len() {
@@ -270,6 +293,15 @@ impl Scene {
         }
         // SAFETY: MuJoCo, or `add`, has filled this many entries.
         unsafe { std::slice::from_raw_parts(self.raw.geoms, count) }
+    }
+
+    fn geoms_mut(&mut self) -> &mut [mujoco_sys::mjvGeom] {
+        let count = usize::try_from(self.full).unwrap_or(0);
+        if count == 0 {
+            return &mut [];
+        }
+        // SAFETY: as for `geoms`, and borrowed mutably.
+        unsafe { std::slice::from_raw_parts_mut(self.raw.geoms, count) }
     }
 
     /// Leaves the geoms of one body out of what is drawn (or none), until the next [`update`](Self::update): what a
@@ -312,7 +344,51 @@ impl Scene {
         let status =
             unsafe { mujoco_sys::mjshim_look(self.model.as_ptr(), data.as_ptr(), &mut camera, &mut *self.raw) };
         self.camera_set = status == 0;
-        guarded("mjv_updateCamera", status)
+        guarded("mjv_updateCamera", status)?;
+        self.recentre(data);
+        Ok(())
+    }
+
+    /// Counts coordinates from the point of the grid that is closest to the camera. The camera and the lights have just been written,
+    /// in the world's coordinates.
+    fn recentre(&mut self, data: &Data) {
+        let eye = self.raw.camera[0].pos.map(f64::from);
+        // skins have their vertices in the world's coordinates
+        let origin = if self.raw.nskin > 0 { [0.0; 3] } else { eye.map(|x| (x / Self::GRID).round() * Self::GRID) };
+        if !origin.iter().all(|x| x.is_finite()) {
+            return;
+        }
+        let moved = origin != self.origin;
+        let (before, ground) = (std::mem::replace(&mut self.origin, origin), self.ground);
+        let (exact, plane) = (data.geom_xpos(), mujoco_sys::mjtGeom_::mjGEOM_PLANE as i32);
+        for geom in self.geoms_mut() {
+            let id =
+                usize::try_from(geom.objid).ok().filter(|_| geom.objtype == mujoco_sys::mjtObj_::mjOBJ_GEOM as i32);
+            let is_ground = id.is_some() && id == ground.map(|ground| ground.index());
+            if !moved && !is_ground {
+                continue;
+            }
+            for axis in 0..3 {
+                let old = f64::from(geom.pos[axis]) + before[axis];
+                geom.pos[axis] = match id.and_then(|id| exact.get(3 * id + axis)) {
+                    Some(&at) if is_ground && axis < 2 => {
+                        let at = at - origin[axis];
+                        at - (at / Self::GRID).round() * Self::GRID
+                    }
+                    // MuJoCo moves other planes by itself, where they have no end
+                    Some(&at) if geom.type_ != plane || is_ground => at - origin[axis],
+                    _ => old - origin[axis],
+                } as f32;
+            }
+        }
+        let lights = usize::try_from(self.raw.nlight).unwrap_or(0).min(self.raw.lights.len());
+        let raw = &mut *self.raw;
+        let lights = raw.lights[..lights].iter_mut().map(|light| &mut light.pos);
+        for position in raw.camera.iter_mut().map(|camera| &mut camera.pos).chain(lights) {
+            for (x, origin) in position.iter_mut().zip(origin) {
+                *x = (f64::from(*x) - origin) as f32;
+            }
+        }
     }
 
     /// Takes the data's model over, where it is this one or a copy whose numbers have been patched.
@@ -337,6 +413,8 @@ impl Scene {
             return false;
         };
         let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        let origin = self.origin;
+        let local = |point: [f64; 3]| -> [f64; 3] { std::array::from_fn(|i| point[i] - origin[i]) };
         // SAFETY: the slot lies within the buffer of maxgeom entries; the calls fill it.
         unsafe {
             let target = self.raw.geoms.add(slot);
@@ -345,12 +423,13 @@ impl Scene {
                     target,
                     kind as i32,
                     size.as_ptr(),
-                    position.as_ptr(),
+                    local(position).as_ptr(),
                     identity.as_ptr(),
                     rgba.as_ptr(),
                 );
             };
             let connect = |kind: u32, width: f64, a: [f64; 3], b: [f64; 3]| {
+                let (a, b) = (local(a), local(b));
                 mujoco_sys::mjv_makeConnector(target, kind as i32, width, a[0], a[1], a[2], b[0], b[1], b[2]);
             };
             match decor {

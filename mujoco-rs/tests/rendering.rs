@@ -328,6 +328,160 @@ fn wrong_buffers_scenes_and_sizes_are_errors() {
     assert_eq!(studio.rgb(size).len(), rgb.len(), "and everything still works");
 }
 
+/// A side of 2^28 texels overwrote Mesa's stack.
+#[test]
+fn a_quality_beyond_its_limits_is_an_error() {
+    let Some(studio) = studio(ROOM, Quality::FAST) else { return };
+    let model = studio.data.shared_model();
+    for quality in [
+        Quality { shadow_map: 1 << 28, ..Quality::FAST },
+        Quality { shadow_map: u32::MAX, ..Quality::PRETTY },
+        Quality { shadow_map: Quality::MAX_SHADOW_MAP + 1, ..Quality::FAST },
+        Quality { samples: Quality::MAX_SAMPLES + 1, ..Quality::PRETTY },
+        Quality { samples: u32::MAX, ..Quality::FAST },
+    ] {
+        let error = Renderer::new(Arc::clone(&model), quality).unwrap_err();
+        assert!(matches!(error, Error::Value { .. }), "{quality:?}: {error}");
+    }
+    // what a driver cannot do is less, not nothing
+    let mut many = Renderer::new(Arc::clone(&model), Quality { samples: Quality::MAX_SAMPLES, shadow_map: 1 }).unwrap();
+    let mut studio = studio;
+    studio.see("ahead");
+    let size = SIZES[0];
+    many.rgb(&mut studio.scene, size, &mut vec![0; 3 * size.pixels()]).unwrap();
+    assert!(matches!(Scene::new(model, usize::MAX).unwrap_err(), Error::Value { .. }));
+    for reach in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(many.set_shadow_reach(reach).unwrap_err(), Error::Value { .. }));
+    }
+}
+
+/// The floor ended 50 m from the world's origin here (1 km in a simulation), and single precision made depth ten times worse at
+/// 900 m.
+#[test]
+fn a_ground_without_end_is_seen_the_same_at_every_place() {
+    let size = SIZES[1];
+    let look = |x: f64, y: f64, z: f64, ground: bool| {
+        let room = ROOM.replace(r#"pos="0 0 1.3""#, &format!(r#"pos="{x} {y} {}""#, z + 1.3)).replace(
+            r#"<body name="box" pos="0 0.1 0.5">"#,
+            &format!(r#"<body name="box" pos="{x} {} {}">"#, y + 2.0, z + 0.5),
+        );
+        let mut studio =
+            studio(&room.replace(r#"type="plane""#, &format!(r#"type="plane" pos="0 0 {z}""#)), Quality::FAST)?;
+        if ground {
+            let floor = studio.data.model().find::<GeomId>("floor").unwrap();
+            studio.scene.set_ground(Some(floor));
+        }
+        studio.see("down");
+        let (at, rays) = studio.rays("down", size);
+        let (rgb, depth, objects) = (studio.rgb(size), studio.depth(size), studio.segmentation(size));
+        let floor = [5, studio.data.model().find::<GeomId>("floor").unwrap().index() as i32];
+        let mut worst: f64 = 0.0;
+        for ((ray, z_seen), object) in rays.iter().zip(&depth).zip(&objects) {
+            let distance = (z - at[2]) / ray[2];
+            if *object == floor && distance < 4.0 {
+                worst = worst.max((f64::from(*z_seen) - distance).abs());
+            }
+        }
+        let count = objects.iter().filter(|object| **object == floor).count();
+        Some((rgb, objects, count, worst))
+    };
+    let Some((rgb, objects, count, worst)) = look(0.0, 0.0, 0.0, true) else { return };
+    assert!(count > 60_000 && worst < 3e-4, "{count} {worst}");
+    let plain = look(0.0, 0.0, 0.0, false).unwrap();
+    assert!(plain.0 == rgb && plain.1 == objects, "the same bits near the origin");
+    for place in
+        [[900.0, 0.0, 0.0], [-900.0, 900.0, 0.0], [5000.0, -3000.0, 0.0], [5000.0, 5000.0, 3000.0], [1e5, 0.0, 0.0]]
+    {
+        let [x, y, z] = place;
+        let there = look(x, y, z, true).unwrap();
+        // positions themselves are rounded to a quarter of a millimetre at 5 km, to 4 mm at 100 km
+        let rounding = 2e-7 * x.abs().max(z.abs());
+        assert!(there.3 < 3e-4 + rounding, "{place:?}: {}", there.3);
+        let other = objects.iter().zip(&there.1).filter(|(a, b)| a != b).count();
+        assert!(other * 200 < objects.len(), "{place:?}: {other} pixels show another object");
+        let darker = rgb.iter().zip(&there.0).filter(|(a, b)| a.abs_diff(**b) > 3).count();
+        assert!(darker * 100 < rgb.len(), "{place:?}: {darker} values differ");
+    }
+    assert!(look(5000.0, 0.0, 0.0, false).unwrap().2 == 0, "an ordinary plane ends");
+}
+
+/// What is added far away is drawn where it was put.
+#[test]
+fn decoration_far_from_the_origin_is_where_it_belongs() {
+    let far = ROOM.replace(r#"pos="0 -2 0.5""#, r#"pos="4000 998 0.5""#);
+    let Some(mut studio) = studio(&far, Quality::FAST) else { return };
+    studio.see("ahead");
+    let blue = [0.0, 0.0, 1.0, 1.0];
+    assert!(studio.scene.add(Decor::Sphere { centre: [4000.0, 999.0, 0.5], radius: 0.2 }, blue));
+    assert!(studio.scene.add(Decor::Rod { from: [3999.5, 999.0, 0.9], to: [4000.5, 999.0, 0.9], radius: 0.05 }, blue));
+    let size = SIZES[0];
+    let depth = studio.depth(size);
+    assert!((depth[24 * 64 + 32] - 0.8).abs() < 5e-3, "{}", depth[24 * 64 + 32]);
+    assert!((depth[8 * 64 + 32] - 0.95).abs() < 5e-2, "{}", depth[8 * 64 + 32]);
+}
+
+/// The variable was set in every process that linked this crate, also in those that never draw, and in their children.
+#[test]
+fn the_rasteriser_has_no_threads_and_the_environment_stays_as_it_was() {
+    const CHILD: &str = "MUJOCO_RS_TEST_THREADS";
+    if let Ok(expected) = std::env::var(CHILD) {
+        let before: Vec<_> = std::env::vars_os().collect();
+        let Some(mut studio) = studio(ROOM, Quality::FAST) else { return };
+        studio.see("ahead");
+        studio.rgb(SIZES[0]);
+        assert_eq!(std::env::vars_os().collect::<Vec<_>>(), before);
+        let is_rasteriser = |id: &std::fs::DirEntry| {
+            let name = std::fs::read_to_string(id.path().join("comm"));
+            name.is_ok_and(|name| name.starts_with("llvmpipe"))
+        };
+        let count = std::fs::read_dir("/proc/self/task").unwrap().flatten().filter(is_rasteriser).count();
+        let is_software = gl_info().unwrap().device.contains("llvmpipe");
+        assert_eq!(count > 0, is_software && expected == "some", "{count} threads");
+        return;
+    }
+    for (own, expected) in [(None, "none"), (Some("0"), "none"), (Some("2"), "some")] {
+        let mut command = std::process::Command::new(std::env::current_exe().unwrap());
+        command.args(["--exact", "the_rasteriser_has_no_threads_and_the_environment_stays_as_it_was"]);
+        command.env_remove("LP_NUM_THREADS").env(CHILD, expected);
+        if let Some(own) = own {
+            command.env("LP_NUM_THREADS", own);
+        }
+        assert!(command.status().unwrap().success(), "{own:?}");
+    }
+}
+
+/// One number of every kind there is.
+fn any_number() -> impl Strategy<Value = f64> {
+    prop_oneof![
+        -10.0..10.0,
+        prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, f64::MAX, -1e38, 1e30, 1e-300, 0.0])
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, ..ProptestConfig::default() })]
+
+    /// Shapes with numbers that are none draw something or nothing, and leave the rest alone.
+    #[test]
+    fn shapes_of_any_numbers_can_be_drawn(numbers in prop::collection::vec(any_number(), 7), colour in any::<[f32; 4]>()) {
+        let Some(mut studio) = studio(ROOM, Quality::FAST) else { return Ok(()) };
+        studio.see("ahead");
+        let before = studio.segmentation(SIZES[0]);
+        let (a, b, size) = ([numbers[0], numbers[1], numbers[2]], [numbers[3], numbers[4], numbers[5]], numbers[6]);
+        studio.scene.add(Decor::Sphere { centre: a, radius: size }, colour);
+        studio.scene.add(Decor::Rod { from: a, to: b, radius: size }, colour);
+        studio.scene.add(Decor::Line { from: a, to: b, width: size }, colour);
+        studio.scene.add(Decor::Arrow { from: a, to: b, radius: size }, colour);
+        studio.rgb(SIZES[0]);
+        let camera = Camera::Free { lookat: a, distance: size, azimuth: b[0], elevation: b[1] };
+        if studio.scene.look(&mut studio.data, &camera).is_ok() {
+            studio.rgb(SIZES[0]);
+        }
+        studio.see("ahead");
+        prop_assert!(studio.segmentation(SIZES[0]) == before);
+    }
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 40, ..ProptestConfig::default() })]
 
