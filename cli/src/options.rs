@@ -281,6 +281,9 @@ impl FlightOptions {
     }
 }
 
+/// Most drones that the built-in pilot of antipodal brings to their goals.
+const MAX_SWAPPING: usize = 16;
+
 /// Velocities behind a safety filter, which is what the task is for.
 fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn Env>, EnvError> {
     let response = match controller {
@@ -292,6 +295,14 @@ fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn En
     // a drone has somewhat left of the way to its setpoint when the filter speaks
     let filter = CollisionCone::new(1.2 * task.safety_radius);
     let env = config.with_task(task).action_type(ActionType::Vel).controller(controller).build()?;
+    let drones = env.simulation().num_drones();
+    if drones > MAX_SWAPPING {
+        return Err(EnvError::Option {
+            option: "--num-drones",
+            got: drones.to_string(),
+            expected: "at most 16 with the built-in pilot of antipodal, which more drones bring to a stop in the middle",
+        });
+    }
     Ok(Box::new(SafetyWrapper::new(env, filter)?.response(response)?))
 }
 

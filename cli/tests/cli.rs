@@ -71,6 +71,7 @@ fn wrong_command_lines_are_one_line_and_status_2() {
     refused(&["fly", "--task", "hover", "--seed", "-1"], 2, &["--seed", "-1"]);
     refused(&["fly", "--task", "hover", "--camera", "front"], 2, &["--gif"]);
     refused(&["fly", "--task", "hover", "--drone", "cf2"], 2, &["did you mean `cf2x`?"]);
+    refused(&["fly", "--task", "antipodal", "--num-drones", "17"], 2, &["--num-drones is 17, expected at most 16"]);
     refused(&["land"], 2, &["land"]);
     refused(&[], 2, &["--help"]);
 }
