@@ -1,0 +1,229 @@
+//! What is fuzzed.
+
+use aviary::control::trajectory;
+use aviary::drone::{DroneModel, DroneParams};
+use aviary::env::{Conditions, Env as _, EnvConfig, Rng};
+use aviary::policy::Policy;
+use aviary::record::{Flight, RecordError, Scenario, read_actions};
+use aviary::simulation::Simulation;
+use aviary::tasks;
+use aviary::world::{ObstacleConfig, check_obj};
+use learn::TrainConfig;
+use mujoco_rs::{Assets, Data, Model};
+use rand_chacha::rand_core::SeedableRng as _;
+
+/// One kind of input.
+#[derive(Debug, Clone, Copy)]
+pub struct Target {
+    /// Name on the command line and of the directory in `fuzz/corpus`.
+    pub name: &'static str,
+    /// The input, and what becomes of one that is accepted.
+    pub about: &'static str,
+    /// Further inputs to start from, relative to the root of the repository.
+    pub more: &'static [&'static str],
+    /// Takes an input: nothing where it is accepted, the message of the error where not. A panic is a finding.
+    pub run: fn(&[u8]) -> Result<(), String>,
+}
+
+/// All targets.
+pub static ALL: [Target; 11] = [
+    Target { name: "actions", about: "motor speeds as CSV", more: &[], run: actions },
+    Target {
+        name: "airframe",
+        about: "an airframe as TOML: written and read again, then flown for two control steps",
+        more: &["assets/airframes/cf2x.toml", "assets/airframes/cf2p.toml", "assets/airframes/race.toml"],
+        run: airframe,
+    },
+    Target {
+        name: "conditions",
+        about: "wind, obstacles and randomization as TOML: written and read again, then flown for two control steps",
+        more: &[],
+        run: conditions,
+    },
+    Target { name: "flight", about: "a recorded flight as CSV", more: &[], run: flight },
+    Target {
+        name: "mesh",
+        about: "an OBJ mesh: compiled by MuJoCo where the check lets it through",
+        more: &[],
+        run: mesh,
+    },
+    Target { name: "mjcf", about: "a scene as MJCF text: compiled and stepped", more: &[], run: mjcf },
+    Target {
+        name: "obstacles",
+        about: "obstacles as TOML: written and read again, then flown among",
+        more: &[],
+        run: obstacles,
+    },
+    Target {
+        name: "policy",
+        about: "a policy in safetensors: written and read again, then asked for an action",
+        more: &["assets/policies/hover.safetensors"],
+        run: policy,
+    },
+    Target {
+        name: "scenario",
+        about: "the scenario of a replay as TOML: flown for a control step",
+        more: &[
+            "tests/reference/mjc_cf2x.toml",
+            "tests/reference/mjc_dw_close.toml",
+            "tests/reference/body_fixed_cf2x.toml",
+        ],
+        run: scenario,
+    },
+    Target {
+        name: "training",
+        about: "a training configuration as TOML: checked, written and read again",
+        more: &["assets/policies/hover_randomized.toml", "assets/policies/disturbed.toml"],
+        run: training,
+    },
+    Target { name: "trajectory", about: "a trajectory as TOML: sampled over its duration", more: &[], run: trajectory },
+];
+
+/// Names of all targets.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    ALL.iter().map(|target| target.name)
+}
+
+fn text(input: &[u8]) -> Result<&str, String> {
+    std::str::from_utf8(input).map_err(|error| error.to_string())
+}
+
+fn message(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+fn actions(input: &[u8]) -> Result<(), String> {
+    // the first byte says how many drones there are
+    let drones = input.first().map_or(1, |byte| 1 + usize::from(byte % 3));
+    let rows = read_actions(input.get(1..).unwrap_or_default(), drones).map_err(message)?;
+    assert!(rows.iter().all(|row| row.len() == drones && row.iter().flatten().all(|x| x.is_finite())));
+    Ok(())
+}
+
+fn airframe(input: &[u8]) -> Result<(), String> {
+    let params = DroneParams::from_toml(text(input)?).map_err(message)?;
+    let derived = [params.hover_rpm(), params.max_rpm(), params.max_thrust(), params.ground_effect_clip()];
+    assert!(derived.iter().all(|x| x.is_finite() && *x >= 0.0), "{derived:?}");
+    let written = toml::to_string(&params).map_err(message)?;
+    assert_eq!(DroneParams::from_toml(&written).as_ref(), Ok(&params), "{written}");
+    let hover = params.hover_rpm();
+    let height = 2.0 * params.collision_height + params.collision_radius;
+    let mut simulation =
+        Simulation::builder(params).initial_positions([[0.0, 0.0, height]]).build().map_err(message)?;
+    for _ in 0..2 {
+        simulation.step(&[[hover; 4]]).map_err(message)?;
+    }
+    Ok(())
+}
+
+fn conditions(input: &[u8]) -> Result<(), String> {
+    let conditions = Conditions::from_toml(text(input)?).map_err(message)?;
+    let written = toml::to_string(&conditions).map_err(message)?;
+    assert_eq!(Conditions::from_toml(&written).as_ref(), Ok(&conditions), "{written}");
+    let mut env = tasks::make("hover", EnvConfig::default().conditions(&conditions)).map_err(message)?;
+    env.reset(Some(1)).map_err(message)?;
+    for _ in 0..2 {
+        env.step(&[0.0; 4]).map_err(message)?;
+    }
+    Ok(())
+}
+
+fn flight(input: &[u8]) -> Result<(), String> {
+    let file = tempfile::NamedTempFile::new().map_err(message)?;
+    std::fs::write(file.path(), input).map_err(message)?;
+    // the file has another name every time
+    let nameless = |error: RecordError| error.to_string().replace(&*file.path().to_string_lossy(), "");
+    let flight = Flight::read(file.path()).map_err(nameless)?;
+    assert!(flight.drones.iter().flatten().all(|sample| sample.state.is_finite()));
+    Ok(())
+}
+
+fn mesh(input: &[u8]) -> Result<(), String> {
+    check_obj(input)?;
+    let scene = "<mujoco><asset><mesh name='m' file='m.obj'/></asset>\
+        <worldbody><geom type='mesh' mesh='m' contype='0' conaffinity='0'/></worldbody></mujoco>";
+    let model = Model::from_xml_with_assets(scene, &Assets::new().with("m.obj", input)).map_err(message)?;
+    let numbers = model.mesh_vert().iter().chain(model.mesh_normal());
+    assert!(numbers.copied().all(f32::is_finite));
+    Ok(())
+}
+
+fn mjcf(input: &[u8]) -> Result<(), String> {
+    let text = text(input)?;
+    // what is in files is for the other targets
+    if text.contains("file") || text.contains("dir") {
+        return Err("a scene that names files".into());
+    }
+    let mut data = Data::new(Model::from_xml(text).map_err(message)?).map_err(message)?;
+    for _ in 0..3 {
+        data.step().map_err(message)?;
+    }
+    let _ = data.ray([0.1, 0.2, 3.0], [0.1, 0.0, -1.0], [true; 6], None).map_err(message)?;
+    Ok(())
+}
+
+fn obstacles(input: &[u8]) -> Result<(), String> {
+    let config: ObstacleConfig = toml::from_str(text(input)?).map_err(|error| error.message().to_string())?;
+    config.validate().map_err(message)?;
+    let written = toml::to_string(&config).map_err(message)?;
+    assert_eq!(toml::from_str(&written).as_ref(), Ok(&config), "{written}");
+    let start = [0.0, 0.0, 0.5];
+    let obstacles = config.generate(&[start], &mut Rng::seed_from_u64(1)).map_err(message)?;
+    let mut simulation = Simulation::builder(DroneModel::Cf2x)
+        .initial_positions([start])
+        .initial_velocities([[1.0, 0.5, -2.0]])
+        .obstacles(obstacles)
+        .build()
+        .map_err(message)?;
+    for _ in 0..3 {
+        simulation.step(&[[10_000.0; 4]]).map_err(message)?;
+    }
+    Ok(())
+}
+
+fn policy(input: &[u8]) -> Result<(), String> {
+    let policy = Policy::from_bytes(input).map_err(message)?;
+    let mut action = vec![0.0; policy.action_size()];
+    policy.act(&vec![0.5; policy.observation_size()], &mut action);
+    let written = policy.to_bytes().map_err(message)?;
+    assert_eq!(Policy::from_bytes(&written).and_then(|again| again.to_bytes()).as_ref(), Ok(&written));
+    Ok(())
+}
+
+fn scenario(input: &[u8]) -> Result<(), String> {
+    let scenario = Scenario::from_toml(text(input)?).map_err(message)?;
+    if scenario.drone_model.ends_with(".toml") {
+        return Err("an airframe in a file".into());
+    }
+    // many drones take seconds, and so do many physics steps
+    if scenario.num_drones > 8 && scenario.num_drones <= Simulation::MAX_DRONES {
+        return Err("many drones".into());
+    }
+    let mut simulation = scenario.simulation().map_err(message)?;
+    if simulation.substeps() <= 100 {
+        let commands = vec![[12_000.0; 4]; simulation.num_drones()];
+        simulation.step(&commands).map_err(message)?;
+    }
+    Ok(())
+}
+
+fn training(input: &[u8]) -> Result<(), String> {
+    let mut config = TrainConfig::of_task("hover").map_err(message)?;
+    config.read_toml(text(input)?).map_err(message)?;
+    config.validate().map_err(message)?;
+    let written = config.to_toml().map_err(message)?;
+    let mut again = TrainConfig::of_task("hover").map_err(message)?;
+    again.read_toml(&written).unwrap_or_else(|error| panic!("{error}\n{written}"));
+    assert_eq!(again.to_toml().as_deref().ok(), Some(&*written));
+    Ok(())
+}
+
+fn trajectory(input: &[u8]) -> Result<(), String> {
+    let trajectory = trajectory::from_toml(text(input)?).map_err(message)?;
+    let duration = trajectory.duration();
+    for part in 0..=20 {
+        let reference = trajectory.reference(duration * f64::from(part) / 20.0);
+        assert!(reference.position.iter().all(|x| x.is_finite()), "{reference:?}");
+    }
+    Ok(())
+}
