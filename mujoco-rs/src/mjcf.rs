@@ -101,7 +101,6 @@ const LENGTHS: &[&str] = &[
     "extent",
     "anchor",
     "scale",
-    "mass",
 ];
 
 /// Whole numbers by which MuJoCo allocates, with what they may be.
