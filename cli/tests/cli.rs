@@ -850,7 +850,7 @@ fn wind_obstacles_and_randomization_are_flown_from_options_and_files() {
         refused(&["fly", "--task", "hover", "--config", text(&path)], 2, texts);
     };
     refuse("[wind]\nmodel = \"stormy\"\n", &["conditions.toml", "line 2"]);
-    refuse("[wind]\nturbulence = -1\n", &["conditions.toml", "turbulence is -1"]);
+    refuse("[wind]\nmodel = \"dryden\"\nturbulence = -1\n", &["conditions.toml", "turbulence is -1"]);
     refuse("[obstacles]\nkind = \"forest\"\ncount = 900\n", &["of 900 obstacles fit"]);
     refuse(
         "[obstacles]\nkind = \"custom\"\n[[obstacles.custom]]\nshape = \"box\"\nsize = [1]\nposition = [0, 0, 0]\n",
