@@ -47,7 +47,7 @@ fn commands(page: &str) -> Vec<String> {
                     .filter(|text| !general(text) && !text.contains('…'))
                     // the name of a command alone is no command line
                     .filter(|text| {
-                        !["fly", "capture", "render", "replay", "train", "play"]
+                        !["fly", "capture", "render", "replay", "train", "play", "airframe"]
                             .iter()
                             .any(|name| *text == format!("aviary {name}"))
                     })
