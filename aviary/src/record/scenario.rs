@@ -13,7 +13,7 @@ use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
-use crate::world::{Forcing, Integrator, Medium, Obstacle, ObstacleConfig, ObstacleKind};
+use crate::world::{Forcing, Integrator, Medium, Obstacle, ObstacleConfig, ObstacleKind, World};
 
 /// The start and the rules of a flight.
 ///
@@ -58,9 +58,12 @@ pub struct Scenario {
     #[serde(deserialize_with = "crate::error::triples")]
     pub initial_rpys: Vec<[f64; 3]>,
     /// Initial attitudes `[w, x, y, z]`, body to world, of unit length, where the episode starts from others than those of the
-    /// compiled scene, which is level then. They are those of `initial_rpys`, to the last bit.
+    /// compiled scene. They are those of `initial_rpys`, to the last bit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub initial_quaternions: Option<Vec<[f64; 4]>>,
+    /// Roll, pitch, yaw that the scene is compiled with where there are `initial_quaternions`, rad; level by default.
+    #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
+    pub scene_rpys: Option<Vec<[f64; 3]>>,
     /// Initial velocities, world frame, m/s.
     #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
     pub initial_velocities: Option<Vec<[f64; 3]>>,
@@ -217,14 +220,18 @@ impl Scenario {
         let all = |vector: fn(&DroneState) -> Vector3<f64>| -> Vec<[f64; 3]> {
             states.iter().map(|state| vector(state).into()).collect()
         };
-        let moving = |list: Vec<[f64; 3]>| list.iter().flatten().any(|&x| x != 0.0).then_some(list);
+        let nonzero = |list: Vec<[f64; 3]>| list.iter().flatten().any(|&x| x != 0.0).then_some(list);
         // attitudes of the compiled scene: MuJoCo's inertia has their rounding
         let scene: Vec<[f64; 3]> = world.drones.iter().map(|drone| drone.rpy.into()).collect();
         let quaternions: Vec<_> = states.iter().map(|state| wxyz(&state.attitude)).collect();
         let bits = |q: [f64; 4]| q.map(f64::to_bits);
         let of_scene = scene.iter().map(|&rpy| bits(wxyz(&attitude_from_rpy(rpy.into()))));
         let exact = of_scene.eq(quaternions.iter().copied().map(bits));
-        let rpys = if exact { scene } else { all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect() };
+        let (rpys, scene) = if exact {
+            (scene, None)
+        } else {
+            (all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect(), nonzero(scene))
+        };
         let body = |drone| ScenarioBody {
             airframe: simulation.params(drone).clone(),
             actuators: *simulation.actuator_params(drone),
@@ -242,8 +249,9 @@ impl Scenario {
             initial_xyzs: all(|state| state.position),
             initial_rpys: rpys,
             initial_quaternions: (!exact).then_some(quaternions),
-            initial_velocities: moving(all(|state| state.velocity)),
-            initial_angular_velocities: moving(all(|state| state.angular_velocity)),
+            scene_rpys: scene,
+            initial_velocities: nonzero(all(|state| state.velocity)),
+            initial_angular_velocities: nonzero(all(|state| state.angular_velocity)),
             forcing: world.forcing,
             integrator: match world.integrator {
                 Integrator::Rk4 => IntegratorName::Rk4,
@@ -297,25 +305,36 @@ impl Scenario {
         let (quaternions, bodies) = (self.initial_quaternions.as_ref(), self.bodies.as_ref());
         let lengths = [("initial_quaternions", quaternions.map(Vec::len)), ("bodies", bodies.map(Vec::len))];
         let vectors = [
-            ("initial_xyzs", Some(&self.initial_xyzs)),
-            ("initial_rpys", Some(&self.initial_rpys)),
-            ("initial_velocities", self.initial_velocities.as_ref()),
-            ("initial_angular_velocities", self.initial_angular_velocities.as_ref()),
+            ("initial_xyzs", Some(&self.initial_xyzs), World::MAX_COORDINATE),
+            ("initial_rpys", Some(&self.initial_rpys), World::MAX_ANGLE),
+            ("scene_rpys", self.scene_rpys.as_ref(), World::MAX_ANGLE),
+            // what is faster than this is no flight, and MuJoCo gives up on it
+            ("initial_velocities", self.initial_velocities.as_ref(), 1e9),
+            ("initial_angular_velocities", self.initial_angular_velocities.as_ref(), 1e9),
         ];
-        let vector_lengths = vectors.map(|(field, list)| (field, list.map(Vec::len)));
+        let vector_lengths = vectors.map(|(field, list, _)| (field, list.map(Vec::len)));
         for (field, length) in vector_lengths.into_iter().chain(lengths) {
             if let Some(length) = length.filter(|&length| length != self.num_drones) {
                 let (found, drones) = (crate::count(length, "entry"), crate::count(self.num_drones, "drone"));
                 return Err(self.wrong(field, format!("{found}, expected one for each of {drones}")));
             }
         }
-        for (field, list) in vectors {
+        for (field, list, most) in vectors {
             let Some(list) = list else { continue };
-            // what is further away or faster than this is no flight, and MuJoCo gives up on it
-            if let Some(got) = list.iter().flatten().find(|x| !(-1e9..=1e9).contains(*x)) {
-                return Err(self.wrong(field, format!("{got}, expected finite numbers between -1e9 and 1e9")));
+            if let Some(got) = list.iter().flatten().find(|x| !(-most..=most).contains(*x)) {
+                return Err(self.wrong(field, format!("{got}, expected finite numbers within ±{most:e}")));
             }
         }
+        if self.scene_rpys.is_some() && quaternions.is_none() {
+            return Err(
+                self.wrong("scene_rpys", "there are no initial_quaternions, expected both or initial_rpys alone")
+            );
+        }
+        let level = vec![[0.0; 3]; self.num_drones];
+        let scene = match quaternions {
+            Some(_) => self.scene_rpys.as_ref().unwrap_or(&level),
+            None => &self.initial_rpys,
+        };
         if let Some(medium) = self.medium {
             for (what, got) in [("density", medium.density), ("viscosity", medium.viscosity)] {
                 if !(0.0..=1e5).contains(&got) {
@@ -331,7 +350,7 @@ impl Scenario {
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .initial_positions(self.initial_xyzs.iter().copied())
-            .initial_rpys(self.initial_rpys.iter().map(|&rpy| if quaternions.is_some() { [0.0; 3] } else { rpy }))
+            .initial_rpys(scene.iter().copied())
             .medium(self.medium)
             .forcing(self.forcing)
             .integrator(match self.integrator {
@@ -409,13 +428,14 @@ impl Scenario {
 }
 
 /// Fields of a scenario that can be impossible although they are well-formed.
-const FIELDS: [&str; 14] = [
+const FIELDS: [&str; 15] = [
     "drone_model",
     "num_drones",
     "sim_freq",
     "initial_xyzs",
     "initial_rpys",
     "initial_quaternions",
+    "scene_rpys",
     "initial_velocities",
     "initial_angular_velocities",
     "engine",
@@ -456,6 +476,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         assert!(message("num_drones = 1", "num_drones = 2").starts_with("line 7: initial_xyzs: 1 entry"));
         assert!(message("1.0]]", "nan]]").starts_with("line 7: initial_xyzs: NaN"));
         assert!(message("1.0]]", "1e12]]").starts_with("line 7: initial_xyzs: 1000000000000"));
+        let far = message("1.0]]", "2e5]]");
+        assert!(far.starts_with("line 7: initial_xyzs: 200000, expected finite numbers within ±1e5"), "{far}");
+        let turned = message("initial_rpys = [[0.0", "initial_rpys = [[2e3");
+        assert!(turned.starts_with("line 8: initial_rpys: 2000, expected finite numbers within ±1e3"), "{turned}");
         assert!(message("1.0]]", "1.0, 7]]").contains("4 numbers, expected 3"));
         assert!(message("1.0]]", "1.0], [1.0]]").contains("line"));
         assert!(message("ctrl_freq = 48\n", "ctrl_freq = 48\nengine = \"bullet\"\n").contains("bullet"));
@@ -483,6 +507,11 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             message("initial_quaternions = [[0, 1, 0, 0]]\n").contains("another attitude than that of initial_rpys")
         );
         assert!(message("initial_quaternions = []\n").contains("0 entries, expected one for each of 1 drone"));
+        assert!(
+            message("scene_rpys = [[0, 0, 1]]\n").starts_with("line 9: scene_rpys: there are no initial_quaternions")
+        );
+        let two = message("initial_quaternions = [[1, 0, 0, 0]]\nscene_rpys = [[0, 0, 1], [0, 0, 1]]\n");
+        assert!(two.starts_with("line 10: scene_rpys: 2 entries, expected one for each of 1 drone"), "{two}");
         assert!(message("gravity = nan\n").starts_with("line 9: gravity"));
         assert!(message("[obstacles]\nkind = \"forest\"\n").contains("expected custom"));
         let hybrid = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"hybrid\"\n";
@@ -507,6 +536,52 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("different airframes"));
     }
 
+    /// The flight of a field may be flown again, however many bars its gates have.
+    #[test]
+    fn the_largest_field_that_is_placed_at_random_can_be_listed() {
+        let gates =
+            ObstacleConfig { count: 501, arena: [200.0, 200.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Gates) };
+        let mut rng = <crate::env::Rng as rand::SeedableRng>::seed_from_u64(1);
+        let bars = gates.generate(&[[0.0, 0.0, 0.1]], &mut rng).unwrap();
+        assert_eq!(bars.len(), 2004);
+        let mut list = ObstacleConfig { custom: bars.clone(), ..ObstacleConfig::new(ObstacleKind::Custom) };
+        list.validate().unwrap();
+        list.count = bars.len();
+        list.validate().unwrap();
+        list.custom.resize(ObstacleConfig::MAX_CUSTOM + 1, bars[0]);
+        list.count = 0;
+        assert!(list.validate().unwrap_err().to_string().contains("is 8001, expected 0 to 8000"));
+    }
+
+    /// MuJoCo's numbers of a turned scene have other last bits than those of a level one, wherever its drones start.
+    #[test]
+    fn a_turned_scene_is_compiled_turned_again() {
+        let mut as_level = 0;
+        let scenes = [[0.0, 0.0, 1.0], [0.0, 0.0, 2.1], [0.0, 0.0, -0.6], [0.4, -0.2, 1.0], [1.3, 0.7, -2.9]];
+        for rpy in scenes {
+            let mut simulation = Simulation::builder(DroneModel::Cf2x).initial_rpys([rpy]).build().unwrap();
+            assert_eq!(Scenario::of(&simulation).unwrap().scene_rpys, None);
+            let start = DroneState {
+                angular_velocity: Vector3::new(3.0, -2.0, 5.0),
+                ..DroneState::at_rest(Vector3::new(0.1, 0.2, 1.0), Vector3::new(0.1, -0.2, 0.7))
+            };
+            simulation.reset_to(&[start]).unwrap();
+            let scenario = Scenario::of(&simulation).unwrap();
+            assert_eq!(scenario.scene_rpys, Some(vec![rpy]));
+            let mut again = scenario.simulation().unwrap();
+            let mut level = Scenario { scene_rpys: None, ..scenario }.simulation().unwrap();
+            for step in 0..100 {
+                let speeds = [[14_000.0, 14_500.0, 14_200.0 + f64::from(step), 14_300.0]];
+                for simulation in [&mut simulation, &mut again, &mut level] {
+                    simulation.step(&speeds).unwrap();
+                }
+                assert_eq!(again.states(), simulation.states(), "{rpy:?}, step {step}");
+            }
+            as_level += usize::from(level.states() == simulation.states());
+        }
+        assert!(as_level < scenes.len(), "level scenes fly to the same bits, so that this test shows nothing");
+    }
+
     fn vector(size: f64) -> impl Strategy<Value = [f64; 3]> {
         prop::array::uniform3(-size..size)
     }
@@ -525,11 +600,13 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             lag in prop::option::of(0.0..0.1_f64),
             heavier in prop::option::of(0.9..1.3_f64),
             gravity in prop::option::of(9.0..10.0_f64),
+            scene in prop::option::of(vector(3.1)),
         ) {
             let count = starts.len();
             let engine = if hybrid && physics != Physics::Dyn { EngineKind::Hybrid } else { EngineKind::Mujoco };
             let mut simulation = Simulation::builder(DroneModel::Cf2p)
                 .num_drones(count)
+                .initial_rpys(vec![scene.unwrap_or_default(); count])
                 .physics(physics)
                 .engine(engine)
                 .wind(wind.map(|_| WindConfig::new(WindModel::Combined)))

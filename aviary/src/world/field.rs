@@ -261,8 +261,11 @@ impl ObstacleConfig {
     /// Depth of the space before and behind a doorway that furniture keeps out of, m.
     const PASSAGE: f64 = 0.4;
 
-    /// Most obstacles of a field.
+    /// Largest [`count`](Self::count) of obstacles that are placed at random.
     pub const MAX_COUNT: usize = 2000;
+
+    /// Largest length of a custom list: the largest field of any other kind, gates of four bars each, is such a list.
+    pub const MAX_CUSTOM: usize = 4 * Self::MAX_COUNT;
 
     /// The defaults of a kind.
     pub fn new(kind: ObstacleKind) -> Self {
@@ -286,14 +289,16 @@ impl ObstacleConfig {
         let check = |field, got: f64, least: f64, most: f64, expected| {
             if (least..=most).contains(&got) { Ok(()) } else { Err(FieldError::Option { field, got, expected }) }
         };
-        check("count", self.count as f64, 0.0, Self::MAX_COUNT as f64, "0 to 2000")?;
+        let custom = self.kind == ObstacleKind::Custom;
+        let (most, range) = if custom { (Self::MAX_CUSTOM, "0 to 8000") } else { (Self::MAX_COUNT, "0 to 2000") };
+        check("count", self.count as f64, 0.0, most as f64, range)?;
         for side in self.arena {
             check("arena", side, 0.5, 1e3, "sides of 0.5 to 1000 m")?;
         }
         check("spacing", self.spacing, 0.0, 1e3, "0 to 1000 m")?;
         check("safe_zone", self.safe_zone, 0.0, 1e3, "0 to 1000 m")?;
-        if self.kind == ObstacleKind::Custom {
-            check("number of custom obstacles", self.custom.len() as f64, 0.0, Self::MAX_COUNT as f64, "0 to 2000")?;
+        if custom {
+            check("number of custom obstacles", self.custom.len() as f64, 0.0, most as f64, range)?;
         }
         for (index, obstacle) in self.custom.iter().enumerate() {
             obstacle.validate(&format!("custom obstacle {index}"))?;
