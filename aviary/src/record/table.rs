@@ -115,12 +115,14 @@ pub(super) struct Row {
 pub(super) type TableError = (usize, String);
 
 /// The text of a table without a byte-order mark and without what a killed program has left unfinished: a log that was
-/// not closed ends in empty lines, and an unfinished row comes after one of them or has no end.
-pub(super) fn finished(bytes: &[u8]) -> Result<&str, TableError> {
-    let mut whole = 0;
+/// not closed ends in empty lines, and an unfinished row comes after one of them or has no end. The second value is the file from
+/// the first empty line on; it is empty where there is no such line.
+fn finished(bytes: &[u8]) -> Result<(&str, &[u8]), TableError> {
+    let (mut whole, mut rest) = (0, &bytes[bytes.len()..]);
     for end in (0..bytes.len()).filter(|&at| bytes[at] == b'\n') {
         let blank = bytes[whole..end].iter().all(u8::is_ascii_whitespace);
         if blank && whole > 0 {
+            rest = &bytes[whole..];
             break;
         }
         whole = end + 1;
@@ -129,7 +131,7 @@ pub(super) fn finished(bytes: &[u8]) -> Result<&str, TableError> {
         let line = bytes[..error.valid_up_to()].iter().filter(|&&byte| byte == b'\n').count() + 1;
         (line, "a byte that is not UTF-8 text".to_string())
     })?;
-    Ok(crate::without_byte_order_mark(text))
+    Ok((crate::without_byte_order_mark(text), rest))
 }
 
 /// Whether a line is the header of a table of states, of any version.
@@ -139,13 +141,19 @@ pub(super) fn is_header(line: &str) -> bool {
 
 /// Reads a table.
 pub(super) fn read(bytes: &[u8]) -> Result<Vec<Row>, TableError> {
-    let text = finished(bytes)?;
+    let (text, rest) = finished(bytes)?;
     let mut lines = text.lines().enumerate().map(|(index, line)| (index + 1, line));
     let Some((line, header)) = lines.next() else {
         return Err((1, "the file is empty, expected a line with the names of the columns".into()));
     };
     let columns = Columns::of(header).map_err(|message| (line, message))?;
-    lines.map(|(line, row)| columns.row(line, row).map_err(|message| (line, message))).collect()
+    let rows = lines.map(|(line, row)| columns.row(line, row).map_err(|message| (line, message)));
+    let rows = rows.collect::<Result<Vec<_>, _>>()?;
+    if let Some(index) = columns.row_in(&String::from_utf8_lossy(rest), rows.last()) {
+        let line = text.lines().count() + index + 1;
+        return Err((line, "a row after an empty line, expected no empty lines between rows".into()));
+    }
+    Ok(rows)
 }
 
 /// Where a table has its columns.
@@ -179,6 +187,23 @@ impl Columns {
             ));
         }
         Ok(Self { cells, has })
+    }
+
+    /// Index of the line where what follows the first empty line of a table has more than one unfinished row.
+    fn row_in(&self, rest: &str, last: Option<&Row>) -> Option<usize> {
+        // the first byte of a row is written last: without it, a time has no digit before the point or is an earlier one
+        let unfinished = |line: &str| {
+            let cell = line.split(',').next().unwrap_or_default().trim();
+            let earlier = |time: f64| last.is_some_and(|row| time < row.time);
+            self.cells.first() == Some(&Some(0)) && (cell.starts_with(['.', 'e']) || cell.parse().is_ok_and(earlier))
+        };
+        // an unfinished row may be in pieces
+        let mut commas = 0;
+        rest.lines().position(|line| {
+            let here = line.matches(',').count();
+            commas += here;
+            commas >= self.cells.len() || (here + 1 == self.cells.len() && !unfinished(line))
+        })
     }
 
     fn row(&self, line: usize, text: &str) -> Result<Row, String> {
@@ -299,5 +324,27 @@ mod tests {
             let text = format!("{HEADER}\n{row}\n{rest}");
             assert_eq!(read(text.as_bytes()).unwrap().len(), 1, "{rest:?}");
         }
+        // all of a row but its first byte, after t = 0 and after t = 10
+        for (time, rest) in [("0", ".5"), ("10", "0.5")] {
+            let row = |time: &str| row.replacen('0', time, 1);
+            let text = format!("{HEADER}\n{}\n\n{}\n\n\n", row(time), row(rest));
+            assert_eq!(read(text.as_bytes()).unwrap().len(), 1, "{rest}");
+        }
+    }
+
+    #[test]
+    fn a_whole_row_after_an_empty_line_is_refused_by_its_line() {
+        let row = |time: &str| format!("{time},1,0,0,1,1,0,0,0,0,0,0,0,0,0");
+        let refused_at = |rest: &str| {
+            let (line, message) = read(format!("{HEADER}\n{}\n{rest}", row("1.0")).as_bytes()).unwrap_err();
+            assert!(message.starts_with("a row after an empty line, expected"), "{message}");
+            line
+        };
+        assert_eq!(refused_at(&format!("\n{}\n", row("1.5"))), 4);
+        assert_eq!(refused_at(&format!("\n\r\n{}\n{}\n", row("1.5"), row("2.0"))), 5);
+        // a row of another drone at the same time, without an end
+        assert_eq!(refused_at(&format!("\n{}", row("1.0"))), 4);
+        // two unfinished rows
+        assert_eq!(refused_at("\n0,1,2,3,4,5,6,7,8\n0,1,2,3,4,5,6,7,8\n"), 5);
     }
 }
