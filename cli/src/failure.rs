@@ -101,7 +101,8 @@ fn wrong_number(error: &clap::Error) -> Option<String> {
         "a number".to_string()
     } else if let Some(error) = source.downcast_ref::<ParseIntError>() {
         match error.kind() {
-            IntErrorKind::PosOverflow => format!("a whole number up to {}", u64::MAX),
+            // options have different limits, and the error does not name that of this one
+            IntErrorKind::PosOverflow => "a smaller whole number".into(),
             _ => "a whole number, zero or positive".into(),
         }
     } else if let Some((_, range)) = range.split_once(" is not in ") {

@@ -273,7 +273,16 @@ fn lock(path: &Path) -> Result<(), Failure> {
         let metadata = directory.metadata()?;
         Ok::<_, std::io::Error>((metadata.dev(), metadata.ino(), directory))
     };
-    let (device, inode, directory) = open().with_context(|| path.display().to_string()).map_err(Failure::work)?;
+    let not_locked =
+        |error: &std::io::Error| tracing::warn!("{}: the directory is not locked: {error}", path.display());
+    let (device, inode, directory) = match open() {
+        // only what can be read can be locked, and files can be written to a directory that cannot be read
+        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
+            not_locked(&error);
+            return Ok(());
+        }
+        opened => opened.with_context(|| path.display().to_string()).map_err(Failure::work)?,
+    };
     let mut locked = LOCKED.lock().unwrap_or_else(PoisonError::into_inner);
     if locked.iter().any(|&(d, i, _)| (d, i) == (device, inode)) {
         return Ok(());
@@ -287,7 +296,7 @@ fn lock(path: &Path) -> Result<(), Failure> {
             )));
         }
         // some network file systems have no locks, which is no reason not to work
-        Err(TryLockError::Error(error)) => tracing::warn!("{}: the directory is not locked: {error}", path.display()),
+        Err(TryLockError::Error(error)) => not_locked(&error),
     }
     Ok(())
 }

@@ -412,6 +412,22 @@ fn a_directory_that_another_run_writes_to_is_refused() {
 }
 
 #[test]
+fn a_directory_that_can_be_written_to_and_not_read_takes_files() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let dir = directory("not-readable");
+    std::fs::create_dir_all(&dir).unwrap();
+    let mode = |mode| std::fs::set_permissions(&dir, std::fs::Permissions::from_mode(mode)).unwrap();
+    mode(0o300);
+    let output = aviary(&["fly", "--task", "hover", "--duration", "0.1", "--out", text(&dir)]);
+    // root reads it all the same
+    let locked = std::fs::File::open(&dir).is_ok();
+    mode(0o700);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(dir.join("drone0.csv").is_file() && dir.join("scenario.toml").is_file(), "{error}");
+    assert_eq!(error.contains("the directory is not locked"), !locked, "{error}");
+}
+
+#[test]
 fn plots_and_films_are_written_and_named() {
     let dir = directory("plots");
     let output = aviary(&["fly", "--task", "multi_hover", "--duration", "1", "--plot", "--json", "--out", text(&dir)]);
@@ -555,7 +571,7 @@ fn a_device_that_is_not_there_is_said_so_by_every_command() {
 
 #[test]
 fn impossible_pictures_are_refused_on_one_line() {
-    let out = directory("refused").join("x.png");
+    let out = directory("pictures-refused").join("x.png");
     let render = |more: &[&str], status: i32, texts: &[&str]| {
         refused(&[&["render", "--task", "hover", "--out", text(&out)], more].concat(), status, texts);
         assert!(!out.exists());
@@ -624,7 +640,7 @@ fn airframes_are_checked_for_numbers_that_no_quadrotor_has() {
     let table = String::from_utf8(aviary(&["airframe", "cf2x"]).stdout).unwrap();
     assert!(table.contains("14476 rpm") && table.contains("0.6667") && !table.contains("warning"), "{table}");
 
-    let dir = directory("airframes");
+    let dir = directory("airframes-checked");
     std::fs::create_dir_all(&dir).unwrap();
     let path = dir.join("in_grams.toml");
     let crazyflie = include_str!("../../assets/airframes/cf2x.toml");

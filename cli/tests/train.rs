@@ -143,7 +143,7 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
 
 #[test]
 fn an_earlier_run_is_not_replaced() {
-    let out = directory("earlier");
+    let out = directory("train_earlier");
     let train = [&["train", "--task", "hover", "--out", text(&out)][..], &SMALL].concat();
     assert_eq!(aviary(&train).status.code(), Some(0));
     let files = || ["checkpoint.safetensors", "policy.safetensors"].map(|name| std::fs::read(out.join(name)).unwrap());
@@ -318,7 +318,7 @@ fn a_policy_is_flown_under_what_it_was_trained_under() {
 
 #[test]
 fn what_cannot_be_trained_or_flown_is_refused_on_one_line() {
-    let out = directory("refused");
+    let out = directory("train_refused");
     let path = text(&out);
     refused(&["train", "--task", "hoover", "--out", path], 2, &["hoover", "did you mean `hover`"]);
     refused(&["train", "--out", path], 2, &["--task"]);
