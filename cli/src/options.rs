@@ -69,13 +69,17 @@ pub struct ConditionOptions {
 impl ConditionOptions {
     /// Wind, obstacles and randomization, obstacles where a seed has them.
     pub fn read(&self, seed: u64) -> Result<Conditions, Failure> {
-        self.read_with(seed, |path, choice| Conditions::from_file_with(path, choice).map_err(Failure::input))
+        let mut conditions =
+            self.read_with(|path, choice| Conditions::from_file_with(path, choice).map_err(Failure::input))?;
+        if let Some(obstacles) = &mut conditions.obstacles {
+            obstacles.seed.get_or_insert(seed);
+        }
+        Ok(conditions)
     }
 
     /// Wind, obstacles and randomization, with a reader for the file of --config, of the kinds that --wind and --obstacles choose.
     pub fn read_with(
         &self,
-        seed: u64,
         read: impl FnOnce(&Path, &ConditionChoice) -> Result<Conditions, Failure>,
     ) -> Result<Conditions, Failure> {
         let kinds = obstacle_kinds();
@@ -87,14 +91,10 @@ impl ConditionOptions {
             one_of("obstacles", name, &kinds.iter().map(|kind| kind.name()).collect::<Vec<_>>())?;
             choice.obstacles = kinds.into_iter().find(|kind| kind.name() == name);
         }
-        let mut conditions = match &self.config {
-            Some(path) => read(path, &choice)?,
-            None => Conditions::from_toml_with("", &choice).map_err(Failure::input)?,
-        };
-        if let Some(obstacles) = &mut conditions.obstacles {
-            obstacles.seed.get_or_insert(seed);
+        match &self.config {
+            Some(path) => read(path, &choice),
+            None => Conditions::from_toml_with("", &choice).map_err(Failure::input),
         }
-        Ok(conditions)
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use aviary::drone::DroneModel;
-use aviary::env::{Conditions, Env};
+use aviary::env::Env;
 use aviary::physics::Physics;
 use aviary::policy::Policy;
 use aviary::tasks;
@@ -60,7 +60,7 @@ pub struct Play {
     /// Simulated seconds of an episode; the task's by default
     #[arg(long, allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Seed of the first episode; the others have the next ones
+    /// Seed of the first episode; the others have the next ones. Obstacles have the seed in [obstacles] of --config, or 0
     #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     #[command(flatten)]
@@ -118,12 +118,10 @@ impl Play {
             let in_file = |error: TrainError| anyhow!("{}: its training: {error}", self.policy.display());
             config.read_toml(text).map_err(in_file).map_err(Failure::input)?;
         } else {
-            let said = self.conditions.read_with(self.seed, |path, choice| {
-                config.read_file(path).map_err(Failure::input)?;
-                let in_file = |message: String| Failure::input(anyhow!("{}: {message}", path.display()));
-                let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-                let sections = TrainConfig::conditions_of(&text).map_err(|error| in_file(error.to_string()))?;
-                Conditions::from_toml_with(&sections, choice).map_err(|error| in_file(error.to_string()))
+            // without a seed of their own, obstacles keep the layout of the training: --seed is that of the episodes
+            let said = self.conditions.read_with(|path, choice| {
+                config.read_file_with(path, choice).map_err(Failure::input)?;
+                Ok(config.conditions.clone())
             })?;
             // a randomization has been added to the task's starts already
             (config.conditions.wind, config.conditions.obstacles) = (said.wind, said.obstacles);
@@ -216,4 +214,45 @@ fn table(config: &TrainConfig, flown: &[Episode]) -> String {
         config.success,
         score.reward
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use learn::Trainer;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        play: Play,
+    }
+
+    #[test]
+    fn the_file_of_a_training_gives_the_obstacles_of_the_training() {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("forest.toml");
+        let obstacles = |config: &TrainConfig| config.environment().unwrap().simulation().world().obstacles.clone();
+        let fly = |policy: &Policy, more: &[&str]| {
+            let line = [&["play", "--policy", "a.safetensors", "--seed", "5000"][..], more].concat();
+            obstacles(&Line::try_parse_from(line).unwrap().play.config(policy).unwrap())
+        };
+        let mut layouts = Vec::new();
+        for seed in ["", "seed = 7\n"] {
+            std::fs::write(&file, format!("[obstacles]\nkind = \"forest\"\n{seed}[ppo]\nenvironments = 2\n")).unwrap();
+            let mut config = TrainConfig::of_task("hover").unwrap();
+            config.seed = 3;
+            config.read_file(&file).unwrap();
+            let trained = obstacles(&config);
+            let trainer = Trainer::new(config, "a test").unwrap();
+            assert_eq!(fly(trainer.best(), &["--as-trained"]), trained, "{seed}");
+            assert_eq!(fly(trainer.best(), &["--config", file.to_str().unwrap()]), trained, "{seed}");
+            if seed.is_empty() {
+                assert_eq!(fly(trainer.best(), &["--obstacles", "forest"]), trained);
+            }
+            layouts.push(trained);
+        }
+        assert_ne!(layouts[0], layouts[1]);
+    }
 }

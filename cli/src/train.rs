@@ -23,7 +23,7 @@ use crate::output::{self, OutputDir};
 ///
 /// Ctrl-C (SIGINT), SIGTERM and SIGHUP end the run after the current iteration and print the command that continues it; a second
 /// signal ends it at once. Exit status: 1 where --until-success has no success, 128 plus the number of the signal (130, 143, 129)
-/// after a signal. Without a terminal, every evaluation prints one line on standard error.
+/// after a signal. Without a terminal, every evaluation prints one line on standard error, except with --json.
 #[derive(Debug, Args)]
 #[command(group(ArgGroup::new("what").required(true).args(["task", "all", "resume"])))]
 #[command(after_help = "Examples:
@@ -65,7 +65,7 @@ pub struct Train {
     /// Print the configuration that would be trained with, as TOML, and train nothing
     #[arg(long, conflicts_with_all = ["resume", "all"])]
     show: bool,
-    /// Print JSON instead of a table
+    /// Print JSON instead of a table, and neither notes nor evaluations on standard error
     #[arg(long)]
     json: bool,
 }
@@ -98,10 +98,10 @@ impl Train {
                 Run::begin(trainer, &out)?
             }
         };
-        if self.steps.is_some() {
+        if self.steps.is_some() && !self.json {
             run.note_rounded_steps();
         }
-        let run = run.finish()?;
+        let run = run.finish(self.json)?;
         if self.json {
             output::print_json(&run.json())?;
         } else {
@@ -158,7 +158,7 @@ impl Train {
             let mut config = self.config(task)?;
             config.episodes = config.episodes.min(8);
             let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
-            let run = Run::begin(trainer, &out.join(task))?.finish()?;
+            let run = Run::begin(trainer, &out.join(task))?.finish(self.json)?;
             let curve = run.trainer.curve();
             let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.report.mean_reward);
             rows.push((
@@ -225,7 +225,7 @@ impl Run {
         // a directory without a checkpoint is not created
         let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
         let mut trainer = Trainer::resume(&path).map_err(Failure::input)?;
-        trainer.extend(steps, until_success);
+        trainer.extend(steps, until_success).map_err(Failure::input)?;
         let Some(out) = locked.filter(|_| trainer.stop().is_none()) else {
             let steps = trainer.steps();
             return Err(Failure::input(anyhow!(
@@ -254,10 +254,11 @@ impl Run {
         self.trainer.config().steps.div_ceil(iteration).saturating_mul(iteration)
     }
 
-    fn finish(mut self) -> Result<Self, Failure> {
+    /// Trains to the end. A quiet run prints no evaluations.
+    fn finish(mut self, quiet: bool) -> Result<Self, Failure> {
         let total = self.total_steps();
         let bar = output::progress_with(total, "{msg} {wide_bar} {human_pos}/{human_len} {eta}");
-        let watched = std::io::stderr().is_terminal();
+        let lines = !quiet && !std::io::stderr().is_terminal();
         interrupt::defer();
         while self.trainer.stop().is_none() {
             if let Some(signal) = interrupt::received() {
@@ -275,7 +276,7 @@ impl Run {
             }
             bar.set_position(self.trainer.steps());
             bar.set_message(self.message());
-            if evaluated && !watched {
+            if evaluated && lines {
                 let (task, steps) = (&self.trainer.config().task, self.trainer.steps());
                 say(&format!("{task}: {steps} of {total} steps, {}", self.message()));
             }

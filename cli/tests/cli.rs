@@ -7,7 +7,7 @@ use serde_json::Value;
 
 mod common;
 
-use common::{aviary, directory, refused, text};
+use common::{Running, aviary, directory, refused, text};
 
 #[test]
 fn hover_reaches_its_height_and_says_so() {
@@ -316,10 +316,10 @@ fn what_is_no_file_is_not_replaced_by_one_and_links_stay_links() {
 }
 
 /// Starts the program, with the signals of a terminal's programs.
-fn spawn(arguments: &[&str]) -> Child {
+fn spawn(arguments: &[&str]) -> Running {
     let mut command = Command::new("env");
     command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary")]).args(arguments);
-    command.stdout(Stdio::null()).spawn().unwrap()
+    Running::start(command.stdout(Stdio::null()))
 }
 
 fn send(signal: &str, child: &Child) {
@@ -380,11 +380,10 @@ fn an_interrupted_capture_or_film_leaves_no_half_of_a_file() {
 #[test]
 fn a_hangup_that_nohup_ignores_ends_nothing() {
     let dir = directory("nohup");
-    let mut child = Command::new("sh")
-        .args(["-c", "trap '' HUP; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_aviary")])
-        .args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)])
-        .spawn()
-        .unwrap();
+    let mut command = Command::new("sh");
+    command.args(["-c", "trap '' HUP; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_aviary")]);
+    command.args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)]);
+    let mut child = Running::start(&mut command);
     wait_for_rows(&dir, &mut child, 10);
     send("-HUP", &child);
     let rows = aviary::record::Flight::read(&dir).unwrap().drones[0].len();

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 mod common;
 
-use common::{aviary, directory, refused, text};
+use common::{Running, aviary, directory, refused, text};
 
 /// Runs a command that must succeed and gives its standard output.
 fn run(arguments: &[&str]) -> String {
@@ -439,12 +439,10 @@ fn a_capture_that_is_killed_or_interrupted_keeps_every_label() {
     }
     for signal in ["-KILL", "-INT", "-HUP"] {
         let dir = directory(&format!("killed-capture{signal}"));
-        let mut child = Command::new("env")
-            .args(["--default-signal", env!("CARGO_BIN_EXE_aviary"), "capture", "--task", "multi_hover"])
-            .args(["--obstacles", "forest", "--size", "16x12", "--frames", "1000000", "--out", text(&dir)])
-            .stdout(Stdio::null())
-            .spawn()
-            .unwrap();
+        let mut command = Command::new("env");
+        command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary"), "capture", "--task", "multi_hover"]);
+        command.args(["--obstacles", "forest", "--size", "16x12", "--frames", "1000000", "--out", text(&dir)]);
+        let mut child = Running::start(command.stdout(Stdio::null()));
         while !dir.join("segmentation/000040_0.png").exists() {
             assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
             std::thread::sleep(std::time::Duration::from_millis(5));

@@ -8,7 +8,11 @@ use serde_json::Value;
 
 mod common;
 
-use common::{aviary, directory, refused, text};
+use common::{Running, aviary, directory, refused, text};
+use learn::Trainer;
+
+/// Steps of a run that a test ends.
+const LONG: u64 = 20_000_000;
 
 /// Options of a run that is over soon.
 const SMALL: [&str; 6] = ["--envs", "64", "--steps", "12288", "--seed", "3"];
@@ -53,38 +57,53 @@ fn a_run_that_is_killed_is_resumed_to_the_same_files() {
     let config = directory("killed_config").with_extension("toml");
     std::fs::create_dir_all(config.parent().unwrap()).unwrap();
     std::fs::write(&config, "checkpoint_every = 2\nevaluate_every = 3\nepisodes = 2\n").unwrap();
-    let run = |out: &std::path::Path| {
+    let run = |steps: u64, out: &Path| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
-        command.args(["train", "--task", "hover", "--envs", "64", "--steps", "40960", "--config", text(&config)]);
-        command.args(["--out", text(out)]).stdout(Stdio::null()).stderr(Stdio::null());
+        command.args(["train", "--task", "hover", "--envs", "64", "--config", text(&config), "--out", text(out)]);
+        command.args(["--steps", &steps.to_string()]).stdout(Stdio::null()).stderr(Stdio::null());
         command
     };
     let (whole, killed) = (directory("whole"), directory("killed"));
-    assert!(run(&whole).status().unwrap().success());
-    let mut child = run(&killed).spawn().unwrap();
-    let checkpoint = killed.join("checkpoint.safetensors");
+    let mut child = Running::start(&mut run(LONG, &killed));
     // beyond the first checkpoint, which is written before anything is done
     wait_for(&killed.join("curve.csv"));
     child.kill().unwrap();
     child.wait().unwrap();
-    let rows = std::fs::read_to_string(killed.join("curve.csv")).unwrap().lines().count();
-    assert!(rows < 41, "it had ended before it was killed");
-    assert!(checkpoint.exists());
-    let output = aviary(&["train", "--resume", text(&killed)]);
+    let saved = Trainer::resume(killed.join("checkpoint.safetensors")).unwrap().steps();
+    assert!(saved > 0);
+    let steps = saved + 6 * 2048;
+    assert!(run(steps, &whole).status().unwrap().success());
+    let output = aviary(&["train", "--resume", text(&killed), "--steps", &steps.to_string()]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    for name in ["policy.safetensors", "curve.csv", "curve.svg"] {
+    for name in ["curve.csv", "curve.svg", "curve.png"] {
         assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(killed.join(name)).unwrap(), "{name}");
     }
+    // the policies differ in the command that made them
+    let best = |run: &Path| tensors(&std::fs::read(run.join("policy.safetensors")).unwrap());
+    assert_eq!(best(&whole), best(&killed));
     // nothing is left to do, and nothing is touched
     let files = ["policy.safetensors", "checkpoint.safetensors", "curve.csv"];
     let before = files.map(|name| std::fs::read(killed.join(name)).unwrap());
     let policy = std::fs::read(killed.join("policy.safetensors")).unwrap();
-    refused(&["train", "--resume", text(&killed)], 2, &["40960 steps are made already"]);
+    refused(&["train", "--resume", text(&killed)], 2, &[&format!("{steps} steps are made already")]);
     assert_eq!(std::fs::read(killed.join("policy.safetensors")).unwrap(), policy);
     assert_eq!(files.map(|name| std::fs::read(killed.join(name)).unwrap()), before);
+    // a number that no checkpoint can hold
+    let large = (1_u64 << 63).to_string();
+    refused(&["train", "--resume", text(&killed), "--steps", &large], 2, &["steps is 9223372036854775808"]);
+    assert_eq!(files.map(|name| std::fs::read(killed.join(name)).unwrap()), before);
     // and it goes on from there
-    let longer = json(&["train", "--resume", text(&killed), "--steps", "45056", "--json"]);
-    assert_eq!(longer["steps"], 45_056);
+    let steps = steps + 2 * 2048;
+    let longer = json(&["train", "--resume", text(&killed), "--steps", &steps.to_string(), "--json"]);
+    assert_eq!(longer["steps"], steps);
+}
+
+/// The tensors of a safetensors file, without the metadata before them.
+fn tensors(bytes: &[u8]) -> Vec<u8> {
+    let metadata = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let tensors = bytes[8 + metadata..].to_vec();
+    assert!(!tensors.is_empty());
+    tensors
 }
 
 /// Waits until a file is there.
@@ -101,23 +120,21 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
     let config = directory("stopped_config").with_extension("toml");
     std::fs::create_dir_all(config.parent().unwrap()).unwrap();
     std::fs::write(&config, "checkpoint_every = 4\nevaluate_every = 3\nepisodes = 2\n").unwrap();
-    let train = ["train", "--task", "hover", "--envs", "64", "--steps", "122880", "--config", text(&config), "--out"];
     let (whole, stopped) = (directory("not stopped"), directory("it is stopped"));
-    let output = aviary(&[&train[..], &[text(&whole)]].concat());
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-
+    let long = LONG.to_string();
+    let train = ["train", "--task", "hover", "--envs", "64", "--steps", &long, "--config", text(&config)];
     let mut arguments: Vec<String> = train.iter().map(ToString::to_string).collect();
-    arguments.push(text(&stopped).into());
+    arguments.extend(["--out".into(), text(&stopped).into()]);
     for (signal, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
         // also where the tests run under nohup, which ignores SIGHUP
         let mut command = Command::new("env");
         command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_aviary")]).args(&arguments);
-        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let child = Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
         // written at the next checkpoint
         wait_for(&stopped.join("curve.csv"));
         let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
         assert!(sent.success());
-        let output = child.wait_with_output().unwrap();
+        let output = child.output();
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(status), "{signal}: {error}");
         assert!(output.stdout.is_empty());
@@ -134,11 +151,25 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
         assert_eq!(left, ["checkpoint.safetensors", "curve.csv", "policy.safetensors"]);
         std::fs::remove_file(stopped.join("curve.csv")).unwrap();
     }
-    let output = aviary(&arguments.iter().map(String::as_str).collect::<Vec<_>>());
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    for name in ["policy.safetensors", "checkpoint.safetensors", "curve.csv", "curve.svg", "curve.png"] {
+    // it ends a little later than the last checkpoint
+    let checkpoint = |run: &Path| Trainer::resume(run.join("checkpoint.safetensors")).unwrap();
+    let steps = (checkpoint(&stopped).steps() + 6 * 2048).to_string();
+    let train = ["train", "--task", "hover", "--envs", "64", "--steps", &steps, "--config", text(&config)];
+    for arguments in [
+        [&train[..], &["--out", text(&whole)]].concat(),
+        ["train", "--resume", text(&stopped), "--steps", &steps].to_vec(),
+    ] {
+        let output = aviary(&arguments);
+        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    for name in ["curve.csv", "curve.svg", "curve.png"] {
         assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(stopped.join(name)).unwrap(), "{name}");
     }
+    // the policies differ in the command that made them
+    let best = |run: &Path| tensors(&std::fs::read(run.join("policy.safetensors")).unwrap());
+    assert_eq!(best(&whole), best(&stopped));
+    let last = |run: &Path| tensors(&checkpoint(run).policy().unwrap().to_bytes().unwrap());
+    assert_eq!(last(&whole), last(&stopped));
 }
 
 #[test]
@@ -173,13 +204,12 @@ fn two_runs_do_not_write_to_one_directory_at_a_time() {
     let out = directory("together");
     let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
     command.args(["train", "--task", "hover", "--envs", "64", "--steps", "20000000", "--out", text(&out)]);
-    let mut first = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let first = Running::start(command.stdout(Stdio::null()).stderr(Stdio::null()));
     wait_for(&out.join("checkpoint.safetensors"));
     let train = [&["train", "--task", "hover", "--out", text(&out)][..], &SMALL].concat();
     refused(&train, 1, &[text(&out), "another run is writing"]);
     refused(&["train", "--resume", text(&out)], 1, &[text(&out), "another run is writing"]);
-    first.kill().unwrap();
-    first.wait().unwrap();
+    drop(first);
 }
 
 #[test]
@@ -192,8 +222,7 @@ fn steps_are_whole_iterations_and_say_so() {
     assert!(error.contains("hover: 2048 of 2048 steps"), "{error}");
     assert!(table.contains("2048 (100 in whole iterations)"), "{table}");
     let longer = aviary(&["train", "--resume", text(&out), "--steps", "2049", "--json"]);
-    let error = String::from_utf8(longer.stderr).unwrap();
-    assert!(error.contains("note: 2049 steps are rounded up to 4096"), "{error}");
+    assert_eq!(String::from_utf8(longer.stderr).unwrap(), "", "JSON alone");
     let run: Value = serde_json::from_slice(&longer.stdout).unwrap();
     assert_eq!((&run["steps"], &run["requested_steps"]), (&4096.into(), &2049.into()));
 }
@@ -324,6 +353,14 @@ fn what_cannot_be_trained_or_flown_is_refused_on_one_line() {
     refused(&["train", "--out", path], 2, &["--task"]);
     refused(&["train", "--task", "hover", "--envs", "0", "--out", path], 2, &["environments is 0"]);
     refused(&["train", "--task", "hover", "--config", "nowhere.toml", "--out", path], 2, &["nowhere.toml"]);
+    let file = directory("no_model").with_extension("toml");
+    std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+    std::fs::write(&file, "[wind]\nvelocity = [3.0, 0.0, 0.0]\n").unwrap();
+    let texts = ["no_model.toml", "[wind] has no model"];
+    refused(&["train", "--task", "hover", "--config", text(&file), "--out", path], 2, &texts);
+    // the option is the model
+    let gust = ["play", "--policy", &pretrained("hover"), "--config", text(&file), "--wind", "gust", "--episodes", "1"];
+    assert_eq!(aviary(&gust).status.code(), Some(0));
     refused(&["train", "--resume", path], 2, &["checkpoint.safetensors"]);
     refused(&["train", "--task", "hover", "--resume", path], 2, &["--resume"]);
     // what was reached is said all the same

@@ -5,7 +5,7 @@ use std::path::Path;
 use aviary::action::ActionType;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::EngineKind;
-use aviary::env::{Conditions, EnvConfig, EnvError, InitialRanges, Randomization};
+use aviary::env::{ConditionChoice, Conditions, EnvConfig, EnvError, InitialRanges, Randomization};
 use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
 use aviary::physics::wind::WindConfig;
@@ -133,6 +133,7 @@ struct Said {
     out_of_bounds: Option<f32>,
     course: Option<CourseRewards>,
     ppo: SaidPpo,
+    // only for line and column of an error: `Conditions` reads these sections again
     wind: Option<WindConfig>,
     obstacles: Option<ObstacleConfig>,
     randomization: Option<Randomization>,
@@ -194,8 +195,17 @@ impl TrainConfig {
     /// # Errors
     /// [`TrainError::Toml`] with line and column, [`TrainError::Env`] for what is impossible in wind, obstacles or randomization.
     pub fn read_toml(&mut self, text: &str) -> Result<(), TrainError> {
+        self.read_toml_with(text, &ConditionChoice::default())
+    }
+
+    /// Reads a configuration in TOML, with the kinds of wind and obstacles that are chosen outside it.
+    ///
+    /// # Errors
+    /// Those of [`read_toml`](Self::read_toml), and a kind in the file that is not the chosen one.
+    pub fn read_toml_with(&mut self, text: &str, choice: &ConditionChoice) -> Result<(), TrainError> {
         let said: Said =
             toml::from_str(text).map_err(|error| TrainError::Toml { message: aviary::toml_message(text, &error) })?;
+        let conditions = Conditions::from_toml_with(&Self::conditions_of(text)?, choice)?;
         macro_rules! take {
             ($($field:ident)*) => {$(
                 if let Some(said) = said.$field {
@@ -209,21 +219,18 @@ impl TrainConfig {
         self.course = said.course.or(self.course);
         self.episode_seconds = said.episode_seconds.or(self.episode_seconds);
         said.ppo.apply(&mut self.ppo);
-        self.conditions.wind = said.wind.or(self.conditions.wind);
-        self.conditions.obstacles = said.obstacles.or(self.conditions.obstacles.take());
-        if let Some(randomization) = said.randomization {
+        self.conditions.wind = conditions.wind.or(self.conditions.wind);
+        self.conditions.obstacles = conditions.obstacles.or(self.conditions.obstacles.take());
+        if let Some(randomization) = conditions.randomization {
             self.randomize(randomization);
         }
         self.conditions.validate()?;
         Ok(())
     }
 
-    /// Returns the sections of a configuration in TOML that describe what is flown under (`[wind]`, `[obstacles]`,
+    /// Returns the sections of a configuration in TOML that describe conditions (`[wind]`, `[obstacles]`,
     /// `[randomization]`), as TOML that [`Conditions::from_toml`] reads.
-    ///
-    /// # Errors
-    /// [`TrainError::Toml`] with line and column.
-    pub fn conditions_of(text: &str) -> Result<String, TrainError> {
+    fn conditions_of(text: &str) -> Result<String, TrainError> {
         let wrong = |error: toml::de::Error| TrainError::Toml { message: aviary::toml_message(text, &error) };
         let mut table: toml::Table = text.parse().map_err(wrong)?;
         table.retain(|key, _| matches!(key, "wind" | "obstacles" | "randomization"));
@@ -259,10 +266,18 @@ impl TrainConfig {
     /// # Errors
     /// [`TrainError::File`] naming it, around what [`read_toml`](Self::read_toml) finds.
     pub fn read_file(&mut self, path: impl AsRef<Path>) -> Result<(), TrainError> {
+        self.read_file_with(path, &ConditionChoice::default())
+    }
+
+    /// Reads a configuration file, with the kinds of wind and obstacles that are chosen outside it.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] naming it, around what [`read_toml_with`](Self::read_toml_with) finds.
+    pub fn read_file_with(&mut self, path: impl AsRef<Path>, choice: &ConditionChoice) -> Result<(), TrainError> {
         let path = path.as_ref();
         let in_file = |message: String| TrainError::File { path: path.into(), message };
         let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-        self.read_toml(&text).map_err(|error| in_file(error.to_string()))
+        self.read_toml_with(&text, choice).map_err(|error| in_file(error.to_string()))
     }
 
     /// Checks every number.

@@ -158,7 +158,11 @@ impl Trainer {
     }
 
     /// Lets a run that was resumed go on for longer, or until it succeeds.
-    pub fn extend(&mut self, steps: Option<u64>, until_success: bool) {
+    ///
+    /// # Errors
+    /// [`TrainError::Option`] for an impossible number of steps, which leaves the run as it was.
+    pub fn extend(&mut self, steps: Option<u64>, until_success: bool) -> Result<(), TrainError> {
+        TrainConfig { steps: steps.unwrap_or(self.config.steps), ..self.config.clone() }.validate()?;
         if let Some(steps) = steps {
             self.command += &format!(", resumed with --steps {steps}");
         }
@@ -168,6 +172,7 @@ impl Trainer {
         self.config.steps = steps.unwrap_or(self.config.steps);
         self.config.until_success |= until_success;
         self.stop = self.out_of_steps();
+        Ok(())
     }
 
     /// Environment steps of an iteration.

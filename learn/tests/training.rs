@@ -118,7 +118,7 @@ fn files_that_are_no_checkpoints_are_refused_by_name() {
         std::fs::write(&path, &damaged).unwrap();
         if let Ok(mut trainer) = Trainer::resume(&path) {
             let _ = trainer.policy().unwrap();
-            trainer.extend(None, false);
+            trainer.extend(None, false).unwrap();
         }
     }
     trainer.best().save(&path).unwrap();

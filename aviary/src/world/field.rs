@@ -83,7 +83,8 @@ pub struct ObstacleConfig {
     /// Whether every episode has another layout; the same for all by default.
     pub new_layout: bool,
     /// Seed of the layout, and of the first one where every episode has another, which takes the place of one that has no room;
-    /// 0 by default, and `--seed` in the program.
+    /// 0 by default. In the program, the default is `--seed`, except in `train` and `play`, where it is 0: every seed trains and flies
+    /// among the same obstacles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
     /// What stands around where the kind is [`Custom`](ObstacleKind::Custom). In TOML `[[custom]]` with `shape` (`box`, `sphere`,

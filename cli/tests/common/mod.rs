@@ -1,7 +1,8 @@
 //! The program as other programs call it.
 
+use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 
 pub fn aviary(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).output().expect("the program starts")
@@ -29,4 +30,43 @@ pub fn refused(arguments: &[&str], status: i32, texts: &[&str]) {
         assert!(error.contains(text), "{arguments:?}: {error}");
     }
     assert!(output.stdout.is_empty());
+}
+
+/// A started program that ends with the test, also where an assertion fails.
+pub struct Running(Option<Child>);
+
+impl Running {
+    pub fn start(command: &mut Command) -> Self {
+        Self(Some(command.spawn().expect("the program starts")))
+    }
+
+    /// Waits for the end of the program, and gives what it has written to its pipes.
+    #[allow(dead_code, reason = "not every file of tests reads the output")]
+    pub fn output(mut self) -> Output {
+        self.0.take().expect("a program").wait_with_output().unwrap()
+    }
+}
+
+impl Deref for Running {
+    type Target = Child;
+
+    fn deref(&self) -> &Child {
+        self.0.as_ref().expect("a program")
+    }
+}
+
+impl DerefMut for Running {
+    fn deref_mut(&mut self) -> &mut Child {
+        self.0.as_mut().expect("a program")
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.0 {
+            // one that has ended already is left alone
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
 }
