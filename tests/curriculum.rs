@@ -111,7 +111,9 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
         };
         let env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_field(field)).unwrap();
         let windy = WindWrapper::new(env, WindConfig::new(WindModel::Combined)).unwrap();
-        let drawn = RandomizationWrapper::new(windy, Randomization::default()).unwrap();
+        // a drawn wind would replace the wrapper's
+        let drawn = Randomization { environment: None, ..Randomization::default() };
+        let drawn = RandomizationWrapper::new(windy, drawn).unwrap();
         let easy = |_: &mut RandomizationWrapper<WindWrapper<Box<dyn Env + Send>>>, _: usize| Ok(());
         check_env(&mut CurriculumWrapper::new(drawn, CurriculumConfig::default(), easy).unwrap()).unwrap();
     }

@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use mujoco_drones_gym::env::{Draw, Randomization, SensorRanges, check_env, check_independence};
 use mujoco_drones_gym::mujoco::{Data, Model};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
-use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
+use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::NAMES;
 use mujoco_drones_gym::world::{DroneBody, Obstacle, Shape, World};
@@ -268,6 +268,39 @@ fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
             RandomizationWrapper::new(windy, some.clone()).unwrap()
         };
         check_env(&mut stacked()).unwrap_or_else(|error| panic!("{error}"));
+    }
+}
+
+/// It was ignored without a message, in whatever order the two were set.
+#[test]
+fn a_wind_next_to_a_drawn_wind_is_refused() {
+    let wind = WindConfig::new(WindModel::Combined);
+    let windy = WindWrapper::new(Hover::builder().build().unwrap(), wind).unwrap();
+    let message = "the wind is combined, expected none";
+    let error = RandomizationWrapper::new(windy, Randomization::default()).map(drop).unwrap_err().to_string();
+    assert!(error.contains(message), "{error}");
+    let mut drawn = Hover::builder().randomization(Randomization::default()).build().unwrap();
+    for _ in 0..2 {
+        let error = drawn.set_wind(Some(wind)).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+        drawn.reset(Some(1)).unwrap();
+    }
+    drawn.set_wind(None).unwrap();
+    drawn.set_randomization(None).unwrap();
+    drawn.set_wind(Some(wind)).unwrap();
+}
+
+/// The filter and the drag in still air are of no wind model: a wind that is drawn has them, too.
+#[test]
+fn a_drawn_wind_keeps_the_filter_of_the_settings() {
+    let settings = WindConfig { filter: DrydenFilter::MilF8785c, ..WindConfig::default() };
+    let build = |settings| Hover::builder().wind(settings).randomization(only("[environment]\n")).build().unwrap();
+    for (settings, filter) in [(settings, DrydenFilter::MilF8785c), (WindConfig::default(), DrydenFilter::FirstOrder)] {
+        let mut env = build(settings);
+        for seed in 0..3 {
+            env.reset(Some(seed)).unwrap();
+            assert_eq!(env.simulation().wind().unwrap().filter, filter);
+        }
     }
 }
 

@@ -211,8 +211,11 @@ impl FlightOptions {
             None => {
                 let default = self.summary()?.defaults.controller;
                 // the paper's PID drifts tens of centimetres in gusts, and its integral is slow to carry a steady wind
-                let windy =
-                    || Ok(self.conditions.read(self.seed)?.wind.is_some_and(|wind| wind.model != WindModel::None));
+                let windy = || {
+                    let conditions = self.conditions.read(self.seed)?;
+                    let drawn = conditions.randomization.is_some_and(|randomization| randomization.draws_wind());
+                    Ok(drawn || conditions.wind.is_some_and(|wind| !wind.is_calm()))
+                };
                 Ok(if default == ControllerKind::Pid && windy()? { ControllerKind::Geometric } else { default })
             }
         }
@@ -414,5 +417,6 @@ mod tests {
         refused(Some("gust"), None, "[wind]\nmodel = \"dryden\"\n", "[wind] has model = \"dryden\"");
         refused(None, Some("urban"), "[obstacles]\nkind = \"forest\"\n", "[obstacles] has kind = \"forest\"");
         refused(None, None, "[wind]\nvelocity = [1.0, 0.0, 0.0]\n", "[wind] has no model");
+        assert!(Conditions::from_toml("[wind]\nstill_air_drag = true\n").unwrap().wind.unwrap().still_air_drag);
     }
 }

@@ -294,7 +294,8 @@ impl<T: Task> Aviary<T> {
             if let Some(old) = self.episode.randomizer.take() {
                 old.undo(&mut self.simulation)?;
             }
-            let next = next.map(|config| Randomizer::new(*config, &self.simulation)).transpose()?;
+            let wind = self.simulation.wind().copied();
+            let next = next.map(|config| Randomizer::new(*config, &self.simulation, wind)).transpose()?;
             self.episode.randomizer = next.map(Box::new);
         }
         let moving = self.moves_obstacles();
@@ -529,6 +530,12 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
+        if let Some(wind) = &wind {
+            match (&self.episode.next_randomization, &self.episode.randomizer) {
+                (Some(next), _) => next.as_ref().map_or(Ok(()), |next| next.check_wind(wind))?,
+                (None, randomizer) => randomizer.as_ref().map_or(Ok(()), |randomizer| randomizer.check_wind(wind))?,
+            }
+        }
         let seed = self.episode.rng.next_u64();
         Ok(self.simulation.set_wind(wind, seed)?)
     }
@@ -536,6 +543,11 @@ impl<T: Task> Env for Aviary<T> {
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
         if let Some(config) = &randomization {
             config.validate()?;
+            let own = match &self.episode.randomizer {
+                Some(randomizer) => randomizer.own_wind(),
+                None => self.simulation.wind(),
+            };
+            own.map_or(Ok(()), |wind| config.check_wind(wind))?;
         }
         self.episode.next_randomization = Some(randomization.map(Box::new));
         Ok(())

@@ -299,7 +299,8 @@ impl<T: Task> AviaryBuilder<T> {
                 expected: "zero or a positive number of metres",
             });
         }
-        if let (Some(randomization), Some(wind)) = (&self.randomization, simulation.wind_config()) {
+        let wind = simulation.wind_config().copied();
+        if let (Some(randomization), Some(wind)) = (&self.randomization, &wind) {
             randomization.check_wind(wind)?;
         }
         if self.field.is_some() && simulation.has_obstacles() {
@@ -368,7 +369,7 @@ impl<T: Task> AviaryBuilder<T> {
             episode: Episode::new(
                 self.task,
                 self.stream,
-                self.randomization.map(|config| Randomizer::new(config, &simulation)).transpose()?,
+                self.randomization.map(|config| Randomizer::new(config, &simulation, wind)).transpose()?,
             ),
             first_layout: simulation.world().obstacles.clone(),
             field: self.field,

@@ -107,7 +107,12 @@ impl Conditions {
         let mut conditions: Self = toml::from_str(text).map_err(wrong)?;
         let mut table: toml::Table = text.parse().map_err(wrong)?;
         let wind = table.get("wind").and_then(toml::Value::as_table);
-        if choice.wind.is_none() && wind.is_some_and(|wind| !wind.is_empty() && !wind.contains_key("model")) {
+        // these have an effect where nothing blows, or on a wind that is drawn
+        let independent = ["still_air_drag", "filter", "air_density"];
+        let needs_model = |wind: &toml::Table| {
+            !wind.contains_key("model") && wind.keys().any(|key| !independent.contains(&key.as_str()))
+        };
+        if choice.wind.is_none() && wind.is_some_and(needs_model) {
             let message = "[wind] has no model, without which nothing blows; expected constant, gust, dryden, sinusoidal, combined \
                 or none"
                 .into();

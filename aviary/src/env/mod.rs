@@ -365,14 +365,15 @@ pub trait Env {
     /// Changes the wind from now on and for the episodes to come; `None` for still air.
     ///
     /// # Errors
-    /// [`EnvError::Simulation`] naming a setting that is impossible.
+    /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that draws
+    /// the wind.
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
 
     /// Draws the body, the sensors, the start, … anew for every episode from the next reset on; `None` for the nominal
     /// ones again.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming a range that is none.
+    /// [`EnvError::Option`] naming a range that is none, or next to a wind that the draws would replace.
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
 
     /// What was drawn for this episode; `None` without randomization.

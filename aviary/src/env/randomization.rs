@@ -372,7 +372,13 @@ fn gaussian(rng: &mut Rng, sigma: f64) -> Vector3<f64> {
 }
 
 impl Randomizer {
-    pub(super) fn new(config: Randomization, simulation: &Simulation) -> Result<Self, EnvError> {
+    /// Starts from a simulation that nothing has been drawn for, and from the settings of its wind, of which a drawn wind keeps
+    /// a part even where they are calm.
+    pub(super) fn new(
+        config: Randomization,
+        simulation: &Simulation,
+        wind: Option<WindConfig>,
+    ) -> Result<Self, EnvError> {
         config.validate()?;
         let nominal: Arc<[_]> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
         let initial = simulation.initial_states().to_vec();
@@ -392,7 +398,6 @@ impl Randomizer {
         let draw = Draw { gravity: 1.0, wind: None, sensor_latency: 0.0, drones: initial.iter().map(still).collect() };
         use rand::SeedableRng as _;
         let motors = (0..nominal.len()).map(|drone| *simulation.actuator_params(drone)).collect();
-        let wind = simulation.wind().copied();
         Ok(Self {
             config: Arc::new(config),
             draw,
@@ -402,6 +407,16 @@ impl Randomizer {
             wind,
             measured: initial,
         })
+    }
+
+    /// Settings of the environment's own wind.
+    pub(super) fn own_wind(&self) -> Option<&WindConfig> {
+        self.wind.as_ref()
+    }
+
+    /// Refuses a wind of the environment that the draws would replace in every episode.
+    pub(super) fn check_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
+        self.config.check_wind(wind)
     }
 
     /// Bytes that it takes, beside what others have, too.
