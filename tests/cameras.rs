@@ -242,3 +242,91 @@ fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
     }
     run(directory.path(), "28");
 }
+
+/// The drawn floor ended 1 km from the origin, and the depth of what is seen at 900 m was ten times as wrong as at the origin.
+#[test]
+fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
+    if no_gl() {
+        return;
+    }
+    let size = ImageSize { width: 160, height: 120 };
+    let simulation = Simulation::builder(DroneModel::Cf2x)
+        .drones([DroneModel::Cf2x, DroneModel::Cf2x].map(DroneModel::params))
+        .initial_positions([[0.2, -0.3, 1.2], [1.2, -0.2, 1.1]])
+        .initial_rpys([[0.0, 0.3, 0.0], [0.0, 0.0, 0.7]])
+        .build()
+        .unwrap();
+    let mut painter = Painter::for_observations(simulation.world()).unwrap();
+    let floor = painter.objects().into_iter().find(|object| object.name == "floor").unwrap();
+    let [fx, fy, cx, cy] = intrinsics(size);
+    let mut look = |offsets: [[f64; 3]; 2]| {
+        let mut states = simulation.states().to_vec();
+        states.iter_mut().zip(offsets).for_each(|(state, offset)| state.position += Vector3::from(offset));
+        painter.update(&states).unwrap();
+        let (mut rgb, mut depth, mut objects) =
+            (vec![0; 4 * size.pixels()], vec![0.0; size.pixels()], vec![[0; 2]; size.pixels()]);
+        // the last drone's first, so that the pictures of the first one are drawn after a camera elsewhere
+        painter.onboard_rgba(1, size, &mut rgb).unwrap();
+        painter.onboard_rgba(0, size, &mut rgb).unwrap();
+        painter.onboard_depth(0, size, &mut depth).unwrap();
+        painter.onboard_segmentation(0, size, &mut objects).unwrap();
+        let state = &states[0];
+        let eye = state.position + state.attitude * Vector3::from(World::CAMERA_POSITION);
+        let (mut worst, mut seen): (f64, usize) = (0.0, 0);
+        for (pixel, object) in objects.iter().enumerate() {
+            let (column, row) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
+            let ray = state.attitude * Vector3::new(1.0, -(column - cx) / fx, -(row - cy) / fy);
+            let distance = -eye.z / ray.z;
+            if *object == [5, floor.index] && distance < 5.0 {
+                worst = worst.max((f64::from(depth[pixel]) - distance).abs());
+                seen += 1;
+            }
+        }
+        // rays of the visible scene meet the floor there too, where all drones are
+        let down =
+            painter.data().ray([eye.x, eye.y, 0.5], [0.0, 0.0, -1.0], [true, false, false, false, false, false], None);
+        assert_eq!(down.unwrap().map(|(geom, distance)| (geom.index() as i32, distance)), Some((floor.index, 0.5)));
+        (rgb, objects, worst, seen)
+    };
+    let (rgb, objects, worst, seen) = look([[0.0; 3]; 2]);
+    assert!(seen > 9000 && worst < 3e-4, "{seen} pixels of floor, depth wrong by {worst} m");
+    for offset in [[900.0, 0.0, 0.0], [0.0, -1200.0, 0.0], [5000.0, -5000.0, 0.0]] {
+        let there = look([offset; 2]);
+        assert!(there.2 < 3e-4, "{offset:?}: depth wrong by {} m", there.2);
+        let other = objects.iter().zip(&there.1).filter(|(a, b)| a != b).count();
+        assert!(other * 200 < objects.len(), "{offset:?}: {other} pixels show another object");
+        let differing = rgb.iter().zip(&there.0).filter(|(a, b)| a.abs_diff(**b) > 8).count();
+        assert!(differing * 50 < rgb.len(), "{offset:?}: {differing} values differ");
+    }
+    // far from each other, each has its floor
+    let apart = look([[0.0; 3], [90.0, 0.0, 0.0]]);
+    assert_eq!(apart.3, look([[0.0; 3]; 2]).3);
+}
+
+/// Shadows ended 1.2 m beyond the drones' starts, and what stands higher than 2 m above them had none.
+#[test]
+fn far_and_high_gates_have_shadows() {
+    if no_gl() {
+        return;
+    }
+    use mujoco_drones_gym::vision::Effects;
+    use mujoco_drones_gym::world::{Marker, Obstacle, Shape};
+    let shape = Shape::Box { half_size: [0.4, 0.4, 0.05] };
+    let place = Vector3::new(5.0, -4.0, 4.5);
+    let gate = Marker { name: "gate".into(), body: Obstacle::new(shape, place) };
+    let env = Hover::builder().markers([gate]).build().unwrap();
+    let size = ImageSize { width: 120, height: 120 };
+    let mut picture = |shadows| {
+        let effects = Effects { shadows, ..Effects::default() };
+        let quality = mujoco_drones_gym::mujoco::Quality::PRETTY;
+        let mut painter = Painter::new(env.simulation().world(), quality, effects).unwrap();
+        painter.set_stage([5.0, -4.0, 0.0], 2.0);
+        painter.update(env.simulation().states()).unwrap();
+        let mut rgb = vec![0; 3 * size.pixels()];
+        painter.rgb(View::Top, size, &mut rgb).unwrap();
+        rgb
+    };
+    let (with, without) = (picture(true), picture(false));
+    let darker = with.iter().zip(&without).filter(|(a, b)| **a < b.saturating_sub(20)).count() / 3;
+    assert!(darker > 100, "{darker} pixels of shadow");
+}

@@ -186,8 +186,17 @@ pub struct Painter {
     /// Distance from which the largest drone fills a good part of the picture, m.
     size: f64,
     sun: usize,
+    floor: GeomId,
+    markers: Vec<Obstacle>,
+    /// Box around the obstacles and markers, if there are any.
+    standing: Option<[Vector3<f64>; 2]>,
     stale: bool,
 }
+
+/// Half of the side of the square, in m, beyond which shadows are left out: its texels are 12 mm wide then.
+const SHADOW_REACH: f64 = 12.0;
+/// Distance of the sun's place from the middle of its square, m; whatever casts shadows is between it and the floor.
+const SUN_DISTANCE: f64 = 40.0;
 
 impl Painter {
     /// For onboard cameras: one sample per pixel, no shadows, no reflections, no sky (black).
@@ -233,6 +242,8 @@ impl Painter {
         let model = data.shared_model();
         let mut scene = Scene::new(model.clone(), 20_000)?;
         scene.set_effects(effects);
+        let floor: GeomId = model.find("floor")?;
+        scene.set_ground(Some(floor));
         let (mut joints, mut bodies, mut cameras) = (Vec::new(), Vec::new(), Vec::new());
         for index in 0..world.drones.len() {
             let joint: JointId = model.find(&World::drone_name(index))?;
@@ -259,6 +270,9 @@ impl Painter {
             spread: stage.1,
             size: world.drones.iter().map(|drone| 6.0 * drone.params.arm_length + 0.1).fold(0.0, f64::max),
             sun,
+            floor,
+            markers: world.markers.iter().map(|marker| marker.body).collect(),
+            standing: bounds(world.obstacles.iter().chain(world.markers.iter().map(|marker| &marker.body))),
             stale: true,
         })
     }
@@ -282,13 +296,34 @@ impl Painter {
         }
         self.data.kinematics()?;
         (self.centre, self.spread) = extent(states.iter().map(|state| state.position));
-        // the shadow map covers a square around the sun's place: it goes where the drones are
-        let above = [self.centre.x, self.centre.y, self.centre.z + 2.0];
-        self.data.light_xpos_mut()[3 * self.sun..][..3].copy_from_slice(&above);
+        // rays meet the floor where the drones are; cameras have it drawn below them
+        let [x, y] = [self.centre.x, self.centre.y].map(|at| (at / Scene::GRID).round() * Scene::GRID);
+        self.data.set_geom_xpos(self.floor, [x, y, 0.0])?;
+        self.cast_shadows(states)?;
         let camera = Camera::Fixed(self.cameras[0]);
         self.scene.update(&mut self.data, &camera)?;
         self.stale = false;
         Ok(())
+    }
+
+    /// Puts the sun and its shadow map where they cover the drones and all that stands around them, or only the drones' surroundings
+    /// where texels would become too wide.
+    fn cast_shadows(&mut self, states: &[DroneState]) -> Result<(), Error> {
+        // a shadow lies on the ray of light through what casts it, so that it is covered where that is
+        let around = Vector3::repeat(0.5 * self.size);
+        let drones = states.iter().flat_map(|state| [state.position - around, state.position + around]);
+        let all = drones.chain(self.standing.into_iter().flatten());
+        let corners = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
+        let (low, high) = all.fold(corners, |(low, high), at| (low.inf(&at), high.sup(&at)));
+        let (mut middle, mut reach) = (0.5 * (low + high), f64::max(0.5 * (high - low).norm(), 1.2));
+        if reach > SHADOW_REACH {
+            (middle, reach) = (self.centre, SHADOW_REACH);
+        }
+        let from = 3 * self.sun;
+        let direction = Vector3::from_column_slice(&self.data.light_xdir()[from..][..3]);
+        let place = middle - SUN_DISTANCE * direction;
+        self.data.light_xpos_mut()[from..][..3].copy_from_slice(place.as_slice());
+        self.renderer.set_shadow_reach(reach)
     }
 
     /// Other obstacles of the same shapes in the same order: what is drawn after the next update.
@@ -305,6 +340,7 @@ impl Painter {
             let colour = obstacle.rgba.map(|x| x as f32);
             model.geom_rgba_mut()[4 * geom.index()..][..4].copy_from_slice(&colour);
         }
+        self.standing = bounds(obstacles.iter().chain(&self.markers));
         Ok(())
     }
 
@@ -516,6 +552,16 @@ fn extent(points: impl Iterator<Item = Vector3<f64>> + Clone) -> (Vector3<f64>, 
     let (sum, count) = points.clone().fold((Vector3::zeros(), 0.0), |(sum, count), point| (sum + point, count + 1.0));
     let centre = sum / f64::max(count, 1.0);
     (centre, points.map(|point| (point - centre).norm()).fold(0.0, f64::max))
+}
+
+/// Two corners of a box around obstacles; none around none.
+fn bounds<'a>(obstacles: impl Iterator<Item = &'a Obstacle>) -> Option<[Vector3<f64>; 2]> {
+    obstacles
+        .map(|obstacle| {
+            let reach = Vector3::repeat(obstacle.shape.reach());
+            [obstacle.position - reach, obstacle.position + reach]
+        })
+        .reduce(|[a, b], [c, d]| [a.inf(&c), b.sup(&d)])
 }
 
 /// Focal length and centre of a camera with square pixels, pixels: `[fx, fy, cx, cy]`; the centre is measured from the

@@ -928,3 +928,25 @@ fn the_benchmark_says_what_other_programs_read() {
         |environments: u64| rows.iter().any(|row| row["environments"] == environments && row["task"] == "hover");
     assert!(batch(1) && batch(4096));
 }
+
+/// Logs had mode 0600 and all other files 0644, whatever the umask was.
+#[test]
+fn every_output_file_has_the_permissions_that_the_umask_leaves() {
+    use std::os::unix::fs::PermissionsExt as _;
+    for (umask, mode) in [("077", 0o600), ("027", 0o640), ("022", 0o644)] {
+        let dir = directory(&format!("umask_{umask}"));
+        let status = std::process::Command::new("sh")
+            .args(["-c", "umask $0; exec \"$@\"", umask, env!("CARGO_BIN_EXE_aviary")])
+            .args(["fly", "--task", "hover", "--duration", "0.2", "--plot", "--out", text(&dir)])
+            .output()
+            .unwrap()
+            .status;
+        assert!(status.success());
+        let files: Vec<_> = std::fs::read_dir(&dir).unwrap().flatten().collect();
+        assert!(files.len() > 2, "{files:?}");
+        for file in files {
+            let permissions = file.metadata().unwrap().permissions().mode() & 0o777;
+            assert_eq!(permissions, mode, "umask {umask}: {} has {permissions:o}", file.path().display());
+        }
+    }
+}

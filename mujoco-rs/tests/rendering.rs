@@ -361,10 +361,16 @@ fn a_quality_beyond_its_limits_is_an_error() {
 fn a_ground_without_end_is_seen_the_same_at_every_place() {
     let size = SIZES[1];
     let look = |x: f64, y: f64, z: f64, ground: bool| {
-        let room = ROOM.replace(r#"pos="0 0 1.3""#, &format!(r#"pos="{x} {y} {}""#, z + 1.3)).replace(
-            r#"<body name="box" pos="0 0.1 0.5">"#,
-            &format!(r#"<body name="box" pos="{x} {} {}">"#, y + 2.0, z + 0.5),
-        );
+        let moves = [
+            (r#"pos="0 0 1.3""#, [0.0, 0.0, 1.3]),
+            (r#"pos="0 0.1 0.5""#, [0.0, 2.0, 0.5]),
+            (r#"pos="0.8 1 0.3""#, [0.8, 1.0, 0.3]),
+            (r#"pos="-0.9 0.7 0.4""#, [-0.9, 0.7, 0.4]),
+        ];
+        let room = moves.into_iter().fold(ROOM.to_string(), |room, (text, [dx, dy, dz])| {
+            assert!(room.contains(text));
+            room.replace(text, &format!(r#"pos="{} {} {}""#, x + dx, y + dy, z + dz))
+        });
         let mut studio =
             studio(&room.replace(r#"type="plane""#, &format!(r#"type="plane" pos="0 0 {z}""#)), Quality::FAST)?;
         if ground {

@@ -139,15 +139,7 @@ impl World {
         xml.leaf("statistic", &[("extent", "1".into()), ("center", "0 0 1".into())]);
         xml.open("visual", &[]);
         let [near, far] = World::CLIP_PLANES;
-        xml.leaf(
-            "map",
-            &[
-                ("znear", near.to_string()),
-                ("zfar", far.to_string()),
-                ("shadowclip", (1.2 + self.reach()).to_string()),
-                ("haze", "0.2".into()),
-            ],
-        );
+        xml.leaf("map", &[("znear", near.to_string()), ("zfar", far.to_string()), ("haze", "0.2".into())]);
         xml.leaf(
             "headlight",
             &[
@@ -229,13 +221,6 @@ impl World {
         xml.close("worldbody");
         xml.close("mujoco");
         Ok((xml.finish(), files))
-    }
-
-    /// Largest distance of a drone from the middle of all, m.
-    fn reach(&self) -> f64 {
-        let sum: Vector3<f64> = self.drones.iter().map(|drone| drone.position).sum();
-        let centre = sum / (self.drones.len().max(1) as f64);
-        self.drones.iter().map(|drone| (drone.position - centre).norm()).fold(0.0, f64::max)
     }
 
     /// Options and buffer sizes.
