@@ -3,6 +3,8 @@
 //! They are drawn from a second model of the same scene with the same `qpos`, brought up to date when somebody looks,
 //! so that meshes and cameras cost the physics nothing.
 
+mod framing;
+
 use std::fmt;
 use std::str::FromStr;
 
@@ -11,11 +13,12 @@ use mujoco_rs::{
 };
 use nalgebra::Vector3;
 
+pub use framing::CameraPose;
 pub use mujoco_rs::{Decor, Effects, ImageSize};
 
 use crate::engine::{BuildError, place_geom};
 use crate::state::{DroneState, wxyz};
-use crate::world::{Obstacle, SceneError, World};
+use crate::world::{Marker, Obstacle, SceneError, World};
 
 /// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
 pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
@@ -69,12 +72,12 @@ pub enum View {
     Track,
     /// Through the onboard camera of the first drone.
     Fpv,
-    /// Over the whole scene, standing still.
+    /// From beside and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
     Fixed,
     /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
     /// as seen from there.
     Front,
-    /// From straight above, over the whole scene, standing still: x to the right, y up.
+    /// From straight above, standing still: x to the right, y up.
     Top,
 }
 
@@ -178,15 +181,21 @@ pub struct Painter {
     joints: Vec<usize>,
     bodies: Vec<BodyId>,
     cameras: Vec<CameraId>,
-    /// What the standing views look at: the middle of the drones where they started and of the markers, and how far they
-    /// reach from it.
-    stage: (Vector3<f64>, f64),
-    centre: Vector3<f64>,
-    spread: f64,
+    /// A point and a distance around it that the standing views look at, where they are told to.
+    stage: Option<(Vector3<f64>, f64)>,
+    /// Points that the standing views keep in the frame otherwise.
+    kept: Vec<Vector3<f64>>,
+    obstacles: Vec<Obstacle>,
+    /// Pose of the view and size that were asked for last, where it does not follow the drones: the direction of sight counts for
+    /// the one that does.
+    posed: Option<(View, ImageSize, CameraPose)>,
+    /// Where the drones are.
+    places: Vec<Vector3<f64>>,
     /// Distance from which the largest drone fills a good part of the picture, m.
     size: f64,
     sun: usize,
     floor: GeomId,
+    /// Gates and the like, which the standing views keep in the frame, too.
     markers: Vec<Obstacle>,
     /// Box around the obstacles and markers, if there are any.
     standing: Option<[Vector3<f64>; 2]>,
@@ -256,8 +265,6 @@ impl Painter {
         let sun: LightId = model.find("sun")?;
         let sun = sun.index();
         let renderer = Renderer::new(model, quality)?;
-        let markers = world.markers.iter().map(|marker| marker.body.position);
-        let stage = extent(world.drones.iter().map(|drone| drone.position).chain(markers));
         Ok(Self {
             renderer,
             scene,
@@ -265,9 +272,11 @@ impl Painter {
             joints,
             bodies,
             cameras,
-            stage,
-            centre: stage.0,
-            spread: stage.1,
+            stage: None,
+            kept: world.drones.iter().map(|drone| drone.position).collect(),
+            obstacles: world.obstacles.clone(),
+            posed: None,
+            places: world.drones.iter().map(|drone| drone.position).collect(),
             size: world.drones.iter().map(|drone| 6.0 * drone.params.arm_length + 0.1).fold(0.0, f64::max),
             sun,
             floor,
@@ -295,11 +304,13 @@ impl Painter {
             position[3..].copy_from_slice(&wxyz(&state.attitude));
         }
         self.data.kinematics()?;
-        (self.centre, self.spread) = extent(states.iter().map(|state| state.position));
+        self.places.clear();
+        self.places.extend(states.iter().map(|state| state.position));
+        let centre = self.places.iter().sum::<Vector3<f64>>() / self.places.len().max(1) as f64;
         // rays meet the floor where the drones are; cameras have it drawn below them
-        let [x, y] = [self.centre.x, self.centre.y].map(|at| (at / Scene::GRID).round() * Scene::GRID);
+        let [x, y] = [centre.x, centre.y].map(|at| (at / Scene::GRID).round() * Scene::GRID);
         self.data.set_geom_xpos(self.floor, [x, y, 0.0])?;
-        self.cast_shadows(states)?;
+        self.cast_shadows(&centre)?;
         let camera = Camera::Fixed(self.cameras[0]);
         self.scene.update(&mut self.data, &camera)?;
         self.stale = false;
@@ -308,16 +319,16 @@ impl Painter {
 
     /// Puts the sun and its shadow map where they cover the drones and all that stands around them, or only the drones' surroundings
     /// where texels would become too wide.
-    fn cast_shadows(&mut self, states: &[DroneState]) -> Result<(), Error> {
+    fn cast_shadows(&mut self, centre: &Vector3<f64>) -> Result<(), Error> {
         // a shadow lies on the ray of light through what casts it, so that it is covered where that is
         let around = Vector3::repeat(0.5 * self.size);
-        let drones = states.iter().flat_map(|state| [state.position - around, state.position + around]);
+        let drones = self.places.iter().flat_map(|place| [place - around, place + around]);
         let all = drones.chain(self.standing.into_iter().flatten());
         let corners = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
         let (low, high) = all.fold(corners, |(low, high), at| (low.inf(&at), high.sup(&at)));
         let (mut middle, mut reach) = (0.5 * (low + high), f64::max(0.5 * (high - low).norm(), 1.2));
         if reach > SHADOW_REACH {
-            (middle, reach) = (self.centre, SHADOW_REACH);
+            (middle, reach) = (*centre, SHADOW_REACH);
         }
         let from = 3 * self.sun;
         let direction = Vector3::from_column_slice(&self.data.light_xdir()[from..][..3]);
@@ -332,7 +343,11 @@ impl Painter {
     /// MuJoCo's, where it cannot copy the model; [`Error::UnknownName`] for more obstacles than there are.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.stale = true;
+        self.posed = None;
         for (index, obstacle) in obstacles.iter().enumerate() {
+            if let Some(own) = self.obstacles.get_mut(index) {
+                *own = *obstacle;
+            }
             let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
             // the renderer shares the model: it has only meshes and textures of it, which stay
             let mut model = self.data.patch_model()?;
@@ -344,10 +359,38 @@ impl Painter {
         Ok(())
     }
 
-    /// What the standing views look at in place of the drones' starts: a point (world frame, m), and how far it reaches from
-    /// there, m.
+    /// Puts markers elsewhere, which must be those of the world in the same order: what is drawn after the next update.
+    ///
+    /// # Errors
+    /// MuJoCo's, where it cannot copy the model; [`Error::UnknownName`] for a marker that is not there.
+    pub fn set_markers(&mut self, markers: &[Marker]) -> Result<(), Error> {
+        self.stale = true;
+        for (index, marker) in markers.iter().enumerate() {
+            if let Some(own) = self.markers.get_mut(index) {
+                *own = marker.body;
+            }
+            let geom: GeomId = self.data.model().find(&marker.name)?;
+            place_geom(&mut self.data.patch_model()?, geom, &marker.body)?;
+        }
+        self.standing = bounds(self.obstacles.iter().chain(&self.markers));
+        Ok(())
+    }
+
+    /// Sets the points (world frame, m) that the standing views keep in the frame, with the markers and the obstacles near them;
+    /// where drones started, by default. See [`CameraPose::framing`].
+    pub fn keep_in_frame(&mut self, points: &[Vector3<f64>]) {
+        if self.stage.is_none() && self.kept == points {
+            return;
+        }
+        (self.stage, self.posed) = (None, None);
+        self.kept.clear();
+        self.kept.extend(points.iter().filter(|point| point.iter().all(|x| x.is_finite())));
+    }
+
+    /// Sets a point (world frame, m) that the standing views look at, and a distance (m) around it, in place of what they would
+    /// [keep in the frame](Self::keep_in_frame).
     pub fn set_stage(&mut self, centre: [f64; 3], reach: f64) {
-        self.stage = (centre.into(), reach);
+        self.stage = Some((centre.into(), reach));
     }
 
     /// Adds a shape to the scene until the next update, in red, green, blue and alpha from 0 to 1; `false` where there is no
@@ -398,32 +441,54 @@ impl Painter {
         self.add_line(&frame, 0.06 * reach, rgba)
     }
 
-    /// The camera of a view.
-    fn camera(&self, view: View) -> Camera {
-        let orbit = |centre: Vector3<f64>, distance: f64, azimuth: f64, elevation: f64| Camera::Free {
-            lookat: centre.into(),
-            distance,
-            azimuth,
-            elevation,
-        };
-        // a metre of scene beyond the outermost drones
-        let (stage, reach) = self.stage;
-        let stage = Vector3::new(stage.x, stage.y, stage.z.max(0.75));
-        match view {
-            View::Fpv => Camera::Fixed(self.cameras[0]),
-            View::Track => orbit(self.centre, self.size + 2.2 * self.spread, 35.0, -22.0),
-            View::Fixed => orbit(stage, 1.7 + 2.2 * reach, 50.0, -20.0),
-            View::Front => orbit(stage, 1.6 + 2.2 * reach, 180.0, -4.0),
-            View::Top => orbit(stage, 1.6 + 2.8 * reach, 90.0, -90.0),
+    /// The camera of a view in pictures of a size.
+    fn camera(&mut self, view: View, size: ImageSize) -> Camera {
+        if let (Some((stage, reach)), false) = (self.stage, view == View::Track) {
+            let stage = Vector3::new(stage.x, stage.y, stage.z.max(0.75));
+            let orbit = |distance: f64, azimuth: f64, elevation: f64| Camera::Free {
+                lookat: stage.into(),
+                distance,
+                azimuth,
+                elevation,
+            };
+            return match view {
+                View::Fpv | View::Track | View::Fixed => orbit(1.7 + 2.2 * reach, 50.0, -20.0),
+                View::Front => orbit(1.6 + 2.2 * reach, 180.0, -4.0),
+                View::Top => orbit(1.6 + 2.8 * reach, 90.0, -90.0),
+            };
+        }
+        match self.pose(view, size) {
+            Some(pose) => pose.camera(),
+            None => Camera::Fixed(self.cameras[0]),
         }
     }
 
+    /// Returns the pose of a view in pictures of a size, after an [`update`](Self::update); `None` for `fpv`.
+    pub fn pose(&mut self, view: View, size: ImageSize) -> Option<CameraPose> {
+        let radius = CameraPose::radius_that_fills(self.size);
+        let posed = match self.posed {
+            Some((of, sized, pose)) if of == view && sized == size => pose,
+            _ => {
+                let markers = self.markers.iter().map(|marker| &marker.position);
+                let points: Vec<_> = self.kept.iter().chain(markers).chain(&self.places).copied().collect();
+                let pose = CameraPose::framing(view, &points, radius, &self.obstacles, size)?;
+                self.posed = Some((view, size, pose));
+                pose
+            }
+        };
+        Some(match view {
+            // it keeps its direction and goes where the drones go
+            View::Track => CameraPose::fitting(&self.places, radius, posed.azimuth, posed.elevation, size),
+            _ => posed,
+        })
+    }
+
     /// Looks from a view for people.
-    fn look(&mut self, view: View) -> Result<(), Error> {
+    fn look(&mut self, view: View, size: ImageSize) -> Result<(), Error> {
         if view == View::Fpv {
             return self.look_from_board(0);
         }
-        let camera = self.camera(view);
+        let camera = self.camera(view, size);
         self.seen_from(&camera, None)
     }
 
@@ -447,7 +512,7 @@ impl Painter {
     /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong length,
     /// [`Error::Value`] for sides that are not 1 to 8192 pixels.
     pub fn rgb(&mut self, view: View, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
-        self.look(view)?;
+        self.look(view, size)?;
         self.renderer.rgb(&mut self.scene, size, out)
     }
 
@@ -456,7 +521,7 @@ impl Painter {
     /// # Errors
     /// As for [`rgb`](Self::rgb).
     pub fn depth(&mut self, view: View, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
-        self.look(view)?;
+        self.look(view, size)?;
         self.renderer.depth(&mut self.scene, size, out)
     }
 
@@ -465,7 +530,7 @@ impl Painter {
     /// # Errors
     /// As for [`rgb`](Self::rgb), and [`Error::Multisampled`] for a painter for people.
     pub fn segmentation(&mut self, view: View, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
-        self.look(view)?;
+        self.look(view, size)?;
         self.renderer.segmentation(&mut self.scene, size, out)
     }
 
@@ -545,13 +610,6 @@ pub(crate) fn ring(centre: Vector3<f64>, axis: Vector3<f64>, radius: f64) -> Vec
         centre + radius * (cos * u + sin * v)
     };
     (0..=CORNERS).map(corner).collect()
-}
-
-/// Middle and reach of points.
-fn extent(points: impl Iterator<Item = Vector3<f64>> + Clone) -> (Vector3<f64>, f64) {
-    let (sum, count) = points.clone().fold((Vector3::zeros(), 0.0), |(sum, count), point| (sum + point, count + 1.0));
-    let centre = sum / f64::max(count, 1.0);
-    (centre, points.map(|point| (point - centre).norm()).fold(0.0, f64::max))
 }
 
 /// Two corners of a box around obstacles; none around none.

@@ -1,5 +1,7 @@
+use nalgebra::Vector3;
 use rand::{Rng as _, SeedableRng as _};
 
+use super::moving::MovingMarkers;
 use super::randomization::Randomizer;
 use super::{BoxSpace, Draw, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Rng, Step, Task};
 use crate::action::{ActionDecoder, ActionType};
@@ -42,6 +44,8 @@ pub struct Aviary<T> {
     pub(super) episode_steps: u64,
     /// Obstacles that are placed at random.
     pub(super) field: Option<ObstacleConfig>,
+    /// Markers of the task that move.
+    pub(super) moving: MovingMarkers,
     /// Where they were when the scene was compiled.
     pub(super) first_layout: Vec<Obstacle>,
     pub(super) rangefinder: Option<Rangefinder>,
@@ -184,7 +188,14 @@ impl<T: Task> Aviary<T> {
 
     /// What the onboard cameras see.
     pub(crate) fn observe_pictures(&mut self) -> Result<(), EnvError> {
+        if self.cameras.is_some() {
+            // in a batch, those of whatever environment was drawn last
+            self.move_markers()?;
+        }
         if let Some(painter) = &mut self.cameras {
+            if !self.moving.is_empty() {
+                painter.set_markers(&self.simulation.world().markers)?;
+            }
             painter.update(self.simulation.states())?;
             self.observation.take_pictures(painter, self.observation_space.camera_size)?;
         }
@@ -247,13 +258,31 @@ impl<T: Task> Aviary<T> {
     fn move_obstacles(&mut self) -> Result<(), EnvError> {
         let starts: Vec<_> = self.simulation.states().iter().map(|state| state.position.into()).collect();
         let layout = self.field.as_ref().map(|field| field.generate(&starts, &mut self.episode.rng));
-        let obstacles = match layout {
+        let mut obstacles = match layout {
             Some(Ok(obstacles)) => obstacles,
             // the same for every history
             _ => self.first_layout.clone(),
         };
+        // those that move come after the others
+        obstacles.extend_from_slice(&self.simulation.world().obstacles[self.moving.first_obstacle()..]);
         self.simulation.set_obstacles(&obstacles)?;
         self.follow_obstacles()
+    }
+
+    /// Whether the task has markers that drones collide with: every environment of a batch has its own obstacles then.
+    pub(crate) fn has_moving_obstacles(&self) -> bool {
+        self.moving.has_solid()
+    }
+
+    /// Puts the markers that move where the task says.
+    fn move_markers(&mut self) -> Result<(), EnvError> {
+        if self.moving.is_empty() {
+            return Ok(());
+        }
+        if self.moving.place(Some(&self.episode.task), &mut self.simulation)? {
+            self.follow_obstacles()?;
+        }
+        Ok(())
     }
 
     /// Lets the task change what the episode starts from. A start in the floor, in an obstacle or in another drone is drawn anew,
@@ -298,6 +327,12 @@ impl<T: Task> Aviary<T> {
             let next = next.map(|config| Randomizer::new(*config, &self.simulation, wind)).transpose()?;
             self.episode.randomizer = next.map(Box::new);
         }
+        if !self.moving.is_empty() {
+            // starts do not depend on where the last episode left them
+            if self.moving.place(None, &mut self.simulation)? {
+                self.follow_obstacles()?;
+            }
+        }
         let moving = self.moves_obstacles();
         match &mut self.episode.randomizer {
             Some(randomizer) => randomizer.begin(&mut self.simulation, &mut self.episode.rng, moving)?,
@@ -312,6 +347,7 @@ impl<T: Task> Aviary<T> {
             self.simulation.reset_wind(seed);
         }
         self.episode.task.reset(&self.simulation, &mut self.episode.rng);
+        self.move_markers()?;
         for decoder in &mut self.decoders {
             decoder.reset();
         }
@@ -337,8 +373,11 @@ impl<T: Task> Aviary<T> {
             }
         }
         self.fly()?;
-        self.look();
-        Ok(())
+        let looked = self.look();
+        if looked.is_err() {
+            self.episode.phase = Phase::Over;
+        }
+        looked
     }
 
     /// Whether a step may be made.
@@ -359,19 +398,24 @@ impl<T: Task> Aviary<T> {
         Ok(())
     }
 
-    /// Lets the task look at a control step.
-    fn look(&mut self) {
-        let task = &mut self.episode.task;
-        task.update(&self.simulation);
+    /// Lets the task look at a control step, and puts its markers where they are now.
+    fn look(&mut self) -> Result<(), EnvError> {
+        self.episode.task.update(&self.simulation);
+        self.move_markers()?;
+        let task = &self.episode.task;
         for (drone, end) in self.ends.iter_mut().enumerate() {
             *end = task.end(&self.simulation, drone);
         }
+        Ok(())
     }
 
     /// What a control step brought for an agent of all drones.
-    pub(crate) fn judge(&mut self) -> Verdict {
-        self.look();
-        self.verdict()
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for a marker that the task puts nowhere.
+    pub(crate) fn judge(&mut self) -> Result<Verdict, EnvError> {
+        self.look()?;
+        Ok(self.verdict())
     }
 
     fn verdict(&self) -> Verdict {
@@ -525,6 +569,18 @@ impl<T: Task> Env for Aviary<T> {
         self.episode.task.plan(&self.simulation, drone)
     }
 
+    fn extent(&self) -> Vec<Vector3<f64>> {
+        let mut points: Vec<_> = self.simulation.started_from().iter().map(|state| state.position).collect();
+        // options that nobody has checked are not asked for anything
+        if !self.episode.task_changed {
+            let seconds = self.episode_steps as f64 * self.simulation.control_period();
+            for drone in 0..self.simulation.num_drones() {
+                points.extend(self.episode.task.extent(&self.simulation, drone, seconds));
+            }
+        }
+        points
+    }
+
     fn may_be_constant(&self, entry: usize) -> bool {
         self.episode.task.may_be_constant(entry % self.block.max(1))
     }
@@ -592,10 +648,19 @@ impl<T: Task> Env for Aviary<T> {
     }
 
     fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+        // what is asked of the task does not change with the state, once the episode has begun
+        let begins = self.painter.is_none() || self.simulation.control_steps() == 0;
+        let extent = if begins { self.extent() } else { Vec::new() };
         let painter = match &mut self.painter {
             Some(painter) => painter,
             none => none.insert(Painter::for_people(self.simulation.world())?),
         };
+        if begins {
+            painter.keep_in_frame(&extent);
+        }
+        if !self.moving.is_empty() {
+            painter.set_markers(&self.simulation.world().markers)?;
+        }
         painter.update(self.simulation.states())?;
         Ok(painter.rgb(view, size, rgb)?)
     }

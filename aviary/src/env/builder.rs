@@ -1,6 +1,7 @@
 use rand::SeedableRng as _;
 
 use super::aviary::{Aviary, Episode};
+use super::moving::MovingMarkers;
 use super::randomization::Randomizer;
 use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
@@ -311,13 +312,18 @@ impl<T: Task> AviaryBuilder<T> {
             });
         }
         let positions = self.task.initial_positions(simulation.airframes());
-        let mut simulation = simulation.initial_positions_or(positions).markers(self.task.markers());
+        let moving = self.task.moving_markers();
+        let visible = moving.iter().filter(|marker| !marker.solid).map(|marker| marker.marker.clone());
+        let markers: Vec<_> = self.task.markers().into_iter().chain(visible).collect();
+        let mut simulation = simulation.initial_positions_or(positions).markers(markers);
         if let Some(field) = &self.field {
             let mut rng = Rng::seed_from_u64(field.seed.unwrap_or(0));
             let obstacles = field.generate(simulation.starts(), &mut rng)?;
             simulation = simulation.obstacles(obstacles);
         }
-        let simulation = simulation.build()?;
+        let solid = moving.iter().filter(|marker| marker.solid).map(|marker| marker.marker.body);
+        let simulation = simulation.more_obstacles(solid).build()?;
+        let moving = MovingMarkers::new(moving, simulation.world());
         check_starts(&simulation)?;
         let block = self.task.observation_space();
         let vector = block.repeated(count);
@@ -371,7 +377,8 @@ impl<T: Task> AviaryBuilder<T> {
                 self.stream,
                 self.randomization.map(|config| Randomizer::new(config, &simulation, wind)).transpose()?,
             ),
-            first_layout: simulation.world().obstacles.clone(),
+            first_layout: simulation.world().obstacles[..moving.first_obstacle()].to_vec(),
+            moving,
             field: self.field,
             rangefinder: kind.ranges.then(|| Rangefinder::new(simulation.world(), &self.rays)).transpose()?,
             cameras,

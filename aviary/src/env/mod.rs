@@ -4,6 +4,7 @@ mod aviary;
 mod builder;
 mod checker;
 mod conditions;
+mod moving;
 mod randomization;
 mod space;
 mod task;
@@ -18,9 +19,12 @@ pub use randomization::{
     Range, SensorRanges,
 };
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
+pub(crate) use task::path_points;
 pub use task::{Task, TaskDefaults};
 
 use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
 
 use crate::action::{ActionLimitsError, ActionType};
 use crate::control::trajectory::Trajectory;
@@ -390,6 +394,12 @@ pub trait Env {
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = drone;
         None
+    }
+
+    /// Returns points (world frame, m) that drones come by in an episode, for cameras that stand still: starts, references, plans.
+    fn extent(&self) -> Vec<Vector3<f64>> {
+        let states = self.simulation().initial_states();
+        states.iter().enumerate().flat_map(|(drone, state)| [state.position, self.reference(drone).position]).collect()
     }
 
     /// Whether an entry of the observation's vector may stay the same for a whole episode, as a target does.

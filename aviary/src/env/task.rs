@@ -1,3 +1,5 @@
+use nalgebra::Vector3;
+
 use super::{BoxSpace, EndReason, EnvError, Rng};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
@@ -5,7 +7,7 @@ use crate::drone::DroneParams;
 use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 use crate::state::DroneState;
-use crate::world::Marker;
+use crate::world::{Marker, MarkerPose, MovingMarker};
 
 /// What a task starts from unless the caller says otherwise.
 #[derive(Debug, Clone, PartialEq)]
@@ -103,6 +105,19 @@ pub trait Task: std::fmt::Debug {
         Vec::new()
     }
 
+    /// Returns the markers that move, with their poses at the start of an episode; they are asked for once, when the environment is
+    /// built. See [`move_markers`](Self::move_markers).
+    fn moving_markers(&self) -> Vec<MovingMarker> {
+        Vec::new()
+    }
+
+    /// Sets the poses of the [moving markers](Self::moving_markers) at this moment, in their order; `poses` holds those of the start.
+    /// It is called after [`reset`](Self::reset) and after every [`update`](Self::update), and must depend on nothing but the task and
+    /// the simulation. Markers stand still during a control step, also those that drones collide with.
+    fn move_markers(&self, simulation: &Simulation, poses: &mut [MarkerPose]) {
+        let _ = (simulation, poses);
+    }
+
     /// Changes the states that an episode starts from, if the task has an idea of its own; whether it did. It is called before
     /// [`reset`](Self::reset); every random draw comes from `rng`.
     fn start(&mut self, simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
@@ -144,6 +159,16 @@ pub trait Task: std::fmt::Debug {
         None
     }
 
+    /// Returns points (world frame, m) that a drone comes by in an episode of so many seconds, for cameras that stand still: by
+    /// default the present [`reference`](Self::reference) and points along the [`plan`](Self::plan). A task whose reference moves
+    /// returns points along its path.
+    fn extent(&self, simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+        let _ = seconds;
+        let plan = self.plan(simulation, drone);
+        let planned = plan.iter().flat_map(|plan| path_points(plan.duration(), |time| plan.reference(time).position));
+        std::iter::once(self.reference(simulation, drone).position).chain(planned).collect()
+    }
+
     /// Reports further numbers by name: gates passed, formation error.
     fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = (simulation, report);
@@ -154,4 +179,10 @@ pub trait Task: std::fmt::Debug {
     fn may_be_constant(&self, entry: usize) -> bool {
         entry >= STATE_SIZE
     }
+}
+
+/// Points of a path that takes so many seconds, close enough together for a picture.
+pub(crate) fn path_points(seconds: f64, at: impl Fn(f64) -> Vector3<f64>) -> impl Iterator<Item = Vector3<f64>> {
+    const POINTS: u32 = 120;
+    (0..=POINTS).map(move |i| at(seconds * f64::from(i) / f64::from(POINTS)))
 }

@@ -9,7 +9,7 @@ use crate::env::{Env, EnvError};
 use crate::physics::wind::WindModel;
 use crate::simulation::Simulation;
 use crate::vision::{Decor, ImageSize, Painter, View, ring};
-use crate::world::Obstacle;
+use crate::world::{Marker, Obstacle};
 
 /// What is drawn into pictures of a flight beside what is there. Drones have the colours that they have in plots.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -101,6 +101,7 @@ pub struct Film {
     /// Points of the way that each drone is to fly.
     ways: Vec<Vec<Vector3<f64>>>,
     obstacles: Vec<Obstacle>,
+    markers: Vec<Marker>,
     rgb: Vec<u8>,
 }
 
@@ -115,6 +116,7 @@ impl Film {
     /// [`EnvError::Vision`] where there is nothing to draw with.
     pub fn new(env: &dyn Env, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
         let mut film = Self::of(env.simulation(), view, size, overlays)?;
+        film.painter.keep_in_frame(&env.extent());
         film.plan(env);
         Ok(film)
     }
@@ -151,6 +153,7 @@ impl Film {
             trails: vec![Trail::default(); drones],
             ways: vec![Vec::new(); drones],
             obstacles: simulation.world().obstacles.clone(),
+            markers: simulation.world().markers.clone(),
             rgb: vec![0; 3 * size.pixels()],
         })
     }
@@ -187,6 +190,7 @@ impl Film {
     /// [`EnvError::Vision`].
     pub fn look(&mut self, env: &dyn Env) -> Result<Option<&[u8]>, EnvError> {
         if env.simulation().control_steps() < self.seen {
+            self.painter.keep_in_frame(&env.extent());
             self.plan(env);
         }
         self.look_at(env.simulation(), |drone| Some(env.reference(drone)))
@@ -232,6 +236,11 @@ impl Film {
         if self.obstacles != *obstacles {
             self.painter.set_obstacles(obstacles)?;
             self.obstacles.clone_from(obstacles);
+        }
+        let markers = &simulation.world().markers;
+        if self.markers != *markers {
+            self.painter.set_markers(markers)?;
+            self.markers.clone_from(markers);
         }
         self.painter.update(simulation.states())?;
         self.draw_overlays(simulation, reference);

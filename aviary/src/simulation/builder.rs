@@ -176,6 +176,12 @@ impl SimulationBuilder {
         self
     }
 
+    /// Further things that stand in the way, after those that are there already.
+    pub(crate) fn more_obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
+        self.obstacles.extend(obstacles);
+        self
+    }
+
     /// Things that are seen and not touched, beside those that are there already.
     #[must_use]
     pub fn markers(mut self, markers: impl IntoIterator<Item = Marker>) -> Self {

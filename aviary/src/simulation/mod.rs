@@ -18,7 +18,7 @@ use crate::physics::downwash;
 use crate::physics::wind::{WindConfig, WindField};
 use crate::physics::{Effects, Physics, Wrench, drag};
 use crate::state::DroneState;
-use crate::world::{Obstacle, World};
+use crate::world::{MarkerPose, Obstacle, World};
 
 /// N drones in one world.
 ///
@@ -342,6 +342,12 @@ impl Simulation {
         self.engine.set_obstacles(obstacles).map_err(|error| SimulationError::Engine { time: 0.0, error })?;
         self.world.obstacles.copy_from_slice(obstacles);
         Ok(())
+    }
+
+    /// Puts a marker elsewhere: what is drawn from now on.
+    pub(crate) fn set_marker_pose(&mut self, index: usize, pose: &MarkerPose) {
+        let body = &mut self.world.markers[index].body;
+        (body.position, body.rpy) = (pose.position, pose.rpy);
     }
 
     /// Distance of a drone's middle from the nearest obstacle's surface, m; negative inside, infinite where there is none.

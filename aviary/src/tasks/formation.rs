@@ -6,7 +6,7 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults, path_points};
 use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 
@@ -210,6 +210,11 @@ impl Task for Formation {
         let (middle, velocity) = self.middle(simulation.time());
         let place = middle + self.offset(drone, simulation.num_drones());
         Reference { velocity, ..Reference::hover(place, simulation.initial_states()[drone].yaw()) }
+    }
+
+    fn extent(&self, simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+        let offset = self.offset(drone, simulation.num_drones());
+        path_points(seconds, |time| self.middle(time).0 + offset).collect()
     }
 
     fn measures(&self, _simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {

@@ -149,6 +149,12 @@ impl Task for Stabilize {
         self.watch.end(drone).is_none() && Self::at_rest(&simulation.states()[drone])
     }
 
+    fn extent(&self, simulation: &Simulation, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
+        let start = &simulation.started_from()[drone];
+        // about as far as a drone takes to come to rest
+        vec![start.position, start.position + start.velocity]
+    }
+
     fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
         let state = &simulation.states()[drone];
         Reference::hover(state.position, state.yaw())

@@ -7,7 +7,7 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults, path_points};
 use crate::observation::STATE_SIZE;
 use crate::simulation::Simulation;
 use crate::state::DroneState;
@@ -193,6 +193,10 @@ impl Task for Track {
 
     fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
         self.now(simulation, drone)
+    }
+
+    fn extent(&self, _simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+        path_points(seconds, |time| self.target(drone, time).position).collect()
     }
 
     fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {

@@ -167,6 +167,12 @@ impl Task for Velocity {
         }
     }
 
+    fn extent(&self, simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+        let start = simulation.initial_states()[drone].position;
+        let velocity = self.targets.get(drone).map_or_else(Vector3::zeros, |target| target.0);
+        vec![start, start + velocity * seconds]
+    }
+
     fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
         let errors = (0..simulation.num_drones()).map(|drone| self.error(simulation, drone));
         report("velocity_error", errors.fold(0.0, f64::max));

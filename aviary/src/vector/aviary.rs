@@ -160,8 +160,8 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             frames: (0..drones).map(|drone| Airframes::all(&simulation.equipment().airframe(drone, effects))).collect(),
             pictures: [on(kind.rgb, 4 * pixels), on(kind.depth, pixels), on(kind.segmentation, pixels)],
         };
-        let individual =
-            first.episode.is_randomized() || first.moves_obstacles() || !simulation.equipment().is_common();
+        let own_obstacles = first.moves_obstacles() || first.has_moving_obstacles();
+        let individual = first.episode.is_randomized() || own_obstacles || !simulation.equipment().is_common();
         let memory = first.decoders.iter().any(|decoder| decoder.has_memory());
         let base = first.episode.stream;
         let slot = |index: usize| {
@@ -169,7 +169,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             episode.set_stream(base.wrapping_add(index as u64));
             let equipment = individual.then(|| {
                 let mut equipment = Box::new(simulation.equipment().clone());
-                if first.moves_obstacles() {
+                if own_obstacles {
                     equipment.keep_obstacles(&world.obstacles);
                 }
                 equipment

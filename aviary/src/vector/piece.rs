@@ -419,7 +419,16 @@ impl<T: Task> Worker<'_, T> {
     /// Lets the task look at a step of the environment on the stage, and writes what it says.
     fn finish(&mut self, piece: &mut Piece<'_, T>, index: usize, whole: bool) {
         let slot = &mut piece.slots[index];
-        let (verdict, success) = self.stage.judge(slot, whole);
+        let (verdict, success) = match self.stage.judge(slot, whole) {
+            Ok(judged) => judged,
+            Err(error) => return self.fail(piece, index, error, true),
+        };
+        if self.stage.env.has_moving_obstacles() {
+            // what was near is elsewhere now
+            let lookouts = piece.lookouts.iter_mut().skip(self.common.drones * index);
+            lookouts.take(self.common.drones).for_each(|lookout| *lookout = Lookout::default());
+        }
+        let slot = &mut piece.slots[index];
         slot.reward += verdict.reward;
         piece.rewards[index] = verdict.reward as f32;
         piece.terminated[index] = verdict.terminated;

@@ -151,17 +151,20 @@ impl<T: Task> Stage<T> {
 
     /// Lets the task of an environment that is shown look at a step; individual ones are here whole, the others' task is
     /// taken for this.
-    pub fn judge(&mut self, slot: &mut Slot<T>, whole: bool) -> (Verdict, bool) {
+    pub fn judge(&mut self, slot: &mut Slot<T>, whole: bool) -> Result<(Verdict, bool), EnvError> {
         let episode = &mut slot.episode;
         if !whole {
             std::mem::swap(&mut self.env.episode.task, &mut episode.task);
         }
         let verdict = self.env.judge();
-        let success = verdict.end.is_some() && self.env.is_success(verdict.end);
+        let judged = verdict.map(|verdict| {
+            let success = verdict.end.is_some() && self.env.is_success(verdict.end);
+            (verdict, success)
+        });
         if !whole {
             std::mem::swap(&mut self.env.episode.task, &mut episode.task);
         }
-        (verdict, success)
+        judged
     }
 
     /// Writes what an environment that is shown sees.

@@ -13,7 +13,7 @@ pub use field::{FieldError, ObstacleConfig, ObstacleKind};
 pub use look::{CF2_ASSETS, check_obj};
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
-pub use obstacle::{Marker, Obstacle, Shape};
+pub use obstacle::{Marker, MarkerPose, MovingMarker, Obstacle, Shape};
 
 /// The air, as MuJoCo's own fluid model sees it.
 ///

@@ -158,6 +158,48 @@ impl Obstacle {
     }
 }
 
+/// Marker of a task that moves, such as a platform, a ball or another vehicle. See [`Task::moving_markers`](crate::env::Task::moving_markers).
+///
+/// A solid one is among the scene's obstacles, after all others: drones collide with it, rangefinders and cameras see it, and
+/// distances of obstacles count it.
+///
+/// ```
+/// use aviary::world::{MovingMarker, Obstacle, Shape};
+/// use nalgebra::Vector3;
+///
+/// let ball = Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.0, 0.0, 1.0));
+/// let (solid, seen) = (MovingMarker::solid("ball", ball), MovingMarker::visible("ghost", ball));
+/// assert!(solid.solid && !seen.solid);
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct MovingMarker {
+    /// Name, size, shape, colour, and the pose at the start of every episode.
+    pub marker: Marker,
+    /// Whether drones collide with it.
+    pub solid: bool,
+}
+
+impl MovingMarker {
+    /// Returns one that drones collide with.
+    pub fn solid(name: impl Into<String>, body: Obstacle) -> Self {
+        Self { marker: Marker { name: name.into(), body }, solid: true }
+    }
+
+    /// Returns one that is only seen.
+    pub fn visible(name: impl Into<String>, body: Obstacle) -> Self {
+        Self { marker: Marker { name: name.into(), body }, solid: false }
+    }
+}
+
+/// Pose of a moving marker.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MarkerPose {
+    /// Centre, world frame, m.
+    pub position: Vector3<f64>,
+    /// Roll, pitch, yaw from its own to the world frame, rad: intrinsic z-y'-x''.
+    pub rpy: Vector3<f64>,
+}
+
 /// Something that is seen and not touched: a gate, a waypoint.
 ///
 /// ```

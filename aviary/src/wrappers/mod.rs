@@ -80,6 +80,10 @@ macro_rules! forward_env {
             $inner.plan(drone)
         }
 
+        fn extent(&$self) -> Vec<nalgebra::Vector3<f64>> {
+            $inner.extent()
+        }
+
         fn may_be_constant(&$self, entry: usize) -> bool {
             $inner.may_be_constant(entry)
         }

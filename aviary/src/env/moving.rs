@@ -1,0 +1,80 @@
+use super::{EnvError, Task};
+use crate::simulation::Simulation;
+use crate::world::{MarkerPose, MovingMarker, Obstacle, World};
+
+/// The markers of a task that move. Solid ones are the last obstacles of the scene, the others its last markers.
+#[derive(Debug, Default)]
+pub(super) struct MovingMarkers {
+    declared: Vec<MovingMarker>,
+    /// Index of the first solid one among the obstacles.
+    first_obstacle: usize,
+    /// Index of the first of the others among the markers.
+    first_marker: usize,
+    poses: Vec<MarkerPose>,
+    /// Obstacles with the solid ones in their new poses.
+    obstacles: Vec<Obstacle>,
+}
+
+impl MovingMarkers {
+    /// Of a world that was built with them.
+    pub(super) fn new(declared: Vec<MovingMarker>, world: &World) -> Self {
+        let solid = declared.iter().filter(|marker| marker.solid).count();
+        Self {
+            first_obstacle: world.obstacles.len() - solid,
+            first_marker: world.markers.len().saturating_sub(declared.len() - solid),
+            poses: Vec::with_capacity(declared.len()),
+            obstacles: Vec::with_capacity(world.obstacles.len()),
+            declared,
+        }
+    }
+
+    /// Number of obstacles that are none of them.
+    pub(super) fn first_obstacle(&self) -> usize {
+        self.first_obstacle
+    }
+
+    /// Whether there are any.
+    pub(super) fn is_empty(&self) -> bool {
+        self.declared.is_empty()
+    }
+
+    /// Whether drones collide with some of them.
+    pub(super) fn has_solid(&self) -> bool {
+        self.declared.iter().any(|marker| marker.solid)
+    }
+
+    /// Puts them where the task says, or where they start; returns whether obstacles have moved.
+    pub(super) fn place(&mut self, task: Option<&dyn Task>, simulation: &mut Simulation) -> Result<bool, EnvError> {
+        let start =
+            |marker: &MovingMarker| MarkerPose { position: marker.marker.body.position, rpy: marker.marker.body.rpy };
+        self.poses.clear();
+        self.poses.extend(self.declared.iter().map(start));
+        if let Some(task) = task {
+            task.move_markers(simulation, &mut self.poses);
+        }
+        self.obstacles.clear();
+        self.obstacles.extend_from_slice(&simulation.world().obstacles);
+        let (mut obstacle, mut marker) = (self.first_obstacle, self.first_marker);
+        for (declared, pose) in self.declared.iter().zip(&self.poses) {
+            let far = |x: &f64| x.is_nan() || x.abs() > 1e6;
+            if let Some(x) = pose.position.iter().chain(&pose.rpy).find(|x| far(x)) {
+                let got = format!("{x} for the marker `{}`", declared.marker.name);
+                let expected = "finite numbers up to 1e6";
+                return Err(EnvError::Option { option: "the pose of a moving marker", got, expected });
+            }
+            if declared.solid {
+                let body = &mut self.obstacles[obstacle];
+                (body.position, body.rpy) = (pose.position, pose.rpy);
+                obstacle += 1;
+            } else {
+                simulation.set_marker_pose(marker, pose);
+                marker += 1;
+            }
+        }
+        if self.obstacles == simulation.world().obstacles {
+            return Ok(false);
+        }
+        simulation.set_obstacles(&self.obstacles)?;
+        Ok(true)
+    }
+}

@@ -1,0 +1,253 @@
+//! Markers of a task that move: what is drawn, touched and measured of them, alone and in batches, by both engines.
+
+use std::f64::consts::FRAC_PI_2;
+
+use mujoco_drones_gym::mujoco::{Error, gl_info};
+use mujoco_drones_gym::nalgebra::Vector3;
+use mujoco_drones_gym::observation::{STATE_SIZE, state_vector};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::tasks::{CrashConditions, CrashWatch};
+use mujoco_drones_gym::world::{MarkerPose, MovingMarker, Obstacle, Shape};
+use mujoco_drones_gym::{Rng, RngExt as _};
+
+/// Hover at 1 m while a ball comes along x, from an offset along y that is drawn, at 1 m/s.
+#[derive(Debug, Clone)]
+struct Ball {
+    solid: bool,
+    /// Largest offset along y, m.
+    spread: f64,
+    offset: f64,
+    watch: CrashWatch,
+}
+
+impl Ball {
+    fn new(solid: bool, spread: f64) -> AviaryBuilder<Self> {
+        AviaryBuilder::new(Self { solid, spread, offset: 0.0, watch: CrashWatch::default() })
+    }
+
+    fn place(&self, time: f64) -> Vector3<f64> {
+        Vector3::new(1.5 - time, self.offset, 1.0)
+    }
+}
+
+impl Task for Ball {
+    fn name(&self) -> &'static str {
+        "ball"
+    }
+    fn defaults(&self) -> TaskDefaults {
+        TaskDefaults { num_drones: 1, episode_seconds: 3.0, controller: ControllerKind::Geometric }
+    }
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        (0..drones.len()).map(|drone| [0.0, drone as f64, 1.0]).collect()
+    }
+    fn observation_space(&self) -> BoxSpace {
+        BoxSpace::new([[f64::NEG_INFINITY, f64::INFINITY]; STATE_SIZE])
+    }
+    fn moving_markers(&self) -> Vec<MovingMarker> {
+        let body = Obstacle {
+            rgba: [0.9, 0.1, 0.1, 1.0],
+            ..Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.5, 0.0, 1.0))
+        };
+        vec![if self.solid { MovingMarker::solid("ball", body) } else { MovingMarker::visible("ball", body) }]
+    }
+    fn move_markers(&self, simulation: &Simulation, poses: &mut [MarkerPose]) {
+        poses[0].position = self.place(simulation.time());
+    }
+    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
+        self.watch.reset(simulation);
+        self.offset = self.spread * (2.0 * rng.random::<f64>() - 1.0);
+    }
+    fn update(&mut self, simulation: &Simulation) {
+        self.watch.update(&CrashConditions::with_max_tilt(FRAC_PI_2), simulation);
+    }
+    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+        self.watch.end(drone)
+    }
+    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+        simulation.obstacle_distance(drone).min(9.0) - if end.is_some() { 100.0 } else { 0.0 }
+    }
+    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+        out.copy_from_slice(&state_vector(&simulation.states()[drone]));
+    }
+    fn success(&self, _simulation: &Simulation, drone: usize) -> bool {
+        self.watch.end(drone).is_none()
+    }
+    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+        Reference::hover(simulation.initial_states()[drone].position, 0.0)
+    }
+}
+
+/// Flies an episode with motors at hover speed: states, and how it ended.
+fn hover(env: &mut Aviary<Ball>, seed: u64) -> (Vec<DroneState>, Vec<f64>, Option<EndReason>) {
+    env.reset(Some(seed)).unwrap();
+    let (mut states, mut rewards) = (Vec::new(), Vec::new());
+    while env.info().end.is_none() {
+        rewards.push(env.step(&vec![0.0; env.action_space().size()]).unwrap().reward);
+        states.push(env.simulation().states()[0]);
+    }
+    (states, rewards, env.info().end)
+}
+
+#[test]
+fn touching_a_solid_marker_is_a_crash_and_touching_another_is_not() {
+    for engine in [EngineKind::Mujoco, EngineKind::Hybrid] {
+        let mut env = Ball::new(true, 0.0).engine(engine).build().unwrap();
+        for episode in 0..2 {
+            let (states, _, end) = hover(&mut env, 1);
+            assert_eq!(end, Some(EndReason::ObstacleContact), "{engine} {episode}");
+            // 1.5 m less both radii, at 1 m/s
+            let seconds = states.len() as f64 / 48.0;
+            assert!((seconds - 1.34).abs() < 0.03, "{engine}: {seconds} s");
+        }
+        let mut env = Ball::new(false, 0.0).engine(engine).build().unwrap();
+        let (states, _, end) = hover(&mut env, 1);
+        assert_eq!((end, states.len()), (Some(EndReason::TimeLimit), 144));
+        assert!(env.simulation().world().obstacles.is_empty());
+        let marker = env.simulation().world().markers.last().unwrap();
+        assert!((marker.body.position - Vector3::new(-1.5, 0.0, 1.0)).norm() < 1e-9, "it has gone by");
+    }
+}
+
+/// Near misses, touches and hits: both engines fly the same, however the ball comes.
+#[test]
+fn both_engines_meet_solid_markers_at_the_same_moment() {
+    let build = |engine| Ball::new(true, 0.25).engine(engine).build().unwrap();
+    let (mut mujoco, mut hybrid) = (build(EngineKind::Mujoco), build(EngineKind::Hybrid));
+    let mut crashes = 0;
+    for seed in 0..12 {
+        let (a, a_rewards, a_end) = hover(&mut mujoco, seed);
+        let (b, b_rewards, b_end) = hover(&mut hybrid, seed);
+        assert_eq!((a.len(), a_end), (b.len(), b_end), "seed {seed}");
+        crashes += usize::from(a_end == Some(EndReason::ObstacleContact));
+        let apart = a.iter().zip(&b).map(|(a, b)| (a.position - b.position).norm()).fold(0.0, f64::max);
+        assert!(apart < 1e-9, "seed {seed}: {apart} m");
+        assert!(a_rewards.iter().zip(&b_rewards).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+    assert!((2..12).contains(&crashes), "{crashes} of 12 are hit");
+    // far from the ball, MuJoCo has nothing to do
+    let substeps = hybrid.simulation().engine_substeps();
+    assert!(substeps.flight > substeps.mujoco, "{substeps:?}");
+}
+
+/// Environment i of a batch, for any number of threads, is the single environment with stream i: markers included.
+#[test]
+fn a_batch_moves_the_markers_of_every_environment_as_its_own() {
+    const COUNT: usize = 11;
+    for (threads, drones) in [(1, 1), (2, 2)] {
+        let builder = Ball::new(true, 0.3).num_drones(drones).episode_seconds(1.7);
+        let config = VecConfig { threads, autoreset: Autoreset::NextStep, ..VecConfig::new(COUNT) };
+        let mut batch = VecAviary::new(builder.clone(), config).unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(5), &mut buffers.observations).unwrap();
+        let mut single: Vec<_> = (0..COUNT as u64)
+            .map(|stream| builder.clone().engine(EngineKind::Hybrid).stream(stream).build().unwrap())
+            .collect();
+        let mut over = [false; COUNT];
+        for env in &mut single {
+            env.reset(Some(5)).unwrap();
+        }
+        let (mut ends, row) = (0, batch.observation_size());
+        for _ in 0..130 {
+            batch.step(&vec![0.0; COUNT * 4 * drones], buffers.step()).unwrap();
+            for (index, env) in single.iter_mut().enumerate() {
+                if std::mem::take(&mut over[index]) {
+                    env.reset(None).unwrap();
+                    assert_eq!(buffers.rewards[index], 0.0);
+                } else {
+                    let step = env.step(&vec![0.0; 4 * drones]).unwrap();
+                    over[index] = step.terminated || step.truncated;
+                    assert_eq!(buffers.terminated[index], step.terminated, "environment {index}");
+                    assert_eq!(buffers.rewards[index], step.reward as f32, "environment {index}");
+                    ends += usize::from(step.terminated);
+                }
+                let seen = env.observation().vector.iter().map(|&x| x as f32);
+                assert!(seen.eq(buffers.observations[row * index..][..row].iter().copied()), "environment {index}");
+            }
+        }
+        assert!(ends > 3, "{ends} episodes ended at the ball");
+    }
+}
+
+#[test]
+fn rangefinders_measure_solid_markers_and_none_of_the_others() {
+    for (solid, wanted) in [(true, 1.4 - 0.5), (false, 5.0)] {
+        let mut env = Ball::new(solid, 0.0).observation_type(ObservationType::KIN_RANGES).build().unwrap();
+        env.reset(Some(1)).unwrap();
+        for _ in 0..24 {
+            env.step(&[0.0; 4]).unwrap();
+        }
+        let ahead = env.observation().ranges[0];
+        assert!((ahead - wanted).abs() < 1e-2, "solid {solid}: {ahead}");
+    }
+}
+
+/// What onboard cameras and people see, solid or not, alone and in a batch.
+#[test]
+fn moving_markers_are_drawn_where_they_are() {
+    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+        return;
+    }
+    let red = |pixels: &[u8], bytes: usize| {
+        pixels.chunks_exact(bytes).filter(|p| p[0] > 90 && i32::from(p[0]) > 2 * i32::from(p[1].max(p[2]))).count()
+    };
+    let size = ImageSize { width: 64, height: 48 };
+    for solid in [true, false] {
+        let builder = Ball::new(solid, 0.0).observation_type(ObservationType::KIN_RGB).camera_size(size);
+        let mut env = builder.clone().build().unwrap();
+        env.reset(Some(1)).unwrap();
+        let far = red(&env.observation().rgb, 4);
+        for _ in 0..48 {
+            env.step(&[0.0; 4]).unwrap();
+        }
+        let near = red(&env.observation().rgb, 4);
+        assert!(far > 10 && near > 4 * far, "solid {solid}: {far} pixels, then {near}");
+        let mut rgb = vec![0; 3 * size.pixels()];
+        env.render(View::Fixed, size, &mut rgb).unwrap();
+        assert!(red(&rgb, 3) > 0, "solid {solid}");
+
+        let mut batch = VecAviary::new(builder, VecConfig::new(3)).unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        for _ in 0..48 {
+            batch.step(&[0.0; 12], buffers.step()).unwrap();
+        }
+        let bytes = 4 * size.pixels();
+        let mut pictures = vec![0; 3 * bytes];
+        use mujoco_drones_gym::vector::VecPictures;
+        batch.pictures(VecPictures { rgb: &mut pictures, ..VecPictures::default() }).unwrap();
+        for picture in pictures.chunks_exact(bytes) {
+            assert_eq!(red(picture, 4), near, "solid {solid}");
+        }
+    }
+}
+
+#[test]
+fn markers_may_stand_among_obstacles_that_are_placed_anew() {
+    use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+    let field = ObstacleConfig { count: 15, new_layout: true, ..ObstacleConfig::new(ObstacleKind::Forest) };
+    let mut env = Ball::new(true, 0.0).obstacle_field(field).build().unwrap();
+    let mut layouts = Vec::new();
+    for _ in 0..3 {
+        env.reset(None).unwrap();
+        let obstacles = &env.simulation().world().obstacles;
+        assert_eq!(obstacles.len(), 16);
+        assert_eq!(obstacles[15].position, Vector3::new(1.5, 0.0, 1.0));
+        layouts.push(obstacles[0].position);
+        for _ in 0..5 {
+            env.step(&[0.0; 4]).unwrap();
+        }
+        let ball = env.simulation().world().obstacles[15].position;
+        assert!((ball.x - (1.5 - 5.0 / 48.0)).abs() < 1e-12);
+    }
+    assert!(layouts[0] != layouts[1] && layouts[1] != layouts[2]);
+}
+
+#[test]
+fn a_pose_that_is_none_is_an_error_by_the_name_of_the_marker() {
+    let mut env = Ball::new(true, f64::NAN).build().unwrap();
+    let error = env.reset(Some(1)).unwrap_err().to_string();
+    assert!(error.contains("moving marker") && error.contains("`ball`"), "{error}");
+    let mut env = Ball::new(true, 0.0).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    assert!(env.step(&[0.0; 4]).is_ok());
+}
