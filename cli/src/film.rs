@@ -10,6 +10,7 @@ use aviary::record::animation::{Animation, GifAnimation, Mp4, PngSequence};
 use aviary::simulation::Simulation;
 use aviary::vision::{ImageSize, View};
 use clap::{ArgGroup, Args, ValueHint};
+use nalgebra::Vector3;
 
 use crate::failure::Failure;
 use crate::options::{Names, named, size, vision_failure};
@@ -31,8 +32,8 @@ pub struct FilmOptions {
     /// The name that --png had in earlier versions
     #[arg(long, group = "pictures", hide = true)]
     frames: Option<PathBuf>,
-    /// Camera of these: track (follows the drones), fpv (on board the first one), fixed (over the whole scene), front (from ahead,
-    /// standing still), top (from above, standing still)
+    /// Camera of these: track (follows the drones), fpv (on board the first one), and, standing still
+    /// with the whole flight in the frame, fixed (from aside), front (from ahead), top (from above)
     #[arg(long, default_value = "track", value_parser = Names(|| View::ALL.map(View::name).to_vec()), hide_possible_values = true, requires = "pictures")]
     camera: String,
     /// Size of these, pixels
@@ -79,10 +80,17 @@ impl FilmOptions {
         [&self.gif, &self.video, &self.png].into_iter().flatten().cloned().collect()
     }
 
-    /// Begins the film, if one is asked for, of drones that have a way to fly or none.
+    /// Whether where the camera stands hangs on where drones will be.
+    pub fn wants_preview(&self, simulation: &Simulation) -> Result<bool, Failure> {
+        Ok(!self.files().is_empty() && is_previewed(self.view()?, simulation))
+    }
+
+    /// Begins the film, if one is asked for, of drones that have a way to fly or none. A camera that stands still keeps the points
+    /// `kept` (world frame, m) in the frame, if there are any.
     pub fn begin<'a>(
         &self,
         simulation: &Simulation,
+        kept: &[Vector3<f64>],
         way: impl Fn(usize) -> Option<&'a dyn Trajectory>,
     ) -> Result<Option<Film>, Failure> {
         if self.files().is_empty() {
@@ -93,6 +101,9 @@ impl FilmOptions {
         let video = self.video.as_deref().map(OutputFile::begin).transpose()?;
         let mut film =
             aviary::record::Film::of(simulation, self.view()?, size, self.overlays()?).map_err(vision_failure)?;
+        if !kept.is_empty() {
+            film.painter().keep_in_frame(kept);
+        }
         for drone in 0..simulation.num_drones() {
             if let Some(way) = way(drone) {
                 film.set_way(drone, way);
@@ -110,6 +121,15 @@ impl FilmOptions {
         }
         let frames = self.png.as_ref().map(|path| PngSequence::create(path, size)).transpose();
         Ok(Some(Film { film, gif, video, frames: frames.map_err(Failure::work)? }))
+    }
+}
+
+/// Whether the pose of a camera hangs on the whole flight: one that stands still, or that looks for a direction without obstacles.
+pub fn is_previewed(view: View, simulation: &Simulation) -> bool {
+    match view {
+        View::Fpv => false,
+        View::Track => !simulation.world().obstacles.is_empty(),
+        View::Fixed | View::Front | View::Top => true,
     }
 }
 

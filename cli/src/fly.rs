@@ -51,10 +51,12 @@ impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
         self.film.check()?;
         let mut pilot = Pilot::new(&self.options)?;
+        pilot.check(&self.options)?;
         // all files of a directory belong to one flight: plots are written to where its log is
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
-        let film = self.film.begin(pilot.env().simulation(), |drone| pilot.way(drone))?;
+        let kept = if self.film.wants_preview(pilot.env().simulation())? { pilot.preview()? } else { Vec::new() };
+        let film = self.film.begin(pilot.env().simulation(), &kept, |drone| pilot.way(drone))?;
         if let Some(out) = &out {
             out.remove(&["summary.json", SCENARIO])?;
             out.remove(&PLOTS)?;

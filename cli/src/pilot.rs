@@ -1,10 +1,12 @@
 //! A task flown by a built-in controller, control step by control step.
 
+use anyhow::anyhow;
 use aviary::action::ActionType;
 use aviary::control::trajectory::Trajectory;
 use aviary::control::{AnyController, Controller as _, ControllerKind, Reference};
-use aviary::env::Env;
+use aviary::env::{Env, Info};
 use aviary::tasks::hover_reward;
+use nalgebra::Vector3;
 
 use crate::failure::Failure;
 use crate::options::{FlightOptions, Variation};
@@ -20,6 +22,7 @@ pub struct Pilot {
     speeds: Vec<[f64; 4]>,
     action: Vec<f64>,
     dt: f64,
+    seed: u64,
 }
 
 /// What a control step brought.
@@ -44,7 +47,8 @@ impl Pilot {
         let (dt, action) = (env.simulation().control_period(), vec![0.0; env.action_space().size()]);
         env.reset(Some(options.seed)).map_err(Failure::work)?;
         let speeds = vec![[0.0; 4]; drones];
-        let mut pilot = Self { env, controllers, kind, trajectory, plans: Vec::new(), speeds, action, dt };
+        let mut pilot =
+            Self { env, controllers, kind, trajectory, plans: Vec::new(), speeds, action, dt, seed: options.seed };
         pilot.plan();
         Ok(pilot)
     }
@@ -55,6 +59,123 @@ impl Pilot {
         self.plans = (0..self.controllers.len()).map(planned).collect();
     }
 
+    /// Returns points (world frame, m) that the drones come by in the first episode, planned and flown: it is flown once, and then
+    /// begins again with the same random numbers. For cameras that stand still.
+    pub fn preview(&mut self) -> Result<Vec<Vector3<f64>>, Failure> {
+        /// Seconds from point to point.
+        const EVERY: f64 = 0.1;
+        let mut points = self.env.extent();
+        for drone in 0..self.controllers.len() {
+            if let Some(way) = self.way(drone) {
+                let times = (0..=120).map(|i| way.duration() * f64::from(i) / 120.0);
+                points.extend(times.map(|time| way.reference(time).position));
+            }
+        }
+        let every = ((EVERY / self.dt).round() as u64).max(1);
+        loop {
+            // a flight that fails does so again when it is flown to be seen
+            let goes_on = self.step().is_ok_and(|flown| !flown.over);
+            let simulation = self.env.simulation();
+            if !goes_on || simulation.control_steps().is_multiple_of(every) {
+                points.extend(simulation.states().iter().map(|state| state.position));
+            }
+            if !goes_on {
+                break;
+            }
+        }
+        self.begin(Some(self.seed))?;
+        Ok(points)
+    }
+
+    /// Whether some drone's way through the task takes longer than an episode.
+    fn is_late(&self) -> bool {
+        let seconds = self.env.episode_steps() as f64 * self.dt;
+        self.plans.iter().flatten().any(|way| way.duration() > seconds)
+    }
+
+    /// The first obstacle in a drone's way, if there is one: the drone, and the place.
+    fn obstruction(&self) -> Option<(usize, Vector3<f64>)> {
+        let simulation = self.env.simulation();
+        let obstacles = &simulation.world().obstacles;
+        if obstacles.is_empty() {
+            return None;
+        }
+        (0..self.controllers.len()).find_map(|drone| {
+            let start = simulation.states()[drone].position;
+            let points: Vec<_> = match self.way(drone) {
+                Some(way) => {
+                    let ticks = (way.duration() / 0.02).ceil() as u32;
+                    (0..=ticks).map(|tick| way.reference(f64::from(tick) * 0.02).position).collect()
+                }
+                // straight to where the task wants it
+                None => {
+                    let way = self.env.reference(drone).position - start;
+                    (0..=100).map(|i| start + way * f64::from(i) / 100.0).collect()
+                }
+            };
+            let radius = simulation.params(drone).collision_radius;
+            // with room for errors of the controller
+            let room = radius + 0.05;
+            let blocked = |point: &Vector3<f64>| obstacles.iter().any(|obstacle| obstacle.distance(point) < room);
+            points.into_iter().find(blocked).map(|place| (drone, place))
+        })
+    }
+
+    /// Refuses what the built-in pilots cannot fly, naming what they can: they plan no way around obstacles, and of many drones each
+    /// waits until its way is free.
+    pub fn check(&mut self, options: &FlightOptions) -> Result<(), Failure> {
+        let task = self.env.name();
+        if let Some((drone, place)) = self.obstruction() {
+            let which = if self.controllers.len() > 1 { format!("drone {drone}") } else { "the drone".into() };
+            let where_ = format!("({:.2}, {:.2}, {:.2}) m", place.x, place.y, place.z);
+            const SEEDS: u64 = 30;
+            let free = |seed: &u64| {
+                let mut options = options.clone();
+                options.seed = *seed;
+                Self::new(&options).is_ok_and(|pilot| pilot.obstruction().is_none())
+            };
+            let other = (1..=SEEDS).map(|by| options.seed.wrapping_add(by)).find(free);
+            let remedy = match other {
+                Some(seed) => format!("--seed {seed} leaves it free"),
+                None => format!(
+                    "nor is it free with the {SEEDS} seeds that follow: give `arena` more room in a --config file"
+                ),
+            };
+            return Err(Failure::input(anyhow!(
+                "an obstacle is in the way of {which} at {where_}, and the built-in pilots fly around none; {remedy}"
+            )));
+        }
+        if self.controllers.len() > 1 && self.is_late() {
+            let success = self.fly_ahead()?.success;
+            if !success {
+                let count = self.controllers.len();
+                let seconds = self.env.episode_steps() as f64 * self.dt;
+                let in_time = |count: &usize| {
+                    let mut options = options.clone();
+                    options.num_drones = Some(*count);
+                    let mut env = options.environment(None, Variation::NONE).ok()?;
+                    env.reset(Some(options.seed)).ok()?;
+                    // the last one begins last
+                    Some(env.plan(*count - 1).is_none_or(|way| way.duration() <= seconds))
+                };
+                let most = (1..count).rev().find(|count| in_time(count) == Some(true)).unwrap_or(1);
+                return Err(Failure::input(anyhow!(
+                    "--num-drones is {count}, but the built-in pilots fly {task} with up to {most} in {seconds} s: \
+                     expected --num-drones {most}, or a longer --duration"
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Flies the first episode, says how it ended, and begins it again with the same random numbers.
+    fn fly_ahead(&mut self) -> Result<Info, Failure> {
+        while self.step().is_ok_and(|flown| !flown.over) {}
+        let info = self.env.info();
+        self.begin(Some(self.seed))?;
+        Ok(info)
+    }
+
     /// The kind of controller.
     pub fn kind(&self) -> ControllerKind {
         self.kind
@@ -62,10 +183,15 @@ impl Pilot {
 
     /// Starts the next episode, going on with the same random numbers.
     pub fn restart(&mut self) -> Result<(), Failure> {
+        self.begin(None)
+    }
+
+    /// Starts an episode, from a seed or with the random numbers that follow.
+    fn begin(&mut self, seed: Option<u64>) -> Result<(), Failure> {
         for controller in &mut self.controllers {
             controller.reset();
         }
-        self.env.reset(None).map_err(Failure::work)?;
+        self.env.reset(seed).map_err(Failure::work)?;
         self.plan();
         Ok(())
     }
@@ -157,5 +283,185 @@ impl Pilot {
 
     pub fn env(&self) -> &dyn Env {
         &*self.env
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use aviary::control::trajectory;
+    use aviary::vision::{CameraPose, ImageSize, View};
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        options: FlightOptions,
+    }
+
+    fn options(line: &str) -> FlightOptions {
+        let words = ["test"].into_iter().chain(line.split(' '));
+        Line::try_parse_from(words.chain(["--engine", "hybrid"])).unwrap().options
+    }
+
+    const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
+
+    /// Whether every drone of a flight is in the frame of every view that stands still, and how large the first one is in it, as a
+    /// share of its height.
+    fn share_of_the_frame(line: &str) -> f64 {
+        let mut pilot = Pilot::new(&options(line)).unwrap();
+        let points = pilot.preview().unwrap();
+        let params = pilot.env().simulation().params(0).clone();
+        let obstacles = pilot.env().simulation().world().obstacles.clone();
+        let poses = [View::Fixed, View::Front, View::Top]
+            .map(|view| CameraPose::framing(view, &points, params.collision_radius, &obstacles, SIZE).unwrap());
+        let mut share = f64::INFINITY;
+        loop {
+            for (drone, state) in pilot.env().simulation().states().iter().enumerate() {
+                for pose in &poses {
+                    for point in [state.position, pilot.reference(drone).position] {
+                        let place = pose.project(&point, SIZE).unwrap();
+                        assert!(place.iter().all(|x| x.abs() < 0.97), "{line}: {place:?}");
+                    }
+                    let distance = (state.position - pose.eye).norm();
+                    share =
+                        share.min(params.collision_radius / (distance * (CameraPose::FOVY / 2.0).to_radians().tan()));
+                }
+            }
+            if pilot.step().unwrap().over {
+                return share;
+            }
+        }
+    }
+
+    #[test]
+    fn every_drone_of_every_flight_is_in_the_frame_of_views_that_stand_still() {
+        // drones take a good part of the frame where they stay near
+        for (line, least) in [("--task hover", 0.08), ("--task hover --obstacles forest", 0.03), ("--task track", 0.04)]
+        {
+            let share = share_of_the_frame(line);
+            assert!(share > least, "{line}: {share}");
+        }
+        for task in aviary::tasks::NAMES {
+            let share = share_of_the_frame(&format!("--task {task} --duration 8"));
+            assert!(share > 0.005, "{task}: {share}");
+        }
+        for name in trajectory::NAMES {
+            let share = share_of_the_frame(&format!("--task hover --trajectory {name}"));
+            assert!(share > 0.01, "{name}: {share}");
+        }
+        let file = std::env::temp_dir().join(format!("lemniscate{}.toml", std::process::id()));
+        std::fs::write(
+            &file,
+            "kind = \"lemniscate\"\nhalf_length = 6\nhalf_width = 3\npeak_speed = 2\ncentre = [0, 0, 1.5]\nramp = 2\n",
+        )
+        .unwrap();
+        share_of_the_frame(&format!("--task hover --trajectory {}", file.display()));
+        std::fs::remove_file(&file).unwrap();
+    }
+
+    #[test]
+    fn a_flight_that_was_flown_ahead_is_the_same_flight() {
+        for line in ["--task hover --wind combined", "--task race --num-drones 2", "--task antipodal --num-drones 3"] {
+            let fly = |ahead: bool| {
+                let mut pilot = Pilot::new(&options(&format!("{line} --duration 4"))).unwrap();
+                if ahead {
+                    pilot.preview().unwrap();
+                }
+                while !pilot.step().unwrap().over {}
+                pilot.env().simulation().states().to_vec()
+            };
+            assert_eq!(fly(false), fly(true), "{line}");
+        }
+    }
+
+    /// What becomes of a flight with the built-in pilots.
+    #[derive(Debug, PartialEq)]
+    enum Outcome {
+        /// Refused on the command line, with these words.
+        Refused(String),
+        Success,
+        /// Ended otherwise.
+        Failure(String),
+    }
+
+    fn outcome(line: &str) -> Outcome {
+        let options = options(line);
+        let ready = Pilot::new(&options).and_then(|mut pilot| pilot.check(&options).map(|()| pilot));
+        let mut pilot = match ready {
+            Ok(pilot) => pilot,
+            Err(Failure::Input(error)) => return Outcome::Refused(error.to_string()),
+            Err(Failure::Work(error)) => return Outcome::Failure(error.to_string()),
+        };
+        while !pilot.step().unwrap().over {}
+        let info = pilot.env().info();
+        if info.success { Outcome::Success } else { Outcome::Failure(format!("{:?} {:.2} s", info.end, info.time)) }
+    }
+
+    #[test]
+    fn races_of_many_drones_are_flown_or_refused_with_the_number_that_works() {
+        for line in ["--task race --num-drones 6", "--task race --num-drones 8", "--task fly_through --num-drones 7"] {
+            assert_eq!(outcome(line), Outcome::Success, "{line}");
+        }
+        let Outcome::Refused(error) = outcome("--task fly_through --num-drones 40") else {
+            panic!("40 drones in 20 s")
+        };
+        let most = error.split("expected --num-drones ").nth(1).and_then(|rest| rest.split(',').next()).unwrap();
+        let most: usize = most.parse().unwrap();
+        assert!(most >= 7, "{error}");
+        assert_eq!(outcome(&format!("--task fly_through --num-drones {most}")), Outcome::Success, "{error}");
+    }
+
+    /// Obstacles that stand in the way of a pilot that does not see them.
+    #[test]
+    fn obstacles_in_the_way_are_refused_with_a_seed_that_leaves_it_free() {
+        assert_eq!(outcome("--task hover --obstacles indoor"), Outcome::Success);
+        // the gates of the race stand outside the room, whatever its layout
+        let Outcome::Refused(error) = outcome("--task race --obstacles indoor") else { panic!("through a wall") };
+        assert!(error.contains("an obstacle is in the way of the drone") && error.contains("`arena`"), "{error}");
+        let refused =
+            (0..20).find_map(|seed| match outcome(&format!("--task fly_through --obstacles random --seed {seed}")) {
+                Outcome::Refused(error) => Some(error),
+                outcome => {
+                    assert_eq!(outcome, Outcome::Success, "seed {seed}");
+                    None
+                }
+            });
+        let error = refused.expect("an obstacle in the way of one of 20 flights");
+        let seed = error.split("--seed ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
+        assert_eq!(
+            outcome(&format!("--task fly_through --obstacles random --seed {seed}")),
+            Outcome::Success,
+            "{error}"
+        );
+    }
+
+    #[test]
+    #[ignore = "flies every task with 1 to 20 drones: minutes"]
+    fn every_task_is_flown_with_up_to_20_drones_or_refused() {
+        for task in aviary::tasks::NAMES {
+            for count in 1..=20 {
+                let outcome = outcome(&format!("--task {task} --num-drones {count}"));
+                assert!(!matches!(outcome, Outcome::Failure(_)), "{task} with {count}: {outcome:?}");
+            }
+        }
+    }
+
+    #[test]
+    #[ignore = "flies every task among obstacles of every kind: minutes"]
+    fn every_task_is_flown_among_obstacles_or_refused() {
+        for task in aviary::tasks::NAMES {
+            for kind in ["forest", "urban", "indoor", "random", "gates"] {
+                for seed in 0..6 {
+                    let line = format!("--task {task} --obstacles {kind} --seed {seed}");
+                    let outcome = outcome(&line);
+                    assert!(
+                        !matches!(&outcome, Outcome::Failure(end) if end.contains("Obstacle")),
+                        "{line}: {outcome:?}"
+                    );
+                }
+            }
+        }
     }
 }

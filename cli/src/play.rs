@@ -143,7 +143,15 @@ impl Play {
         }
         let mut env = config.environment().map_err(Failure::input)?;
         env.reset(Some(self.seed)).map_err(Failure::work)?;
-        let mut film = self.film.begin(env.simulation(), |_| None)?;
+        let mut kept = Vec::new();
+        if self.film.wants_preview(env.simulation())? {
+            // flown once to know where a camera is to stand
+            kept = env.extent();
+            let mut note = |env: &dyn Env| kept.extend(env.simulation().states().iter().map(|state| state.position));
+            learn::fly(&mut *env, policy, config.success, self.seed, &mut note).map_err(flying)?;
+            env.reset(Some(self.seed)).map_err(Failure::work)?;
+        }
+        let mut film = self.film.begin(env.simulation(), &kept, |_| None)?;
         let mut went_wrong = Ok(());
         let mut look = |env: &dyn Env| {
             // the last moment is added when the film is finished

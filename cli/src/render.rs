@@ -5,9 +5,11 @@ use aviary::record::picture;
 use aviary::vision::{ImageKind, ImageSize, Painter, View};
 use aviary::world::World;
 use clap::{Args, ValueHint};
+use nalgebra::Vector3;
 use serde_json::json;
 
 use crate::failure::Failure;
+use crate::film::is_previewed;
 use crate::options::{FlightOptions, Names, named, size, vision_failure};
 use crate::output::{self, OutputFile};
 use crate::pilot::Pilot;
@@ -25,7 +27,8 @@ pub struct Render {
     /// File to write
     #[arg(long, value_hint = ValueHint::FilePath)]
     out: PathBuf,
-    /// Camera: track, fpv, fixed, front, top
+    /// Camera: track (follows the drones), fpv (on board the first one) and, with the whole flight in the frame, fixed (from
+    /// aside), front (from ahead), top (from above)
     #[arg(long, default_value = "track", value_parser = Names(|| View::ALL.map(View::name).to_vec()), hide_possible_values = true)]
     camera: String,
     /// What to show: rgb, depth, segmentation
@@ -58,6 +61,7 @@ impl Render {
         }
         let mut pilot = Pilot::new(&self.options)?;
         let file = OutputFile::begin(&self.out)?;
+        let kept = if is_previewed(view, pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
         // half a step early or late is as near as a control step can be
         let until = self.at - 0.5 * pilot.env().simulation().control_period();
         while pilot.env().simulation().time() < until {
@@ -68,7 +72,7 @@ impl Render {
                 return Err(Failure::input(anyhow!("--at is {} s, but the flight ends ({end}) at {time} s", self.at)));
             }
         }
-        file.write(&self.picture(&pilot, view, kind)?)?;
+        file.write(&self.picture(&pilot, view, kind, &kept)?)?;
         if self.json {
             return output::print_json(&json!({
                 "task": pilot.env().name(),
@@ -83,13 +87,16 @@ impl Render {
         output::print_written(std::slice::from_ref(&self.out))
     }
 
-    fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind) -> Result<Vec<u8>, Failure> {
+    fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind, kept: &[Vector3<f64>]) -> Result<Vec<u8>, Failure> {
         let simulation = pilot.env().simulation();
         let painter = match kind {
             ImageKind::Rgb => Painter::for_people(simulation.world()),
             ImageKind::Depth | ImageKind::Segmentation => Painter::for_observations(simulation.world()),
         };
         let mut painter = painter.map_err(vision_failure)?;
+        if !kept.is_empty() {
+            painter.keep_in_frame(kept);
+        }
         painter.update(simulation.states()).map_err(vision_failure)?;
         let pixels = self.size.pixels();
         let rgb = match kind {

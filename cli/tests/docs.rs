@@ -102,6 +102,23 @@ fn run(directory: &Path, line: &str) {
     assert!(output.status.success(), "aviary {line}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
+/// Flies a `fly` command to its end, without pictures, and expects success.
+fn succeeds(directory: &Path, line: &str) {
+    let mut words = Vec::new();
+    let mut given = line.split_whitespace();
+    while let Some(word) = given.next() {
+        match word {
+            "--gif" | "--video" | "--frames" | "--camera" | "--overlay" | "--size" => drop(given.next()),
+            _ => words.push(word),
+        }
+    }
+    words.push("--json");
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(&words).current_dir(directory).output().unwrap();
+    let flight: serde_json::Value = serde_json::from_slice(&output.stdout)
+        .unwrap_or_else(|_| panic!("aviary {line}: {}", String::from_utf8_lossy(&output.stderr)));
+    assert_eq!(flight["success"], true, "aviary {line}: {flight}");
+}
+
 /// Looks whether what cargo is told to run is there.
 fn look_for(line: &str) {
     let words: Vec<&str> = line.split_whitespace().collect();
@@ -128,7 +145,7 @@ fn every_command_of_the_documentation_works() {
     }
     let airframe = &blocks(&std::fs::read_to_string(root().join("docs/airframes.md")).unwrap(), "toml")[0];
     std::fs::write(directory.join("my_quad.toml"), airframe).unwrap();
-    let mut count = 0;
+    let (mut count, mut flights) = (0, 0);
     for page in pages() {
         for command in commands(&std::fs::read_to_string(&page).unwrap()) {
             for part in command.split(" && ") {
@@ -137,7 +154,12 @@ fn every_command_of_the_documentation_works() {
                 if let Some(line) = part.strip_prefix("aviary ").or(part.strip_prefix("cargo run --release -p cli -- "))
                 {
                     // what a shell would do with the output is no part of it
-                    run(&directory, line.split(" > ").next().unwrap());
+                    let line = line.split(" > ").next().unwrap();
+                    run(&directory, line);
+                    if line.starts_with("fly ") {
+                        succeeds(&directory, line);
+                        flights += 1;
+                    }
                 } else if part.starts_with("cargo ") {
                     look_for(part);
                 } else {
@@ -147,7 +169,7 @@ fn every_command_of_the_documentation_works() {
             }
         }
     }
-    assert!(count > 60, "{count} commands");
+    assert!(count > 60 && flights > 12, "{count} commands, {flights} flights");
 }
 
 #[test]

@@ -70,7 +70,7 @@ impl Course {
     }
 
     /// The smoothest way from where a drone is through all points that are left, as fast as its airframe may. Of several
-    /// drones each starts when the one before has gone a part of the first lap, and goes out of the others' way at its end.
+    /// drones each starts as soon as it stays clear of those before it, and goes out of the others' way at its end.
     pub(super) fn plan(
         &self,
         simulation: &Simulation,
@@ -79,30 +79,92 @@ impl Course {
         laps: usize,
     ) -> Option<Box<dyn Trajectory>> {
         let count = simulation.num_drones();
+        let radius = |drone: usize| simulation.params(drone).collision_radius;
+        let spacing = (0..count).map(|drone| 3.0 * radius(drone)).fold(0.7, f64::max);
         let through = |drone: usize| {
             let left = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
             let left: Vec<_> = left.collect();
             if left.is_empty() {
                 return None;
             }
-            // behind the start, where no course of this crate goes
-            let aside = (count > 1).then(|| [-1.0, -1.5 - 0.7 * drone as f64, 1.0]);
+            // behind the start, where no course of this crate goes; the first one the farthest, so that none comes by another
+            let place = -0.8 - spacing * (count - drone) as f64;
+            let aside = (count > 1).then_some([-1.0, place, 1.0]);
             let start = simulation.states()[drone].position.into();
             let way: Vec<_> = std::iter::once(start).chain(left).chain(aside).collect();
             let yaws = vec![simulation.states()[drone].yaw(); way.len()];
             let (speed, acceleration) = limits(simulation.params(drone));
             Waypoints::through(&way).yaws(yaws).limits(speed, acceleration).build().ok()
         };
-        let way = through(drone)?;
         if count == 1 {
-            return Some(Box::new(way));
+            return Some(Box::new(through(drone)?));
         }
-        // all come to the first point as if in one row, evenly over a lap, the last one of them as soon as it can
-        let last = through(count - 1).unwrap_or_else(|| way.clone());
-        let times = last.times();
-        let lap = times.get(1 + points.len()).unwrap_or(&times[times.len() - 1]) - times[1];
-        let first = times[1].max(way.times()[1]) - way.times()[1];
-        Some(Box::new(Delayed { delay: first + drone as f64 * lap / count as f64, way }))
+        let mut before: Vec<Scheduled> = Vec::new();
+        let mut delay = 0.0;
+        for index in 0..drone {
+            if let Some(way) = through(index) {
+                let way = Scheduled::new(way, radius(index));
+                delay = way.earliest_after(delay, &before);
+                before.push(Scheduled { delay, ..way });
+            }
+        }
+        let way = Scheduled::new(through(drone)?, radius(drone));
+        let delay = way.earliest_after(delay, &before);
+        Some(Box::new(Delayed { delay, way: way.way }))
+    }
+}
+
+/// A way with the moment at which it begins.
+#[derive(Debug)]
+struct Scheduled {
+    way: Waypoints,
+    /// Places along it, every [`TICK`](Self::TICK) seconds.
+    places: Vec<Vector3<f64>>,
+    /// Collision radius of the drone that flies it, m.
+    radius: f64,
+    /// s.
+    delay: f64,
+}
+
+impl Scheduled {
+    /// Time from place to place, s.
+    const TICK: f64 = 0.05;
+
+    /// Room between two drones on their ways, m: for errors of controllers, and for the way of a tick.
+    const ROOM: f64 = 0.3;
+
+    fn new(way: Waypoints, radius: f64) -> Self {
+        let ticks = (way.duration() / Self::TICK).ceil() as u32;
+        let places = (0..=ticks).map(|tick| way.reference(f64::from(tick) * Self::TICK).position).collect();
+        Self { way, places, radius, delay: 0.0 }
+    }
+
+    /// Where it is so many ticks after the beginning of the plan: at its start before it begins, and at its end once it is over.
+    fn place(&self, delay: usize, tick: usize) -> &Vector3<f64> {
+        &self.places[tick.saturating_sub(delay).min(self.places.len() - 1)]
+    }
+
+    fn ticks(seconds: f64) -> usize {
+        (seconds / Self::TICK).round() as usize
+    }
+
+    /// The first delay (s) from this one on with which it stays clear of the ways before it; if there is none, one with which all of
+    /// those are over.
+    fn earliest_after(&self, delay: f64, before: &[Self]) -> f64 {
+        const STRIDE: usize = 2;
+        let end = |other: &Self| Self::ticks(other.delay) + other.places.len();
+        let last = before.iter().map(end).max().unwrap_or(0);
+        let first = Self::ticks(delay);
+        let clear = |delay: usize| {
+            let until = last.max(delay + self.places.len());
+            before.iter().rev().all(|other| {
+                let (least, others) = (self.radius + other.radius + Self::ROOM, Self::ticks(other.delay));
+                (0..until)
+                    .all(|tick| (self.place(delay, tick) - other.place(others, tick)).norm_squared() > least * least)
+            })
+        };
+        let found = (first..last).step_by(STRIDE).find(|&delay| clear(delay));
+        found.unwrap_or(first.max(last)) as f64 * Self::TICK
     }
 }
 
@@ -173,6 +235,34 @@ pub(super) fn check_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The planned ways of many drones, of every airframe: apart all the time, and each begins some day.
+    #[test]
+    fn planned_ways_stay_clear_of_each_other() {
+        use crate::drone::DroneModel;
+        use crate::env::{Env as _, EnvConfig};
+
+        for (name, count) in [("race", 10), ("fly_through", 7), ("race", 2)] {
+            for model in [DroneModel::Cf2x, DroneModel::Race] {
+                let config = EnvConfig::default().drone(model).num_drones(count);
+                let mut env = crate::tasks::make(name, config).unwrap();
+                env.reset(Some(1)).unwrap();
+                let ways: Vec<_> = (0..count).map(|drone| env.plan(drone).unwrap()).collect();
+                let end = ways.iter().map(|way| way.duration()).fold(0.0, f64::max);
+                assert!(end < 60.0, "{name} with {count} {model}: {end} s");
+                let least = 2.0 * model.params().collision_radius + 0.2;
+                for tick in 0..(end / 0.02) as u32 {
+                    let places: Vec<_> =
+                        ways.iter().map(|way| way.reference(f64::from(tick) * 0.02).position).collect();
+                    for (i, a) in places.iter().enumerate() {
+                        for b in &places[..i] {
+                            assert!((a - b).norm() > least, "{name} with {count} {model}: {} m", (a - b).norm());
+                        }
+                    }
+                }
+            }
+        }
+    }
 
     #[test]
     fn a_point_between_two_steps_is_passed() {
