@@ -95,9 +95,9 @@ fn touching_a_solid_marker_is_a_crash_and_touching_another_is_not() {
         for episode in 0..2 {
             let (states, _, end) = hover(&mut env, 1);
             assert_eq!(end, Some(EndReason::ObstacleContact), "{engine} {episode}");
-            // 1.5 m less both radii, at 1 m/s
+            // 1.5 m less both radii, at 1 m/s, and up to two control steps until it is there and touched
             let seconds = states.len() as f64 / 48.0;
-            assert!((seconds - 1.34).abs() < 0.03, "{engine}: {seconds} s");
+            assert!((seconds - 1.36).abs() < 0.03, "{engine}: {seconds} s");
         }
         let mut env = Ball::new(false, 0.0).engine(engine).build().unwrap();
         let (states, _, end) = hover(&mut env, 1);
@@ -134,7 +134,7 @@ fn both_engines_meet_solid_markers_at_the_same_moment() {
 fn a_batch_moves_the_markers_of_every_environment_as_its_own() {
     const COUNT: usize = 11;
     for (threads, drones) in [(1, 1), (2, 2)] {
-        let builder = Ball::new(true, 0.3).num_drones(drones).episode_seconds(1.7);
+        let builder = Ball::new(true, 0.15).num_drones(drones).episode_seconds(1.7);
         let config = VecConfig { threads, autoreset: Autoreset::NextStep, ..VecConfig::new(COUNT) };
         let mut batch = VecAviary::new(builder.clone(), config).unwrap();
         let mut buffers = VecBuffers::new(&batch);

@@ -109,7 +109,7 @@ impl HybridEngine {
     fn is_clear(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> bool {
         let dt = self.dt;
         let radius = |drone: usize| bodies.drones[drone].envelope.radius(dt, steps, &states[drone]);
-        self.has_room(states, radius, |_, _| false)
+        self.has_room(states, bodies.obstacle_drift, radius, |_, _| false)
     }
 
     /// Whether no drone can touch anything in the coming physics step.
@@ -123,6 +123,7 @@ impl HybridEngine {
         let sizes = std::mem::take(&mut self.sizes);
         let free = self.has_room(
             states,
+            bodies.obstacle_drift,
             |drone| {
                 let (travel, turn) = motion(drone);
                 // NaN and infinity are no room
@@ -138,11 +139,12 @@ impl HybridEngine {
         free
     }
 
-    /// Whether balls of these radii about the drones meet neither the floor nor each other nor an obstacle; a drone may be known
+    /// Whether balls of these radii about the drones meet neither the floor nor each other nor an obstacle that may move so far; a drone may be known
     /// to be off the floor by more than its ball says.
     fn has_room(
         &mut self,
         states: &[DroneState],
+        drift: f64,
         radius: impl Fn(usize) -> f64,
         off_floor: impl Fn(usize, &DroneState) -> bool,
     ) -> bool {
@@ -153,7 +155,7 @@ impl HybridEngine {
             let apart = |other: usize| (place - V3::from(&states[other].position)).norm() - ball - radius(other) > 0.0;
             off_the_floor
                 && (0..drone).all(apart)
-                && self.lookouts[drone].has_room(&self.obstacles, &state.position, ball)
+                && self.lookouts[drone].has_room(&self.obstacles, &state.position, ball + drift)
         })
     }
 

@@ -74,6 +74,9 @@ pub struct Bodies {
     pub drones: Vec<Body>,
     /// m/s², downwards.
     pub gravity: f64,
+    /// How far an obstacle may move until the next control step, m: the hybrid engine hands over so much earlier, so that the solver
+    /// starts as warm as MuJoCo's alone.
+    pub obstacle_drift: f64,
 }
 
 /// Which engine integrates, where the physics mode leaves a choice.

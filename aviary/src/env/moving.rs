@@ -71,6 +71,14 @@ impl MovingMarkers {
                 marker += 1;
             }
         }
+        let solid =
+            self.obstacles[self.first_obstacle..].iter().zip(&simulation.world().obstacles[self.first_obstacle..]);
+        let travel = |(new, old): (&Obstacle, &Obstacle)| {
+            (new.position - old.position).norm() + (new.rpy - old.rpy).norm() * new.shape.reach()
+        };
+        let drift = if task.is_some() { solid.map(travel).fold(0.0, f64::max) } else { 0.0 };
+        // one that gathers speed comes farther in the next step than in the last one
+        simulation.set_obstacle_drift(2.0 * drift);
         if self.obstacles == simulation.world().obstacles {
             return Ok(false);
         }

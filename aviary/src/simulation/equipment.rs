@@ -64,7 +64,7 @@ impl Equipment {
             drones: world.drones.iter().map(|body| drone(&body.params)).collect(),
             actuators: world.drones.iter().map(|body| Actuators::new(&body.params, actuators, timestep)).collect(),
             wakes: world.drones.iter().map(|body| Wake::new(&body.params)).collect(),
-            bodies: Bodies { drones: Vec::with_capacity(count), gravity: world.gravity },
+            bodies: Bodies { drones: Vec::with_capacity(count), gravity: world.gravity, obstacle_drift: 0.0 },
             wind: None,
             wind_seed: 0,
             memory: Memory::default(),

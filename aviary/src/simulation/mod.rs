@@ -344,6 +344,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// Says how far an obstacle may move until the next control step, m.
+    pub(crate) fn set_obstacle_drift(&mut self, metres: f64) {
+        self.equipment.bodies.obstacle_drift = metres;
+    }
+
     /// Puts a marker elsewhere: what is drawn from now on.
     pub(crate) fn set_marker_pose(&mut self, index: usize, pose: &MarkerPose) {
         let body = &mut self.world.markers[index].body;

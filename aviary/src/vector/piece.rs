@@ -303,10 +303,11 @@ impl<T: Task> Worker<'_, T> {
             let own = equipment.obstacles();
             let obstacles = if own.is_empty() { &simulation.world().obstacles } else { own };
             let lookouts = &mut piece.lookouts[drones * index..][..drones];
+            let drift = equipment.bodies().obstacle_drift;
             clear[lane] = lanes.iter().zip(lookouts).zip(&equipment.bodies().drones).all(|((lanes, lookout), body)| {
                 let state = lanes.state(lane);
                 let room = body.envelope.radius(flow.dt, common.substeps, &state);
-                lookout.has_room(obstacles, &state.position, room)
+                lookout.has_room(obstacles, &state.position, room + drift)
             });
         }
         clear
