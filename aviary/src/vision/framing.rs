@@ -247,7 +247,9 @@ mod tests {
                 let tight = CameraPose::framing(view, &points, 1e-6, &[], size).unwrap();
                 let places = points.iter().map(|point| tight.project(point, size).unwrap());
                 let most = places.flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
-                prop_assert!(points.len() == 1 || most > MARGIN - 1e-3, "{view}: {most}");
+                // unless one is so far in front of the others that the camera stands before it
+                let before_one = points.iter().any(|point| (point - tight.eye).norm() < 1e-3);
+                prop_assert!(before_one || most > MARGIN - 1e-3, "{view}: {most}");
             }
         }
 
