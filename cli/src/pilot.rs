@@ -404,8 +404,8 @@ mod tests {
         for line in ["--task race --num-drones 6", "--task race --num-drones 8", "--task fly_through --num-drones 7"] {
             assert_eq!(outcome(line), Outcome::Success, "{line}");
         }
-        let Outcome::Refused(error) = outcome("--task fly_through --num-drones 40") else {
-            panic!("40 drones in 20 s")
+        let Outcome::Refused(error) = outcome("--task fly_through --num-drones 14") else {
+            panic!("14 drones in 20 s")
         };
         let most = error.split("expected --num-drones ").nth(1).and_then(|rest| rest.split(',').next()).unwrap();
         let most: usize = most.parse().unwrap();

@@ -292,9 +292,6 @@ impl SimulationBuilder {
                 ..DroneState::at_rest(body.position, body.rpy)
             })
             .collect();
-        if let Some(drone) = initial.iter().position(|state| out_of_range(state).is_some()) {
-            return Err(SimulationError::State { drone });
-        }
         let world = World {
             timestep: 1.0 / f64::from(sim_freq),
             integrator: self.integrator,
@@ -310,6 +307,10 @@ impl SimulationBuilder {
             (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&world)?),
             (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&world)?),
         };
+        // positions and attitudes that are out of range have been named by the scene
+        if let Some(drone) = initial.iter().position(|state| out_of_range(state).is_some()) {
+            return Err(SimulationError::State { drone });
+        }
         let contacts = Vec::with_capacity(engine.mujoco_engine().max_contacts());
         let no_load = Load { rotors: RotorModel::new(&self.drones[0]).wrench(&[0.0; 4]), external: Wrench::ZERO };
         let mut simulation = Simulation {

@@ -1,0 +1,29 @@
+//! A few cases of every target.
+
+use fuzz::{corpus, run, targets};
+
+/// Cases of a target: those that compile or step a scene take milliseconds each.
+fn cases(name: &str) -> u64 {
+    match name {
+        "conditions" | "scenario" | "obstacles" | "mjcf" | "airframe" => 150,
+        "flight" | "mesh" => 300,
+        _ => 1000,
+    }
+}
+
+#[test]
+fn no_target_panics_on_its_corpus_or_on_what_is_like_it() {
+    for target in &targets::ALL {
+        let corpus = corpus(target).unwrap();
+        assert!(!corpus.is_empty(), "{}", target.name);
+        let most = cases(target.name);
+        let report = run(target, &corpus, 17, |case, _| case < most);
+        if let Some(finding) = report.finding {
+            let input = String::from_utf8_lossy(&finding.input).into_owned();
+            panic!("{}: case {:?}: {}\n{input}", target.name, finding.case, finding.message);
+        }
+        assert_eq!(report.cases, most);
+        // mutations that are all refused alike would test nothing
+        assert!(report.accepted > most / 100 && report.answers > 3, "{}: {report:?}", target.name);
+    }
+}
