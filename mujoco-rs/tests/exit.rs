@@ -36,7 +36,9 @@ fn draw_on_threads(endless: bool) {
             }
         });
     }
-    all_done.iter().take(THREADS).count();
+    // a thread that fails sends nothing: the channel then ends early
+    drop(done);
+    assert_eq!(all_done.iter().take(THREADS).count(), THREADS, "threads that have drawn");
     // the sender of a thread that draws on must find its receiver
     std::mem::forget(all_done);
 }

@@ -86,7 +86,8 @@ impl Limits {
                     get(name, &mut value);
                 }
             }
-            u32::try_from(value).unwrap_or(0)
+            // a driver that does not say has no limit of its own
+            u32::try_from(value).ok().filter(|&limit| limit > 0).unwrap_or(u32::MAX)
         };
         Self { texture: limit(MAX_TEXTURE_SIZE), picture: limit(MAX_RENDERBUFFER_SIZE), samples: limit(MAX_SAMPLES) }
     }
@@ -129,6 +130,8 @@ fn library() -> Result<&'static Library, Error> {
     static LIBRARY: OnceLock<Result<Library, Error>> = OnceLock::new();
     let find = || {
         let _inside = gate::enter().ok_or_else(ending)?;
+        // the first use is one that the end of the process waits for, too
+        gate::close_at_exit();
         // SAFETY: one thread at a time, which the lock around it sees to; between the two calls drivers start and read it.
         unsafe { mujoco_sys::mjshim_without_rasteriser_threads() };
         let found = find();
