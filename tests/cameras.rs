@@ -317,7 +317,7 @@ fn far_and_high_gates_have_shadows() {
     let gate = Marker { name: "gate".into(), body: Obstacle::new(shape, place) };
     let env = Hover::builder().markers([gate]).build().unwrap();
     let size = ImageSize { width: 120, height: 120 };
-    let mut picture = |shadows| {
+    let picture = |shadows| {
         let effects = Effects { shadows, ..Effects::default() };
         let quality = mujoco_drones_gym::mujoco::Quality::PRETTY;
         let mut painter = Painter::new(env.simulation().world(), quality, effects).unwrap();
