@@ -411,7 +411,9 @@ fn what_was_configured_comes_back_when_randomization_goes() {
     };
     let (mut plain, mut env) = (build(), build());
     let expected = flight(&mut plain);
-    for config in [Randomization::default(), only("[body]\n[environment]\nwind = [0, 0]\n")] {
+    let without_wind =
+        Randomization { environment: only("[environment]\nwind = [0, 0]\n").environment, ..Randomization::default() };
+    for config in [without_wind, only("[body]\n[environment]\nwind = [0, 0]\n")] {
         env.set_randomization(Some(config)).unwrap();
         env.reset(Some(1)).unwrap();
         env.step(&[0.0; 4]).unwrap();
@@ -419,6 +421,15 @@ fn what_was_configured_comes_back_when_randomization_goes() {
         assert_eq!(flight(&mut env), expected);
         assert_eq!(env.simulation().wind(), Some(&wind));
     }
+    // a drawn wind goes with the randomization
+    let mut still = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).actuators(motors).build().unwrap();
+    let expected = flight(&mut still);
+    still.set_randomization(Some(Randomization::default())).unwrap();
+    still.reset(Some(1)).unwrap();
+    assert!(still.simulation().wind().is_some());
+    still.set_randomization(None).unwrap();
+    assert_eq!(flight(&mut still), expected);
+    assert!(still.simulation().wind().is_none());
 }
 
 #[test]
