@@ -38,9 +38,12 @@ pub fn corpus_directory() -> PathBuf {
 /// Where a file cannot be read.
 pub fn corpus(target: &Target) -> std::io::Result<Vec<Vec<u8>>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-    let mut paths: Vec<_> = std::fs::read_dir(corpus_directory().join(target.name))?
-        .map(|entry| entry.map(|entry| entry.path()))
-        .collect::<Result<_, _>>()?;
+    let own = corpus_directory().join(target.name);
+    // a target may start from the repository's files alone
+    let mut paths: Vec<_> = match std::fs::read_dir(&own) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound && !target.more.is_empty() => Vec::new(),
+        entries => entries?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?,
+    };
     paths.extend(target.more.iter().map(|path| root.join(path)));
     paths.sort();
     paths.iter().map(std::fs::read).collect()
