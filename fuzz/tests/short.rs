@@ -23,8 +23,7 @@ fn no_target_panics_on_its_corpus_or_on_what_is_like_it() {
             panic!("{}: case {:?}: {}\n{input}", target.name, finding.case, finding.message);
         }
         assert_eq!(report.cases, most);
-        // mutations that are all refused alike would test nothing; hardly any damaged scene is still a scene
-        let accepted = if target.name == "mjcf" { 1 } else { most / 100 };
-        assert!(report.accepted >= accepted && report.answers > 3, "{}: {report:?}", target.name);
+        // mutations that are all refused, or all refused alike, would test nothing
+        assert!(report.accepted > 0 && report.answers > 3, "{}: {report:?}", target.name);
     }
 }
