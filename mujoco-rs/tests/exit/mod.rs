@@ -42,7 +42,9 @@ fn failures(backend: &impl Fn() -> Option<String>, programs: &[(&str, fn())], ru
     preloaded.push(if preloaded.is_empty() { "" } else { ":" });
     preloaded.push(&library);
     let child = |library: &str, what: &str| {
-        let mut command = Command::new(std::env::current_exe().unwrap());
+        // a child that never ends is a failure, too
+        let mut command = Command::new("timeout");
+        command.arg("120").arg(std::env::current_exe().unwrap());
         command.env(CHILD, what).env("MUJOCO_GL", library);
         command
     };
