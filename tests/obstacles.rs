@@ -369,7 +369,7 @@ fn a_wind_beside_one_that_is_drawn_and_a_kind_beside_another_are_refused() {
     let drawn = "[randomization.environment]\n";
     let choice = ConditionChoice { wind: Some(WindModel::Constant), ..ConditionChoice::default() };
     let error = Conditions::from_toml_with(drawn, &choice).unwrap_err().to_string();
-    assert!(error.contains("the wind is constant, expected none beside a randomization"), "{error}");
+    assert!(error.contains("the wind is constant, expected none next to a randomization"), "{error}");
     let calm = Conditions::from_toml_with("[randomization.environment]\nwind = [0.0, 0.0]\n", &choice).unwrap();
     assert_eq!(calm.wind.unwrap().model, WindModel::Constant);
     let built = Hover::builder().wind(WindConfig::new(WindModel::Gust)).randomization(Randomization::default()).build();

@@ -564,7 +564,7 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
 struct Odd {
     hover: Hover,
     update: fn(&Simulation),
-    /// Whether the n-th call of `start` gives an impossible state.
+    /// True if the n-th call of `start` gives an impossible state.
     impossible: fn(u32) -> bool,
     starts: u32,
 }

@@ -72,7 +72,7 @@ pub enum View {
     Track,
     /// Through the onboard camera of the first drone.
     Fpv,
-    /// From beside and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
+    /// From the side and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
     Fixed,
     /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
     /// as seen from there.

@@ -215,7 +215,7 @@ impl Capture {
     }
 }
 
-/// What a capture has seen so far.
+/// Counts of a capture so far.
 #[derive(Default)]
 struct Seen {
     /// Hashes of the colour images.

@@ -80,7 +80,7 @@ impl FilmOptions {
         [&self.gif, &self.video, &self.png].into_iter().flatten().cloned().collect()
     }
 
-    /// Whether where the camera stands hangs on where drones will be.
+    /// Returns whether where the camera stands hangs on where drones will be.
     pub fn wants_preview(&self, simulation: &Simulation) -> Result<bool, Failure> {
         Ok(!self.files().is_empty() && is_previewed(self.view()?, simulation))
     }

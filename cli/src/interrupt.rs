@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 pub struct Interruption {
     /// Number of the signal.
     pub signal: i32,
-    /// What was stopped, and how it continues.
+    /// Message: the work that was stopped, and the command that continues it.
     pub message: String,
 }
 
@@ -40,7 +40,7 @@ pub fn received() -> Option<i32> {
     Some(RECEIVED.load(Ordering::SeqCst)).filter(|&signal| signal != 0)
 }
 
-/// Whether a signal is left to the command.
+/// Returns whether a signal is left to the command.
 pub fn is_deferred(signal: i32) -> bool {
     DEFERS.load(Ordering::SeqCst) && RECEIVED.compare_exchange(0, signal, Ordering::SeqCst, Ordering::SeqCst).is_ok()
 }

@@ -98,12 +98,12 @@ impl ConditionOptions {
     }
 }
 
-/// What differs from episode to episode of one command.
+/// Differences between the episodes of one command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Variation {
-    /// Whether episodes start from sampled states.
+    /// True if episodes start from sampled states.
     pub starts: bool,
-    /// Whether episodes have sampled layouts of the obstacles.
+    /// True if episodes have sampled layouts of the obstacles.
     pub layouts: bool,
 }
 

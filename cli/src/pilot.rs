@@ -87,7 +87,7 @@ impl Pilot {
         Ok(points)
     }
 
-    /// Whether some drone's way through the task takes longer than an episode.
+    /// Returns whether some drone's way through the task takes longer than an episode.
     fn is_late(&self) -> bool {
         let seconds = self.env.episode_steps() as f64 * self.dt;
         self.plans.iter().flatten().any(|way| way.duration() > seconds)
@@ -376,7 +376,7 @@ mod tests {
         }
     }
 
-    /// What becomes of a flight with the built-in pilots.
+    /// Outcome of a flight with the built-in pilots.
     #[derive(Debug, PartialEq)]
     enum Outcome {
         /// Refused on the command line, with these words.

@@ -1,4 +1,4 @@
-//! What is fuzzed.
+//! Fuzz targets.
 
 use aviary::control::trajectory;
 use aviary::drone::{DroneModel, DroneParams};

@@ -42,7 +42,7 @@ pub(crate) struct Checkpoint {
     pub best: Vec<u8>,
 }
 
-/// What the numbers of a checkpoint must fit.
+/// Sizes that the numbers of a checkpoint must fit.
 pub(crate) struct Limits<'a> {
     pub shape: &'a Shape,
     pub steps_per_iteration: u64,

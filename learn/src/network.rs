@@ -104,7 +104,7 @@ impl Shard {
 /// What the loss is made of (Schulman et al. 2017, eq. 9).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Loss {
-    /// How far the ratio of probabilities may leave 1.
+    /// Largest distance of the ratio of probabilities from 1.
     pub clip: f32,
     /// Weight of the critic's squared error.
     pub value: f32,

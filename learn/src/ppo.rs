@@ -92,7 +92,7 @@ settings! {
         discount: f64 = 0.99,
         /// λ of the advantages.
         lambda: f64 = 0.95,
-        /// How far the ratio of probabilities may leave 1, ε.
+        /// Largest distance of the ratio of probabilities from 1, ε.
         clip: f64 = 0.2,
         /// Weight of the critic's error.
         value: f64 = 1.0,
@@ -259,7 +259,7 @@ impl Ppo {
         Ok(())
     }
 
-    /// Whether the scales of observations and rewards have been estimated.
+    /// Returns whether the scales of observations and rewards have been estimated.
     pub fn has_scales(&self) -> bool {
         !self.observations.is_empty()
     }

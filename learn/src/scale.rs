@@ -45,7 +45,7 @@ impl Running {
         self.count = total;
     }
 
-    /// Whether no row has been taken in yet.
+    /// Returns whether no row has been taken in yet.
     pub fn is_empty(&self) -> bool {
         self.count == 0.0
     }

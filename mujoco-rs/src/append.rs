@@ -202,7 +202,7 @@ impl AppendFile {
     }
 }
 
-/// Whether the handler for stores beyond the end of a file is there; the first call installs it.
+/// Returns whether the handler for stores beyond the end of a file is there; the first call installs it.
 fn catches_bus_errors() -> bool {
     static INSTALLED: OnceLock<bool> = OnceLock::new();
     // SAFETY: once in the process.

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use crate::limits::{MAX_COORDINATE, MAX_COUNT};
 
-/// What the scene uses a file as.
+/// Use of a file in the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FileKind {
     Mesh,

@@ -44,7 +44,7 @@ extern "C" fn on_warning(message: *const c_char) {
     }
 }
 
-/// Whether a guarded call of the shim ended in an error of MuJoCo, in the middle of its work.
+/// Returns whether a guarded call of the shim ended in an error of MuJoCo, in the middle of its work.
 #[inline]
 pub(crate) fn was_raised(status: i32) -> bool {
     status == mujoco_sys::MJSHIM_RAISED as i32

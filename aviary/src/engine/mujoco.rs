@@ -385,7 +385,7 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// How often MuJoCo has dropped contacts, which it only counts.
+    /// Number of times MuJoCo has dropped contacts, which it only counts.
     fn full_buffers(&self) -> usize {
         self.data.warning(WarningKind::ContactFull).count + self.data.warning(WarningKind::ConstraintFull).count
     }

@@ -81,7 +81,7 @@ impl ConditionChoice {
                 && own.as_str() != Some(chosen)
             {
                 let message =
-                    format!("[{section}] has {key} = {own}, but `{chosen}` is chosen beside it; leave one of them out");
+                    format!("[{section}] has {key} = {own}, but `{chosen}` is chosen as well; leave one of them out");
                 return Err(EnvError::Toml { message });
             }
         }
@@ -131,7 +131,7 @@ impl Conditions {
     /// Checks all of them.
     ///
     /// # Errors
-    /// What is impossible in a section, and a wind beside one that the randomization draws.
+    /// [`EnvError`] for an impossible number in a section, and for a wind next to one that the randomization draws.
     pub fn validate(&self) -> Result<(), EnvError> {
         if let Some(wind) = &self.wind {
             wind.validate().map_err(|error| EnvError::Simulation(error.into()))?;

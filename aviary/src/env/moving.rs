@@ -16,7 +16,7 @@ pub(super) struct MovingMarkers {
 }
 
 impl MovingMarkers {
-    /// Of a world that was built with them.
+    /// Moving markers of a world that was built with them.
     pub(super) fn new(declared: Vec<MovingMarker>, world: &World) -> Self {
         let solid = declared.iter().filter(|marker| marker.solid).count();
         Self {
@@ -33,12 +33,12 @@ impl MovingMarkers {
         self.first_obstacle
     }
 
-    /// Whether there are any.
+    /// Returns whether there are any.
     pub(super) fn is_empty(&self) -> bool {
         self.declared.is_empty()
     }
 
-    /// Whether drones collide with some of them.
+    /// Returns whether drones collide with some of them.
     pub(super) fn has_solid(&self) -> bool {
         self.declared.iter().any(|marker| marker.solid)
     }

@@ -210,7 +210,7 @@ impl Randomization {
         Ok(config)
     }
 
-    /// Whether the wind of an episode is drawn, in place of the environment's own.
+    /// Returns whether the wind of an episode is drawn, in place of the environment's own.
     pub fn draws_wind(&self) -> bool {
         self.environment.is_some_and(|ranges| ranges.wind[1] > 0.0)
     }
@@ -221,7 +221,7 @@ impl Randomization {
             return Ok(());
         }
         let expected =
-            "none beside a randomization that draws the wind; environment.wind = [0, 0] there leaves the wind alone";
+            "none next to a randomization that draws the wind; environment.wind = [0, 0] there leaves the wind alone";
         Err(EnvError::Option { option: "the wind", got: wind.model.to_string(), expected })
     }
 

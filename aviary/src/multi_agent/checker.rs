@@ -38,7 +38,7 @@ pub fn check_parallel_env(env: &mut dyn ParallelEnv, episodes: u64) -> Result<()
     Ok(())
 }
 
-/// Whether an observation is of a space, in single precision too.
+/// Returns whether an observation is of a space, in single precision too.
 fn holds(space: &ObservationSpace, observation: &Observation) -> bool {
     let mut row = vec![0.0; space.vector.size()];
     space.contains(observation) && {

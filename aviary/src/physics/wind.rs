@@ -134,7 +134,7 @@ pub struct WindConfig {
     pub sinusoidal_frequency: f64,
     /// Density of the air, kg/m³.
     pub air_density: f64,
-    /// Whether the drag law acts in still air, too: with model `none`, for gusts and the sinusoidal force alone, and for a
+    /// True if the drag law acts in still air, too: with model `none`, for gusts and the sinusoidal force alone, and for a
     /// wind of zero velocity; off by default. The drag law always acts in air that moves.
     pub still_air_drag: bool,
 }
@@ -204,7 +204,7 @@ impl WindConfig {
             || self.model.has(WindModel::Dryden) && self.turbulence > 0.0
     }
 
-    /// Whether a flight under these settings is a flight without wind.
+    /// Returns whether a flight under these settings is a flight without wind.
     ///
     /// ```
     /// use aviary::physics::wind::{WindConfig, WindModel};

@@ -188,7 +188,7 @@ fn sample(row: &Row, before: Option<&Sample>) -> Result<Sample, String> {
     })
 }
 
-/// Mean acceleration of a drone since the sample before. Another episode has begun where time goes backwards.
+/// Mean acceleration of a drone since the sample before. Time goes backwards where another episode starts.
 fn acceleration(time: f64, state: &DroneState, before: Option<&Sample>) -> Vector3<f64> {
     match before.filter(|before| before.time < time) {
         Some(before) => (state.velocity - before.state.velocity) / (time - before.time),

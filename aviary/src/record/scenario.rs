@@ -70,7 +70,7 @@ pub struct Scenario {
     /// Initial body rates, body frame, rad/s.
     #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
     pub initial_angular_velocities: Option<Vec<[f64; 3]>>,
-    /// How the rotors' wrench acts during a physics step.
+    /// Frame of the rotors' wrench during a physics step.
     #[serde(default)]
     pub forcing: Forcing,
     /// MuJoCo's integrator.
@@ -145,7 +145,7 @@ pub enum IntegratorName {
     Implicit,
 }
 
-/// What can be wrong with a recorded flight.
+/// Error of a recorded flight.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
@@ -159,7 +159,7 @@ pub enum ReplayError {
         field: &'static str,
         /// Its line, from 1, where it was read from text.
         line: Option<usize>,
-        /// What is wrong with it, and what is expected.
+        /// The fault, and what is expected.
         message: String,
     },
     /// A file of motor speeds that is not one.
@@ -167,7 +167,7 @@ pub enum ReplayError {
     Actions {
         /// Line of the file, from 1.
         line: usize,
-        /// What is wrong there, and what is expected.
+        /// The fault, and what is expected.
         message: String,
     },
 }

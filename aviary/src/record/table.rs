@@ -134,7 +134,7 @@ fn finished(bytes: &[u8]) -> Result<(&str, &[u8]), TableError> {
     Ok((crate::without_byte_order_mark(text), rest))
 }
 
-/// Whether a line is the header of a table of states, of any version.
+/// Returns whether a line is the header of a table of states, of any version.
 pub(super) fn is_header(line: &str) -> bool {
     line.split(',').any(|cell| ["t", "t_s"].contains(&cell.trim()))
 }

@@ -194,7 +194,7 @@ impl SimulationBuilder {
         self.positions.as_deref().unwrap_or_default()
     }
 
-    /// Whether there are obstacles so far.
+    /// Returns whether there are obstacles so far.
     pub(crate) fn has_obstacles(&self) -> bool {
         !self.obstacles.is_empty()
     }

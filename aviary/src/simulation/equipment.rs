@@ -20,7 +20,7 @@ pub(crate) struct Equipment {
     pub(super) wakes: Vec<Wake>,
     pub(super) bodies: Bodies,
     pub(super) wind: Option<WindField>,
-    /// What the wind was started from.
+    /// Seed that the wind was started from.
     pub(super) wind_seed: u64,
     pub(super) memory: Memory,
     /// Motor speeds commanded during the last control step, rpm.

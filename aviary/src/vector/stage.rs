@@ -29,7 +29,7 @@ pub(super) struct Slot<T> {
     pub control_steps: u64,
     /// Whether it has ever begun an episode.
     pub begun: bool,
-    /// Whether its last attempt to start an episode failed.
+    /// True if its last attempt to start an episode failed.
     pub start_failed: bool,
     /// Sum of the episode's rewards so far.
     pub reward: f64,

@@ -195,7 +195,7 @@ fn outwards(obstacle: &Obstacle, point: &Vector3<f64>) -> Vector3<f64> {
     slope.try_normalize(1e-12).unwrap_or_else(Vector3::z)
 }
 
-/// Whether an obstacle stands between an eye and a point.
+/// Returns whether an obstacle stands between an eye and a point.
 fn hides(obstacle: &Obstacle, eye: &Vector3<f64>, point: &Vector3<f64>) -> bool {
     let way = point - eye;
     let length = way.norm();

@@ -69,7 +69,7 @@ impl ObstacleKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Fields")]
 pub struct ObstacleConfig {
-    /// What kind; a forest by default.
+    /// The kind; a forest by default.
     pub kind: ObstacleKind,
     /// How many: trees, buildings, pieces of furniture, things in the air, gates; [`ObstacleKind::default_count`] by default. A
     /// list of custom obstacles has its own length: 0 or the same number.

@@ -175,7 +175,7 @@ impl Obstacle {
 pub struct MovingMarker {
     /// Name, size, shape, colour, and the pose at the start of every episode.
     pub marker: Marker,
-    /// Whether drones collide with it.
+    /// True if drones collide with it.
     pub solid: bool,
 }
 

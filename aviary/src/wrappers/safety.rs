@@ -36,7 +36,7 @@ pub struct SafetyWrapper<E> {
     action: Vec<f64>,
     /// Control steps of this episode in which it had to change something.
     interventions: u64,
-    /// Whether it has been reset: before that there is no state to filter for.
+    /// True if it has been reset: before that there is no state to filter for.
     started: bool,
 }
 

@@ -21,7 +21,7 @@ static PROCESS: AtomicU32 = AtomicU32::new(0);
 
 thread_local! {
     static INSIDE: Cell<bool> = const { Cell::new(false) };
-    /// Whether this thread has closed the gate: the one that ends the process.
+    /// True if this thread has closed the gate: the one that ends the process.
     static ENDS: Cell<bool> = const { Cell::new(false) };
     static MAIN: EndOfMain = const { EndOfMain };
 }

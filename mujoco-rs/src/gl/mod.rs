@@ -58,7 +58,7 @@ enum Library {
     Osmesa(osmesa::Osmesa),
 }
 
-/// What the library can draw at most.
+/// Largest sizes that the library can draw.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Limits {
     /// Side of a texture, pixels.
@@ -93,7 +93,7 @@ impl Limits {
     }
 }
 
-/// What can be drawn at most.
+/// Returns the largest sizes that can be drawn.
 pub(crate) fn limits() -> Result<Limits, Error> {
     Ok(match library()? {
         Library::Egl(egl) => egl.limits(),
@@ -104,7 +104,7 @@ pub(crate) fn limits() -> Result<Limits, Error> {
 /// A context of its own, current on no thread between calls of [`current`](Self::current), so that it can be moved.
 pub(crate) struct GlContext {
     context: ManuallyDrop<Context>,
-    /// How often it has been current.
+    /// Number of times it has been current.
     uses: u32,
 }
 

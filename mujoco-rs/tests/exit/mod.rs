@@ -5,7 +5,7 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-/// What a child does.
+/// Environment variable with the name of the program that a child runs.
 const CHILD: &str = "MJ_DRONES_TEST_EXIT";
 
 /// The whole of a test program: as a child it runs one of `programs` and returns, otherwise it runs each of them in children, so
