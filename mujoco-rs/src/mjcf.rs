@@ -139,7 +139,7 @@ const COUNTS: &[(&str, &str, i64, i64)] = &[
     ("option", "mpr_iterations", 0, 1_000_000),
 ];
 
-/// How deep elements may be inside each other in all texts together: MuJoCo's recursion fits into the stack that loading asks
+/// How deep elements may be inside each other, those around an include counted: MuJoCo's recursion fits into the stack that loading asks
 /// for.
 const MAX_DEPTH: usize = 200;
 
@@ -155,27 +155,47 @@ struct Scan {
     mesh_directory: String,
     texture_directory: String,
     strip_path: bool,
-    /// Sum of how deep the elements of all texts are inside each other.
-    depth: usize,
-    /// Largest coordinate of a mesh, scale of a mesh and scale of a geom fitted to a mesh.
-    reach: f64,
-    scale: f64,
+    meshes: Vec<MeshReach>,
+    /// Largest scale of a mesh that gives none itself.
+    default_scale: f64,
+    /// Largest scale of a geom fitted to a mesh.
     fit: f64,
+}
+
+/// How far a mesh reaches.
+struct MeshReach {
+    /// Largest coordinate before scaling.
+    reach: f64,
+    /// Largest of the mesh's own scale factors.
+    scale: Option<f64>,
 }
 
 struct Reference {
     kind: FileKind,
     file: String,
     line: usize,
+    /// How many elements are around the one that refers to it.
+    depth: usize,
+    /// Largest scale factor of a mesh.
+    scale: Option<f64>,
+}
+
+/// A file that the text refers to.
+struct Found {
+    kind: FileKind,
+    /// As the text names it.
+    file: String,
+    /// Largest coordinate of a mesh.
+    reach: f64,
 }
 
 /// Checks a scene, everything it includes and the files that it refers to.
 pub(crate) fn check(xml: &str, source: &Source<'_>, shown: &str) -> Result<Checked, Error> {
     let refuse = |message: String| Error::Load { source_name: shown.to_string(), message };
-    let mut scan = Scan { scale: 1.0, fit: 1.0, ..Scan::default() };
-    let text = scan.read(xml, true).map_err(refuse)?;
+    let mut scan = Scan { default_scale: 1.0, fit: 1.0, ..Scan::default() };
+    let text = scan.read(xml, true, 0).map_err(refuse)?;
     let mut files: BTreeMap<String, Vec<u8>> = BTreeMap::new();
-    let mut kinds: BTreeMap<String, (FileKind, String)> = BTreeMap::new();
+    let mut found: BTreeMap<String, Found> = BTreeMap::new();
     let mut next = 0;
     // includes add references while this goes on; the directories are known when all of them have been read
     for includes in [true, false] {
@@ -185,34 +205,42 @@ pub(crate) fn check(xml: &str, source: &Source<'_>, shown: &str) -> Result<Check
                 continue;
             }
             let (kind, file, line) = (reference.kind, reference.file.clone(), reference.line);
+            let (depth, scale) = (reference.depth, reference.scale);
             let bare = file.rsplit(['/', '\\']).next().unwrap_or_default().to_ascii_lowercase();
-            if let Some((earlier, from)) = kinds.get(&bare) {
-                if *earlier == kind && *from == file {
-                    continue;
-                }
-                return Err(refuse(format!(
-                    "line {line}: file `{file}` is also `{from}`: expected one use of each file name"
-                )));
+            let earlier = found.get(&bare);
+            if let Some(Found { reach, .. }) = earlier.filter(|earlier| earlier.kind == kind && earlier.file == file) {
+                scan.meshes.push(MeshReach { reach: *reach, scale });
+                continue;
             }
             let asset = |reason: String| Error::Asset { name: file.clone(), reason };
             let bytes = source.find(&scan, kind, &file, &bare).map_err(asset)?;
             if bytes.is_empty() {
                 return Err(asset("the file is empty".into()));
             }
-            let bytes = if kind == FileKind::Include {
+            let (bytes, reach) = if kind == FileKind::Include {
                 let included = std::str::from_utf8(&bytes).map_err(|_| asset("the file is not UTF-8 text".into()))?;
-                scan.read(included, false).map_err(asset)?.into_bytes()
+                (scan.read(included, false, depth).map_err(asset)?.into_bytes(), 0.0)
             } else {
                 let (checked, reach) = mesh::check(kind, &bare, &bytes).map_err(asset)?;
-                scan.reach = scan.reach.max(reach);
-                checked.into_owned()
+                scan.meshes.push(MeshReach { reach, scale });
+                (checked.into_owned(), reach)
             };
-            kinds.insert(bare.clone(), (kind, file));
+            // MuJoCo is given files by these names alone
+            if let Some(earlier) = earlier
+                && files.get(&bare) != Some(&bytes)
+            {
+                return Err(refuse(format!(
+                    "line {line}: file `{file}` and file `{}` differ: expected one file of each name",
+                    earlier.file
+                )));
+            }
+            found.insert(bare.clone(), Found { kind, file, reach });
             files.insert(bare, bytes);
         }
         next = 0;
     }
-    let largest = scan.reach * scan.scale * scan.fit;
+    let reaches = scan.meshes.iter().map(|mesh| mesh.reach * mesh.scale.unwrap_or(scan.default_scale));
+    let largest = reaches.fold(0.0, f64::max) * scan.fit;
     if largest > MAX_LENGTH {
         return Err(refuse(format!("a mesh reaches {largest} m from its origin, expected at most {MAX_LENGTH} m")));
     }
@@ -246,12 +274,12 @@ impl Source<'_> {
 }
 
 impl Scan {
-    /// Reads one text and returns it as MuJoCo is to read it.
-    fn read(&mut self, xml: &str, is_main: bool) -> Result<String, String> {
+    /// Reads one text, inside so many elements of others, and returns it as MuJoCo is to read it.
+    fn read(&mut self, xml: &str, is_main: bool, around: usize) -> Result<String, String> {
         let mut reader = Reader::from_str(xml);
         let mut clean = String::with_capacity(xml.len() + xml.len() / 8);
         let (mut line, mut counted, mut written_line) = (1, 0, 1);
-        let (mut depth, mut deepest, mut roots) = (0_usize, 0_usize, 0_usize);
+        let (mut depth, mut roots) = (0_usize, 0_usize);
         loop {
             let position = usize::try_from(reader.buffer_position()).unwrap_or(counted).min(xml.len());
             line += xml.as_bytes()[counted..position].iter().filter(|&&byte| byte == b'\n').count();
@@ -272,11 +300,10 @@ impl Scan {
                         clean.push('\n');
                         written_line += 1;
                     }
-                    self.element(&tag, line, &mut clean)?;
+                    self.element(&tag, line, around + depth, &mut clean)?;
                     clean.push_str(if is_empty { "/>" } else { ">" });
                     depth += usize::from(!is_empty);
-                    deepest = deepest.max(depth);
-                    if self.depth + deepest > MAX_DEPTH {
+                    if around + depth > MAX_DEPTH {
                         return Err(format!("line {line}: elements are more than {MAX_DEPTH} deep inside each other"));
                     }
                 }
@@ -290,7 +317,6 @@ impl Scan {
                 _ => {}
             }
         }
-        self.depth += deepest;
         match (depth, roots) {
             (0, 1..) => Ok(clean),
             (0, _) => Err("XML error: there is no element in the text".into()),
@@ -298,7 +324,7 @@ impl Scan {
         }
     }
 
-    fn element(&mut self, tag: &BytesStart<'_>, line: usize, clean: &mut String) -> Result<(), String> {
+    fn element(&mut self, tag: &BytesStart<'_>, line: usize, depth: usize, clean: &mut String) -> Result<(), String> {
         let name = tag.name().0;
         let plain = |name: &str| name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"_-.:".contains(&byte));
         if !plain(name) {
@@ -323,9 +349,17 @@ impl Scan {
         let element = Element { name, line, attributes: &attributes };
         element.check_numbers()?;
         element.check_counts()?;
-        self.references_of(&element)?;
+        let scale = element.scale()?;
+        self.references_of(&element, depth, scale)?;
         match name {
-            "mesh" => self.mesh(&element),
+            "mesh" => {
+                let reach = element.faces()?;
+                match (element.get("file"), element.get("vertex"), scale) {
+                    (None, None, Some(scale)) => self.default_scale = self.default_scale.max(scale),
+                    _ => self.meshes.push(MeshReach { reach, scale }),
+                }
+                Ok(())
+            }
             "skin" => element.faces().map(|_| ()),
             "compiler" => {
                 for (key, directory) in
@@ -353,7 +387,7 @@ impl Scan {
         }
     }
 
-    fn references_of(&mut self, element: &Element<'_>) -> Result<(), String> {
+    fn references_of(&mut self, element: &Element<'_>, depth: usize, scale: Option<f64>) -> Result<(), String> {
         let kind = match element.name {
             "mesh" => FileKind::Mesh,
             "skin" => FileKind::Skin,
@@ -367,18 +401,8 @@ impl Scan {
             if bare.is_empty() || bare.len() >= mujoco_sys::mjMAXVFSNAME as usize {
                 return Err(element.wrong(key, file, "the name of a file, not too long"));
             }
-            self.references.push(Reference { kind, file: file.clone(), line: element.line });
+            self.references.push(Reference { kind, file: file.clone(), line: element.line, depth, scale });
         }
-        Ok(())
-    }
-
-    fn mesh(&mut self, element: &Element<'_>) -> Result<(), String> {
-        if let Some(scale) = element.get("scale") {
-            self.scale =
-                element.numbers::<f64>("scale", scale)?.into_iter().fold(self.scale, |most, x| most.max(x.abs()));
-        }
-        let reach = element.faces()?;
-        self.reach = self.reach.max(reach);
         Ok(())
     }
 }
@@ -464,6 +488,12 @@ impl Element<'_> {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Returns the largest of a mesh's scale factors, where it has any.
+    fn scale(&self) -> Result<Option<f64>, String> {
+        let Some(scale) = self.get("scale").filter(|_| self.name == "mesh") else { return Ok(None) };
+        Ok(Some(self.numbers::<f64>("scale", scale)?.into_iter().fold(0.0, |most: f64, x| most.max(x.abs()))))
     }
 
     /// Vertices and faces in the text: every face names vertices that are there. Returns the largest coordinate.

@@ -338,3 +338,74 @@ proptest! {
         }
     }
 }
+
+/// Limits are on what is nested, on one mesh and on the content of a file, not on sums over a scene.
+#[test]
+fn what_stands_side_by_side_in_a_scene_does_not_add_up() {
+    // 15 texts next to each other, each 25 deep
+    let deep = format!("<mujocoinclude>{}{}</mujocoinclude>", "<body>".repeat(24), "</body>".repeat(24));
+    let include = |name: &str| format!("<include file='{name}'/>");
+    let scene = |inside: &str| format!("<mujoco><worldbody>{inside}</worldbody></mujoco>");
+    let names: Vec<_> = (0..15).map(|i| format!("part{i}.xml")).collect();
+    let assets = names.iter().fold(Assets::new(), |assets, name| assets.with(name, deep.clone()));
+    let xml = scene(&names.iter().map(|name| include(name)).collect::<String>());
+    assert_eq!(Model::from_xml_with_assets(&xml, &assets).unwrap().nbody(), 1 + 15 * 24);
+    // the same texts inside each other
+    let nested = |i: usize| {
+        let inner = if i < 14 { include(&format!("part{}.xml", i + 1)) } else { String::new() };
+        format!("<mujocoinclude>{}{inner}{}</mujocoinclude>", "<body>".repeat(24), "</body>".repeat(24))
+    };
+    let assets = (0..15).fold(Assets::new(), |assets, i| assets.with(format!("part{i}.xml"), nested(i)));
+    let error = Model::from_xml_with_assets(&scene(&include("part0.xml")), &assets).unwrap_err().to_string();
+    assert!(error.contains("more than 200 deep"), "{error}");
+
+    // a mesh in km scaled to m next to one in mm scaled up
+    let tetra =
+        |size: f64| format!("v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nv 0 0 {size}\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n");
+    let assets = Assets::new().with("large.obj", tetra(1e5)).with("small.obj", tetra(1e-2));
+    let meshes = |large: &str, small: &str| {
+        format!(
+            "<mujoco><asset><mesh name='l' file='large.obj' {large}/><mesh name='s' file='small.obj' {small}/></asset>
+            <worldbody><geom type='mesh' mesh='l'/><geom type='mesh' mesh='s'/></worldbody></mujoco>"
+        )
+    };
+    let load = |large: &str, small: &str| Model::from_xml_with_assets(&meshes(large, small), &assets);
+    assert_eq!(load("", "scale='1000 1000 1000'").unwrap().nmesh(), 2);
+    for (large, small) in [("scale='1 1 100'", ""), ("class='far'", "")] {
+        let xml = meshes(large, small)
+            .replace("<asset>", "<default><default class='far'><mesh scale='1 100 1'/></default></default><asset>");
+        let error = Model::from_xml_with_assets(&xml, &assets).unwrap_err().to_string();
+        assert!(error.contains("a mesh reaches 10000000 m"), "{error}");
+    }
+    // one file, two meshes
+    let xml = meshes("", "").replace("small.obj", "large.obj").replace("name='s'", "name='s' scale='1 1 100'");
+    let error = Model::from_xml_with_assets(&xml, &assets).unwrap_err().to_string();
+    assert!(error.contains("a mesh reaches 10000000 m"), "{error}");
+}
+
+#[test]
+fn one_picture_is_a_height_field_and_a_texture() {
+    let png = |columns: u32, rows: u32| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let picture = image::GrayImage::from_fn(columns, rows, |x, y| image::Luma([(40 * x + 3 * y) as u8]));
+        picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        bytes.into_inner()
+    };
+    let xml = "<mujoco><asset><hfield name='h' file='ground.png' size='1 1 1 1'/>
+        <texture name='t' type='2d' file='ground.png'/></asset>
+        <worldbody><geom type='hfield' hfield='h'/></worldbody></mujoco>";
+    let model = Model::from_xml_with_assets(xml, &Assets::new().with("ground.png", png(6, 4))).unwrap();
+    assert_eq!((model.nhfield(), model.ntex()), (1, 1));
+
+    // two files of one name
+    let directory = std::env::temp_dir().join(format!("mujoco-rs-two-{}", std::process::id()));
+    for (name, size) in [("a", 5), ("b", 6)] {
+        std::fs::create_dir_all(directory.join(name)).unwrap();
+        std::fs::write(directory.join(name).join("ground.png"), png(size, 4)).unwrap();
+    }
+    let path = directory.join("scene.xml");
+    std::fs::write(&path, xml.replace("ground.png", "a/ground.png").replacen("a/", "b/", 1)).unwrap();
+    let error = Model::from_file(&path).unwrap_err().to_string();
+    std::fs::remove_dir_all(&directory).unwrap();
+    assert!(error.contains("`a/ground.png`") && error.contains("`b/ground.png`"), "{error}");
+}
