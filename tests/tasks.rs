@@ -18,7 +18,7 @@ fn fly(env: &mut dyn Env, kind: ControllerKind, seed: u64) -> f64 {
     env.reset(Some(seed)).unwrap();
     let drones = env.simulation().num_drones();
     let mut controllers: Vec<_> = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
-    let plans: Vec<_> = (0..drones).map(|drone| env.plan(drone)).collect();
+    let plans = env.plans();
     let (dt, mut action, mut sum) = (env.simulation().control_period(), vec![0.0; env.action_space().size()], 0.0);
     while env.info().end.is_none() {
         let speeds: Vec<_> = (0..drones)

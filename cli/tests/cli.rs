@@ -1,13 +1,13 @@
 //! The program as other programs see it: output, files, errors, exit status.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
 use serde_json::Value;
 
 mod common;
 
-use common::{Running, aviary, directory, refused, text};
+use common::{aviary, directory, has_gl, reference, refused, send, spawn, text, wait_for_rows};
 
 #[test]
 fn hover_reaches_its_height_and_says_so() {
@@ -114,68 +114,6 @@ fn an_output_that_cannot_be_written_is_status_1_before_anything_is_flown() {
     assert_eq!(std::fs::read_to_string(&file).unwrap(), "in the way");
 }
 
-fn reference(name: &str) -> String {
-    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
-}
-
-#[test]
-fn a_recorded_flight_is_flown_again_to_the_reference() {
-    let out = directory("replay").join("flight.csv");
-    for name in ["mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
-        let (scenario, actions) = (reference(&format!("{name}.toml")), reference(&format!("{name}.actions.csv")));
-        let output = aviary(&["replay", "--scenario", &scenario, "--actions", &actions, "--out", text(&out)]);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let rows = |path: &str| -> (Vec<String>, Vec<Vec<f64>>) {
-            let mut reader = csv::Reader::from_path(path).unwrap();
-            let header = reader.headers().unwrap().iter().map(str::to_string).collect();
-            (header, reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect())
-        };
-        let ((header, got), (columns, wanted)) = (rows(text(&out)), rows(&reference(&format!("{name}.expected.csv"))));
-        assert_eq!((&header[..15], got.len()), (&columns[..], wanted.len()));
-        for (got, wanted) in got.iter().zip(&wanted) {
-            for (got, wanted) in got.iter().zip(wanted) {
-                assert!((got - wanted).abs() < 1e-8, "{name}");
-            }
-        }
-    }
-}
-
-#[test]
-fn replays_that_cannot_be_flown_are_refused_by_file_and_line() {
-    let dir = directory("replay-refused");
-    std::fs::create_dir_all(&dir).unwrap();
-    let out = dir.join("flight.csv");
-    let (scenario, actions) = (reference("mjc_cf2x.toml"), reference("mjc_cf2x.actions.csv"));
-    let good = std::fs::read_to_string(&scenario).unwrap();
-    let file = |name: &str, content: &str| {
-        std::fs::write(dir.join(name), content).unwrap();
-        text(&dir.join(name)).to_string()
-    };
-    let replay = |scenario: &str, actions: &str, texts: &[&str]| {
-        refused(&["replay", "--scenario", scenario, "--actions", actions, "--out", text(&out)], 2, texts);
-        assert!(!out.exists(), "a partial file");
-    };
-    let typo = file("typo.toml", &good.replace("sim_freq", "sim_frq"));
-    replay(&typo, &actions, &["typo.toml: line", "sim_frq"]);
-    replay(&file("two.toml", &good.replace("num_drones = 1", "num_drones = 2")), &actions, &["two.toml", "1 entry"]);
-    replay(text(&dir.join("none.toml")), &actions, &["none.toml", "No such file"]);
-    replay(&scenario, text(&dir.join("none.csv")), &["none.csv", "No such file"]);
-    let header = "drone0_rpm0,drone0_rpm1,drone0_rpm2,drone0_rpm3\n";
-    replay(
-        &scenario,
-        &file("short.csv", &format!("{header}1,2,3,4\n1,2\n")),
-        &["short.csv: line 3", "2 numbers, expected 4"],
-    );
-    replay(&scenario, &file("nan.csv", &format!("{header}1,2,nan,4\n")), &["nan.csv: line 2", "drone0_rpm2 is `nan`"]);
-    replay(&scenario, &file("header.csv", "a,b,c,d\n1,2,3,4\n"), &["header.csv: line 1", "`a`"]);
-    let blocked = file("blocked", "in the way");
-    refused(
-        &["replay", "--scenario", &scenario, "--actions", &actions, "--out", &format!("{blocked}/x.csv")],
-        1,
-        &["x.csv"],
-    );
-}
-
 #[test]
 fn every_physics_mode_and_airframe_hovers() {
     for physics in ["mjc", "mjc_gnd", "mjc_drag", "mjc_dw", "mjc_gnd_drag_dw", "dyn"] {
@@ -186,116 +124,6 @@ fn every_physics_mode_and_airframe_hovers() {
         }
     }
     refused(&["fly", "--task", "hover", "--physics", "mjc_dg"], 2, &["--physics is `mjc_dg`", "did you mean"]);
-}
-
-fn has_gl() -> bool {
-    let doctor: Value = serde_json::from_slice(&aviary(&["doctor", "--json"]).stdout).unwrap();
-    doctor["gl"].as_array().unwrap().iter().any(|answer| answer["works"] == true)
-}
-
-#[test]
-fn pictures_are_drawn_from_every_camera_in_every_kind_and_size() {
-    if !has_gl() {
-        return;
-    }
-    let dir = directory("pictures");
-    for camera in ["track", "fpv", "fixed", "front"] {
-        for kind in ["rgb", "depth", "segmentation"] {
-            let path = dir.join(format!("{camera}_{kind}.png"));
-            let arguments = ["render", "--task", "hover", "--at", "0.5", "--size", "80x50"];
-            let output =
-                aviary(&[&arguments[..], &["--camera", camera, "--kind", kind, "--out", text(&path)]].concat());
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-            let picture = image::open(&path).unwrap().into_rgb8();
-            assert_eq!(picture.dimensions(), (80, 50));
-            let first = picture.get_pixel(0, 0);
-            assert!(picture.pixels().any(|pixel| pixel != first), "{camera} {kind} is empty");
-        }
-    }
-    let again = dir.join("again.png");
-    aviary(&["render", "--task", "hover", "--at", "0.5", "--size", "80x50", "--out", text(&again)]);
-    assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(dir.join("track_rgb.png")).unwrap());
-}
-
-#[test]
-fn a_capture_has_pictures_states_and_what_they_mean() {
-    if !has_gl() {
-        return;
-    }
-    let dir = directory("capture");
-    let frames =
-        ["--task", "hover", "--duration", "1", "--frames", "7", "--every", "10", "--size", "40x30", "--vary", "none"];
-    let output = aviary(&[&["capture", "--out", text(&dir)], &frames[..]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-
-    let mut rows = csv::Reader::from_path(dir.join("frames.csv")).unwrap();
-    let header: Vec<_> = rows.headers().unwrap().iter().map(str::to_string).collect();
-    let column = |name: &str| header.iter().position(|column| column == name).unwrap();
-    let rows: Vec<_> = rows.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), 7);
-    let camera: Value = serde_json::from_slice(&std::fs::read(dir.join("camera.json")).unwrap()).unwrap();
-    assert_eq!((&camera["width"], &camera["height"]), (&40.into(), &30.into()));
-    assert_eq!(camera["position_in_body"], serde_json::json!([0.02, 0.0, 0.0]));
-    let names: Value = serde_json::from_slice(&std::fs::read(dir.join("segmentation.json")).unwrap()).unwrap();
-    let fy = camera["fy"].as_f64().unwrap();
-
-    for (frame, row) in rows.iter().enumerate() {
-        assert_eq!(row[column("frame")], frame.to_string());
-        // an episode of a second has 48 steps, so that the sixth frame begins the next one
-        let (episode, step) = if frame < 5 { ("0", frame * 10) } else { ("1", (frame - 5) * 10) };
-        assert_eq!((&row[column("episode")], &row[column("t")]), (episode, &*(step as f64 / 48.0).to_string()));
-        let rgb = image::open(dir.join(&row[column("rgb")])).unwrap().into_rgb8();
-        let depth = image::open(dir.join(&row[column("depth")])).unwrap();
-        let depth = depth.as_luma16().expect("16 bit");
-        let objects = image::open(dir.join(&row[column("segmentation")])).unwrap();
-        let objects = objects.as_luma16().expect("16 bit");
-        assert_eq!((rgb.dimensions(), depth.dimensions(), objects.dimensions()), ((40, 30), (40, 30), (40, 30)));
-        // the drone is level: the lowest row of pixels looks down at the floor by atan(14.5 / fy)
-        let z: f64 = row[column("z")].parse().unwrap();
-        let wanted = z / (14.5 / fy) * 1000.0;
-        assert!((f64::from(depth.get_pixel(20, 29)[0]) - wanted).abs() < 2.0, "frame {frame}: {wanted}");
-        assert_eq!(depth.get_pixel(20, 0)[0], 0, "nothing above");
-        assert_eq!(names[objects.get_pixel(20, 29)[0].to_string()]["name"], "floor");
-        assert_eq!(names[objects.get_pixel(20, 0)[0].to_string()]["type"], "background");
-    }
-    let entries = |path: &Path| std::fs::read_dir(path).unwrap().count();
-    assert_eq!((entries(&dir), entries(&dir.join("rgb"))), (6, 7), "no temporary file is left");
-}
-
-#[test]
-fn an_animation_is_written_whole_or_not_at_all() {
-    if !has_gl() {
-        return;
-    }
-    let dir = directory("animation");
-    let path = dir.join("hover.gif");
-    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--size", "64x48", "--camera", "front"];
-    let output = aviary(&[&fly[..], &["--gif", text(&path)]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let bytes = std::fs::read(&path).unwrap();
-    assert!(bytes.starts_with(b"GIF89a") && bytes.ends_with(b";"));
-    let blocked = dir.join("hover.gif").join("x.gif");
-    refused(&[&fly[..], &["--gif", text(&blocked)]].concat(), 1, &["x.gif"]);
-    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1, "no temporary file is left");
-}
-
-#[test]
-fn a_shorter_capture_replaces_a_longer_one() {
-    if !has_gl() {
-        return;
-    }
-    let dir = directory("capture-again");
-    let capture = |frames: &str| {
-        let arguments = ["capture", "--task", "hover", "--out", text(&dir), "--frames", frames, "--json"];
-        let output = aviary(&arguments);
-        assert!(output.status.success());
-        serde_json::from_slice::<Value>(&output.stdout).unwrap()["frames"].clone()
-    };
-    assert_eq!(capture("5"), 5);
-    std::fs::write(dir.join("rgb").join("mine.png"), "somebody's own").unwrap();
-    assert_eq!(capture("2"), 2);
-    let entries = |kind: &str| std::fs::read_dir(dir.join(kind)).unwrap().count();
-    assert_eq!((entries("rgb"), entries("depth"), entries("segmentation")), (3, 2, 2));
 }
 
 #[test]
@@ -313,83 +141,6 @@ fn what_is_no_file_is_not_replaced_by_one_and_links_stay_links() {
     assert!(run(text(&dir.join("link"))).status.success());
     assert!(std::fs::symlink_metadata(dir.join("link")).unwrap().is_symlink());
     assert!(std::fs::read_to_string(dir.join("file")).unwrap().starts_with("t,drone"));
-}
-
-/// Starts the program, with the signals of a terminal's programs.
-fn spawn(arguments: &[&str]) -> Running {
-    let mut command = Command::new("env");
-    command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary")]).args(arguments);
-    Running::start(command.stdout(Stdio::null()))
-}
-
-fn send(signal: &str, child: &Child) {
-    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
-}
-
-/// Waits until a flight has written so many rows.
-fn wait_for_rows(dir: &Path, child: &mut Child, count: usize) {
-    while aviary::record::Flight::read(dir).map_or(0, |flight| flight.drones[0].len()) < count {
-        assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
-}
-
-#[test]
-fn an_interrupted_flight_leaves_its_log_and_nothing_else() {
-    let signals = [
-        ("-INT", Some(130)),
-        ("-TERM", Some(143)),
-        ("-HUP", Some(129)),
-        ("-QUIT", Some(131)),
-        ("-USR1", Some(138)),
-        ("-KILL", None),
-    ];
-    for (signal, status) in signals {
-        let dir = directory(&format!("interrupted{signal}"));
-        let mut child = spawn(&["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)]);
-        wait_for_rows(&dir, &mut child, 200);
-        send(signal, &child);
-        assert_eq!(child.wait().unwrap().code(), status, "{signal}");
-        assert!(dir.join("scenario.toml").exists(), "what it takes to fly the log again");
-        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 2);
-        assert!(aviary::record::Flight::read(&dir).unwrap().drones[0].len() >= 200);
-    }
-}
-
-#[test]
-fn an_interrupted_capture_or_film_leaves_no_half_of_a_file() {
-    if !has_gl() {
-        return;
-    }
-    for (signal, status) in [("-INT", 130), ("-HUP", 129), ("-XCPU", 152)] {
-        let dir = directory(&format!("interrupted-film{signal}"));
-        std::fs::create_dir_all(&dir).unwrap();
-        let mut child =
-            spawn(&["fly", "--task", "hover", "--duration", "100000", "--gif", text(&dir.join("hover.gif"))]);
-        while std::fs::read_dir(&dir).unwrap().count() == 0 {
-            assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
-            std::thread::sleep(std::time::Duration::from_millis(10));
-        }
-        std::thread::sleep(std::time::Duration::from_millis(100));
-        send(signal, &child);
-        assert_eq!(child.wait().unwrap().code(), Some(status));
-        assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 0, "{signal}");
-    }
-}
-
-#[test]
-fn a_hangup_that_nohup_ignores_ends_nothing() {
-    let dir = directory("nohup");
-    let mut command = Command::new("sh");
-    command.args(["-c", "trap '' HUP; exec \"$@\"", "sh", env!("CARGO_BIN_EXE_aviary")]);
-    command.args(["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)]);
-    let mut child = Running::start(&mut command);
-    wait_for_rows(&dir, &mut child, 10);
-    send("-HUP", &child);
-    let rows = aviary::record::Flight::read(&dir).unwrap().drones[0].len();
-    wait_for_rows(&dir, &mut child, rows + 1000);
-    send("-TERM", &child);
-    assert_eq!(child.wait().unwrap().code(), Some(143));
 }
 
 /// Two runs into one directory mixed their files, and both ended with status 0.
@@ -421,91 +172,6 @@ fn a_directory_that_can_be_written_to_and_not_read_takes_files() {
     mode(0o700);
     let error = String::from_utf8(output.stderr).unwrap();
     assert!(dir.join("drone0.csv").is_file() && dir.join("scenario.toml").is_file(), "{error}");
-}
-
-#[test]
-fn plots_and_films_are_written_and_named() {
-    let dir = directory("plots");
-    let output = aviary(&["fly", "--task", "multi_hover", "--duration", "1", "--plot", "--json", "--out", text(&dir)]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
-    let files: Vec<&str> = flight["files"].as_array().unwrap().iter().map(|file| file.as_str().unwrap()).collect();
-    let names = [
-        "drone0.csv",
-        "drone1.csv",
-        "scenario.toml",
-        "summary.json",
-        "flight.svg",
-        "flight.png",
-        "path.svg",
-        "path.png",
-    ];
-    assert_eq!(files, names.map(|name| text(&dir.join(name)).to_string()));
-    for name in names {
-        assert!(dir.join(name).metadata().unwrap().len() > 200, "{name}");
-    }
-    image::open(dir.join("flight.png")).unwrap();
-
-    // another flight in the same place leaves nothing of this one, and names need not be text
-    let output = aviary(&["fly", "--task", "hover", "--duration", "1", "--out", text(&dir)]);
-    assert!(output.status.success());
-    assert!(!dir.join("drone1.csv").exists() && !dir.join("path.png").exists() && dir.join("drone0.csv").exists());
-    use std::os::unix::ffi::OsStrExt as _;
-    let odd = dir.join(std::ffi::OsStr::from_bytes(b"o\xff"));
-    let fly = ["fly", "--task", "hover", "--duration", "0.1", "--json", "--out"];
-    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).arg(&odd).output().unwrap();
-    assert!(output.status.success() && odd.join("drone0.csv").exists());
-
-    // without a directory it is out/fly/TASK, the whole flight: plots never lie next to the log of another one
-    let here = directory("plots-here");
-    std::fs::create_dir_all(&here).unwrap();
-    let fly = ["fly", "--task", "hover", "--duration", "1", "--plot"];
-    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).current_dir(&here).output().unwrap();
-    assert!(String::from_utf8(output.stdout).unwrap().contains("wrote out/fly/hover/path.png"));
-    for name in ["flight.svg", "drone0.csv", "summary.json"] {
-        assert!(here.join("out/fly/hover").join(name).exists(), "{name}");
-    }
-
-    if !has_gl() {
-        return;
-    }
-    let frames = dir.join("frames");
-    let film =
-        ["--size", "64x48", "--camera", "top", "--overlay", "trails,references,rings,wind", "--wind", "constant"];
-    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--png", text(&frames)];
-    let output = aviary(&[&fly[..], &film].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(std::fs::read_dir(&frames).unwrap().count(), 13, "24 a second, and the last moment");
-}
-
-#[test]
-fn what_cannot_be_filmed_is_refused_before_anything_is_flown() {
-    let fly = ["fly", "--task", "hover"];
-    let with = |more: &[&str]| [&fly[..], more].concat().into_iter().map(String::from).collect::<Vec<_>>();
-    for (more, texts) in [
-        (&["--gif", "film.png"][..], &["--gif is `film.png`", "ends in .gif"][..]),
-        (&["--video", "film.avi"], &["--video is `film.avi`", "ends in .mp4"]),
-        (&["--gif", "a.gif", "--overlay", "trials"], &["no overlay `trials`", "did you mean `trails`?"]),
-        (&["--gif", "a.gif", "--camera", "trak"], &["--camera is `trak`", "did you mean `track`?"]),
-        (&["--overlay", "trails"], &["--gif"]),
-    ] {
-        let arguments = with(more);
-        refused(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 2, texts);
-    }
-    if !has_gl() {
-        return;
-    }
-    // no encoder on the path
-    let film = directory("no-encoder").join("film.mp4");
-    let output = Command::new(env!("CARGO_BIN_EXE_aviary"))
-        .args(["fly", "--task", "hover", "--duration", "0.1", "--video", text(&film)])
-        .env("PATH", "")
-        .output()
-        .unwrap();
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
-    assert!(error.contains("`ffmpeg` is not installed") && error.contains("apt-get install ffmpeg"), "{error}");
-    assert_eq!(std::fs::read_dir(film.parent().unwrap()).unwrap().count(), 0);
 }
 
 #[test]
@@ -546,82 +212,6 @@ fn nearest_names_are_suggested_everywhere() {
     ] {
         refused(arguments, 2, &[near]);
     }
-}
-
-#[test]
-fn a_device_that_is_not_there_is_said_so_by_every_command() {
-    for (variable, value, expected) in
-        [("MUJOCO_EGL_DEVICE_ID", "x", "expected a number from 0"), ("MUJOCO_GL", "glfw", "expected egl or osmesa")]
-    {
-        let run = |arguments: &[&str]| {
-            let output =
-                Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env(variable, value).output().unwrap();
-            (output.status.code(), String::from_utf8(output.stderr).unwrap())
-        };
-        let (status, error) = run(&["render", "--task", "hover", "--out", text(&directory("device").join("x.png"))]);
-        assert!(status == Some(2) && error.contains(expected) && !error.contains("apt-get"), "{error}");
-        let (status, error) = run(&["doctor"]);
-        assert!(status == Some(1) && error.contains(expected), "{error}");
-    }
-}
-
-#[test]
-fn impossible_pictures_are_refused_on_one_line() {
-    let out = directory("pictures-refused").join("x.png");
-    let render = |more: &[&str], status: i32, texts: &[&str]| {
-        refused(&[&["render", "--task", "hover", "--out", text(&out)], more].concat(), status, texts);
-        assert!(!out.exists());
-    };
-    render(&["--camera", "frnt"], 2, &["--camera is `frnt`", "did you mean `front`?"]);
-    render(&["--kind", "lidar"], 2, &["--kind is `lidar`", "depth"]);
-    render(&["--size", "0x48"], 2, &["0x48", "WIDTHxHEIGHT"]);
-    render(&["--size", "64"], 2, &["WIDTHxHEIGHT"]);
-    render(&["--at", "-1"], 2, &["--at is -1 s"]);
-    render(&["--at", "99"], 2, &["--at is 99 s", "time_limit"]);
-    refused(&["capture", "--task", "hover", "--frames", "0", "--out", "x"], 2, &["--frames is 0"]);
-    refused(&["capture", "--task", "hover", "--frames", "1", "--every", "0", "--out", "x"], 2, &["--every is 0"]);
-}
-
-/// Where the libraries cannot be found: what was tried, and the packages that bring them.
-#[test]
-fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
-    // a search path on which libraries of those names are not libraries
-    let dir = directory("no-gl");
-    std::fs::create_dir_all(&dir).unwrap();
-    for name in ["libEGL.so.1", "libEGL.so", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"] {
-        std::fs::write(dir.join(name), "no library").unwrap();
-    }
-    let run = |arguments: &[&str]| {
-        let output =
-            Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env("LD_LIBRARY_PATH", &dir).output().unwrap();
-        (output.status.code(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
-    };
-    for command in ["doctor", "render", "capture"] {
-        let out = dir.join(if command == "render" { "render.png" } else { command });
-        let arguments = match command {
-            "doctor" => vec!["doctor"],
-            "render" => vec!["render", "--task", "hover", "--out", text(&out)],
-            _ => vec!["capture", "--task", "hover", "--frames", "1", "--out", text(&out)],
-        };
-        let (status, table, error) = run(&arguments);
-        assert_eq!((status, error.lines().count()), (Some(1), 1), "{error}");
-        assert!(error.contains("apt-get install libegl1 libgl1-mesa-dri libosmesa6"), "{error}");
-        // one short reason per library, in the table where there is one
-        let reasons = if command == "doctor" { table } else { error };
-        for library in ["libEGL", "libOSMesa"] {
-            assert_eq!(reasons.matches(library).count(), 1, "{reasons}");
-        }
-        assert!(reasons.contains("libEGL.so.1: file too short") && reasons.contains("libOSMesa.so.8: "), "{reasons}");
-        assert!(!out.exists());
-    }
-    let (status, doctor, _) = run(&["doctor", "--json"]);
-    let doctor: Value = serde_json::from_str(&doctor).unwrap();
-    assert_eq!((status, &doctor["ok"]), (Some(1), &false.into()));
-    for answer in doctor["gl"].as_array().unwrap() {
-        assert!(answer["works"] == false && answer["detail"].as_str().unwrap().contains(".so"), "{answer}");
-        assert!(answer["install"].as_str().unwrap().starts_with("apt-get install lib"), "{answer}");
-    }
-    assert_eq!(run(&["fly", "--task", "hover"]).0, Some(0));
 }
 
 /// An airframe in wrong units flies: its derived numbers show it.

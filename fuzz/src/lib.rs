@@ -98,10 +98,13 @@ fn answer(target: &Target, input: &[u8]) -> Result<Result<(), String>, String> {
 
 /// Runs a target on its corpus and then on mutations, until `go_on` says no or a case panics.
 ///
-/// `go_on` is asked before every case, with its number and its input.
+/// `go_on` is asked before every input with the number of its case, 0 for those of the corpus.
 pub fn run(target: &Target, corpus: &[Vec<u8>], seed: u64, mut go_on: impl FnMut(u64, &[u8]) -> bool) -> Report {
     let (mut report, mut seen, mut pool) = (Report::default(), HashSet::new(), corpus.to_vec());
     for input in corpus {
+        if !go_on(0, input) {
+            return report;
+        }
         match answer(target, input) {
             Ok(answer) => drop(seen.insert(signature(&answer))),
             Err(message) => {

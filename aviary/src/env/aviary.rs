@@ -569,6 +569,10 @@ impl<T: Task> Env for Aviary<T> {
         self.episode.task.plan(&self.simulation, drone)
     }
 
+    fn plans(&self) -> Vec<Option<Box<dyn Trajectory>>> {
+        self.episode.task.plans(&self.simulation)
+    }
+
     fn extent(&self) -> Vec<Vector3<f64>> {
         let mut points: Vec<_> = self.simulation.started_from().iter().map(|state| state.position).collect();
         // options that nobody has checked are not asked for anything

@@ -396,6 +396,11 @@ pub trait Env {
         None
     }
 
+    /// Returns the [`plan`](Self::plan) of every drone.
+    fn plans(&self) -> Vec<Option<Box<dyn Trajectory>>> {
+        (0..self.simulation().num_drones()).map(|drone| self.plan(drone)).collect()
+    }
+
     /// Returns points (world frame, m) that drones come by in an episode, for cameras that stand still: starts, references, plans.
     fn extent(&self) -> Vec<Vector3<f64>> {
         let states = self.simulation().initial_states();

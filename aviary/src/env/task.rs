@@ -159,6 +159,11 @@ pub trait Task: std::fmt::Debug {
         None
     }
 
+    /// Returns the [`plan`](Self::plan) of every drone. A task whose plans depend on each other computes them here at once.
+    fn plans(&self, simulation: &Simulation) -> Vec<Option<Box<dyn Trajectory>>> {
+        (0..simulation.num_drones()).map(|drone| self.plan(simulation, drone)).collect()
+    }
+
     /// Returns points (world frame, m) that a drone comes by in an episode of so many seconds, for cameras that stand still: by
     /// default the present [`reference`](Self::reference) and points along the [`plan`](Self::plan). A task whose reference moves
     /// returns points along its path.

@@ -126,9 +126,9 @@ impl Film {
         if !self.overlays.references {
             return;
         }
-        for drone in 0..self.ways.len() {
+        for (drone, way) in env.plans().into_iter().enumerate() {
             self.ways[drone].clear();
-            if let Some(way) = env.plan(drone) {
+            if let Some(way) = way {
                 self.set_way(drone, &*way);
             }
         }

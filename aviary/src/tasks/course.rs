@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use crate::control::Reference;
 use crate::control::trajectory::{Trajectory, Waypoints};
 use crate::drone::{DroneParams, GRAVITY};
-use crate::env::EnvError;
+use crate::env::{EnvError, path_points};
 use crate::simulation::Simulation;
 
 /// Points to be passed one after the other, so many times over, and how far each drone has come.
@@ -69,55 +69,96 @@ impl Course {
         self.distance[drone]
     }
 
-    /// The smoothest way from where a drone is through all points that are left, as fast as its airframe may. Of several
-    /// drones each starts as soon as it stays clear of those before it, and goes out of the others' way at its end.
-    pub(super) fn plan(
+    /// Plans the smoothest path of every drone from where it is through all points that are left, as fast as its airframe may; `None`
+    /// for a drone that has passed all. Of several drones each starts as soon as it stays clear of those before it, and goes out of
+    /// the others' way at its end.
+    pub(super) fn plans(
+        &self,
+        simulation: &Simulation,
+        points: &[[f64; 3]],
+        laps: usize,
+    ) -> Vec<Option<Box<dyn Trajectory>>> {
+        let drones = 0..simulation.num_drones();
+        let paths = drones.map(|drone| self.path(simulation, drone, points, laps));
+        if simulation.num_drones() == 1 {
+            return paths.map(|path| path.map(|path| Box::new(path) as Box<dyn Trajectory>)).collect();
+        }
+        let mut before: Vec<Scheduled> = Vec::new();
+        let mut delay = 0.0;
+        let mut plans: Vec<Option<Box<dyn Trajectory>>> = Vec::new();
+        for (drone, path) in paths.enumerate() {
+            plans.push(path.map(|path| {
+                let scheduled = Scheduled::new(&path, simulation.params(drone).collision_radius);
+                delay = scheduled.earliest_after(delay, &before);
+                before.push(Scheduled { delay, ..scheduled });
+                Box::new(Delayed { delay, path }) as Box<dyn Trajectory>
+            }));
+        }
+        plans
+    }
+
+    /// The path of a drone through the points that are left, without waiting for others.
+    fn path(&self, simulation: &Simulation, drone: usize, points: &[[f64; 3]], laps: usize) -> Option<Waypoints> {
+        let left = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
+        let left: Vec<_> = left.collect();
+        if left.is_empty() {
+            return None;
+        }
+        let (yaw, (speed, acceleration)) = (simulation.states()[drone].yaw(), limits(simulation.params(drone)));
+        let start = simulation.states()[drone].position.into();
+        let mut through: Vec<[f64; 3]> = [start].into_iter().chain(left).chain(aside(simulation, drone)).collect();
+        let floor = through.iter().map(|point| point[2]).fold(f64::INFINITY, f64::min) - SWING;
+        let build = |through: &[[f64; 3]]| {
+            Waypoints::through(through).yaws(vec![yaw; through.len()]).limits(speed, acceleration).build().ok()
+        };
+        let mut path = build(&through)?;
+        // a long leg after a short one swings out, down to the floor, too: its middle holds it
+        for _ in 0..MAX_MIDDLES {
+            let (leg, height) = path.lowest();
+            if height >= floor {
+                break;
+            }
+            let (a, b) = (through[leg], through[leg + 1]);
+            through.insert(leg + 1, std::array::from_fn(|axis| f64::midpoint(a[axis], b[axis])));
+            match build(&through) {
+                Some(better) => path = better,
+                None => break,
+            }
+        }
+        Some(path)
+    }
+
+    /// Returns points (world frame, m) along a drone's path.
+    pub(super) fn extent(
         &self,
         simulation: &Simulation,
         drone: usize,
         points: &[[f64; 3]],
         laps: usize,
-    ) -> Option<Box<dyn Trajectory>> {
-        let count = simulation.num_drones();
-        let radius = |drone: usize| simulation.params(drone).collision_radius;
-        let spacing = (0..count).map(|drone| 3.0 * radius(drone)).fold(0.7, f64::max);
-        let through = |drone: usize| {
-            let left = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
-            let left: Vec<_> = left.collect();
-            if left.is_empty() {
-                return None;
-            }
-            // behind the start, where no course of this crate goes; the first one the farthest, so that none comes by another
-            let place = -0.8 - spacing * (count - drone) as f64;
-            let aside = (count > 1).then_some([-1.0, place, 1.0]);
-            let start = simulation.states()[drone].position.into();
-            let way: Vec<_> = std::iter::once(start).chain(left).chain(aside).collect();
-            let yaws = vec![simulation.states()[drone].yaw(); way.len()];
-            let (speed, acceleration) = limits(simulation.params(drone));
-            Waypoints::through(&way).yaws(yaws).limits(speed, acceleration).build().ok()
-        };
-        if count == 1 {
-            return Some(Box::new(through(drone)?));
-        }
-        let mut before: Vec<Scheduled> = Vec::new();
-        let mut delay = 0.0;
-        for index in 0..drone {
-            if let Some(way) = through(index) {
-                let way = Scheduled::new(way, radius(index));
-                delay = way.earliest_after(delay, &before);
-                before.push(Scheduled { delay, ..way });
-            }
-        }
-        let way = Scheduled::new(through(drone)?, radius(drone));
-        let delay = way.earliest_after(delay, &before);
-        Some(Box::new(Delayed { delay, way: way.way }))
+    ) -> Vec<Vector3<f64>> {
+        let path = self.path(simulation, drone, points, laps);
+        let planned = path.iter().flat_map(|path| path_points(path.duration(), |time| path.reference(time).position));
+        next(points, self.passed(drone), laps).into_iter().chain(planned).collect()
     }
 }
+
+/// Where a drone of several goes at its end, world frame, m: behind the start, where no course of this crate goes. The first drone
+/// goes the farthest, so that none comes by another.
+fn aside(simulation: &Simulation, drone: usize) -> Option<[f64; 3]> {
+    let count = simulation.num_drones();
+    let spacing = (0..count).map(|drone| 3.0 * simulation.params(drone).collision_radius).fold(0.7, f64::max);
+    (count > 1).then_some([-1.0, -0.8 - spacing * (count - drone) as f64, 1.0])
+}
+
+/// How far a path may swing below the lowest point that it is to pass, m.
+const SWING: f64 = 0.05;
+
+/// Most points that are added to a path to keep it from swinging too low.
+const MAX_MIDDLES: usize = 8;
 
 /// A way with the moment at which it begins.
 #[derive(Debug)]
 struct Scheduled {
-    way: Waypoints,
     /// Places along it, every [`TICK`](Self::TICK) seconds.
     places: Vec<Vector3<f64>>,
     /// Collision radius of the drone that flies it, m.
@@ -133,10 +174,10 @@ impl Scheduled {
     /// Room between two drones on their ways, m: for errors of controllers, and for the way of a tick.
     const ROOM: f64 = 0.3;
 
-    fn new(way: Waypoints, radius: f64) -> Self {
-        let ticks = (way.duration() / Self::TICK).ceil() as u32;
-        let places = (0..=ticks).map(|tick| way.reference(f64::from(tick) * Self::TICK).position).collect();
-        Self { way, places, radius, delay: 0.0 }
+    fn new(path: &Waypoints, radius: f64) -> Self {
+        let ticks = (path.duration() / Self::TICK).ceil() as u32;
+        let places = (0..=ticks).map(|tick| path.reference(f64::from(tick) * Self::TICK).position).collect();
+        Self { places, radius, delay: 0.0 }
     }
 
     /// Where it is so many ticks after the beginning of the plan: at its start before it begins, and at its end once it is over.
@@ -156,10 +197,10 @@ impl Scheduled {
         let last = before.iter().map(end).max().unwrap_or(0);
         let first = Self::ticks(delay);
         let clear = |delay: usize| {
-            let until = last.max(delay + self.places.len());
             before.iter().rev().all(|other| {
                 let (least, others) = (self.radius + other.radius + Self::ROOM, Self::ticks(other.delay));
-                (0..until)
+                // before and after that both stand still
+                (others.min(delay)..=end(other).max(delay + self.places.len()))
                     .all(|tick| (self.place(delay, tick) - other.place(others, tick)).norm_squared() > least * least)
             })
         };
@@ -171,17 +212,17 @@ impl Scheduled {
 /// A way that begins later.
 #[derive(Debug)]
 struct Delayed {
-    way: Waypoints,
+    path: Waypoints,
     delay: f64,
 }
 
 impl Trajectory for Delayed {
     fn reference(&self, time: f64) -> Reference {
-        self.way.reference(time - self.delay)
+        self.path.reference(time - self.delay)
     }
 
     fn duration(&self) -> f64 {
-        self.way.duration() + self.delay
+        self.path.duration() + self.delay
     }
 }
 
@@ -247,7 +288,8 @@ mod tests {
                 let config = EnvConfig::default().drone(model).num_drones(count);
                 let mut env = crate::tasks::make(name, config).unwrap();
                 env.reset(Some(1)).unwrap();
-                let ways: Vec<_> = (0..count).map(|drone| env.plan(drone).unwrap()).collect();
+                let ways: Vec<_> = env.plans().into_iter().flatten().collect();
+                assert_eq!(ways.len(), count);
                 let end = ways.iter().map(|way| way.duration()).fold(0.0, f64::max);
                 assert!(end < 60.0, "{name} with {count} {model}: {end} s");
                 let least = 2.0 * model.params().collision_radius + 0.2;

@@ -170,7 +170,15 @@ impl Task for FlyThrough {
     }
 
     fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
-        self.course.plan(simulation, drone, &self.waypoints, 1)
+        self.plans(simulation).swap_remove(drone)
+    }
+
+    fn plans(&self, simulation: &Simulation) -> Vec<Option<Box<dyn Trajectory>>> {
+        self.course.plans(simulation, &self.waypoints, 1)
+    }
+
+    fn extent(&self, simulation: &Simulation, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
+        self.course.extent(simulation, drone, &self.waypoints, 1)
     }
 
     fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {

@@ -212,7 +212,15 @@ impl Task for Race {
     }
 
     fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
-        self.course.plan(simulation, drone, &self.gates, self.laps)
+        self.plans(simulation).swap_remove(drone)
+    }
+
+    fn plans(&self, simulation: &Simulation) -> Vec<Option<Box<dyn Trajectory>>> {
+        self.course.plans(simulation, &self.gates, self.laps)
+    }
+
+    fn extent(&self, simulation: &Simulation, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
+        self.course.extent(simulation, drone, &self.gates, self.laps)
     }
 
     fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {

@@ -318,10 +318,10 @@ mod tests {
                     let holds = |point: &Vector3<f64>| {
                         pose.project(point, size).is_some_and(|place| place.iter().all(|x| x.abs() < 0.95))
                     };
-                    for drone in 0..drones {
+                    for (drone, way) in env.plans().into_iter().enumerate() {
                         assert!(holds(&env.simulation().states()[drone].position), "{name} {view}");
                         assert!(holds(&env.reference(drone).position), "{name} {view}");
-                        if let Some(way) = env.plan(drone) {
+                        if let Some(way) = way {
                             let times = (0..200).map(|i| way.duration() * f64::from(i) / 199.0);
                             assert!(times.into_iter().all(|t| holds(&way.reference(t).position)), "{name} {view}");
                         }

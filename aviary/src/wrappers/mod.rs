@@ -80,6 +80,10 @@ macro_rules! forward_env {
             $inner.plan(drone)
         }
 
+        fn plans(&$self) -> Vec<Option<Box<dyn $crate::control::trajectory::Trajectory>>> {
+            $inner.plans()
+        }
+
         fn extent(&$self) -> Vec<nalgebra::Vector3<f64>> {
             $inner.extent()
         }

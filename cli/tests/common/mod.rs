@@ -2,7 +2,9 @@
 
 use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output};
+use std::process::{Child, Command, Output, Stdio};
+
+use serde_json::Value;
 
 pub fn aviary(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).output().expect("the program starts")
@@ -20,6 +22,7 @@ pub fn text(path: &Path) -> &str {
 
 /// Runs, expects this status and one line on standard error that holds all of these texts, and nothing on standard
 /// output.
+#[allow(dead_code, reason = "not every file of tests needs it")]
 pub fn refused(arguments: &[&str], status: i32, texts: &[&str]) {
     let output = aviary(arguments);
     let error = String::from_utf8(output.stderr).unwrap();
@@ -69,4 +72,38 @@ impl Drop for Running {
             let _ = child.wait();
         }
     }
+}
+
+#[allow(dead_code, reason = "not every file of tests needs it")]
+pub fn has_gl() -> bool {
+    let doctor: Value = serde_json::from_slice(&aviary(&["doctor", "--json"]).stdout).unwrap();
+    doctor["gl"].as_array().unwrap().iter().any(|answer| answer["works"] == true)
+}
+
+/// Starts the program, with the signals of a terminal's programs.
+#[allow(dead_code, reason = "not every file of tests needs it")]
+pub fn spawn(arguments: &[&str]) -> Running {
+    let mut command = Command::new("env");
+    command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary")]).args(arguments);
+    Running::start(command.stdout(Stdio::null()))
+}
+
+#[allow(dead_code, reason = "not every file of tests needs it")]
+pub fn send(signal: &str, child: &Child) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+}
+
+/// Waits until a flight has written so many rows.
+#[allow(dead_code, reason = "not every file of tests needs it")]
+pub fn wait_for_rows(dir: &Path, child: &mut Child, count: usize) {
+    while aviary::record::Flight::read(dir).map_or(0, |flight| flight.drones[0].len()) < count {
+        assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+}
+
+/// Path of a reference flight's file.
+#[allow(dead_code, reason = "not every file of tests needs it")]
+pub fn reference(name: &str) -> String {
+    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
 }

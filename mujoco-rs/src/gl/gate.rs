@@ -11,7 +11,7 @@
 
 use std::cell::Cell;
 use std::mem;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{PoisonError, RwLock, RwLockReadGuard};
 
 static GATE: RwLock<()> = RwLock::new(());
@@ -64,6 +64,15 @@ pub(crate) fn know_main() {
     if u32::try_from(unsafe { gettid() }) == Ok(std::process::id()) {
         // its first use registers the destructor
         let _ = MAIN.try_with(|_| ());
+    }
+}
+
+/// Counts a use of a context. Parts of a driver start in the first uses, or when something new is drawn: the handler is registered
+/// again after 1, 2, 4, 8, … uses in the whole process, at most 64 times.
+pub(super) fn used() {
+    static USES: AtomicU64 = AtomicU64::new(0);
+    if (USES.fetch_add(1, Ordering::Relaxed) + 1).is_power_of_two() {
+        close_at_exit();
     }
 }
 

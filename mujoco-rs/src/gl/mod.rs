@@ -104,8 +104,6 @@ pub(crate) fn limits() -> Result<Limits, Error> {
 /// A context of its own, current on no thread between calls of [`current`](Self::current), so that it can be moved.
 pub(crate) struct GlContext {
     context: ManuallyDrop<Context>,
-    /// Number of times it has been current.
-    uses: u32,
 }
 
 enum Context {
@@ -254,7 +252,7 @@ impl GlContext {
             Library::Osmesa(osmesa) => osmesa.context().map(Context::Osmesa),
         };
         let context = context.map_err(|message| Error::Gl { message })?;
-        Ok(Self { context: ManuallyDrop::new(context), uses: 0 })
+        Ok(Self { context: ManuallyDrop::new(context) })
     }
 
     /// Runs `draw` with this context current on the calling thread, and on none afterwards. Not to be nested.
@@ -276,11 +274,7 @@ impl GlContext {
         .map_err(|message| Error::Gl { message })?;
         let _release = Release(&self.context);
         let drawn = draw();
-        // parts of a driver start in the first uses of a context, or when something new is drawn
-        self.uses = self.uses.saturating_add(1);
-        if self.uses.is_power_of_two() {
-            gate::close_at_exit();
-        }
+        gate::used();
         Ok(drawn)
     }
 }

@@ -1,4 +1,4 @@
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{Matrix3, Matrix3x4, Matrix4, RowVector4, SMatrix, Vector3, Vector4};
 
 use super::jet::Jet;
 use super::{Trajectory, TrajectoryError};
@@ -33,6 +33,76 @@ pub struct Waypoints {
 #[derive(Debug, Clone, PartialEq)]
 struct Segment {
     coefficients: [[f64; 8]; 4],
+}
+
+impl Segment {
+    /// The k-th derivatives of x, y, z and yaw by the share of time, for k = 0 to 2.
+    fn derivatives(&self, share: f64) -> [[f64; 4]; 3] {
+        let mut derivatives = [[0.0; 4]; 3];
+        for (axis, coefficients) in self.coefficients.iter().enumerate() {
+            let [mut value, mut first, mut half_second] = [0.0; 3];
+            for coefficient in coefficients.iter().rev() {
+                half_second = half_second * share + first;
+                first = first * share + value;
+                value = value * share + coefficient;
+            }
+            [derivatives[0][axis], derivatives[1][axis], derivatives[2][axis]] = [value, first, 2.0 * half_second];
+        }
+        derivatives
+    }
+}
+
+/// Velocity, acceleration and jerk (rows) of x, y, z and yaw at a waypoint.
+type Derivatives = Matrix3x4<f64>;
+
+/// One coordinate over a segment, by what it has at both ends; derivatives are by the share of time.
+struct Hermite {
+    from: f64,
+    /// Change from start to end.
+    step: f64,
+    /// Velocity, acceleration and jerk at the start.
+    start: Vector3<f64>,
+    end: Vector3<f64>,
+}
+
+impl Hermite {
+    fn coefficients(&self) -> [f64; 8] {
+        let [c1, c2, c3] = [self.start.x, self.start.y / 2.0, self.start.z / 6.0];
+        // what the upper four coefficients have to add at the end
+        let missing = Vector4::new(
+            self.step - c1 - c2 - c3,
+            self.end.x - c1 - 2.0 * c2 - 3.0 * c3,
+            self.end.y - 2.0 * c2 - 6.0 * c3,
+            self.end.z - 6.0 * c3,
+        );
+        // inverse of the rows j!/(j − k)! for j = 4 to 7, k = 0 to 3
+        #[rustfmt::skip]
+        let inverse = Matrix4::new(
+             35.0, -15.0,  2.5, -1.0 / 6.0,
+            -84.0,  39.0, -7.0,  0.5,
+             70.0, -34.0,  6.5, -0.5,
+            -20.0,  10.0, -2.0,  1.0 / 6.0,
+        );
+        let upper = inverse * missing;
+        [self.from, c1, c2, c3, upper[0], upper[1], upper[2], upper[3]]
+    }
+
+    /// Matrix of the integral of the squared snap, in the start's value, velocity, acceleration and jerk and those of the end.
+    fn cost() -> SMatrix<f64, 8, 8> {
+        // snap of each unit vector: Σ j!/(j − 4)!·c(j)·τʲ⁻⁴
+        let snaps: [[f64; 4]; 8] = std::array::from_fn(|entry| {
+            let unit = |index: usize| if entry == index { 1.0 } else { 0.0 };
+            let [from, to] = [unit(0), unit(4)];
+            let start = Vector3::new(unit(1), unit(2), unit(3));
+            let end = Vector3::new(unit(5), unit(6), unit(7));
+            let coefficients = Self { from, step: to - from, start, end }.coefficients();
+            std::array::from_fn(|k| [24.0, 120.0, 360.0, 840.0][k] * coefficients[4 + k])
+        });
+        SMatrix::from_fn(|row, column| {
+            let terms = (0..4).flat_map(|i| (0..4).map(move |j| (i, j)));
+            terms.map(|(i, j)| snaps[row][i] * snaps[column][j] / (i + j + 1) as f64).sum()
+        })
+    }
 }
 
 /// The options of [`Waypoints`].
@@ -141,56 +211,70 @@ impl Waypoints {
         &self.times
     }
 
-    /// Solves for all segments at once: 8 unknowns each, four coordinates on the right.
+    /// Solves for the velocity, acceleration and jerk at every waypoint between the ends that make the integral of the squared snap
+    /// least. They are those of a linear system whose matrix is positive definite and links each waypoint with its neighbours only.
     fn solve(points: &[[f64; 3]], yaws: &[f64], times: Vec<f64>) -> Result<Self, TrajectoryError> {
         let count = points.len() - 1;
         let spans: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let mut matrix = DMatrix::zeros(8 * count, 8 * count);
-        let mut right = DMatrix::zeros(8 * count, 4);
-        // j!/(j−k)!, what the k-th derivative of τʲ is at τ = 1
-        let falling = |j: usize, k: usize| (j + 1 - k.min(j + 1)..=j).map(|x| x as f64).product::<f64>();
-        let mut row = 0;
-        for i in 0..count {
-            for (end, point) in [(0.0, i), (1.0, i + 1)] {
-                for j in 0..8 {
-                    matrix[(row, 8 * i + j)] = if j == 0 { 1.0 } else { end };
-                }
-                for axis in 0..3 {
-                    right[(row, axis)] = points[point][axis];
-                }
-                right[(row, 3)] = yaws[point];
-                row += 1;
-            }
-        }
-        for k in 1..=3 {
-            matrix[(row, k)] = 1.0;
-            for j in k..8 {
-                matrix[(row + 1, 8 * (count - 1) + j)] = falling(j, k);
-            }
-            row += 2;
-        }
-        for i in 1..count {
-            // in units of the geometric mean of the two spans, so that rows are of one size
-            let ratio = spans[i - 1] / spans[i];
-            for k in 1..=6 {
-                let (before, after) = (ratio.powf(-0.5 * k as f64), ratio.powf(0.5 * k as f64));
-                for j in k..8 {
-                    matrix[(row, 8 * (i - 1) + j)] = before * falling(j, k);
-                }
-                matrix[(row, 8 * i + k)] = -after * falling(k, k);
-                row += 1;
-            }
-        }
-        let solution = matrix.lu().solve(&right).filter(|solution| solution.iter().all(|x| x.is_finite()));
-        let Some(solution) = solution else {
-            return Err(TrajectoryError::Unsolvable);
+        let steps: Vec<RowVector4<f64>> = (0..count)
+            .map(|i| {
+                let [a, b] = [points[i], points[i + 1]];
+                RowVector4::new(b[0] - a[0], b[1] - a[1], b[2] - a[2], yaws[i + 1] - yaws[i])
+            })
+            .collect();
+        // unknowns are in units of the geometric mean of the two spans at their waypoint, so that they are of one size
+        let unit = |i: usize| match i {
+            0 => spans[0],
+            i if i == count => spans[count - 1],
+            i => (spans[i - 1] * spans[i]).sqrt(),
         };
-        let coefficients = |i: usize| std::array::from_fn(|axis| std::array::from_fn(|j| solution[(8 * i + j, axis)]));
-        let way = Self { times, segments: (0..count).map(|i| Segment { coefficients: coefficients(i) }).collect() };
+        // factors from those units to shares of a segment's span
+        let factors = |segment: usize, waypoint: usize| {
+            let ratio = spans[segment] / unit(waypoint);
+            Matrix3::from_diagonal(&Vector3::new(ratio, ratio * ratio, ratio * ratio * ratio))
+        };
+        let cost = Hermite::cost();
+        let weight = |segment: usize| spans[segment].powi(-7);
+        // elimination forwards: x(k) = value(k) − link(k)·x(k + 1)
+        let mut values: Vec<Derivatives> = Vec::with_capacity(count);
+        let mut links: Vec<Matrix3<f64>> = Vec::with_capacity(count);
+        let mut coupling = Matrix3::zeros();
+        for k in 1..count {
+            let (end, start) = (factors(k - 1, k), factors(k, k));
+            let (before, after) = (weight(k - 1), weight(k));
+            let mut diagonal = before * end * cost.fixed_view::<3, 3>(5, 5) * end
+                + after * start * cost.fixed_view::<3, 3>(1, 1) * start;
+            let mut right = -(before * end * cost.fixed_view::<3, 1>(5, 4) * steps[k - 1]
+                + after * start * cost.fixed_view::<3, 1>(1, 4) * steps[k]);
+            if let (Some(link), Some(value)) = (links.last(), values.last()) {
+                diagonal -= coupling.transpose() * link;
+                right -= coupling.transpose() * value;
+            }
+            let diagonal = diagonal.cholesky().ok_or(TrajectoryError::Unsolvable)?;
+            coupling = after * start * cost.fixed_view::<3, 3>(1, 5) * factors(k, k + 1);
+            values.push(diagonal.solve(&right));
+            links.push(diagonal.solve(&coupling));
+        }
+        // and back; at both ends they are zero
+        let mut derivatives = vec![Derivatives::zeros(); count + 1];
+        for k in (1..count).rev() {
+            derivatives[k] = values[k - 1] - links[k - 1] * derivatives[k + 1];
+        }
+        let segment = |i: usize| {
+            let [start, end] = [factors(i, i) * derivatives[i], factors(i, i + 1) * derivatives[i + 1]];
+            Segment {
+                coefficients: std::array::from_fn(|axis| {
+                    let from = if axis < 3 { points[i][axis] } else { yaws[i] };
+                    let [start, end] = [start.column(axis).into(), end.column(axis).into()];
+                    Hermite { from, step: steps[i][axis], start, end }.coefficients()
+                }),
+            }
+        };
+        let way = Self { segments: (0..count).map(segment).collect(), times };
         // times that differ by orders of magnitude leave no digits
         let missed = points.iter().zip(&way.times).any(|(point, &time)| {
             let off = (way.reference(time).position - Vector3::from(*point)).norm();
-            off > 1e-6 * (1.0 + Vector3::from(*point).norm())
+            off.is_nan() || off > 1e-6 * (1.0 + Vector3::from(*point).norm())
         });
         if missed { Err(TrajectoryError::Unsolvable) } else { Ok(way) }
     }
@@ -264,13 +348,22 @@ impl Waypoints {
         within(&spans, 200)
     }
 
+    /// Returns the segment with the lowest point of the path, and the height of that point, m.
+    pub(crate) fn lowest(&self) -> (usize, f64) {
+        let heights = self.segments.iter().enumerate().flat_map(|(index, segment)| {
+            (0..=50).map(move |sample| (index, segment.derivatives(f64::from(sample) / 50.0)[0][2]))
+        });
+        heights.fold((0, f64::INFINITY), |lowest, point| if point.1 < lowest.1 { point } else { lowest })
+    }
+
     /// Greatest distance from the straight way between two waypoints, m.
     fn detour(&self, points: &[[f64; 3]]) -> f64 {
-        let legs = self.times.windows(2).zip(points.windows(2));
-        let samples = legs.flat_map(|(times, points)| {
+        let legs = self.segments.iter().zip(points.windows(2));
+        let samples = legs.flat_map(|(segment, points)| {
             let (from, way) = (Vector3::from(points[0]), Vector3::from(points[1]) - Vector3::from(points[0]));
             (1..12).map(move |sample| {
-                let position = self.reference(times[0] + (times[1] - times[0]) * f64::from(sample) / 12.0).position;
+                let [[x, y, z, _], ..] = segment.derivatives(f64::from(sample) / 12.0);
+                let position = Vector3::new(x, y, z);
                 let share = ((position - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
                 (from + way * share - position).norm()
             })
@@ -281,11 +374,12 @@ impl Waypoints {
     /// Greatest speed (m/s), acceleration (m/s²) and yaw rate (rad/s), from so many samples per segment.
     fn peaks(&self, samples: u32) -> [f64; 3] {
         let mut peaks = [0.0_f64; 3];
-        for pair in self.times.windows(2) {
+        for (segment, pair) in self.segments.iter().zip(self.times.windows(2)) {
+            let span = pair[1] - pair[0];
             for sample in 0..=samples {
-                let share = f64::from(sample) / f64::from(samples);
-                let reference = self.reference(pair[0] + (pair[1] - pair[0]) * share);
-                let now = [reference.velocity.norm(), reference.acceleration.norm(), reference.yaw_rate.abs()];
+                let [_, velocity, acceleration] = segment.derivatives(f64::from(sample) / f64::from(samples));
+                let length = |of: &[f64; 4]| Vector3::new(of[0], of[1], of[2]).norm();
+                let now = [length(&velocity) / span, length(&acceleration) / (span * span), velocity[3].abs() / span];
                 for (peak, now) in peaks.iter_mut().zip(now) {
                     *peak = peak.max(now);
                 }

@@ -1,0 +1,276 @@
+//! Pictures, films and plots, and machines that cannot draw.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+mod common;
+
+use common::{aviary, directory, has_gl, refused, text};
+
+#[test]
+fn pictures_are_drawn_from_every_camera_in_every_kind_and_size() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("pictures");
+    for camera in ["track", "fpv", "fixed", "front"] {
+        for kind in ["rgb", "depth", "segmentation"] {
+            let path = dir.join(format!("{camera}_{kind}.png"));
+            let arguments = ["render", "--task", "hover", "--at", "0.5", "--size", "80x50"];
+            let output =
+                aviary(&[&arguments[..], &["--camera", camera, "--kind", kind, "--out", text(&path)]].concat());
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            let picture = image::open(&path).unwrap().into_rgb8();
+            assert_eq!(picture.dimensions(), (80, 50));
+            let first = picture.get_pixel(0, 0);
+            assert!(picture.pixels().any(|pixel| pixel != first), "{camera} {kind} is empty");
+        }
+    }
+    let again = dir.join("again.png");
+    aviary(&["render", "--task", "hover", "--at", "0.5", "--size", "80x50", "--out", text(&again)]);
+    assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(dir.join("track_rgb.png")).unwrap());
+}
+
+#[test]
+fn a_capture_has_pictures_states_and_what_they_mean() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("capture");
+    let frames =
+        ["--task", "hover", "--duration", "1", "--frames", "7", "--every", "10", "--size", "40x30", "--vary", "none"];
+    let output = aviary(&[&["capture", "--out", text(&dir)], &frames[..]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+
+    let mut rows = csv::Reader::from_path(dir.join("frames.csv")).unwrap();
+    let header: Vec<_> = rows.headers().unwrap().iter().map(str::to_string).collect();
+    let column = |name: &str| header.iter().position(|column| column == name).unwrap();
+    let rows: Vec<_> = rows.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 7);
+    let camera: Value = serde_json::from_slice(&std::fs::read(dir.join("camera.json")).unwrap()).unwrap();
+    assert_eq!((&camera["width"], &camera["height"]), (&40.into(), &30.into()));
+    assert_eq!(camera["position_in_body"], serde_json::json!([0.02, 0.0, 0.0]));
+    let names: Value = serde_json::from_slice(&std::fs::read(dir.join("segmentation.json")).unwrap()).unwrap();
+    let fy = camera["fy"].as_f64().unwrap();
+
+    for (frame, row) in rows.iter().enumerate() {
+        assert_eq!(row[column("frame")], frame.to_string());
+        // an episode of a second has 48 steps, so that the sixth frame begins the next one
+        let (episode, step) = if frame < 5 { ("0", frame * 10) } else { ("1", (frame - 5) * 10) };
+        assert_eq!((&row[column("episode")], &row[column("t")]), (episode, &*(step as f64 / 48.0).to_string()));
+        let rgb = image::open(dir.join(&row[column("rgb")])).unwrap().into_rgb8();
+        let depth = image::open(dir.join(&row[column("depth")])).unwrap();
+        let depth = depth.as_luma16().expect("16 bit");
+        let objects = image::open(dir.join(&row[column("segmentation")])).unwrap();
+        let objects = objects.as_luma16().expect("16 bit");
+        assert_eq!((rgb.dimensions(), depth.dimensions(), objects.dimensions()), ((40, 30), (40, 30), (40, 30)));
+        // the drone is level: the lowest row of pixels looks down at the floor by atan(14.5 / fy)
+        let z: f64 = row[column("z")].parse().unwrap();
+        let wanted = z / (14.5 / fy) * 1000.0;
+        assert!((f64::from(depth.get_pixel(20, 29)[0]) - wanted).abs() < 2.0, "frame {frame}: {wanted}");
+        assert_eq!(depth.get_pixel(20, 0)[0], 0, "nothing above");
+        assert_eq!(names[objects.get_pixel(20, 29)[0].to_string()]["name"], "floor");
+        assert_eq!(names[objects.get_pixel(20, 0)[0].to_string()]["type"], "background");
+    }
+    let entries = |path: &Path| std::fs::read_dir(path).unwrap().count();
+    assert_eq!((entries(&dir), entries(&dir.join("rgb"))), (6, 7), "no temporary file is left");
+}
+
+#[test]
+fn an_animation_is_written_whole_or_not_at_all() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("animation");
+    let path = dir.join("hover.gif");
+    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--size", "64x48", "--camera", "front"];
+    let output = aviary(&[&fly[..], &["--gif", text(&path)]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let bytes = std::fs::read(&path).unwrap();
+    assert!(bytes.starts_with(b"GIF89a") && bytes.ends_with(b";"));
+    let blocked = dir.join("hover.gif").join("x.gif");
+    refused(&[&fly[..], &["--gif", text(&blocked)]].concat(), 1, &["x.gif"]);
+    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1, "no temporary file is left");
+}
+
+#[test]
+fn a_shorter_capture_replaces_a_longer_one() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("capture-again");
+    let capture = |frames: &str| {
+        let arguments = ["capture", "--task", "hover", "--out", text(&dir), "--frames", frames, "--json"];
+        let output = aviary(&arguments);
+        assert!(output.status.success());
+        serde_json::from_slice::<Value>(&output.stdout).unwrap()["frames"].clone()
+    };
+    assert_eq!(capture("5"), 5);
+    std::fs::write(dir.join("rgb").join("mine.png"), "somebody's own").unwrap();
+    assert_eq!(capture("2"), 2);
+    let entries = |kind: &str| std::fs::read_dir(dir.join(kind)).unwrap().count();
+    assert_eq!((entries("rgb"), entries("depth"), entries("segmentation")), (3, 2, 2));
+}
+
+#[test]
+fn plots_and_films_are_written_and_named() {
+    let dir = directory("plots");
+    let output = aviary(&["fly", "--task", "multi_hover", "--duration", "1", "--plot", "--json", "--out", text(&dir)]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let files: Vec<&str> = flight["files"].as_array().unwrap().iter().map(|file| file.as_str().unwrap()).collect();
+    let names = [
+        "drone0.csv",
+        "drone1.csv",
+        "scenario.toml",
+        "summary.json",
+        "flight.svg",
+        "flight.png",
+        "path.svg",
+        "path.png",
+    ];
+    assert_eq!(files, names.map(|name| text(&dir.join(name)).to_string()));
+    for name in names {
+        assert!(dir.join(name).metadata().unwrap().len() > 200, "{name}");
+    }
+    image::open(dir.join("flight.png")).unwrap();
+
+    // another flight in the same place leaves nothing of this one, and names need not be text
+    let output = aviary(&["fly", "--task", "hover", "--duration", "1", "--out", text(&dir)]);
+    assert!(output.status.success());
+    assert!(!dir.join("drone1.csv").exists() && !dir.join("path.png").exists() && dir.join("drone0.csv").exists());
+    use std::os::unix::ffi::OsStrExt as _;
+    let odd = dir.join(std::ffi::OsStr::from_bytes(b"o\xff"));
+    let fly = ["fly", "--task", "hover", "--duration", "0.1", "--json", "--out"];
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).arg(&odd).output().unwrap();
+    assert!(output.status.success() && odd.join("drone0.csv").exists());
+
+    // without a directory it is out/fly/TASK, the whole flight: plots never lie next to the log of another one
+    let here = directory("plots-here");
+    std::fs::create_dir_all(&here).unwrap();
+    let fly = ["fly", "--task", "hover", "--duration", "1", "--plot"];
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).current_dir(&here).output().unwrap();
+    assert!(String::from_utf8(output.stdout).unwrap().contains("wrote out/fly/hover/path.png"));
+    for name in ["flight.svg", "drone0.csv", "summary.json"] {
+        assert!(here.join("out/fly/hover").join(name).exists(), "{name}");
+    }
+
+    if !has_gl() {
+        return;
+    }
+    let frames = dir.join("frames");
+    let film =
+        ["--size", "64x48", "--camera", "top", "--overlay", "trails,references,rings,wind", "--wind", "constant"];
+    let fly = ["fly", "--task", "hover", "--duration", "0.5", "--png", text(&frames)];
+    let output = aviary(&[&fly[..], &film].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(std::fs::read_dir(&frames).unwrap().count(), 13, "24 a second, and the last moment");
+}
+
+#[test]
+fn what_cannot_be_filmed_is_refused_before_anything_is_flown() {
+    let fly = ["fly", "--task", "hover"];
+    let with = |more: &[&str]| [&fly[..], more].concat().into_iter().map(String::from).collect::<Vec<_>>();
+    for (more, texts) in [
+        (&["--gif", "film.png"][..], &["--gif is `film.png`", "ends in .gif"][..]),
+        (&["--video", "film.avi"], &["--video is `film.avi`", "ends in .mp4"]),
+        (&["--gif", "a.gif", "--overlay", "trials"], &["no overlay `trials`", "did you mean `trails`?"]),
+        (&["--gif", "a.gif", "--camera", "trak"], &["--camera is `trak`", "did you mean `track`?"]),
+        (&["--overlay", "trails"], &["--gif"]),
+    ] {
+        let arguments = with(more);
+        refused(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 2, texts);
+    }
+    if !has_gl() {
+        return;
+    }
+    // no encoder on the path
+    let film = directory("no-encoder").join("film.mp4");
+    let output = Command::new(env!("CARGO_BIN_EXE_aviary"))
+        .args(["fly", "--task", "hover", "--duration", "0.1", "--video", text(&film)])
+        .env("PATH", "")
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
+    assert!(error.contains("`ffmpeg` is not installed") && error.contains("apt-get install ffmpeg"), "{error}");
+    assert_eq!(std::fs::read_dir(film.parent().unwrap()).unwrap().count(), 0);
+}
+
+#[test]
+fn a_device_that_is_not_there_is_said_so_by_every_command() {
+    for (variable, value, expected) in
+        [("MUJOCO_EGL_DEVICE_ID", "x", "expected a number from 0"), ("MUJOCO_GL", "glfw", "expected egl or osmesa")]
+    {
+        let run = |arguments: &[&str]| {
+            let output =
+                Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env(variable, value).output().unwrap();
+            (output.status.code(), String::from_utf8(output.stderr).unwrap())
+        };
+        let (status, error) = run(&["render", "--task", "hover", "--out", text(&directory("device").join("x.png"))]);
+        assert!(status == Some(2) && error.contains(expected) && !error.contains("apt-get"), "{error}");
+        let (status, error) = run(&["doctor"]);
+        assert!(status == Some(1) && error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn impossible_pictures_are_refused_on_one_line() {
+    let out = directory("pictures-refused").join("x.png");
+    let render = |more: &[&str], status: i32, texts: &[&str]| {
+        refused(&[&["render", "--task", "hover", "--out", text(&out)], more].concat(), status, texts);
+        assert!(!out.exists());
+    };
+    render(&["--camera", "frnt"], 2, &["--camera is `frnt`", "did you mean `front`?"]);
+    render(&["--kind", "lidar"], 2, &["--kind is `lidar`", "depth"]);
+    render(&["--size", "0x48"], 2, &["0x48", "WIDTHxHEIGHT"]);
+    render(&["--size", "64"], 2, &["WIDTHxHEIGHT"]);
+    render(&["--at", "-1"], 2, &["--at is -1 s"]);
+    render(&["--at", "99"], 2, &["--at is 99 s", "time_limit"]);
+    refused(&["capture", "--task", "hover", "--frames", "0", "--out", "x"], 2, &["--frames is 0"]);
+    refused(&["capture", "--task", "hover", "--frames", "1", "--every", "0", "--out", "x"], 2, &["--every is 0"]);
+}
+
+/// Where the libraries cannot be found: what was tried, and the packages that bring them.
+#[test]
+fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
+    // a search path on which libraries of those names are not libraries
+    let dir = directory("no-gl");
+    std::fs::create_dir_all(&dir).unwrap();
+    for name in ["libEGL.so.1", "libEGL.so", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"] {
+        std::fs::write(dir.join(name), "no library").unwrap();
+    }
+    let run = |arguments: &[&str]| {
+        let output =
+            Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env("LD_LIBRARY_PATH", &dir).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+    };
+    for command in ["doctor", "render", "capture"] {
+        let out = dir.join(if command == "render" { "render.png" } else { command });
+        let arguments = match command {
+            "doctor" => vec!["doctor"],
+            "render" => vec!["render", "--task", "hover", "--out", text(&out)],
+            _ => vec!["capture", "--task", "hover", "--frames", "1", "--out", text(&out)],
+        };
+        let (status, table, error) = run(&arguments);
+        assert_eq!((status, error.lines().count()), (Some(1), 1), "{error}");
+        assert!(error.contains("apt-get install libegl1 libgl1-mesa-dri libosmesa6"), "{error}");
+        // one short reason per library, in the table where there is one
+        let reasons = if command == "doctor" { table } else { error };
+        for library in ["libEGL", "libOSMesa"] {
+            assert_eq!(reasons.matches(library).count(), 1, "{reasons}");
+        }
+        assert!(reasons.contains("libEGL.so.1: file too short") && reasons.contains("libOSMesa.so.8: "), "{reasons}");
+        assert!(!out.exists());
+    }
+    let (status, doctor, _) = run(&["doctor", "--json"]);
+    let doctor: Value = serde_json::from_str(&doctor).unwrap();
+    assert_eq!((status, &doctor["ok"]), (Some(1), &false.into()));
+    for answer in doctor["gl"].as_array().unwrap() {
+        assert!(answer["works"] == false && answer["detail"].as_str().unwrap().contains(".so"), "{answer}");
+        assert!(answer["install"].as_str().unwrap().starts_with("apt-get install lib"), "{answer}");
+    }
+    assert_eq!(run(&["fly", "--task", "hover"]).0, Some(0));
+}
