@@ -3,14 +3,14 @@
 use std::hint::black_box;
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use mujoco_drones_gym::policy::{Activation, Mlp, Policy};
+use mujoco_drones_gym::policy::{Activation, Mlp, PolicyNetwork};
 
 fn policies(c: &mut Criterion) {
     for name in ["hover", "race"] {
         let path = format!("{}/assets/policies/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
-        let policy = Policy::load(path).expect("a policy that comes along");
+        let policy = PolicyNetwork::load(path).expect("a policy that comes along");
         let (seen, mut action) = (vec![0.1; policy.observation_size()], [0.0; 4]);
-        c.bench_function(&format!("{name}: one action"), |b| b.iter(|| policy.act(black_box(&seen), &mut action)));
+        c.bench_function(&format!("{name}: one action"), |b| b.iter(|| policy.forward(black_box(&seen), &mut action)));
     }
     let sizes = [12, 64, 64, 4];
     let parameters: Vec<f32> = (0..Mlp::count(&sizes)).map(|k| 0.1 * (k as f32).sin()).collect();

@@ -4,7 +4,7 @@
 //! flight's way as `path.png` and prints when each gate was passed.
 
 use mujoco_drones_gym::env::EnvConfig;
-use mujoco_drones_gym::policy::Policy;
+use mujoco_drones_gym::policy::PolicyNetwork;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
 use mujoco_drones_gym::record::plot::Plot;
@@ -14,30 +14,26 @@ fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
     let directory = std::path::PathBuf::from(arguments.next().unwrap_or_else(|| "out/policy".into()));
     let known = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/policies/race.safetensors");
-    let policy = Policy::load(arguments.next().unwrap_or_else(|| known.into()))?;
+    let policy = PolicyNetwork::load(arguments.next().unwrap_or_else(|| known.into()))?;
     std::fs::create_dir_all(&directory)?;
 
     let info = policy.info();
     let options = EnvConfig::default().drone(info.drone.parse::<DroneModel>()?).ctrl_freq(info.ctrl_freq);
-    let mut env = make(&info.task, options)?;
-    policy.check(&*env)?;
+    let env = make(&info.task, options)?;
     println!("{} steps of training by `{}`", info.steps, info.command);
 
-    let mut action = vec![0.0; env.action_space().size()];
     let mut flight = Flight::default();
     let mut progress = 0.0;
-    env.reset(Some(1))?;
-    while env.info().end.is_none() {
-        flight.note(&*env);
-        policy.act(&env.observation().vector, &mut action);
-        env.step(&action)?;
+    let mut rollout = Rollout::start(env, &policy, Some(1))?;
+    flight.note(rollout.env());
+    let summary = rollout.finish(|env| {
+        flight.note(env);
         if env.info().progress > progress {
             progress = env.info().progress;
             println!("{:5.2} s  {:3.0} %", env.info().time, 100.0 * progress);
         }
-    }
-    flight.note(&*env);
-    println!("success: {} after {:.2} s", env.info().success, env.info().time);
+    })?;
+    println!("success: {} after {:.2} s", summary.success, summary.metrics["time"]);
     Plot::of_paths(&format!("{} by a trained policy", info.task), &flight)?.save(directory.join("path.png"))?;
     Ok(())
 }

@@ -37,6 +37,7 @@ pub mod wrappers;
 pub mod vector;
 
 pub mod policy;
+pub mod rollout;
 
 pub mod record;
 

@@ -56,7 +56,7 @@ impl Fly {
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
         let kept = if self.film.wants_preview(pilot.env().simulation())? { pilot.preview()? } else { Vec::new() };
-        let film = self.film.begin(pilot.env().simulation(), &kept, |drone| pilot.way(drone))?;
+        let film = self.film.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
         if let Some(out) = &out {
             out.remove(&["summary.json", SCENARIO])?;
             out.remove(&PLOTS)?;
@@ -160,13 +160,12 @@ impl Fly {
         }
         let simulation = pilot.env().simulation();
         let mut info = pilot.env().info();
-        if pilot.has_plan() {
-            // the error that is told is that from the way flown
+        if pilot.has_path() {
+            // the error that is reported is the distance from the path that is flown
             info.position_error = pilot.position_error();
         }
-        if pilot.trajectory().is_some() {
+        if pilot.is_on_trajectory() {
             // the trajectory, not the task, says where to be
-            info.position_error = pilot.position_error();
             info.progress = simulation.control_steps() as f64 / pilot.env().episode_steps() as f64;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }

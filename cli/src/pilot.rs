@@ -1,27 +1,22 @@
 //! A task flown by a built-in controller, control step by control step.
 
 use anyhow::anyhow;
-use aviary::action::ActionType;
 use aviary::control::trajectory::Trajectory;
-use aviary::control::{AnyController, Controller as _, ControllerKind, Reference};
+use aviary::control::{ControllerKind, Reference};
 use aviary::env::{Env, Info};
+use aviary::rollout::{ControllerPolicy, Rollout};
 use aviary::tasks::hover_reward;
 use nalgebra::Vector3;
 
 use crate::failure::Failure;
 use crate::options::{FlightOptions, Variation};
 
-/// An environment and one controller for each of its drones.
+/// A flight of the command line: episodes of a task with built-in controllers.
 pub struct Pilot {
-    env: Box<dyn Env>,
-    controllers: Vec<AnyController>,
+    rollout: Rollout<Box<dyn Env>, ControllerPolicy>,
     kind: ControllerKind,
-    trajectory: Option<Box<dyn Trajectory>>,
-    /// Each drone's way through the task, where it has one.
-    plans: Vec<Option<Box<dyn Trajectory>>>,
-    speeds: Vec<[f64; 4]>,
-    action: Vec<f64>,
-    dt: f64,
+    /// True if the drones follow a trajectory of the command line in place of the task's references.
+    on_trajectory: bool,
     seed: u64,
 }
 
@@ -41,24 +36,21 @@ impl Pilot {
     pub fn varied(options: &FlightOptions, variation: Variation) -> Result<Self, Failure> {
         let kind = options.controller()?;
         let trajectory = options.trajectory()?;
-        let mut env = options.environment(trajectory.as_deref(), variation)?;
-        let drones = env.simulation().num_drones();
-        let controllers = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
-        let (dt, action) = (env.simulation().control_period(), vec![0.0; env.action_space().size()]);
-        env.reset(Some(options.seed)).map_err(Failure::work)?;
-        let speeds = vec![[0.0; 4]; drones];
-        let mut pilot =
-            Self { env, controllers, kind, trajectory, plans: Vec::new(), speeds, action, dt, seed: options.seed };
-        pilot.plan();
-        Ok(pilot)
+        let env = options.environment(trajectory.as_deref(), variation)?;
+        let on_trajectory = trajectory.is_some();
+        let policy = ControllerPolicy::new(kind, &env);
+        let policy = if on_trajectory { policy.follow(trajectory) } else { policy };
+        let rollout = Rollout::start(env, policy, Some(options.seed)).map_err(Failure::work)?;
+        Ok(Self { rollout, kind, on_trajectory, seed: options.seed })
     }
 
-    /// Looks for a way through the task from where the drones are now.
-    fn plan(&mut self) {
-        self.plans = match self.trajectory {
-            Some(_) => self.controllers.iter().map(|_| None).collect(),
-            None => self.env.plans(),
-        };
+    fn num_drones(&self) -> usize {
+        self.env().simulation().num_drones()
+    }
+
+    /// Length of an episode, s.
+    fn episode_seconds(&self) -> f64 {
+        self.env().episode_steps() as f64 * self.env().simulation().control_period()
     }
 
     /// Returns points (world frame, m) that the drones come by in the first episode, planned and flown: it is flown once, and then
@@ -66,18 +58,18 @@ impl Pilot {
     pub fn preview(&mut self) -> Result<Vec<Vector3<f64>>, Failure> {
         /// Seconds from point to point.
         const EVERY: f64 = 0.1;
-        let mut points = self.env.extent();
-        for drone in 0..self.controllers.len() {
-            if let Some(way) = self.way(drone) {
-                let times = (0..=120).map(|i| way.duration() * f64::from(i) / 120.0);
-                points.extend(times.map(|time| way.reference(time).position));
+        let mut points = self.env().extent();
+        for drone in 0..self.num_drones() {
+            if let Some(path) = self.path(drone) {
+                let times = (0..=120).map(|i| path.duration() * f64::from(i) / 120.0);
+                points.extend(times.map(|time| path.reference(time).position));
             }
         }
-        let every = ((EVERY / self.dt).round() as u64).max(1);
+        let every = ((EVERY / self.env().simulation().control_period()).round() as u64).max(1);
         loop {
             // a flight that fails does so again when it is flown to be seen
             let goes_on = self.step().is_ok_and(|flown| !flown.over);
-            let simulation = self.env.simulation();
+            let simulation = self.env().simulation();
             if !goes_on || simulation.control_steps().is_multiple_of(every) {
                 points.extend(simulation.states().iter().map(|state| state.position));
             }
@@ -89,24 +81,29 @@ impl Pilot {
         Ok(points)
     }
 
-    /// Returns whether some drone's way through the task takes longer than an episode.
+    /// Durations of the paths that drones have through the task, s.
+    fn path_seconds(&self) -> impl Iterator<Item = f64> {
+        let planned = if self.on_trajectory { 0 } else { self.num_drones() };
+        (0..planned).filter_map(|drone| self.path(drone).map(Trajectory::duration))
+    }
+
+    /// Returns whether the path of some drone through the task takes longer than an episode.
     fn is_late(&self) -> bool {
-        let seconds = self.env.episode_steps() as f64 * self.dt;
-        self.plans.iter().flatten().any(|way| way.duration() > seconds)
+        self.path_seconds().any(|seconds| seconds > self.episode_seconds())
     }
 
     /// Returns the first place (world frame, m) where a drone is to be that an obstacle leaves no room for, with the drone.
     fn obstruction(&mut self) -> Result<Option<(usize, Vector3<f64>)>, Failure> {
-        if self.env.simulation().world().obstacles.is_empty() {
+        if self.env().simulation().world().obstacles.is_empty() {
             return Ok(None);
         }
         let found = self.obstruction_of_path();
-        if found.is_some() || (0..self.controllers.len()).all(|drone| self.way(drone).is_some()) {
+        if found.is_some() || (0..self.num_drones()).all(|drone| self.path(drone).is_some()) {
             return Ok(found);
         }
         // references move during the flight
         let found = loop {
-            let drones = 0..self.controllers.len();
+            let drones = 0..self.num_drones();
             let mut places = drones.map(|drone| (drone, self.reference(drone).position));
             let found = places.find(|(drone, place)| self.is_blocked(*drone, place));
             if found.is_some() || !self.step().is_ok_and(|flown| !flown.over) {
@@ -119,26 +116,26 @@ impl Pilot {
 
     /// Returns whether an obstacle leaves a drone no room at a place (world frame, m).
     fn is_blocked(&self, drone: usize, place: &Vector3<f64>) -> bool {
-        let simulation = self.env.simulation();
+        let simulation = self.env().simulation();
         // with room for errors of the controller
         let room = simulation.params(drone).collision_radius + 0.05;
         simulation.world().obstacles.iter().any(|obstacle| obstacle.distance(place) < room)
     }
 
-    /// The same for the ways of the drones, or the straight lines to where the task wants them now.
+    /// The same for the paths of the drones, or the straight lines to where the task wants them now.
     fn obstruction_of_path(&self) -> Option<(usize, Vector3<f64>)> {
-        let simulation = self.env.simulation();
-        (0..self.controllers.len()).find_map(|drone| {
+        let simulation = self.env().simulation();
+        (0..self.num_drones()).find_map(|drone| {
             let start = simulation.states()[drone].position;
-            let points: Vec<_> = match self.way(drone) {
-                Some(way) => {
-                    let ticks = (way.duration() / 0.02).ceil() as u32;
-                    (0..=ticks).map(|tick| way.reference(f64::from(tick) * 0.02).position).collect()
+            let points: Vec<_> = match self.path(drone) {
+                Some(path) => {
+                    let ticks = (path.duration() / 0.02).ceil() as u32;
+                    (0..=ticks).map(|tick| path.reference(f64::from(tick) * 0.02).position).collect()
                 }
                 // straight to where the task wants it
                 None => {
-                    let way = self.env.reference(drone).position - start;
-                    (0..=100).map(|i| start + way * f64::from(i) / 100.0).collect()
+                    let path = self.env().reference(drone).position - start;
+                    (0..=100).map(|i| start + path * f64::from(i) / 100.0).collect()
                 }
             };
             points.into_iter().find(|place| self.is_blocked(drone, place)).map(|place| (drone, place))
@@ -148,9 +145,9 @@ impl Pilot {
     /// Refuses what the built-in pilots cannot fly, naming what they can: they plan no way around obstacles, and of many drones each
     /// waits until its way is free.
     pub fn check(&mut self, options: &FlightOptions) -> Result<(), Failure> {
-        let task = self.env.name();
+        let task = self.env().name();
         if let Some((drone, place)) = self.obstruction()? {
-            let which = if self.controllers.len() > 1 { format!("drone {drone}") } else { "the drone".into() };
+            let which = if self.num_drones() > 1 { format!("drone {drone}") } else { "the drone".into() };
             let where_ = format!("({:.2}, {:.2}, {:.2}) m", place.x, place.y, place.z);
             const SEEDS: u64 = 30;
             let free = |seed: &u64| {
@@ -169,11 +166,10 @@ impl Pilot {
                 "an obstacle is in the way of {which} at {where_}, and the built-in pilots fly around none; {remedy}"
             )));
         }
-        if self.controllers.len() > 1 && self.is_late() {
+        if self.num_drones() > 1 && self.is_late() {
             let success = self.fly_ahead()?.success;
             if !success {
-                let count = self.controllers.len();
-                let seconds = self.env.episode_steps() as f64 * self.dt;
+                let (count, seconds) = (self.num_drones(), self.episode_seconds());
                 let most = self.most_in_time(options, seconds);
                 return Err(Failure::input(anyhow!(
                     "--num-drones is {count}, but the built-in pilots fly {task} with up to {most} in {seconds} s: \
@@ -184,25 +180,25 @@ impl Pilot {
         Ok(())
     }
 
-    /// Returns the largest number of drones below the present one whose ways through the task all end in time.
+    /// Returns the largest number of drones below the present one whose paths through the task all end in time.
     fn most_in_time(&self, options: &FlightOptions, seconds: f64) -> usize {
         let in_time = |count: &usize| {
             let mut options = options.clone();
             options.num_drones = Some(*count);
             let mut env = options.environment(None, Variation::NONE).ok()?;
             env.reset(Some(options.seed)).ok()?;
-            Some(env.plans().iter().flatten().all(|way| way.duration() <= seconds))
+            Some(env.plans().iter().flatten().all(|path| path.duration() <= seconds))
         };
-        // each drone begins after the one before it; with fewer drones their ways are shorter
-        let early = self.plans.iter().flatten().filter(|way| way.duration() <= seconds).count();
-        let highest = (2 * early + 24).min(self.controllers.len() - 1);
+        // each drone begins after the one before it; with fewer drones their paths are shorter
+        let early = self.path_seconds().filter(|duration| *duration <= seconds).count();
+        let highest = (2 * early + 24).min(self.num_drones() - 1);
         (1..=highest).rev().find(|count| in_time(count) == Some(true)).unwrap_or(1)
     }
 
     /// Flies the first episode, says how it ended, and begins it again with the same random numbers.
     fn fly_ahead(&mut self) -> Result<Info, Failure> {
         while self.step().is_ok_and(|flown| !flown.over) {}
-        let info = self.env.info();
+        let info = self.env().info();
         self.begin(Some(self.seed))?;
         Ok(info)
     }
@@ -219,51 +215,43 @@ impl Pilot {
 
     /// Starts an episode, from a seed or with the random numbers that follow.
     fn begin(&mut self, seed: Option<u64>) -> Result<(), Failure> {
-        for controller in &mut self.controllers {
-            controller.reset();
-        }
-        self.env.reset(seed).map_err(Failure::work)?;
-        self.plan();
-        Ok(())
+        self.rollout.restart(seed).map_err(Failure::work)
     }
 
-    /// The way that a drone is to fly, where it has one.
-    pub fn way(&self, drone: usize) -> Option<&dyn Trajectory> {
-        self.trajectory.as_deref().or(self.plans[drone].as_deref())
+    /// The path that a drone is to fly, where it has one.
+    pub fn path(&self, drone: usize) -> Option<&dyn Trajectory> {
+        self.rollout.policy().trajectory(drone)
     }
 
     /// What a drone is asked to follow now.
     pub fn reference(&self, drone: usize) -> Reference {
-        match self.way(drone) {
-            Some(way) => way.reference(self.env.simulation().time()),
-            None => self.env.reference(drone),
-        }
+        self.rollout.policy().reference(self.env(), drone)
     }
 
     /// A drone's reward for the last control step. Along a trajectory, which replaces the target of hover, it is hover's
     /// reward with the point that the trajectory has reached as the target.
     pub fn reward(&self, drone: usize) -> f64 {
-        let simulation = self.env.simulation();
-        match &self.trajectory {
-            Some(_) if simulation.control_steps() == 0 => 0.0,
-            Some(_) => hover_reward(simulation, drone, &self.reference(drone).position, self.env.drone_end(drone)),
-            None => self.env.drone_reward(drone),
+        let (env, simulation) = (self.env(), self.env().simulation());
+        match self.on_trajectory {
+            true if simulation.control_steps() == 0 => 0.0,
+            true => hover_reward(simulation, drone, &self.reference(drone).position, env.drone_end(drone)),
+            false => env.drone_reward(drone),
         }
     }
 
-    /// Whether it follows a trajectory in place of the task's reference.
-    pub fn trajectory(&self) -> Option<&dyn Trajectory> {
-        self.trajectory.as_deref()
+    /// Returns whether the drones follow a trajectory in place of the references of the task.
+    pub fn is_on_trajectory(&self) -> bool {
+        self.on_trajectory
     }
 
-    /// Whether drones follow ways through the task that it gave them.
-    pub fn has_plan(&self) -> bool {
-        self.plans.iter().any(Option::is_some)
+    /// Returns whether drones follow a path, through the task or along a trajectory.
+    pub fn has_path(&self) -> bool {
+        (0..self.num_drones()).any(|drone| self.path(drone).is_some())
     }
 
     /// Largest distance of a drone from where it is asked to be now, m.
     pub fn position_error(&self) -> f64 {
-        let simulation = self.env.simulation();
+        let simulation = self.env().simulation();
         (0..simulation.num_drones())
             .map(|drone| simulation.distance(drone, &self.reference(drone).position))
             .fold(0.0, f64::max)
@@ -271,49 +259,15 @@ impl Pilot {
 
     /// Flies one control step.
     pub fn step(&mut self) -> Result<Flown, Failure> {
-        if self.env.action_type() == ActionType::Vel {
-            self.command_velocities();
-            return self.advance();
-        }
-        for drone in 0..self.controllers.len() {
-            let reference = self.reference(drone);
-            let state = &self.env.simulation().states()[drone];
-            self.speeds[drone] = self.controllers[drone].control(self.dt, state, &reference).rpm;
-        }
-        self.env.action_of_motor_speeds(&self.speeds, &mut self.action).map_err(Failure::work)?;
-        self.advance()
-    }
-
-    /// Velocities towards where the drones are asked to be, a little to the right of it while it is far: somebody has to
-    /// give way first.
-    fn command_velocities(&mut self) {
-        const SPEED: f64 = 1.0;
-        for drone in 0..self.controllers.len() {
-            let (state, reference) = (&self.env.simulation().states()[drone], self.reference(drone));
-            let way = reference.position - state.position;
-            let aside = 0.25 * (way.xy().norm() - 0.3).clamp(0.0, 1.0);
-            let (x, y) = (way.x + aside * way.y, way.y - aside * way.x);
-            let fast = 1.5 * x.hypot(y);
-            let share = 1.5 * (SPEED / fast.max(SPEED));
-            let (sin, cos) = state.yaw().sin_cos();
-            let command = &mut self.action[4 * drone..][..4];
-            command[0] = share * (cos * x + sin * y);
-            command[1] = share * (cos * y - sin * x);
-            command[2] = (2.0 * way.z).clamp(-SPEED, SPEED);
-            command[3] = 0.0;
-        }
-    }
-
-    fn advance(&mut self) -> Result<Flown, Failure> {
-        let step = self.env.step(&self.action).map_err(Failure::work)?;
+        let step = self.rollout.step().map_err(Failure::work)?;
         let (reward, over) = (step.reward, step.terminated || step.truncated);
-        let drones = 0..self.controllers.len();
-        let reward = if self.trajectory.is_some() { drones.map(|drone| self.reward(drone)).sum() } else { reward };
+        let drones = 0..self.num_drones();
+        let reward = if self.on_trajectory { drones.map(|drone| self.reward(drone)).sum() } else { reward };
         Ok(Flown { reward, over })
     }
 
     pub fn env(&self) -> &dyn Env {
-        &*self.env
+        &**self.rollout.env()
     }
 }
 

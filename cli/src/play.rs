@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use aviary::drone::DroneModel;
 use aviary::env::Env;
 use aviary::physics::Physics;
-use aviary::policy::Policy;
+use aviary::policy::PolicyNetwork;
 use aviary::tasks;
 use clap::{Args, ValueHint};
 use learn::{Arena, Episode, Score, TrainConfig, TrainError};
@@ -76,7 +76,7 @@ impl Play {
         if self.episodes == 0 {
             return Err(Failure::input(anyhow!("--episodes is 0, expected at least 1")));
         }
-        let policy = Policy::load(&self.policy).map_err(Failure::input)?;
+        let policy = PolicyNetwork::load(&self.policy).map_err(Failure::input)?;
         let config = self.config(&policy)?;
         let mut arena = Arena::new(config.success, || config.environment()).map_err(Failure::input)?;
         let bar = output::progress(self.episodes as u64, "flying");
@@ -98,7 +98,7 @@ impl Play {
     }
 
     /// What is flown: the policy's own task, airframe and rates, under what the options, the file or the policy's training say.
-    fn config(&self, policy: &Policy) -> Result<TrainConfig, Failure> {
+    fn config(&self, policy: &PolicyNetwork) -> Result<TrainConfig, Failure> {
         let info = policy.info();
         let mut config = TrainConfig::of_task(self.task.as_deref().unwrap_or(&info.task)).map_err(Failure::input)?;
         config.drone = info.drone.clone();
@@ -137,7 +137,7 @@ impl Play {
     }
 
     /// Films the first episode, if that is asked for.
-    fn draw(&self, policy: &Policy, config: &TrainConfig) -> Result<(), Failure> {
+    fn draw(&self, policy: &PolicyNetwork, config: &TrainConfig) -> Result<(), Failure> {
         if self.film.files().is_empty() {
             return Ok(());
         }
@@ -148,7 +148,7 @@ impl Play {
             // flown once to know where a camera is to stand
             kept = env.extent();
             let mut note = |env: &dyn Env| kept.extend(env.simulation().states().iter().map(|state| state.position));
-            learn::fly(&mut *env, policy, config.success, self.seed, &mut note).map_err(flying)?;
+            learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut note).map_err(flying)?;
             env.reset(Some(self.seed)).map_err(Failure::work)?;
         }
         let mut film = self.film.begin(env.simulation(), &kept, |_| None)?;
@@ -159,7 +159,7 @@ impl Play {
                 went_wrong = film.look(env.simulation(), |drone| env.reference(drone));
             }
         };
-        learn::fly(&mut *env, policy, config.success, self.seed, &mut look).map_err(flying)?;
+        learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut look).map_err(flying)?;
         went_wrong?;
         match film {
             Some(film) => film.finish(env.simulation(), |drone| env.reference(drone)),
@@ -242,7 +242,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("forest.toml");
         let obstacles = |config: &TrainConfig| config.environment().unwrap().simulation().world().obstacles.clone();
-        let fly = |policy: &Policy, more: &[&str]| {
+        let fly = |policy: &PolicyNetwork, more: &[&str]| {
             let line = [&["play", "--policy", "a.safetensors", "--seed", "5000"][..], more].concat();
             obstacles(&Line::try_parse_from(line).unwrap().play.config(policy).unwrap())
         };

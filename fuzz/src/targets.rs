@@ -3,7 +3,7 @@
 use aviary::control::trajectory;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::env::{Conditions, Env as _, EnvConfig, Rng};
-use aviary::policy::Policy;
+use aviary::policy::PolicyNetwork;
 use aviary::record::{Flight, RecordError, Scenario, read_actions};
 use aviary::simulation::Simulation;
 use aviary::tasks;
@@ -182,11 +182,11 @@ fn obstacles(input: &[u8]) -> Result<(), String> {
 }
 
 fn policy(input: &[u8]) -> Result<(), String> {
-    let policy = Policy::from_bytes(input).map_err(message)?;
+    let policy = PolicyNetwork::from_bytes(input).map_err(message)?;
     let mut action = vec![0.0; policy.action_size()];
-    policy.act(&vec![0.5; policy.observation_size()], &mut action);
+    policy.forward(&vec![0.5; policy.observation_size()], &mut action);
     let written = policy.to_bytes().map_err(message)?;
-    assert_eq!(Policy::from_bytes(&written).and_then(|again| again.to_bytes()).as_ref(), Ok(&written));
+    assert_eq!(PolicyNetwork::from_bytes(&written).and_then(|again| again.to_bytes()).as_ref(), Ok(&written));
     Ok(())
 }
 

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use aviary::policy::{Policy, PolicyError};
+use aviary::policy::{PolicyError, PolicyNetwork};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 
@@ -73,7 +73,7 @@ impl Checkpoint {
     }
 
     /// Checks every number.
-    pub fn check(&self, run: &Limits<'_>, best: &Policy) -> Result<(), String> {
+    pub fn check(&self, run: &Limits<'_>, best: &PolicyNetwork) -> Result<(), String> {
         let Self { state, parameters, moments, curve, .. } = self;
         let expected = run.shape.count();
         for (name, numbers) in

@@ -2,6 +2,7 @@ use std::path::PathBuf;
 
 use aviary::env::EnvError;
 use aviary::policy::PolicyError;
+use aviary::rollout::RolloutError;
 
 /// What can go wrong with training.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -40,4 +41,13 @@ pub enum TrainError {
     /// Gradients without bounds.
     #[error("the gradient is no longer a number; try a lower learning_rate or max_gradient")]
     Diverged,
+}
+
+impl From<RolloutError> for TrainError {
+    fn from(error: RolloutError) -> Self {
+        match error {
+            RolloutError::Env(error) => error.into(),
+            RolloutError::Policy(error) => error.into(),
+        }
+    }
 }

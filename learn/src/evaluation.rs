@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 use std::fmt;
 
 use aviary::env::{EndReason, Env, EnvError};
-use aviary::policy::Policy;
+use aviary::policy::PolicyNetwork;
+use aviary::rollout::{EpisodeSummary, Policy, Rollout, RolloutError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -133,48 +134,24 @@ impl Recent {
     }
 }
 
-/// Flies an episode, and looks at every step.
+/// Flies an episode with any policy and calls `look` after the reset and after every control step.
 ///
 /// # Errors
 /// [`TrainError::Policy`] for a policy that cannot fly the environment, and the environment's.
 pub fn fly(
     env: &mut dyn Env,
-    policy: &Policy,
+    policy: &mut dyn Policy,
     success: Success,
     seed: u64,
     look: &mut dyn FnMut(&dyn Env),
 ) -> Result<Episode, TrainError> {
-    policy.check(env)?;
     let period = env.simulation().control_period();
     let steps_of = |seconds: f64| (seconds / period).round() as u64;
     let mut recent = Recent::new(steps_of(LATE));
-    let mut action = vec![0.0; env.action_space().size()];
-    env.reset(Some(seed))?;
-    look(env);
-    let (mut reward, mut held, mut steps) = (0.0, 0_u64, 0_u64);
-    loop {
-        policy.act(&env.observation().vector, &mut action);
-        let step = match env.step(&action) {
-            Ok(step) => step,
-            // an action that is no number, a state beyond all bounds: the policy's failure
-            Err(EnvError::Action { .. } | EnvError::Simulation(_)) => {
-                let info = env.info();
-                return Ok(Episode {
-                    seed,
-                    success: false,
-                    reward,
-                    seconds: steps as f64 * period,
-                    end: EndReason::Fault.name(),
-                    progress: info.progress,
-                    final_position_error: info.position_error,
-                    late_position_error: recent.greatest().max(info.position_error),
-                });
-            }
-            Err(error) => return Err(error.into()),
-        };
-        reward += step.reward;
-        steps += 1;
-        let over = step.terminated || step.truncated;
+    let mut held = 0_u64;
+    let mut rollout = Rollout::start(env, policy, Some(seed))?;
+    look(rollout.env());
+    let flown = rollout.finish(|env| {
         let info = env.info();
         let good = match success {
             Success::Near { within, .. } => info.position_error < within,
@@ -183,26 +160,34 @@ pub fn fly(
         held = if good { held + 1 } else { 0 };
         recent.push(info.position_error);
         look(env);
-        if over {
-            let whole = info.end == Some(EndReason::TimeLimit);
-            let success = match success {
-                Success::Near { seconds, .. } | Success::Held { seconds } => {
-                    whole && held >= steps_of(seconds).min(env.episode_steps())
-                }
-                Success::Done => info.success,
-            };
-            return Ok(Episode {
-                seed,
-                success,
-                reward,
-                seconds: steps as f64 * period,
-                end: info.end.map_or("time_limit", EndReason::name),
-                progress: info.progress,
-                final_position_error: info.position_error,
-                late_position_error: recent.greatest(),
-            });
+    });
+    let summary = match flown {
+        Ok(summary) => summary,
+        // an action that is not a number, a state out of range: the failure of the policy
+        Err(RolloutError::Env(EnvError::Action { .. } | EnvError::Simulation(_))) => {
+            EpisodeSummary { end: Some(EndReason::Fault), success: false, ..rollout.summary() }
         }
-    }
+        Err(error) => return Err(error.into()),
+    };
+    let info = rollout.env().info();
+    let success = match success {
+        Success::Near { seconds, .. } | Success::Held { seconds } => {
+            let whole = summary.end == Some(EndReason::TimeLimit);
+            whole && held >= steps_of(seconds).min(rollout.env().episode_steps())
+        }
+        Success::Done => summary.success,
+    };
+    Ok(Episode {
+        seed,
+        success,
+        reward: summary.reward,
+        seconds: summary.steps as f64 * period,
+        end: summary.end.map_or("time_limit", EndReason::name),
+        progress: info.progress,
+        final_position_error: info.position_error,
+        // after a failure the window is without the last error
+        late_position_error: recent.greatest().max(info.position_error),
+    })
 }
 
 /// Environments to be evaluated in, one for every thread.
@@ -236,14 +221,19 @@ impl Arena {
     ///
     /// # Errors
     /// What [`fly`] finds.
-    pub fn fly(&mut self, policy: &Policy, first_seed: u64, episodes: usize) -> Result<Vec<Episode>, TrainError> {
+    pub fn fly(
+        &mut self,
+        policy: &PolicyNetwork,
+        first_seed: u64,
+        episodes: usize,
+    ) -> Result<Vec<Episode>, TrainError> {
         let (threads, success) = (self.envs.len(), self.success);
         let mut flown = (self.envs.par_iter_mut().enumerate())
             .map(|(thread, env)| {
                 (thread..episodes)
                     .step_by(threads)
                     .map(|episode| {
-                        fly(&mut **env, policy, success, first_seed.wrapping_add(episode as u64), &mut |_| {})
+                        fly(&mut **env, &mut &*policy, success, first_seed.wrapping_add(episode as u64), &mut |_| {})
                     })
                     .collect::<Result<Vec<_>, _>>()
             })

@@ -2,7 +2,7 @@
 //!
 //! A [`Trainer`] gathers experience from a batch of environments, improves a policy by proximal policy optimization, evaluates
 //! it and keeps the best one; a [`TrainConfig`] says of what task and how. What it makes is an
-//! [`aviary::policy::Policy`], which needs nothing of this crate to be flown.
+//! [`aviary::policy::PolicyNetwork`], which needs nothing of this crate to be flown.
 
 mod agents;
 mod checkpoint;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use aviary::env::Rng;
-use aviary::policy::{Policy, PolicyInfo};
+use aviary::policy::{PolicyInfo, PolicyNetwork};
 use rand::{Rng as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
@@ -69,7 +69,7 @@ pub struct Trainer {
     ppo: Ppo,
     iteration: u64,
     curve: Vec<Point>,
-    best: (Policy, Option<Score>),
+    best: (PolicyNetwork, Option<Score>),
     stop: Option<Stop>,
     /// Iterations before it was resumed.
     first: u64,
@@ -130,7 +130,7 @@ impl Trainer {
     fn restore(&mut self, checkpoint: Checkpoint, path: PathBuf) -> Result<(), TrainError> {
         let trainer = self;
         let wrong = |message: String| TrainError::File { path: path.clone(), message };
-        let best = Policy::from_bytes(&checkpoint.best).map_err(|error| wrong(error.to_string()))?;
+        let best = PolicyNetwork::from_bytes(&checkpoint.best).map_err(|error| wrong(error.to_string()))?;
         let run = Limits {
             shape: &trainer.ppo.shape,
             steps_per_iteration: trainer.steps_per_iteration(),
@@ -204,12 +204,12 @@ impl Trainer {
     ///
     /// # Errors
     /// [`TrainError::Policy`] where it has left the range of numbers.
-    pub fn policy(&self) -> Result<Policy, TrainError> {
+    pub fn policy(&self) -> Result<PolicyNetwork, TrainError> {
         policy_of(&self.config, &self.command, &*self.agents, &self.ppo, self.steps())
     }
 
     /// The best one of those that were evaluated; the first one before any was.
-    pub fn best(&self) -> &Policy {
+    pub fn best(&self) -> &PolicyNetwork {
         &self.best.0
     }
 
@@ -313,7 +313,7 @@ fn policy_of(
     agents: &dyn Agents,
     ppo: &Ppo,
     steps: u64,
-) -> Result<Policy, TrainError> {
+) -> Result<PolicyNetwork, TrainError> {
     // no path of this machine
     let training = TrainConfig { drone: config.airframe_name(), ..config.clone() }.to_toml()?;
     let info = PolicyInfo {
@@ -332,8 +332,12 @@ fn policy_of(
         training: Some(training),
     };
     let (mean, deviation) = ppo.normalization();
-    let policy =
-        Policy::new(info, ppo.actor().clone(), agents.observation_space().clone(), agents.action_space().clone())?;
+    let policy = PolicyNetwork::new(
+        info,
+        ppo.actor().clone(),
+        agents.observation_space().clone(),
+        agents.action_space().clone(),
+    )?;
     Ok(policy.normalized(mean.to_vec(), deviation.to_vec())?)
 }
 

@@ -2,7 +2,7 @@
 
 use aviary::env::{Env as _, EnvConfig};
 use aviary::multi_agent::{AgentMap, make_parallel};
-use aviary::policy::{Activation, Mlp, Policy, PolicyInfo};
+use aviary::policy::{Activation, Mlp, PolicyInfo, PolicyNetwork};
 use aviary::tasks::Hover;
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
 use learn::{Agents as _, Batch, Next, Outcome, Stop, Success, Swarm, Terms, TrainConfig, Trainer};
@@ -19,7 +19,7 @@ fn small(task: &str) -> TrainConfig {
     config
 }
 
-fn bytes(policy: &Policy) -> Vec<u8> {
+fn bytes(policy: &PolicyNetwork) -> Vec<u8> {
     policy.to_bytes().unwrap()
 }
 
@@ -79,7 +79,7 @@ fn a_policy_flies_as_the_trainers_evaluation_said() {
     config.success = Success::Done;
     let mut trainer = Trainer::new(config.clone(), "a test").unwrap();
     finish(&mut trainer);
-    let policy = Policy::from_bytes(&bytes(trainer.best())).unwrap();
+    let policy = PolicyNetwork::from_bytes(&bytes(trainer.best())).unwrap();
     let mut env = config.environment().unwrap();
     for episode in trainer.fly(40, 5).unwrap() {
         // flown by hand, without the trainer
@@ -87,7 +87,7 @@ fn a_policy_flies_as_the_trainers_evaluation_said() {
         let (mut reward, mut steps) = (0.0, 0);
         env.reset(Some(episode.seed)).unwrap();
         while env.info().end.is_none() {
-            policy.act(&env.observation().vector.clone(), &mut action);
+            policy.forward(&env.observation().vector.clone(), &mut action);
             reward += env.step(&action).unwrap().reward;
             steps += 1;
         }
@@ -208,10 +208,10 @@ fn the_late_error_is_of_the_episodes_last_five_seconds() {
         let net = Mlp::new(&[12, 4], Activation::Relu, &weights).unwrap();
         let mut env = Hover::builder().task(|hover| hover.max_height = 1.2).episode_seconds(30.0).build().unwrap();
         let spaces = (env.observation_space().vector.clone(), env.action_space().clone());
-        let policy = Policy::new(info, net, spaces.0, spaces.1).unwrap();
+        let policy = PolicyNetwork::new(info, net, spaces.0, spaces.1).unwrap();
         let mut errors = Vec::new();
         let mut look = |env: &dyn aviary::env::Env| errors.push(env.info().position_error);
-        let flown = learn::fly(&mut env, &policy, Success::Done, 1, &mut look).unwrap();
+        let flown = learn::fly(&mut env, &mut &policy, Success::Done, 1, &mut look).unwrap();
         // the first one is before the first step
         let late = errors[1..].iter().rev().take(5 * 48).copied().fold(0.0, f64::max);
         assert_eq!((flown.end, flown.late_position_error), ("out_of_bounds", late));

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
-use super::{Activation, Mlp, Policy, PolicyError, PolicyInfo};
+use super::{Activation, Mlp, PolicyError, PolicyInfo, PolicyNetwork};
 
 /// Key of the metadata: one alone, so that equal policies are equal files.
 const KEY: &str = "policy";
@@ -41,7 +41,7 @@ fn vector(tensors: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, PolicyError
     Ok(numbers(tensors, name)?.0)
 }
 
-impl Policy {
+impl PolicyNetwork {
     /// Returns the bytes of the policy's file. Equal policies have equal bytes.
     ///
     /// # Errors
@@ -175,7 +175,7 @@ mod tests {
 
     use super::*;
 
-    fn policy() -> Policy {
+    fn policy() -> PolicyNetwork {
         let info = PolicyInfo {
             version: 2,
             task: "hover".into(),
@@ -195,7 +195,7 @@ mod tests {
         let parameters: Vec<f32> = (0..Mlp::count(&sizes)).map(|k| (k as f32).sin()).collect();
         let net = Mlp::new(&sizes, Activation::Softsign, &parameters).unwrap();
         let bounds = [vec![-1.0, f32::NEG_INFINITY], vec![3.0, f32::INFINITY]];
-        Policy::from_parts(info, net, [vec![0.1, 0.2, 0.3], vec![1.0, 2.0, 3.0]], bounds).unwrap()
+        PolicyNetwork::from_parts(info, net, [vec![0.1, 0.2, 0.3], vec![1.0, 2.0, 3.0]], bounds).unwrap()
     }
 
     #[test]
@@ -203,11 +203,11 @@ mod tests {
         let policy = policy();
         let bytes = policy.to_bytes().unwrap();
         assert_eq!(bytes, policy.clone().to_bytes().unwrap());
-        assert_eq!(Policy::from_bytes(&bytes).unwrap(), policy);
+        assert_eq!(PolicyNetwork::from_bytes(&bytes).unwrap(), policy);
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("policy.safetensors");
         policy.save(&path).unwrap();
-        assert_eq!(Policy::load(&path).unwrap(), policy);
+        assert_eq!(PolicyNetwork::load(&path).unwrap(), policy);
         let error = policy.save(directory.path().join("nowhere/policy")).unwrap_err().to_string();
         assert!(error.contains("nowhere"), "{error}");
     }
@@ -216,46 +216,46 @@ mod tests {
     fn actions_are_scaled_to_bounds_where_there_are_two_and_clipped() {
         let policy = policy();
         let mut action = [0.0; 2];
-        policy.act(&[0.5, -0.4, 1.0], &mut action);
+        policy.forward(&[0.5, -0.4, 1.0], &mut action);
         let mut plain = [0.0; 2];
         policy.net.forward(&[0.4, -0.3, 0.7 / 3.0], &mut plain);
         assert!((action[0] - f64::from((1.0 + 2.0 * plain[0]).clamp(-1.0, 3.0))).abs() < 1e-6);
         assert!((action[1] - f64::from(plain[1])).abs() < 1e-6);
         // an observation beyond all measure is clipped before it comes in
-        policy.act(&[1e30, -1e30, 0.0], &mut action);
+        policy.forward(&[1e30, -1e30, 0.0], &mut action);
         assert!(action[0] >= -1.0 && action[0] <= 3.0 && action[1].is_finite());
     }
 
     #[test]
     fn what_is_missing_or_of_the_wrong_kind_is_named() {
-        let refused = |bytes: &[u8]| Policy::from_bytes(bytes).unwrap_err().to_string();
+        let refused = |bytes: &[u8]| PolicyNetwork::from_bytes(bytes).unwrap_err().to_string();
         assert!(refused(b"").starts_with("not a policy"));
         assert!(refused(b"{\"task\": \"hover\"}").starts_with("not a policy"));
         let data = bytes(&[1.0, 2.0]);
         let view = TensorView::new(Dtype::F32, vec![2], &data).unwrap();
         let other = safetensors::serialize([("weights", view)], None).unwrap();
         assert!(refused(&other).contains("its metadata has no `policy`"));
-        let later = Policy { info: PolicyInfo { version: 3, ..policy().info }, ..policy() };
+        let later = PolicyNetwork { info: PolicyInfo { version: 3, ..policy().info }, ..policy() };
         assert!(refused(&later.to_bytes().unwrap()).contains("its version is 3, expected up to 2"));
-        let flat = Policy { deviation: vec![1.0, 0.0, 1.0], ..policy() };
+        let flat = PolicyNetwork { deviation: vec![1.0, 0.0, 1.0], ..policy() };
         assert!(refused(&flat.to_bytes().unwrap()).contains("a deviation is 0, expected a positive number"));
-        let short = Policy { mean: vec![0.0; 2], deviation: vec![1.0; 2], ..policy() };
+        let short = PolicyNetwork { mean: vec![0.0; 2], deviation: vec![1.0; 2], ..policy() };
         let short = refused(&short.to_bytes().unwrap());
         assert!(short.contains("network"), "{short}");
     }
 
     #[test]
     fn policies_of_version_1_are_read_and_written_as_they_are() {
-        let old = Policy { info: PolicyInfo { version: 1, training: None, ..policy().info }, ..policy() };
+        let old = PolicyNetwork { info: PolicyInfo { version: 1, training: None, ..policy().info }, ..policy() };
         let bytes = old.to_bytes().unwrap();
         assert!(!String::from_utf8_lossy(&bytes).contains("training"), "no key that version 1 does not know");
-        assert_eq!(Policy::from_bytes(&bytes).unwrap(), old);
+        assert_eq!(PolicyNetwork::from_bytes(&bytes).unwrap(), old);
     }
 
     #[test]
     fn information_larger_than_a_header_is_an_error_and_not_a_panic() {
         let command = "x".repeat(100_000_001);
-        let large = Policy { info: PolicyInfo { command, ..policy().info }, ..policy() };
+        let large = PolicyNetwork { info: PolicyInfo { command, ..policy().info }, ..policy() };
         let error = large.to_bytes().unwrap_err().to_string();
         assert!(error.contains("the policy's information") && error.contains("up to 100 MB"), "{error}");
         let directory = tempfile::tempdir().unwrap();
@@ -279,11 +279,11 @@ mod tests {
             if cut {
                 bytes.truncate(length.index(bytes.len()));
             }
-            if let Ok(policy) = Policy::from_bytes(&bytes) {
+            if let Ok(policy) = PolicyNetwork::from_bytes(&bytes) {
                 // what a network of huge numbers says may be no number: environments refuse those
                 let mut action = vec![0.0; policy.action_size()];
-                policy.act(&vec![0.5; policy.observation_size()], &mut action);
-                prop_assert_eq!(Policy::from_bytes(&policy.to_bytes().unwrap()).unwrap(), policy);
+                policy.forward(&vec![0.5; policy.observation_size()], &mut action);
+                prop_assert_eq!(PolicyNetwork::from_bytes(&policy.to_bytes().unwrap()).unwrap(), policy);
             }
         }
     }

@@ -105,7 +105,7 @@ impl PolicyInfo {
 ///
 /// ```
 /// use aviary::env::Env;
-/// use aviary::policy::{Activation, Mlp, Policy, PolicyInfo};
+/// use aviary::policy::{Activation, Mlp, PolicyNetwork, PolicyInfo};
 /// use aviary::tasks::Hover;
 ///
 /// let mut env = Hover::builder().build()?;
@@ -129,16 +129,16 @@ impl PolicyInfo {
 ///     training: None,
 /// };
 /// let net = Mlp::new(&[12, 4], Activation::Relu, &weights)?;
-/// let policy = Policy::new(info, net, env.observation_space().vector.clone(), env.action_space().clone())?;
+/// let policy = PolicyNetwork::new(info, net, env.observation_space().vector.clone(), env.action_space().clone())?;
 /// policy.check(&env)?;
 ///
 /// let mut action = [0.0; 4];
-/// policy.act(&env.reset(Some(1))?.vector, &mut action);
+/// policy.forward(&env.reset(Some(1))?.vector, &mut action);
 /// assert_eq!(action, [1.0; 4]);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Policy {
+pub struct PolicyNetwork {
     info: PolicyInfo,
     mean: Vec<f32>,
     deviation: Vec<f32>,
@@ -150,7 +150,7 @@ pub struct Policy {
 /// How far a normalized observation reaches, either way.
 const CLIP: f32 = 10.0;
 
-impl Policy {
+impl PolicyNetwork {
     /// Of a network, for these spaces, which are one drone's where the policy flies every drone by itself.
     ///
     /// # Errors
@@ -264,7 +264,7 @@ impl Policy {
     ///
     /// # Panics
     /// If the slices are not of its sizes, or as many times those for one as for the other.
-    pub fn act(&self, observation: &[f64], action: &mut [f64]) {
+    pub fn forward(&self, observation: &[f64], action: &mut [f64]) {
         let (inputs, outputs) = (self.observation_size(), self.action_size());
         let count = observation.len() / inputs;
         assert!(
@@ -328,9 +328,9 @@ mod tests {
                 let bias = weights.len() - space.size();
                 weights[bias..].fill(100.0 * sign);
                 let net = Mlp::new(&sizes, Activation::Relu, &weights).unwrap();
-                let policy = Policy::new(info.clone(), net, seen.clone(), space.clone()).unwrap();
+                let policy = PolicyNetwork::new(info.clone(), net, seen.clone(), space.clone()).unwrap();
                 let mut action = vec![0.0; space.size()];
-                policy.act(&vec![0.0; seen.size()], &mut action);
+                policy.forward(&vec![0.0; seen.size()], &mut action);
                 assert!(space.contains(&action), "{action_type}: {action:?}");
                 let bound = if sign > 0.0 { space.high() } else { space.low() };
                 let close = |(x, bound): (&f64, &f64)| (x - bound).abs() <= 2e-7 * bound.abs();

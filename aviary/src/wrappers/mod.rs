@@ -116,6 +116,19 @@ macro_rules! forward_env {
 }
 pub(crate) use forward_env;
 
+/// A borrowed environment is one, so that loops and wrappers need not own it.
+impl<E: Env + ?Sized> Env for &mut E {
+    forward_env!(self => (**self));
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        (**self).reset(seed)
+    }
+
+    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
+        (**self).step(action)
+    }
+}
+
 /// A boxed environment is one, so that wrappers go around what [`make`](crate::tasks::make) gives.
 impl<E: Env + ?Sized> Env for Box<E> {
     forward_env!(self => (**self));

@@ -25,7 +25,7 @@ use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use self::meter::{Bare, Meter, median};
-use self::policy::{Policy, place};
+use self::policy::{LinearPolicy, place};
 use crate::failure::Failure;
 use crate::output;
 
@@ -294,7 +294,7 @@ fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize
     let config = if drones == 1 { config } else { config.initial_positions((0..drones).map(place)) };
     let mut env = make(task, config)?;
     env.reset(Some(1))?;
-    let mut policy = Policy::new(meter.seed, 1, drones, env.observation_space().vector.size() / drones);
+    let mut policy = LinearPolicy::new(meter.seed, 1, drones, env.observation_space().vector.size() / drones);
     let mut seen = vec![0.0_f32; env.observation_space().vector.size()];
     let mut action = vec![0.0; 4 * drones];
     let measured = meter.measure(|| {
@@ -392,7 +392,7 @@ fn fly<T: Task + Clone + Send>(
     let (size, drones, threads) = (env.num_envs(), env.action_size() / 4, env.num_threads());
     let mut buffers = VecBuffers::new(env);
     env.reset(Some(1), &mut buffers.observations)?;
-    let mut policy = Policy::new(meter.seed, size, drones, env.observation_size() / drones);
+    let mut policy = LinearPolicy::new(meter.seed, size, drones, env.observation_size() / drones);
     let calls = (20_000 / size).clamp(1, 100);
     let before = env.engine_substeps();
     let prepared = policy.climb();
@@ -485,7 +485,7 @@ fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
     let mut env = VecAviary::new(builder, VecConfig { threads, ..VecConfig::new(size) })?;
     let mut buffers = VecBuffers::new(&env);
     env.reset(Some(1), &mut buffers.observations)?;
-    let mut policy = Policy::new(meter.seed, size, 1, env.observation_size());
+    let mut policy = LinearPolicy::new(meter.seed, size, 1, env.observation_size());
     let mut rgb = vec![0; size * 4 * env.camera_size().pixels()];
     let measured = meter.measure(|| {
         let action = policy.act(&buffers.observations);

@@ -6,14 +6,14 @@ pub(super) fn place(drone: usize) -> [f64; 3] {
 }
 
 /// A linear policy that takes a Crazyflie to a metre above where it starts, with noise: what an agent in training does.
-pub(super) struct Policy {
+pub(super) struct LinearPolicy {
     actions: Vec<f32>,
     noise: u64,
     drones: usize,
     block: usize,
 }
 
-impl Policy {
+impl LinearPolicy {
     pub(super) fn new(seed: u64, environments: usize, drones: usize, block: usize) -> Self {
         Self {
             actions: vec![0.0; 4 * environments * drones],

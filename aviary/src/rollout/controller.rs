@@ -1,0 +1,178 @@
+use super::steering::velocity_to;
+use super::{Policy, RolloutError};
+use crate::action::ActionType;
+use crate::control::trajectory::Trajectory;
+use crate::control::{Controller, ControllerKind, Reference};
+use crate::env::{Env, EnvError};
+
+/// Flies a task with one controller per drone.
+///
+/// Each drone follows the trajectory that it was given, or the [plan](Env::plans) that the task makes at the start of an episode, or the
+/// present [reference](Env::reference) of the task. Controllers command motor speeds ([`ActionType::Rpm`] and
+/// [`ActionType::RawRpm`]). Where actions are velocities ([`ActionType::Vel`]), which the environment flies with controllers of its
+/// own, the drones steer towards their references at up to 1 m/s and pass each other on the right.
+///
+/// ```
+/// use aviary::control::trajectory::named;
+/// use aviary::control::{Bandwidths, ControllerKind, GeometricControl};
+/// use aviary::drone::DroneModel;
+/// use aviary::env::Env;
+/// use aviary::rollout::{ControllerPolicy, fly_episode};
+/// use aviary::tasks::{Hover, MultiHover};
+///
+/// // every drone of a task, by the kind of controller
+/// let mut env = MultiHover::builder().num_drones(3).build()?;
+/// let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
+/// assert!(fly_episode(&mut env, &mut pilot, Some(1))?.success);
+///
+/// // a controller with settings of its own, along a trajectory
+/// let circle = named("circle").expect("a trajectory");
+/// let start = circle.start();
+/// let mut env = Hover::builder().initial_positions([start.position.into()]).episode_seconds(4.0).build()?;
+/// let integral = Bandwidths { integral: 0.1, ..Bandwidths::default() };
+/// let controller = GeometricControl::with_bandwidths(&DroneModel::Cf2x.params(), integral);
+/// let mut pilot = ControllerPolicy::with_controllers([controller]).follow([circle]);
+/// fly_episode(&mut env, &mut pilot, Some(1))?;
+/// let reference = pilot.reference(&env, 0);
+/// assert!(env.simulation().distance(0, &reference.position) < 0.02);
+/// # Ok::<(), aviary::rollout::RolloutError>(())
+/// ```
+#[derive(Debug)]
+pub struct ControllerPolicy {
+    controllers: Vec<Box<dyn Controller>>,
+    /// True if drones without a trajectory follow the plans of the task.
+    planned: bool,
+    /// Trajectory of each drone, given or planned, where it has one.
+    trajectories: Vec<Option<Box<dyn Trajectory>>>,
+    /// Motor speeds, rpm.
+    speeds: Vec<[f64; 4]>,
+}
+
+impl ControllerPolicy {
+    /// Builds a controller of one kind for every drone of an environment, with the nominal parameters of its airframe.
+    pub fn new(kind: ControllerKind, env: &dyn Env) -> Self {
+        Self::with_controllers(env.simulation().world().drones.iter().map(|drone| kind.build(&drone.params)))
+    }
+
+    /// Takes a controller for every drone.
+    pub fn with_controllers(controllers: impl IntoIterator<Item = impl Controller + 'static>) -> Self {
+        let controllers: Vec<Box<dyn Controller>> =
+            controllers.into_iter().map(|controller| Box::new(controller) as Box<dyn Controller>).collect();
+        let speeds = vec![[0.0; 4]; controllers.len()];
+        Self { controllers, planned: true, trajectories: Vec::new(), speeds }
+    }
+
+    /// Follows a trajectory with each drone, in place of the plans and references of the task. Drones beyond the last trajectory follow
+    /// the references.
+    #[must_use]
+    pub fn follow(mut self, trajectories: impl IntoIterator<Item = Box<dyn Trajectory>>) -> Self {
+        self.trajectories = trajectories.into_iter().map(Some).collect();
+        self.planned = false;
+        self
+    }
+
+    /// Follows the references of the task, also where it has plans.
+    #[must_use]
+    pub fn without_plans(self) -> Self {
+        self.follow([])
+    }
+
+    /// Returns the trajectory of a drone, if it has one: the given one, or the plan for this episode.
+    pub fn trajectory(&self, drone: usize) -> Option<&dyn Trajectory> {
+        self.trajectories.get(drone)?.as_deref()
+    }
+
+    /// Returns what a drone follows now.
+    ///
+    /// # Panics
+    /// If there is no drone of that index.
+    pub fn reference(&self, env: &dyn Env, drone: usize) -> Reference {
+        match self.trajectory(drone) {
+            Some(trajectory) => trajectory.reference(env.simulation().time()),
+            None => env.reference(drone),
+        }
+    }
+}
+
+impl Policy for ControllerPolicy {
+    /// Clears the controllers and looks up the plans.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for another number of controllers than drones.
+    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+        if self.controllers.len() != env.simulation().num_drones() {
+            let got = format!("{} for {} drones", self.controllers.len(), env.simulation().num_drones());
+            let option = "the number of controllers";
+            return Err(EnvError::Option { option, got, expected: "one for each drone" }.into());
+        }
+        for controller in &mut self.controllers {
+            controller.reset();
+        }
+        if self.planned {
+            self.trajectories = env.plans();
+        }
+        Ok(())
+    }
+
+    /// Writes the action.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for an action type that is neither motor speeds nor velocities.
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+        let simulation = env.simulation();
+        if env.action_type() == ActionType::Vel {
+            for (drone, command) in action.chunks_exact_mut(4).enumerate() {
+                command.copy_from_slice(&velocity_to(&simulation.states()[drone], &self.reference(env, drone)));
+            }
+            return Ok(());
+        }
+        for drone in 0..self.controllers.len() {
+            let reference = self.reference(env, drone);
+            let state = &simulation.states()[drone];
+            self.speeds[drone] = self.controllers[drone].control(simulation.control_period(), state, &reference).rpm;
+        }
+        Ok(env.action_of_motor_speeds(&self.speeds, action)?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rollout::{Rollout, fly_episode};
+    use crate::tasks::{FlyThrough, Hover, MultiHover};
+
+    #[test]
+    fn plans_are_followed_unless_references_or_trajectories_are_asked_for() {
+        let mut env = FlyThrough::builder().build().unwrap();
+        let mut planned = ControllerPolicy::new(ControllerKind::Geometric, &env);
+        let start = Rollout::start(&mut env, &mut planned, Some(1)).map(|_| ());
+        assert!(start.is_ok() && planned.trajectory(0).is_some());
+        let mut plain = ControllerPolicy::new(ControllerKind::Geometric, &env).without_plans();
+        fly_episode(&mut env, &mut plain, Some(1)).unwrap();
+        assert!(plain.trajectory(0).is_none());
+        assert_eq!(plain.reference(&env, 0), env.reference(0));
+    }
+
+    #[test]
+    fn what_cannot_be_flown_is_refused_by_name() {
+        let refused =
+            |env: &mut dyn Env, pilot: &mut ControllerPolicy| fly_episode(env, pilot, Some(1)).unwrap_err().to_string();
+        let mut one = ControllerPolicy::new(ControllerKind::Pid, &Hover::builder().build().unwrap());
+        let error = refused(&mut MultiHover::builder().build().unwrap(), &mut one);
+        assert_eq!(error, "the number of controllers is 1 for 2 drones, expected one for each drone");
+        let error = refused(&mut Hover::builder().action_type(ActionType::Attitude).build().unwrap(), &mut one);
+        assert!(error.starts_with("the action type is attitude, expected rpm or raw_rpm"), "{error}");
+    }
+
+    #[test]
+    fn an_episode_after_a_reset_is_the_first_one_again() {
+        let mut env = FlyThrough::builder().build().unwrap();
+        let pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
+        let mut rollout = Rollout::start(&mut env, pilot, Some(3)).unwrap();
+        let first = rollout.finish(|_| {}).unwrap();
+        assert!(rollout.is_over() && first.end.is_some());
+        rollout.restart(Some(3)).unwrap();
+        assert!(!rollout.is_over() && rollout.summary().steps == 0);
+        assert_eq!(rollout.finish(|_| {}).unwrap(), first);
+    }
+}

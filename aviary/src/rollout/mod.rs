@@ -1,0 +1,301 @@
+//! Episodes: policies that act on an environment, and the loop that flies them.
+//!
+//! | policy | acts by |
+//! | --- | --- |
+//! | [`ControllerPolicy`] | one built-in controller per drone, along the task's plans, its references or a trajectory |
+//! | [`PolicyNetwork`] | a trained network on the observation |
+//! | [`from_fn`] | a function of the environment |
+//!
+//! [`fly_episode`] flies one episode and returns its [`EpisodeSummary`]; a [`Rollout`] flies it step by step.
+
+mod controller;
+mod steering;
+
+pub use controller::ControllerPolicy;
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use crate::env::{EndReason, Env, EnvError, Step};
+use crate::policy::{PolicyError, PolicyNetwork};
+
+/// Chooses the actions of an environment: of all its drones, from the observation, the states and whatever else the environment
+/// says of itself.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::rollout::{Policy, RolloutError, fly_episode};
+/// use aviary::tasks::Hover;
+///
+/// /// Climbs with full thrust for some control steps and then switches the motors off.
+/// struct Hop {
+///     left: u32,
+/// }
+///
+/// impl Policy for Hop {
+///     fn reset(&mut self, _: &dyn Env) -> Result<(), RolloutError> {
+///         self.left = 10;
+///         Ok(())
+///     }
+///
+///     fn act(&mut self, _: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+///         action.fill(if self.left > 0 { 1.0 } else { -1.0 });
+///         self.left = self.left.saturating_sub(1);
+///         Ok(())
+///     }
+/// }
+///
+/// let summary = fly_episode(&mut Hover::builder().build()?, &mut Hop { left: 0 }, Some(1))?;
+/// assert!(summary.metrics["crashed"] == 1.0 && summary.steps > 20);
+/// # Ok::<(), RolloutError>(())
+/// ```
+pub trait Policy {
+    /// Forgets the last episode and prepares for the one that `env` has just started.
+    ///
+    /// # Errors
+    /// [`RolloutError`] for an environment that the policy cannot fly.
+    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+        let _ = env;
+        Ok(())
+    }
+
+    /// Writes the action of the coming control step, of as many numbers as the action space has.
+    ///
+    /// # Errors
+    /// [`RolloutError`] for an environment that the policy cannot fly.
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError>;
+}
+
+impl<P: Policy + ?Sized> Policy for &mut P {
+    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+        (**self).reset(env)
+    }
+
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+        (**self).act(env, action)
+    }
+}
+
+impl<P: Policy + ?Sized> Policy for Box<P> {
+    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+        (**self).reset(env)
+    }
+
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+        (**self).act(env, action)
+    }
+}
+
+/// A trained network acts on the observation alone, and has no memory: threads can share it.
+impl Policy for &PolicyNetwork {
+    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+        Ok(self.check(env)?)
+    }
+
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+        self.forward(&env.observation().vector, action);
+        Ok(())
+    }
+}
+
+impl Policy for PolicyNetwork {
+    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+        (&*self).reset(env)
+    }
+
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+        (&*self).act(env, action)
+    }
+}
+
+/// A function as a [`Policy`]: see [`from_fn`].
+#[derive(Clone, Copy)]
+pub struct FnPolicy<F>(F);
+
+impl<F> fmt::Debug for FnPolicy<F> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FnPolicy").finish_non_exhaustive()
+    }
+}
+
+/// Makes a policy of a function that writes the action for an environment.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::rollout::{fly_episode, from_fn};
+/// use aviary::tasks::Hover;
+///
+/// let mut climb = from_fn(|env, action| {
+///     let seen = &env.observation().vector;
+///     action.fill(0.5 * (1.0 - seen[2]) - 0.4 * seen[8]);
+/// });
+/// let summary = fly_episode(&mut Hover::builder().build()?, &mut climb, Some(1))?;
+/// assert!(summary.success);
+/// # Ok::<(), aviary::rollout::RolloutError>(())
+/// ```
+pub fn from_fn<F: FnMut(&dyn Env, &mut [f64])>(act: F) -> FnPolicy<F> {
+    FnPolicy(act)
+}
+
+impl<F: FnMut(&dyn Env, &mut [f64])> Policy for FnPolicy<F> {
+    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+        (self.0)(env, action);
+        Ok(())
+    }
+}
+
+/// Error of an episode.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RolloutError {
+    /// An error of the environment.
+    #[error(transparent)]
+    Env(#[from] EnvError),
+    /// A trained policy that cannot fly the environment.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+}
+
+/// Outcome of an episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeSummary {
+    /// Sum of the rewards.
+    pub reward: f64,
+    /// Length in control steps.
+    pub steps: u64,
+    /// Reason of the end; `None` while the episode runs.
+    pub end: Option<EndReason>,
+    /// True if every drone fulfils the task at the end.
+    pub success: bool,
+    /// [`Env::info_map`] at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the scalar metrics of
+    /// the task. Truth values are 0 and 1.
+    pub metrics: BTreeMap<&'static str, f64>,
+}
+
+/// Flies one episode to its end.
+///
+/// ```
+/// use aviary::control::ControllerKind;
+/// use aviary::env::EnvConfig;
+/// use aviary::rollout::{ControllerPolicy, fly_episode};
+/// use aviary::tasks::make;
+///
+/// let mut env = make("race", EnvConfig::default())?;
+/// let mut pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
+/// let summary = fly_episode(&mut env, &mut pilot, Some(1))?;
+/// assert!(summary.success && summary.metrics["gates_passed"] == 12.0);
+/// # Ok::<(), aviary::rollout::RolloutError>(())
+/// ```
+///
+/// # Errors
+/// As for [`Rollout::start`] and [`Rollout::step`].
+pub fn fly_episode(
+    env: &mut dyn Env,
+    policy: &mut dyn Policy,
+    seed: Option<u64>,
+) -> Result<EpisodeSummary, RolloutError> {
+    Rollout::start(env, policy, seed)?.finish(|_| {})
+}
+
+/// An episode flown step by step, and the episodes after it.
+///
+/// ```
+/// use aviary::control::ControllerKind;
+/// use aviary::env::Env;
+/// use aviary::rollout::{ControllerPolicy, Rollout};
+/// use aviary::tasks::Hover;
+///
+/// let env = Hover::builder().build()?;
+/// let pilot = ControllerPolicy::new(ControllerKind::Dsl, &env);
+/// let mut rollout = Rollout::start(env, pilot, Some(1))?;
+/// let mut highest = 0.0_f64;
+/// while !rollout.is_over() {
+///     rollout.step()?;
+///     highest = highest.max(rollout.env().simulation().states()[0].position.z);
+/// }
+/// assert!(rollout.summary().success && highest < 1.1);
+/// # Ok::<(), aviary::rollout::RolloutError>(())
+/// ```
+#[derive(Debug)]
+pub struct Rollout<E, P> {
+    env: E,
+    policy: P,
+    action: Vec<f64>,
+    reward: f64,
+    steps: u64,
+    over: bool,
+}
+
+impl<E: Env, P: Policy> Rollout<E, P> {
+    /// Starts the first episode. The environment and the policy are owned, or borrowed as `&mut`.
+    ///
+    /// # Errors
+    /// As for [`restart`](Self::restart).
+    pub fn start(env: E, policy: P, seed: Option<u64>) -> Result<Self, RolloutError> {
+        let action = vec![0.0; env.action_space().size()];
+        let mut rollout = Self { env, policy, action, reward: 0.0, steps: 0, over: false };
+        rollout.restart(seed)?;
+        Ok(rollout)
+    }
+
+    /// Starts another episode; without a seed, random draws go on from where they are.
+    ///
+    /// # Errors
+    /// The errors of [`Env::reset`] and [`Policy::reset`].
+    pub fn restart(&mut self, seed: Option<u64>) -> Result<(), RolloutError> {
+        (self.reward, self.steps, self.over) = (0.0, 0, false);
+        self.env.reset(seed)?;
+        self.policy.reset(&self.env)
+    }
+
+    /// Flies one control step.
+    ///
+    /// # Errors
+    /// The errors of [`Policy::act`] and [`Env::step`].
+    pub fn step(&mut self) -> Result<Step<'_>, RolloutError> {
+        self.policy.act(&self.env, &mut self.action)?;
+        let step = self.env.step(&self.action)?;
+        self.reward += step.reward;
+        self.steps += 1;
+        self.over = step.terminated || step.truncated;
+        Ok(step)
+    }
+
+    /// Flies the rest of the episode and calls `look` after every control step.
+    ///
+    /// # Errors
+    /// As for [`step`](Self::step).
+    pub fn finish(&mut self, mut look: impl FnMut(&E)) -> Result<EpisodeSummary, RolloutError> {
+        while !self.over {
+            self.step()?;
+            look(&self.env);
+        }
+        Ok(self.summary())
+    }
+
+    /// Returns true if the episode has ended.
+    pub fn is_over(&self) -> bool {
+        self.over
+    }
+
+    /// Returns the outcome of the episode so far.
+    pub fn summary(&self) -> EpisodeSummary {
+        let info = self.env.info();
+        let metrics = self.env.info_map();
+        EpisodeSummary { reward: self.reward, steps: self.steps, end: info.end, success: info.success, metrics }
+    }
+
+    /// Returns the environment.
+    pub fn env(&self) -> &E {
+        &self.env
+    }
+
+    /// Returns the environment, to be changed: its wind, its randomization.
+    pub fn env_mut(&mut self) -> &mut E {
+        &mut self.env
+    }
+
+    /// Returns the policy.
+    pub fn policy(&self) -> &P {
+        &self.policy
+    }
+}
