@@ -1,8 +1,6 @@
 //! What an agent says, and the motor speeds that follow.
 
 use std::f64::consts::{FRAC_PI_6, PI};
-use std::fmt;
-use std::str::FromStr;
 
 use nalgebra::Vector3;
 
@@ -10,74 +8,61 @@ use crate::control::{
     AnyController, AttitudeControl, Controller as _, ControllerKind, HeadingHold, RateControl, Reference,
 };
 use crate::drone::DroneParams;
+use crate::names::named_enum;
 use crate::state::{DroneState, attitude_from_rpy};
 
-/// How an agent commands a drone (paper, action table), as so many numbers per drone.
-///
-/// | | numbers | bounds |
-/// | --- | --- | --- |
-/// | `rpm` | four motor speeds, normalized, see [`MotorScale`] | −1 to 1 |
-/// | `raw_rpm` | four motor speeds, rpm | 0 to `MAX_RPM` |
-/// | `one_d_rpm` | one normalized motor speed for all four | −1 to 1 |
-/// | `vel` | velocity x, y, z in the heading frame (the body frame without its roll and pitch), m/s; yaw rate, rad/s | ± [`max_speed`](crate::drone::DroneParams::max_speed); ± [`yaw_rate`](ActionLimits::yaw_rate) |
-/// | `pid` | a waypoint: position x, y, z in the world frame, m; yaw, rad | [`arena`](ActionLimits::arena); ± π |
-/// | `attitude` | collective thrust, as a normalized motor speed; roll, pitch; yaw rate | −1 to 1, which is ± [`tilt`](ActionLimits::tilt) and ± [`yaw_rate`](ActionLimits::yaw_rate) |
-/// | `ctbr` | collective thrust, as a normalized motor speed; body rates x, y, z | −1 to 1, which is ± [`body_rate`](ActionLimits::body_rate) |
-///
-/// What is out of bounds is clipped to them.
-///
-/// ```
-/// use aviary::action::ActionType;
-/// use aviary::env::Env;
-/// use aviary::tasks::Hover;
-///
-/// // the paper's PID flies to a waypoint, which is all that the agent says
-/// let mut env = Hover::builder().action_type(ActionType::Pid).build()?;
-/// env.reset(Some(1))?;
-/// while env.info().end.is_none() {
-///     env.step(&[0.0, 0.0, 1.0, 0.0])?;
-/// }
-/// assert!(env.info().success);
-/// # Ok::<(), aviary::env::EnvError>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-#[non_exhaustive]
-pub enum ActionType {
-    /// Four normalized motor speeds.
-    #[default]
-    Rpm,
-    /// Four motor speeds, rpm.
-    RawRpm,
-    /// One normalized motor speed for all four motors.
-    OneDRpm,
-    /// Velocity in the heading frame and yaw rate, through a controller.
-    Vel,
-    /// A waypoint and yaw, through a controller.
-    Pid,
-    /// Thrust, roll, pitch and yaw rate, through the paper's attitude loop.
-    Attitude,
-    /// Collective thrust and body rates, through a rate loop.
-    Ctbr,
+named_enum! {
+    "action type"
+    /// How an agent commands a drone (paper, action table), as so many numbers per drone.
+    ///
+    /// | | numbers | bounds |
+    /// | --- | --- | --- |
+    /// | `rpm` | four motor speeds, normalized, see [`MotorScale`] | −1 to 1 |
+    /// | `raw_rpm` | four motor speeds, rpm | 0 to `MAX_RPM` |
+    /// | `one_d_rpm` | one normalized motor speed for all four | −1 to 1 |
+    /// | `vel` | velocity x, y, z in the heading frame (the body frame without its roll and pitch), m/s; yaw rate, rad/s | ± [`max_speed`](crate::drone::DroneParams::max_speed); ± [`yaw_rate`](ActionLimits::yaw_rate) |
+    /// | `pid` | a waypoint: position x, y, z in the world frame, m; yaw, rad | [`arena`](ActionLimits::arena); ± π |
+    /// | `attitude` | collective thrust, as a normalized motor speed; roll, pitch; yaw rate | −1 to 1, which is ± [`tilt`](ActionLimits::tilt) and ± [`yaw_rate`](ActionLimits::yaw_rate) |
+    /// | `ctbr` | collective thrust, as a normalized motor speed; body rates x, y, z | −1 to 1, which is ± [`body_rate`](ActionLimits::body_rate) |
+    ///
+    /// What is out of bounds is clipped to them.
+    ///
+    /// ```
+    /// use aviary::action::ActionType;
+    /// use aviary::env::Env;
+    /// use aviary::tasks::Hover;
+    ///
+    /// // the paper's PID flies to a waypoint, which is all that the agent says
+    /// let mut env = Hover::builder().action_type(ActionType::Pid).build()?;
+    /// env.reset(Some(1))?;
+    /// while env.info().end.is_none() {
+    ///     env.step(&[0.0, 0.0, 1.0, 0.0])?;
+    /// }
+    /// assert!(env.info().success);
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    #[derive(Default)]
+    #[non_exhaustive]
+    pub enum ActionType {
+        /// Four normalized motor speeds.
+        #[default]
+        Rpm = "rpm",
+        /// Four motor speeds, rpm.
+        RawRpm = "raw_rpm",
+        /// One normalized motor speed for all four motors.
+        OneDRpm = "one_d_rpm",
+        /// Velocity in the heading frame and yaw rate, through a controller.
+        Vel = "vel",
+        /// A waypoint and yaw, through a controller.
+        Pid = "pid",
+        /// Thrust, roll, pitch and yaw rate, through the paper's attitude loop.
+        Attitude = "attitude",
+        /// Collective thrust and body rates, through a rate loop.
+        Ctbr = "ctbr",
+    }
 }
 
 impl ActionType {
-    /// All of them.
-    pub const ALL: [Self; 7] =
-        [Self::Rpm, Self::RawRpm, Self::OneDRpm, Self::Vel, Self::Pid, Self::Attitude, Self::Ctbr];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Rpm => "rpm",
-            Self::RawRpm => "raw_rpm",
-            Self::OneDRpm => "one_d_rpm",
-            Self::Vel => "vel",
-            Self::Pid => "pid",
-            Self::Attitude => "attitude",
-            Self::Ctbr => "ctbr",
-        }
-    }
-
     /// Numbers per drone.
     pub fn size(self) -> usize {
         match self {
@@ -103,25 +88,6 @@ impl ActionType {
         }
     }
 }
-
-impl fmt::Display for ActionType {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for ActionType {
-    type Err = UnknownActionType;
-
-    fn from_str(name: &str) -> Result<Self, UnknownActionType> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| UnknownActionType(name.to_string()))
-    }
-}
-
-/// A name that is no action type's.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no action type `{name}`, expected rpm, raw_rpm, one_d_rpm, vel, pid, attitude or ctbr{near}", name = .0, near = crate::did_you_mean(.0, &ActionType::ALL.map(ActionType::name)))]
-pub struct UnknownActionType(pub String);
 
 /// How far actions reach that are not motor speeds.
 ///

@@ -2,54 +2,43 @@
 
 mod plausibility;
 
-use std::fmt;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use nalgebra::{Matrix4, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use plausibility::DerivedNumber;
 
+use crate::names::named_enum;
+
 /// Acceleration of gravity that every derived constant is computed with, m/s².
 pub const GRAVITY: f64 = 9.81;
 
-/// The airframes that are built in (paper, table 2).
-///
-/// ```
-/// use aviary::drone::DroneModel;
-///
-/// let model: DroneModel = "race".parse()?;
-/// let params = model.params();
-/// assert_eq!((model.name(), params.mass), ("race", 0.25));
-/// // four times its weight at full speed, which is twice the speed that hovers
-/// assert!((params.max_rpm() - 2.0 * params.hover_rpm()).abs() < 1e-9);
-/// # Ok::<(), aviary::drone::DroneError>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DroneModel {
-    /// Bitcraze Crazyflie 2.x, motors on the diagonals.
-    Cf2x,
-    /// Bitcraze Crazyflie 2.x, motors on the axes.
-    Cf2p,
-    /// 250 g racing quadcopter, motors on the diagonals.
-    Race,
+named_enum! {
+    "drone model"
+    /// The airframes that are built in (paper, table 2).
+    ///
+    /// ```
+    /// use aviary::drone::DroneModel;
+    ///
+    /// let model: DroneModel = "race".parse()?;
+    /// let params = model.params();
+    /// assert_eq!((model.name(), params.mass), ("race", 0.25));
+    /// // four times its weight at full speed, which is twice the speed that hovers
+    /// assert!((params.max_rpm() - 2.0 * params.hover_rpm()).abs() < 1e-9);
+    /// # Ok::<(), aviary::UnknownName>(())
+    /// ```
+    pub enum DroneModel {
+        /// Bitcraze Crazyflie 2.x, motors on the diagonals.
+        Cf2x = "cf2x",
+        /// Bitcraze Crazyflie 2.x, motors on the axes.
+        Cf2p = "cf2p",
+        /// 250 g racing quadcopter, motors on the diagonals.
+        Race = "race",
+    }
 }
 
 impl DroneModel {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Cf2x, Self::Cf2p, Self::Race];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Cf2x => "cf2x",
-            Self::Cf2p => "cf2p",
-            Self::Race => "race",
-        }
-    }
-
     /// Its parameters.
     pub fn params(self) -> DroneParams {
         let text = match self {
@@ -59,23 +48,6 @@ impl DroneModel {
         };
         // A test reads all three, so that this cannot happen to a caller.
         DroneParams::from_toml(text).expect("a built-in airframe is valid")
-    }
-}
-
-impl fmt::Display for DroneModel {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-impl FromStr for DroneModel {
-    type Err = DroneError;
-
-    fn from_str(name: &str) -> Result<Self, DroneError> {
-        Self::ALL
-            .into_iter()
-            .find(|model| model.name() == name)
-            .ok_or_else(|| DroneError::UnknownModel { name: name.to_string() })
     }
 }
 
@@ -370,12 +342,6 @@ impl From<DroneModel> for DroneParams {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum DroneError {
-    /// There is no built-in airframe of that name.
-    #[error("no drone model `{name}`, expected cf2x, cf2p or race{}", crate::did_you_mean(name, &DroneModel::ALL.map(DroneModel::name)))]
-    UnknownModel {
-        /// The name looked for.
-        name: String,
-    },
     /// A parameter that no flying body has.
     #[error("{field} is {got}, expected {expected}")]
     Parameter {

@@ -11,6 +11,7 @@
 
 pub mod drone;
 mod math;
+mod names;
 mod random;
 pub mod state;
 pub mod world;
@@ -44,3 +45,4 @@ pub mod record;
 mod error;
 
 pub use error::{count, did_you_mean, toml_message, without_byte_order_mark};
+pub use names::{NamedEnum, UnknownName};

@@ -5,9 +5,6 @@
 
 mod framing;
 
-use std::fmt;
-use std::str::FromStr;
-
 use mujoco_rs::{
     BodyId, Camera, CameraId, Data, Error, GeomId, JointId, LightId, Model, ObjectId as _, Quality, Renderer, Scene,
 };
@@ -17,128 +14,59 @@ pub use framing::CameraPose;
 pub use mujoco_rs::{Decor, Effects, ImageSize};
 
 use crate::engine::{BuildError, place_geom};
+use crate::names::named_enum;
 use crate::state::{DroneState, wxyz};
 use crate::world::{Marker, Obstacle, SceneError, World};
 
 /// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
 pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
 
-/// What a picture shows.
-///
-/// ```
-/// use aviary::vision::ImageKind;
-///
-/// assert_eq!("depth".parse::<ImageKind>()?, ImageKind::Depth);
-/// assert!("infrared".parse::<ImageKind>().is_err());
-/// # Ok::<(), aviary::vision::UnknownName>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum ImageKind {
-    /// Colour.
-    Rgb,
-    /// Distance along the camera's axis.
-    Depth,
-    /// Which object.
-    Segmentation,
-}
-
-impl ImageKind {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Rgb, Self::Depth, Self::Segmentation];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Rgb => "rgb",
-            Self::Depth => "depth",
-            Self::Segmentation => "segmentation",
-        }
+named_enum! {
+    "kind of picture"
+    /// What a picture shows.
+    ///
+    /// ```
+    /// use aviary::vision::ImageKind;
+    ///
+    /// assert_eq!("depth".parse::<ImageKind>()?, ImageKind::Depth);
+    /// assert!("infrared".parse::<ImageKind>().is_err());
+    /// # Ok::<(), aviary::UnknownName>(())
+    /// ```
+    pub enum ImageKind {
+        /// Colour.
+        Rgb = "rgb",
+        /// Distance along the camera's axis.
+        Depth = "depth",
+        /// Which object.
+        Segmentation = "segmentation",
     }
 }
 
-/// From where people look.
-///
-/// ```
-/// use aviary::vision::View;
-///
-/// assert_eq!("top".parse::<View>()?, View::Top);
-/// assert_eq!(View::ALL.map(View::name), ["track", "fpv", "fixed", "front", "top"]);
-/// # Ok::<(), aviary::vision::UnknownName>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub enum View {
-    /// Following the drones, from behind and above.
-    #[default]
-    Track,
-    /// Through the onboard camera of the first drone.
-    Fpv,
-    /// From the side and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
-    Fixed,
-    /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
-    /// as seen from there.
-    Front,
-    /// From straight above, standing still: x to the right, y up.
-    Top,
-}
-
-impl View {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Track, Self::Fpv, Self::Fixed, Self::Front, Self::Top];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Track => "track",
-            Self::Fpv => "fpv",
-            Self::Fixed => "fixed",
-            Self::Front => "front",
-            Self::Top => "top",
-        }
-    }
-}
-
-impl fmt::Display for View {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-/// A name that is no view's or kind's.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no {what} `{name}`, expected {expected}{near}")]
-pub struct UnknownName {
-    what: &'static str,
-    name: String,
-    expected: &'static str,
-    /// What may have been meant.
-    near: String,
-}
-
-impl FromStr for View {
-    type Err = UnknownName;
-
-    fn from_str(name: &str) -> Result<Self, UnknownName> {
-        let unknown = || UnknownName {
-            what: "camera",
-            name: name.into(),
-            expected: "track, fpv, fixed, front or top",
-            near: crate::did_you_mean(name, &Self::ALL.map(Self::name)),
-        };
-        Self::ALL.into_iter().find(|view| view.name() == name).ok_or_else(unknown)
-    }
-}
-
-impl FromStr for ImageKind {
-    type Err = UnknownName;
-
-    fn from_str(name: &str) -> Result<Self, UnknownName> {
-        let unknown = || UnknownName {
-            what: "kind of picture",
-            name: name.into(),
-            expected: "rgb, depth or segmentation",
-            near: crate::did_you_mean(name, &Self::ALL.map(Self::name)),
-        };
-        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(unknown)
+named_enum! {
+    "camera"
+    /// From where people look.
+    ///
+    /// ```
+    /// use aviary::vision::View;
+    ///
+    /// assert_eq!("top".parse::<View>()?, View::Top);
+    /// assert_eq!(View::ALL.map(View::name), ["track", "fpv", "fixed", "front", "top"]);
+    /// # Ok::<(), aviary::UnknownName>(())
+    /// ```
+    #[derive(Default)]
+    pub enum View {
+        /// Following the drones, from behind and above.
+        #[default]
+        Track = "track",
+        /// Through the onboard camera of the first drone.
+        Fpv = "fpv",
+        /// From the side and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
+        Fixed = "fixed",
+        /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
+        /// as seen from there.
+        Front = "front",
+        /// From straight above, standing still: x to the right, y up.
+        Top = "top",
     }
 }
 

@@ -11,15 +11,12 @@ pub(crate) use hybrid::Lookout;
 pub(crate) use mujoco::place_geom;
 pub use mujoco::{BuildError, MujocoEngine};
 
-use std::fmt;
-use std::str::FromStr;
-
 pub(crate) use flight::clearance;
 use flight::{Envelope, FreeBody};
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
+use crate::names::named_enum;
 use crate::physics::Wrench;
 use crate::physics::rotor::RotorWrench;
 use crate::state::DroneState;
@@ -79,60 +76,30 @@ pub struct Bodies {
     pub obstacle_drift: f64,
 }
 
-/// Which engine integrates, where the physics mode leaves a choice.
-///
-/// ```
-/// use aviary::drone::DroneModel;
-/// use aviary::engine::EngineKind;
-/// use aviary::simulation::Simulation;
-///
-/// let builder = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 2.0]]);
-/// let mut simulation = builder.engine(EngineKind::Hybrid).build()?;
-/// simulation.step(&[[14_000.0; 4]])?;
-/// // 2 m above the floor there is nothing to touch
-/// let substeps = simulation.engine_substeps();
-/// assert_eq!((substeps.flight, substeps.mujoco), (5, 0));
-/// # Ok::<(), aviary::simulation::SimulationError>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum EngineKind {
-    /// MuJoCo's `mj_step`, always.
-    #[default]
-    Mujoco,
-    /// The flight kernel while nothing can touch, MuJoCo otherwise.
-    Hybrid,
-}
-
-impl EngineKind {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Mujoco, Self::Hybrid];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mujoco => "mujoco",
-            Self::Hybrid => "hybrid",
-        }
-    }
-}
-
-impl fmt::Display for EngineKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-/// A name that is no engine's.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no engine `{name}`, expected mujoco or hybrid{near}", name = .0, near = crate::did_you_mean(.0, &EngineKind::ALL.map(EngineKind::name)))]
-pub struct UnknownEngine(pub String);
-
-impl FromStr for EngineKind {
-    type Err = UnknownEngine;
-
-    fn from_str(name: &str) -> Result<Self, UnknownEngine> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name).ok_or_else(|| UnknownEngine(name.to_string()))
+named_enum! {
+    "engine"
+    /// Which engine integrates, where the physics mode leaves a choice.
+    ///
+    /// ```
+    /// use aviary::drone::DroneModel;
+    /// use aviary::engine::EngineKind;
+    /// use aviary::simulation::Simulation;
+    ///
+    /// let builder = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 2.0]]);
+    /// let mut simulation = builder.engine(EngineKind::Hybrid).build()?;
+    /// simulation.step(&[[14_000.0; 4]])?;
+    /// // 2 m above the floor there is nothing to touch
+    /// let substeps = simulation.engine_substeps();
+    /// assert_eq!((substeps.flight, substeps.mujoco), (5, 0));
+    /// # Ok::<(), aviary::simulation::SimulationError>(())
+    /// ```
+    #[derive(Default)]
+    pub enum EngineKind {
+        /// MuJoCo's `mj_step`, always.
+        #[default]
+        Mujoco = "mujoco",
+        /// The flight kernel while nothing can touch, MuJoCo otherwise.
+        Hybrid = "hybrid",
     }
 }
 

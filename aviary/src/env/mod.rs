@@ -30,6 +30,7 @@ use crate::action::{ActionLimitsError, ActionType};
 use crate::control::trajectory::Trajectory;
 use crate::control::{Reference, SafetyError};
 use crate::engine::BuildError;
+use crate::names::named_enum;
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationError};
@@ -51,70 +52,51 @@ pub struct Step<'a> {
     pub truncated: bool,
 }
 
-/// Why an episode ended.
-///
-/// ```
-/// use aviary::env::{EndReason, Env};
-/// use aviary::tasks::Hover;
-///
-/// // from 1 m, with the motors off
-/// let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).build()?;
-/// env.reset(Some(1))?;
-/// while env.info().end.is_none() {
-///     env.step(&[-1.0; 4])?;
-/// }
-/// assert_eq!(env.info().end, Some(EndReason::FloorContact));
-/// assert!(env.info().crashed());
-/// # Ok::<(), aviary::env::EnvError>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum EndReason {
-    /// The time of the episode is over.
-    TimeLimit,
-    /// A drone fell below the floor's height.
-    BelowFloor,
-    /// A drone touched the floor after having been clear of it.
-    FloorContact,
-    /// A drone touched an obstacle.
-    ObstacleContact,
-    /// Two drones touched.
-    DroneContact,
-    /// A drone leaned past the task's limit.
-    Tilt,
-    /// A drone left the space of the task.
-    OutOfBounds,
-    /// Everything that the task asks for is done.
-    Completed,
-    /// The environment failed: in a batch that goes on without it.
-    Fault,
+named_enum! {
+    "reason of an end"
+    /// Why an episode ended.
+    ///
+    /// ```
+    /// use aviary::env::{EndReason, Env};
+    /// use aviary::tasks::Hover;
+    ///
+    /// // from 1 m, with the motors off
+    /// let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).build()?;
+    /// env.reset(Some(1))?;
+    /// while env.info().end.is_none() {
+    ///     env.step(&[-1.0; 4])?;
+    /// }
+    /// assert_eq!(env.info().end, Some(EndReason::FloorContact));
+    /// assert!(env.info().crashed());
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    #[non_exhaustive]
+    pub enum EndReason {
+        /// The time of the episode is over.
+        TimeLimit = "time_limit",
+        /// A drone fell below the floor's height.
+        BelowFloor = "below_floor",
+        /// A drone touched the floor after having been clear of it.
+        FloorContact = "floor_contact",
+        /// A drone touched an obstacle.
+        ObstacleContact = "obstacle_contact",
+        /// Two drones touched.
+        DroneContact = "drone_contact",
+        /// A drone leaned past the task's limit.
+        Tilt = "tilt",
+        /// A drone left the space of the task.
+        OutOfBounds = "out_of_bounds",
+        /// Everything that the task asks for is done.
+        Completed = "completed",
+        /// The environment failed: in a batch that goes on without it.
+        Fault = "fault",
+    }
 }
 
 impl EndReason {
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::TimeLimit => "time_limit",
-            Self::BelowFloor => "below_floor",
-            Self::FloorContact => "floor_contact",
-            Self::ObstacleContact => "obstacle_contact",
-            Self::DroneContact => "drone_contact",
-            Self::Tilt => "tilt",
-            Self::OutOfBounds => "out_of_bounds",
-            Self::Completed => "completed",
-            Self::Fault => "fault",
-        }
-    }
-
     /// Whether the drone is lost: everything but the time limit, leaving the space, completion and a fault.
     pub fn is_crash(self) -> bool {
         !matches!(self, Self::TimeLimit | Self::OutOfBounds | Self::Completed | Self::Fault)
-    }
-}
-
-impl std::fmt::Display for EndReason {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
     }
 }
 

@@ -7,11 +7,10 @@ pub mod ground_effect;
 pub mod rotor;
 pub mod wind;
 
-use std::fmt;
-use std::str::FromStr;
-
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+
+use crate::names::named_enum;
 
 /// Force and torque on one drone's centre of mass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,58 +68,45 @@ impl Effects {
     pub const ALL: Self = Self { ground: true, drag: true, downwash: true };
 }
 
-/// The paper's physics modes (its table 1): who integrates, under which effects.
-///
-/// ```
-/// use aviary::drone::DroneModel;
-/// use aviary::physics::Physics;
-/// use aviary::simulation::{Simulation, SimulationError};
-///
-/// // half a second at hover speed, 10 cm above the floor
-/// let climb = |physics| -> Result<f64, SimulationError> {
-///     let mut simulation = Simulation::builder(DroneModel::Cf2x).physics(physics).build()?;
-///     for _ in 0..24 {
-///         simulation.step(&[[DroneModel::Cf2x.params().hover_rpm(); 4]])?;
-///     }
-///     Ok(simulation.states()[0].velocity.z)
-/// };
-/// assert!(climb(Physics::Mjc)?.abs() < 1e-6 && climb("mjc_gnd".parse().unwrap())? > 0.01);
-/// # Ok::<(), SimulationError>(())
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Physics {
-    /// MuJoCo.
-    #[default]
-    Mjc,
-    /// MuJoCo with ground effect.
-    MjcGnd,
-    /// MuJoCo with blade drag.
-    MjcDrag,
-    /// MuJoCo with downwash.
-    MjcDw,
-    /// MuJoCo with all three.
-    MjcGndDragDw,
-    /// Explicit integration without effects, medium or contacts.
-    Dyn,
+named_enum! {
+    "physics mode"
+    /// The paper's physics modes (its table 1): who integrates, under which effects.
+    ///
+    /// ```
+    /// use aviary::drone::DroneModel;
+    /// use aviary::physics::Physics;
+    /// use aviary::simulation::{Simulation, SimulationError};
+    ///
+    /// // half a second at hover speed, 10 cm above the floor
+    /// let climb = |physics| -> Result<f64, SimulationError> {
+    ///     let mut simulation = Simulation::builder(DroneModel::Cf2x).physics(physics).build()?;
+    ///     for _ in 0..24 {
+    ///         simulation.step(&[[DroneModel::Cf2x.params().hover_rpm(); 4]])?;
+    ///     }
+    ///     Ok(simulation.states()[0].velocity.z)
+    /// };
+    /// assert!(climb(Physics::Mjc)?.abs() < 1e-6 && climb("mjc_gnd".parse().unwrap())? > 0.01);
+    /// # Ok::<(), SimulationError>(())
+    /// ```
+    #[derive(Default)]
+    pub enum Physics {
+        /// MuJoCo.
+        #[default]
+        Mjc = "mjc",
+        /// MuJoCo with ground effect.
+        MjcGnd = "mjc_gnd",
+        /// MuJoCo with blade drag.
+        MjcDrag = "mjc_drag",
+        /// MuJoCo with downwash.
+        MjcDw = "mjc_dw",
+        /// MuJoCo with all three.
+        MjcGndDragDw = "mjc_gnd_drag_dw",
+        /// Explicit integration without effects, medium or contacts.
+        Dyn = "dyn",
+    }
 }
 
 impl Physics {
-    /// All of them.
-    pub const ALL: [Self; 6] = [Self::Mjc, Self::MjcGnd, Self::MjcDrag, Self::MjcDw, Self::MjcGndDragDw, Self::Dyn];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Mjc => "mjc",
-            Self::MjcGnd => "mjc_gnd",
-            Self::MjcDrag => "mjc_drag",
-            Self::MjcDw => "mjc_dw",
-            Self::MjcGndDragDw => "mjc_gnd_drag_dw",
-            Self::Dyn => "dyn",
-        }
-    }
-
     /// The effects that it switches on.
     pub fn effects(self) -> Effects {
         match self {
@@ -130,24 +116,5 @@ impl Physics {
             Self::MjcDw => Effects { downwash: true, ..Effects::NONE },
             Self::MjcGndDragDw => Effects::ALL,
         }
-    }
-}
-
-impl fmt::Display for Physics {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-/// A name that is no physics mode's.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no physics mode `{name}`, expected mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw or dyn{near}", name = .0, near = crate::did_you_mean(.0, &Physics::ALL.map(Physics::name)))]
-pub struct UnknownPhysics(pub String);
-
-impl FromStr for Physics {
-    type Err = UnknownPhysics;
-
-    fn from_str(name: &str) -> Result<Self, UnknownPhysics> {
-        Self::ALL.into_iter().find(|mode| mode.name() == name).ok_or_else(|| UnknownPhysics(name.to_string()))
     }
 }

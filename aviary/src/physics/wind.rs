@@ -4,100 +4,67 @@
 //! The steady wind and the turbulence are velocities of one air mass. They are added, and one drag law acts on the velocity of
 //! the drone relative to the sum. Gusts and the sinusoidal wind are forces and are added to that of the drag law.
 
-use std::fmt;
-use std::str::FromStr;
-
 use nalgebra::Vector3;
 use rand::{RngExt as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
 use crate::drone::DroneParams;
+use crate::names::named_enum;
 use crate::random::{Rng, normals};
 use crate::state::DroneState;
 
-/// Which winds blow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum WindModel {
-    /// Still air.
-    #[default]
-    None,
-    /// Air that moves at a constant velocity.
-    Constant,
-    /// Forces that start at random times.
-    Gust,
-    /// Air that moves as Dryden turbulence does, through the filters of [`DrydenFilter`].
-    Dryden,
-    /// A force that turns at a constant rate.
-    Sinusoidal,
-    /// All four: the air moves at the sum of the constant velocity and the turbulence; gusts and the sinusoidal force add.
-    Combined,
+named_enum! {
+    "wind"
+    /// Which winds blow.
+    #[derive(Default)]
+    pub enum WindModel {
+        /// Still air.
+        #[default]
+        None = "none",
+        /// Air that moves at a constant velocity.
+        Constant = "constant",
+        /// Forces that start at random times.
+        Gust = "gust",
+        /// Air that moves as Dryden turbulence does, through the filters of [`DrydenFilter`].
+        Dryden = "dryden",
+        /// A force that turns at a constant rate.
+        Sinusoidal = "sinusoidal",
+        /// All four: the air moves at the sum of the constant velocity and the turbulence; gusts and the sinusoidal force add.
+        Combined = "combined",
+    }
 }
 
 impl WindModel {
-    /// All of them.
-    pub const ALL: [Self; 6] = [Self::None, Self::Constant, Self::Gust, Self::Dryden, Self::Sinusoidal, Self::Combined];
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Constant => "constant",
-            Self::Gust => "gust",
-            Self::Dryden => "dryden",
-            Self::Sinusoidal => "sinusoidal",
-            Self::Combined => "combined",
-        }
-    }
-
     fn has(self, part: Self) -> bool {
         self == part || self == Self::Combined
     }
 }
 
-impl fmt::Display for WindModel {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
-
-/// Spectra of the Dryden turbulence, all with the standard deviations σ and length scales L of [`dryden`].
-///
-/// With T = L/V, V the airspeed, the autocorrelation at a lag τ is
-///
-/// | component | `first_order` | `mil_f_8785c` |
-/// | --- | --- | --- |
-/// | along the mean wind | σ²·exp(−τ/T) | σ²·exp(−τ/T) |
-/// | across it, and upwards | σ²·exp(−τ/T) | σ²·exp(−τ/T)·(1 − τ/2T) |
-///
-/// ```
-/// use aviary::physics::wind::{DrydenFilter, WindConfig, WindModel};
-///
-/// let wind = WindConfig { filter: DrydenFilter::MilF8785c, ..WindConfig::new(WindModel::Dryden) };
-/// assert!(wind.validate().is_ok());
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
-pub enum DrydenFilter {
-    /// First-order noise along every axis, x ← α·x + σ·√(1 − α²)·ξ with α = exp(−dt/T): the recursion of the paper.
-    #[default]
-    #[serde(rename = "first_order")]
-    FirstOrder,
-    /// The spectra of MIL-F-8785C, §3.7.2.1: a first-order filter along the mean wind, the second-order filter
-    /// (1 + √3·T·s)/(1 + T·s)² across it and upwards.
-    #[serde(rename = "mil_f_8785c")]
-    MilF8785c,
-}
-
-/// A name that is no wind's.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("no wind `{name}`, expected none, constant, gust, dryden, sinusoidal or combined{near}", name = .0, near = crate::did_you_mean(.0, &WindModel::ALL.map(WindModel::name)))]
-pub struct UnknownWind(pub String);
-
-impl FromStr for WindModel {
-    type Err = UnknownWind;
-
-    fn from_str(name: &str) -> Result<Self, UnknownWind> {
-        Self::ALL.into_iter().find(|model| model.name() == name).ok_or_else(|| UnknownWind(name.to_string()))
+named_enum! {
+    "Dryden filter"
+    /// Spectra of the Dryden turbulence, all with the standard deviations σ and length scales L of [`dryden`].
+    ///
+    /// With T = L/V, V the airspeed, the autocorrelation at a lag τ is
+    ///
+    /// | component | `first_order` | `mil_f_8785c` |
+    /// | --- | --- | --- |
+    /// | along the mean wind | σ²·exp(−τ/T) | σ²·exp(−τ/T) |
+    /// | across it, and upwards | σ²·exp(−τ/T) | σ²·exp(−τ/T)·(1 − τ/2T) |
+    ///
+    /// ```
+    /// use aviary::physics::wind::{DrydenFilter, WindConfig, WindModel};
+    ///
+    /// let wind = WindConfig { filter: DrydenFilter::MilF8785c, ..WindConfig::new(WindModel::Dryden) };
+    /// assert!(wind.validate().is_ok());
+    /// ```
+    #[derive(Default)]
+    pub enum DrydenFilter {
+        /// First-order noise along every axis, x ← α·x + σ·√(1 − α²)·ξ with α = exp(−dt/T): the recursion of the paper.
+        #[default]
+        FirstOrder = "first_order",
+        /// The spectra of MIL-F-8785C, §3.7.2.1: a first-order filter along the mean wind, the second-order filter
+        /// (1 + √3·T·s)/(1 + T·s)² across it and upwards.
+        MilF8785c = "mil_f_8785c",
     }
 }
 

@@ -23,7 +23,7 @@ pub use log::CsvLog;
 pub use recorded::Recorded;
 pub use recorder::Recorder;
 pub use replay::{read_actions, read_motor_speeds};
-pub use scenario::{IntegratorName, ReplayError, Scenario, ScenarioBody};
+pub use scenario::{ReplayError, Scenario, ScenarioBody};
 pub use table::{COLUMNS, STATE_COLUMNS, state_numbers};
 
 use crate::vision::ImageSize;

@@ -6,7 +6,7 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::table::written;
-use crate::drone::{DroneError, DroneModel, DroneParams, GRAVITY};
+use crate::drone::{DroneModel, DroneParams, GRAVITY};
 use crate::engine::{Engine, EngineKind};
 use crate::physics::Physics;
 use crate::physics::actuators::ActuatorParams;
@@ -74,8 +74,8 @@ pub struct Scenario {
     #[serde(default)]
     pub forcing: Forcing,
     /// MuJoCo's integrator.
-    #[serde(default)]
-    pub integrator: IntegratorName,
+    #[serde(default = "paper_integrator", with = "IntegratorName")]
+    pub integrator: Integrator,
     /// The engine, in every physics mode but `dyn`.
     #[serde(default)]
     pub engine: EngineKind,
@@ -117,6 +117,11 @@ pub struct ScenarioBody {
     pub actuators: ActuatorParams,
 }
 
+/// The paper's integrator.
+fn paper_integrator() -> Integrator {
+    Integrator::Rk4
+}
+
 /// Seeds as text.
 mod seed {
     use serde::{Deserialize as _, Deserializer, Serializer, de::Error as _};
@@ -132,16 +137,12 @@ mod seed {
     }
 }
 
-/// MuJoCo's integrators by name.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum IntegratorName {
-    /// Fourth-order Runge-Kutta.
-    #[default]
+/// MuJoCo's integrators by name, for serde.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "Integrator", rename_all = "snake_case")]
+enum IntegratorName {
     Rk4,
-    /// Semi-implicit Euler.
     Euler,
-    /// Implicit in velocity.
     Implicit,
 }
 
@@ -253,11 +254,7 @@ impl Scenario {
             initial_velocities: nonzero(all(|state| state.velocity)),
             initial_angular_velocities: nonzero(all(|state| state.angular_velocity)),
             forcing: world.forcing,
-            integrator: match world.integrator {
-                Integrator::Rk4 => IntegratorName::Rk4,
-                Integrator::Euler => IntegratorName::Euler,
-                Integrator::Implicit => IntegratorName::Implicit,
-            },
+            integrator: world.integrator,
             engine: match simulation.engine() {
                 Engine::Hybrid(_) => EngineKind::Hybrid,
                 Engine::Mujoco(_) | Engine::Explicit(_) => EngineKind::Mujoco,
@@ -289,12 +286,11 @@ impl Scenario {
             }
             return Ok(params.clone());
         }
-        let params = if self.drone_model.ends_with(".toml") {
-            DroneParams::from_file(&self.drone_model)
-        } else {
-            self.drone_model.parse::<DroneModel>().map(DroneModel::params)
-        };
-        params.map_err(|error: DroneError| self.wrong("drone_model", error))
+        if self.drone_model.ends_with(".toml") {
+            return DroneParams::from_file(&self.drone_model).map_err(|error| self.wrong("drone_model", error));
+        }
+        let model = self.drone_model.parse::<DroneModel>().map_err(|error| self.wrong("drone_model", error))?;
+        Ok(model.params())
     }
 
     /// The simulation at its start.
@@ -353,11 +349,7 @@ impl Scenario {
             .initial_rpys(scene.iter().copied())
             .medium(self.medium)
             .forcing(self.forcing)
-            .integrator(match self.integrator {
-                IntegratorName::Rk4 => Integrator::Rk4,
-                IntegratorName::Euler => Integrator::Euler,
-                IntegratorName::Implicit => Integrator::Implicit,
-            });
+            .integrator(self.integrator);
         if let Some(velocities) = &self.initial_velocities {
             builder = builder.initial_velocities(velocities.iter().copied());
         }

@@ -4,30 +4,29 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Obstacle, SceneError, Shape};
 use crate::error::triple;
+use crate::names::named_enum;
 use crate::random::Rng;
 
-/// What stands around (paper, §3.5.2).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ObstacleKind {
-    /// Tree trunks.
-    Forest,
-    /// Buildings of different heights.
-    Urban,
-    /// A room: walls around the arena, partitions with doorways where there is room for them, and furniture.
-    Indoor,
-    /// Boxes, balls, cylinders and capsules in the air, turned any way.
-    Random,
-    /// Square gates, four bars each.
-    Gates,
-    /// A list of one's own.
-    Custom,
+named_enum! {
+    "kind of obstacles"
+    /// What stands around (paper, §3.5.2).
+    pub enum ObstacleKind {
+        /// Tree trunks.
+        Forest = "forest",
+        /// Buildings of different heights.
+        Urban = "urban",
+        /// A room: walls around the arena, partitions with doorways where there is room for them, and furniture.
+        Indoor = "indoor",
+        /// Boxes, balls, cylinders and capsules in the air, turned any way.
+        Random = "random",
+        /// Square gates, four bars each.
+        Gates = "gates",
+        /// A list of one's own.
+        Custom = "custom",
+    }
 }
 
 impl ObstacleKind {
-    /// All of them.
-    pub const ALL: [Self; 6] = [Self::Forest, Self::Urban, Self::Indoor, Self::Random, Self::Gates, Self::Custom];
-
     /// Number of obstacles where none is given: 20 trees, 4 gates, 8 of the other kinds, which fit into the default arena; 0 for a
     /// custom list.
     pub fn default_count(self) -> usize {
@@ -36,18 +35,6 @@ impl ObstacleKind {
             Self::Gates => 4,
             Self::Urban | Self::Indoor | Self::Random => 8,
             Self::Custom => 0,
-        }
-    }
-
-    /// The name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Forest => "forest",
-            Self::Urban => "urban",
-            Self::Indoor => "indoor",
-            Self::Random => "random",
-            Self::Gates => "gates",
-            Self::Custom => "custom",
         }
     }
 }

@@ -1,20 +1,21 @@
 use pulp::WithSimd;
 
-/// The instructions that lanes are advanced with. The results are the same bits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Width {
-    /// What every machine has: two numbers at once on x86-64.
-    Portable,
-    /// AVX2: four numbers.
-    Avx2,
-    /// AVX-512: eight numbers.
-    Avx512,
+use crate::names::named_enum;
+
+named_enum! {
+    "instruction set"
+    /// The instructions that lanes are advanced with, narrowest first. The results are the same bits.
+    pub enum Width {
+        /// What every machine has: two numbers at once on x86-64.
+        Portable = "portable",
+        /// AVX2: four numbers.
+        Avx2 = "avx2",
+        /// AVX-512: eight numbers.
+        Avx512 = "avx512",
+    }
 }
 
 impl Width {
-    /// All of them, narrowest first.
-    pub const ALL: [Self; 3] = [Self::Portable, Self::Avx2, Self::Avx512];
-
     /// Those that this machine has, narrowest first.
     pub fn available() -> impl Iterator<Item = Self> {
         Self::ALL.into_iter().filter(|width| width.is_available())
@@ -23,15 +24,6 @@ impl Width {
     /// The widest that this machine has.
     pub fn best() -> Self {
         Self::available().last().unwrap_or(Self::Portable)
-    }
-
-    /// Its name in lower snake case.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Portable => "portable",
-            Self::Avx2 => "avx2",
-            Self::Avx512 => "avx512",
-        }
     }
 
     /// Whether this machine has them.
