@@ -3,8 +3,9 @@ use clap::{Args, ValueHint};
 use serde_json::json;
 
 use crate::failure::Failure;
-use crate::options::{self, Names};
+use crate::options;
 use crate::output;
+use crate::parse::{self, NameOrFile};
 
 /// Derived numbers of an airframe, with warnings where one is implausible
 ///
@@ -20,10 +21,10 @@ pub struct Airframe {
     #[arg(
         value_name = "FILE",
         value_hint = ValueHint::FilePath,
-        value_parser = Names(|| DroneModel::ALL.map(DroneModel::name).to_vec()),
+        value_parser = parse::airframe(),
         hide_possible_values = true
     )]
-    airframe: String,
+    airframe: NameOrFile<DroneModel>,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -31,7 +32,7 @@ pub struct Airframe {
 
 impl Airframe {
     pub fn run(&self) -> Result<(), Failure> {
-        let params = options::drone("the airframe", &self.airframe)?;
+        let params = options::params(&self.airframe)?;
         let numbers = params.derived();
         let warnings: Vec<_> = numbers.iter().filter_map(warning).collect();
         let slip = params.unit_slip();

@@ -11,8 +11,9 @@ use mujoco_rs::AppendFile;
 use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
-use crate::options::{FlightOptions, Names, Variation, size, vision_failure};
+use crate::options::{FlightOptions, vision_failure};
 use crate::output::{self, OutputDir};
+use crate::parse::{self, Variation, size};
 use crate::pilot::Pilot;
 
 /// Camera observations of a flight: colour, depth and objects of every onboard camera, with the states they belong to
@@ -44,8 +45,8 @@ pub struct Capture {
     every: u64,
     /// What is sampled for every episode: starts (within 0.2 m, 0.1 rad and 0.5 m/s of the task's, unless --config says
     /// otherwise; the task's own in antipodal), layouts (of obstacles placed at random), all, none
-    #[arg(long, default_value = "all", value_parser = Names(|| Variation::NAMES.to_vec()), hide_possible_values = true)]
-    vary: String,
+    #[arg(long, default_value = "all", value_parser = parse::variation(), hide_possible_values = true)]
+    vary: Variation,
     /// Print JSON instead of a table
     #[arg(long)]
     json: bool,
@@ -58,7 +59,7 @@ impl Capture {
                 return Err(Failure::input(anyhow!("--{option} is 0, expected at least 1")));
             }
         }
-        let mut pilot = Pilot::varied(&self.options, Variation::named(&self.vary)?)?;
+        let mut pilot = Pilot::varied(&self.options, self.vary)?;
         let world = pilot.env().simulation().world().clone();
         let mut painter = Painter::for_observations(&world).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;

@@ -13,8 +13,9 @@ use clap::{ArgGroup, Args, ValueHint};
 use nalgebra::Vector3;
 
 use crate::failure::Failure;
-use crate::options::{Names, named, size, vision_failure};
+use crate::options::vision_failure;
 use crate::output::{FileWriter, OutputDir, OutputFile};
+use crate::parse::{self, OverlayNames, size};
 
 /// What to film, and where to put it.
 #[derive(Debug, Args)]
@@ -34,14 +35,14 @@ pub struct FilmOptions {
     frames: Option<PathBuf>,
     /// Camera of these: track (follows the drones), fpv (on board the first one), and, standing still
     /// with the whole flight in the frame, fixed (from aside), front (from ahead), top (from above)
-    #[arg(long, default_value = "track", value_parser = Names(|| View::ALL.map(View::name).to_vec()), hide_possible_values = true, requires = "pictures")]
-    camera: String,
+    #[arg(long, default_value = "track", value_parser = parse::named::<View>(), hide_possible_values = true, requires = "pictures")]
+    camera: View,
     /// Size of these, pixels
     #[arg(long, value_parser = size, default_value = "320x240", requires = "pictures")]
     size: ImageSize,
     /// What to draw into them, with commas between: trails, references, wind, rings
-    #[arg(long, requires = "pictures")]
-    overlay: Option<String>,
+    #[arg(long, value_parser = OverlayNames, requires = "pictures")]
+    overlay: Option<Overlays>,
 }
 
 impl FilmOptions {
@@ -53,8 +54,6 @@ impl FilmOptions {
                 "--frames is `{path}`, expected --png {path}: a directory for PNG files"
             )));
         }
-        self.view()?;
-        self.overlays()?;
         for (option, path, ending) in [("gif", &self.gif, "gif"), ("video", &self.video, "mp4")] {
             let Some(path) = path else { continue };
             if path.extension().is_none_or(|given| !given.eq_ignore_ascii_case(ending)) {
@@ -65,24 +64,14 @@ impl FilmOptions {
         Ok(())
     }
 
-    fn view(&self) -> Result<View, Failure> {
-        named("camera", &self.camera, &View::ALL.map(View::name))
-    }
-
-    fn overlays(&self) -> Result<Overlays, Failure> {
-        let overlays = self.overlay.as_deref().map(str::parse).transpose();
-        let overlays = overlays.map_err(|error: String| Failure::input(anyhow!("--overlay: {error}")))?;
-        Ok(overlays.unwrap_or_default())
-    }
-
     /// The files, and the directory of frames, that are there when it is done.
     pub fn files(&self) -> Vec<PathBuf> {
         [&self.gif, &self.video, &self.png].into_iter().flatten().cloned().collect()
     }
 
     /// Returns whether where the camera stands hangs on where drones will be.
-    pub fn wants_preview(&self, simulation: &Simulation) -> Result<bool, Failure> {
-        Ok(!self.files().is_empty() && is_previewed(self.view()?, simulation))
+    pub fn wants_preview(&self, simulation: &Simulation) -> bool {
+        !self.files().is_empty() && is_previewed(self.camera, simulation)
     }
 
     /// Begins the film, if one is asked for, of drones that have a way to fly or none. A camera that stands still keeps the points
@@ -99,8 +88,8 @@ impl FilmOptions {
         let size = self.size;
         let gif = self.gif.as_deref().map(OutputFile::begin).transpose()?;
         let video = self.video.as_deref().map(OutputFile::begin).transpose()?;
-        let mut film =
-            aviary::record::Film::of(simulation, self.view()?, size, self.overlays()?).map_err(vision_failure)?;
+        let overlays = self.overlay.unwrap_or_default();
+        let mut film = aviary::record::Film::of(simulation, self.camera, size, overlays).map_err(vision_failure)?;
         if !kept.is_empty() {
             film.painter().keep_in_frame(kept);
         }

@@ -55,7 +55,7 @@ impl Fly {
         // all files of a directory belong to one flight: plots are written to where its log is
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
-        let kept = if self.film.wants_preview(pilot.env().simulation())? { pilot.preview()? } else { Vec::new() };
+        let kept = if self.film.wants_preview(pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
         let film = self.film.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
         if let Some(out) = &out {
             out.remove(&["summary.json", SCENARIO])?;
@@ -106,7 +106,7 @@ impl Fly {
     /// Draws the plots of a flight and says which files they are.
     fn draw(&self, to: &OutputDir, env: &dyn Env, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
         let simulation = env.simulation();
-        let what = self.options.trajectory.as_deref().unwrap_or(env.name());
+        let what = self.options.trajectory.as_ref().map_or(env.name().into(), ToString::to_string);
         let title = format!("{what} with {} ({})", simulation.params(0).name, simulation.physics());
         let mut written = Vec::new();
         for (name, plot) in [("flight", Plot::of_flight(&title, samples)), ("path", Plot::of_paths(&title, samples))] {
@@ -291,7 +291,7 @@ impl Flight {
             "physics": simulation.physics().name(),
             "engine": simulation.engine().name(),
             "controller": self.controller.name(),
-            "trajectory": options.trajectory,
+            "trajectory": options.trajectory.as_ref().map(ToString::to_string),
             "seed": options.seed,
             "wind": simulation.wind().map_or("none", |wind| wind.model.name()),
             "obstacles": simulation.world().obstacles.len(),

@@ -11,6 +11,7 @@ mod fly;
 mod interrupt;
 mod options;
 mod output;
+mod parse;
 mod pilot;
 mod play;
 mod render;

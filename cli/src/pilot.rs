@@ -9,7 +9,8 @@ use aviary::tasks::hover_reward;
 use nalgebra::Vector3;
 
 use crate::failure::Failure;
-use crate::options::{FlightOptions, Variation};
+use crate::options::FlightOptions;
+use crate::parse::Variation;
 
 /// A flight of the command line: episodes of a task with built-in controllers.
 pub struct Pilot {

@@ -7,15 +7,16 @@ use aviary::drone::DroneModel;
 use aviary::env::Env;
 use aviary::physics::Physics;
 use aviary::policy::PolicyNetwork;
-use aviary::tasks;
+use aviary::tasks::TaskSummary;
 use clap::{Args, ValueHint};
 use learn::{Arena, Episode, Score, TrainConfig, TrainError};
 use serde_json::json;
 
 use crate::failure::Failure;
 use crate::film::FilmOptions;
-use crate::options::{ConditionOptions, Names};
+use crate::options::ConditionOptions;
 use crate::output;
+use crate::parse::{self, NameOrFile};
 
 /// Fly a trained policy and report how well
 ///
@@ -41,17 +42,17 @@ pub struct Play {
     #[arg(long, default_value_t = 20, allow_negative_numbers = true)]
     episodes: usize,
     /// Task to fly; the policy's by default
-    #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
-    task: Option<String>,
+    #[arg(long, value_parser = parse::task(), hide_possible_values = true)]
+    task: Option<TaskSummary>,
     /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own; the policy's by default
-    #[arg(long, value_parser = Names(|| DroneModel::ALL.map(DroneModel::name).to_vec()), hide_possible_values = true)]
-    drone: Option<String>,
+    #[arg(long, value_parser = parse::airframe(), hide_possible_values = true)]
+    drone: Option<NameOrFile<DroneModel>>,
     /// Fly under the physics, wind, obstacles and randomization of the training, which the policy's file has
     #[arg(long, conflicts_with_all = ["task", "physics", "wind", "obstacles", "config"])]
     as_trained: bool,
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn; mjc by default
-    #[arg(long, value_parser = Names(|| Physics::ALL.map(Physics::name).to_vec()), hide_possible_values = true)]
-    physics: Option<String>,
+    #[arg(long, value_parser = parse::named::<Physics>(), hide_possible_values = true)]
+    physics: Option<Physics>,
     /// Number of drones; the policy's by default
     #[arg(long, allow_negative_numbers = true)]
     num_drones: Option<usize>,
@@ -100,7 +101,8 @@ impl Play {
     /// What is flown: the policy's own task, airframe and rates, under what the options, the file or the policy's training say.
     fn config(&self, policy: &PolicyNetwork) -> Result<TrainConfig, Failure> {
         let info = policy.info();
-        let mut config = TrainConfig::of_task(self.task.as_deref().unwrap_or(&info.task)).map_err(Failure::input)?;
+        let mut config =
+            TrainConfig::of_task(self.task.as_ref().map_or(&info.task, |task| task.name)).map_err(Failure::input)?;
         config.drone = info.drone.clone();
         config.num_drones = (info.task == config.task).then_some(info.num_drones);
         config.per_drone = info.per_drone;
@@ -126,8 +128,8 @@ impl Play {
             // a randomization has been added to the task's starts already
             (config.conditions.wind, config.conditions.obstacles) = (said.wind, said.obstacles);
         }
-        config.drone = self.drone.clone().unwrap_or(config.drone);
-        config.physics = self.physics.clone().unwrap_or(config.physics);
+        config.drone = self.drone.as_ref().map_or(config.drone, ToString::to_string);
+        config.physics = self.physics.map_or(config.physics, |physics| physics.to_string());
         config.num_drones = self.num_drones.or(config.num_drones);
         config.episode_seconds = self.duration.or(config.episode_seconds);
         let seconds =
@@ -144,7 +146,7 @@ impl Play {
         let mut env = config.environment().map_err(Failure::input)?;
         env.reset(Some(self.seed)).map_err(Failure::work)?;
         let mut kept = Vec::new();
-        if self.film.wants_preview(env.simulation())? {
+        if self.film.wants_preview(env.simulation()) {
             // flown once to know where a camera is to stand
             kept = env.extent();
             let mut note = |env: &dyn Env| kept.extend(env.simulation().states().iter().map(|state| state.position));

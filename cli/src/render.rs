@@ -10,8 +10,9 @@ use serde_json::json;
 
 use crate::failure::Failure;
 use crate::film::is_previewed;
-use crate::options::{FlightOptions, Names, named, size, vision_failure};
+use crate::options::{FlightOptions, vision_failure};
 use crate::output::{self, OutputFile};
+use crate::parse::{self, size};
 use crate::pilot::Pilot;
 
 /// One picture of a task's scene as PNG
@@ -29,11 +30,11 @@ pub struct Render {
     out: PathBuf,
     /// Camera: track (follows the drones), fpv (on board the first one) and, with the whole flight in the frame, fixed (from
     /// aside), front (from ahead), top (from above)
-    #[arg(long, default_value = "track", value_parser = Names(|| View::ALL.map(View::name).to_vec()), hide_possible_values = true)]
-    camera: String,
+    #[arg(long, default_value = "track", value_parser = parse::named::<View>(), hide_possible_values = true)]
+    camera: View,
     /// What to show: rgb, depth, segmentation
-    #[arg(long, default_value = "rgb", value_parser = Names(|| ImageKind::ALL.map(ImageKind::name).to_vec()), hide_possible_values = true)]
-    kind: String,
+    #[arg(long, default_value = "rgb", value_parser = parse::named::<ImageKind>(), hide_possible_values = true)]
+    kind: ImageKind,
     /// Size, pixels
     #[arg(long, value_parser = size, default_value = "640x480")]
     size: ImageSize,
@@ -47,8 +48,7 @@ pub struct Render {
 
 impl Render {
     pub fn run(&self) -> Result<(), Failure> {
-        let view = named::<View>("camera", &self.camera, &View::ALL.map(View::name))?;
-        let kind = named::<ImageKind>("kind", &self.kind, &ImageKind::ALL.map(ImageKind::name))?;
+        let (view, kind) = (self.camera, self.kind);
         if self.out.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
             let out = self.out.display();
             return Err(Failure::input(anyhow!("--out is `{out}`, expected a name that ends in .png")));

@@ -6,15 +6,15 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use aviary::record::plot::{Plot, Series};
-use aviary::tasks;
+use aviary::tasks::{self, TaskSummary};
 use clap::{ArgGroup, Args, ValueHint};
 use learn::{Clock, Point, Report, Stop, TrainConfig, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
 use crate::interrupt::{self, Interruption};
-use crate::options::Names;
 use crate::output::{self, OutputDir};
+use crate::parse;
 
 /// Train a policy, or one for every task
 ///
@@ -35,8 +35,8 @@ use crate::output::{self, OutputDir};
 A configuration file says what differs from the task's defaults, which `aviary train --task hover --show` prints.")]
 pub struct Train {
     /// Task to train; `aviary tasks` lists them
-    #[arg(long, value_parser = Names(|| tasks::NAMES.to_vec()), hide_possible_values = true)]
-    task: Option<String>,
+    #[arg(long, value_parser = parse::task(), hide_possible_values = true)]
+    task: Option<TaskSummary>,
     /// A short run of every task, to see that all of it works: 100,000 steps in 256 environments unless they are said
     #[arg(long, conflicts_with_all = ["config", "until_success"])]
     all: bool,
@@ -87,7 +87,7 @@ impl Train {
         let run = match &self.resume {
             Some(directory) => Run::resume(directory, self.steps, self.until_success)?,
             None => {
-                let task = self.task.as_deref().unwrap_or_default();
+                let task = self.task.as_ref().map_or("", |task| task.name);
                 let config = self.config(task)?;
                 if self.show {
                     let text = config.to_toml().map_err(Failure::input)?;
