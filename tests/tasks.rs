@@ -106,9 +106,9 @@ fn the_table_is_the_papers() {
         assert_eq!(env.action_space().size(), agents * summary.action_size());
         assert_eq!(env.episode_steps() as f64, 48.0 * summary.defaults.episode_seconds);
     }
-    assert!(
-        make("nosuch", EnvConfig::default()).err().unwrap().to_string().contains("expected one of: hover, velocity")
-    );
+    let error = make("nosuch", EnvConfig::default()).err().unwrap().to_string();
+    let expected = tasks::NAMES[..9].join(", ") + " or track";
+    assert_eq!(error, format!("no task `nosuch`, expected {expected}"));
 }
 
 #[test]

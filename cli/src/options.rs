@@ -59,14 +59,12 @@ impl ConditionOptions {
 
 impl Variation {
     /// Adds it to conditions that do not say otherwise.
-    fn apply(self, conditions: &mut Conditions, task: &str) -> Result<(), Failure> {
+    fn apply(self, conditions: &mut Conditions, task: &TaskSummary) -> Result<(), Failure> {
         let mut placed = conditions.obstacles.as_mut().filter(|obstacles| obstacles.kind != ObstacleKind::Custom);
         if let Some(obstacles) = &mut placed {
             obstacles.new_layout |= self.layouts;
         }
-        // the drones of antipodal start close to their safety radius
-        let starts = self.starts && task != "antipodal";
-        if starts {
+        if self.starts && task.varied_starts {
             let randomization = conditions.randomization.get_or_insert(Randomization::NONE);
             randomization.initial.get_or_insert_default();
             return Ok(());
@@ -77,7 +75,8 @@ impl Variation {
                 "--vary is `layouts`, but no obstacles are placed at random; expected --obstacles, or [obstacles] in --config"
             ))),
             (true, false) => Err(Failure::input(anyhow!(
-                "--vary is `starts`, but the drones of {task} start from their places on a circle; expected layouts or none"
+                "--vary is `starts`, but the drones of {} start from their places on a circle; expected layouts or none",
+                task.name
             ))),
             _ => Ok(()),
         }
@@ -169,7 +168,7 @@ impl FlightOptions {
         variation: Variation,
     ) -> Result<Box<dyn Env>, Failure> {
         let mut conditions = self.conditions.read(self.seed)?;
-        variation.apply(&mut conditions, self.task.name)?;
+        variation.apply(&mut conditions, &self.task)?;
         let mut config = EnvConfig::default()
             .drone(params(&self.drone)?)
             .physics(self.physics)

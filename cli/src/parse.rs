@@ -65,7 +65,7 @@ pub fn named<T: NamedEnum>() -> Names<T> {
 
 /// Parser of a task.
 pub fn task() -> Names<TaskSummary> {
-    Names { names: || tasks::NAMES.to_vec(), find: tasks::summary, file: None }
+    Names { names: || tasks::NAMES.to_vec(), find: |name| tasks::summary(name).ok(), file: None }
 }
 
 /// Parser of obstacles that can be asked for by name: all but a list of the user's own.

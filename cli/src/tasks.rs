@@ -24,6 +24,7 @@ impl Tasks {
                 .map(|task| {
                     json!({
                         "name": task.name,
+                        "description": task.description,
                         "drones": task.defaults.num_drones,
                         "episode_seconds": task.defaults.episode_seconds,
                         "observation_size": task.observation_size(),
@@ -36,25 +37,24 @@ impl Tasks {
             return output::print_json(&json!(list));
         }
         let mut text = format!(
-            "{:<13}{:>7}{:>13}{:>15}{:>15}  {}\n",
-            "task", "drones", "episode (s)", "action", "observation", "controller"
+            "{:<13}{:>7}{:>13}{:>15}{:>15}  {:<11}{}\n",
+            "task", "drones", "episode (s)", "action", "observation", "controller", "what is asked"
         );
         for task in tasks {
             let drones = task.defaults.num_drones;
-            // sizes of tasks for any number of drones as the paper writes them
-            let size = |total: usize| match (task.multi_agent, task.name) {
-                (true, _) => format!("{total} per agent"),
-                (_, "hover" | "velocity") => total.to_string(),
-                _ => format!("{total} = {}N", total / drones),
+            let size = |total: usize| match task.multi_agent {
+                true => format!("{total} per agent"),
+                false => format!("{total} = {}N", total / drones),
             };
             text += &format!(
-                "{:<13}{:>7}{:>13}{:>15}{:>15}  {}\n",
+                "{:<13}{:>7}{:>13}{:>15}{:>15}  {:<11}{}\n",
                 task.name,
                 drones,
                 task.defaults.episode_seconds,
                 size(task.action_size()),
                 size(task.observation_size()),
-                task.defaults.controller
+                task.defaults.controller,
+                task.description
             );
         }
         output::print(&text)

@@ -146,9 +146,9 @@ impl TrainConfig {
     /// What a task is trained with.
     ///
     /// # Errors
-    /// [`EnvError::UnknownTask`].
+    /// [`EnvError::UnknownName`].
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
-        let summary = tasks::summary(name).ok_or_else(|| unknown(name))?;
+        let summary = tasks::summary(name).map_err(EnvError::from)?;
         let ppo = match name {
             // looking further ahead, staying beside a waypoint is no worse than going for the next one
             "fly_through" => PpoConfig { discount: 0.97, ..PpoConfig::default() },
@@ -428,7 +428,7 @@ impl TrainConfig {
     /// Number of drones in its environments; 1 for a task that this crate does not know, unless it is said.
     pub(crate) fn drones(&self) -> usize {
         let of_task = tasks::summary(&self.task).map(|summary| summary.defaults.num_drones);
-        self.num_drones.or(of_task).unwrap_or(1)
+        self.num_drones.or(of_task.ok()).unwrap_or(1)
     }
 
     /// Name of its airframe, which is not that of the file where it comes from one.
@@ -506,9 +506,7 @@ impl TrainConfig {
 }
 
 fn summary_start(summary: &tasks::TaskSummary) -> Option<Randomization> {
-    // a swarm that meets is arranged with care
-    let drawn = Randomization { initial: Some(START), ..Randomization::NONE };
-    (summary.name != "antipodal").then_some(drawn)
+    summary.varied_starts.then_some(Randomization { initial: Some(START), ..Randomization::NONE })
 }
 
 /// Where policies of a task learn best: all about the place that they have to hold or the course, and where they take off.
@@ -538,11 +536,6 @@ fn starts_of(task: &str) -> Vec<TrainingStart> {
         }
         _ => vec![],
     }
-}
-
-fn unknown(task: &str) -> TrainError {
-    let expected = tasks::NAMES.join(", ") + &aviary::did_you_mean(task, &tasks::NAMES);
-    EnvError::UnknownTask { name: task.into(), expected }.into()
 }
 
 /// A value with a name from a list.

@@ -26,6 +26,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
 
+use crate::UnknownName;
 use crate::action::{ActionLimitsError, ActionType};
 use crate::control::trajectory::Trajectory;
 use crate::control::{Reference, SafetyError};
@@ -179,14 +180,9 @@ pub enum EnvError {
         /// When it was called.
         when: &'static str,
     },
-    /// A name that is no task's.
-    #[error("no task `{name}`, expected one of: {expected}")]
-    UnknownTask {
-        /// The name.
-        name: String,
-        /// Those that there are.
-        expected: String,
-    },
+    /// A name that no task has.
+    #[error(transparent)]
+    UnknownName(#[from] UnknownName),
     /// An option of the task that is impossible.
     #[error("{option} is {got}, expected {expected}")]
     Option {

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use crate::env::{BoxSpace, EndReason, EnvConfig, EnvError, ObservationSpace};
 use crate::observation::Observation;
 use crate::simulation::Simulation;
-use crate::tasks::{for_task, unknown};
+use crate::tasks::for_task;
 use crate::vision::{ImageSize, View};
 
 /// The name of an agent: `drone0`, `drone1`, …
@@ -119,13 +119,13 @@ pub struct ParallelStep {
 /// ```
 ///
 /// # Errors
-/// [`EnvError::UnknownTask`], and what building it finds.
+/// [`EnvError::UnknownName`], and what building it finds.
 pub fn make_parallel(name: &str, options: EnvConfig) -> Result<Box<dyn ParallelEnv + Send>, EnvError> {
-    for_task!(name, |task| {
+    let env = for_task!(name, |task| {
         let env = options.with_task(task).build()?;
-        Ok(Box::new(ParallelAviary::new(env)) as Box<dyn ParallelEnv + Send>)
-    })
-    .unwrap_or_else(|| Err(unknown(name)))
+        Box::new(ParallelAviary::new(env)) as Box<dyn ParallelEnv + Send>
+    });
+    env.map_err(EnvError::from)
 }
 
 /// An environment of several agents that all act at once (PettingZoo's `ParallelEnv`).

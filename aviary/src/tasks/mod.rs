@@ -25,6 +25,7 @@ pub use stabilize::Stabilize;
 pub use track::Track;
 pub use velocity::Velocity;
 
+use crate::UnknownName;
 use crate::drone::DroneParams;
 use crate::env::{Env, EnvConfig, EnvError, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
@@ -53,12 +54,16 @@ fn side_by_side(drones: &[DroneParams]) -> Vec<[f64; 3]> {
 pub struct TaskSummary {
     /// Name, in lower snake case.
     pub name: &'static str,
+    /// What a pilot is asked to do.
+    pub description: &'static str,
     /// What it starts from.
     pub defaults: TaskDefaults,
     /// Numbers in the observation of one drone.
     pub observation_per_drone: usize,
     /// Whether every drone is an agent of its own, with its own action and observation.
     pub multi_agent: bool,
+    /// Whether episodes may start from states sampled about the task's own start.
+    pub varied_starts: bool,
 }
 
 impl TaskSummary {
@@ -77,92 +82,97 @@ impl TaskSummary {
     }
 }
 
-/// Something done for the task of a name, with the type that it has.
-macro_rules! for_task {
-    ($name:expr, |$task:ident| $body:expr) => {
-        match $name {
-            "hover" => Some({
-                let $task = $crate::tasks::Hover::default();
-                $body
-            }),
-            "velocity" => Some({
-                let $task = $crate::tasks::Velocity::default();
-                $body
-            }),
-            "multi_hover" => Some({
-                let $task = $crate::tasks::MultiHover::default();
-                $body
-            }),
-            "fly_through" => Some({
-                let $task = $crate::tasks::FlyThrough::default();
-                $body
-            }),
-            "formation" => Some({
-                let $task = $crate::tasks::Formation::default();
-                $body
-            }),
-            "race" => Some({
-                let $task = $crate::tasks::Race::default();
-                $body
-            }),
-            "multi_agent" => Some({
-                let $task = $crate::tasks::MultiHover::multi_agent();
-                $body
-            }),
-            "antipodal" => Some({
-                let $task = $crate::tasks::Antipodal::default();
-                $body
-            }),
-            "stabilize" => Some({
-                let $task = $crate::tasks::Stabilize::default();
-                $body
-            }),
-            "track" => Some({
-                let $task = $crate::tasks::Track::default();
-                $body
-            }),
-            _ => None,
+/// The list of tasks, the paper's seven first, given to a macro: name, constructor, whether every drone is an agent of its own,
+/// whether starts may be sampled about the task's own, and what a pilot is asked to do. Whatever goes through all tasks follows
+/// from this list.
+macro_rules! with_tasks {
+    ($then:ident!($($argument:tt)*)) => {
+        $then! {
+            ($($argument)*)
+            "hover" => $crate::tasks::Hover::default(), false, true, "take off and stay at 1 m";
+            "velocity" => $crate::tasks::Velocity::default(), false, true, "fly at a velocity and yaw rate drawn for the episode";
+            "multi_hover" => $crate::tasks::MultiHover::default(), false, true, "take off, each to its own height";
+            "fly_through" => $crate::tasks::FlyThrough::default(), false, true, "visit five waypoints";
+            "formation" => $crate::tasks::Formation::default(), false, true, "keep a circle whose middle moves";
+            "race" => $crate::tasks::Race::default(), false, true, "two laps through six gates";
+            "multi_agent" => $crate::tasks::MultiHover::multi_agent(), true, true, "multi_hover, every drone an agent";
+            // its drones start close to their safety radius
+            "antipodal" => $crate::tasks::Antipodal::default(), false, false, "swap places across a circle without coming near each other";
+            "stabilize" => $crate::tasks::Stabilize::default(), false, true, "come to rest from a random motion";
+            "track" => $crate::tasks::Track::default(), false, true, "follow a point that goes round in a circle";
         }
+    };
+}
+
+pub(crate) use with_tasks;
+
+/// The names of the list.
+macro_rules! names {
+    (() $($name:literal => $new:expr, $multi_agent:literal, $varied:literal, $description:literal;)+) => { [$($name),+] };
+}
+
+/// Evaluates an expression for the task of a name, with the type that the task has.
+macro_rules! for_task {
+    (
+        (@ $name:expr, $task:ident, $body:expr)
+        $($known:literal => $new:expr, $multi_agent:literal, $varied:literal, $description:literal;)+
+    ) => {
+        match $name {
+            $($known => Ok({
+                let $task = $new;
+                $body
+            }),)+
+            other => Err($crate::tasks::unknown(other)),
+        }
+    };
+    ($name:expr, |$task:ident| $body:expr) => {
+        $crate::tasks::with_tasks!(for_task!(@ $name, $task, $body))
     };
 }
 
 pub(crate) use for_task;
 
 /// Names of all tasks, the paper's seven first.
-pub const NAMES: [&str; 10] = [
-    "hover",
-    "velocity",
-    "multi_hover",
-    "fly_through",
-    "formation",
-    "race",
-    "multi_agent",
-    "antipodal",
-    "stabilize",
-    "track",
-];
+pub const NAMES: [&str; with_tasks!(names!()).len()] = with_tasks!(names!());
 
-/// All tasks, with their defaults.
+/// Summaries of all tasks.
 pub fn all() -> Vec<TaskSummary> {
-    NAMES.iter().filter_map(|name| summary(name)).collect()
+    NAMES.iter().filter_map(|name| summary(name).ok()).collect()
 }
 
-/// The task of a name, with its defaults.
+/// Summary of the task of a name.
 ///
 /// ```
 /// use aviary::tasks::summary;
 ///
-/// let sizes = summary("formation").map(|task| (task.observation_size(), task.action_size()));
-/// assert_eq!(sizes, Some((3 * 18, 3 * 4)));
-/// assert!(summary("loop").is_none());
+/// let formation = summary("formation")?;
+/// assert_eq!((formation.observation_size(), formation.action_size()), (3 * 18, 3 * 4));
+/// assert!(summary("formtion").unwrap_err().to_string().ends_with("; did you mean `formation`?"));
+/// # Ok::<(), aviary::UnknownName>(())
 /// ```
-pub fn summary(name: &str) -> Option<TaskSummary> {
-    for_task!(name, |task| TaskSummary {
-        name: task.name(),
-        defaults: task.defaults(),
-        observation_per_drone: task.observation_space().size(),
-        multi_agent: task.name() == "multi_agent",
-    })
+///
+/// # Errors
+/// A name that no task has.
+pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
+    macro_rules! summaries {
+        (() $($name:literal => $new:expr, $multi_agent:literal, $varied:literal, $description:literal;)+) => {
+            match name {
+                $($name => {
+                    let task = $new;
+                    Ok(TaskSummary {
+                        name: $name,
+                        description: $description,
+                        defaults: task.defaults(),
+                        observation_per_drone: task.observation_space().size(),
+                        multi_agent: $multi_agent,
+                        varied_starts: $varied,
+                    })
+                })+
+                _ => Err(unknown(name)),
+            }
+        };
+    }
+    with_tasks!(summaries!())
 }
 
 /// Makes the environment of a task by name. (`multi_agent` is one agent's view of it; the agents' own is a
@@ -178,13 +188,11 @@ pub fn summary(name: &str) -> Option<TaskSummary> {
 /// ```
 ///
 /// # Errors
-/// [`EnvError::Option`] for a name that no task has, and what building it finds.
+/// [`EnvError::UnknownName`], and what building it finds.
 pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn Env + Send>, EnvError> {
-    for_task!(name, |task| Ok(Box::new(config.with_task(task).build()?) as Box<dyn Env + Send>))
-        .unwrap_or_else(|| Err(unknown(name)))
+    for_task!(name, |task| Box::new(config.with_task(task).build()?) as Box<dyn Env + Send>).map_err(EnvError::from)
 }
 
-pub(crate) fn unknown(name: &str) -> EnvError {
-    let expected = NAMES.join(", ") + &crate::did_you_mean(name, &NAMES);
-    EnvError::UnknownTask { name: name.to_string(), expected }
+pub(crate) fn unknown(name: &str) -> UnknownName {
+    UnknownName { noun: "task", name: name.into(), names: &NAMES }
 }

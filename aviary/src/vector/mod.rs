@@ -17,7 +17,7 @@ pub use stage::Ended;
 
 use crate::engine::Substeps;
 use crate::env::{BoxSpace, Env, EnvConfig, EnvError, ObservationSpace};
-use crate::tasks::{for_task, unknown};
+use crate::tasks::for_task;
 use crate::vision::ImageSize;
 
 /// When an environment that has ended begins its next episode, as in Gymnasium's vector environments.
@@ -235,10 +235,10 @@ impl VecBuffers {
 /// ```
 ///
 /// # Errors
-/// [`EnvError::Option`] for a name that no task has, and what making it finds.
+/// [`EnvError::UnknownName`], and what making it finds.
 pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
-    for_task!(name, |task| Ok(Box::new(VecAviary::new(options.with_task(task), config)?) as Box<dyn VecEnv>))
-        .unwrap_or_else(|| Err(unknown(name)))
+    let env = for_task!(name, |task| Box::new(VecAviary::new(options.with_task(task), config)?) as Box<dyn VecEnv>);
+    env.map_err(EnvError::from)
 }
 
 /// A batch of environments of one task.
