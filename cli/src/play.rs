@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::anyhow;
+use aviary::UnknownName;
 use aviary::drone::DroneModel;
 use aviary::env::Env;
 use aviary::physics::Physics;
@@ -106,7 +107,10 @@ impl Play {
         config.drone = info.drone.clone();
         config.num_drones = (info.task == config.task).then_some(info.num_drones);
         config.per_drone = info.per_drone;
-        config.action_type = info.action_type.clone();
+        config.action_type = info
+            .action_type
+            .parse()
+            .map_err(|error: UnknownName| Failure::input(anyhow!("{}: {error}", self.policy.display())))?;
         (config.sim_freq, config.ctrl_freq) = (info.sim_freq, info.ctrl_freq);
         if self.as_trained {
             let Some(text) = &info.training else {
@@ -129,7 +133,7 @@ impl Play {
             (config.conditions.wind, config.conditions.obstacles) = (said.wind, said.obstacles);
         }
         config.drone = self.drone.as_ref().map_or(config.drone, ToString::to_string);
-        config.physics = self.physics.map_or(config.physics, |physics| physics.to_string());
+        config.physics = self.physics.unwrap_or(config.physics);
         config.num_drones = self.num_drones.or(config.num_drones);
         config.episode_seconds = self.duration.or(config.episode_seconds);
         let seconds =

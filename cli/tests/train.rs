@@ -258,6 +258,15 @@ fn every_task_can_be_trained_and_its_policy_flown() {
     }
 }
 
+#[test]
+fn the_recipe_of_every_task_is_shown() {
+    for task in aviary::tasks::NAMES {
+        let shown = aviary(&["train", "--task", task, "--show"]);
+        let recipe = learn::TrainConfig::of_task(task).unwrap().to_toml().unwrap();
+        assert_eq!((shown.status.code(), String::from_utf8(shown.stdout).unwrap()), (Some(0), recipe), "{task}");
+    }
+}
+
 fn pretrained(name: &str) -> String {
     format!("{}/../assets/policies/{name}.safetensors", env!("CARGO_MANIFEST_DIR"))
 }

@@ -1,4 +1,4 @@
-//! What a training run is, and what each task is trained with unless somebody says otherwise.
+//! What a training run is.
 
 use std::path::Path;
 
@@ -19,6 +19,7 @@ use crate::TrainError;
 use crate::agents::{Agents, Batch, Swarm, Terms};
 use crate::evaluation::{AnyEnv, Success};
 use crate::ppo::{PpoConfig, SaidPpo};
+use crate::recipe;
 
 /// A training run, whole: with the same program on the same machine it gives the same policy to the bit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,14 +31,14 @@ pub struct TrainConfig {
     pub seed: u64,
     /// Airframe: the name of a built-in one, or a TOML file.
     pub drone: String,
-    /// Physics mode, by name.
-    pub physics: String,
+    /// Physics mode.
+    pub physics: Physics,
     /// Number of drones; the task's where it is not said.
     pub num_drones: Option<usize>,
     /// Whether every drone is an agent of its own, and all fly by the same policy.
     pub per_drone: bool,
-    /// What actions mean, by name.
-    pub action_type: String,
+    /// What actions mean.
+    pub action_type: ActionType,
     /// Physics rate, Hz.
     pub sim_freq: u32,
     /// Control rate, Hz.
@@ -88,7 +89,7 @@ pub struct TrainingStart {
 
 impl Default for TrainingStart {
     fn default() -> Self {
-        let InitialRanges { position, attitude, velocity, offset } = START;
+        let InitialRanges { position, attitude, velocity, offset } = InitialRanges::default();
         Self { position, attitude, velocity, offset, seconds: None }
     }
 }
@@ -117,10 +118,10 @@ pub struct CourseRewards {
 #[serde(default, deny_unknown_fields)]
 struct Said {
     drone: Option<String>,
-    physics: Option<String>,
+    physics: Option<Physics>,
     num_drones: Option<usize>,
     per_drone: Option<bool>,
-    action_type: Option<String>,
+    action_type: Option<ActionType>,
     sim_freq: Option<u32>,
     ctrl_freq: Option<u32>,
     episode_seconds: Option<f64>,
@@ -139,55 +140,20 @@ struct Said {
     randomization: Option<Randomization>,
 }
 
-/// Where episodes start: ±0.2 m, ±0.1 rad, ±0.5 m/s about the task's own start.
-const START: InitialRanges = InitialRanges { position: 0.2, attitude: 0.1, velocity: 0.5, offset: [0.0; 3] };
-
 impl TrainConfig {
-    /// What a task is trained with.
+    /// Returns the configuration that a task is trained with unless something else is said: its recipe.
     ///
     /// # Errors
     /// [`EnvError::UnknownName`].
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
         let summary = tasks::summary(name).map_err(EnvError::from)?;
-        let ppo = match name {
-            // looking further ahead, staying beside a waypoint is no worse than going for the next one
-            "fly_through" => PpoConfig { discount: 0.97, ..PpoConfig::default() },
-            // each has two agents and more
-            "multi_hover" | "multi_agent" => PpoConfig { environments: 512, ..PpoConfig::default() },
-            _ => PpoConfig::default(),
-        };
-        let success = match name {
-            "hover" | "multi_hover" | "multi_agent" => Success::Near { seconds: 5.0, within: 0.05 },
-            "velocity" | "formation" | "track" | "stabilize" => Success::Held { seconds: 5.0 },
-            _ => Success::Done,
-        };
-        Ok(Self {
-            task: name.into(),
-            seed: 0,
-            drone: "cf2x".into(),
-            physics: "mjc".into(),
-            num_drones: None,
-            per_drone: matches!(name, "multi_hover" | "multi_agent"),
-            action_type: "rpm".into(),
-            sim_freq: 240,
-            ctrl_freq: 48,
-            episode_seconds: None,
-            steps: 20_000_000,
-            until_success: false,
-            evaluate_every: 5,
-            episodes: 64,
-            checkpoint_every: 50,
-            success,
-            training_starts: starts_of(name),
-            course: match name {
-                "fly_through" => Some(CourseRewards { point: 20.0, distance: 0.1, speed: 0.0 }),
-                "race" => Some(CourseRewards { point: 20.0, distance: 0.1, speed: 0.0 }),
-                _ => None,
-            },
-            out_of_bounds: 100.0,
-            conditions: Conditions { randomization: summary_start(&summary), ..Conditions::default() },
-            ppo,
-        })
+        let mut table = recipe::of_task(summary.name)?;
+        let conditions = Conditions::from_toml(&toml::to_string(&take_conditions(&mut table)).map_err(wrong)?)?;
+        table.insert("task".into(), name.into());
+        table.insert("seed".into(), 0.into());
+        table.insert("until_success".into(), false.into());
+        table.insert("conditions".into(), toml::Value::try_from(&conditions).map_err(wrong)?);
+        table.try_into().map_err(wrong)
     }
 
     /// Changes what a configuration in TOML says.
@@ -205,7 +171,9 @@ impl TrainConfig {
     pub fn read_toml_with(&mut self, text: &str, choice: &ConditionChoice) -> Result<(), TrainError> {
         let said: Said =
             toml::from_str(text).map_err(|error| TrainError::Toml { message: aviary::toml_message(text, &error) })?;
-        let conditions = Conditions::from_toml_with(&Self::conditions_of(text)?, choice)?;
+        let mut table: toml::Table = text.parse().map_err(wrong)?;
+        let conditions = toml::to_string(&take_conditions(&mut table)).map_err(wrong)?;
+        let conditions = Conditions::from_toml_with(&conditions, choice)?;
         macro_rules! take {
             ($($field:ident)*) => {$(
                 if let Some(said) = said.$field {
@@ -228,15 +196,6 @@ impl TrainConfig {
         Ok(())
     }
 
-    /// Returns the sections of a configuration in TOML that describe conditions (`[wind]`, `[obstacles]`,
-    /// `[randomization]`), as TOML that [`Conditions::from_toml`] reads.
-    fn conditions_of(text: &str) -> Result<String, TrainError> {
-        let wrong = |error: toml::de::Error| TrainError::Toml { message: aviary::toml_message(text, &error) };
-        let mut table: toml::Table = text.parse().map_err(wrong)?;
-        table.retain(|key, _| matches!(key, "wind" | "obstacles" | "randomization"));
-        toml::to_string(&table).map_err(|error| TrainError::Toml { message: error.to_string() })
-    }
-
     /// Draws this anew for every episode; where it says nothing of the start, that stays as it was.
     pub fn randomize(&mut self, mut randomization: Randomization) {
         let start = self.conditions.randomization.take().and_then(|before| before.initial);
@@ -249,7 +208,6 @@ impl TrainConfig {
     /// # Errors
     /// [`TrainError::Toml`] for what no such file can say.
     pub fn to_toml(&self) -> Result<String, TrainError> {
-        let wrong = |error: toml::ser::Error| TrainError::Toml { message: error.to_string() };
         let mut table = toml::Table::try_from(self).map_err(wrong)?;
         // who trains says those on the command line
         for key in ["task", "seed", "until_success"] {
@@ -365,7 +323,7 @@ impl TrainConfig {
             let got = self.out_of_bounds.to_string();
             return Err(TrainError::Option { option: "out_of_bounds", got, expected: "0 to 1,000,000" });
         }
-        if self.course.is_some() && (self.per_drone || !matches!(&*self.task, "fly_through" | "race")) {
+        if self.course.is_some_and(|rewards| self.per_drone || Course::of_task(&self.task, rewards).is_none()) {
             let got = format!("said for {}", self.task);
             return Err(TrainError::Option {
                 option: "course",
@@ -394,16 +352,14 @@ impl TrainConfig {
     /// # Errors
     /// What is wrong with a name.
     pub fn options(&self) -> Result<EnvConfig, TrainError> {
-        let physics: Physics = named("physics", &self.physics, &Physics::ALL.map(Physics::name))?;
-        let action_type: ActionType = named("action_type", &self.action_type, &ActionType::ALL.map(ActionType::name))?;
         let mut options = EnvConfig::default();
-        if physics != Physics::Dyn {
+        if self.physics != Physics::Dyn {
             options = options.engine(EngineKind::Hybrid);
         }
         options = options
             .drone(self.airframe()?)
-            .physics(physics)
-            .action_type(action_type)
+            .physics(self.physics)
+            .action_type(self.action_type)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .conditions(&self.conditions);
@@ -421,8 +377,7 @@ impl TrainConfig {
             return DroneParams::from_file(&self.drone)
                 .map_err(|error| TrainError::Toml { message: error.to_string() });
         }
-        let model: DroneModel = named("drone", &self.drone, &DroneModel::ALL.map(DroneModel::name))?;
-        Ok(model.params())
+        Ok(self.drone.parse::<DroneModel>().map_err(EnvError::from)?.params())
     }
 
     /// Number of drones in its environments; 1 for a task that this crate does not know, unless it is said.
@@ -463,20 +418,11 @@ impl TrainConfig {
                 on_fault: OnFault::Truncate,
                 ..VecConfig::new(environments)
             };
-            let mut env = match (self.course, &*self.task) {
-                (Some(CourseRewards { point, distance, .. }), "fly_through") => {
-                    let pay = |task: &mut FlyThrough| (task.capture_reward, task.distance_penalty) = (point, distance);
-                    let options = options.with_task(FlyThrough::default()).task(pay);
-                    Box::new(VecAviary::new(options, config)?) as Box<dyn VecEnv>
-                }
-                (Some(CourseRewards { point, distance, speed }), "race") => {
-                    let pay = |race: &mut Race| {
-                        (race.gate_reward, race.speed_reward, race.distance_penalty) = (point, speed, distance);
-                    };
-                    let options = options.with_task(Race::default()).task(pay);
-                    Box::new(VecAviary::new(options, config)?)
-                }
-                _ => make_vec(&self.task, options, config)?,
+            let course = self.course.and_then(|rewards| Course::of_task(&self.task, rewards));
+            let mut env: Box<dyn VecEnv> = match course {
+                Some(Course::FlyThrough(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+                Some(Course::Race(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+                None => make_vec(&self.task, options, config)?,
             };
             for (environment, start) in (0..environments).zip(starts.iter().cycle()) {
                 let mut done = Ok(());
@@ -505,43 +451,37 @@ impl TrainConfig {
     }
 }
 
-fn summary_start(summary: &tasks::TaskSummary) -> Option<Randomization> {
-    summary.varied_starts.then_some(Randomization { initial: Some(START), ..Randomization::NONE })
+/// Takes the sections that [`Conditions`] reads out of a configuration.
+fn take_conditions(table: &mut toml::Table) -> toml::Table {
+    ["wind", "obstacles", "randomization"].iter().filter_map(|section| table.remove_entry(*section)).collect()
 }
 
-/// Where policies of a task learn best: all about the place that they have to hold or the course, and where they take off.
-fn starts_of(task: &str) -> Vec<TrainingStart> {
-    let start = TrainingStart { seconds: Some(2.0), ..TrainingStart::default() };
-    let about = |position: f64, offset: [f64; 3], seconds: f64| TrainingStart {
-        position,
-        attitude: 0.5,
-        velocity: 1.0,
-        offset,
-        seconds: Some(seconds),
-    };
-    match task {
-        "hover" | "multi_hover" | "multi_agent" => {
-            let about = about(0.9, [0.0, 0.0, 0.9], 3.5);
-            // falling towards a floor that is near: only full thrust at once is right
-            let falling = TrainingStart { position: 0.04, offset: [0.0, 0.0, -0.05], seconds: Some(0.25), ..start };
-            vec![about, about, falling, about, start, about, falling, about]
+fn wrong(error: impl ToString) -> TrainError {
+    TrainError::Toml { message: error.to_string() }
+}
+
+/// A task with a course that pays as it is configured.
+enum Course {
+    FlyThrough(FlyThrough),
+    Race(Race),
+}
+
+impl Course {
+    /// The task of a name, if it has a course.
+    fn of_task(name: &str, rewards: CourseRewards) -> Option<Self> {
+        let CourseRewards { point, distance, speed } = rewards;
+        match name {
+            "fly_through" => {
+                let mut task = FlyThrough::default();
+                (task.capture_reward, task.distance_penalty) = (point, distance);
+                Some(Self::FlyThrough(task))
+            }
+            "race" => {
+                let mut race = Race::default();
+                (race.gate_reward, race.speed_reward, race.distance_penalty) = (point, speed, distance);
+                Some(Self::Race(race))
+            }
+            _ => None,
         }
-        "fly_through" => {
-            let along = about(0.7, [0.5, 0.5, 1.0], 10.0);
-            vec![along, along, along, start]
-        }
-        "race" => {
-            let along = about(1.2, [0.5, 1.0, 1.3], 10.0);
-            vec![along, along, along, start]
-        }
-        _ => vec![],
     }
-}
-
-/// A value with a name from a list.
-fn named<T: std::str::FromStr>(option: &'static str, name: &str, names: &[&str]) -> Result<T, TrainError> {
-    name.parse().map_err(|_| {
-        let near = aviary::did_you_mean(name, names);
-        TrainError::Toml { message: format!("{option} is `{name}`, expected one of: {}{near}", names.join(", ")) }
-    })
 }

@@ -12,6 +12,7 @@ mod evaluation;
 mod network;
 mod optimizer;
 mod ppo;
+mod recipe;
 mod scale;
 mod trainer;
 

@@ -37,18 +37,12 @@ const CLIP: f32 = 10.0;
 
 /// A structure of settings, and one that has them as far as they were said.
 macro_rules! settings {
-    ($(#[$doc:meta])* $name:ident, $said:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty = $default:expr,)* }) => {
+    ($(#[$doc:meta])* $name:ident, $said:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty,)* }) => {
         $(#[$doc])*
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct $name {
             $($(#[$field_doc])* pub $field: $kind,)*
-        }
-
-        impl Default for $name {
-            fn default() -> Self {
-                Self { $($field: $default,)* }
-            }
         }
 
         /// The same, as far as it is said.
@@ -73,35 +67,35 @@ settings! {
     /// The knobs of the algorithm.
     PpoConfig, SaidPpo {
         /// Environments that gather experience.
-        environments: usize = 1024,
+        environments: usize,
         /// Steps that each makes between two updates.
-        horizon: usize = 32,
+        horizon: usize,
         /// Times that an update goes through the experience.
-        epochs: usize = 4,
+        epochs: usize,
         /// Rows of a minibatch.
-        minibatch: usize = 2048,
+        minibatch: usize,
         /// Neurons of the hidden layers, of actor and critic each.
-        hidden: Vec<usize> = vec![64, 64],
+        hidden: Vec<usize>,
         /// What they do.
-        activation: Activation = Activation::Relu,
+        activation: Activation,
         /// Adam's rate, at most.
-        learning_rate: f64 = 1.5e-3,
+        learning_rate: f64,
         /// Divergence that an update is to have, above whose double the rate goes down; 0 leaves the rate alone.
-        divergence: f64 = 0.03,
+        divergence: f64,
         /// Discount per step, γ.
-        discount: f64 = 0.99,
+        discount: f64,
         /// λ of the advantages.
-        lambda: f64 = 0.95,
+        lambda: f64,
         /// Largest distance of the ratio of probabilities from 1, ε.
-        clip: f64 = 0.2,
+        clip: f64,
         /// Weight of the critic's error.
-        value: f64 = 1.0,
+        value: f64,
         /// Weight of the entropy.
-        entropy: f64 = 0.0,
+        entropy: f64,
         /// Largest norm of a gradient.
-        max_gradient: f64 = 1.0,
+        max_gradient: f64,
         /// Standard deviation of actions at the start, where 1 is half the width of the action space.
-        deviation: f64 = 0.3,
+        deviation: f64,
     }
 }
 

@@ -322,7 +322,7 @@ fn policy_of(
         drone: config.airframe_name(),
         num_drones: config.drones(),
         per_drone: config.per_drone,
-        action_type: config.action_type.clone(),
+        action_type: config.action_type.to_string(),
         sim_freq: config.sim_freq,
         ctrl_freq: config.ctrl_freq,
         seed: config.seed,
