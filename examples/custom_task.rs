@@ -31,33 +31,33 @@ impl Task for Land {
         BoxSpace::new([[f64::NEG_INFINITY, f64::INFINITY]; STATE_SIZE + 2])
     }
 
-    fn reset(&mut self, _simulation: &Simulation, rng: &mut Rng) {
+    fn reset(&mut self, _simulation: SimView<'_>, rng: &mut Rng) {
         self.pad = Vector3::new(rng.random_range(-0.5..0.5), rng.random_range(-0.5..0.5), 0.0);
         self.landed = false;
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.landed = !simulation.contacts().is_empty();
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         let hard = simulation.states()[drone].velocity.norm() > 0.5;
         self.landed.then_some(if hard { EndReason::FloorContact } else { EndReason::Completed })
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         -simulation.distance(drone, &self.pad) - if end.is_some_and(EndReason::is_crash) { 100.0 } else { 0.0 }
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         out[..STATE_SIZE].copy_from_slice(&state_vector(&simulation.states()[drone]));
         out[STATE_SIZE..].copy_from_slice(self.pad.xy().as_slice());
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.landed && simulation.distance(drone, &self.pad) < 0.1
     }
-    fn reference(&self, simulation: &Simulation, _drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, _drone: usize) -> Reference {
         Reference::hover(self.pad + Vector3::z() * (1.0 - 0.3 * simulation.time()), 0.0)
     }
 }

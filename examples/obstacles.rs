@@ -34,11 +34,7 @@ fn main() -> anyhow::Result<()> {
         let path = directory.join(format!("{}.png", kind.name()));
         std::fs::write(&path, png_rgb(size, &picture)?)?;
         let nearest = env.simulation().obstacle_distance(0);
-        println!(
-            "{}: {} geoms, the nearest {nearest:.2} m away",
-            path.display(),
-            env.simulation().world().obstacles.len()
-        );
+        println!("{}: {} geoms, the nearest {nearest:.2} m away", path.display(), env.simulation().obstacles().len());
     }
     Ok(())
 }

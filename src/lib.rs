@@ -42,7 +42,7 @@ pub mod prelude {
     pub use aviary::observation::{Observation, ObservationType};
     pub use aviary::physics::{Effects, Physics};
     pub use aviary::rollout::{ControllerPolicy, EpisodeSummary, Policy, Rollout, RolloutError, fly_episode};
-    pub use aviary::simulation::{Simulation, SimulationError};
+    pub use aviary::simulation::{SimView, Simulation, SimulationError};
     pub use aviary::state::DroneState;
     pub use aviary::tasks::{
         Antipodal, FlyThrough, Formation, Hover, MultiHover, Race, Stabilize, Track, Velocity, make,

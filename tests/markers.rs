@@ -50,29 +50,29 @@ impl Task for Ball {
         };
         vec![if self.solid { MovingMarker::solid("ball", body) } else { MovingMarker::visible("ball", body) }]
     }
-    fn move_markers(&self, simulation: &Simulation, poses: &mut [MarkerPose]) {
+    fn move_markers(&self, simulation: SimView<'_>, poses: &mut [MarkerPose]) {
         poses[0].position = self.place(simulation.time());
     }
-    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
         self.watch.reset(simulation);
         self.offset = self.spread * (2.0 * rng.random::<f64>() - 1.0);
     }
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&CrashConditions::with_max_tilt(FRAC_PI_2), simulation);
     }
-    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, _simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone)
     }
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         simulation.obstacle_distance(drone).min(9.0) - if end.is_some() { 100.0 } else { 0.0 }
     }
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         out.copy_from_slice(&state_vector(&simulation.states()[drone]));
     }
-    fn success(&self, _simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none()
     }
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         Reference::hover(simulation.initial_states()[drone].position, 0.0)
     }
 }
@@ -102,8 +102,8 @@ fn touching_a_solid_marker_is_a_crash_and_touching_another_is_not() {
         let mut env = Ball::new(false, 0.0).engine(engine).build().unwrap();
         let (states, _, end) = hover(&mut env, 1);
         assert_eq!((end, states.len()), (Some(EndReason::TimeLimit), 144));
-        assert!(env.simulation().world().obstacles.is_empty());
-        let marker = env.simulation().world().markers.last().unwrap();
+        assert!(env.simulation().obstacles().is_empty());
+        let marker = env.simulation().markers().pop().unwrap();
         assert!((marker.body.position - Vector3::new(-1.5, 0.0, 1.0)).norm() < 1e-9, "it has gone by");
     }
 }
@@ -235,14 +235,14 @@ fn markers_may_stand_among_obstacles_that_are_placed_anew() {
     let mut layouts = Vec::new();
     for _ in 0..3 {
         env.reset(None).unwrap();
-        let obstacles = &env.simulation().world().obstacles;
+        let obstacles = env.simulation().obstacles();
         assert_eq!(obstacles.len(), 16);
         assert_eq!(obstacles[15].position, Vector3::new(1.5, 0.0, 1.0));
         layouts.push(obstacles[0].position);
         for _ in 0..5 {
             env.step(&[0.0; 4]).unwrap();
         }
-        let ball = env.simulation().world().obstacles[15].position;
+        let ball = env.simulation().obstacles()[15].position;
         assert!((ball.x - (1.5 - 5.0 / 48.0)).abs() < 1e-12);
     }
     assert!(layouts[0] != layouts[1] && layouts[1] != layouts[2]);

@@ -93,6 +93,6 @@ fn the_conditions_of_the_readme_are_read() {
     let text = blocks.find(|block| block.contains("[wind]")).expect("conditions");
     let conditions = mujoco_drones_gym::env::Conditions::from_toml(text).unwrap();
     let env = make("hover", EnvConfig::default().conditions(&conditions)).unwrap();
-    assert_eq!(env.simulation().world().obstacles.len(), 15);
+    assert_eq!(env.simulation().obstacles().len(), 15);
     assert!(conditions.randomization.unwrap().sensors.is_some());
 }

@@ -182,33 +182,33 @@ fn the_checker_finds_what_is_wrong() {
         fn observation_space(&self) -> BoxSpace {
             BoxSpace::new([[-10.0, 10.0], [-1.0, 1.0]])
         }
-        fn reset(&mut self, _: &Simulation, _: &mut Rng) {
+        fn reset(&mut self, _: SimView<'_>, _: &mut Rng) {
             self.episodes += 1.0;
         }
-        fn update(&mut self, _: &Simulation) {}
-        fn end(&self, simulation: &Simulation, _: usize) -> Option<EndReason> {
+        fn update(&mut self, _: SimView<'_>) {}
+        fn end(&self, simulation: SimView<'_>, _: usize) -> Option<EndReason> {
             let low = simulation.states()[0].position.z < 0.5;
             low.then_some(if self.fault == "reason" { EndReason::TimeLimit } else { EndReason::FloorContact })
         }
-        fn reward(&self, simulation: &Simulation, _: usize, _: Option<EndReason>) -> f64 {
+        fn reward(&self, simulation: SimView<'_>, _: usize, _: Option<EndReason>) -> f64 {
             match self.fault {
                 "memory" => self.episodes,
                 "nan" if simulation.time() > 0.1 => f64::NAN,
                 _ => 0.0,
             }
         }
-        fn observe(&self, simulation: &Simulation, _: usize, out: &mut [f64]) {
+        fn observe(&self, simulation: SimView<'_>, _: usize, out: &mut [f64]) {
             let state = &simulation.states()[0];
             out[0] = if self.fault == "bounds" { 11.0 * state.position.z } else { state.position.z };
             out[1] = if self.fault == "constant" { 0.3 } else { state.up().x };
         }
-        fn success(&self, _: &Simulation, _: usize) -> bool {
+        fn success(&self, _: SimView<'_>, _: usize) -> bool {
             false
         }
-        fn progress(&self, _: &Simulation, _: usize) -> f64 {
+        fn progress(&self, _: SimView<'_>, _: usize) -> f64 {
             if self.fault == "progress" { 1.5 } else { 0.0 }
         }
-        fn reference(&self, _: &Simulation, _: usize) -> Reference {
+        fn reference(&self, _: SimView<'_>, _: usize) -> Reference {
             Reference::default()
         }
         fn may_be_constant(&self, _: usize) -> bool {
@@ -348,10 +348,10 @@ fn at(task: &dyn Task, states: &[DroneState]) -> Simulation {
 
 /// Reward of all drones together when these states follow on these.
 fn reward(task: &mut dyn Task, before: &[DroneState], after: &[DroneState], end: Option<EndReason>) -> f64 {
-    task.reset(&at(task, before), &mut Rng::seed_from_u64(1));
+    task.reset(at(task, before).view(), &mut Rng::seed_from_u64(1));
     let simulation = at(task, after);
-    task.update(&simulation);
-    (0..after.len()).map(|drone| task.reward(&simulation, drone, end)).sum()
+    task.update(simulation.view());
+    (0..after.len()).map(|drone| task.reward(simulation.view(), drone, end)).sum()
 }
 
 fn state(position: [f64; 3], rpy: [f64; 3], velocity: [f64; 3], rates: [f64; 3]) -> DroneState {

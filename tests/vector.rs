@@ -563,7 +563,7 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
 #[derive(Debug, Clone)]
 struct Odd {
     hover: Hover,
-    update: fn(&Simulation),
+    update: fn(SimView<'_>),
     /// True if the n-th call of `start` gives an impossible state.
     impossible: fn(u32) -> bool,
     starts: u32,
@@ -586,7 +586,7 @@ impl Task for Odd {
         self.hover.observation_space()
     }
 
-    fn start(&mut self, _: &Simulation, _: &mut Rng, states: &mut [DroneState]) -> bool {
+    fn start(&mut self, _: SimView<'_>, _: &mut Rng, states: &mut [DroneState]) -> bool {
         self.starts += 1;
         let impossible = (self.impossible)(self.starts);
         if impossible {
@@ -595,44 +595,44 @@ impl Task for Odd {
         impossible
     }
 
-    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
         self.hover.reset(simulation, rng);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         (self.update)(simulation);
         self.hover.update(simulation);
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.hover.end(simulation, drone)
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, _: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, _: Option<EndReason>) -> f64 {
         let load = &simulation.loads()[drone];
         load.rotors.thrust + load.external.force_world.z + simulation.motor_speeds()[drone][1]
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         self.hover.observe(simulation, drone, out);
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.hover.success(simulation, drone)
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         self.hover.reference(simulation, drone)
     }
 }
 
-fn odd(update: fn(&Simulation)) -> AviaryBuilder<Odd> {
+fn odd(update: fn(SimView<'_>)) -> AviaryBuilder<Odd> {
     AviaryBuilder::new(Odd { hover: Hover::default(), update, impossible: |_| false, starts: 0 })
 }
 
 #[test]
 fn a_task_may_use_threads_of_its_own_and_sees_loads_and_commands() {
-    fn busy(simulation: &Simulation) {
+    fn busy(simulation: SimView<'_>) {
         let (time, states) = (simulation.time(), simulation.states());
         let (a, b) = rayon::join(|| time + 0.0, || states[0].position.z);
         assert!(a + b > 0.0);
@@ -651,7 +651,7 @@ fn a_task_may_use_threads_of_its_own_and_sees_loads_and_commands() {
 
 #[test]
 fn a_task_that_panicked_is_an_error_ever_after() {
-    fn panics(simulation: &Simulation) {
+    fn panics(simulation: SimView<'_>) {
         assert!(simulation.control_steps() < 3, "on purpose");
     }
     let mut batch = VecAviary::new(odd(panics), VecConfig { threads: 2, ..VecConfig::new(40) }).unwrap();

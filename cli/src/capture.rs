@@ -172,7 +172,7 @@ impl Capture {
                     Failure::Work(error) => Failure::Work(error.context("the next episode cannot begin")),
                     other => other,
                 })?;
-                painter.set_obstacles(&pilot.env().simulation().world().obstacles).map_err(vision_failure)?;
+                painter.set_obstacles(pilot.env().simulation().obstacles()).map_err(vision_failure)?;
                 return Ok(());
             }
         }

@@ -117,7 +117,7 @@ impl FilmOptions {
 pub fn is_previewed(view: View, simulation: &Simulation) -> bool {
     match view {
         View::Fpv => false,
-        View::Track => !simulation.world().obstacles.is_empty(),
+        View::Track => !simulation.obstacles().is_empty(),
         View::Fixed | View::Front | View::Top => true,
     }
 }

@@ -294,7 +294,7 @@ impl Flight {
             "trajectory": options.trajectory.as_ref().map(ToString::to_string),
             "seed": options.seed,
             "wind": simulation.wind().map_or("none", |wind| wind.model.name()),
-            "obstacles": simulation.world().obstacles.len(),
+            "obstacles": simulation.obstacles().len(),
             "success": self.info.success,
             "end": self.info.end.map(|end| end.name()),
             "reward": self.reward,

@@ -95,7 +95,7 @@ impl Pilot {
 
     /// Returns the first place (world frame, m) where a drone is to be that an obstacle leaves no room for, with the drone.
     fn obstruction(&mut self) -> Result<Option<(usize, Vector3<f64>)>, Failure> {
-        if self.env().simulation().world().obstacles.is_empty() {
+        if self.env().simulation().obstacles().is_empty() {
             return Ok(None);
         }
         let found = self.obstruction_of_path();
@@ -120,7 +120,7 @@ impl Pilot {
         let simulation = self.env().simulation();
         // with room for errors of the controller
         let room = simulation.params(drone).collision_radius + 0.05;
-        simulation.world().obstacles.iter().any(|obstacle| obstacle.distance(place) < room)
+        simulation.obstacles().iter().any(|obstacle| obstacle.distance(place) < room)
     }
 
     /// The same for the paths of the drones, or the straight lines to where the task wants them now.
@@ -235,7 +235,7 @@ impl Pilot {
         let (env, simulation) = (self.env(), self.env().simulation());
         match self.on_trajectory {
             true if simulation.control_steps() == 0 => 0.0,
-            true => hover_reward(simulation, drone, &self.reference(drone).position, env.drone_end(drone)),
+            true => hover_reward(simulation.view(), drone, &self.reference(drone).position, env.drone_end(drone)),
             false => env.drone_reward(drone),
         }
     }
@@ -299,7 +299,7 @@ mod tests {
         let mut pilot = Pilot::new(&options(line)).unwrap();
         let points = pilot.preview().unwrap();
         let params = pilot.env().simulation().params(0).clone();
-        let obstacles = pilot.env().simulation().world().obstacles.clone();
+        let obstacles = pilot.env().simulation().obstacles().to_vec();
         let poses = [View::Fixed, View::Front, View::Top]
             .map(|view| CameraPose::framing(view, &points, params.collision_radius, &obstacles, SIZE).unwrap());
         let mut share = f64::INFINITY;

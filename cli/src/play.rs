@@ -247,7 +247,7 @@ mod tests {
     fn the_file_of_a_training_gives_the_obstacles_of_the_training() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("forest.toml");
-        let obstacles = |config: &TrainConfig| config.environment().unwrap().simulation().world().obstacles.clone();
+        let obstacles = |config: &TrainConfig| config.environment().unwrap().simulation().obstacles().to_vec();
         let fly = |policy: &PolicyNetwork, more: &[&str]| {
             let line = [&["play", "--policy", "a.safetensors", "--seed", "5000"][..], more].concat();
             obstacles(&Line::try_parse_from(line).unwrap().play.config(policy).unwrap())

@@ -1,7 +1,11 @@
+use std::sync::Arc;
+
 use rand::SeedableRng as _;
 
-use super::aviary::{Aviary, Episode};
+use super::aviary::Aviary;
+use super::episode::Episode;
 use super::moving::MovingMarkers;
+use super::pipeline::{EnvModel, EnvWorkspace, Synced};
 use super::randomization::Randomizer;
 use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
@@ -366,32 +370,36 @@ impl<T: Task> AviaryBuilder<T> {
             rays: (self.rays.directions.len(), self.rays.max_range),
             camera_size,
         };
-        Ok(Aviary {
-            block: block.size(),
-            neighbourhood_radius: self.neighbourhood_radius,
-            observation,
+        let rangefinder = kind.ranges.then(|| Rangefinder::new(simulation.world(), &self.rays)).transpose()?;
+        let randomizer =
+            self.randomization.map(|config| Randomizer::new(config, simulation.view(), wind)).transpose()?;
+        let model = EnvModel {
+            action_type: self.action_type,
+            action_space,
             row_space: observation_space.row(),
             observation_space,
-            episode: Episode::new(
-                self.task,
-                self.stream,
-                self.randomization.map(|config| Randomizer::new(config, &simulation, wind)).transpose()?,
-            ),
-            first_layout: simulation.world().obstacles[..moving.first_obstacle()].to_vec(),
-            moving,
-            field: self.field,
-            rangefinder: kind.ranges.then(|| Rangefinder::new(simulation.world(), &self.rays)).transpose()?,
-            cameras,
-            painter: None,
-            action_space,
-            action_type: self.action_type,
-            decoders,
-            clipped: vec![0.0; self.action_type.size() * count],
             episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
-            ends: vec![None; count],
+            obstacle_generator: self.field,
+            first_layout: simulation.obstacles()[..moving.first_obstacle()].to_vec(),
+            block: block.size(),
+            neighbourhood_radius: self.neighbourhood_radius,
+        };
+        let workspace = EnvWorkspace {
+            moving,
+            rangefinder: rangefinder.map(Synced::new),
+            cameras: cameras.map(Synced::new),
+            observation,
+            clipped: vec![0.0; self.action_type.size() * count],
             commands: vec![[0.0; 4]; count],
             starts: simulation.initial_states().to_vec(),
+        };
+        Ok(Aviary {
+            model: Arc::new(model),
             simulation,
+            episode: Episode::new(self.task, self.stream, randomizer, count),
+            decoders,
+            workspace,
+            painter: None,
         })
     }
 }

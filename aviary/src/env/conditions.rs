@@ -29,7 +29,7 @@ use crate::world::{ObstacleConfig, ObstacleKind};
 ///     "#,
 /// )?;
 /// let env = make("hover", EnvConfig::default().conditions(&conditions))?;
-/// assert_eq!(env.simulation().world().obstacles.len(), 10);
+/// assert_eq!(env.simulation().obstacles().len(), 10);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

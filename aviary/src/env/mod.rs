@@ -4,16 +4,19 @@ mod aviary;
 mod builder;
 mod checker;
 mod conditions;
+mod episode;
 mod moving;
+mod pipeline;
 mod randomization;
 mod space;
 mod task;
 
 pub use aviary::Aviary;
-pub(crate) use aviary::{Episode, Phase, Verdict};
 pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
 pub use conditions::{ConditionChoice, Conditions};
+pub(crate) use episode::{Episode, Phase};
+pub(crate) use pipeline::EnvParts;
 pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, Draw, DroneDraw, EnvironmentRanges, InitialRanges, Randomization,
     Range, SensorRanges,

@@ -1,10 +1,10 @@
 use super::{EnvError, Task};
-use crate::simulation::Simulation;
+use crate::simulation::{SimData, SimModel, SimView};
 use crate::world::{MarkerPose, MovingMarker, Obstacle, World};
 
 /// The markers of a task that move. Solid ones are the last obstacles of the scene, the others its last markers.
 #[derive(Debug, Default)]
-pub(super) struct MovingMarkers {
+pub(crate) struct MovingMarkers {
     declared: Vec<MovingMarker>,
     /// Index of the first solid one among the obstacles.
     first_obstacle: usize,
@@ -34,26 +34,31 @@ impl MovingMarkers {
     }
 
     /// Returns whether there are any.
-    pub(super) fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.declared.is_empty()
     }
 
     /// Returns whether drones collide with some of them.
-    pub(super) fn has_solid(&self) -> bool {
+    pub(crate) fn has_solid(&self) -> bool {
         self.declared.iter().any(|marker| marker.solid)
     }
 
-    /// Puts them where the task says, or where they start; returns whether obstacles have moved.
-    pub(super) fn place(&mut self, task: Option<&dyn Task>, simulation: &mut Simulation) -> Result<bool, EnvError> {
+    /// Moves them to where the task says, or to where they start.
+    pub(super) fn place<T: Task>(
+        &mut self,
+        task: Option<&T>,
+        model: &SimModel,
+        data: &mut SimData,
+    ) -> Result<(), EnvError> {
         let start =
             |marker: &MovingMarker| MarkerPose { position: marker.marker.body.position, rpy: marker.marker.body.rpy };
         self.poses.clear();
         self.poses.extend(self.declared.iter().map(start));
         if let Some(task) = task {
-            task.move_markers(simulation, &mut self.poses);
+            task.move_markers(SimView::new(model, data), &mut self.poses);
         }
         self.obstacles.clear();
-        self.obstacles.extend_from_slice(&simulation.world().obstacles);
+        self.obstacles.extend_from_slice(data.obstacles(model));
         let (mut obstacle, mut marker) = (self.first_obstacle, self.first_marker);
         for (declared, pose) in self.declared.iter().zip(&self.poses) {
             let far = |x: &f64| x.is_nan() || x.abs() > 1e6;
@@ -67,22 +72,22 @@ impl MovingMarkers {
                 (body.position, body.rpy) = (pose.position, pose.rpy);
                 obstacle += 1;
             } else {
-                simulation.set_marker_pose(marker, pose);
+                data.set_marker_pose(marker, *pose);
                 marker += 1;
             }
         }
-        let solid =
-            self.obstacles[self.first_obstacle..].iter().zip(&simulation.world().obstacles[self.first_obstacle..]);
+        let old = data.obstacles(model);
+        let solid = self.obstacles[self.first_obstacle..].iter().zip(&old[self.first_obstacle..]);
         let travel = |(new, old): (&Obstacle, &Obstacle)| {
             (new.position - old.position).norm() + (new.rpy - old.rpy).norm() * new.shape.reach()
         };
         let drift = if task.is_some() { solid.map(travel).fold(0.0, f64::max) } else { 0.0 };
+        let have_moved = self.obstacles != old;
         // one that gathers speed comes farther in the next step than in the last one
-        simulation.set_obstacle_drift(2.0 * drift);
-        if self.obstacles == simulation.world().obstacles {
-            return Ok(false);
+        data.set_obstacle_drift(2.0 * drift);
+        if have_moved {
+            data.set_obstacles(model, &self.obstacles)?;
         }
-        simulation.set_obstacles(&self.obstacles)?;
-        Ok(true)
+        Ok(())
     }
 }

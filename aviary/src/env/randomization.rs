@@ -9,7 +9,7 @@ use crate::drone::{DroneParams, GRAVITY};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::{WindConfig, WindModel};
 use crate::random::{Rng, normals};
-use crate::simulation::{Simulation, SimulationError};
+use crate::simulation::{SimData, SimModel, SimView, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy};
 use crate::world::Obstacle;
 
@@ -354,6 +354,7 @@ pub(super) struct Randomizer {
     motors: Arc<[ActuatorParams]>,
     wind: Option<WindConfig>,
     measured: Vec<DroneState>,
+    measured_rpys: Vec<Vector3<f64>>,
 }
 
 fn within(rng: &mut Rng, [low, high]: Range) -> f64 {
@@ -376,7 +377,7 @@ impl Randomizer {
     /// a part even where they are calm.
     pub(super) fn new(
         config: Randomization,
-        simulation: &Simulation,
+        simulation: SimView<'_>,
         wind: Option<WindConfig>,
     ) -> Result<Self, EnvError> {
         config.validate()?;
@@ -405,6 +406,7 @@ impl Randomizer {
             nominal,
             motors,
             wind,
+            measured_rpys: vec![Vector3::zeros(); initial.len()],
             measured: initial,
         })
     }
@@ -421,11 +423,14 @@ impl Randomizer {
 
     /// Bytes that it takes, beside what others have, too.
     pub(super) fn bytes(&self) -> usize {
-        size_of::<Self>() + size_of_val(&self.draw.drones[..]) + size_of_val(&self.measured[..])
+        size_of::<Self>()
+            + size_of_val(&self.draw.drones[..])
+            + size_of_val(&self.measured[..])
+            + size_of_val(&self.measured_rpys[..])
     }
 
     /// Draws an episode. Every group has the same number of draws whatever the others are.
-    fn draw(&mut self, simulation: &Simulation, rng: &mut Rng, obstacles_move: bool) {
+    fn draw(&mut self, simulation: SimView<'_>, rng: &mut Rng, obstacles_move: bool) {
         let mut streams = [(); 6].map(|()| stream(rng));
         let [body, aerodynamics, actuators, sensors, environment, initial] = &mut streams;
         let config = &self.config;
@@ -480,7 +485,7 @@ impl Randomizer {
             for drone in 0..self.draw.drones.len() {
                 let start = simulation.initial_states()[drone];
                 // those that will be elsewhere make room for the drones
-                let there: &[Obstacle] = if obstacles_move { &[] } else { &simulation.world().obstacles };
+                let there: &[Obstacle] = if obstacles_move { &[] } else { simulation.obstacles() };
                 let state = self.start(ranges, drone, &start, there, initial);
                 self.draw.drones[drone].initial = state;
             }
@@ -525,69 +530,72 @@ impl Randomizer {
         DroneState { position, attitude, velocity, angular_velocity: start.angular_velocity }
     }
 
-    /// Draws an episode and puts the simulation into it: afterwards it is reset.
+    /// Draws an episode and puts the data into it: afterwards it is reset.
     pub(super) fn begin(
         &mut self,
-        simulation: &mut Simulation,
+        model: &SimModel,
+        data: &mut SimData,
         rng: &mut Rng,
         obstacles_move: bool,
     ) -> Result<(), SimulationError> {
-        self.draw(simulation, rng, obstacles_move);
+        self.draw(SimView::new(model, data), rng, obstacles_move);
         let most = |ranges: Option<Range>| ranges.map_or(0.0, |[_, most]| most);
-        simulation.reserve(
+        data.reserve(
+            model,
             most(self.config.actuators.map(|ranges| ranges.latency)),
             most(self.config.sensors.map(|ranges| ranges.latency)),
         );
         for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&*self.nominal).enumerate() {
             if self.config.body.is_some() || self.config.aerodynamics.is_some() {
-                simulation.change_airframe(drone, |params| randomize(params, nominal, draw))?;
+                data.change_params(drone, |params| randomize(params, nominal, draw))?;
             }
             if self.config.actuators.is_some() {
-                simulation.set_actuators(drone, &draw.actuators)?;
+                data.set_actuators(model, drone, &draw.actuators)?;
             }
         }
         if self.config.environment.is_some() {
-            simulation.set_gravity(GRAVITY * self.draw.gravity)?;
+            data.set_gravity(GRAVITY * self.draw.gravity)?;
             if self.draw.wind.is_some() {
-                simulation.set_wind(self.draw.wind, 0)?;
+                data.set_wind(self.draw.wind, 0)?;
             }
         }
         if self.config.sensors.is_some() {
-            simulation.remember(self.draw.sensor_latency);
+            data.remember(model, self.draw.sensor_latency);
         }
         if self.config.initial.is_some() {
             for (state, draw) in self.measured.iter_mut().zip(&self.draw.drones) {
                 *state = draw.initial;
             }
-            simulation.reset_to(&self.measured)
+            data.reset_to(&self.measured)
         } else {
-            simulation.reset()
+            data.reset(model);
+            Ok(())
         }
     }
 
     /// Puts everything back to the nominal airframes.
-    pub(super) fn undo(&self, simulation: &mut Simulation) -> Result<(), SimulationError> {
+    pub(super) fn undo(&self, model: &SimModel, data: &mut SimData) -> Result<(), SimulationError> {
         for (drone, (nominal, motors)) in self.nominal.iter().zip(&*self.motors).enumerate() {
-            simulation.set_airframe(drone, nominal.clone())?;
+            data.set_params(drone, nominal.clone())?;
             if self.config.actuators.is_some() {
-                simulation.set_actuators(drone, motors)?;
+                data.set_actuators(model, drone, motors)?;
             }
         }
-        simulation.remember(0.0);
+        data.remember(model, 0.0);
         if self.config.environment.is_some() {
-            simulation.set_gravity(GRAVITY)?;
+            data.set_gravity(GRAVITY)?;
             if self.draw.wind.is_some() {
-                simulation.set_wind(self.wind, 0)?;
+                data.set_wind(self.wind, 0)?;
             }
         }
         Ok(())
     }
 
-    /// What is seen of the states now: old, biased and noisy; `None` where the sensors are exact.
-    pub(super) fn measure(&mut self, simulation: &Simulation) -> Option<&mut Vec<DroneState>> {
+    /// Measures the states: old, biased and noisy. Returns them with their roll, pitch and yaw; `None` where the sensors are exact.
+    pub(super) fn measure(&mut self, data: &SimData) -> Option<(&[DroneState], &[Vector3<f64>])> {
         let ranges = self.config.sensors.as_ref()?;
         let draws = &self.draw.drones;
-        for ((measured, truth), draw) in self.measured.iter_mut().zip(simulation.remembered()).zip(draws) {
+        for ((measured, truth), draw) in self.measured.iter_mut().zip(data.remembered()).zip(draws) {
             // twelve draws, two at a time
             let n: [[f64; 2]; 6] = std::array::from_fn(|_| normals(&mut self.noise));
             let position = ranges.position * Vector3::new(n[0][0], n[0][1], n[1][0]);
@@ -601,7 +609,10 @@ impl Randomizer {
                 angular_velocity: truth.angular_velocity + rates + draw.bias[3],
             };
         }
-        Some(&mut self.measured)
+        for (rpy, state) in self.measured_rpys.iter_mut().zip(&self.measured) {
+            *rpy = state.rpy();
+        }
+        Some((&self.measured, &self.measured_rpys))
     }
 }
 

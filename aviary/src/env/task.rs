@@ -5,7 +5,7 @@ use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::state::DroneState;
 use crate::world::{Marker, MarkerPose, MovingMarker};
 
@@ -33,7 +33,7 @@ pub struct TaskDefaults {
 /// use aviary::control::{ControllerKind, Reference};
 /// use aviary::drone::DroneParams;
 /// use aviary::env::{AviaryBuilder, BoxSpace, EndReason, Env, Rng, Task, TaskDefaults};
-/// use aviary::simulation::Simulation;
+/// use aviary::simulation::SimView;
 /// use nalgebra::Vector3;
 ///
 /// /// Climb to 2 m, the sooner the better.
@@ -49,22 +49,22 @@ pub struct TaskDefaults {
 ///         (0..drones.len()).map(|drone| [drone as f64, 0.0, 0.1]).collect()
 ///     }
 ///     fn observation_space(&self) -> BoxSpace { BoxSpace::new([[f64::NEG_INFINITY, f64::INFINITY]; 2]) }
-///     fn reset(&mut self, _: &Simulation, _: &mut Rng) {}
-///     fn update(&mut self, _: &Simulation) {}
-///     fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+///     fn reset(&mut self, _: SimView<'_>, _: &mut Rng) {}
+///     fn update(&mut self, _: SimView<'_>) {}
+///     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
 ///         self.success(simulation, drone).then_some(EndReason::Completed)
 ///     }
-///     fn reward(&self, simulation: &Simulation, drone: usize, _: Option<EndReason>) -> f64 {
+///     fn reward(&self, simulation: SimView<'_>, drone: usize, _: Option<EndReason>) -> f64 {
 ///         simulation.states()[drone].position.z - 2.0
 ///     }
-///     fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+///     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
 ///         let state = &simulation.states()[drone];
 ///         out.copy_from_slice(&[state.position.z, state.velocity.z]);
 ///     }
-///     fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+///     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
 ///         simulation.states()[drone].position.z > 2.0
 ///     }
-///     fn reference(&self, _: &Simulation, drone: usize) -> Reference {
+///     fn reference(&self, _: SimView<'_>, drone: usize) -> Reference {
 ///         Reference::hover(Vector3::new(drone as f64, 0.0, 2.1), 0.0)
 ///     }
 /// }
@@ -114,60 +114,60 @@ pub trait Task: std::fmt::Debug {
     /// Sets the poses of the [moving markers](Self::moving_markers) at this moment, in their order; `poses` holds those of the start.
     /// It is called after [`reset`](Self::reset) and after every [`update`](Self::update), and must depend on nothing but the task and
     /// the simulation. Markers stand still during a control step, also those that drones collide with.
-    fn move_markers(&self, simulation: &Simulation, poses: &mut [MarkerPose]) {
+    fn move_markers(&self, simulation: SimView<'_>, poses: &mut [MarkerPose]) {
         let _ = (simulation, poses);
     }
 
     /// Changes the states that an episode starts from, if the task has an idea of its own; whether it did. It is called before
     /// [`reset`](Self::reset); every random draw comes from `rng`.
-    fn start(&mut self, simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
+    fn start(&mut self, simulation: SimView<'_>, rng: &mut Rng, states: &mut [DroneState]) -> bool {
         let _ = (simulation, rng, states);
         false
     }
 
     /// Starts an episode; every random draw comes from `rng`.
-    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng);
+    fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng);
 
     /// Looks at the new state after a control step.
-    fn update(&mut self, simulation: &Simulation);
+    fn update(&mut self, simulation: SimView<'_>);
 
     /// Why the episode is over for a drone, if it is (the time limit is not the task's). An episode ends with the first drone that
     /// is lost, or in `Completed` once all drones report that in the same step: one that is done goes on reporting it.
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason>;
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason>;
 
     /// A drone's share of the last control step's reward; `end` is how that step ended for it.
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64;
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64;
 
     /// Writes a drone's observation.
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]);
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]);
 
     /// Whether a drone fulfils its part of the task at this moment.
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool;
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool;
 
     /// How much of its part a drone has done, from 0 to 1.
-    fn progress(&self, simulation: &Simulation, drone: usize) -> f64 {
+    fn progress(&self, simulation: SimView<'_>, drone: usize) -> f64 {
         f64::from(u8::from(self.success(simulation, drone)))
     }
 
     /// Where the task wants a drone to be now. It may be asked for before the first [`reset`](Self::reset).
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference;
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference;
 
     /// A way that fulfils the task from the drone's present state, at whose time 0 it is, for controllers that follow trajectories; `None` where
     /// following [`reference`](Self::reference) does.
-    fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
+    fn plan(&self, simulation: SimView<'_>, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = (simulation, drone);
         None
     }
 
     /// Returns the [`plan`](Self::plan) of every drone. A task whose plans depend on each other computes them here at once.
-    fn plans(&self, simulation: &Simulation) -> Vec<Option<Box<dyn Trajectory>>> {
+    fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
         (0..simulation.num_drones()).map(|drone| self.plan(simulation, drone)).collect()
     }
 
     /// Returns points (world frame, m) that a drone comes by in an episode of so many seconds, for cameras that stand still: by
     /// default the present [`reference`](Self::reference) and points along the [`plan`](Self::plan). A task whose reference moves
     /// returns points along its path.
-    fn extent(&self, simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, simulation: SimView<'_>, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
         let _ = seconds;
         let plan = self.plan(simulation, drone);
         let planned = plan.iter().flat_map(|plan| path_points(plan.duration(), |time| plan.reference(time).position));
@@ -175,7 +175,7 @@ pub trait Task: std::fmt::Debug {
     }
 
     /// Reports further numbers by name: gates passed, formation error.
-    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = (simulation, report);
     }
 

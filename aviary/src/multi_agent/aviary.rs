@@ -99,7 +99,7 @@ impl<T: Task> ParallelAviary<T> {
     }
 
     fn infos(&self, end: impl Fn(usize) -> Option<EndReason>) -> AgentMap<AgentInfo> {
-        let (task, simulation) = (self.env.task(), self.env.simulation());
+        let (task, simulation) = (self.env.task(), self.env.simulation().view());
         self.each(|drone| AgentInfo {
             time: simulation.time(),
             success: task.success(simulation, drone),
@@ -206,7 +206,7 @@ impl<T: Task> ParallelEnv for ParallelAviary<T> {
         self.live.clear();
         self.live.extend(self.drones.iter().map(|&drone| self.possible[drone].clone()));
         if self.live.is_empty() {
-            self.env.finish(last.unwrap_or(EndReason::TimeLimit));
+            self.env.episode.finish(last.unwrap_or(EndReason::TimeLimit));
         }
         Ok(step)
     }

@@ -232,12 +232,12 @@ impl Film {
         simulation: &Simulation,
         reference: impl Fn(usize) -> Option<Reference>,
     ) -> Result<&[u8], EnvError> {
-        let obstacles = &simulation.world().obstacles;
+        let obstacles = simulation.obstacles();
         if self.obstacles != *obstacles {
             self.painter.set_obstacles(obstacles)?;
-            self.obstacles.clone_from(obstacles);
+            self.obstacles.copy_from_slice(obstacles);
         }
-        let markers = &simulation.world().markers;
+        let markers = &simulation.markers();
         if self.markers != *markers {
             self.painter.set_markers(markers)?;
             self.markers.clone_from(markers);

@@ -205,7 +205,7 @@ impl Scenario {
     /// are not those of the physics mode.
     pub fn of(simulation: &Simulation) -> Result<Self, ReplayError> {
         let wrong = |field, message: &str| Err(ReplayError::Field { field, line: None, message: message.into() });
-        let (world, states) = (simulation.world(), simulation.states());
+        let (world, states) = (&simulation.scene(), simulation.states());
         let nominal = &world.drones[0].params;
         if simulation.control_steps() > 0 {
             return wrong("initial_xyzs", "the flight is under way, expected its start");

@@ -1,10 +1,11 @@
-use super::{Equipment, Simulation, SimulationError, out_of_range};
+use std::sync::Arc;
+
+use super::{SimModel, Simulation, SimulationError, out_of_range};
 use crate::drone::DroneParams;
-use crate::engine::{Engine, EngineKind, ExplicitEngine, HybridEngine, Load, MujocoEngine};
+use crate::engine::EngineKind;
 use crate::physics::actuators::ActuatorParams;
-use crate::physics::rotor::RotorModel;
 use crate::physics::wind::WindConfig;
-use crate::physics::{Effects, Physics, Wrench};
+use crate::physics::{Effects, Physics};
 use crate::state::DroneState;
 use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, World};
 
@@ -301,39 +302,29 @@ impl SimulationBuilder {
             markers: self.markers,
             ..World::new(bodies)
         };
-        let engine = match (self.physics, self.engine.unwrap_or(self.default_engine)) {
-            (Physics::Dyn, EngineKind::Hybrid) if self.engine.is_some() => return Err(SimulationError::HybridDyn),
-            (Physics::Dyn, _) => Engine::Explicit(ExplicitEngine::new(&world)?),
-            (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&world)?),
-            (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&world)?),
-        };
-        // positions and attitudes that are out of range have been named by the scene
-        if let Some(drone) = initial.iter().position(|state| out_of_range(state).is_some()) {
-            return Err(SimulationError::State { drone });
+        if self.physics == Physics::Dyn && self.engine == Some(EngineKind::Hybrid) {
+            return Err(SimulationError::HybridDyn);
         }
-        let contacts = Vec::with_capacity(engine.mujoco_engine().max_contacts());
-        let no_load = Load { rotors: RotorModel::new(&self.drones[0]).wrench(&[0.0; 4]), external: Wrench::ZERO };
-        let mut simulation = Simulation {
-            equipment: Box::new(Equipment::new(&world, &self.actuators, world.timestep)),
+        let model = SimModel {
             world,
             physics: self.physics,
             effects: self.effects.unwrap_or_else(|| self.physics.effects()),
-            engine,
+            engine: self.engine.unwrap_or(self.default_engine),
             sim_freq,
             ctrl_freq,
-            control_steps: 0,
-            states: initial.clone(),
-            rpys: vec![nalgebra::Vector3::zeros(); count],
-            started: initial.clone(),
             initial,
-            previous: vec![DroneState::default(); count],
-            loads: vec![no_load; count],
-            downwash: vec![0.0; count],
-            contacts,
-            failed: None,
+            actuators: self.actuators,
         };
-        simulation.reset()?;
-        simulation.set_wind(self.wind, 0)?;
+        let workspace = model.workspace()?;
+        // positions and attitudes that are out of range have been named by the scene
+        if let Some(drone) = model.initial.iter().position(|state| out_of_range(state).is_some()) {
+            return Err(SimulationError::State { drone });
+        }
+        let mut data = model.data();
+        data.contacts.reserve(workspace.engine().mujoco_engine().max_contacts());
+        data.set_wind(self.wind, 0)?;
+        let mut simulation = Simulation { model: Arc::new(model), data, workspace };
+        simulation.workspace.load(&simulation.model, &simulation.data)?;
         Ok(simulation)
     }
 }

@@ -8,7 +8,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 
 /// Drones on a circle swap places with those opposite, without coming near each other (the benchmark of the paper's
 /// multi-agent figure).
@@ -86,7 +86,7 @@ impl Antipodal {
         Vector3::new(self.radius * cos, self.radius * sin, height)
     }
 
-    fn goal(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
+    fn goal(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
         let place = self.place(drone, simulation.num_drones());
         Vector3::new(-place.x, -place.y, place.z)
     }
@@ -96,7 +96,7 @@ impl Antipodal {
         self.nearest
     }
 
-    fn at_goal(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn at_goal(&self, simulation: SimView<'_>, drone: usize) -> bool {
         simulation.distance(drone, &self.goal(simulation, drone)) < Self::AT_GOAL
     }
 }
@@ -146,12 +146,12 @@ impl Task for Antipodal {
         Ok(())
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
         self.nearest = f64::INFINITY;
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
         let states = simulation.states();
         for (i, a) in states.iter().enumerate() {
@@ -161,11 +161,11 @@ impl Task for Antipodal {
         }
     }
 
-    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, _simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone)
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let here = simulation.states()[drone].position;
         let near = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
         -0.1 * simulation.distance(drone, &self.goal(simulation, drone))
@@ -174,22 +174,22 @@ impl Task for Antipodal {
             - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, goal) = (&simulation.states()[drone], self.goal(simulation, drone));
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(goal.as_slice());
         out[15..18].copy_from_slice((goal - state.position).as_slice());
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && self.nearest >= self.safety_radius && self.at_goal(simulation, drone)
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         Reference::hover(self.goal(simulation, drone), simulation.initial_states()[drone].yaw())
     }
 
-    fn measures(&self, _simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         if self.nearest.is_finite() {
             report("minimum_distance", self.nearest);
         }

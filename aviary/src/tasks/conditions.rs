@@ -5,7 +5,7 @@ use smallvec::SmallVec;
 use crate::drone::DroneParams;
 use crate::engine::Touched;
 use crate::env::{EndReason, EnvError};
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::state::DroneState;
 
 /// When a drone counts as crashed. All are on by default; each can be switched off.
@@ -96,7 +96,7 @@ pub struct CrashWatch {
 
 impl CrashWatch {
     /// Starts an episode.
-    pub fn reset(&mut self, simulation: &Simulation) {
+    pub fn reset(&mut self, simulation: SimView<'_>) {
         let clear = |drone: usize| clearance(simulation.params(drone), &simulation.states()[drone]) > CLEAR_OF_FLOOR;
         self.airborne.clear();
         self.airborne.extend((0..simulation.num_drones()).map(clear));
@@ -108,7 +108,7 @@ impl CrashWatch {
     ///
     /// # Panics
     /// Before the first [`reset`](Self::reset).
-    pub fn update(&mut self, conditions: &CrashConditions, simulation: &Simulation) {
+    pub fn update(&mut self, conditions: &CrashConditions, simulation: SimView<'_>) {
         for (drone, state) in simulation.states().iter().enumerate() {
             let mut found = None;
             let mut on_floor = false;

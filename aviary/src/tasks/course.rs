@@ -4,7 +4,7 @@ use crate::control::Reference;
 use crate::control::trajectory::{Trajectory, Waypoints};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::{EnvError, path_points};
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 
 /// Points to be passed one after the other, so many times over, and how far each drone has come.
 #[derive(Debug, Clone, Default)]
@@ -22,7 +22,7 @@ pub(super) struct Course {
 }
 
 impl Course {
-    pub(super) fn reset(&mut self, simulation: &Simulation) {
+    pub(super) fn reset(&mut self, simulation: SimView<'_>) {
         let count = simulation.num_drones();
         self.passed.clear();
         self.passed.resize(count, 0);
@@ -37,7 +37,7 @@ impl Course {
     }
 
     /// Looks at the last control step: a point is passed where the way of the drone comes within `radius` of it.
-    pub(super) fn update(&mut self, simulation: &Simulation, points: &[[f64; 3]], laps: usize, radius: f64) {
+    pub(super) fn update(&mut self, simulation: SimView<'_>, points: &[[f64; 3]], laps: usize, radius: f64) {
         for (drone, state) in simulation.states().iter().enumerate() {
             self.fresh[drone] = false;
             self.flying[drone] = self.passed[drone] < points.len() * laps;
@@ -74,7 +74,7 @@ impl Course {
     /// the others' way at its end.
     pub(super) fn plans(
         &self,
-        simulation: &Simulation,
+        simulation: SimView<'_>,
         points: &[[f64; 3]],
         laps: usize,
     ) -> Vec<Option<Box<dyn Trajectory>>> {
@@ -98,7 +98,7 @@ impl Course {
     }
 
     /// The path of a drone through the points that are left, without waiting for others.
-    fn path(&self, simulation: &Simulation, drone: usize, points: &[[f64; 3]], laps: usize) -> Option<Waypoints> {
+    fn path(&self, simulation: SimView<'_>, drone: usize, points: &[[f64; 3]], laps: usize) -> Option<Waypoints> {
         let left = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
         let left: Vec<_> = left.collect();
         if left.is_empty() {
@@ -131,7 +131,7 @@ impl Course {
     /// Returns points (world frame, m) along a drone's path.
     pub(super) fn extent(
         &self,
-        simulation: &Simulation,
+        simulation: SimView<'_>,
         drone: usize,
         points: &[[f64; 3]],
         laps: usize,
@@ -144,7 +144,7 @@ impl Course {
 
 /// Where a drone of several goes at its end, world frame, m: behind the start, where no course of this crate goes. The first drone
 /// goes the farthest, so that none comes by another.
-fn aside(simulation: &Simulation, drone: usize) -> Option<[f64; 3]> {
+fn aside(simulation: SimView<'_>, drone: usize) -> Option<[f64; 3]> {
     let count = simulation.num_drones();
     let spacing = (0..count).map(|drone| 3.0 * simulation.params(drone).collision_radius).fold(0.7, f64::max);
     (count > 1).then_some([-1.0, -0.8 - spacing * (count - drone) as f64, 1.0])

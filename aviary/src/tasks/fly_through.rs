@@ -10,7 +10,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
 
 /// A drone visits waypoints, one after the other (paper, §4.1 `FlyThroughAviary`).
@@ -125,21 +125,21 @@ impl Task for FlyThrough {
         self.waypoints.iter().enumerate().map(marker).collect()
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
         self.course.reset(simulation);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
         self.course.update(simulation, &self.waypoints, 1, self.radius);
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone).or(self.success(simulation, drone).then_some(EndReason::Completed))
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         if !self.course.was_flying(drone) {
             return -crash_penalty(end);
         }
@@ -150,38 +150,38 @@ impl Task for FlyThrough {
             - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, target) = (&simulation.states()[drone], self.target(drone));
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(target.as_slice());
         out[15..18].copy_from_slice(state.attitude.inverse_transform_vector(&(target - state.position)).as_slice());
     }
 
-    fn success(&self, _simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && self.course.passed(drone) == self.waypoints.len()
     }
 
-    fn progress(&self, _simulation: &Simulation, drone: usize) -> f64 {
+    fn progress(&self, _simulation: SimView<'_>, drone: usize) -> f64 {
         self.course.passed(drone) as f64 / self.waypoints.len() as f64
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         Reference::hover(self.target(drone), simulation.initial_states()[drone].yaw())
     }
 
-    fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
+    fn plan(&self, simulation: SimView<'_>, drone: usize) -> Option<Box<dyn Trajectory>> {
         self.plans(simulation).swap_remove(drone)
     }
 
-    fn plans(&self, simulation: &Simulation) -> Vec<Option<Box<dyn Trajectory>>> {
+    fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
         self.course.plans(simulation, &self.waypoints, 1)
     }
 
-    fn extent(&self, simulation: &Simulation, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
         self.course.extent(simulation, drone, &self.waypoints, 1)
     }
 
-    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let captured = (0..simulation.num_drones()).map(|drone| self.captured(drone));
         report("waypoints_captured", captured.sum::<usize>() as f64);
     }

@@ -8,7 +8,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults, path_points};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 
 /// Drones keep a formation whose middle goes along a closed path (paper, §4.1 `FormationAviary`).
 ///
@@ -106,7 +106,7 @@ impl Formation {
         (self.path[0].into(), Vector3::zeros())
     }
 
-    fn slot(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
+    fn slot(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
         self.middle(simulation.time()).0 + self.offset(drone, simulation.num_drones())
     }
 
@@ -167,12 +167,12 @@ impl Task for Formation {
         Ok(())
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
         self.errors = (0.0, 0.0);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
         for drone in 0..simulation.num_drones() {
             self.errors.0 += simulation.distance(drone, &self.slot(simulation, drone));
@@ -180,11 +180,11 @@ impl Task for Formation {
         }
     }
 
-    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, _simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone)
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let (states, count) = (simulation.states(), simulation.num_drones());
         let (here, place) = (states[drone].position, self.offset(drone, count));
         let others = (0..count).filter(|&other| other != drone).map(|other| {
@@ -195,29 +195,29 @@ impl Task for Formation {
         -simulation.distance(drone, &self.slot(simulation, drone)) - 0.25 * others.sum::<f64>() - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, slot) = (&simulation.states()[drone], self.slot(simulation, drone));
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(slot.as_slice());
         out[15..18].copy_from_slice((slot - state.position).as_slice());
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && simulation.control_steps() > 0 && self.mean_error() < Self::KEPT
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         let (middle, velocity) = self.middle(simulation.time());
         let place = middle + self.offset(drone, simulation.num_drones());
         Reference { velocity, ..Reference::hover(place, simulation.initial_states()[drone].yaw()) }
     }
 
-    fn extent(&self, simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, simulation: SimView<'_>, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
         let offset = self.offset(drone, simulation.num_drones());
         path_points(seconds, |time| self.middle(time).0 + offset).collect()
     }
 
-    fn measures(&self, _simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         report("mean_formation_error", self.mean_error());
     }
 

@@ -7,7 +7,7 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 
 /// One drone takes off and hovers (paper, §4.1 `HoverAviary`).
 ///
@@ -107,32 +107,32 @@ impl Task for Hover {
         Ok(())
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         let too_high = simulation.states()[drone].position.z > self.max_height;
         self.watch.end(drone).or(too_high.then_some(EndReason::OutOfBounds))
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         hover_reward(simulation, drone, &self.target(), end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         out.copy_from_slice(&simulation.state_vector(drone));
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && at_target(&simulation.states()[drone].position, &self.target())
     }
 
-    fn reference(&self, _simulation: &Simulation, _drone: usize) -> Reference {
+    fn reference(&self, _simulation: SimView<'_>, _drone: usize) -> Reference {
         Reference::hover(self.target(), 0.0)
     }
 }
@@ -149,7 +149,7 @@ pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool 
 ///
 /// # Panics
 /// If there is no drone of that index.
-pub fn hover_reward(simulation: &Simulation, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
+pub fn hover_reward(simulation: SimView<'_>, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
     let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
     -(state.position.z - target.z).abs()
         - 0.1 * (state.position - target).xy().norm()

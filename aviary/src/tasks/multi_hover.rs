@@ -9,7 +9,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 
 /// Drones on a line take off, each to a height of its own (paper, §4.1 `MultiHoverAviary`).
 ///
@@ -75,7 +75,7 @@ impl MultiHover {
         Self { name: "multi_agent", num_drones: 3, ..Self::default() }
     }
 
-    fn target(&self, simulation: &Simulation, drone: usize) -> Vector3<f64> {
+    fn target(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
         let start = simulation.initial_states()[drone].position;
         Vector3::new(start.x, start.y, self.height(drone, simulation.num_drones()))
     }
@@ -131,34 +131,34 @@ impl Task for MultiHover {
         }
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         let too_high = simulation.states()[drone].position.z > self.max_height;
         self.watch.end(drone).or(too_high.then_some(EndReason::OutOfBounds))
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         hover_reward(simulation, drone, &self.target(simulation, drone), end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[STATE_SIZE] = self.target(simulation, drone).z;
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         let target = self.target(simulation, drone);
         self.watch.end(drone).is_none() && at_target(&simulation.states()[drone].position, &target)
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         Reference::hover(self.target(simulation, drone), simulation.initial_states()[drone].yaw())
     }
 }

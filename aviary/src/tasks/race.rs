@@ -8,7 +8,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
 
 /// A drone flies two laps through six gates, as fast as it can (paper, §4.1 `RaceAviary`).
@@ -162,21 +162,21 @@ impl Task for Race {
         bars
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
         self.course.reset(simulation);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
         self.course.update(simulation, &self.gates, self.laps, self.radius);
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone).or(self.success(simulation, drone).then_some(EndReason::Completed))
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         if !self.course.was_flying(drone) {
             return -crash_penalty(end);
         }
@@ -186,7 +186,7 @@ impl Task for Race {
             - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let state = &simulation.states()[drone];
         let (next, second) = (self.gate(drone, 0), self.gate(drone, 1));
         let seen = |point: Vector3<f64>| state.attitude.inverse_transform_vector(&(point - state.position));
@@ -196,34 +196,34 @@ impl Task for Race {
         out[18..21].copy_from_slice(seen(second).as_slice());
     }
 
-    fn success(&self, _simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && self.course.passed(drone) == self.gates.len() * self.laps
     }
 
-    fn progress(&self, _simulation: &Simulation, drone: usize) -> f64 {
+    fn progress(&self, _simulation: SimView<'_>, drone: usize) -> f64 {
         self.course.passed(drone) as f64 / (self.gates.len() * self.laps) as f64
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         // after the last gate the drone may stay there
         let point = course::next(&self.gates, self.course.passed(drone), self.laps);
         let last = self.gates[self.gates.len() - 1].into();
         Reference::hover(point.unwrap_or(last), simulation.initial_states()[drone].yaw())
     }
 
-    fn plan(&self, simulation: &Simulation, drone: usize) -> Option<Box<dyn Trajectory>> {
+    fn plan(&self, simulation: SimView<'_>, drone: usize) -> Option<Box<dyn Trajectory>> {
         self.plans(simulation).swap_remove(drone)
     }
 
-    fn plans(&self, simulation: &Simulation) -> Vec<Option<Box<dyn Trajectory>>> {
+    fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
         self.course.plans(simulation, &self.gates, self.laps)
     }
 
-    fn extent(&self, simulation: &Simulation, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
         self.course.extent(simulation, drone, &self.gates, self.laps)
     }
 
-    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let passed: usize = (0..simulation.num_drones()).map(|drone| self.gates_passed(drone)).sum();
         report("gates_passed", passed as f64);
     }

@@ -8,7 +8,7 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::state::{DroneState, attitude_from_rpy};
 
 /// A drone that moves and turns at random comes to rest (the `stabilize` task of the paper's vectorised back end, §3.6).
@@ -111,7 +111,7 @@ impl Task for Stabilize {
         Ok(())
     }
 
-    fn start(&mut self, _simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
+    fn start(&mut self, _simulation: SimView<'_>, rng: &mut Rng, states: &mut [DroneState]) -> bool {
         for state in states {
             let mut within = |most: f64| most * (2.0 * rng.random::<f64>() - 1.0);
             let mut triple = |most: [f64; 3]| Vector3::from(most.map(&mut within));
@@ -122,45 +122,45 @@ impl Task for Stabilize {
         true
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
     }
 
-    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, _simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone)
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
         -state.velocity.norm() - 0.1 * state.angular_velocity.norm() - 0.05 * (rpy.x.abs() + rpy.y.abs())
             + if Self::at_rest(state) { 0.5 } else { 0.0 }
             - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         out.copy_from_slice(&simulation.state_vector(drone));
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && Self::at_rest(&simulation.states()[drone])
     }
 
-    fn extent(&self, simulation: &Simulation, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
         let start = &simulation.started_from()[drone];
         // about as far as a drone takes to come to rest
         vec![start.position, start.position + start.velocity]
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         let state = &simulation.states()[drone];
         Reference::hover(state.position, state.yaw())
     }
 
-    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let speeds = simulation.states().iter().map(|state| state.velocity.norm());
         report("speed", speeds.fold(0.0, f64::max));
         let rates = simulation.states().iter().map(|state| state.angular_velocity.norm());

@@ -9,7 +9,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults, path_points};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::state::DroneState;
 
 /// A drone follows a point that goes round in a circle (the `track` task of the paper's vectorised back end, §3.6).
@@ -107,7 +107,7 @@ impl Track {
         }
     }
 
-    fn now(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn now(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         self.target(drone, simulation.time())
     }
 }
@@ -146,7 +146,7 @@ impl Task for Track {
         Ok(())
     }
 
-    fn start(&mut self, _simulation: &Simulation, rng: &mut Rng, states: &mut [DroneState]) -> bool {
+    fn start(&mut self, _simulation: SimView<'_>, rng: &mut Rng, states: &mut [DroneState]) -> bool {
         let ways = if rng.random::<bool>() { 1.0 } else { -1.0 };
         let first = Vector3::x() * self.radius;
         (self.phase, self.way) = (TAU * rng.random::<f64>(), ways);
@@ -158,20 +158,20 @@ impl Task for Track {
         true
     }
 
-    fn reset(&mut self, simulation: &Simulation, _rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
     }
 
-    fn end(&self, simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         let lost = simulation.distance(drone, &self.now(simulation, drone).position) > self.max_distance;
         self.watch.end(drone).or(lost.then_some(EndReason::OutOfBounds))
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let (state, rpy, target) = (&simulation.states()[drone], simulation.rpy(drone), self.now(simulation, drone));
         let error = (state.position - target.position).norm();
         -error - 0.1 * (state.velocity - target.velocity).norm() - 0.05 * (rpy.x.abs() + rpy.y.abs())
@@ -179,27 +179,27 @@ impl Task for Track {
             - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let target = self.now(simulation, drone);
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice((target.position - simulation.states()[drone].position).as_slice());
         out[15..18].copy_from_slice(target.velocity.as_slice());
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         let error = simulation.distance(drone, &self.now(simulation, drone).position);
         self.watch.end(drone).is_none() && simulation.control_steps() > 0 && error < Self::TRACKED
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         self.now(simulation, drone)
     }
 
-    fn extent(&self, _simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, _simulation: SimView<'_>, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
         path_points(seconds, |time| self.target(drone, time).position).collect()
     }
 
-    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let errors =
             (0..simulation.num_drones()).map(|drone| simulation.distance(drone, &self.now(simulation, drone).position));
         report("tracking_error", errors.fold(0.0, f64::max));

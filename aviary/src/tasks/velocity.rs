@@ -9,7 +9,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
-use crate::simulation::Simulation;
+use crate::simulation::SimView;
 use crate::state::wrap_angle;
 
 /// A drone flies at a velocity and a yaw rate that are drawn anew for every episode (paper, §4.1 `VelocityAviary`).
@@ -83,7 +83,7 @@ impl Velocity {
         self.targets[drone]
     }
 
-    fn error(&self, simulation: &Simulation, drone: usize) -> f64 {
+    fn error(&self, simulation: SimView<'_>, drone: usize) -> f64 {
         (simulation.states()[drone].velocity - self.targets[drone].0).norm()
     }
 }
@@ -118,7 +118,7 @@ impl Task for Velocity {
         Ok(())
     }
 
-    fn reset(&mut self, simulation: &Simulation, rng: &mut Rng) {
+    fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
         self.watch.reset(simulation);
         self.targets.clear();
         for _ in 0..simulation.num_drones() {
@@ -128,15 +128,15 @@ impl Task for Velocity {
         }
     }
 
-    fn update(&mut self, simulation: &Simulation) {
+    fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
     }
 
-    fn end(&self, _simulation: &Simulation, drone: usize) -> Option<EndReason> {
+    fn end(&self, _simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
         self.watch.end(drone)
     }
 
-    fn reward(&self, simulation: &Simulation, drone: usize, end: Option<EndReason>) -> f64 {
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let state = &simulation.states()[drone];
         let (rpy, error) = (simulation.rpy(drone), self.error(simulation, drone));
         -error - 0.1 * (state.angular_velocity.z - self.targets[drone].1).abs() - 0.05 * (rpy.x.abs() + rpy.y.abs())
@@ -144,18 +144,18 @@ impl Task for Velocity {
             - crash_penalty(end)
     }
 
-    fn observe(&self, simulation: &Simulation, drone: usize, out: &mut [f64]) {
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, target) = out.split_at_mut(STATE_SIZE);
         state.copy_from_slice(&simulation.state_vector(drone));
         target[..3].copy_from_slice(self.targets[drone].0.as_slice());
         target[3] = self.targets[drone].1;
     }
 
-    fn success(&self, simulation: &Simulation, drone: usize) -> bool {
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none() && self.error(simulation, drone) < Self::TRACKED
     }
 
-    fn reference(&self, simulation: &Simulation, drone: usize) -> Reference {
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         let start = &simulation.initial_states()[drone];
         // before the first reset nothing has been drawn
         let (velocity, yaw_rate) = self.targets.get(drone).copied().unwrap_or_default();
@@ -167,13 +167,13 @@ impl Task for Velocity {
         }
     }
 
-    fn extent(&self, simulation: &Simulation, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
+    fn extent(&self, simulation: SimView<'_>, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
         let start = simulation.initial_states()[drone].position;
         let velocity = self.targets.get(drone).map_or_else(Vector3::zeros, |target| target.0);
         vec![start, start + velocity * seconds]
     }
 
-    fn measures(&self, simulation: &Simulation, report: &mut dyn FnMut(&'static str, f64)) {
+    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let errors = (0..simulation.num_drones()).map(|drone| self.error(simulation, drone));
         report("velocity_error", errors.fold(0.0, f64::max));
     }

@@ -1,19 +1,21 @@
 //! Many environments of one task at once, on every core.
 //!
 //! The state of all of them lies in compact arrays, eight environments beside each other, as the flight kernel wants them. Every
-//! thread has one [`Aviary`](crate::env::Aviary) with one MuJoCo simulation, into which it puts an environment where more than the kernel is needed: a
-//! contact, a reset, a picture. An environment flies to the same bits as it would alone (an [`Aviary`](crate::env::Aviary) with the same
-//! options, engine, seed and [stream](crate::env::AviaryBuilder::stream)), whatever the number of threads.
+//! worker has one workspace with one MuJoCo simulation for what the kernel cannot do: contacts, wind, images. Environment i is bit-identical
+//! to an [`Aviary`](crate::env::Aviary) with the same options, engine, seed and [stream](crate::env::AviaryBuilder::stream) alone, for any
+//! number of threads.
+//!
+//! `batch` has the public API, `pool` the threads, `worker` the stages of a control step, `shard` the environments and who works on which.
 
-mod aviary;
+mod batch;
 mod curriculum;
-mod piece;
-mod stage;
-mod threads;
+mod pool;
+mod shard;
+mod worker;
 
-pub use aviary::VecAviary;
+pub use batch::VecAviary;
 pub use curriculum::VecCurriculum;
-pub use stage::Ended;
+pub use shard::Ended;
 
 use crate::engine::Substeps;
 use crate::env::{BoxSpace, Env, EnvConfig, EnvError, ObservationSpace};

@@ -211,8 +211,8 @@ pub struct MarkerPose {
 /// let disc = Shape::Cylinder { radius: 0.2, half_height: 0.005 };
 /// let pad = Marker { name: "pad".into(), body: Obstacle::new(disc, Vector3::new(1.0, 0.0, 0.005)) };
 /// let env = Hover::builder().markers([pad]).build()?;
-/// assert_eq!(env.simulation().world().markers[0].name, "pad");
-/// assert!(env.simulation().world().obstacles.is_empty());
+/// assert_eq!(env.simulation().markers()[0].name, "pad");
+/// assert!(env.simulation().obstacles().is_empty());
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]

@@ -1,0 +1,116 @@
+use rand::SeedableRng as _;
+use smallvec::SmallVec;
+
+use super::randomization::Randomizer;
+use super::{EndReason, EnvError, Randomization, Rng, Task};
+use crate::simulation::SimView;
+
+/// What an environment has besides its simulation: the task with its memory, the random stream, what was sampled, how the episode ends.
+#[derive(Debug, Clone)]
+pub(crate) struct Episode<T> {
+    pub task: T,
+    pub rng: Rng,
+    /// Which of a seed's streams it draws from.
+    pub stream: u64,
+    /// Whether the task's options may have changed since they were validated.
+    pub task_changed: bool,
+    pub(super) randomizer: Option<Box<Randomizer>>,
+    /// The randomization from the next reset on, where it was changed.
+    pub(super) next_randomization: Option<Option<Box<Randomization>>>,
+    pub phase: Phase,
+    /// Why the episode ended.
+    pub end: Option<EndReason>,
+    /// How the last step ended for each drone.
+    pub ends: SmallVec<[Option<EndReason>; 8]>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Phase {
+    New,
+    Running,
+    Over,
+}
+
+/// Outcome of a control step for an agent of all drones.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StepOutcome {
+    pub reward: f64,
+    pub terminated: bool,
+    pub truncated: bool,
+    /// Why the episode is over, if it is.
+    pub end: Option<EndReason>,
+}
+
+impl<T> Episode<T> {
+    pub(super) fn new(task: T, stream: u64, randomizer: Option<Randomizer>, drones: usize) -> Self {
+        let mut rng = Rng::seed_from_u64(0);
+        rng.set_stream(stream);
+        Self {
+            task,
+            rng,
+            stream,
+            task_changed: false,
+            randomizer: randomizer.map(Box::new),
+            next_randomization: None,
+            phase: Phase::New,
+            end: None,
+            ends: SmallVec::from_elem(None, drones),
+        }
+    }
+
+    /// Draws from another of the seed's streams from now on.
+    pub(crate) fn set_stream(&mut self, stream: u64) {
+        self.stream = stream;
+        self.rng.set_stream(stream);
+    }
+
+    /// Returns the bytes that it takes on the heap, without the task's own.
+    pub(crate) fn bytes(&self) -> usize {
+        self.randomizer.as_ref().map_or(0, |randomizer| randomizer.bytes())
+    }
+
+    /// Returns whether something is sampled for every episode.
+    pub(crate) fn is_randomized(&self) -> bool {
+        self.randomizer.is_some() || self.next_randomization.is_some()
+    }
+
+    /// Returns an error unless a step may be made.
+    pub(crate) fn check_running(&self) -> Result<(), EnvError> {
+        match self.phase {
+            Phase::Running => Ok(()),
+            Phase::New => Err(EnvError::NeedsReset { when: "on a new environment" }),
+            Phase::Over => Err(EnvError::NeedsReset { when: "after the end of the episode" }),
+        }
+    }
+
+    /// Ends the episode.
+    pub(crate) fn finish(&mut self, end: EndReason) {
+        self.end = Some(end);
+        self.phase = Phase::Over;
+    }
+}
+
+impl<T: Task> Episode<T> {
+    /// Returns a drone's reward for the last step.
+    pub(crate) fn reward_of(&self, simulation: SimView<'_>, drone: usize) -> f64 {
+        self.task.reward(simulation, drone, self.ends[drone])
+    }
+
+    /// Returns whether all drones fulfil the task in this state.
+    pub(crate) fn is_success(&self, simulation: SimView<'_>, end: Option<EndReason>) -> bool {
+        let crashed = end.is_some_and(EndReason::is_crash);
+        !crashed && (0..self.ends.len()).all(|drone| self.task.success(simulation, drone))
+    }
+
+    /// Returns the outcome of the last control step, in an episode of so many steps at most.
+    pub(crate) fn outcome(&self, simulation: SimView<'_>, episode_steps: u64) -> StepOutcome {
+        // one crashed drone ends the episode, and so do all that have completed their part
+        let crash = self.ends.iter().flatten().copied().find(|end| end.is_crash());
+        let lost = crash.or(self.ends.iter().flatten().copied().find(|&end| end != EndReason::Completed));
+        let completed = self.ends.iter().all(|&end| end == Some(EndReason::Completed));
+        let end = lost.or(completed.then_some(EndReason::Completed));
+        let (terminated, truncated) = (end.is_some(), simulation.control_steps() >= episode_steps);
+        let reward = (0..self.ends.len()).map(|drone| self.reward_of(simulation, drone)).sum();
+        StepOutcome { reward, terminated, truncated, end: end.or(truncated.then_some(EndReason::TimeLimit)) }
+    }
+}

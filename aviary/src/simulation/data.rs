@@ -1,0 +1,478 @@
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use nalgebra::Vector3;
+use smallvec::SmallVec;
+
+use super::{SimModel, SimulationError, out_of_range};
+use crate::drone::{DroneError, DroneParams};
+use crate::engine::flight::{Airframe, Envelope, FreeBody};
+use crate::engine::{Bodies, Body, BuildError, Contact, Load};
+use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::downwash::Wake;
+use crate::physics::ground_effect::GroundEffect;
+use crate::physics::rotor::RotorModel;
+use crate::physics::wind::{WindConfig, WindField};
+use crate::physics::{Effects, Wrench};
+use crate::state::DroneState;
+use crate::world::{Marker, MarkerPose, Obstacle, World};
+
+/// Everything of one simulation that changes: states of drones, motors, wind and sensors, parameters, contacts, time.
+///
+/// A clone is a snapshot: [`step`](super::step) takes it to where it takes the original, bit-identically, in every
+/// [`Workspace`](super::Workspace) of the same [`SimModel`].
+#[derive(Debug, Clone)]
+pub struct SimData {
+    pub(super) states: Vec<DroneState>,
+    /// Roll, pitch and yaw of the same, rad.
+    pub(super) rpys: Vec<Vector3<f64>>,
+    /// What the episode started from.
+    pub(super) started: Vec<DroneState>,
+    pub(super) control_steps: u64,
+    /// One drone seldom touches more than the floor.
+    pub(super) contacts: SmallVec<[Contact; 2]>,
+    pub(super) failed: Option<SimulationError>,
+    pub(super) loads: Vec<Load>,
+    pub(super) drones: Vec<Drone>,
+    pub(super) actuators: Vec<Actuators>,
+    pub(super) wakes: Vec<Wake>,
+    pub(super) bodies: Bodies,
+    pub(super) wind: Option<WindField>,
+    /// Seed that the wind was started from.
+    pub(super) wind_seed: u64,
+    pub(super) memory: Memory,
+    /// Motor speeds commanded during the last control step, rpm.
+    pub(super) motor_speeds: Vec<[f64; 4]>,
+    /// Whether something changed on which the bodies depend.
+    pub(super) changed: bool,
+    /// In place of the model's, once they have moved.
+    obstacles: Option<Arc<[Obstacle]>>,
+    /// Equal for equal obstacles; 0 for the model's.
+    pub(super) obstacle_revision: u64,
+    /// Poses of markers that have moved, with their indices.
+    marker_poses: Vec<(usize, MarkerPose)>,
+    /// Warm start of MuJoCo's solver.
+    pub(super) warm_start: Vec<f64>,
+    /// Whether MuJoCo made the last physics step, so that there is a warm start.
+    pub(super) in_mujoco: bool,
+    /// Unique mark of a state that a workspace has left; 0 where none has.
+    pub(super) stamp: u64,
+}
+
+/// One drone's constants in the form the step wants them.
+#[derive(Debug, Clone)]
+pub(super) struct Drone {
+    pub params: DroneParams,
+    pub rotors: RotorModel,
+    pub ground: GroundEffect,
+    /// Of the motors that it was built with, rpm.
+    pub max_rpm: f64,
+    pub actuators: ActuatorParams,
+}
+
+/// States of earlier physics steps, a ring of one list after the other.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Memory {
+    pub states: Vec<DroneState>,
+    /// The oldest of them, by number of list.
+    pub oldest: usize,
+}
+
+/// Returns a number that no other call returns.
+pub(super) fn unique() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
+    NEXT.fetch_add(1, Ordering::Relaxed)
+}
+
+impl SimData {
+    pub(super) fn new(model: &SimModel) -> Self {
+        let (world, actuators) = (&model.world, &model.actuators);
+        let drone = |params: &DroneParams| Drone {
+            rotors: RotorModel::new(params),
+            ground: GroundEffect::new(params),
+            max_rpm: params.max_rpm(),
+            actuators: *actuators,
+            params: params.clone(),
+        };
+        let count = world.drones.len();
+        let no_load =
+            Load { rotors: RotorModel::new(model.nominal_params(0)).wrench(&[0.0; 4]), external: Wrench::ZERO };
+        let mut data = Self {
+            states: model.initial.clone(),
+            rpys: vec![Vector3::zeros(); count],
+            started: model.initial.clone(),
+            control_steps: 0,
+            contacts: SmallVec::new(),
+            failed: None,
+            loads: vec![no_load; count],
+            drones: world.drones.iter().map(|body| drone(&body.params)).collect(),
+            actuators: world
+                .drones
+                .iter()
+                .map(|body| Actuators::new(&body.params, actuators, world.timestep))
+                .collect(),
+            wakes: world.drones.iter().map(|body| Wake::new(&body.params)).collect(),
+            bodies: Bodies { drones: Vec::with_capacity(count), gravity: world.gravity, obstacle_drift: 0.0 },
+            wind: None,
+            wind_seed: 0,
+            memory: Memory::default(),
+            motor_speeds: vec![[0.0; 4]; count],
+            changed: true,
+            obstacles: None,
+            obstacle_revision: 0,
+            marker_poses: Vec::new(),
+            warm_start: vec![0.0; 6 * count],
+            in_mujoco: false,
+            stamp: 0,
+        };
+        data.reset(model);
+        data
+    }
+
+    /// Goes back to the initial states, time 0, no command given; slow motors turn at hover speed.
+    pub(crate) fn reset(&mut self, model: &SimModel) {
+        self.states.copy_from_slice(&model.initial);
+        self.restart();
+    }
+
+    /// Starts from these states.
+    ///
+    /// # Errors
+    /// [`SimulationError::Length`] and [`SimulationError::State`], and then nothing has changed.
+    pub(crate) fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
+        let expected = self.states.len();
+        if states.len() != expected {
+            return Err(SimulationError::Length { what: "the list of states", got: states.len(), expected });
+        }
+        let is_valid = |state: &DroneState| out_of_range(state).is_none() && state.attitude.norm_squared() > 1e-6;
+        if let Some(drone) = states.iter().position(|state| !is_valid(state)) {
+            return Err(SimulationError::State { drone });
+        }
+        self.states.copy_from_slice(states);
+        for state in &mut self.states {
+            // of single precision, say; what is a rotation already keeps its bits
+            if (state.attitude.norm_squared() - 1.0).abs() > 1e-12 {
+                state.attitude.renormalize();
+            }
+        }
+        self.restart();
+        Ok(())
+    }
+
+    fn restart(&mut self) {
+        (self.stamp, self.in_mujoco) = (0, false);
+        self.motor_speeds.fill([0.0; 4]);
+        for (actuators, (drone, load)) in self.actuators.iter_mut().zip(self.drones.iter().zip(&mut self.loads)) {
+            actuators.reset();
+            *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
+        }
+        self.memory.forget(&self.states);
+        self.started.copy_from_slice(&self.states);
+        self.contacts.clear();
+        self.control_steps = 0;
+        self.failed = None;
+        self.update_rpys();
+    }
+
+    /// Computes roll, pitch and yaw from the states.
+    pub(crate) fn update_rpys(&mut self) {
+        for (rpy, state) in self.rpys.iter_mut().zip(&self.states) {
+            *rpy = state.rpy();
+        }
+    }
+
+    /// Returns the states of all drones, in order.
+    pub fn states(&self) -> &[DroneState] {
+        &self.states
+    }
+
+    /// Returns the number of control steps since the last reset.
+    pub fn control_steps(&self) -> u64 {
+        self.control_steps
+    }
+
+    /// Returns the obstacles as they are now.
+    pub(crate) fn obstacles<'a>(&'a self, model: &'a SimModel) -> &'a [Obstacle] {
+        self.obstacles.as_deref().unwrap_or(&model.world.obstacles)
+    }
+
+    /// Returns a number that is equal for equal obstacles, 0 for those of the model.
+    pub(crate) fn obstacle_revision(&self) -> u64 {
+        self.obstacle_revision
+    }
+
+    /// Returns the markers as they are now.
+    pub(crate) fn markers(&self, model: &SimModel) -> Vec<Marker> {
+        let mut markers = model.world.markers.clone();
+        for &(index, pose) in &self.marker_poses {
+            let body = &mut markers[index].body;
+            (body.position, body.rpy) = (pose.position, pose.rpy);
+        }
+        markers
+    }
+
+    /// Moves a marker, which is drawn there from now on.
+    pub(crate) fn set_marker_pose(&mut self, index: usize, pose: MarkerPose) {
+        match self.marker_poses.iter_mut().find(|(known, _)| *known == index) {
+            Some((_, known)) => *known = pose,
+            None => self.marker_poses.push((index, pose)),
+        }
+    }
+
+    /// Replaces the obstacles by others of the same shapes in the same order, from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape,
+    /// [`SimulationError::Build`] for a number out of its range; and then nothing has changed.
+    pub(crate) fn set_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+        let old = self.obstacles(model);
+        if obstacles.len() != old.len() {
+            let (got, expected) = (obstacles.len(), old.len());
+            return Err(SimulationError::Length { what: "the list of obstacles", got, expected });
+        }
+        for (index, (new, old)) in obstacles.iter().zip(old).enumerate() {
+            if new.shape.kind() != old.shape.kind() {
+                return Err(SimulationError::Obstacle { index });
+            }
+            new.validate(&format!("obstacle {index}")).map_err(BuildError::from)?;
+        }
+        match self.obstacles.as_mut().and_then(Arc::get_mut) {
+            Some(own) => own.copy_from_slice(obstacles),
+            None => self.obstacles = Some(obstacles.into()),
+        }
+        self.obstacle_revision = unique();
+        Ok(())
+    }
+
+    /// Returns the bytes of obstacles of its own.
+    pub(super) fn own_obstacles_bytes(&self) -> usize {
+        self.obstacles.as_deref().map_or(0, size_of_val)
+    }
+
+    /// Sets how far an obstacle may move until the next control step, m.
+    pub(crate) fn set_obstacle_drift(&mut self, metres: f64) {
+        self.bodies.obstacle_drift = metres;
+    }
+
+    /// Updates what the engines derive from parameters, where parameters have changed: bodies, and how far they can come.
+    pub(crate) fn refresh(&mut self, model: &SimModel) {
+        if !std::mem::take(&mut self.changed) {
+            return;
+        }
+        let (world, effects) = (&model.world, model.effects);
+        let wakes: f64 = self.wakes.iter().map(|wake| wake.cap).sum();
+        let gravity = self.bodies.gravity;
+        let body = |(drone, motors): (&Drone, &Actuators)| {
+            let (params, inertia) = (&drone.params, drone.params.inertia_vector());
+            let free = FreeBody::new(params.mass, &inertia, gravity, world.medium);
+            let (rpm, rotors) = (motors.max_rpm(), &drone.rotors);
+            let most = [rpm; 4];
+            let mut force = rotors.wrench(&most).thrust;
+            let slowing = if effects.drag {
+                let least = params.drag_coefficients.into_iter().fold(0.0, f64::max);
+                least * 4.0 * rpm * (std::f64::consts::TAU / 60.0) / params.mass
+            } else {
+                0.0
+            };
+            if effects.ground && drone.ground.coefficient > 0.0 {
+                force += force * drone.ground.coefficient / (drone.ground.clip * drone.ground.clip);
+            }
+            if effects.downwash {
+                force += wakes;
+            }
+            if self.wind.is_some() {
+                // gusts have no bound that is worth anything
+                force = f64::INFINITY;
+            }
+            let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
+            let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
+            Body {
+                mass: params.mass,
+                inertia,
+                free,
+                envelope: Envelope::new(&free, 0.0, force / params.mass, torque, slowing),
+            }
+        };
+        self.bodies.drones.clear();
+        self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
+        for (body, drone) in self.bodies.drones.iter_mut().zip(&world.drones) {
+            // the size that it collides with is always that of the scene
+            let reach = drone.params.collision_radius.hypot(0.5 * drone.params.collision_height);
+            body.envelope = body.envelope.reaching(reach);
+        }
+    }
+
+    /// Changes the parameters of a drone's airframe. What is not one is an error, and there all the same.
+    pub(super) fn change(&mut self, drone: usize, change: impl FnOnce(&mut DroneParams)) -> Result<(), DroneError> {
+        let own = &mut self.drones[drone];
+        change(&mut own.params);
+        let params = &mut own.params;
+        // one that can no longer hover is still a body
+        let ratio = params.thrust_to_weight;
+        params.thrust_to_weight = ratio.max(1.0);
+        let sound = params.validate();
+        params.thrust_to_weight = ratio;
+        (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
+        self.wakes[drone] = Wake::new(&own.params);
+        if let Some(wind) = &mut self.wind {
+            wind.set_area(drone, own.params.drag_area());
+        }
+        self.changed = true;
+        sound
+    }
+
+    /// Changes the parameters of a drone's airframe, from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Drone`] for parameters that no body has; they are there then.
+    pub(crate) fn change_params(
+        &mut self,
+        drone: usize,
+        change: impl FnOnce(&mut DroneParams),
+    ) -> Result<(), SimulationError> {
+        self.change(drone, change).map_err(|error| SimulationError::Drone { drone, error })
+    }
+
+    /// Replaces the parameters of a drone's airframe, from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Drone`] for parameters that no body has, and then nothing has changed.
+    pub(crate) fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
+        let before = self.drones[drone].params.clone();
+        if let Err(error) = self.change(drone, |own| *own = params) {
+            // it was valid before
+            let _ = self.change(drone, |own| *own = before);
+            return Err(SimulationError::Drone { drone, error });
+        }
+        Ok(())
+    }
+
+    /// Changes how the motors of a drone answer; they start at rest.
+    ///
+    /// # Errors
+    /// [`SimulationError::Actuators`] naming a setting that is impossible.
+    pub(crate) fn set_actuators(
+        &mut self,
+        model: &SimModel,
+        drone: usize,
+        actuators: &ActuatorParams,
+    ) -> Result<(), SimulationError> {
+        actuators.validate()?;
+        self.drones[drone].actuators = *actuators;
+        // motors are those of the airframe it was built with
+        self.actuators[drone].set(model.nominal_params(drone), actuators, model.world.timestep);
+        self.changed = true;
+        Ok(())
+    }
+
+    /// Allocates for motors of this latency (s) and sensors of that one, so that later changes up to them need no memory.
+    pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
+        let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
+        let (motors, states) = (steps(motors), self.states.len() * steps(sensors));
+        self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
+        self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
+    }
+
+    /// Changes gravity (m/s², downwards), from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Gravity`] for what is not a number in range.
+    pub(crate) fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
+        if !(-World::MAX_GRAVITY..=World::MAX_GRAVITY).contains(&gravity) {
+            return Err(SimulationError::Gravity { got: gravity });
+        }
+        self.bodies.gravity = gravity;
+        self.changed = true;
+        Ok(())
+    }
+
+    /// Keeps the states of so many whole physics steps.
+    pub(crate) fn remember(&mut self, model: &SimModel, seconds: f64) {
+        let steps = (seconds.clamp(0.0, super::Simulation::MAX_MEMORY) / model.world.timestep).round() as usize;
+        self.memory.states.resize(steps * self.states.len(), DroneState::default());
+        self.memory.forget(&self.states);
+    }
+
+    /// Returns the states as they were the remembered time ago; those of the start while there was none.
+    pub(crate) fn remembered(&self) -> &[DroneState] {
+        let (count, memory) = (self.states.len(), &self.memory);
+        memory.states.get(memory.oldest * count..(memory.oldest + 1) * count).unwrap_or(&self.states)
+    }
+
+    /// Changes the wind, which starts again from this seed; `None` for still air.
+    ///
+    /// # Errors
+    /// [`SimulationError::Wind`], and then nothing has changed.
+    pub(crate) fn set_wind(&mut self, wind: Option<WindConfig>, seed: u64) -> Result<(), SimulationError> {
+        let areas = self.drones.iter().map(|drone| drone.params.drag_area());
+        if let Some(wind) = &wind {
+            wind.validate()?;
+        }
+        match (wind.filter(|wind| !wind.is_calm()), &mut self.wind) {
+            (Some(config), Some(field)) => field.set(config, areas)?,
+            (Some(config), field) => *field = Some(WindField::of_areas(config, areas)?),
+            (None, field) => *field = None,
+        }
+        self.changed = true;
+        self.reset_wind(seed);
+        Ok(())
+    }
+
+    /// Starts the wind again from a seed.
+    pub(crate) fn reset_wind(&mut self, seed: u64) {
+        self.wind_seed = seed;
+        if let Some(wind) = &mut self.wind {
+            wind.reset(seed, &self.states);
+        }
+    }
+
+    /// A drone for the flight kernel's lanes.
+    pub(crate) fn airframe(&self, drone: usize, effects: Effects) -> Airframe {
+        let Drone { params, rotors, ground, .. } = &self.drones[drone];
+        Airframe {
+            body: self.bodies.drones[drone].free,
+            rotors: *rotors,
+            ground: if effects.ground { *ground } else { GroundEffect::default() },
+            drag: if effects.drag { params.drag_coefficients.into() } else { nalgebra::Vector3::zeros() },
+            wake: if effects.downwash { self.wakes[drone] } else { Wake::default() },
+            share: self.actuators[drone].share(),
+            envelope: self.bodies.drones[drone].envelope,
+        }
+    }
+
+    /// Takes motor commands over, clipped, if all of them are numbers.
+    pub(super) fn accept(&mut self, commands: &[[f64; 4]], time: f64) -> Result<(), SimulationError> {
+        let expected = self.drones.len();
+        if commands.len() != expected {
+            return Err(SimulationError::Length { what: "the list of motor commands", got: commands.len(), expected });
+        }
+        for (drone, speeds) in commands.iter().enumerate() {
+            if let Some((motor, &got)) = speeds.iter().enumerate().find(|(_, rpm)| !rpm.is_finite()) {
+                return Err(SimulationError::Command { drone, motor, got, time });
+            }
+        }
+        for ((drone, speeds), command) in self.drones.iter().zip(&mut self.motor_speeds).zip(commands) {
+            *speeds = command.map(|rpm| rpm.clamp(0.0, drone.max_rpm));
+        }
+        Ok(())
+    }
+}
+
+impl Memory {
+    /// As if the drones had always been where they are.
+    pub fn forget(&mut self, states: &[DroneState]) {
+        self.oldest = 0;
+        for list in self.states.chunks_exact_mut(states.len()) {
+            list.copy_from_slice(states);
+        }
+    }
+
+    /// Keeps the states of a physics step.
+    pub fn note(&mut self, states: &[DroneState]) {
+        if !self.states.is_empty() {
+            let count = states.len();
+            self.states[self.oldest * count..][..count].copy_from_slice(states);
+            self.oldest = (self.oldest + 1) % (self.states.len() / count);
+        }
+    }
+}

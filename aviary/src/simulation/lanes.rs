@@ -1,0 +1,126 @@
+//! Exchange of one environment's data with the SIMD lanes of a batch.
+
+use super::{SimData, SimModel};
+use crate::engine::Load;
+use crate::engine::flight::{Airframes, Lanes};
+use crate::physics::Wrench;
+use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::wind::WindField;
+
+impl SimData {
+    /// Returns whether its drones can be advanced in lanes, without looking at them between physics steps.
+    pub(crate) fn fits_lanes(&self) -> bool {
+        self.wind.is_none() && self.memory.states.is_empty() && self.actuators.iter().all(Actuators::is_prompt)
+    }
+
+    /// Returns whether all environments may share its parameters: nothing of them changes during a flight, and motors are exact.
+    pub(crate) fn is_nominal(&self) -> bool {
+        self.fits_lanes() && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
+    }
+
+    /// Returns whether an environment with the other parameters flies as one with these.
+    pub(crate) fn has_parameters_of(&self, other: &Self) -> bool {
+        self.is_nominal()
+            && other.is_nominal()
+            && self.bodies == other.bodies
+            && self.obstacle_revision == other.obstacle_revision
+            && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params)
+    }
+
+    /// Returns whether some rotors are slow.
+    pub(crate) fn has_lag(&self) -> bool {
+        self.actuators.iter().any(|motors| motors.share() < 1.0)
+    }
+
+    /// Sets what is commanded to a drone (rpm), clipped, and returns the speeds that its rotors go to.
+    #[inline]
+    pub(crate) fn command(&mut self, drone: usize, command: &[f64; 4]) -> [f64; 4] {
+        let speeds = command.map(|rpm| rpm.clamp(0.0, self.drones[drone].max_rpm));
+        self.motor_speeds[drone] = speeds;
+        self.actuators[drone].target(&speeds)
+    }
+
+    /// Takes over an environment that has flown in a lane, after so many control steps: states, motor speeds, loads. Commands of an
+    /// environment with exact motors are the speeds that its rotors go to; those of others are here already.
+    #[inline]
+    pub(crate) fn read_lane(&mut self, lanes: &[Lanes], lane: usize, control_steps: u64, exact_motors: bool) {
+        (self.control_steps, self.stamp, self.in_mujoco) = (control_steps, 0, false);
+        self.contacts.clear();
+        self.failed = None;
+        for (drone, lanes) in lanes.iter().enumerate() {
+            self.states[drone] = lanes.state(lane);
+            self.rpys[drone] = lanes.rpy(lane);
+            if exact_motors {
+                self.motor_speeds[drone] = lanes.target(lane);
+            }
+            self.actuators[drone].set_rpm(&lanes.rpm(lane));
+            let (rotors, force_world) = lanes.push(lane);
+            self.loads[drone] = Load { rotors, external: Wrench { force_world, ..Wrench::ZERO } };
+        }
+    }
+
+    /// Takes over the warm start of MuJoCo's solver with which an environment was left.
+    pub(crate) fn resume_mujoco(&mut self, warm_start: &[f64]) {
+        self.warm_start.copy_from_slice(warm_start);
+        self.in_mujoco = true;
+    }
+
+    /// Returns the warm start of MuJoCo's solver, where there is one.
+    pub(crate) fn warm_start(&self) -> Option<&[f64]> {
+        self.in_mujoco.then_some(&self.warm_start[..])
+    }
+
+    /// Writes states, motor speeds and loads to a lane.
+    pub(crate) fn write_lane(&self, lanes: &mut [Lanes], lane: usize) {
+        for (drone, lanes) in lanes.iter_mut().enumerate() {
+            let actuators = &self.actuators[drone];
+            lanes.set(lane, &self.states[drone], actuators.rpm(), &actuators.target(&self.motor_speeds[drone]));
+            let load = &self.loads[drone];
+            lanes.set_push(lane, &load.rotors, &load.external.force_world);
+        }
+    }
+
+    /// Writes parameters to a lane.
+    pub(crate) fn write_lane_params(&self, model: &SimModel, frames: &mut [Airframes], lane: usize) {
+        for (drone, frames) in frames.iter_mut().enumerate() {
+            frames.set(lane, &self.airframe(drone, model.effects));
+        }
+    }
+
+    /// Returns whether a drone has room for so many physics steps among the obstacles, whatever its motors do.
+    pub(crate) fn is_clear_of_obstacles(
+        &self,
+        model: &SimModel,
+        lanes: &[Lanes],
+        lane: usize,
+        caches: &mut [crate::engine::Lookout],
+    ) -> bool {
+        let (dt, substeps, obstacles) = (model.world.timestep, model.substeps(), self.obstacles(model));
+        let drift = self.bodies.obstacle_drift;
+        lanes.iter().zip(caches).zip(&self.bodies.drones).all(|((lanes, cache), body)| {
+            let state = lanes.state(lane);
+            let room = body.envelope.radius(dt, substeps, &state);
+            cache.has_room(obstacles, &state.position, room + drift)
+        })
+    }
+
+    /// Returns the bytes that it takes.
+    pub(crate) fn bytes(&self) -> usize {
+        let texts: usize =
+            self.drones.iter().map(|drone| drone.params.name.len() + drone.params.provenance.len()).sum();
+        size_of::<Self>()
+            + texts
+            + 2 * size_of_val(&self.states[..])
+            + size_of_val(&self.rpys[..])
+            + size_of_val(&self.loads[..])
+            + size_of_val(&self.warm_start[..])
+            + size_of_val(&self.drones[..])
+            + size_of_val(&self.actuators[..])
+            + size_of_val(&self.wakes[..])
+            + size_of_val(&self.bodies.drones[..])
+            + self.wind.as_ref().map_or(0, WindField::bytes)
+            + size_of_val(&self.memory.states[..])
+            + size_of_val(&self.motor_speeds[..])
+            + self.own_obstacles_bytes()
+    }
+}

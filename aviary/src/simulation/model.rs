@@ -1,0 +1,118 @@
+use nalgebra::Vector3;
+
+use super::{SimData, Workspace};
+use crate::drone::DroneParams;
+use crate::engine::{BuildError, Engine, EngineKind, ExplicitEngine, HybridEngine, MujocoEngine, clearance};
+use crate::physics::actuators::ActuatorParams;
+use crate::physics::{Effects, Physics};
+use crate::state::DroneState;
+use crate::world::{Obstacle, World};
+
+/// Everything of a simulation that does not change: scene, nominal airframes, effects, rates, initial states.
+///
+/// All environments of a batch share one. What changes is in [`SimData`]; [`step`](super::step) advances it.
+#[derive(Debug)]
+pub struct SimModel {
+    pub(super) world: World,
+    pub(super) physics: Physics,
+    pub(super) effects: Effects,
+    pub(super) engine: EngineKind,
+    pub(super) sim_freq: u32,
+    pub(super) ctrl_freq: u32,
+    pub(super) initial: Vec<DroneState>,
+    pub(super) actuators: ActuatorParams,
+}
+
+impl SimModel {
+    /// Returns the scene as it was built. Obstacles and markers that have moved since are in [`SimData`].
+    pub fn world(&self) -> &World {
+        &self.world
+    }
+
+    /// Returns the physics mode.
+    pub fn physics(&self) -> Physics {
+        self.physics
+    }
+
+    /// Returns the aerodynamic effects.
+    pub fn effects(&self) -> Effects {
+        self.effects
+    }
+
+    /// Returns the physics rate, Hz.
+    pub fn sim_freq(&self) -> u32 {
+        self.sim_freq
+    }
+
+    /// Returns the control rate, Hz.
+    pub fn ctrl_freq(&self) -> u32 {
+        self.ctrl_freq
+    }
+
+    /// Returns the length of a control step, s.
+    pub fn control_period(&self) -> f64 {
+        1.0 / f64::from(self.ctrl_freq)
+    }
+
+    /// Returns the number of physics steps in a control step.
+    pub fn substeps(&self) -> u32 {
+        self.sim_freq / self.ctrl_freq
+    }
+
+    /// Returns the states that a reset goes back to.
+    pub fn initial_states(&self) -> &[DroneState] {
+        &self.initial
+    }
+
+    /// Returns the number of drones.
+    pub fn num_drones(&self) -> usize {
+        self.initial.len()
+    }
+
+    /// Returns the parameters of an airframe before randomization.
+    pub(crate) fn nominal_params(&self, drone: usize) -> &DroneParams {
+        &self.world.drones[drone].params
+    }
+
+    /// Returns the data of a simulation at its initial states, in still air.
+    pub fn data(&self) -> SimData {
+        SimData::new(self)
+    }
+
+    /// Compiles the scene into the scratch memory of one thread.
+    ///
+    /// # Errors
+    /// [`BuildError`] with what the scene or MuJoCo objects to.
+    pub fn workspace(&self) -> Result<Workspace, BuildError> {
+        let engine = match (self.physics, self.engine) {
+            (Physics::Dyn, _) => Engine::Explicit(ExplicitEngine::new(&self.world)?),
+            (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&self.world)?),
+            (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&self.world)?),
+        };
+        Ok(Workspace::new(self, engine))
+    }
+
+    /// Returns whether drones in these states are neither in the floor nor in each other nor in one of the obstacles.
+    pub(crate) fn has_room(&self, states: &[DroneState], obstacles: &[Obstacle]) -> bool {
+        let size = |drone: usize| {
+            let params = &self.world.drones[drone].params;
+            (params.collision_radius, params.collision_height)
+        };
+        let reach = |drone: usize| {
+            let (radius, height) = size(drone);
+            radius.hypot(0.5 * height)
+        };
+        states.iter().enumerate().all(|(drone, state)| {
+            let (radius, height) = size(drone);
+            let apart = |other: usize| (state.position - states[other].position).norm() > reach(drone) + reach(other);
+            let off = |obstacle: &Obstacle| obstacle.distance(&state.position) > reach(drone);
+            clearance(radius, height, state) >= 0.0 && (0..drone).all(apart) && obstacles.iter().all(off)
+        })
+    }
+}
+
+/// Returns the distance of a point (world frame, m) from the surface of the nearest obstacle, m; negative inside one, infinite where there
+/// is none.
+pub(super) fn obstacle_distance(obstacles: &[Obstacle], point: &Vector3<f64>) -> f64 {
+    obstacles.iter().map(|obstacle| obstacle.distance(point)).fold(f64::INFINITY, f64::min)
+}

@@ -1,0 +1,308 @@
+//! The environments of a batch, and the slices of them that a worker has.
+
+use super::{Autoreset, OnFault};
+use crate::action::ActionDecoder;
+use crate::engine::Lookout;
+use crate::engine::flight::{Airframes, Flow, LANES, Lanes};
+use crate::env::{Aviary, EndReason, EnvParts, Episode, Phase, Task};
+use crate::simulation::{SimData, Simulation};
+
+/// An episode that has ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ended {
+    /// Why.
+    pub reason: EndReason,
+    /// Whether the task was fulfilled at its end.
+    pub success: bool,
+    /// Its length in control steps.
+    pub steps: u64,
+    /// Sum of its rewards.
+    pub reward: f64,
+}
+
+/// What is the same for all environments of a batch.
+#[derive(Debug, Clone)]
+pub(super) struct BatchModel {
+    pub drones: usize,
+    pub action_size: usize,
+    pub observation_size: usize,
+    pub autoreset: Autoreset,
+    pub on_fault: OnFault,
+    /// How lanes fly; `None` where nothing flies in lanes.
+    pub flow: Option<Flow>,
+    pub downwash: bool,
+    /// Physics steps of a control step.
+    pub substeps: u32,
+    /// Parameters of all environments, one per drone, where they are the same.
+    pub frames: Vec<Airframes>,
+    /// Numbers of an environment's images: bytes of RGBA, and pixels of depth and of segmentation.
+    pub images: [usize; 3],
+}
+
+/// One environment of a batch, besides its states in the lanes.
+#[derive(Debug)]
+pub(super) struct EnvSlot<T> {
+    pub episode: Episode<T>,
+    /// Data of its own, where environments differ in parameters; otherwise the lanes hold all that it has.
+    pub data: Option<Box<SimData>>,
+    /// Decoders of its own, where they have a memory.
+    pub decoders: Vec<ActionDecoder>,
+    pub control_steps: u64,
+    /// Whether it has ever begun an episode.
+    pub begun: bool,
+    /// True if its last attempt to start an episode failed.
+    pub start_failed: bool,
+    /// Sum of the episode's rewards so far.
+    pub reward: f64,
+    pub ended: Option<Ended>,
+    /// Whether MuJoCo made its last physics step, so that there is a warm start of its solver to be kept.
+    pub in_mujoco: bool,
+    /// Whether it can be flown in a lane, when nothing is near.
+    pub fits_lanes: bool,
+}
+
+impl<T> EnvSlot<T> {
+    /// Returns whether its next step begins an episode by itself: the last one has ended, or was cut off by a change of the task.
+    pub fn awaits_episode(&self) -> bool {
+        match self.episode.phase {
+            Phase::Running => false,
+            Phase::Over => true,
+            Phase::New => self.begun,
+        }
+    }
+}
+
+impl<T: Task> EnvSlot<T> {
+    /// Returns everything that an episode needs: the environment's own, and a thread's workspaces. `shared` holds the data of an
+    /// environment that has none of its own.
+    pub fn parts<'a>(&'a mut self, env: &'a mut Aviary<T>, shared: Option<&'a mut SimData>) -> EnvParts<'a, T> {
+        let Aviary { model, simulation, decoders, workspace, .. } = env;
+        let Simulation { model: sim_model, data, workspace: sim_workspace } = simulation;
+        EnvParts {
+            model,
+            sim_model,
+            data: match (&mut self.data, shared) {
+                (Some(own), _) => own,
+                (None, Some(shared)) => shared,
+                (None, None) => data,
+            },
+            episode: &mut self.episode,
+            decoders: if self.decoders.is_empty() { decoders } else { &mut self.decoders },
+            workspace,
+            sim_workspace,
+        }
+    }
+}
+
+/// The environments of a batch.
+#[derive(Debug)]
+pub(super) struct Environments<T> {
+    pub slots: Vec<EnvSlot<T>>,
+    pub lanes: Vec<Lanes>,
+    /// Parameters of every environment's drones, where they differ; otherwise empty.
+    pub frames: Vec<Airframes>,
+    pub warm_starts: Vec<f64>,
+    pub clearances: Vec<Lookout>,
+    /// Last observations of the episodes that ended in the last step.
+    pub finals: Vec<f32>,
+}
+
+impl<T> Environments<T> {
+    /// Returns all of them as one shard, without buffers.
+    pub fn shard(&mut self) -> Shard<'_, T> {
+        Shard {
+            first: 0,
+            mask: &[],
+            envs: EnvSlices {
+                slots: &mut self.slots,
+                lanes: &mut self.lanes,
+                frames: &mut self.frames,
+                warm_starts: &mut self.warm_starts,
+                clearances: &mut self.clearances,
+            },
+            step: StepSlices { finals: &mut self.finals, ..StepSlices::default() },
+            images: ImageSlices::default(),
+        }
+    }
+
+    /// Returns the bytes that each environment takes.
+    pub fn bytes_per_env(&self) -> usize {
+        let Self { slots, lanes, frames, warm_starts, clearances, finals } = self;
+        let sum = size_of_val(&slots[..])
+            + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
+            + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
+            + slots.iter().map(|slot| size_of_val(&slot.decoders[..])).sum::<usize>()
+            + size_of_val(&lanes[..])
+            + size_of_val(&frames[..])
+            + size_of_val(&warm_starts[..])
+            + size_of_val(&clearances[..])
+            + size_of_val(&finals[..]);
+        sum.div_ceil(slots.len())
+    }
+}
+
+/// Neighbouring environments, whole blocks of lanes, with their rows of all buffers; a buffer that is not used is empty.
+pub(super) struct Shard<'a, T> {
+    /// Index of the first one.
+    pub first: usize,
+    pub mask: &'a [bool],
+    pub envs: EnvSlices<'a, T>,
+    pub step: StepSlices<'a>,
+    pub images: ImageSlices<'a>,
+}
+
+/// What environments keep from step to step.
+pub(super) struct EnvSlices<'a, T> {
+    pub slots: &'a mut [EnvSlot<T>],
+    pub lanes: &'a mut [Lanes],
+    pub frames: &'a mut [Airframes],
+    pub warm_starts: &'a mut [f64],
+    pub clearances: &'a mut [Lookout],
+}
+
+/// The buffers of a step.
+#[derive(Default)]
+pub(super) struct StepSlices<'a> {
+    pub actions: &'a [f32],
+    pub observations: &'a mut [f32],
+    pub finals: &'a mut [f32],
+    pub rewards: &'a mut [f32],
+    pub terminated: &'a mut [bool],
+    pub truncated: &'a mut [bool],
+}
+
+/// The buffers of images.
+#[derive(Default)]
+pub(super) struct ImageSlices<'a> {
+    pub rgb: &'a mut [u8],
+    pub depth: &'a mut [f32],
+    pub segmentation: &'a mut [[i32; 2]],
+}
+
+/// Splits a slice in front of an entry; both parts of an empty one are empty.
+fn cut<X>(slice: &mut [X], at: usize) -> (&mut [X], &mut [X]) {
+    let at = at.min(slice.len());
+    slice.split_at_mut(at)
+}
+
+impl<'a, T> Shard<'a, T> {
+    /// Returns the number of blocks of lanes.
+    pub fn blocks(&self) -> usize {
+        self.envs.slots.len().div_ceil(LANES)
+    }
+
+    /// Splits so many blocks off the front.
+    pub fn split(self, model: &BatchModel, blocks: usize) -> (Self, Self) {
+        let count = (blocks * LANES).min(self.envs.slots.len());
+        let (mask, mask2) = self.mask.split_at(count.min(self.mask.len()));
+        let (envs, envs2) = self.envs.split(model, count);
+        let (step, step2) = self.step.split(model, count);
+        let (images, images2) = self.images.split(model, count);
+        (
+            Self { first: self.first, mask, envs, step, images },
+            Self { first: self.first + count, mask: mask2, envs: envs2, step: step2, images: images2 },
+        )
+    }
+}
+
+impl<'a, T> EnvSlices<'a, T> {
+    fn split(self, model: &BatchModel, count: usize) -> (Self, Self) {
+        let (drones, blocks) = (model.drones, count.div_ceil(LANES));
+        let (slots, slots2) = cut(self.slots, count);
+        let (lanes, lanes2) = cut(self.lanes, blocks * drones);
+        let (frames, frames2) = cut(self.frames, blocks * drones);
+        let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
+        let (clearances, clearances2) = cut(self.clearances, drones * count);
+        (
+            Self { slots, lanes, frames, warm_starts, clearances },
+            Self { slots: slots2, lanes: lanes2, frames: frames2, warm_starts: warm_starts2, clearances: clearances2 },
+        )
+    }
+
+    /// Writes data back to the lanes after MuJoCo, a reset or a change: states, motors, solver, and parameters where they differ
+    /// between environments.
+    pub fn store(&mut self, model: &BatchModel, index: usize, data: Option<&SimData>, parameters: Option<&Simulation>) {
+        let (drones, lane) = (model.drones, index % LANES);
+        let slot = &mut self.slots[index];
+        let Some(data) = slot.data.as_deref().or(data) else { return };
+        let lanes = &mut self.lanes[index / LANES * drones..][..drones];
+        data.write_lane(lanes, lane);
+        slot.control_steps = data.control_steps();
+        let warm_start = data.warm_start();
+        slot.in_mujoco = warm_start.is_some();
+        if let Some(warm_start) = warm_start {
+            self.warm_starts[6 * drones * index..][..6 * drones].copy_from_slice(warm_start);
+        }
+        if let Some(simulation) = parameters {
+            slot.fits_lanes = model.flow.is_some() && data.fits_lanes();
+            if !self.frames.is_empty() {
+                let frames = &mut self.frames[index / LANES * drones..][..drones];
+                data.write_lane_params(&simulation.model, frames, lane);
+            }
+        }
+    }
+
+    /// Reads the data of an environment that has none of its own from its lanes.
+    pub fn load(&self, model: &BatchModel, index: usize, data: &mut SimData) {
+        let (drones, slot) = (model.drones, &self.slots[index]);
+        data.read_lane(&self.lanes[index / LANES * drones..][..drones], index % LANES, slot.control_steps, true);
+        data.update_rpys();
+        if slot.in_mujoco {
+            data.resume_mujoco(&self.warm_starts[6 * drones * index..][..6 * drones]);
+        }
+    }
+
+    /// Forgets how far obstacles were from an environment's drones.
+    pub fn forget_clearances(&mut self, model: &BatchModel, index: usize) {
+        let clearances = self.clearances.iter_mut().skip(model.drones * index).take(model.drones);
+        clearances.for_each(|clearance| *clearance = Lookout::default());
+    }
+}
+
+impl<'a> StepSlices<'a> {
+    fn split(self, model: &BatchModel, count: usize) -> (Self, Self) {
+        let (actions, actions2) = self.actions.split_at((model.action_size * count).min(self.actions.len()));
+        let (observations, observations2) = cut(self.observations, model.observation_size * count);
+        let (finals, finals2) = cut(self.finals, model.observation_size * count);
+        let (rewards, rewards2) = cut(self.rewards, count);
+        let (terminated, terminated2) = cut(self.terminated, count);
+        let (truncated, truncated2) = cut(self.truncated, count);
+        (
+            Self { actions, observations, finals, rewards, terminated, truncated },
+            Self {
+                actions: actions2,
+                observations: observations2,
+                finals: finals2,
+                rewards: rewards2,
+                terminated: terminated2,
+                truncated: truncated2,
+            },
+        )
+    }
+
+    /// Writes what a step brought to an environment besides its observation.
+    pub fn write(&mut self, index: usize, reward: f64, terminated: bool, truncated: bool) {
+        (self.rewards[index], self.terminated[index], self.truncated[index]) = (reward as f32, terminated, truncated);
+    }
+
+    /// Returns an environment's row of the observations.
+    pub fn observation(&mut self, model: &BatchModel, index: usize) -> &mut [f32] {
+        &mut self.observations[model.observation_size * index..][..model.observation_size]
+    }
+
+    /// Keeps an environment's observation as the last one of its episode.
+    pub fn keep_final(&mut self, model: &BatchModel, index: usize) {
+        let row = model.observation_size * index..model.observation_size * (index + 1);
+        self.finals[row.clone()].copy_from_slice(&self.observations[row]);
+    }
+}
+
+impl<'a> ImageSlices<'a> {
+    fn split(self, model: &BatchModel, count: usize) -> (Self, Self) {
+        let [rgb, depth, segmentation] = model.images;
+        let (rgb, rgb2) = cut(self.rgb, rgb * count);
+        let (depth, depth2) = cut(self.depth, depth * count);
+        let (segmentation, segmentation2) = cut(self.segmentation, segmentation * count);
+        (Self { rgb, depth, segmentation }, Self { rgb: rgb2, depth: depth2, segmentation: segmentation2 })
+    }
+}

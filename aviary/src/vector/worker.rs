@@ -1,0 +1,451 @@
+//! One thread's work: the four stages of a control step (decode, advance, evaluate, reset) over a shard, block by block of lanes.
+
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
+
+use super::Autoreset;
+use super::shard::{BatchModel, Ended, Shard};
+use crate::engine::flight::{Airframes, Flow, LANES, Lanes, advance, compute_downwash, compute_rpys, find_clear};
+use crate::env::{Aviary, EndReason, EnvError, Phase, Task};
+use crate::simulation::SimData;
+use crate::state::DroneState;
+use crate::wrappers::Guard;
+
+/// Environments that failed.
+pub(super) type Faults = Mutex<Vec<(usize, EnvError)>>;
+
+/// What an environment does in a step.
+#[derive(Debug, Clone, PartialEq)]
+enum Turn {
+    /// Fly in its lane, or in MuJoCo.
+    Fly,
+    /// Begin an episode.
+    Begin,
+    Fail(EnvError),
+}
+
+/// One thread's memory.
+#[derive(Debug)]
+pub(super) struct Worker<T> {
+    /// Workspaces, and the data of the environment at hand where it has none of its own.
+    pub env: Aviary<T>,
+    /// Data of the environments of a block that fly in MuJoCo, where they have none of their own.
+    grounded: Vec<SimData>,
+    /// Motor speeds of every environment and drone of a block, rpm.
+    commands: Vec<[f64; 4]>,
+    /// Lanes as they were, of environments that do not fly in lanes.
+    saved: Vec<(DroneState, [f64; 4], [f64; 4])>,
+    turns: Vec<Turn>,
+    /// States of the environment whose action is decoded.
+    states: Vec<DroneState>,
+    /// Makes velocities safe, where that is asked for.
+    pub guard: Option<Guard>,
+    /// An action on its way through the guard.
+    action: Vec<f64>,
+    /// Physics steps flown in lanes.
+    pub flown: u64,
+}
+
+impl<T: Task> Worker<T> {
+    pub fn new(env: Aviary<T>) -> Self {
+        let drones = env.simulation.num_drones();
+        Self {
+            grounded: vec![env.simulation.snapshot(); LANES],
+            commands: vec![[0.0; 4]; LANES * drones],
+            saved: vec![(DroneState::default(), [0.0; 4], [0.0; 4]); LANES * drones],
+            turns: vec![Turn::Fly; LANES],
+            states: vec![DroneState::default(); drones],
+            guard: None,
+            action: Vec::new(),
+            flown: 0,
+            env,
+        }
+    }
+
+    /// Makes a control step of every environment of a shard.
+    pub fn step(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, faults: &Faults) {
+        let count = shard.envs.slots.len();
+        for block in 0..count.div_ceil(LANES) {
+            let range = block * LANES..count.min((block + 1) * LANES);
+            let fits_lanes = self.decode(model, shard, range.clone());
+            let clear = self.find_clear(model, shard, range.clone(), &fits_lanes);
+            self.advance(model, shard, range.clone(), &clear);
+            for index in range {
+                self.evaluate(model, shard, index, clear[index % LANES], faults);
+            }
+        }
+    }
+
+    /// Stage 1: decides what every environment of a block does, and decodes the actions of those that fly to motor speeds. Returns which
+    /// of them may fly in lanes.
+    fn decode(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, range: Range<usize>) -> [bool; LANES] {
+        let mut fits_lanes = [false; LANES];
+        for index in range {
+            let lane = index % LANES;
+            let action = &shard.step.actions[model.action_size * index..][..model.action_size];
+            self.turns[lane] = self.turn(model, shard, index, action);
+            shard.envs.slots[index].ended = None;
+            if self.turns[lane] != Turn::Fly {
+                continue;
+            }
+            if let Err(error) = self.decode_one(model, shard, index, action) {
+                self.turns[lane] = Turn::Fail(error);
+                continue;
+            }
+            let (commands, slot) = (&self.env.workspace.commands, &mut shard.envs.slots[index]);
+            // commands that are not numbers are reported by the scalar path
+            fits_lanes[lane] = slot.fits_lanes && commands.iter().flatten().all(|rpm| rpm.is_finite());
+            let data = slot.data.as_deref_mut().unwrap_or(&mut self.env.simulation.data);
+            let lanes = &mut shard.envs.lanes[index / LANES * model.drones..][..model.drones];
+            for (drone, (command, lanes)) in commands.iter().zip(lanes).enumerate() {
+                self.commands[lane * model.drones + drone] = *command;
+                lanes.set_target(lane, &data.command(drone, command));
+            }
+        }
+        fits_lanes
+    }
+
+    fn turn(&self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> Turn {
+        let slot = &shard.envs.slots[index];
+        match slot.episode.phase {
+            Phase::Running => match action.iter().position(|x| !x.is_finite()) {
+                None => Turn::Fly,
+                Some(entry) => {
+                    let time = slot.control_steps as f64 * self.env.simulation.control_period();
+                    Turn::Fail(EnvError::Action { index: entry, got: f64::from(action[entry]), time })
+                }
+            },
+            _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => Turn::Begin,
+            Phase::Over => Turn::Fail(EnvError::NeedsReset { when: "after the end of the episode" }),
+            Phase::New => Turn::Fail(EnvError::NeedsReset { when: "on a new environment" }),
+        }
+    }
+
+    /// Decodes an environment's action to the workspace's commands.
+    fn decode_one(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        index: usize,
+        action: &[f32],
+    ) -> Result<(), EnvError> {
+        let Aviary { model: env_model, simulation, workspace, decoders, .. } = &mut self.env;
+        let (numbers, dt) = (action.iter().map(|&x| f64::from(x)), simulation.model.control_period());
+        let slot = &mut shard.envs.slots[index];
+        if slot.decoders.is_empty() {
+            // decoders without a memory do not look at states
+            workspace.decode(env_model, dt, &self.states, decoders, numbers);
+            return Ok(());
+        }
+        let lanes = &shard.envs.lanes[index / LANES * model.drones..][..model.drones];
+        for (state, lanes) in self.states.iter_mut().zip(lanes) {
+            *state = lanes.state(index % LANES);
+        }
+        if let Some(guard) = &mut self.guard {
+            self.action.clear();
+            self.action.extend(numbers);
+            let safe = guard.make_safe(&self.states, &env_model.action_space, &mut self.action);
+            workspace.decode(env_model, dt, &self.states, &mut slot.decoders, self.action.iter().copied());
+            safe.map(|_| ())
+        } else {
+            workspace.decode(env_model, dt, &self.states, &mut slot.decoders, numbers);
+            Ok(())
+        }
+    }
+
+    /// Returns which environments of a block can touch nothing during the control step, so that they fly in lanes.
+    fn find_clear(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        range: Range<usize>,
+        fits_lanes: &[bool; LANES],
+    ) -> [bool; LANES] {
+        let Some(flow) = model.flow.as_ref().filter(|_| fits_lanes.contains(&true)) else { return [false; LANES] };
+        let drones = model.drones;
+        let (lanes, frames) = lanes_and_frames(model, shard, range.start);
+        let mut clear = find_clear(flow.width, lanes, frames, flow.dt, model.substeps);
+        clear.iter_mut().zip(fits_lanes).for_each(|(clear, fits)| *clear &= fits);
+        if shard.envs.clearances.is_empty() {
+            return clear;
+        }
+        let simulation = &self.env.simulation;
+        for index in range {
+            if !clear[index % LANES] {
+                continue;
+            }
+            let lanes = &shard.envs.lanes[index / LANES * drones..][..drones];
+            let data = shard.envs.slots[index].data.as_deref().unwrap_or(&simulation.data);
+            let clearances = &mut shard.envs.clearances[drones * index..][..drones];
+            clear[index % LANES] = data.is_clear_of_obstacles(&simulation.model, lanes, index % LANES, clearances);
+        }
+        clear
+    }
+
+    /// Stage 2: advances the physics of a block, of all clear environments at once, of the others in MuJoCo.
+    fn advance(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, range: Range<usize>, clear: &[bool; LANES]) {
+        if let Some(flow) = model.flow.as_ref().filter(|_| clear.contains(&true)) {
+            self.advance_lanes(model, flow, shard, range.clone(), clear);
+        }
+        for index in range.filter(|index| !clear[index % LANES]) {
+            let lane = index % LANES;
+            if self.turns[lane] != Turn::Fly {
+                continue;
+            }
+            let shared = &mut self.grounded[lane];
+            if shard.envs.slots[index].data.is_none() {
+                shard.envs.load(model, index, shared);
+            }
+            let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
+            parts.workspace.commands.copy_from_slice(&self.commands[lane * model.drones..][..model.drones]);
+            if let Err(error) = parts.advance() {
+                self.turns[lane] = Turn::Fail(error);
+            }
+            shard.envs.store(model, index, Some(shared), None);
+        }
+    }
+
+    /// Flies the clear environments of a block.
+    fn advance_lanes(
+        &mut self,
+        model: &BatchModel,
+        flow: &Flow,
+        shard: &mut Shard<'_, T>,
+        range: Range<usize>,
+        clear: &[bool; LANES],
+    ) {
+        let drones = model.drones;
+        let flying = clear.iter().filter(|clear| **clear).count();
+        let block = range.start / LANES;
+        let (lanes, frames) = lanes_and_frames(model, shard, block * LANES);
+        // all lanes fly; those that should not are put back
+        let grounded = range.map(|index| index % LANES).filter(|&lane| !clear[lane]);
+        for lane in grounded.clone() {
+            for (drone, lanes) in lanes.iter().enumerate() {
+                self.saved[lane * drones + drone] = (lanes.state(lane), lanes.rpm(lane), lanes.target(lane));
+            }
+        }
+        if model.downwash {
+            for _ in 0..model.substeps {
+                compute_downwash(flow.width, lanes, frames);
+                for (lanes, frames) in lanes.iter_mut().zip(frames) {
+                    advance(flow, lanes, frames, 1);
+                }
+            }
+        } else {
+            for (lanes, frames) in lanes.iter_mut().zip(frames) {
+                advance(flow, lanes, frames, model.substeps);
+            }
+        }
+        for lane in grounded {
+            for (drone, lanes) in lanes.iter_mut().enumerate() {
+                let (state, rpm, target) = &self.saved[lane * drones + drone];
+                lanes.set(lane, state, rpm, target);
+            }
+        }
+        for lanes in lanes {
+            compute_rpys(flow.width, lanes);
+        }
+        self.flown += u64::from(model.substeps) * flying as u64;
+    }
+
+    /// Stage 3: lets the task look at the step of an environment, and writes reward, end and observation.
+    fn evaluate(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool, faults: &Faults) {
+        let lane = index % LANES;
+        match std::mem::replace(&mut self.turns[lane], Turn::Fly) {
+            Turn::Fly => {
+                let grounded = self.read(model, shard, index, clear);
+                let shared = grounded.then(|| &mut self.grounded[lane]);
+                let slot = &mut shard.envs.slots[index];
+                let mut parts = slot.parts(&mut self.env, shared);
+                if let Err(error) = parts.update_task() {
+                    return self.fail(model, shard, index, grounded, error, faults);
+                }
+                let outcome = parts.outcome();
+                let end = outcome.end.map(|end| (end, parts.episode.is_success(parts.view(), Some(end))));
+                let moved = parts.workspace.moving.has_solid();
+                slot.reward += outcome.reward;
+                shard.step.write(index, outcome.reward, outcome.terminated, outcome.truncated);
+                if moved {
+                    // what was near is elsewhere now
+                    shard.envs.forget_clearances(model, index);
+                }
+                match end {
+                    Some((reason, success)) => self.end(model, shard, index, grounded, reason, success, faults),
+                    None => self.observe(model, shard, index, grounded, faults),
+                }
+            }
+            Turn::Begin => {
+                shard.step.write(index, 0.0, false, false);
+                // with a reset in the same step, this step has ignored its action because the start in the step before failed
+                let late = model.autoreset == Autoreset::SameStep && shard.envs.slots[index].start_failed;
+                self.reset(model, shard, index, None, faults);
+                if late || shard.envs.slots[index].start_failed {
+                    self.end_without_start(model, shard, index);
+                }
+            }
+            Turn::Fail(error) => {
+                let grounded = shard.envs.slots[index].data.is_none();
+                if grounded {
+                    shard.envs.load(model, index, &mut self.grounded[lane]);
+                }
+                self.fail(model, shard, index, grounded, error, faults);
+            }
+        }
+    }
+
+    /// Reads an environment that has just flown in its lane to where the task looks. Returns whether it is, from a step in MuJoCo, in the
+    /// data of its lane.
+    fn read(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool) -> bool {
+        let slot = &mut shard.envs.slots[index];
+        if !clear {
+            return slot.data.is_none();
+        }
+        slot.control_steps += 1;
+        slot.in_mujoco = false;
+        let lanes = &shard.envs.lanes[index / LANES * model.drones..][..model.drones];
+        match slot.data.as_deref_mut() {
+            Some(own) => own.read_lane(lanes, index % LANES, slot.control_steps, false),
+            None => self.env.simulation.data.read_lane(lanes, index % LANES, slot.control_steps, true),
+        }
+        false
+    }
+
+    /// Ends an episode.
+    #[expect(clippy::too_many_arguments, reason = "an environment at hand and what its last step brought")]
+    fn end(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        index: usize,
+        grounded: bool,
+        reason: EndReason,
+        success: bool,
+        faults: &Faults,
+    ) {
+        let slot = &mut shard.envs.slots[index];
+        slot.ended = Some(Ended { reason, success, steps: slot.control_steps, reward: slot.reward });
+        slot.episode.finish(reason);
+        self.observe(model, shard, index, grounded, faults);
+        if model.autoreset == Autoreset::SameStep {
+            shard.step.keep_final(model, index);
+            self.reset(model, shard, index, None, faults);
+        }
+    }
+
+    /// Reports an episode that could not start, as a fault after zero steps.
+    fn end_without_start(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize) {
+        shard.step.truncated[index] = true;
+        let ended = Ended { reason: EndReason::Fault, success: false, steps: 0, reward: 0.0 };
+        shard.envs.slots[index].ended = Some(ended);
+        if model.autoreset == Autoreset::SameStep {
+            shard.step.keep_final(model, index);
+        }
+    }
+
+    /// Writes an environment's observation.
+    fn observe(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, grounded: bool, faults: &Faults) {
+        let shared = grounded.then(|| &mut self.grounded[index % LANES]);
+        let mut parts = shard.envs.slots[index].parts(&mut self.env, shared);
+        let observed = parts.observe_numbers();
+        parts.workspace.write_row(parts.model, shard.step.observation(model, index));
+        if let Err(error) = observed {
+            note(faults, shard.first + index, error);
+        }
+    }
+
+    /// Ends the episode of an environment that has failed, if it was in one.
+    fn fail(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        index: usize,
+        grounded: bool,
+        error: EnvError,
+        faults: &Faults,
+    ) {
+        note(faults, shard.first + index, error);
+        // what had ended already is not cut off once more
+        let slot = &shard.envs.slots[index];
+        let running = slot.begun && slot.episode.end.is_none() && slot.episode.phase != Phase::New;
+        shard.step.write(index, 0.0, false, running);
+        if running {
+            self.end(model, shard, index, grounded, EndReason::Fault, false, faults);
+        }
+    }
+
+    /// Stage 4: begins an episode of an environment, and writes its first observation.
+    pub fn reset(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        index: usize,
+        seed: Option<u64>,
+        faults: &Faults,
+    ) {
+        shard.envs.forget_clearances(model, index);
+        let slot = &mut shard.envs.slots[index];
+        (slot.reward, slot.begun) = (0.0, true);
+        let started = slot.parts(&mut self.env, None).begin(seed);
+        slot.start_failed = started.is_err();
+        match started {
+            Ok(()) => self.observe(model, shard, index, false, faults),
+            Err(error) => {
+                slot.episode.phase = Phase::New;
+                note(faults, shard.first + index, error);
+            }
+        }
+        let simulation = &mut self.env.simulation;
+        match &mut shard.envs.slots[index].data {
+            Some(own) => own.refresh(&simulation.model),
+            None => simulation.data.refresh(&simulation.model),
+        }
+        shard.envs.store(model, index, Some(&simulation.data), Some(simulation));
+    }
+
+    /// Begins episodes where the mask says so.
+    pub fn reset_where(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, seed: Option<u64>, faults: &Faults) {
+        for index in 0..shard.envs.slots.len() {
+            if shard.mask[index] {
+                shard.envs.slots[index].ended = None;
+                self.reset(model, shard, index, seed, faults);
+            }
+        }
+    }
+
+    /// Renders what the cameras of every environment see.
+    pub fn render(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, faults: &Faults) {
+        let [rgb, depth, segmentation] = model.images;
+        for index in 0..shard.envs.slots.len() {
+            let shared = &mut self.grounded[index % LANES];
+            if shard.envs.slots[index].data.is_none() {
+                shard.envs.load(model, index, shared);
+            }
+            let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
+            if let Err(error) = parts.observe_images() {
+                note(faults, shard.first + index, error);
+                continue;
+            }
+            let seen = &parts.workspace.observation;
+            shard.images.rgb[rgb * index..][..rgb].copy_from_slice(&seen.rgb);
+            shard.images.depth[depth * index..][..depth].copy_from_slice(&seen.depth);
+            let objects = &mut shard.images.segmentation[segmentation * index..][..segmentation];
+            objects.copy_from_slice(&seen.segmentation);
+        }
+    }
+}
+
+fn note(faults: &Faults, environment: usize, error: EnvError) {
+    faults.lock().unwrap_or_else(PoisonError::into_inner).push((environment, error));
+}
+
+/// Returns the lanes of a block that begins with an environment, and the parameters that its drones have.
+fn lanes_and_frames<'a, T>(
+    model: &'a BatchModel,
+    shard: &'a mut Shard<'_, T>,
+    start: usize,
+) -> (&'a mut [Lanes], &'a [Airframes]) {
+    let range = start / LANES * model.drones..(start / LANES + 1) * model.drones;
+    let frames = if shard.envs.frames.is_empty() { &model.frames[..] } else { &shard.envs.frames[range.clone()] };
+    (&mut shard.envs.lanes[range], frames)
+}
