@@ -10,18 +10,10 @@ use mujoco_drones_gym::record::Recorded;
 
 /// Flies an episode and gives the time that it took, s.
 fn episode(env: &mut impl Env) -> f64 {
-    let mut pid = PidControl::new(&DroneModel::Cf2x.params());
-    let mut action = [0.0; 4];
+    let mut pid = ControllerPolicy::new(ControllerKind::Pid, env);
     let start = Instant::now();
-    env.reset(Some(1)).expect("a start");
-    loop {
-        let speeds = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-        env.action_of_motor_speeds(&[speeds], &mut action).expect("an action");
-        let step = env.step(&action).expect("a step");
-        if step.terminated || step.truncated {
-            return start.elapsed().as_secs_f64();
-        }
-    }
+    fly_episode(env, &mut pid, Some(1)).expect("an episode");
+    start.elapsed().as_secs_f64()
 }
 
 #[allow(clippy::print_stdout)]

@@ -3,7 +3,7 @@
 //! `cargo run --release --example antipodal -- [DIRECTORY] [SECONDS]` writes six top-down snapshots side by side,
 //! `antipodal.png` (by default to `out/antipodal`, the last one after 7.5 s), with safety rings and goals.
 
-use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
+use mujoco_drones_gym::control::CollisionCone;
 use mujoco_drones_gym::mujoco::Quality;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
@@ -22,10 +22,12 @@ fn main() -> anyhow::Result<()> {
     std::fs::create_dir_all(&directory)?;
 
     let task = Antipodal::builder().action_type(ActionType::Vel).controller(ControllerKind::Geometric);
-    let mut env = SafetyWrapper::new(task.build()?, CollisionCone::new(0.36))?;
-    env.reset(Some(1))?;
+    let env = SafetyWrapper::new(task.build()?, CollisionCone::new(0.36))?;
+    // velocities towards the goals, a little to the right of them: somebody has to give way first
+    let pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
+    let mut rollout = Rollout::start(env, pilot, Some(1))?;
     // without shadows and reflections: twelve drones with rings are enough to look at
-    let mut painter = Painter::new(env.simulation().world(), Quality::PRETTY, Effects::default())?;
+    let mut painter = Painter::new(rollout.env().simulation().world(), Quality::PRETTY, Effects::default())?;
     painter.set_stage([0.0, 0.0, 1.0], 1.3);
     let (tile, sheet) = (ImageSize { width: SIDE, height: SIDE }, ImageSize { width: 3 * SIDE, height: 2 * SIDE });
     let (mut rgb, mut picture) = (vec![0; 3 * tile.pixels()], vec![0; 3 * sheet.pixels()]);
@@ -33,19 +35,11 @@ fn main() -> anyhow::Result<()> {
         let wave = |shift: f32| 0.55 + 0.45 * (std::f32::consts::TAU * (drone as f32 / 12.0 + shift)).cos();
         [wave(0.0), wave(0.33), wave(0.66), 1.0]
     };
-    let mut action = vec![0.0; 48];
     for shot in 0..6 {
-        while env.simulation().time() < seconds * shot as f64 / 5.0 {
-            for drone in 0..12 {
-                // to the goal at 1 m/s, a little to its right while it is far: somebody has to give way first
-                let way = env.reference(drone).position - env.simulation().states()[drone].position;
-                let aside = 0.25 * (way.xy().norm() - 0.3).clamp(0.0, 1.0);
-                let way = Vector3::new(way.x + aside * way.y, way.y - aside * way.x, way.z);
-                let velocity = way * 1.5 / (1.5 * way.norm()).max(1.0);
-                action[4 * drone..][..3].copy_from_slice(velocity.as_slice());
-            }
-            env.step(&action)?;
+        while rollout.env().simulation().time() < seconds * shot as f64 / 5.0 {
+            rollout.step()?;
         }
+        let env = rollout.env();
         painter.update(env.simulation().states())?;
         for drone in 0..12 {
             let (here, goal) = (env.simulation().states()[drone].position, env.reference(drone).position);
@@ -63,7 +57,7 @@ fn main() -> anyhow::Result<()> {
     let path = directory.join("antipodal.png");
     std::fs::write(&path, png_rgb(sheet, &picture)?)?;
     println!("{}", path.display());
-    println!("success: {}", env.info().success);
-    println!("minimum distance: {:.3} m (safety radius 0.3 m)", env.inner().task().minimum_distance());
+    println!("success: {}", rollout.summary().success);
+    println!("minimum distance: {:.3} m (safety radius 0.3 m)", rollout.env().inner().task().minimum_distance());
     Ok(())
 }

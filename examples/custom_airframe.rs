@@ -3,7 +3,6 @@
 //! `cargo run --release --example custom_airframe -- [DIRECTORY] [SECONDS]` writes `courier.toml`, which `aviary fly --drone` takes,
 //! `courier.png` and `flight.svg` (by default to `out/custom_airframe`, 8 s).
 
-use mujoco_drones_gym::control::ControllerKind;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
 use mujoco_drones_gym::record::picture::png_rgb;
@@ -42,16 +41,11 @@ fn main() -> anyhow::Result<()> {
     println!("hovers at {:.0} rpm of {:.0}", courier.hover_rpm(), courier.max_rpm());
     let mut env = Hover::builder().drone(courier).physics(Physics::MjcGndDragDw).episode_seconds(seconds).build()?;
     // controllers scale their gains with the inertia
-    let mut controller = ControllerKind::Dsl.build(env.simulation().params(0));
-    let (mut flight, mut action) = (Flight::default(), [0.0; 4]);
-    env.reset(Some(1))?;
-    flight.note(&env);
-    while env.info().end.is_none() {
-        let rpm = controller.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-        env.action_of_motor_speeds(&[rpm], &mut action)?;
-        env.step(&action)?;
-        flight.note(&env);
-    }
+    let mut pilot = ControllerPolicy::new(ControllerKind::Dsl, &env);
+    let mut flight = Flight::default();
+    let mut rollout = Rollout::start(&mut env, &mut pilot, Some(1))?;
+    flight.note(rollout.env());
+    rollout.finish(|env| flight.note(env))?;
     let size = ImageSize { width: 640, height: 480 };
     let mut rgb = vec![0; 3 * size.pixels()];
     env.render(View::Track, size, &mut rgb)?;

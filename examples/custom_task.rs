@@ -1,6 +1,5 @@
 //! A task of one's own, all of it; `check_env` tries the environment. `cargo run --release --example custom_task`
 
-use mujoco_drones_gym::control::ControllerKind;
 use mujoco_drones_gym::env::{AviaryBuilder, BoxSpace, EndReason, TaskDefaults, check_env};
 use mujoco_drones_gym::observation::{STATE_SIZE, state_vector};
 use mujoco_drones_gym::prelude::*;
@@ -66,14 +65,7 @@ impl Task for Land {
 fn main() -> anyhow::Result<()> {
     let mut env = AviaryBuilder::new(Land::default()).build()?;
     println!("checked: {:?}", check_env(&mut env)?);
-    let mut controller = ControllerKind::Dsl.build(&DroneModel::Cf2x.params());
-    let mut action = [0.0; 4];
-    env.reset(Some(1))?;
-    while env.info().end.is_none() {
-        let rpm = controller.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-        env.action_of_motor_speeds(&[rpm], &mut action)?;
-        env.step(&action)?;
-    }
-    println!("flown: {:?}", env.info());
+    let mut pilot = ControllerPolicy::new(ControllerKind::Dsl, &env);
+    println!("flown: {:?}", fly_episode(&mut env, &mut pilot, Some(1))?);
     Ok(())
 }

@@ -3,7 +3,6 @@
 //! `cargo run --release --example formation -- [DIRECTORY] [SECONDS] [DRONES]` writes `formation.png`, `flight.svg` and `path.svg`
 //! (by default to `out/formation`, 30 s, three drones).
 
-use mujoco_drones_gym::control::ControllerKind;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
 use mujoco_drones_gym::record::picture::png_rgb;
@@ -19,29 +18,18 @@ fn main() -> anyhow::Result<()> {
     std::fs::create_dir_all(&directory)?;
 
     let mut env = Formation::builder().num_drones(drones).episode_seconds(seconds).build()?;
-    env.reset(Some(1))?;
-    let dt = env.simulation().control_period();
-    let mut controllers: Vec<_> =
-        (0..drones).map(|drone| ControllerKind::Geometric.build(env.simulation().params(drone))).collect();
+    let mut pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
     let mut flight = Flight::default();
-    let (mut action, mut speeds) = (vec![0.0; 4 * drones], vec![[0.0; 4]; drones]);
     let mut worst = 0.0_f64;
-    loop {
-        flight.note(&env);
-        if env.info().end.is_some() {
-            break;
-        }
-        for (drone, controller) in controllers.iter_mut().enumerate() {
-            let state = &env.simulation().states()[drone];
-            speeds[drone] = controller.control(dt, state, &env.reference(drone)).rpm;
-        }
-        env.action_of_motor_speeds(&speeds, &mut action)?;
-        env.step(&action)?;
+    let mut rollout = Rollout::start(&mut env, &mut pilot, Some(1))?;
+    flight.note(rollout.env());
+    rollout.finish(|env| {
+        flight.note(env);
         // the first seconds are for getting there
         if env.info().time > 5.0 {
             worst = worst.max(env.info().position_error);
         }
-    }
+    })?;
     let size = ImageSize { width: 800, height: 600 };
     let mut rgb = vec![0; 3 * size.pixels()];
     let mut painter = Painter::for_people(env.simulation().world())?;

@@ -16,25 +16,22 @@ fn main() -> anyhow::Result<()> {
     let seconds: f64 = arguments.next().map_or(Ok(10.0), |text| text.parse())?;
 
     let mut env = Hover::builder().episode_seconds(seconds).build()?;
-    let mut pid = PidControl::new(env.simulation().params(0));
-    env.reset(Some(1))?;
+    let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
+    let mut rollout = Rollout::start(&mut env, &mut pilot, Some(1))?;
     let mut recorder = Recorder::create(&directory, 1)?;
     let size = ImageSize { width: 320, height: 240 };
-    let mut film = Film::new(&env, View::Track, size, Overlays::default())?;
+    let mut film = Film::new(rollout.env(), View::Track, size, Overlays::default())?;
     let mut gif =
         GifAnimation::new(std::fs::File::create(directory.join("hover.gif"))?, size, film.seconds_per_frame())?;
-    let mut action = [0.0; 4];
     loop {
-        recorder.record(&env)?;
-        if let Some(rgb) = film.look(&env)? {
+        recorder.record(rollout.env())?;
+        if let Some(rgb) = film.look(rollout.env())? {
             gif.frame(rgb)?;
         }
-        if env.info().end.is_some() {
+        if rollout.is_over() {
             break;
         }
-        let rpm = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-        env.action_of_motor_speeds(&[rpm], &mut action)?;
-        env.step(&action)?;
+        rollout.step()?;
     }
     gif.finish()?;
 

@@ -26,19 +26,15 @@ fn main() -> anyhow::Result<()> {
         "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",
         "draw", "mass", "thrust", "lag (ms)", "latency", "wind (m/s)", "end", "at the end"
     );
+    let mut pilot = ControllerPolicy::new(ControllerKind::Dsl, &env);
     for draw in 0..5 {
-        let mut controller = mujoco_drones_gym::control::DslPidControl::new(&DroneModel::Cf2x.params());
-        env.reset(Some(draw))?;
-        let (mut action, mut z, mut y, mut trail) = ([0.0; 4], vec![], vec![], vec![]);
-        while env.info().end.is_none() {
-            let state = env.simulation().states()[0];
-            let rpm = controller.control(1.0 / 48.0, &state, &env.reference(0)).rpm;
-            env.action_of_motor_speeds(&[rpm], &mut action)?;
-            env.step(&action)?;
-            trail.push(state.position);
-            z.push((env.info().time, state.position.z));
-            y.push((env.info().time, state.position.y));
-        }
+        let (mut z, mut y, mut trail) = (vec![], vec![], vec![]);
+        Rollout::start(&mut env, &mut pilot, Some(draw))?.finish(|env| {
+            let position = env.simulation().states()[0].position;
+            trail.push(position);
+            z.push((env.info().time, position.z));
+            y.push((env.info().time, position.y));
+        })?;
         let name = format!("draw {draw}");
         heights.push(Series { name: name.clone(), points: z });
         aside.push(Series { name, points: y });

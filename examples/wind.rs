@@ -23,23 +23,17 @@ fn main() -> anyhow::Result<()> {
     let config = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(seconds).wind(wind);
     let params = DroneModel::Cf2x.params();
     let integral = Bandwidths { integral: 0.1, ..Bandwidths::default() };
-    let mut controllers: [(&str, Box<dyn Controller>); 2] = [
-        ("the paper's PID", Box::new(PidControl::new(&params))),
-        ("SE(3) with an integral", Box::new(GeometricControl::with_bandwidths(&params, integral))),
-    ];
+    let pid = ControllerPolicy::with_controllers([PidControl::new(&params)]);
+    let geometric = ControllerPolicy::with_controllers([GeometricControl::with_bandwidths(&params, integral)]);
     let size = ImageSize { width: 800, height: 600 };
     let (mut lines, mut picture) = (vec![], vec![0; 3 * size.pixels()]);
-    for (name, controller) in &mut controllers {
+    for (name, pilot) in [("the paper's PID", pid), ("SE(3) with an integral", geometric)] {
         let mut env = config.clone().build()?;
-        env.reset(Some(2))?;
-        let (mut action, mut trail, mut points) = ([0.0; 4], vec![], vec![]);
-        while env.info().end.is_none() {
-            let rpm = controller.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-            env.action_of_motor_speeds(&[rpm], &mut action)?;
-            env.step(&action)?;
+        let (mut trail, mut points) = (vec![], vec![]);
+        Rollout::start(&mut env, pilot, Some(2))?.finish(|env| {
             trail.push(env.simulation().states()[0].position);
             points.push((env.info().time, env.simulation().states()[0].position.y));
-        }
+        })?;
         let half = points.len() / 2;
         let drift = points[half..].iter().map(|(_, y)| y).sum::<f64>() / (points.len() - half) as f64;
         println!("{name}: {:.1} cm downwind on average over the second half", 100.0 * drift);

@@ -6,16 +6,10 @@
 //! use mujoco_drones_gym::prelude::*;
 //!
 //! let mut env = Hover::builder().drone(DroneModel::Cf2x).build()?;
-//! let mut pid = PidControl::new(&DroneModel::Cf2x.params());
-//! env.reset(Some(1))?;
-//! let mut action = [0.0; 4];
-//! while env.info().end.is_none() {
-//!     let output = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0));
-//!     env.action_of_motor_speeds(&[output.rpm], &mut action)?;
-//!     env.step(&action)?;
-//! }
-//! assert!(env.info().success);
-//! # Ok::<(), EnvError>(())
+//! let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
+//! let summary = fly_episode(&mut env, &mut pilot, Some(1))?;
+//! assert!(summary.success);
+//! # Ok::<(), RolloutError>(())
 //! ```
 
 pub use aviary::*;

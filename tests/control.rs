@@ -7,6 +7,7 @@ use mujoco_drones_gym::control::trajectory::{Curve, Heading, Plane, Steps, Traje
 use mujoco_drones_gym::control::{Bandwidths, ControllerKind, GeometricControl};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::rollout::from_fn;
 use mujoco_drones_gym::state::{attitude_from_rpy, wrap_angle};
 use nalgebra::Vector3;
 use proptest::prelude::*;
@@ -274,14 +275,12 @@ fn hovers(action_type: ActionType, controller: ControllerKind, agent: impl Fn(&[
             .initial_positions([[0.3, -0.2, 0.2]])
             .build()
             .unwrap();
-        let mut observation = env.reset(Some(3)).unwrap().vector.clone();
-        while env.info().end.is_none() {
-            let action = agent(&observation);
-            assert!(env.action_space().contains(&action), "{action_type}: {action:?}");
-            observation.copy_from_slice(&env.step(&action).unwrap().observation.vector);
-        }
-        let info = env.info();
-        assert!(info.success, "{model} through {action_type} with {controller}: {info:?}");
+        let mut policy = from_fn(|env, action| {
+            action.copy_from_slice(&agent(&env.observation().vector));
+            assert!(env.action_space().contains(action), "{action_type}: {action:?}");
+        });
+        let summary = fly_episode(&mut env, &mut policy, Some(3)).unwrap();
+        assert!(summary.success, "{model} through {action_type} with {controller}: {summary:?}");
     }
 }
 
@@ -343,12 +342,11 @@ fn raw_motor_speeds_and_normalized_ones_are_the_same_flight() {
 #[test]
 fn one_command_for_all_motors_holds_a_height() {
     let mut env = Hover::builder().action_type(ActionType::OneDRpm).build().unwrap();
-    let mut observation = env.reset(None).unwrap().vector.clone();
-    while env.info().end.is_none() {
-        let action = 1.2 * (1.0 - observation[2]) - 0.7 * observation[8];
-        observation.copy_from_slice(&env.step(&[action.clamp(-1.0, 1.0)]).unwrap().observation.vector);
-    }
-    assert!(env.info().success);
+    let mut policy = from_fn(|env, action| {
+        let seen = &env.observation().vector;
+        action[0] = (1.2 * (1.0 - seen[2]) - 0.7 * seen[8]).clamp(-1.0, 1.0);
+    });
+    assert!(fly_episode(&mut env, &mut policy, None).unwrap().success);
 }
 
 /// A velocity is one of the heading frame: forward is where the nose points, whatever the roll and pitch.

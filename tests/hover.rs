@@ -9,23 +9,17 @@ use nalgebra::Vector3;
 
 /// Flies hover with the paper's PID and gives the heights and the largest distance from the axis.
 fn pid_flight(env: &mut Aviary<Hover>) -> (Vec<f64>, f64) {
-    let mut pid = PidControl::new(env.simulation().params(0));
-    let dt = env.simulation().control_period();
+    let mut pid = ControllerPolicy::new(ControllerKind::Pid, env);
     let (mut heights, mut sideways) = (Vec::new(), 0.0_f64);
-    let mut action = [0.0; 4];
-    env.reset(Some(1)).unwrap();
-    loop {
-        let rpm = pid.control(dt, &env.simulation().states()[0], &env.reference(0)).rpm;
-        env.action_of_motor_speeds(&[rpm], &mut action).unwrap();
-        let step = env.step(&action).unwrap();
-        let over = step.terminated || step.truncated;
-        let position = env.simulation().states()[0].position;
-        heights.push(position.z);
-        sideways = sideways.max(position.xy().norm());
-        if over {
-            return (heights, sideways);
-        }
-    }
+    let mut rollout = Rollout::start(env, &mut pid, Some(1)).unwrap();
+    rollout
+        .finish(|env| {
+            let position = env.simulation().states()[0].position;
+            heights.push(position.z);
+            sideways = sideways.max(position.xy().norm());
+        })
+        .unwrap();
+    (heights, sideways)
 }
 
 #[test]

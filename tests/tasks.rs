@@ -15,23 +15,8 @@ use nalgebra::Vector3;
 
 /// Flies a task to its end with a controller, and gives its reward.
 fn fly(env: &mut dyn Env, kind: ControllerKind, seed: u64) -> f64 {
-    env.reset(Some(seed)).unwrap();
-    let drones = env.simulation().num_drones();
-    let mut controllers: Vec<_> = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
-    let plans = env.plans();
-    let (dt, mut action, mut sum) = (env.simulation().control_period(), vec![0.0; env.action_space().size()], 0.0);
-    while env.info().end.is_none() {
-        let speeds: Vec<_> = (0..drones)
-            .map(|drone| {
-                let time = env.simulation().time();
-                let reference = plans[drone].as_ref().map_or_else(|| env.reference(drone), |way| way.reference(time));
-                controllers[drone].control(dt, &env.simulation().states()[drone], &reference).rpm
-            })
-            .collect();
-        env.action_of_motor_speeds(&speeds, &mut action).unwrap();
-        sum += env.step(&action).unwrap().reward;
-    }
-    sum
+    let mut pilot = ControllerPolicy::new(kind, env);
+    fly_episode(env, &mut pilot, Some(seed)).unwrap().reward
 }
 
 /// Rows of single precision are of their space where an angle is at its bound: π in single precision is larger than π. Every task,
@@ -287,25 +272,10 @@ fn twelve_drones_swap_places_behind_the_filter_with_and_without_downwash() {
             .build()
             .unwrap();
         let mut env = SafetyWrapper::new(env, CollisionCone::new(0.36)).unwrap();
-        env.reset(Some(1)).unwrap();
-        let mut action = vec![0.0; 48];
-        while env.info().end.is_none() {
-            for drone in 0..12 {
-                let state = &env.simulation().states()[drone];
-                let way = env.reference(drone).position - state.position;
-                // a little to the right of the goal, or nobody gives way first
-                let aside = 0.25 * (way.xy().norm() - 0.3).clamp(0.0, 1.0);
-                let along = Vector3::new(way.x + aside * way.y, way.y - aside * way.x, 0.0);
-                let (sin, cos) = state.yaw().sin_cos();
-                let share = 1.5 / (1.5 * along.norm()).max(1.0);
-                action[4 * drone] = share * (cos * along.x + sin * along.y);
-                action[4 * drone + 1] = share * (cos * along.y - sin * along.x);
-                action[4 * drone + 2] = (2.0 * way.z).clamp(-1.0, 1.0);
-            }
-            env.step(&action).unwrap();
-        }
+        let mut pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
+        let summary = fly_episode(&mut env, &mut pilot, Some(1)).unwrap();
         let nearest = env.inner().task().minimum_distance();
-        assert!(env.info().success && nearest > 0.3, "{physics}: {nearest} {:?}", env.info());
+        assert!(summary.success && nearest > 0.3, "{physics}: {nearest} {summary:?}");
         assert!(env.interventions() > 10);
     }
     let rpm = Antipodal::builder().build().unwrap();

@@ -281,27 +281,26 @@ fn setting_the_wind_and_wrapping_in_it_are_the_same_and_every_task_keeps_its_con
 /// The paper's figure: combined wind, steady 0.9 m/s along +y. Its PID drifts; a controller with an integral stays.
 #[test]
 fn an_integral_holds_a_hover_in_the_papers_wind_and_the_papers_pid_is_off_by_centimetres() {
-    let fly = |controller: &mut dyn Controller| {
+    let fly = |mut pilot: ControllerPolicy| {
         let wind = WindConfig::new(WindModel::Combined);
         let mut env =
             Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(20.0).wind(wind).build().unwrap();
-        env.reset(Some(2)).unwrap();
-        let (mut action, mut offset) = ([0.0; 4], Vector3::zeros());
-        while env.info().end.is_none() {
-            let rpm = controller.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-            env.action_of_motor_speeds(&[rpm], &mut action).unwrap();
-            env.step(&action).unwrap();
-            if env.info().time > 10.0 {
-                offset += (env.simulation().states()[0].position - Vector3::z()) / 480.0;
-            }
-        }
+        let mut offset = Vector3::zeros();
+        let mut rollout = Rollout::start(&mut env, &mut pilot, Some(2)).unwrap();
+        rollout
+            .finish(|env| {
+                if env.info().time > 10.0 {
+                    offset += (env.simulation().states()[0].position - Vector3::z()) / 480.0;
+                }
+            })
+            .unwrap();
         assert!(!env.info().crashed());
         offset
     };
     let params = DroneModel::Cf2x.params();
-    let pid = fly(&mut PidControl::new(&params));
-    let held =
-        fly(&mut GeometricControl::with_bandwidths(&params, Bandwidths { integral: 0.1, ..Bandwidths::default() }));
+    let pid = fly(ControllerPolicy::with_controllers([PidControl::new(&params)]));
+    let integral = Bandwidths { integral: 0.1, ..Bandwidths::default() };
+    let held = fly(ControllerPolicy::with_controllers([GeometricControl::with_bandwidths(&params, integral)]));
     assert!(pid.y > 0.03, "downwind: {pid}");
     assert!(held.norm() < 0.01 && held.norm() < 0.2 * pid.norm(), "{held} beside {pid}");
 }
