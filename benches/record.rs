@@ -9,7 +9,7 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Recorded;
 
 /// Flies an episode and gives the time that it took, s.
-fn episode(env: &mut impl Env) -> f64 {
+fn episode(env: &mut impl DroneEnv) -> f64 {
     let mut pid = ControllerPolicy::new(ControllerKind::Pid, env);
     let start = Instant::now();
     fly_episode(env, &mut pid, Some(1)).expect("an episode");

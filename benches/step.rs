@@ -108,7 +108,7 @@ fn ratios() {
         let config = EnvConfig::default().num_drones(count).initial_positions((0..count).map(place));
         let config = config.episode_seconds(1e6);
         // high up, where nothing is left to hit and no height is too great
-        let env: Result<Box<dyn Env + Send>, EnvError> = match name {
+        let env: Result<Box<dyn DroneEnv + Send>, EnvError> = match name {
             "hover" => {
                 config.with_task(Hover::default()).task(|t| t.max_height = 1e9).build().map(|e| Box::new(e) as _)
             }

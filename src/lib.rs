@@ -30,7 +30,8 @@ pub mod prelude {
     pub use aviary::drone::{DroneModel, DroneParams};
     pub use aviary::engine::EngineKind;
     pub use aviary::env::{
-        Aviary, AviaryBuilder, BoxSpace, EndReason, Env, EnvConfig, EnvError, Info, Step, Task, TaskDefaults, check_env,
+        Aviary, AviaryBuilder, BoxSpace, DroneEnv, EndReason, Env, EnvConfig, EnvError, Info, Step, Task, TaskDefaults,
+        check_env,
     };
     pub use aviary::multi_agent::{ParallelAviary, ParallelEnv};
     pub use aviary::observation::{Observation, ObservationType};

@@ -4,9 +4,7 @@ use mujoco_drones_gym::env::{Randomization, check_env};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::ObstacleConfig;
-use mujoco_drones_gym::wrappers::{
-    CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper, RandomizationWrapper, WindWrapper,
-};
+use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
 
 /// The target rises by 20 cm with every level.
 fn rise(env: &mut Aviary<Hover>, level: usize) -> Result<(), EnvError> {
@@ -92,7 +90,7 @@ fn saved_and_restored_it_goes_on_as_if_nothing_had_happened() {
 
 #[test]
 fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
-    let blow = |env: &mut Box<dyn Env + Send>, level: usize| {
+    let blow = |env: &mut Box<dyn DroneEnv + Send>, level: usize| {
         let wind = WindConfig { velocity: [1.0 + level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Combined) };
         env.set_wind(Some(wind))
     };
@@ -109,13 +107,13 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
             new_layout: true,
             ..Default::default()
         };
-        let env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_field(field)).unwrap();
-        let windy = WindWrapper::new(env, WindConfig::new(WindModel::Combined)).unwrap();
-        // a drawn wind would replace the wrapper's
+        let mut env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_field(field)).unwrap();
+        env.set_wind(Some(WindConfig::new(WindModel::Combined))).unwrap();
+        // a drawn wind would replace the one that is set
         let drawn = Randomization { environment: None, ..Randomization::default() };
-        let drawn = RandomizationWrapper::new(windy, drawn).unwrap();
-        let easy = |_: &mut RandomizationWrapper<WindWrapper<Box<dyn Env + Send>>>, _: usize| Ok(());
-        check_env(&mut CurriculumWrapper::new(drawn, CurriculumConfig::default(), easy).unwrap()).unwrap();
+        env.set_randomization(Some(drawn)).unwrap();
+        let easy = |_: &mut Box<dyn DroneEnv + Send>, _: usize| Ok(());
+        check_env(&mut CurriculumWrapper::new(env, CurriculumConfig::default(), easy).unwrap()).unwrap();
     }
     let fails = |_: &mut Aviary<Hover>, _: usize| Err(EnvError::NeedsReset { when: "never" });
     let mut env =

@@ -202,7 +202,7 @@ struct Apart {
 }
 
 /// Flies the same episode with both engines. `act` gives the action from the state of the first.
-fn compare(config: &EnvConfig, name: &str, seed: u64, mut act: impl FnMut(&dyn Env, &mut [f64])) -> Apart {
+fn compare(config: &EnvConfig, name: &str, seed: u64, mut act: impl FnMut(&dyn DroneEnv, &mut [f64])) -> Apart {
     let mut envs = EngineKind::ALL.map(|engine| make(name, config.clone().engine(engine)).unwrap());
     envs.iter_mut().for_each(|env| {
         env.reset(Some(seed)).unwrap();
@@ -271,7 +271,7 @@ fn every_task_flown_by_its_controller_is_the_same_with_both_engines() {
 }
 
 /// Commands that wander: drones take off, tumble, crash.
-fn wandering(seed: u64) -> impl FnMut(&dyn Env, &mut [f64]) {
+fn wandering(seed: u64) -> impl FnMut(&dyn DroneEnv, &mut [f64]) {
     let mut rng = Rng::seed_from_u64(seed);
     let mut held: Vec<f64> = Vec::new();
     move |_, action| {

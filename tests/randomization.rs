@@ -9,7 +9,6 @@ use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::NAMES;
 use mujoco_drones_gym::world::{DroneBody, Obstacle, Shape, World};
-use mujoco_drones_gym::wrappers::{RandomizationWrapper, WindWrapper};
 use nalgebra::Vector3;
 
 /// Draws of so many episodes of two drones that hover high up.
@@ -258,14 +257,20 @@ fn a_patched_model_is_the_compiled_one() {
 fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
     for name in NAMES {
         let config = || EnvConfig::default().physics(Physics::MjcGndDragDw).episode_seconds(3.0);
-        let build = || RandomizationWrapper::new(make(name, config()).unwrap(), Randomization::default()).unwrap();
+        let build = || {
+            let mut env = make(name, config()).unwrap();
+            env.set_randomization(Some(Randomization::default())).unwrap();
+            env
+        };
         check_env(&mut build()).unwrap_or_else(|error| panic!("{error}"));
         check_independence(&mut build(), &mut build()).unwrap();
         let wind = WindConfig::new(WindModel::Combined);
         let some = only("[body]\n[actuators]\n[sensors]\n[initial]\n");
         let stacked = || {
-            let windy = WindWrapper::new(make(name, config()).unwrap(), wind).unwrap();
-            RandomizationWrapper::new(windy, some.clone()).unwrap()
+            let mut env = make(name, config()).unwrap();
+            env.set_wind(Some(wind)).unwrap();
+            env.set_randomization(Some(some.clone())).unwrap();
+            env
         };
         check_env(&mut stacked()).unwrap_or_else(|error| panic!("{error}"));
     }
@@ -275,9 +280,10 @@ fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
 #[test]
 fn a_wind_next_to_a_drawn_wind_is_refused() {
     let wind = WindConfig::new(WindModel::Combined);
-    let windy = WindWrapper::new(Hover::builder().build().unwrap(), wind).unwrap();
+    let mut windy = Hover::builder().build().unwrap();
+    windy.set_wind(Some(wind)).unwrap();
     let message = "the wind is combined, expected none";
-    let error = RandomizationWrapper::new(windy, Randomization::default()).map(drop).unwrap_err().to_string();
+    let error = windy.set_randomization(Some(Randomization::default())).unwrap_err().to_string();
     assert!(error.contains(message), "{error}");
     let mut drawn = Hover::builder().randomization(Randomization::default()).build().unwrap();
     for _ in 0..2 {

@@ -16,7 +16,6 @@ use mujoco_drones_gym::record::{COLUMNS, Film, Flight, Overlays, Recorded, Recor
 use mujoco_drones_gym::state::wxyz;
 use mujoco_drones_gym::tasks::Antipodal;
 use mujoco_drones_gym::vision::{Effects, Painter};
-use mujoco_drones_gym::wrappers::WindWrapper;
 use proptest::prelude::*;
 
 /// Actions that tumble a little.
@@ -25,11 +24,11 @@ fn action(step: usize, size: usize) -> Vec<f64> {
 }
 
 /// Records some steps of an environment and gives what it saw itself: states, motor speeds, rewards.
-fn fly(env: &mut dyn Env, to: &Path, steps: usize) -> Vec<Vec<(DroneState, [f64; 4], f64)>> {
+fn fly(env: &mut dyn DroneEnv, to: &Path, steps: usize) -> Vec<Vec<(DroneState, [f64; 4], f64)>> {
     let (drones, size) = (env.simulation().num_drones(), env.action_space().size());
     let mut recorder = Recorder::create(to, drones).unwrap();
     let mut seen = vec![Vec::new(); drones];
-    let mut note = |env: &dyn Env| {
+    let mut note = |env: &dyn DroneEnv| {
         recorder.record(env).unwrap();
         for (drone, seen) in seen.iter_mut().enumerate() {
             let simulation = env.simulation();
@@ -52,10 +51,10 @@ fn fly(env: &mut dyn Env, to: &Path, steps: usize) -> Vec<Vec<(DroneState, [f64;
 fn every_drone_of_any_environment_reads_back_to_the_same_bits() {
     let directory = tempfile::tempdir().unwrap();
     let wind = WindConfig::new(WindModel::Combined);
-    let envs: [Box<dyn Env>; 4] = [
+    let envs: [Box<dyn DroneEnv>; 4] = [
         Box::new(Hover::builder().sim_freq(500).ctrl_freq(100).initial_rpys([[0.0, 0.0, 2.5]]).build().unwrap()),
         Box::new(MultiHover::builder().num_drones(3).physics(Physics::MjcGndDragDw).build().unwrap()),
-        Box::new(WindWrapper::new(Race::builder().build().unwrap(), wind).unwrap()),
+        Box::new(Race::builder().wind(wind).build().unwrap()),
         make("formation", EnvConfig::default()).unwrap(),
     ];
     for (index, mut env) in envs.into_iter().enumerate() {

@@ -14,7 +14,7 @@ use mujoco_drones_gym::{Rng, SeedableRng};
 use nalgebra::Vector3;
 
 /// Flies a task to its end with a controller, and gives its reward.
-fn fly(env: &mut dyn Env, kind: ControllerKind, seed: u64) -> f64 {
+fn fly(env: &mut dyn DroneEnv, kind: ControllerKind, seed: u64) -> f64 {
     let mut pilot = ControllerPolicy::new(kind, env);
     fly_episode(env, &mut pilot, Some(seed)).unwrap().reward
 }
@@ -121,7 +121,7 @@ fn every_task_keeps_the_contract_with_every_action_type_and_number_of_drones() {
             "formation" => {
                 Box::new(config().with_task(Formation::default()).task(|task| task.radius = 0.6).build().unwrap())
             }
-            _ => make(name, config()).unwrap() as Box<dyn Env + Send>,
+            _ => make(name, config()).unwrap() as Box<dyn DroneEnv + Send>,
         };
         let report = check_env(&mut *build()).unwrap();
         assert!(report.episodes >= 5, "{name}: {report:?}");
@@ -578,7 +578,7 @@ fn an_agent_that_crashes_leaves_and_the_others_fly_on() {
 
 #[test]
 fn impossible_options_are_refused_by_name() {
-    let said = |result: Result<Box<dyn Env + Send>, EnvError>, text: &str| {
+    let said = |result: Result<Box<dyn DroneEnv + Send>, EnvError>, text: &str| {
         let error = result.err().expect(text).to_string();
         assert!(error.contains(text) && !error.contains('\n'), "{error}");
     };
@@ -590,7 +590,7 @@ fn impossible_options_are_refused_by_name() {
     said(make("formation", config().num_drones(40)), "two places in the formation");
     said(make("formation", config().drone(DroneModel::Race).num_drones(8)), "two places in the formation");
     said(make("antipodal", config().num_drones(60)), "neighbours on the circle");
-    let boxed = |env: Result<Aviary<FlyThrough>, EnvError>| env.map(|env| Box::new(env) as Box<dyn Env + Send>);
+    let boxed = |env: Result<Aviary<FlyThrough>, EnvError>| env.map(|env| Box::new(env) as Box<dyn DroneEnv + Send>);
     said(boxed(FlyThrough::builder().task(|task| task.waypoints.clear()).build()), "number of points to pass is 0");
     said(boxed(FlyThrough::builder().task(|task| task.radius = 0.0).build()), "radius of a point is 0 m");
     said(boxed(FlyThrough::builder().task(|task| task.waypoints[2][1] = f64::NAN).build()), "coordinate is NaN");

@@ -5,7 +5,7 @@ use std::time::Instant;
 use anyhow::anyhow;
 use aviary::control::ControllerKind;
 use aviary::drone::DroneParams;
-use aviary::env::{Env, Info};
+use aviary::env::{DroneEnv, Info};
 use aviary::record::plot::Plot;
 use aviary::record::{Flight as Samples, RecordError, Recorder, Scenario, state_numbers};
 use clap::{Args, ValueHint};
@@ -104,7 +104,7 @@ impl Fly {
     }
 
     /// Draws the plots of a flight and says which files they are.
-    fn draw(&self, to: &OutputDir, env: &dyn Env, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
+    fn draw(&self, to: &OutputDir, env: &dyn DroneEnv, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
         let simulation = env.simulation();
         let what = self.options.trajectory.as_ref().map_or(env.name().into(), ToString::to_string);
         let title = format!("{what} with {} ({})", simulation.params(0).name, simulation.physics());
@@ -269,7 +269,7 @@ struct Flight {
 }
 
 impl Flight {
-    fn json(&self, env: &dyn Env, options: &FlightOptions) -> Value {
+    fn json(&self, env: &dyn DroneEnv, options: &FlightOptions) -> Value {
         let simulation = env.simulation();
         let drones: Vec<_> = (simulation.states().iter().enumerate())
             .map(|(drone, state)| {
@@ -311,7 +311,7 @@ impl Flight {
         })
     }
 
-    fn table(&self, env: &dyn Env) -> String {
+    fn table(&self, env: &dyn DroneEnv) -> String {
         let centimetres = |metres: f64| format!("{} cm", decimals(100.0 * metres, 2));
         let success = match (self.info.success, self.info.end) {
             (true, _) => "yes".to_string(),
@@ -349,7 +349,7 @@ impl Flight {
 }
 
 /// The airframe that every drone was built with, before anything is drawn at random.
-fn nominal(env: &dyn Env) -> &DroneParams {
+fn nominal(env: &dyn DroneEnv) -> &DroneParams {
     &env.simulation().world().drones[0].params
 }
 

@@ -8,7 +8,7 @@ use aviary::control::trajectory::{self, Trajectory};
 use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::{BuildError, EngineKind};
-use aviary::env::{ConditionChoice, Conditions, Env, EnvConfig, EnvError, Randomization};
+use aviary::env::{ConditionChoice, Conditions, DroneEnv, EnvConfig, EnvError, Randomization};
 use aviary::physics::Physics;
 use aviary::physics::wind::WindModel;
 use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
@@ -166,7 +166,7 @@ impl FlightOptions {
         &self,
         trajectory: Option<&dyn Trajectory>,
         variation: Variation,
-    ) -> Result<Box<dyn Env>, Failure> {
+    ) -> Result<Box<dyn DroneEnv>, Failure> {
         let mut conditions = self.conditions.read(self.seed)?;
         variation.apply(&mut conditions, &self.task)?;
         let mut config = EnvConfig::default()
@@ -192,10 +192,10 @@ impl FlightOptions {
                     // a trajectory may go upside down, and as high as it likes
                     .task(|hover| (hover.crash.max_tilt, hover.max_height) = (std::f64::consts::PI, f64::INFINITY))
                     .build()
-                    .map(|env| Box::new(env) as Box<dyn Env>)
+                    .map(|env| Box::new(env) as Box<dyn DroneEnv>)
             }
             (None, "antipodal") => antipodal(config, self.controller()?),
-            (None, name) => tasks::make(name, config).map(|env| env as Box<dyn Env>),
+            (None, name) => tasks::make(name, config).map(|env| env as Box<dyn DroneEnv>),
         };
         env.map_err(|error| match (&error, self.duration) {
             (EnvError::Option { option: "the length of an episode", expected, .. }, Some(seconds)) => {
@@ -210,7 +210,7 @@ impl FlightOptions {
 const MAX_SWAPPING: usize = 16;
 
 /// Velocities behind a safety filter, which is what the task is for.
-fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn Env>, EnvError> {
+fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn DroneEnv>, EnvError> {
     let response = match controller {
         ControllerKind::Pid => 0.9,
         ControllerKind::Dsl => 5.0,

@@ -3,7 +3,7 @@
 use anyhow::anyhow;
 use aviary::control::trajectory::Trajectory;
 use aviary::control::{ControllerKind, Reference};
-use aviary::env::{Env, Info};
+use aviary::env::{DroneEnv, Info};
 use aviary::rollout::{ControllerPolicy, Rollout};
 use aviary::tasks::hover_reward;
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ use crate::parse::Variation;
 
 /// A flight of the command line: episodes of a task with built-in controllers.
 pub struct Pilot {
-    rollout: Rollout<Box<dyn Env>, ControllerPolicy>,
+    rollout: Rollout<Box<dyn DroneEnv>, ControllerPolicy>,
     kind: ControllerKind,
     /// True if the drones follow a trajectory of the command line in place of the task's references.
     on_trajectory: bool,
@@ -267,7 +267,7 @@ impl Pilot {
         Ok(Flown { reward, over })
     }
 
-    pub fn env(&self) -> &dyn Env {
+    pub fn env(&self) -> &dyn DroneEnv {
         &**self.rollout.env()
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use aviary::UnknownName;
 use aviary::drone::DroneModel;
-use aviary::env::Env;
+use aviary::env::{DroneEnv, Env as _};
 use aviary::physics::Physics;
 use aviary::policy::PolicyNetwork;
 use aviary::tasks::TaskSummary;
@@ -153,13 +153,14 @@ impl Play {
         if self.film.wants_preview(env.simulation()) {
             // flown once to know where a camera is to stand
             kept = env.extent();
-            let mut note = |env: &dyn Env| kept.extend(env.simulation().states().iter().map(|state| state.position));
+            let mut note =
+                |env: &dyn DroneEnv| kept.extend(env.simulation().states().iter().map(|state| state.position));
             learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut note).map_err(flying)?;
             env.reset(Some(self.seed)).map_err(Failure::work)?;
         }
         let mut film = self.film.begin(env.simulation(), &kept, |_| None)?;
         let mut went_wrong = Ok(());
-        let mut look = |env: &dyn Env| {
+        let mut look = |env: &dyn DroneEnv| {
             // the last moment is added when the film is finished
             if let (Some(film), Ok(()), None) = (&mut film, &went_wrong, env.info().end) {
                 went_wrong = film.look(env.simulation(), |drone| env.reference(drone));

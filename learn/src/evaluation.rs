@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::fmt;
 
-use aviary::env::{EndReason, Env, EnvError};
+use aviary::env::{DroneEnv, EndReason, EnvError};
 use aviary::policy::PolicyNetwork;
 use aviary::rollout::{EpisodeSummary, Policy, Rollout, RolloutError};
 use rayon::prelude::*;
@@ -104,7 +104,7 @@ impl Score {
 }
 
 /// An environment that a thread may take over.
-pub type AnyEnv = Box<dyn Env + Send>;
+pub type AnyEnv = Box<dyn DroneEnv + Send>;
 
 /// Time at the end of an episode over which errors are looked at, s.
 const LATE: f64 = 5.0;
@@ -139,11 +139,11 @@ impl Recent {
 /// # Errors
 /// [`TrainError::Policy`] for a policy that cannot fly the environment, and the environment's.
 pub fn fly(
-    env: &mut dyn Env,
+    env: &mut dyn DroneEnv,
     policy: &mut dyn Policy,
     success: Success,
     seed: u64,
-    look: &mut dyn FnMut(&dyn Env),
+    look: &mut dyn FnMut(&dyn DroneEnv),
 ) -> Result<Episode, TrainError> {
     let period = env.simulation().control_period();
     let steps_of = |seconds: f64| (seconds / period).round() as u64;

@@ -210,7 +210,7 @@ fn the_late_error_is_of_the_episodes_last_five_seconds() {
         let spaces = (env.observation_space().vector.clone(), env.action_space().clone());
         let policy = PolicyNetwork::new(info, net, spaces.0, spaces.1).unwrap();
         let mut errors = Vec::new();
-        let mut look = |env: &dyn aviary::env::Env| errors.push(env.info().position_error);
+        let mut look = |env: &dyn aviary::env::DroneEnv| errors.push(env.info().position_error);
         let flown = learn::fly(&mut env, &mut &policy, Success::Done, 1, &mut look).unwrap();
         // the first one is before the first step
         let late = errors[1..].iter().rev().take(5 * 48).copied().fold(0.0, f64::max);

@@ -5,7 +5,7 @@ use rand::Rng as _;
 
 use super::episode::{Episode, Phase, StepOutcome};
 use super::pipeline::{EnvModel, EnvParts, EnvWorkspace, Synced};
-use super::{BoxSpace, Draw, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Step, Task};
+use super::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Step, Task};
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
@@ -18,7 +18,7 @@ use crate::vision::{ImageSize, Painter, View};
 /// A task made into an environment.
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::tasks::Hover;
 ///
 /// let mut env = Hover::builder().build()?;
@@ -204,6 +204,28 @@ impl<T: Task> Env for Aviary<T> {
         }
     }
 
+    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+        // what is asked of the task does not change with the state, once the episode has begun
+        let begins = self.painter.is_none() || self.simulation.control_steps() == 0;
+        let extent = if begins { self.extent() } else { Vec::new() };
+        let (model, data) = (&self.simulation.model, &self.simulation.data);
+        let painter = match &mut self.painter {
+            Some(painter) => painter,
+            none => none.insert(Synced::new(Painter::for_people(model.world())?)),
+        };
+        let painter = painter.sync(model, data, Painter::set_obstacles)?;
+        if begins {
+            painter.keep_in_frame(&extent);
+        }
+        if !self.workspace.moving.is_empty() {
+            painter.set_markers(&data.markers(model))?;
+        }
+        painter.update(data.states())?;
+        Ok(painter.rgb(view, size, rgb)?)
+    }
+}
+
+impl<T: Task> DroneEnv for Aviary<T> {
     fn drone_end(&self, drone: usize) -> Option<EndReason> {
         self.episode.ends[drone]
     }
@@ -301,26 +323,6 @@ impl<T: Task> Env for Aviary<T> {
             }
         }
         Ok(())
-    }
-
-    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
-        // what is asked of the task does not change with the state, once the episode has begun
-        let begins = self.painter.is_none() || self.simulation.control_steps() == 0;
-        let extent = if begins { self.extent() } else { Vec::new() };
-        let (model, data) = (&self.simulation.model, &self.simulation.data);
-        let painter = match &mut self.painter {
-            Some(painter) => painter,
-            none => none.insert(Synced::new(Painter::for_people(model.world())?)),
-        };
-        let painter = painter.sync(model, data, Painter::set_obstacles)?;
-        if begins {
-            painter.keep_in_frame(&extent);
-        }
-        if !self.workspace.moving.is_empty() {
-            painter.set_markers(&data.markers(model))?;
-        }
-        painter.update(data.states())?;
-        Ok(painter.rgb(view, size, rgb)?)
     }
 
     fn simulation(&self) -> &Simulation {

@@ -25,7 +25,7 @@ use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle, ObstacleConfig
 ///
 /// ```
 /// use aviary::drone::DroneModel;
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::physics::Physics;
 /// use aviary::tasks::Race;
 ///

@@ -1,6 +1,6 @@
 use rand::SeedableRng as _;
 
-use super::{BoxSpace, Env, EnvError, Rng};
+use super::{BoxSpace, DroneEnv, EnvError, Rng};
 use crate::action::ActionType;
 use crate::observation::Observation;
 
@@ -48,7 +48,7 @@ struct Episode {
 }
 
 struct Checker<'a> {
-    env: &'a mut dyn Env,
+    env: &'a mut dyn DroneEnv,
     task: &'static str,
     report: CheckReport,
 }
@@ -77,7 +77,7 @@ const LONGEST: usize = 400;
 ///
 /// # Errors
 /// The first promise that was not kept.
-pub fn check_env(env: &mut dyn Env) -> Result<CheckReport, CheckFailure> {
+pub fn check_env(env: &mut dyn DroneEnv) -> Result<CheckReport, CheckFailure> {
     let task = env.name();
     let mut checker = Checker { env, task, report: CheckReport { steps: 0, episodes: 0, constant: Vec::new() } };
     checker.spaces()?;
@@ -110,7 +110,7 @@ pub fn check_env(env: &mut dyn Env) -> Result<CheckReport, CheckFailure> {
 ///
 /// # Errors
 /// [`CheckFailure`], naming where they differ.
-pub fn check_independence(first: &mut dyn Env, second: &mut dyn Env) -> Result<(), CheckFailure> {
+pub fn check_independence(first: &mut dyn DroneEnv, second: &mut dyn DroneEnv) -> Result<(), CheckFailure> {
     let task = first.name();
     let failed = |error| CheckFailure::Error { task, during: "two instances in turns", error };
     let alone = Checker::of(first).episode(7, 3, 60)?;
@@ -155,7 +155,7 @@ impl RandomAgent {
 }
 
 impl<'a> Checker<'a> {
-    fn of(env: &'a mut dyn Env) -> Self {
+    fn of(env: &'a mut dyn DroneEnv) -> Self {
         let task = env.name();
         Self { env, task, report: CheckReport { steps: 0, episodes: 0, constant: Vec::new() } }
     }

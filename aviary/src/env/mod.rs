@@ -1,4 +1,4 @@
-//! What an environment promises: Gymnasium's contract, in Rust.
+//! Environments: Gymnasium's contract ([`Env`]), what drones add to it ([`DroneEnv`]), and tasks made into environments ([`Aviary`]).
 
 mod aviary;
 mod builder;
@@ -272,7 +272,9 @@ impl From<mujoco_rs::Error> for EnvError {
     }
 }
 
-/// An environment: one agent that commands all drones of a task.
+/// The contract of Gymnasium: an agent resets an environment and steps it through an episode.
+///
+/// The environments of this crate are [`DroneEnv`]s.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -335,6 +337,44 @@ pub trait Env {
         map
     }
 
+    /// Draws a picture for people: RGB, three bytes per pixel, top row first. The first one takes a while.
+    ///
+    /// # Errors
+    /// [`EnvError::Vision`] where there is no OpenGL to draw with or the buffer has the wrong length.
+    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError>;
+}
+
+/// An [`Env`] of drones: one agent commands all drones of a task.
+///
+/// ```
+/// use aviary::env::{DroneEnv, Env};
+/// use aviary::physics::wind::{WindConfig, WindModel};
+/// use aviary::tasks::Hover;
+///
+/// let mut env = Hover::builder().build()?;
+/// env.set_wind(Some(WindConfig::new(WindModel::Gust)))?;
+/// env.reset(Some(1))?;
+/// assert_eq!(env.reference(0).position.z, 1.0);
+/// assert_eq!(env.simulation().states()[0].position.z, 0.1);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub trait DroneEnv: Env {
+    /// The simulation underneath.
+    fn simulation(&self) -> &Simulation;
+
+    /// What the numbers of an action mean.
+    fn action_type(&self) -> ActionType;
+
+    /// The action, normalized or raw as its type has it (written to `action`) that commands these motor speeds (rpm), for controllers that
+    /// speak in motor speeds.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
+    fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError>;
+
+    /// Control steps after which an episode is cut off.
+    fn episode_steps(&self) -> u64;
+
     /// How the last step ended for a drone.
     ///
     /// # Panics
@@ -343,29 +383,6 @@ pub trait Env {
 
     /// A drone's share of the reward that the last step of the running or the ended episode returned; 0 before the first.
     fn drone_reward(&self, drone: usize) -> f64;
-
-    /// What the numbers of an action mean.
-    fn action_type(&self) -> ActionType;
-
-    /// Changes the wind from now on and for the episodes to come; `None` for still air.
-    ///
-    /// # Errors
-    /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that draws
-    /// the wind.
-    fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
-
-    /// Draws the body, the sensors, the start, … anew for every episode from the next reset on; `None` for the nominal
-    /// ones again.
-    ///
-    /// # Errors
-    /// [`EnvError::Option`] naming a range that is none, or next to a wind that the draws would replace.
-    fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
-
-    /// What was drawn for this episode; `None` without randomization.
-    fn draw(&self) -> Option<&Draw>;
-
-    /// Control steps after which an episode is cut off.
-    fn episode_steps(&self) -> u64;
 
     /// What a controller flying this task would be asked to follow now.
     fn reference(&self, drone: usize) -> Reference;
@@ -388,25 +405,26 @@ pub trait Env {
         states.iter().enumerate().flat_map(|(drone, state)| [state.position, self.reference(drone).position]).collect()
     }
 
+    /// Changes the wind from now on and for the episodes to come; `None` for still air.
+    ///
+    /// # Errors
+    /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that draws
+    /// the wind.
+    fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
+
+    /// Draws the body, the sensors, the start, … anew for every episode from the next reset on; `None` for the nominal
+    /// ones again.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming a range that is none, or next to a wind that the draws would replace.
+    fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
+
+    /// What was drawn for this episode; `None` without randomization.
+    fn draw(&self) -> Option<&Draw>;
+
     /// Whether an entry of the observation's vector may stay the same for a whole episode, as a target does.
     fn may_be_constant(&self, entry: usize) -> bool {
         let _ = entry;
         false
     }
-
-    /// The action, normalized or raw as its type has it (written to `action`) that commands these motor speeds (rpm), for controllers that
-    /// speak in motor speeds.
-    ///
-    /// # Errors
-    /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
-    fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError>;
-
-    /// Draws a picture for people: RGB, three bytes per pixel, top row first. The first one takes a while.
-    ///
-    /// # Errors
-    /// [`EnvError::Vision`] where there is no OpenGL to draw with or the buffer has the wrong length.
-    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError>;
-
-    /// The simulation underneath.
-    fn simulation(&self) -> &Simulation;
 }

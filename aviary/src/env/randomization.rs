@@ -317,7 +317,7 @@ pub struct DroneDraw {
 /// What was drawn for an episode.
 ///
 /// ```
-/// use aviary::env::{BodyRanges, Env, Randomization};
+/// use aviary::env::{BodyRanges, DroneEnv, Env, Randomization};
 /// use aviary::tasks::Hover;
 ///
 /// // always a tenth heavier, and nothing else

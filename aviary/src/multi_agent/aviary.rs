@@ -1,6 +1,6 @@
 use super::{Agent, AgentInfo, AgentMap, ParallelEnv, ParallelStep};
 use crate::control::{Controller as _, DslPidControl, Reference};
-use crate::env::{Aviary, BoxSpace, EndReason, Env, EnvError, ObservationSpace, Task};
+use crate::env::{Aviary, BoxSpace, DroneEnv, EndReason, Env, EnvError, ObservationSpace, Task};
 use crate::observation::{Observation, state_vector};
 use crate::simulation::Simulation;
 use crate::state::DroneState;

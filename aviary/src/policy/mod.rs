@@ -10,7 +10,7 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use crate::action::ActionType;
-use crate::env::Env;
+use crate::env::DroneEnv;
 
 /// What can go wrong with a policy.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -244,7 +244,7 @@ impl PolicyNetwork {
     ///
     /// # Errors
     /// [`PolicyError::Mismatch`] with both sides.
-    pub fn check(&self, env: &dyn Env) -> Result<(), PolicyError> {
+    pub fn check(&self, env: &dyn DroneEnv) -> Result<(), PolicyError> {
         let blocks = if self.info.per_drone { env.simulation().num_drones() } else { 1 };
         let sides = |observation: usize, action: usize, kind: &str| {
             format!("{observation} observed numbers and {action} of an action by {kind}")
@@ -297,6 +297,7 @@ fn to_bounds(x: f32, low: f32, high: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::env::Env as _;
     use crate::tasks::Hover;
 
     /// Actions of single precision are of the action space where the network's output is beyond both bounds.

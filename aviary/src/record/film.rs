@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::plot::colour_of;
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
-use crate::env::{Env, EnvError};
+use crate::env::{DroneEnv, EnvError};
 use crate::physics::wind::WindModel;
 use crate::simulation::Simulation;
 use crate::vision::{Decor, ImageSize, Painter, View, ring};
@@ -109,12 +109,12 @@ pub struct Film {
 const RATE: f64 = 24.0;
 
 impl Film {
-    /// Of an environment as it is now: reset it before. What drones [plan](Env::plan) to fly is looked up here, for
+    /// Of an environment as it is now: reset it before. What drones [plan](DroneEnv::plan) to fly is looked up here, for
     /// [`Overlays::references`].
     ///
     /// # Errors
     /// [`EnvError::Vision`] where there is nothing to draw with.
-    pub fn new(env: &dyn Env, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
+    pub fn new(env: &dyn DroneEnv, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
         let mut film = Self::of(env.simulation(), view, size, overlays)?;
         film.painter.keep_in_frame(&env.extent());
         film.plan(env);
@@ -122,7 +122,7 @@ impl Film {
     }
 
     /// Looks up what drones plan to fly, where that is to be seen.
-    fn plan(&mut self, env: &dyn Env) {
+    fn plan(&mut self, env: &dyn DroneEnv) {
         if !self.overlays.references {
             return;
         }
@@ -188,7 +188,7 @@ impl Film {
     ///
     /// # Errors
     /// [`EnvError::Vision`].
-    pub fn look(&mut self, env: &dyn Env) -> Result<Option<&[u8]>, EnvError> {
+    pub fn look(&mut self, env: &dyn DroneEnv) -> Result<Option<&[u8]>, EnvError> {
         if env.simulation().control_steps() < self.seen {
             self.painter.keep_in_frame(&env.extent());
             self.plan(env);

@@ -8,7 +8,7 @@ use super::RecordError;
 use super::recorder::file_of;
 use super::table::{self, Row};
 use crate::control::Reference;
-use crate::env::Env;
+use crate::env::DroneEnv;
 use crate::simulation::Simulation;
 use crate::state::DroneState;
 
@@ -83,7 +83,7 @@ pub struct Flight {
 
 impl Flight {
     /// Notes every drone of an environment as it is now.
-    pub fn note(&mut self, env: &dyn Env) {
+    pub fn note(&mut self, env: &dyn DroneEnv) {
         self.note_with(env.simulation(), |drone| (env.drone_reward(drone), Some(env.reference(drone))));
     }
 

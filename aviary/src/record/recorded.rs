@@ -2,9 +2,9 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::{RecordError, Recorder};
-use crate::env::{Env, EnvError, Step};
+use crate::env::{DroneEnv, EnvError, Step};
 use crate::observation::Observation;
-use crate::wrappers::forward_env;
+use crate::wrappers::Wrapper;
 
 /// Writes every episode of an environment as CSV into a directory (the paper's `output_folder`): `episode_0000_drone0.csv`, …,
 /// in the numbers that are free. A step whose record cannot be written is an error, and has been made. What stands in them and what a crash leaves of them is said at
@@ -33,7 +33,7 @@ pub struct Recorded<E> {
     episodes: u64,
 }
 
-impl<E: Env> Recorded<E> {
+impl<E: DroneEnv> Recorded<E> {
     /// Around an environment, into a directory that is made where there is none.
     ///
     /// # Errors
@@ -88,28 +88,36 @@ fn unwritable(error: &RecordError) -> EnvError {
     }
 }
 
-impl<E: Env> Env for Recorded<E> {
-    forward_env!(self => self.env);
+impl<E: DroneEnv> Wrapper for Recorded<E> {
+    type Inner = E;
 
-    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
-        self.recorder = None;
-        self.env.reset(seed)?;
-        self.begin().map_err(|error| unwritable(&error))?;
-        Ok(self.env.observation())
+    fn inner(this: &Self) -> &E {
+        &this.env
     }
 
-    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
-        let Step { reward, terminated, truncated, .. } = self.env.step(action)?;
-        if let Some(recorder) = &mut self.recorder {
-            let env = &self.env;
+    fn inner_mut(this: &mut Self) -> &mut E {
+        &mut this.env
+    }
+
+    fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        this.recorder = None;
+        this.env.reset(seed)?;
+        this.begin().map_err(|error| unwritable(&error))?;
+        Ok(this.env.observation())
+    }
+
+    fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
+        let Step { reward, terminated, truncated, .. } = this.env.step(action)?;
+        if let Some(recorder) = &mut this.recorder {
+            let env = &this.env;
             // a wrapper within may have changed the reward, and of one drone it is that drone's
             let alone = env.simulation().num_drones() == 1;
             let of = |drone| (if alone { reward } else { env.drone_reward(drone) }, Some(env.reference(drone)));
             recorder.record_with(env.simulation(), of).map_err(|error| unwritable(&error))?;
         }
         if terminated || truncated {
-            self.recorder = None;
+            this.recorder = None;
         }
-        Ok(Step { observation: self.env.observation(), reward, terminated, truncated })
+        Ok(Step { observation: this.env.observation(), reward, terminated, truncated })
     }
 }

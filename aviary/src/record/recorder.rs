@@ -6,7 +6,7 @@ use super::flight::Sample;
 use super::table::{state_numbers, written};
 use super::{COLUMNS, RecordError};
 use crate::control::Reference;
-use crate::env::Env;
+use crate::env::DroneEnv;
 use crate::simulation::Simulation;
 
 /// A drone's file in a directory, in which `prefix` tells one flight from another.
@@ -22,7 +22,7 @@ pub(super) fn file_of(directory: &Path, prefix: &str, drone: usize) -> PathBuf {
 /// nobody else may make them shorter until then.
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::record::{Flight, Recorder};
 /// use aviary::tasks::Hover;
 ///
@@ -90,7 +90,7 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordError::File`] naming the file, [`RecordError::Drones`] for another number of drones.
-    pub fn record(&mut self, env: &dyn Env) -> Result<(), RecordError> {
+    pub fn record(&mut self, env: &dyn DroneEnv) -> Result<(), RecordError> {
         self.record_with(env.simulation(), |drone| (env.drone_reward(drone), Some(env.reference(drone))))
     }
 

@@ -3,12 +3,12 @@ use super::{Policy, RolloutError};
 use crate::action::ActionType;
 use crate::control::trajectory::Trajectory;
 use crate::control::{Controller, ControllerKind, Reference};
-use crate::env::{Env, EnvError};
+use crate::env::{DroneEnv, EnvError};
 
 /// Flies a task with one controller per drone.
 ///
-/// Each drone follows the trajectory that it was given, or the [plan](Env::plans) that the task makes at the start of an episode, or the
-/// present [reference](Env::reference) of the task. Controllers command motor speeds ([`ActionType::Rpm`] and
+/// Each drone follows the trajectory that it was given, or the [plan](DroneEnv::plans) that the task makes at the start of an episode, or the
+/// present [reference](DroneEnv::reference) of the task. Controllers command motor speeds ([`ActionType::Rpm`] and
 /// [`ActionType::RawRpm`]). Where actions are velocities ([`ActionType::Vel`]), which the environment flies with controllers of its
 /// own, the drones steer towards their references at up to 1 m/s and pass each other on the right.
 ///
@@ -16,7 +16,7 @@ use crate::env::{Env, EnvError};
 /// use aviary::control::trajectory::named;
 /// use aviary::control::{Bandwidths, ControllerKind, GeometricControl};
 /// use aviary::drone::DroneModel;
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::rollout::{ControllerPolicy, fly_episode};
 /// use aviary::tasks::{Hover, MultiHover};
 ///
@@ -50,7 +50,7 @@ pub struct ControllerPolicy {
 
 impl ControllerPolicy {
     /// Builds a controller of one kind for every drone of an environment, with the nominal parameters of its airframe.
-    pub fn new(kind: ControllerKind, env: &dyn Env) -> Self {
+    pub fn new(kind: ControllerKind, env: &dyn DroneEnv) -> Self {
         Self::with_controllers(env.simulation().world().drones.iter().map(|drone| kind.build(&drone.params)))
     }
 
@@ -86,7 +86,7 @@ impl ControllerPolicy {
     ///
     /// # Panics
     /// If there is no drone of that index.
-    pub fn reference(&self, env: &dyn Env, drone: usize) -> Reference {
+    pub fn reference(&self, env: &dyn DroneEnv, drone: usize) -> Reference {
         match self.trajectory(drone) {
             Some(trajectory) => trajectory.reference(env.simulation().time()),
             None => env.reference(drone),
@@ -99,7 +99,7 @@ impl Policy for ControllerPolicy {
     ///
     /// # Errors
     /// [`EnvError::Option`] for another number of controllers than drones.
-    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         if self.controllers.len() != env.simulation().num_drones() {
             let got = format!("{} for {} drones", self.controllers.len(), env.simulation().num_drones());
             let option = "the number of controllers";
@@ -118,7 +118,7 @@ impl Policy for ControllerPolicy {
     ///
     /// # Errors
     /// [`EnvError::Option`] for an action type that is neither motor speeds nor velocities.
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         let simulation = env.simulation();
         if env.action_type() == ActionType::Vel {
             for (drone, command) in action.chunks_exact_mut(4).enumerate() {
@@ -155,8 +155,9 @@ mod tests {
 
     #[test]
     fn what_cannot_be_flown_is_refused_by_name() {
-        let refused =
-            |env: &mut dyn Env, pilot: &mut ControllerPolicy| fly_episode(env, pilot, Some(1)).unwrap_err().to_string();
+        let refused = |env: &mut dyn DroneEnv, pilot: &mut ControllerPolicy| {
+            fly_episode(env, pilot, Some(1)).unwrap_err().to_string()
+        };
         let mut one = ControllerPolicy::new(ControllerKind::Pid, &Hover::builder().build().unwrap());
         let error = refused(&mut MultiHover::builder().build().unwrap(), &mut one);
         assert_eq!(error, "the number of controllers is 1 for 2 drones, expected one for each drone");

@@ -16,14 +16,14 @@ pub use controller::ControllerPolicy;
 use std::collections::BTreeMap;
 use std::fmt;
 
-use crate::env::{EndReason, Env, EnvError, Step};
+use crate::env::{DroneEnv, EndReason, EnvError, Step};
 use crate::policy::{PolicyError, PolicyNetwork};
 
 /// Chooses the actions of an environment: of all its drones, from the observation, the states and whatever else the environment
 /// says of itself.
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::DroneEnv;
 /// use aviary::rollout::{Policy, RolloutError, fly_episode};
 /// use aviary::tasks::Hover;
 ///
@@ -33,12 +33,12 @@ use crate::policy::{PolicyError, PolicyNetwork};
 /// }
 ///
 /// impl Policy for Hop {
-///     fn reset(&mut self, _: &dyn Env) -> Result<(), RolloutError> {
+///     fn reset(&mut self, _: &dyn DroneEnv) -> Result<(), RolloutError> {
 ///         self.left = 10;
 ///         Ok(())
 ///     }
 ///
-///     fn act(&mut self, _: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+///     fn act(&mut self, _: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
 ///         action.fill(if self.left > 0 { 1.0 } else { -1.0 });
 ///         self.left = self.left.saturating_sub(1);
 ///         Ok(())
@@ -54,7 +54,7 @@ pub trait Policy {
     ///
     /// # Errors
     /// [`RolloutError`] for an environment that the policy cannot fly.
-    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         let _ = env;
         Ok(())
     }
@@ -63,47 +63,47 @@ pub trait Policy {
     ///
     /// # Errors
     /// [`RolloutError`] for an environment that the policy cannot fly.
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError>;
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError>;
 }
 
 impl<P: Policy + ?Sized> Policy for &mut P {
-    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         (**self).reset(env)
     }
 
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         (**self).act(env, action)
     }
 }
 
 impl<P: Policy + ?Sized> Policy for Box<P> {
-    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         (**self).reset(env)
     }
 
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         (**self).act(env, action)
     }
 }
 
 /// A trained network acts on the observation alone, and has no memory: threads can share it.
 impl Policy for &PolicyNetwork {
-    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         Ok(self.check(env)?)
     }
 
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         self.forward(&env.observation().vector, action);
         Ok(())
     }
 }
 
 impl Policy for PolicyNetwork {
-    fn reset(&mut self, env: &dyn Env) -> Result<(), RolloutError> {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         (&*self).reset(env)
     }
 
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         (&*self).act(env, action)
     }
 }
@@ -133,12 +133,12 @@ impl<F> fmt::Debug for FnPolicy<F> {
 /// assert!(summary.success);
 /// # Ok::<(), aviary::rollout::RolloutError>(())
 /// ```
-pub fn from_fn<F: FnMut(&dyn Env, &mut [f64])>(act: F) -> FnPolicy<F> {
+pub fn from_fn<F: FnMut(&dyn DroneEnv, &mut [f64])>(act: F) -> FnPolicy<F> {
     FnPolicy(act)
 }
 
-impl<F: FnMut(&dyn Env, &mut [f64])> Policy for FnPolicy<F> {
-    fn act(&mut self, env: &dyn Env, action: &mut [f64]) -> Result<(), RolloutError> {
+impl<F: FnMut(&dyn DroneEnv, &mut [f64])> Policy for FnPolicy<F> {
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         (self.0)(env, action);
         Ok(())
     }
@@ -166,7 +166,7 @@ pub struct EpisodeSummary {
     pub end: Option<EndReason>,
     /// True if every drone fulfils the task at the end.
     pub success: bool,
-    /// [`Env::info_map`] at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the scalar metrics of
+    /// [`info_map`](crate::env::Env::info_map) at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the scalar metrics of
     /// the task. Truth values are 0 and 1.
     pub metrics: BTreeMap<&'static str, f64>,
 }
@@ -189,7 +189,7 @@ pub struct EpisodeSummary {
 /// # Errors
 /// As for [`Rollout::start`] and [`Rollout::step`].
 pub fn fly_episode(
-    env: &mut dyn Env,
+    env: &mut dyn DroneEnv,
     policy: &mut dyn Policy,
     seed: Option<u64>,
 ) -> Result<EpisodeSummary, RolloutError> {
@@ -200,7 +200,7 @@ pub fn fly_episode(
 ///
 /// ```
 /// use aviary::control::ControllerKind;
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::rollout::{ControllerPolicy, Rollout};
 /// use aviary::tasks::Hover;
 ///
@@ -225,7 +225,7 @@ pub struct Rollout<E, P> {
     over: bool,
 }
 
-impl<E: Env, P: Policy> Rollout<E, P> {
+impl<E: DroneEnv, P: Policy> Rollout<E, P> {
     /// Starts the first episode. The environment and the policy are owned, or borrowed as `&mut`.
     ///
     /// # Errors
@@ -240,7 +240,7 @@ impl<E: Env, P: Policy> Rollout<E, P> {
     /// Starts another episode; without a seed, random draws go on from where they are.
     ///
     /// # Errors
-    /// The errors of [`Env::reset`] and [`Policy::reset`].
+    /// The errors of [`reset`](crate::env::Env::reset) and [`Policy::reset`].
     pub fn restart(&mut self, seed: Option<u64>) -> Result<(), RolloutError> {
         (self.reward, self.steps, self.over) = (0.0, 0, false);
         self.env.reset(seed)?;
@@ -250,7 +250,7 @@ impl<E: Env, P: Policy> Rollout<E, P> {
     /// Flies one control step.
     ///
     /// # Errors
-    /// The errors of [`Policy::act`] and [`Env::step`].
+    /// The errors of [`Policy::act`] and [`step`](crate::env::Env::step).
     pub fn step(&mut self) -> Result<Step<'_>, RolloutError> {
         self.policy.act(&self.env, &mut self.action)?;
         let step = self.env.step(&self.action)?;

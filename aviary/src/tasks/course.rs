@@ -281,7 +281,7 @@ mod tests {
     #[test]
     fn planned_ways_stay_clear_of_each_other() {
         use crate::drone::DroneModel;
-        use crate::env::{Env as _, EnvConfig};
+        use crate::env::{DroneEnv as _, Env as _, EnvConfig};
 
         for (name, count) in [("race", 10), ("fly_through", 7), ("race", 2)] {
             for model in [DroneModel::Cf2x, DroneModel::Race] {

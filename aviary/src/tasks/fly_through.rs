@@ -32,7 +32,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | 15–17 | next waypoint as seen from the drone | m, body |
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::tasks::FlyThrough;
 ///
 /// let mut env = FlyThrough::builder().build()?;

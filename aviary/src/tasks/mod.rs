@@ -27,7 +27,7 @@ pub use velocity::Velocity;
 
 use crate::UnknownName;
 use crate::drone::DroneParams;
-use crate::env::{Env, EnvConfig, EnvError, Task, TaskDefaults};
+use crate::env::{DroneEnv, EnvConfig, EnvError, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
 
 /// No bound.
@@ -189,8 +189,9 @@ pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
 ///
 /// # Errors
 /// [`EnvError::UnknownName`], and what building it finds.
-pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn Env + Send>, EnvError> {
-    for_task!(name, |task| Box::new(config.with_task(task).build()?) as Box<dyn Env + Send>).map_err(EnvError::from)
+pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn DroneEnv + Send>, EnvError> {
+    for_task!(name, |task| Box::new(config.with_task(task).build()?) as Box<dyn DroneEnv + Send>)
+        .map_err(EnvError::from)
 }
 
 pub(crate) fn unknown(name: &str) -> UnknownName {

@@ -28,7 +28,7 @@ use crate::state::{DroneState, attitude_from_rpy};
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::tasks::Stabilize;
 ///
 /// let mut env = Stabilize::builder().task(|stabilize| stabilize.max_speed = 3.0).build()?;

@@ -31,7 +31,7 @@ use crate::state::DroneState;
 /// | 15–17 | v\*, the reference's velocity | m/s, world |
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::tasks::Track;
 ///
 /// let mut env = Track::builder().build()?;

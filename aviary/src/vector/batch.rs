@@ -7,7 +7,7 @@ use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
 use crate::control::CollisionCone;
 use crate::engine::flight::{Airframes, Flow, LANES, Lanes, Width};
 use crate::engine::{Engine, EngineKind, Lookout, Substeps};
-use crate::env::{Aviary, AviaryBuilder, BoxSpace, Env, EnvError, ObservationSpace, Phase, Task};
+use crate::env::{Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, ObservationSpace, Phase, Task};
 use crate::simulation::Simulation;
 use crate::world::Forcing;
 use crate::wrappers::Guard;
@@ -31,7 +31,7 @@ use crate::wrappers::Guard;
 /// // any of them can be looked at as if it were alone
 /// let mass = env.with(3, |env| env.simulation().params(0).mass)?;
 /// assert!(mass > 0.02 && mass < 0.04);
-/// # use aviary::env::Env;
+/// # use aviary::env::{DroneEnv, Env};
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug)]
@@ -423,7 +423,7 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         &self.found
     }
 
-    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError> {
+    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn DroneEnv)) -> Result<(), EnvError> {
         self.with(environment, |env| look(env))
     }
 

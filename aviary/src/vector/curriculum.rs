@@ -1,13 +1,13 @@
 use super::{Autoreset, Ended, VecAviary, VecEnv, VecPictures, VecStep};
 use crate::engine::Substeps;
-use crate::env::{Aviary, BoxSpace, Env, EnvError, ObservationSpace, Task};
+use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, ObservationSpace, Task};
 use crate::wrappers::{Curriculum, CurriculumConfig};
 
 /// A batch that becomes harder as an agent gets better: one level for all environments, which follows the episodes of all of them;
 /// a function of one's own sets an environment up for the level before its next episode.
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::physics::wind::{WindConfig, WindModel};
 /// use aviary::tasks::Hover;
 /// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecCurriculum, VecEnv};
@@ -162,7 +162,7 @@ where
         self.env.faults()
     }
 
-    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError> {
+    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn DroneEnv)) -> Result<(), EnvError> {
         self.env.with_env(environment, look)
     }
 

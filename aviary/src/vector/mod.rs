@@ -18,7 +18,7 @@ pub use curriculum::VecCurriculum;
 pub use shard::Ended;
 
 use crate::engine::Substeps;
-use crate::env::{BoxSpace, Env, EnvConfig, EnvError, ObservationSpace};
+use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, ObservationSpace};
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
 
@@ -341,7 +341,7 @@ pub trait VecEnv: Send {
     ///
     /// # Errors
     /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there; [`EnvError::Panicked`].
-    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn Env)) -> Result<(), EnvError>;
+    fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn DroneEnv)) -> Result<(), EnvError>;
 
     /// Bytes that the batch takes for every environment, beside what the threads share and the caller's buffers.
     fn bytes_per_env(&self) -> usize;

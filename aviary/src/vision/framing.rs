@@ -219,7 +219,7 @@ fn hides(obstacle: &Obstacle, eye: &Vector3<f64>, point: &Vector3<f64>) -> bool 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::env::{AviaryBuilder, Env, EnvConfig, Rng};
+    use crate::env::{AviaryBuilder, DroneEnv, Env, EnvConfig, Rng};
     use crate::tasks;
     use crate::world::{ObstacleConfig, ObstacleKind, Shape};
     use proptest::prelude::*;
@@ -352,7 +352,7 @@ mod tests {
         let mut env = AviaryBuilder::new(tasks::Velocity::default()).build().unwrap();
         env.reset(Some(1)).unwrap();
         let wanted = env.extent();
-        let boxed: Box<dyn Env> = Box::new(env);
+        let boxed: Box<dyn DroneEnv> = Box::new(env);
         assert_eq!(boxed.extent(), wanted);
         assert!(wanted.len() > 2, "where it goes, not only where it is: {wanted:?}");
     }

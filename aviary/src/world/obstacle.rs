@@ -203,7 +203,7 @@ pub struct MarkerPose {
 /// Something that is seen and not touched: a gate, a waypoint.
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::tasks::Hover;
 /// use aviary::world::{Marker, Obstacle, Shape};
 /// use nalgebra::Vector3;

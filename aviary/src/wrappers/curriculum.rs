@@ -2,8 +2,8 @@ use std::collections::VecDeque;
 
 use serde::{Deserialize, Serialize};
 
-use super::forward_env;
-use crate::env::{Env, EnvError, Step};
+use super::Wrapper;
+use crate::env::{DroneEnv, EnvError, Step};
 use crate::observation::Observation;
 
 /// What a curriculum goes by: the mean of the last episodes of
@@ -226,7 +226,7 @@ impl Curriculum {
 /// An episode counts when it has ended by itself or by its time; one that is left in its middle does not.
 ///
 /// ```
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::physics::wind::{WindConfig, WindModel};
 /// use aviary::tasks::Hover;
 /// use aviary::wrappers::{CurriculumConfig, CurriculumWrapper};
@@ -249,7 +249,7 @@ pub struct CurriculumWrapper<E, F> {
     running: (f64, u64),
 }
 
-impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
+impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
     /// Around an environment, on level 0; `difficulty` is called at every reset with the environment and the level.
     ///
     /// # Errors
@@ -282,23 +282,31 @@ impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<
     }
 }
 
-impl<E: Env, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Env for CurriculumWrapper<E, F> {
-    forward_env!(self => self.env);
+impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Wrapper for CurriculumWrapper<E, F> {
+    type Inner = E;
 
-    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
-        (self.difficulty)(&mut self.env, self.curriculum.level())?;
-        self.running = (0.0, 0);
-        self.env.reset(seed)
+    fn inner(this: &Self) -> &E {
+        &this.env
     }
 
-    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
-        let Step { reward, terminated, truncated, .. } = self.env.step(action)?;
-        self.running.0 += reward;
-        self.running.1 += 1;
+    fn inner_mut(this: &mut Self) -> &mut E {
+        &mut this.env
+    }
+
+    fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        (this.difficulty)(&mut this.env, this.curriculum.level())?;
+        this.running = (0.0, 0);
+        this.env.reset(seed)
+    }
+
+    fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
+        let Step { reward, terminated, truncated, .. } = this.env.step(action)?;
+        this.running.0 += reward;
+        this.running.1 += 1;
         if terminated || truncated {
-            let (reward, steps) = self.running;
-            self.curriculum.episode_ended(self.env.info().success, reward, steps);
+            let (reward, steps) = this.running;
+            this.curriculum.episode_ended(this.env.info().success, reward, steps);
         }
-        Ok(Step { observation: self.env.observation(), reward, terminated, truncated })
+        Ok(Step { observation: this.env.observation(), reward, terminated, truncated })
     }
 }

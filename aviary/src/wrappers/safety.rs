@@ -1,9 +1,9 @@
 use nalgebra::Vector3;
 
-use super::forward_env;
+use super::Wrapper;
 use crate::action::ActionType;
 use crate::control::CollisionCone;
-use crate::env::{BoxSpace, Env, EnvError, Step};
+use crate::env::{BoxSpace, DroneEnv, EnvError, Step};
 use crate::observation::Observation;
 use crate::state::DroneState;
 
@@ -19,7 +19,7 @@ use crate::state::DroneState;
 /// ```
 /// use aviary::action::ActionType;
 /// use aviary::control::{CollisionCone, ControllerKind};
-/// use aviary::env::Env;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::tasks::Antipodal;
 /// use aviary::wrappers::SafetyWrapper;
 ///
@@ -45,7 +45,7 @@ impl<E> SafetyWrapper<E> {
     pub const MAX_YAW_RATE: f64 = 1.0;
 }
 
-impl<E: Env> SafetyWrapper<E> {
+impl<E: DroneEnv> SafetyWrapper<E> {
     /// Around an environment whose actions are velocities ([`ActionType::Vel`]). It must be reset before its first step, also
     /// where the environment has been.
     ///
@@ -155,31 +155,39 @@ impl Guard {
     }
 }
 
-impl<E: Env> Env for SafetyWrapper<E> {
-    forward_env!(self => self.env);
+impl<E: DroneEnv> Wrapper for SafetyWrapper<E> {
+    type Inner = E;
 
-    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
-        (self.interventions, self.started) = (0, false);
-        let observation = self.env.reset(seed)?;
-        self.started = true;
+    fn inner(this: &Self) -> &E {
+        &this.env
+    }
+
+    fn inner_mut(this: &mut Self) -> &mut E {
+        &mut this.env
+    }
+
+    fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        (this.interventions, this.started) = (0, false);
+        let observation = this.env.reset(seed)?;
+        this.started = true;
         Ok(observation)
     }
 
-    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
-        if !self.started {
+    fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
+        if !this.started {
             return Err(EnvError::NeedsReset { when: "on a new safety filter" });
         }
         // what is wrong with an action the environment itself says best
-        let sound = action.len() == self.action.len() && action.iter().all(|x| x.is_finite());
-        if !sound || self.env.info().end.is_some() {
-            return self.env.step(action);
+        let sound = action.len() == this.action.len() && action.iter().all(|x| x.is_finite());
+        if !sound || this.env.info().end.is_some() {
+            return this.env.step(action);
         }
-        self.action.copy_from_slice(action);
-        let (states, bounds) = (self.env.simulation().states(), self.env.action_space());
-        if self.guard.make_safe(states, bounds, &mut self.action)? {
-            self.interventions += 1;
+        this.action.copy_from_slice(action);
+        let (states, bounds) = (this.env.simulation().states(), this.env.action_space());
+        if this.guard.make_safe(states, bounds, &mut this.action)? {
+            this.interventions += 1;
         }
-        self.env.step(&self.action)
+        this.env.step(&this.action)
     }
 }
 
@@ -187,6 +195,7 @@ impl<E: Env> Env for SafetyWrapper<E> {
 mod tests {
     use super::*;
     use crate::control::ControllerKind;
+    use crate::env::Env as _;
     use crate::tasks::Antipodal;
 
     #[test]

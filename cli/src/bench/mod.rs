@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use aviary::drone::DroneModel;
 use aviary::engine::EngineKind;
 use aviary::engine::flight::{Airframe, Airframes, Envelope, Flow, FreeBody, LANES, Lanes, Width, advance};
-use aviary::env::{AviaryBuilder, Env, EnvConfig, EnvError, Task};
+use aviary::env::{AviaryBuilder, DroneEnv, Env, EnvConfig, EnvError, Task};
 use aviary::observation::ObservationType;
 use aviary::physics::Physics;
 use aviary::physics::downwash::Wake;

@@ -1,0 +1,323 @@
+use nalgebra::Vector3;
+
+use crate::action::ActionType;
+use crate::control::Reference;
+use crate::control::trajectory::Trajectory;
+use crate::env::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Step};
+use crate::observation::Observation;
+use crate::physics::wind::WindConfig;
+use crate::simulation::Simulation;
+use crate::vision::{ImageSize, View};
+
+/// An environment around another one. Every function forwards to the environment inside; a wrapper overrides those that it changes.
+///
+/// Whatever implements it is an [`Env`] and a [`DroneEnv`]. The functions take `this` in place of `self`, so that `wrapper.step(..)` is
+/// always [`Env::step`].
+///
+/// ```
+/// use aviary::env::{DroneEnv, Env, EnvError, Step, check_env};
+/// use aviary::tasks::Hover;
+/// use aviary::wrappers::Wrapper;
+///
+/// /// Multiplies rewards by a factor.
+/// struct ScaledReward<E> {
+///     env: E,
+///     factor: f64,
+/// }
+///
+/// impl<E: DroneEnv> Wrapper for ScaledReward<E> {
+///     type Inner = E;
+///
+///     fn inner(this: &Self) -> &E {
+///         &this.env
+///     }
+///
+///     fn inner_mut(this: &mut Self) -> &mut E {
+///         &mut this.env
+///     }
+///
+///     fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
+///         let step = this.env.step(action)?;
+///         Ok(Step { reward: this.factor * step.reward, ..step })
+///     }
+/// }
+///
+/// let mut env = ScaledReward { env: Hover::builder().build()?, factor: 0.1 };
+/// check_env(&mut env)?;
+/// env.reset(Some(1))?;
+/// let reward = env.step(&[0.0; 4])?.reward;
+/// assert!((reward + 0.09).abs() < 1e-4, "0.9 m below the target");
+/// assert_eq!(env.reference(0).position.z, 1.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub trait Wrapper {
+    /// Type of the environment inside.
+    type Inner: DroneEnv + ?Sized;
+
+    /// Returns the environment inside.
+    fn inner(this: &Self) -> &Self::Inner;
+
+    /// Returns the environment inside, to be changed.
+    fn inner_mut(this: &mut Self) -> &mut Self::Inner;
+
+    /// [`Env::name`].
+    fn name(this: &Self) -> &'static str {
+        Self::inner(this).name()
+    }
+
+    /// [`Env::observation_space`].
+    fn observation_space(this: &Self) -> &ObservationSpace {
+        Self::inner(this).observation_space()
+    }
+
+    /// [`Env::action_space`].
+    fn action_space(this: &Self) -> &BoxSpace {
+        Self::inner(this).action_space()
+    }
+
+    /// [`Env::reset`].
+    ///
+    /// # Errors
+    /// As there.
+    fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        Self::inner_mut(this).reset(seed)
+    }
+
+    /// [`Env::step`].
+    ///
+    /// # Errors
+    /// As there.
+    fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
+        Self::inner_mut(this).step(action)
+    }
+
+    /// [`Env::observation`].
+    fn observation(this: &Self) -> &Observation {
+        Self::inner(this).observation()
+    }
+
+    /// [`Env::info`].
+    fn info(this: &Self) -> Info {
+        Self::inner(this).info()
+    }
+
+    /// [`Env::measures`].
+    fn measures(this: &Self, report: &mut dyn FnMut(&'static str, f64)) {
+        Self::inner(this).measures(report);
+    }
+
+    /// [`Env::render`].
+    ///
+    /// # Errors
+    /// As there.
+    fn render(this: &mut Self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+        Self::inner_mut(this).render(view, size, rgb)
+    }
+
+    /// [`DroneEnv::simulation`].
+    fn simulation(this: &Self) -> &Simulation {
+        Self::inner(this).simulation()
+    }
+
+    /// [`DroneEnv::action_type`].
+    fn action_type(this: &Self) -> ActionType {
+        Self::inner(this).action_type()
+    }
+
+    /// [`DroneEnv::action_of_motor_speeds`].
+    ///
+    /// # Errors
+    /// As there.
+    fn action_of_motor_speeds(this: &Self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
+        Self::inner(this).action_of_motor_speeds(speeds, action)
+    }
+
+    /// [`DroneEnv::episode_steps`].
+    fn episode_steps(this: &Self) -> u64 {
+        Self::inner(this).episode_steps()
+    }
+
+    /// [`DroneEnv::drone_end`].
+    ///
+    /// # Panics
+    /// As there.
+    fn drone_end(this: &Self, drone: usize) -> Option<EndReason> {
+        Self::inner(this).drone_end(drone)
+    }
+
+    /// [`DroneEnv::drone_reward`].
+    ///
+    /// # Panics
+    /// As there.
+    fn drone_reward(this: &Self, drone: usize) -> f64 {
+        Self::inner(this).drone_reward(drone)
+    }
+
+    /// [`DroneEnv::reference`].
+    fn reference(this: &Self, drone: usize) -> Reference {
+        Self::inner(this).reference(drone)
+    }
+
+    /// [`DroneEnv::plan`].
+    fn plan(this: &Self, drone: usize) -> Option<Box<dyn Trajectory>> {
+        Self::inner(this).plan(drone)
+    }
+
+    /// [`DroneEnv::plans`].
+    fn plans(this: &Self) -> Vec<Option<Box<dyn Trajectory>>> {
+        Self::inner(this).plans()
+    }
+
+    /// [`DroneEnv::extent`].
+    fn extent(this: &Self) -> Vec<Vector3<f64>> {
+        Self::inner(this).extent()
+    }
+
+    /// [`DroneEnv::set_wind`].
+    ///
+    /// # Errors
+    /// As there.
+    fn set_wind(this: &mut Self, wind: Option<WindConfig>) -> Result<(), EnvError> {
+        Self::inner_mut(this).set_wind(wind)
+    }
+
+    /// [`DroneEnv::set_randomization`].
+    ///
+    /// # Errors
+    /// As there.
+    fn set_randomization(this: &mut Self, randomization: Option<Randomization>) -> Result<(), EnvError> {
+        Self::inner_mut(this).set_randomization(randomization)
+    }
+
+    /// [`DroneEnv::draw`].
+    fn draw(this: &Self) -> Option<&Draw> {
+        Self::inner(this).draw()
+    }
+
+    /// [`DroneEnv::may_be_constant`].
+    fn may_be_constant(this: &Self, entry: usize) -> bool {
+        Self::inner(this).may_be_constant(entry)
+    }
+}
+
+impl<W: Wrapper> Env for W {
+    fn name(&self) -> &'static str {
+        <W as Wrapper>::name(self)
+    }
+
+    fn observation_space(&self) -> &ObservationSpace {
+        <W as Wrapper>::observation_space(self)
+    }
+
+    fn action_space(&self) -> &BoxSpace {
+        <W as Wrapper>::action_space(self)
+    }
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
+        <W as Wrapper>::reset(self, seed)
+    }
+
+    fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
+        <W as Wrapper>::step(self, action)
+    }
+
+    fn observation(&self) -> &Observation {
+        <W as Wrapper>::observation(self)
+    }
+
+    fn info(&self) -> Info {
+        <W as Wrapper>::info(self)
+    }
+
+    fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
+        <W as Wrapper>::measures(self, report);
+    }
+
+    fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
+        <W as Wrapper>::render(self, view, size, rgb)
+    }
+}
+
+impl<W: Wrapper> DroneEnv for W {
+    fn simulation(&self) -> &Simulation {
+        <W as Wrapper>::simulation(self)
+    }
+
+    fn action_type(&self) -> ActionType {
+        <W as Wrapper>::action_type(self)
+    }
+
+    fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
+        <W as Wrapper>::action_of_motor_speeds(self, speeds, action)
+    }
+
+    fn episode_steps(&self) -> u64 {
+        <W as Wrapper>::episode_steps(self)
+    }
+
+    fn drone_end(&self, drone: usize) -> Option<EndReason> {
+        <W as Wrapper>::drone_end(self, drone)
+    }
+
+    fn drone_reward(&self, drone: usize) -> f64 {
+        <W as Wrapper>::drone_reward(self, drone)
+    }
+
+    fn reference(&self, drone: usize) -> Reference {
+        <W as Wrapper>::reference(self, drone)
+    }
+
+    fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
+        <W as Wrapper>::plan(self, drone)
+    }
+
+    fn plans(&self) -> Vec<Option<Box<dyn Trajectory>>> {
+        <W as Wrapper>::plans(self)
+    }
+
+    fn extent(&self) -> Vec<Vector3<f64>> {
+        <W as Wrapper>::extent(self)
+    }
+
+    fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
+        <W as Wrapper>::set_wind(self, wind)
+    }
+
+    fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
+        <W as Wrapper>::set_randomization(self, randomization)
+    }
+
+    fn draw(&self) -> Option<&Draw> {
+        <W as Wrapper>::draw(self)
+    }
+
+    fn may_be_constant(&self, entry: usize) -> bool {
+        <W as Wrapper>::may_be_constant(self, entry)
+    }
+}
+
+/// A boxed environment is one: what [`make`](crate::tasks::make) returns can be wrapped.
+impl<E: DroneEnv + ?Sized> Wrapper for Box<E> {
+    type Inner = E;
+
+    fn inner(this: &Self) -> &E {
+        this
+    }
+
+    fn inner_mut(this: &mut Self) -> &mut E {
+        this
+    }
+}
+
+/// A borrowed environment is one: wrappers and loops need not own it.
+impl<E: DroneEnv + ?Sized> Wrapper for &mut E {
+    type Inner = E;
+
+    fn inner(this: &Self) -> &E {
+        this
+    }
+
+    fn inner_mut(this: &mut Self) -> &mut E {
+        this
+    }
+}
