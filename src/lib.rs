@@ -30,13 +30,13 @@ pub mod prelude {
     pub use aviary::drone::{DroneModel, DroneParams};
     pub use aviary::engine::EngineKind;
     pub use aviary::env::{
-        Aviary, AviaryBuilder, BoxSpace, DroneEnv, EndReason, Env, EnvConfig, EnvError, Info, Step, Task, TaskDefaults,
-        check_env,
+        Aviary, AviaryBuilder, BoxSpace, DroneEnv, EndReason, Env, EnvConfig, EnvError, EpisodeSummary, Info, Step,
+        Task, TaskDefaults, check_env,
     };
     pub use aviary::multi_agent::{ParallelAviary, ParallelEnv};
     pub use aviary::observation::{Observation, ObservationType};
     pub use aviary::physics::{Effects, Physics};
-    pub use aviary::rollout::{ControllerPolicy, EpisodeSummary, Policy, Rollout, RolloutError, fly_episode};
+    pub use aviary::rollout::{ControllerPolicy, Policy, Rollout, RolloutError, fly_episode};
     pub use aviary::simulation::{SimView, Simulation, SimulationError};
     pub use aviary::state::DroneState;
     pub use aviary::tasks::{

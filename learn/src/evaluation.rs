@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 use std::fmt;
 
-use aviary::env::{DroneEnv, EndReason, EnvError};
+use aviary::env::{DroneEnv, EndReason, EnvError, EpisodeSummary};
 use aviary::policy::PolicyNetwork;
-use aviary::rollout::{EpisodeSummary, Policy, Rollout, RolloutError};
+use aviary::rollout::{Policy, Rollout, RolloutError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -155,6 +155,22 @@ impl Info {
     }
 }
 
+/// Outcome of an episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeSummary {
+    /// Sum of the rewards.
+    pub reward: f64,
+    /// Length in control steps.
+    pub steps: u64,
+    /// Reason of the end; `None` while the episode runs.
+    pub end: Option<EndReason>,
+    /// True if every drone fulfils the task at the end.
+    pub success: bool,
+    /// [`Env::info_map`] at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the scalar metrics of
+    /// the task. Truth values are 0 and 1.
+    pub metrics: BTreeMap<&'static str, f64>,
+}
+
 /// What can go wrong with an environment.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -293,42 +309,41 @@ impl From<mujoco_rs::Error> for EnvError {
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 pub trait Env {
-    /// Name of the task, in lower snake case.
+    /// Returns the name of the task, in lower snake case.
     fn name(&self) -> &'static str;
 
-    /// What observations look like.
+    /// Returns the space of observations.
     fn observation_space(&self) -> &ObservationSpace;
 
-    /// What actions look like. Steps clip to its bounds.
+    /// Returns the space of actions. A step clips actions to its bounds.
     fn action_space(&self) -> &BoxSpace;
 
-    /// Starts an episode. With a seed, everything random starts anew from it; without one it goes on from where it
-    /// was.
+    /// Starts an episode. A seed restarts every random stream; without a seed, random streams go on from where they are.
     ///
     /// # Errors
     /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error, [`EnvError::Option`] where the task or its
     /// options were changed to what is impossible, [`EnvError::Vision`] where observed pictures cannot be drawn.
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError>;
 
-    /// Advances by one control step.
+    /// Advances the environment by one control step.
     ///
     /// # Errors
     /// [`EnvError::ActionLength`] and [`EnvError::Action`], and then nothing has moved; [`EnvError::NeedsReset`];
     /// [`EnvError::Simulation`] where the state diverged; [`EnvError::Vision`] where observed pictures cannot be drawn.
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError>;
 
-    /// What the last reset or step returned as observation; zeros before the first.
+    /// Returns the observation of the last reset or step; zeros before the first reset.
     fn observation(&self) -> &Observation;
 
-    /// How the episode stands.
+    /// Returns the state of the episode.
     fn info(&self) -> Info;
 
-    /// Reports further numbers of the task by name: gates passed, formation error.
+    /// Reports the scalar metrics of the task by name: gates passed, formation error.
     fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = report;
     }
 
-    /// Everything that [`info`](Self::info) and [`measures`](Self::measures) say, by name; truth values as 0 and 1.
+    /// Returns the values of [`info`](Self::info) and [`measures`](Self::measures) by name; truth values are 0 and 1.
     fn info_map(&self) -> BTreeMap<&'static str, f64> {
         let mut map: BTreeMap<_, _> = self.info().values().collect();
         self.measures(&mut |name, value| {
@@ -337,7 +352,7 @@ pub trait Env {
         map
     }
 
-    /// Draws a picture for people: RGB, three bytes per pixel, top row first. The first one takes a while.
+    /// Renders an image for people: RGB, three bytes per pixel, top row first. The first call loads the renderer and is slow.
     ///
     /// # Errors
     /// [`EnvError::Vision`] where there is no OpenGL to draw with or the buffer has the wrong length.
@@ -359,36 +374,36 @@ pub trait Env {
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 pub trait DroneEnv: Env {
-    /// The simulation underneath.
+    /// Returns the simulation.
     fn simulation(&self) -> &Simulation;
 
-    /// What the numbers of an action mean.
+    /// Returns the meaning of the numbers of an action.
     fn action_type(&self) -> ActionType;
 
-    /// The action, normalized or raw as its type has it (written to `action`) that commands these motor speeds (rpm), for controllers that
-    /// speak in motor speeds.
+    /// Writes the action that commands these motor speeds (rpm), for controllers, which command motor speeds. The action is normalized or
+    /// raw, according to the [action type](Self::action_type).
     ///
     /// # Errors
     /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError>;
 
-    /// Control steps after which an episode is cut off.
+    /// Returns the number of control steps after which an episode is truncated.
     fn episode_steps(&self) -> u64;
 
-    /// How the last step ended for a drone.
+    /// Returns the reason why the last step ended the episode for a drone, if it did.
     ///
     /// # Panics
     /// If there is no drone of that index; likewise below.
     fn drone_end(&self, drone: usize) -> Option<EndReason>;
 
-    /// A drone's share of the reward that the last step of the running or the ended episode returned; 0 before the first.
+    /// Returns the share of a drone in the reward of the last step; 0 before the first step of an episode.
     fn drone_reward(&self, drone: usize) -> f64;
 
-    /// What a controller flying this task would be asked to follow now.
+    /// Returns the reference that fulfils the task when a controller follows it with a drone now.
     fn reference(&self, drone: usize) -> Reference;
 
-    /// A way that fulfils the task from a drone's present state, for controllers that follow trajectories; `None` where
-    /// following [`reference`](Self::reference) does.
+    /// Returns a trajectory that fulfils the task from the present state of a drone, for controllers; `None` where following
+    /// [`reference`](Self::reference) fulfils the task.
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = drone;
         None
@@ -399,30 +414,29 @@ pub trait DroneEnv: Env {
         (0..self.simulation().num_drones()).map(|drone| self.plan(drone)).collect()
     }
 
-    /// Returns points (world frame, m) that drones come by in an episode, for cameras that stand still: starts, references, plans.
+    /// Returns points (world frame, m) that drones pass in an episode, for fixed cameras: starts, references, plans.
     fn extent(&self) -> Vec<Vector3<f64>> {
         let states = self.simulation().initial_states();
         states.iter().enumerate().flat_map(|(drone, state)| [state.position, self.reference(drone).position]).collect()
     }
 
-    /// Changes the wind from now on and for the episodes to come; `None` for still air.
+    /// Sets the wind from now on, also for later episodes; `None` for still air.
     ///
     /// # Errors
     /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that draws
     /// the wind.
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
 
-    /// Draws the body, the sensors, the start, … anew for every episode from the next reset on; `None` for the nominal
-    /// ones again.
+    /// Samples the body, the sensors, the start, … for every episode from the next reset on; `None` for nominal values.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming a range that is none, or next to a wind that the draws would replace.
+    /// [`EnvError::Option`] naming an impossible range, or next to a wind that the samples would replace.
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
 
-    /// What was drawn for this episode; `None` without randomization.
+    /// Returns the sampled parameters of this episode; `None` without randomization.
     fn draw(&self) -> Option<&Draw>;
 
-    /// Whether an entry of the observation's vector may stay the same for a whole episode, as a target does.
+    /// Returns true if an entry of the observation's vector may be constant during an episode, like a target.
     fn may_be_constant(&self, entry: usize) -> bool {
         let _ = entry;
         false

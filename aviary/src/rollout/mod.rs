@@ -13,10 +13,9 @@ mod steering;
 
 pub use controller::ControllerPolicy;
 
-use std::collections::BTreeMap;
 use std::fmt;
 
-use crate::env::{DroneEnv, EndReason, EnvError, Step};
+use crate::env::{DroneEnv, EnvError, EpisodeSummary, Step};
 use crate::policy::{PolicyError, PolicyNetwork};
 
 /// Chooses the actions of an environment: of all its drones, from the observation, the states and whatever else the environment
@@ -153,22 +152,6 @@ pub enum RolloutError {
     /// A trained policy that cannot fly the environment.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-}
-
-/// Outcome of an episode.
-#[derive(Debug, Clone, PartialEq)]
-pub struct EpisodeSummary {
-    /// Sum of the rewards.
-    pub reward: f64,
-    /// Length in control steps.
-    pub steps: u64,
-    /// Reason of the end; `None` while the episode runs.
-    pub end: Option<EndReason>,
-    /// True if every drone fulfils the task at the end.
-    pub success: bool,
-    /// [`info_map`](crate::env::Env::info_map) at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the scalar metrics of
-    /// the task. Truth values are 0 and 1.
-    pub metrics: BTreeMap<&'static str, f64>,
 }
 
 /// Flies one episode to its end.

@@ -1,0 +1,118 @@
+//! The loop that flies episodes: what it does to the bit, and what it refuses.
+
+use mujoco_drones_gym::control::CollisionCone;
+use mujoco_drones_gym::policy::{PolicyError, PolicyNetwork};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::rollout::from_fn;
+use mujoco_drones_gym::tasks::{NAMES, summary};
+use mujoco_drones_gym::wrappers::{SafetyWrapper, Wrapper};
+
+/// Sum of the rewards, control steps and last states of an episode that is flown by hand.
+fn by_hand(env: &mut dyn DroneEnv, kind: ControllerKind) -> (f64, u64, Vec<DroneState>) {
+    env.reset(Some(5)).unwrap();
+    let drones = env.simulation().num_drones();
+    let mut controllers: Vec<_> = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
+    let plans = env.plans();
+    let (mut action, mut speeds) = (vec![0.0; env.action_space().size()], vec![[0.0; 4]; drones]);
+    let (mut reward, mut steps) = (0.0, 0);
+    while env.info().end.is_none() {
+        let simulation = env.simulation();
+        for (drone, controller) in controllers.iter_mut().enumerate() {
+            let plan = plans[drone].as_ref();
+            let reference = plan.map_or_else(|| env.reference(drone), |plan| plan.reference(simulation.time()));
+            let state = &simulation.states()[drone];
+            speeds[drone] = controller.control(simulation.control_period(), state, &reference).rpm;
+        }
+        env.action_of_motor_speeds(&speeds, &mut action).unwrap();
+        reward += env.step(&action).unwrap().reward;
+        steps += 1;
+    }
+    (reward, steps, env.simulation().states().to_vec())
+}
+
+#[test]
+fn every_task_is_flown_to_the_bits_of_controllers_that_are_called_by_hand() {
+    for name in NAMES {
+        let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw).episode_seconds(5.0)).unwrap();
+        let kind = summary(name).unwrap().defaults.controller;
+        let mut pilot = ControllerPolicy::new(kind, &env);
+        // memory of an episode before has no effect
+        fly_episode(&mut env, &mut pilot, Some(4)).unwrap();
+        let flown = fly_episode(&mut env, &mut pilot, Some(5)).unwrap();
+        let states = env.simulation().states().to_vec();
+        assert_eq!((flown.reward, flown.steps, states), by_hand(&mut env, kind), "{name}");
+        assert_eq!((flown.end, flown.success), (env.info().end, env.info().success), "{name}");
+        assert_eq!(flown.metrics, env.info_map(), "{name}");
+    }
+}
+
+#[test]
+fn velocities_behind_a_filter_are_commanded_where_actions_are_velocities() {
+    let task = Antipodal::builder().num_drones(4).action_type(ActionType::Vel).controller(ControllerKind::Geometric);
+    let env = SafetyWrapper::new(task.build().unwrap(), CollisionCone::new(0.36)).unwrap();
+    let pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
+    let mut rollout = Rollout::start(env, pilot, Some(1)).unwrap();
+    let summary = rollout.finish(|_| {}).unwrap();
+    assert!(summary.success && summary.metrics["minimum_distance"] > 0.3, "{summary:?}");
+    assert!(rollout.env().interventions() > 0);
+}
+
+#[test]
+fn errors_of_policies_and_of_environments_end_an_episode() {
+    let mut env = MultiHover::builder().build().unwrap();
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/policies/hover.safetensors");
+    let mut one = PolicyNetwork::load(path).unwrap();
+    let refused = fly_episode(&mut env, &mut one, Some(1)).unwrap_err();
+    assert!(matches!(refused, RolloutError::Policy(PolicyError::Mismatch { .. })), "{refused}");
+
+    let mut rollout = Rollout::start(
+        &mut env,
+        from_fn(|env, action| action[5] = if env.simulation().control_steps() < 3 { 0.1 } else { f64::NAN }),
+        Some(1),
+    )
+    .unwrap();
+    let error = rollout.finish(|_| {}).unwrap_err();
+    assert!(matches!(error, RolloutError::Env(EnvError::Action { index: 5, .. })), "{error}");
+    // nothing has moved in the step that failed
+    assert_eq!((rollout.summary().steps, rollout.is_over()), (3, false));
+}
+
+/// Shows one number less.
+struct Blind<E> {
+    env: E,
+    observation: Observation,
+}
+
+impl<E: DroneEnv> Wrapper for Blind<E> {
+    type Inner = E;
+
+    fn inner(this: &Self) -> &E {
+        &this.env
+    }
+
+    fn inner_mut(this: &mut Self) -> &mut E {
+        &mut this.env
+    }
+
+    fn observation(this: &Self) -> &Observation {
+        &this.observation
+    }
+
+    fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
+        let Step { reward, terminated, truncated, .. } = this.env.step(action)?;
+        this.observation.clone_from(this.env.observation());
+        this.observation.vector.truncate(11);
+        Ok(Step { observation: &this.observation, reward, terminated, truncated })
+    }
+}
+
+#[test]
+fn a_wrapper_overrides_what_it_changes_and_forwards_the_rest() {
+    let plain = make("hover", EnvConfig::default()).unwrap();
+    let mut wrapped = Blind { observation: plain.observation().clone(), env: plain };
+    let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &wrapped);
+    let flown = fly_episode(&mut wrapped, &mut pilot, Some(1)).unwrap();
+    assert_eq!((wrapped.observation().vector.len(), wrapped.env.observation().vector.len()), (11, 12));
+    assert_eq!(flown, fly_episode(&mut wrapped.env, &mut pilot, Some(1)).unwrap());
+    assert_eq!((wrapped.name(), wrapped.episode_steps()), ("hover", 480));
+}
