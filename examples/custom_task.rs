@@ -7,7 +7,7 @@ use mujoco_drones_gym::{Rng, RngExt};
 use nalgebra::Vector3;
 
 /// Land softly on a pad that lies somewhere else in every episode.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 struct Land {
     pad: Vector3<f64>,
     landed: bool,

@@ -125,6 +125,13 @@ fn the_drift_in_the_readme_is_what_the_example_prints() {
     }
 }
 
+#[test]
+fn mppi_flies_to_its_waypoint_by_sampling_from_snapshots() {
+    let Some(printed) = print("mppi", &[]) else { return };
+    let error: f64 = printed.split(' ').next().unwrap().parse().unwrap();
+    assert!(error < 0.1 && printed.contains("after 6 s") && printed.contains("a snapshot takes"), "{printed}");
+}
+
 /// Every example has a test in this file and is no longer than a screen or two.
 #[test]
 fn every_example_is_tested_and_short() {

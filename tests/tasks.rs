@@ -149,7 +149,7 @@ fn cameras_keep_the_contract() {
 #[test]
 fn the_checker_finds_what_is_wrong() {
     /// A task with one fault.
-    #[derive(Debug, Default)]
+    #[derive(Debug, Default, Clone)]
     struct Faulty {
         fault: &'static str,
         episodes: f64,

@@ -5,13 +5,13 @@ use rand::Rng as _;
 
 use super::episode::{Episode, Phase, StepOutcome};
 use super::pipeline::{EnvModel, EnvParts, EnvWorkspace, Synced};
-use super::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Step, Task};
+use super::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step, Task};
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
-use crate::simulation::Simulation;
+use crate::simulation::{SimData, Simulation};
 use crate::state::DroneState;
 use crate::vision::{ImageSize, Painter, View};
 
@@ -129,7 +129,16 @@ impl<T: Task> Aviary<T> {
     }
 }
 
-impl<T: Task> Env for Aviary<T> {
+/// What an [`Aviary`] keeps in a snapshot.
+#[derive(Debug)]
+struct Snapshot<T> {
+    data: SimData,
+    episode: Episode<T>,
+    decoders: Vec<ActionDecoder>,
+    observation: Observation,
+}
+
+impl<T: Task + Clone + Send> Env for Aviary<T> {
     fn name(&self) -> &'static str {
         self.episode.task.name()
     }
@@ -156,6 +165,24 @@ impl<T: Task> Env for Aviary<T> {
         }
         self.observe()?;
         Ok(Step { observation: &self.workspace.observation, reward, terminated, truncated })
+    }
+
+    fn snapshot(&self) -> EnvSnapshot {
+        EnvSnapshot::new(Snapshot {
+            data: self.simulation.snapshot(),
+            episode: self.episode.clone(),
+            decoders: self.decoders.clone(),
+            observation: self.workspace.observation.clone(),
+        })
+    }
+
+    fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        let Snapshot { data, episode, decoders, observation } = snapshot.own::<Snapshot<T>>()?;
+        self.simulation.restore(data)?;
+        self.episode.clone_from(episode);
+        self.decoders.clone_from(decoders);
+        self.workspace.observation.clone_from(observation);
+        Ok(())
     }
 
     fn observation(&self) -> &Observation {
@@ -225,7 +252,7 @@ impl<T: Task> Env for Aviary<T> {
     }
 }
 
-impl<T: Task> DroneEnv for Aviary<T> {
+impl<T: Task + Clone + Send> DroneEnv for Aviary<T> {
     fn drone_end(&self, drone: usize) -> Option<EndReason> {
         self.episode.ends[drone]
     }

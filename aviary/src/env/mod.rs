@@ -8,6 +8,7 @@ mod episode;
 mod moving;
 mod pipeline;
 mod randomization;
+mod snapshot;
 mod space;
 mod task;
 
@@ -21,6 +22,7 @@ pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, Draw, DroneDraw, EnvironmentRanges, InitialRanges, Randomization,
     Range, SensorRanges,
 };
+pub use snapshot::EnvSnapshot;
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
 pub(crate) use task::path_points;
 pub use task::{Task, TaskDefaults};
@@ -199,6 +201,11 @@ pub enum EnvError {
         /// When it was called.
         when: &'static str,
     },
+    /// A snapshot of another kind of environment.
+    #[error(
+        "the snapshot is of another kind of environment, expected one of this environment or of one with the same options"
+    )]
+    Snapshot,
     /// A name that no task has.
     #[error(transparent)]
     UnknownName(#[from] UnknownName),
@@ -331,6 +338,17 @@ pub trait Env {
     /// [`EnvError::ActionLength`] and [`EnvError::Action`], and then nothing has moved; [`EnvError::NeedsReset`];
     /// [`EnvError::Simulation`] where the state diverged; [`EnvError::Vision`] where observed pictures cannot be drawn.
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError>;
+
+    /// Returns everything that changes, for [`restore`](Self::restore): to plan with, or to branch.
+    fn snapshot(&self) -> EnvSnapshot;
+
+    /// Goes back to a snapshot of this environment, or of one with the same options. Steps and resets from there on are bit-identical to
+    /// those after the snapshot.
+    ///
+    /// # Errors
+    /// [`EnvError::Snapshot`] for one of another kind of environment, and [`EnvError::Simulation`] for one with another number of drones
+    /// or obstacles; then nothing has changed.
+    fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError>;
 
     /// Returns the observation of the last reset or step; zeros before the first reset.
     fn observation(&self) -> &Observation;

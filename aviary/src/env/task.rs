@@ -27,6 +27,8 @@ pub struct TaskDefaults {
 /// The order of calls is `start`, `reset`, `observe` at the start of an episode, and after every control step `update`,
 /// `end`, `reward`, `observe`: what `update` changes (a waypoint that was reached) is seen by all that follow.
 ///
+/// A task is `Clone`: batches and snapshots copy it with everything that it remembers.
+///
 /// A worked example is `examples/custom_task.rs`.
 ///
 /// ```
@@ -37,7 +39,7 @@ pub struct TaskDefaults {
 /// use nalgebra::Vector3;
 ///
 /// /// Climb to 2 m, the sooner the better.
-/// #[derive(Debug)]
+/// #[derive(Debug, Clone)]
 /// struct Climb;
 ///
 /// impl Task for Climb {
@@ -77,7 +79,7 @@ pub struct TaskDefaults {
 /// assert_eq!(env.info().end, Some(EndReason::Completed));
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-pub trait Task: std::fmt::Debug {
+pub trait Task: std::fmt::Debug + 'static {
     /// Name, in lower snake case.
     fn name(&self) -> &'static str;
 

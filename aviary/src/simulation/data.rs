@@ -85,6 +85,56 @@ pub(super) fn unique() -> u64 {
 }
 
 impl SimData {
+    /// Becomes a copy of other data, in the memory that it has.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        let Self {
+            states,
+            rpys,
+            started,
+            control_steps,
+            contacts,
+            failed,
+            loads,
+            drones,
+            actuators,
+            wakes,
+            bodies,
+            wind,
+            wind_seed,
+            memory,
+            motor_speeds,
+            changed,
+            obstacles,
+            obstacle_revision,
+            marker_poses,
+            warm_start,
+            in_mujoco,
+            stamp,
+        } = other;
+        self.states.clone_from(states);
+        self.rpys.clone_from(rpys);
+        self.started.clone_from(started);
+        self.control_steps.clone_from(control_steps);
+        self.contacts.clone_from(contacts);
+        self.failed.clone_from(failed);
+        self.loads.clone_from(loads);
+        self.drones.clone_from(drones);
+        self.actuators.clone_from(actuators);
+        self.wakes.clone_from(wakes);
+        self.bodies.clone_from(bodies);
+        self.wind.clone_from(wind);
+        self.wind_seed.clone_from(wind_seed);
+        self.memory.clone_from(memory);
+        self.motor_speeds.clone_from(motor_speeds);
+        self.changed.clone_from(changed);
+        self.obstacles.clone_from(obstacles);
+        self.obstacle_revision.clone_from(obstacle_revision);
+        self.marker_poses.clone_from(marker_poses);
+        self.warm_start.clone_from(warm_start);
+        self.in_mujoco.clone_from(in_mujoco);
+        self.stamp.clone_from(stamp);
+    }
+
     pub(super) fn new(model: &SimModel) -> Self {
         let (world, actuators) = (&model.world, &model.actuators);
         let drone = |params: &DroneParams| Drone {

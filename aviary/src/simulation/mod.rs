@@ -135,7 +135,7 @@ impl Simulation {
         if got != expected {
             return Err(SimulationError::Length { what: "the snapshot's list of obstacles", got, expected });
         }
-        self.data.clone_from(snapshot);
+        self.data.copy_from(snapshot);
         Ok(())
     }
 

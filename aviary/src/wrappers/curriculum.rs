@@ -3,7 +3,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::Wrapper;
-use crate::env::{DroneEnv, EnvError, Step};
+use crate::env::{DroneEnv, EnvError, EnvSnapshot, Step};
 use crate::observation::Observation;
 
 /// What a curriculum goes by: the mean of the last episodes of
@@ -291,6 +291,18 @@ impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Wrapper for C
 
     fn inner_mut(this: &mut Self) -> &mut E {
         &mut this.env
+    }
+
+    fn snapshot(this: &Self) -> EnvSnapshot {
+        EnvSnapshot::around(this.env.snapshot(), (this.curriculum.clone(), this.running))
+    }
+
+    fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        let (curriculum, running) = snapshot.own::<(Curriculum, (f64, u64))>()?;
+        this.env.restore(snapshot.inner()?)?;
+        this.curriculum.clone_from(curriculum);
+        this.running = *running;
+        Ok(())
     }
 
     fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {

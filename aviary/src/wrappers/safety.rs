@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use super::Wrapper;
 use crate::action::ActionType;
 use crate::control::CollisionCone;
-use crate::env::{BoxSpace, DroneEnv, EnvError, Step};
+use crate::env::{BoxSpace, DroneEnv, EnvError, EnvSnapshot, Step};
 use crate::observation::Observation;
 use crate::state::DroneState;
 
@@ -164,6 +164,17 @@ impl<E: DroneEnv> Wrapper for SafetyWrapper<E> {
 
     fn inner_mut(this: &mut Self) -> &mut E {
         &mut this.env
+    }
+
+    fn snapshot(this: &Self) -> EnvSnapshot {
+        EnvSnapshot::around(this.env.snapshot(), (this.interventions, this.started))
+    }
+
+    fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        let &own = snapshot.own::<(u64, bool)>()?;
+        this.env.restore(snapshot.inner()?)?;
+        (this.interventions, this.started) = own;
+        Ok(())
     }
 
     fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {

@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use crate::action::ActionType;
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
-use crate::env::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, Info, ObservationSpace, Randomization, Step};
+use crate::env::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step};
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
@@ -89,6 +89,19 @@ pub trait Wrapper {
     /// As there.
     fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
         Self::inner_mut(this).step(action)
+    }
+
+    /// [`Env::snapshot`]. A wrapper with a state of its own puts it [around](EnvSnapshot::around) the snapshot of the environment inside.
+    fn snapshot(this: &Self) -> EnvSnapshot {
+        Self::inner(this).snapshot()
+    }
+
+    /// [`Env::restore`].
+    ///
+    /// # Errors
+    /// As there.
+    fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        Self::inner_mut(this).restore(snapshot)
     }
 
     /// [`Env::observation`].
@@ -219,6 +232,14 @@ impl<W: Wrapper> Env for W {
 
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError> {
         <W as Wrapper>::step(self, action)
+    }
+
+    fn snapshot(&self) -> EnvSnapshot {
+        <W as Wrapper>::snapshot(self)
+    }
+
+    fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        <W as Wrapper>::restore(self, snapshot)
     }
 
     fn observation(&self) -> &Observation {
