@@ -2,7 +2,7 @@
 
 use mujoco_drones_gym::control::AnyController;
 use mujoco_drones_gym::engine::flight::{
-    Airframe, Airframes, Flow, FreeBody, LANES, Lanes, Width, advance, compute_rpys,
+    Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, Width, advance, compute_rpys,
 };
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
@@ -58,7 +58,7 @@ fn ten_seconds_of_tumbling_are_those_of_mj_step_in_every_width() {
         let rotors = RotorModel::new(&params);
         let body = FreeBody::new(params.mass, &params.inertia_vector(), gravity, medium);
         let airframe = Airframe { body, rotors, share: 1.0, ..Airframe::default() };
-        let frames = Airframes::all(&airframe);
+        let frames = LaneParams::all(&airframe);
         let mut fields: Vec<_> = Width::available().map(|width| (width, Lanes::default())).collect();
         // the oracle: one drone after the other, driven by hand
         for (_, lanes) in &mut fields {
@@ -158,7 +158,7 @@ fn lanes_in_wind_and_medium_are_single_drones_to_the_last_bit() {
     let drag = Vector3::from(params.drag_coefficients);
     for medium in [None, Some(Medium::AIR)] {
         let body = FreeBody::new(params.mass, &params.inertia_vector(), 9.81, medium);
-        let frames = Airframes::all(&Airframe { body, rotors, drag, share: 1.0, ..Airframe::default() });
+        let frames = LaneParams::all(&Airframe { body, rotors, drag, share: 1.0, ..Airframe::default() });
         let (force, air) = (Vector3::new(0.001, -0.002, 0.003), Vector3::new(2.0, -1.0, 0.5));
         let rpm = [14_000.0, 15_000.0, 14_500.0, 13_500.0];
         for width in Width::available() {

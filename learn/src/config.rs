@@ -323,7 +323,8 @@ impl TrainConfig {
             let got = self.out_of_bounds.to_string();
             return Err(TrainError::Option { option: "out_of_bounds", got, expected: "0 to 1,000,000" });
         }
-        if self.course.is_some_and(|rewards| self.per_drone || Course::of_task(&self.task, rewards).is_none()) {
+        if self.course.is_some_and(|rewards| self.per_drone || WaypointProgress::of_task(&self.task, rewards).is_none())
+        {
             let got = format!("said for {}", self.task);
             return Err(TrainError::Option {
                 option: "course",
@@ -418,10 +419,10 @@ impl TrainConfig {
                 on_fault: OnFault::Truncate,
                 ..VecConfig::new(environments)
             };
-            let course = self.course.and_then(|rewards| Course::of_task(&self.task, rewards));
+            let course = self.course.and_then(|rewards| WaypointProgress::of_task(&self.task, rewards));
             let mut env: Box<dyn VecEnv> = match course {
-                Some(Course::FlyThrough(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
-                Some(Course::Race(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+                Some(WaypointProgress::FlyThrough(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+                Some(WaypointProgress::Race(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
                 None => make_vec(&self.task, options, config)?,
             };
             for (environment, start) in (0..environments).zip(starts.iter().cycle()) {
@@ -461,12 +462,12 @@ fn wrong(error: impl ToString) -> TrainError {
 }
 
 /// A task with a course that pays as it is configured.
-enum Course {
+enum WaypointProgress {
     FlyThrough(FlyThrough),
     Race(Race),
 }
 
-impl Course {
+impl WaypointProgress {
     /// The task of a name, if it has a course.
     fn of_task(name: &str, rewards: CourseRewards) -> Option<Self> {
         let CourseRewards { point, distance, speed } = rewards;

@@ -27,7 +27,7 @@ pub struct HybridEngine {
     /// Radius and height of the drones' collision cylinders, m.
     sizes: Vec<(f64, f64)>,
     obstacles: Vec<Obstacle>,
-    lookouts: Vec<Lookout>,
+    clearance_caches: Vec<ClearanceCache>,
     /// Whether the whole control step is in the open.
     clear: bool,
     /// Whether MuJoCo has the bodies of this control step.
@@ -39,13 +39,13 @@ pub struct HybridEngine {
 
 /// How far the nearest obstacle was from a place: wherever one is since, it cannot be nearer than that less the way between.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Lookout {
+pub(crate) struct ClearanceCache {
     place: Vector3<f64>,
     /// m; less than nothing where nobody has looked.
     distance: f64,
 }
 
-impl Lookout {
+impl ClearanceCache {
     /// Whether there is more than this room (m) about a place.
     #[inline]
     pub(crate) fn has_room(&mut self, obstacles: &[Obstacle], place: &Vector3<f64>, room: f64) -> bool {
@@ -75,7 +75,7 @@ impl HybridEngine {
             able: world.integrator == Integrator::Rk4,
             sizes: world.drones.iter().map(|drone| size(&drone.params)).collect(),
             obstacles: world.obstacles.clone(),
-            lookouts: vec![Lookout::default(); world.drones.len()],
+            clearance_caches: vec![ClearanceCache::default(); world.drones.len()],
             clear: false,
             informed: false,
             in_mujoco: false,
@@ -96,7 +96,7 @@ impl HybridEngine {
     pub(super) fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.obstacles.clear();
         self.obstacles.extend_from_slice(obstacles);
-        self.lookouts.fill(Lookout::default());
+        self.clearance_caches.fill(ClearanceCache::default());
         self.mujoco.set_obstacles(obstacles)
     }
 
@@ -108,7 +108,7 @@ impl HybridEngine {
     /// Whether no drone can touch anything for so many physics steps, whatever its motors do.
     fn is_clear(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> bool {
         let dt = self.dt;
-        let radius = |drone: usize| bodies.drones[drone].envelope.radius(dt, steps, &states[drone]);
+        let radius = |drone: usize| bodies.drones[drone].reach_bound.radius(dt, steps, &states[drone]);
         self.has_room(states, bodies.obstacle_drift, radius, |_, _| false)
     }
 
@@ -116,9 +116,9 @@ impl HybridEngine {
     fn is_free(&mut self, bodies: &Bodies, loads: &[Load], states: &[DroneState]) -> bool {
         let dt = self.dt;
         let motion = |drone: usize| {
-            let (Body { envelope, free, mass, .. }, load) = (&bodies.drones[drone], &loads[drone]);
+            let (Body { reach_bound, free, mass, .. }, load) = (&bodies.drones[drone], &loads[drone]);
             let force = load.rotors.thrust.abs() + load.external.force_world.norm() + mass * bodies.gravity.abs();
-            envelope.one_step(dt, free, force, load.rotors.torque_body.norm(), &states[drone])
+            reach_bound.one_step(dt, free, force, load.rotors.torque_body.norm(), &states[drone])
         };
         let sizes = std::mem::take(&mut self.sizes);
         let free = self.has_room(
@@ -127,12 +127,16 @@ impl HybridEngine {
             |drone| {
                 let (travel, turn) = motion(drone);
                 // NaN and infinity are no room
-                if turn < FreeBody::MAX_TURN { bodies.drones[drone].envelope.reach() + travel } else { f64::INFINITY }
+                if turn < FreeBody::MAX_TURN {
+                    bodies.drones[drone].reach_bound.reach() + travel
+                } else {
+                    f64::INFINITY
+                }
             },
             |drone, state| {
                 let ((travel, turn), (radius, height)) = (motion(drone), sizes[drone]);
                 turn < FreeBody::MAX_TURN
-                    && clearance(radius, height, state) > travel + turn * bodies.drones[drone].envelope.reach()
+                    && clearance(radius, height, state) > travel + turn * bodies.drones[drone].reach_bound.reach()
             },
         );
         self.sizes = sizes;
@@ -155,7 +159,7 @@ impl HybridEngine {
             let apart = |other: usize| (place - V3::from(&states[other].position)).norm() - ball - radius(other) > 0.0;
             off_the_floor
                 && (0..drone).all(apart)
-                && self.lookouts[drone].has_room(&self.obstacles, &state.position, ball + drift)
+                && self.clearance_caches[drone].has_room(&self.obstacles, &state.position, ball + drift)
         })
     }
 
@@ -195,7 +199,7 @@ impl HybridEngine {
     }
 
     pub(super) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) -> Result<(), Error> {
-        self.lookouts.fill(Lookout::default());
+        self.clearance_caches.fill(ClearanceCache::default());
         self.in_mujoco = left.is_some();
         if left.is_some() { self.mujoco.resume(states, left) } else { Ok(()) }
     }

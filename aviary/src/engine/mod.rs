@@ -6,13 +6,13 @@ mod hybrid;
 mod mujoco;
 
 pub use explicit::ExplicitEngine;
+pub(crate) use hybrid::ClearanceCache;
 pub use hybrid::HybridEngine;
-pub(crate) use hybrid::Lookout;
 pub(crate) use mujoco::place_geom;
 pub use mujoco::{BuildError, MujocoEngine};
 
 pub(crate) use flight::clearance;
-use flight::{Envelope, FreeBody};
+use flight::{FreeBody, ReachBound};
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
 
@@ -61,7 +61,7 @@ pub struct Body {
     /// The same for the flight kernel, under gravity and in the medium.
     pub free: FreeBody,
     /// How far it can come.
-    pub envelope: Envelope,
+    pub reach_bound: ReachBound,
 }
 
 /// What the engine moves: it does not change during a control step.

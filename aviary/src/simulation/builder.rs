@@ -85,7 +85,7 @@ impl SimulationBuilder {
         self
     }
 
-    /// Airframes of all drones, where they differ.
+    /// LaneParams of all drones, where they differ.
     #[must_use]
     pub fn drones(mut self, drones: impl IntoIterator<Item = DroneParams>) -> Self {
         self.drones = drones.into_iter().collect();
@@ -205,7 +205,7 @@ impl SimulationBuilder {
         self.wind.as_ref()
     }
 
-    /// Airframes so far, in order.
+    /// LaneParams so far, in order.
     pub(crate) fn airframes(&self) -> &[DroneParams] {
         &self.drones
     }

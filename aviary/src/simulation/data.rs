@@ -6,7 +6,7 @@ use smallvec::SmallVec;
 
 use super::{SimModel, SimulationError, out_of_range};
 use crate::drone::{DroneError, DroneParams};
-use crate::engine::flight::{Airframe, Envelope, FreeBody};
+use crate::engine::flight::{Airframe, FreeBody, ReachBound};
 use crate::engine::{Bodies, Body, BuildError, Contact, Load};
 use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::downwash::Wake;
@@ -340,7 +340,7 @@ impl SimData {
                 mass: params.mass,
                 inertia,
                 free,
-                envelope: Envelope::new(&free, 0.0, force / params.mass, torque, slowing),
+                reach_bound: ReachBound::new(&free, 0.0, force / params.mass, torque, slowing),
             }
         };
         self.bodies.drones.clear();
@@ -348,7 +348,7 @@ impl SimData {
         for (body, drone) in self.bodies.drones.iter_mut().zip(&world.drones) {
             // the size that it collides with is always that of the scene
             let reach = drone.params.collision_radius.hypot(0.5 * drone.params.collision_height);
-            body.envelope = body.envelope.reaching(reach);
+            body.reach_bound = body.reach_bound.reaching(reach);
         }
     }
 
@@ -486,7 +486,7 @@ impl SimData {
             drag: if effects.drag { params.drag_coefficients.into() } else { nalgebra::Vector3::zeros() },
             wake: if effects.downwash { self.wakes[drone] } else { Wake::default() },
             share: self.actuators[drone].share(),
-            envelope: self.bodies.drones[drone].envelope,
+            reach_bound: self.bodies.drones[drone].reach_bound,
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::{SimData, SimModel};
 use crate::engine::Load;
-use crate::engine::flight::{Airframes, Lanes};
+use crate::engine::flight::{LaneParams, Lanes};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::wind::WindField;
@@ -27,11 +27,6 @@ impl SimData {
             && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params)
     }
 
-    /// Returns whether some rotors are slow.
-    pub(crate) fn has_lag(&self) -> bool {
-        self.actuators.iter().any(|motors| motors.share() < 1.0)
-    }
-
     /// Sets what is commanded to a drone (rpm), clipped, and returns the speeds that its rotors go to.
     #[inline]
     pub(crate) fn command(&mut self, drone: usize, command: &[f64; 4]) -> [f64; 4] {
@@ -40,11 +35,22 @@ impl SimData {
         self.actuators[drone].target(&speeds)
     }
 
-    /// Takes over an environment that has flown in a lane, after so many control steps: states, motor speeds, loads. Commands of an
-    /// environment with exact motors are the speeds that its rotors go to; those of others are here already.
+    /// Takes over an environment from a lane, after so many control steps: states, motor speeds, loads, and the warm start of MuJoCo's
+    /// solver where MuJoCo made its last step. Commands of an environment with exact motors are the speeds that its rotors go to; those of
+    /// others are here already.
     #[inline]
-    pub(crate) fn read_lane(&mut self, lanes: &[Lanes], lane: usize, control_steps: u64, exact_motors: bool) {
-        (self.control_steps, self.stamp, self.in_mujoco) = (control_steps, 0, false);
+    pub(crate) fn read_lane(
+        &mut self,
+        lanes: &[Lanes],
+        lane: usize,
+        control_steps: u64,
+        exact_motors: bool,
+        warm_start: Option<&[f64]>,
+    ) {
+        (self.control_steps, self.stamp, self.in_mujoco) = (control_steps, 0, warm_start.is_some());
+        if let Some(warm_start) = warm_start {
+            self.warm_start.copy_from_slice(warm_start);
+        }
         self.contacts.clear();
         self.failed = None;
         for (drone, lanes) in lanes.iter().enumerate() {
@@ -57,12 +63,6 @@ impl SimData {
             let (rotors, force_world) = lanes.push(lane);
             self.loads[drone] = Load { rotors, external: Wrench { force_world, ..Wrench::ZERO } };
         }
-    }
-
-    /// Takes over the warm start of MuJoCo's solver with which an environment was left.
-    pub(crate) fn resume_mujoco(&mut self, warm_start: &[f64]) {
-        self.warm_start.copy_from_slice(warm_start);
-        self.in_mujoco = true;
     }
 
     /// Returns the warm start of MuJoCo's solver, where there is one.
@@ -81,9 +81,9 @@ impl SimData {
     }
 
     /// Writes parameters to a lane.
-    pub(crate) fn write_lane_params(&self, model: &SimModel, frames: &mut [Airframes], lane: usize) {
-        for (drone, frames) in frames.iter_mut().enumerate() {
-            frames.set(lane, &self.airframe(drone, model.effects));
+    pub(crate) fn write_lane_params(&self, model: &SimModel, lane_params: &mut [LaneParams], lane: usize) {
+        for (drone, lane_params) in lane_params.iter_mut().enumerate() {
+            lane_params.set(lane, &self.airframe(drone, model.effects));
         }
     }
 
@@ -93,13 +93,13 @@ impl SimData {
         model: &SimModel,
         lanes: &[Lanes],
         lane: usize,
-        caches: &mut [crate::engine::Lookout],
+        caches: &mut [crate::engine::ClearanceCache],
     ) -> bool {
         let (dt, substeps, obstacles) = (model.world.timestep, model.substeps(), self.obstacles(model));
         let drift = self.bodies.obstacle_drift;
         lanes.iter().zip(caches).zip(&self.bodies.drones).all(|((lanes, cache), body)| {
             let state = lanes.state(lane);
-            let room = body.envelope.radius(dt, substeps, &state);
+            let room = body.reach_bound.radius(dt, substeps, &state);
             cache.has_room(obstacles, &state.position, room + drift)
         })
     }

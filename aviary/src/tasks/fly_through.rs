@@ -3,7 +3,7 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::Vector3;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::course::{self, Course};
+use super::waypoint_progress::{self, WaypointProgress};
 use super::{STATE_BOUNDS, UNBOUNDED, side_by_side};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
@@ -53,7 +53,7 @@ pub struct FlyThrough {
     pub distance_penalty: f64,
     /// When a drone counts as crashed.
     pub crash: CrashConditions,
-    course: Course,
+    progress: WaypointProgress,
     watch: CrashWatch,
 }
 
@@ -65,7 +65,7 @@ impl Default for FlyThrough {
             capture_reward: 10.0,
             distance_penalty: 0.1,
             crash: CrashConditions::with_max_tilt(FRAC_PI_2),
-            course: Course::default(),
+            progress: WaypointProgress::default(),
             watch: CrashWatch::default(),
         }
     }
@@ -79,12 +79,12 @@ impl FlyThrough {
 
     /// How many waypoints a drone has captured in this episode; 0 before the first reset.
     pub fn captured(&self, drone: usize) -> usize {
-        self.course.passed(drone)
+        self.progress.passed(drone)
     }
 
     fn target(&self, drone: usize) -> Vector3<f64> {
         let last = self.waypoints.len() - 1;
-        self.waypoints[self.course.passed(drone).min(last)].into()
+        self.waypoints[self.progress.passed(drone).min(last)].into()
     }
 }
 
@@ -107,8 +107,8 @@ impl Task for FlyThrough {
 
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        course::check(&self.waypoints, 1, self.radius)?;
-        course::check_rewards([
+        waypoint_progress::check(&self.waypoints, 1, self.radius)?;
+        waypoint_progress::check_rewards([
             ("the reward for a capture", self.capture_reward),
             ("the penalty for distance", self.distance_penalty),
         ])
@@ -127,12 +127,12 @@ impl Task for FlyThrough {
 
     fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
-        self.course.reset(simulation);
+        self.progress.reset(simulation);
     }
 
     fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
-        self.course.update(simulation, &self.waypoints, 1, self.radius);
+        self.progress.update(simulation, &self.waypoints, 1, self.radius);
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
@@ -140,12 +140,12 @@ impl Task for FlyThrough {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        if !self.course.was_flying(drone) {
+        if !self.progress.was_flying(drone) {
             return -crash_penalty(end);
         }
-        let capture = if self.course.just_passed(drone) { self.capture_reward } else { 0.0 };
+        let capture = if self.progress.just_passed(drone) { self.capture_reward } else { 0.0 };
         capture
-            - self.distance_penalty * self.course.distance(drone)
+            - self.distance_penalty * self.progress.distance(drone)
             - 0.01 * simulation.states()[drone].angular_velocity.norm()
             - crash_penalty(end)
     }
@@ -158,11 +158,11 @@ impl Task for FlyThrough {
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
-        self.watch.end(drone).is_none() && self.course.passed(drone) == self.waypoints.len()
+        self.watch.end(drone).is_none() && self.progress.passed(drone) == self.waypoints.len()
     }
 
     fn progress(&self, _simulation: SimView<'_>, drone: usize) -> f64 {
-        self.course.passed(drone) as f64 / self.waypoints.len() as f64
+        self.progress.passed(drone) as f64 / self.waypoints.len() as f64
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
@@ -174,11 +174,11 @@ impl Task for FlyThrough {
     }
 
     fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
-        self.course.plans(simulation, &self.waypoints, 1)
+        self.progress.plans(simulation, &self.waypoints, 1)
     }
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
-        self.course.extent(simulation, drone, &self.waypoints, 1)
+        self.progress.extent(simulation, drone, &self.waypoints, 1)
     }
 
     fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {

@@ -2,7 +2,6 @@
 
 mod antipodal;
 mod conditions;
-mod course;
 mod fly_through;
 mod formation;
 mod hover;
@@ -11,6 +10,7 @@ mod race;
 mod stabilize;
 mod track;
 mod velocity;
+mod waypoint_progress;
 
 use std::f64::consts::{FRAC_PI_2, PI};
 

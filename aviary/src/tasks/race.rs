@@ -1,7 +1,7 @@
 use nalgebra::Vector3;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::course::{self, Course};
+use super::waypoint_progress::{self, WaypointProgress};
 use super::{STATE_BOUNDS, UNBOUNDED, side_by_side};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
@@ -59,7 +59,7 @@ pub struct Race {
     pub distance_penalty: f64,
     /// When a drone counts as crashed.
     pub crash: CrashConditions,
-    course: Course,
+    progress: WaypointProgress,
     watch: CrashWatch,
 }
 
@@ -80,7 +80,7 @@ impl Default for Race {
             speed_reward: 2.0,
             distance_penalty: 0.05,
             crash: CrashConditions::with_max_tilt(2.0),
-            course: Course::default(),
+            progress: WaypointProgress::default(),
             watch: CrashWatch::default(),
         }
     }
@@ -94,12 +94,12 @@ impl Race {
 
     /// How many gates a drone has passed in this episode, over all laps; 0 before the first reset.
     pub fn gates_passed(&self, drone: usize) -> usize {
-        self.course.passed(drone)
+        self.progress.passed(drone)
     }
 
     /// The gate so many after the next one.
     fn gate(&self, drone: usize, ahead: usize) -> Vector3<f64> {
-        self.gates[(self.course.passed(drone) + ahead) % self.gates.len()].into()
+        self.gates[(self.progress.passed(drone) + ahead) % self.gates.len()].into()
     }
 }
 
@@ -122,8 +122,8 @@ impl Task for Race {
 
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        course::check(&self.gates, self.laps, self.radius)?;
-        course::check_rewards([
+        waypoint_progress::check(&self.gates, self.laps, self.radius)?;
+        waypoint_progress::check_rewards([
             ("the reward for a gate", self.gate_reward),
             ("the reward for speed", self.speed_reward),
             ("the penalty for distance", self.distance_penalty),
@@ -164,12 +164,12 @@ impl Task for Race {
 
     fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
         self.watch.reset(simulation);
-        self.course.reset(simulation);
+        self.progress.reset(simulation);
     }
 
     fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
-        self.course.update(simulation, &self.gates, self.laps, self.radius);
+        self.progress.update(simulation, &self.gates, self.laps, self.radius);
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
@@ -177,12 +177,12 @@ impl Task for Race {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        if !self.course.was_flying(drone) {
+        if !self.progress.was_flying(drone) {
             return -crash_penalty(end);
         }
-        let gate = if self.course.just_passed(drone) { self.gate_reward } else { 0.0 };
+        let gate = if self.progress.just_passed(drone) { self.gate_reward } else { 0.0 };
         gate + self.speed_reward * simulation.states()[drone].velocity.norm()
-            - self.distance_penalty * self.course.distance(drone)
+            - self.distance_penalty * self.progress.distance(drone)
             - crash_penalty(end)
     }
 
@@ -197,16 +197,16 @@ impl Task for Race {
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
-        self.watch.end(drone).is_none() && self.course.passed(drone) == self.gates.len() * self.laps
+        self.watch.end(drone).is_none() && self.progress.passed(drone) == self.gates.len() * self.laps
     }
 
     fn progress(&self, _simulation: SimView<'_>, drone: usize) -> f64 {
-        self.course.passed(drone) as f64 / (self.gates.len() * self.laps) as f64
+        self.progress.passed(drone) as f64 / (self.gates.len() * self.laps) as f64
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         // after the last gate the drone may stay there
-        let point = course::next(&self.gates, self.course.passed(drone), self.laps);
+        let point = waypoint_progress::next(&self.gates, self.progress.passed(drone), self.laps);
         let last = self.gates[self.gates.len() - 1].into();
         Reference::hover(point.unwrap_or(last), simulation.initial_states()[drone].yaw())
     }
@@ -216,11 +216,11 @@ impl Task for Race {
     }
 
     fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
-        self.course.plans(simulation, &self.gates, self.laps)
+        self.progress.plans(simulation, &self.gates, self.laps)
     }
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
-        self.course.extent(simulation, drone, &self.gates, self.laps)
+        self.progress.extent(simulation, drone, &self.gates, self.laps)
     }
 
     fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {

@@ -5,12 +5,12 @@ use super::shard::{BatchModel, Ended, EnvSlot, Environments, ImageSlices, Shard,
 use super::worker::Worker;
 use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
 use crate::control::CollisionCone;
-use crate::engine::flight::{Airframes, Flow, LANES, Lanes, Width};
-use crate::engine::{Engine, EngineKind, Lookout, Substeps};
+use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, Width};
+use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
 use crate::env::{Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, ObservationSpace, Phase, Task};
-use crate::simulation::Simulation;
+use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
-use crate::wrappers::Guard;
+use crate::wrappers::VelocityFilter;
 
 /// M environments of one task.
 ///
@@ -121,7 +121,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         for worker in &mut self.pool.workers {
             let worker = worker.get_mut().unwrap_or_else(PoisonError::into_inner);
             let action_type = worker.env.action_type();
-            worker.guard = Some(Guard::new(filter, response, action_type, self.model.drones)?);
+            worker.guard = Some(VelocityFilter::new(filter, response, action_type, self.model.drones)?);
         }
         Ok(self)
     }
@@ -172,8 +172,8 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let same = shares && slot.data.as_ref().is_some_and(|own| own.has_parameters_of(&env.simulation.data));
         // what will be drawn at its next reset must not be drawn into the shared data
         let unchanged = same && !slot.episode.is_randomized();
-        if !unchanged && environments.frames.is_empty() {
-            environments.frames = model.frames.repeat(count.div_ceil(LANES));
+        if !unchanged && environments.lane_params.is_empty() {
+            environments.lane_params = model.lane_params.repeat(count.div_ceil(LANES));
         }
         let mut shard = environments.shard();
         shard.envs.store(model, environment, None, Some(&env.simulation));
@@ -184,7 +184,11 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         }
         // motors that are slow now need the longer form of the kernel
         if let Some(flow) = &mut model.flow {
-            flow.air |= slot.data.as_ref().is_some_and(|data| data.has_lag()) || slot.episode.is_randomized();
+            let lag = |data: &SimData| {
+                let view = SimView::new(&env.simulation.model, data);
+                (0..view.num_drones()).any(|drone| view.actuator_params(drone).lag > 0.0)
+            };
+            flow.air |= slot.data.as_deref().is_some_and(lag) || slot.episode.is_randomized();
         }
         Ok(result)
     }
@@ -222,7 +226,7 @@ fn batch_model<T: Task>(first: &Aviary<T>, config: &VecConfig, flies: bool) -> B
         }),
         downwash: effects.downwash,
         substeps: simulation.substeps(),
-        frames: (0..drones).map(|drone| Airframes::all(&simulation.data.airframe(drone, effects))).collect(),
+        lane_params: (0..drones).map(|drone| LaneParams::all(&simulation.data.airframe(drone, effects))).collect(),
         images: [on(kind.rgb, 4 * pixels), on(kind.depth, pixels), on(kind.segmentation, pixels)],
     }
 }
@@ -253,7 +257,7 @@ impl<T: Task + Clone> Environments<T> {
             }
         };
         let blocks = count.div_ceil(LANES);
-        let clearances = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
+        let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
             let state = &simulation.initial_states()[index % drones];
@@ -263,9 +267,9 @@ impl<T: Task + Clone> Environments<T> {
         Self {
             slots: (0..count).map(slot).collect(),
             lanes,
-            frames: if individual { model.frames.repeat(blocks) } else { Vec::new() },
+            lane_params: if individual { model.lane_params.repeat(blocks) } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
-            clearances: vec![Lookout::default(); clearances],
+            clearance_caches: vec![ClearanceCache::default(); clearance_caches],
             finals: vec![0.0; finals],
         }
     }

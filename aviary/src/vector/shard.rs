@@ -2,8 +2,8 @@
 
 use super::{Autoreset, OnFault};
 use crate::action::ActionDecoder;
-use crate::engine::Lookout;
-use crate::engine::flight::{Airframes, Flow, LANES, Lanes};
+use crate::engine::ClearanceCache;
+use crate::engine::flight::{Flow, LANES, LaneParams, Lanes};
 use crate::env::{Aviary, EndReason, EnvParts, Episode, Phase, Task};
 use crate::simulation::{SimData, Simulation};
 
@@ -34,7 +34,7 @@ pub(super) struct BatchModel {
     /// Physics steps of a control step.
     pub substeps: u32,
     /// Parameters of all environments, one per drone, where they are the same.
-    pub frames: Vec<Airframes>,
+    pub lane_params: Vec<LaneParams>,
     /// Numbers of an environment's images: bytes of RGBA, and pixels of depth and of segmentation.
     pub images: [usize; 3],
 }
@@ -100,9 +100,9 @@ pub(super) struct Environments<T> {
     pub slots: Vec<EnvSlot<T>>,
     pub lanes: Vec<Lanes>,
     /// Parameters of every environment's drones, where they differ; otherwise empty.
-    pub frames: Vec<Airframes>,
+    pub lane_params: Vec<LaneParams>,
     pub warm_starts: Vec<f64>,
-    pub clearances: Vec<Lookout>,
+    pub clearance_caches: Vec<ClearanceCache>,
     /// Last observations of the episodes that ended in the last step.
     pub finals: Vec<f32>,
 }
@@ -116,9 +116,9 @@ impl<T> Environments<T> {
             envs: EnvSlices {
                 slots: &mut self.slots,
                 lanes: &mut self.lanes,
-                frames: &mut self.frames,
+                lane_params: &mut self.lane_params,
                 warm_starts: &mut self.warm_starts,
-                clearances: &mut self.clearances,
+                clearance_caches: &mut self.clearance_caches,
             },
             step: StepSlices { finals: &mut self.finals, ..StepSlices::default() },
             images: ImageSlices::default(),
@@ -127,15 +127,15 @@ impl<T> Environments<T> {
 
     /// Returns the bytes that each environment takes.
     pub fn bytes_per_env(&self) -> usize {
-        let Self { slots, lanes, frames, warm_starts, clearances, finals } = self;
+        let Self { slots, lanes, lane_params, warm_starts, clearance_caches, finals } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
             + slots.iter().map(|slot| size_of_val(&slot.decoders[..])).sum::<usize>()
             + size_of_val(&lanes[..])
-            + size_of_val(&frames[..])
+            + size_of_val(&lane_params[..])
             + size_of_val(&warm_starts[..])
-            + size_of_val(&clearances[..])
+            + size_of_val(&clearance_caches[..])
             + size_of_val(&finals[..]);
         sum.div_ceil(slots.len())
     }
@@ -155,9 +155,9 @@ pub(super) struct Shard<'a, T> {
 pub(super) struct EnvSlices<'a, T> {
     pub slots: &'a mut [EnvSlot<T>],
     pub lanes: &'a mut [Lanes],
-    pub frames: &'a mut [Airframes],
+    pub lane_params: &'a mut [LaneParams],
     pub warm_starts: &'a mut [f64],
-    pub clearances: &'a mut [Lookout],
+    pub clearance_caches: &'a mut [ClearanceCache],
 }
 
 /// The buffers of a step.
@@ -210,12 +210,18 @@ impl<'a, T> EnvSlices<'a, T> {
         let (drones, blocks) = (model.drones, count.div_ceil(LANES));
         let (slots, slots2) = cut(self.slots, count);
         let (lanes, lanes2) = cut(self.lanes, blocks * drones);
-        let (frames, frames2) = cut(self.frames, blocks * drones);
+        let (lane_params, frames2) = cut(self.lane_params, blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
-        let (clearances, clearances2) = cut(self.clearances, drones * count);
+        let (clearance_caches, clearances2) = cut(self.clearance_caches, drones * count);
         (
-            Self { slots, lanes, frames, warm_starts, clearances },
-            Self { slots: slots2, lanes: lanes2, frames: frames2, warm_starts: warm_starts2, clearances: clearances2 },
+            Self { slots, lanes, lane_params, warm_starts, clearance_caches },
+            Self {
+                slots: slots2,
+                lanes: lanes2,
+                lane_params: frames2,
+                warm_starts: warm_starts2,
+                clearance_caches: clearances2,
+            },
         )
     }
 
@@ -235,9 +241,9 @@ impl<'a, T> EnvSlices<'a, T> {
         }
         if let Some(simulation) = parameters {
             slot.fits_lanes = model.flow.is_some() && data.fits_lanes();
-            if !self.frames.is_empty() {
-                let frames = &mut self.frames[index / LANES * drones..][..drones];
-                data.write_lane_params(&simulation.model, frames, lane);
+            if !self.lane_params.is_empty() {
+                let lane_params = &mut self.lane_params[index / LANES * drones..][..drones];
+                data.write_lane_params(&simulation.model, lane_params, lane);
             }
         }
     }
@@ -245,17 +251,16 @@ impl<'a, T> EnvSlices<'a, T> {
     /// Reads the data of an environment that has none of its own from its lanes.
     pub fn load(&self, model: &BatchModel, index: usize, data: &mut SimData) {
         let (drones, slot) = (model.drones, &self.slots[index]);
-        data.read_lane(&self.lanes[index / LANES * drones..][..drones], index % LANES, slot.control_steps, true);
+        let lanes = &self.lanes[index / LANES * drones..][..drones];
+        let warm_start = slot.in_mujoco.then(|| &self.warm_starts[6 * drones * index..][..6 * drones]);
+        data.read_lane(lanes, index % LANES, slot.control_steps, true, warm_start);
         data.update_rpys();
-        if slot.in_mujoco {
-            data.resume_mujoco(&self.warm_starts[6 * drones * index..][..6 * drones]);
-        }
     }
 
     /// Forgets how far obstacles were from an environment's drones.
     pub fn forget_clearances(&mut self, model: &BatchModel, index: usize) {
-        let clearances = self.clearances.iter_mut().skip(model.drones * index).take(model.drones);
-        clearances.for_each(|clearance| *clearance = Lookout::default());
+        let clearance_caches = self.clearance_caches.iter_mut().skip(model.drones * index).take(model.drones);
+        clearance_caches.for_each(|clearance| *clearance = ClearanceCache::default());
     }
 }
 

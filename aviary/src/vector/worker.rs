@@ -5,11 +5,11 @@ use std::sync::{Mutex, PoisonError};
 
 use super::Autoreset;
 use super::shard::{BatchModel, Ended, Shard};
-use crate::engine::flight::{Airframes, Flow, LANES, Lanes, advance, compute_downwash, compute_rpys, find_clear};
+use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
 use crate::env::{Aviary, EndReason, EnvError, Phase, Task};
 use crate::simulation::SimData;
 use crate::state::DroneState;
-use crate::wrappers::Guard;
+use crate::wrappers::VelocityFilter;
 
 /// Environments that failed.
 pub(super) type Faults = Mutex<Vec<(usize, EnvError)>>;
@@ -39,7 +39,7 @@ pub(super) struct Worker<T> {
     /// States of the environment whose action is decoded.
     states: Vec<DroneState>,
     /// Makes velocities safe, where that is asked for.
-    pub guard: Option<Guard>,
+    pub guard: Option<VelocityFilter>,
     /// An action on its way through the guard.
     action: Vec<f64>,
     /// Physics steps flown in lanes.
@@ -163,10 +163,10 @@ impl<T: Task> Worker<T> {
     ) -> [bool; LANES] {
         let Some(flow) = model.flow.as_ref().filter(|_| fits_lanes.contains(&true)) else { return [false; LANES] };
         let drones = model.drones;
-        let (lanes, frames) = lanes_and_frames(model, shard, range.start);
-        let mut clear = find_clear(flow.width, lanes, frames, flow.dt, model.substeps);
+        let (lanes, lane_params) = lanes_and_frames(model, shard, range.start);
+        let mut clear = find_clear(flow.width, lanes, lane_params, flow.dt, model.substeps);
         clear.iter_mut().zip(fits_lanes).for_each(|(clear, fits)| *clear &= fits);
-        if shard.envs.clearances.is_empty() {
+        if shard.envs.clearance_caches.is_empty() {
             return clear;
         }
         let simulation = &self.env.simulation;
@@ -176,8 +176,9 @@ impl<T: Task> Worker<T> {
             }
             let lanes = &shard.envs.lanes[index / LANES * drones..][..drones];
             let data = shard.envs.slots[index].data.as_deref().unwrap_or(&simulation.data);
-            let clearances = &mut shard.envs.clearances[drones * index..][..drones];
-            clear[index % LANES] = data.is_clear_of_obstacles(&simulation.model, lanes, index % LANES, clearances);
+            let clearance_caches = &mut shard.envs.clearance_caches[drones * index..][..drones];
+            clear[index % LANES] =
+                data.is_clear_of_obstacles(&simulation.model, lanes, index % LANES, clearance_caches);
         }
         clear
     }
@@ -217,7 +218,7 @@ impl<T: Task> Worker<T> {
         let drones = model.drones;
         let flying = clear.iter().filter(|clear| **clear).count();
         let block = range.start / LANES;
-        let (lanes, frames) = lanes_and_frames(model, shard, block * LANES);
+        let (lanes, lane_params) = lanes_and_frames(model, shard, block * LANES);
         // all lanes fly; those that should not are put back
         let grounded = range.map(|index| index % LANES).filter(|&lane| !clear[lane]);
         for lane in grounded.clone() {
@@ -227,14 +228,14 @@ impl<T: Task> Worker<T> {
         }
         if model.downwash {
             for _ in 0..model.substeps {
-                compute_downwash(flow.width, lanes, frames);
-                for (lanes, frames) in lanes.iter_mut().zip(frames) {
-                    advance(flow, lanes, frames, 1);
+                compute_downwash(flow.width, lanes, lane_params);
+                for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
+                    advance(flow, lanes, lane_params, 1);
                 }
             }
         } else {
-            for (lanes, frames) in lanes.iter_mut().zip(frames) {
-                advance(flow, lanes, frames, model.substeps);
+            for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
+                advance(flow, lanes, lane_params, model.substeps);
             }
         }
         for lane in grounded {
@@ -305,8 +306,8 @@ impl<T: Task> Worker<T> {
         slot.in_mujoco = false;
         let lanes = &shard.envs.lanes[index / LANES * model.drones..][..model.drones];
         match slot.data.as_deref_mut() {
-            Some(own) => own.read_lane(lanes, index % LANES, slot.control_steps, false),
-            None => self.env.simulation.data.read_lane(lanes, index % LANES, slot.control_steps, true),
+            Some(own) => own.read_lane(lanes, index % LANES, slot.control_steps, false, None),
+            None => self.env.simulation.data.read_lane(lanes, index % LANES, slot.control_steps, true, None),
         }
         false
     }
@@ -444,8 +445,9 @@ fn lanes_and_frames<'a, T>(
     model: &'a BatchModel,
     shard: &'a mut Shard<'_, T>,
     start: usize,
-) -> (&'a mut [Lanes], &'a [Airframes]) {
+) -> (&'a mut [Lanes], &'a [LaneParams]) {
     let range = start / LANES * model.drones..(start / LANES + 1) * model.drones;
-    let frames = if shard.envs.frames.is_empty() { &model.frames[..] } else { &shard.envs.frames[range.clone()] };
-    (&mut shard.envs.lanes[range], frames)
+    let lane_params =
+        if shard.envs.lane_params.is_empty() { &model.lane_params[..] } else { &shard.envs.lane_params[range.clone()] };
+    (&mut shard.envs.lanes[range], lane_params)
 }

@@ -32,7 +32,7 @@ use crate::state::DroneState;
 #[derive(Debug)]
 pub struct SafetyWrapper<E> {
     env: E,
-    guard: Guard,
+    guard: VelocityFilter,
     action: Vec<f64>,
     /// Control steps of this episode in which it had to change something.
     interventions: u64,
@@ -52,7 +52,7 @@ impl<E: DroneEnv> SafetyWrapper<E> {
     /// # Errors
     /// [`EnvError::Option`] for other actions, [`EnvError::Safety`] for a filter that cannot be.
     pub fn new(env: E, filter: CollisionCone) -> Result<Self, EnvError> {
-        let guard = Guard::new(filter, 10.0, env.action_type(), env.simulation().num_drones())?;
+        let guard = VelocityFilter::new(filter, 10.0, env.action_type(), env.simulation().num_drones())?;
         let action = vec![0.0; env.action_space().size()];
         Ok(Self { env, guard, action, interventions: 0, started: false })
     }
@@ -80,7 +80,7 @@ impl<E: DroneEnv> SafetyWrapper<E> {
 
 /// The filter of one environment's velocities.
 #[derive(Debug, Clone)]
-pub(crate) struct Guard {
+pub(crate) struct VelocityFilter {
     filter: CollisionCone,
     response: f64,
     positions: Vec<Vector3<f64>>,
@@ -88,7 +88,7 @@ pub(crate) struct Guard {
     accelerations: Vec<Vector3<f64>>,
 }
 
-impl Guard {
+impl VelocityFilter {
     /// For actions of this type, which must be velocities, and so many drones.
     pub(crate) fn new(
         filter: CollisionCone,

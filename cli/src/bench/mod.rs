@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use aviary::drone::DroneModel;
 use aviary::engine::EngineKind;
-use aviary::engine::flight::{Airframe, Airframes, Envelope, Flow, FreeBody, LANES, Lanes, Width, advance};
+use aviary::engine::flight::{Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, ReachBound, Width, advance};
 use aviary::env::{AviaryBuilder, DroneEnv, Env, EnvConfig, EnvError, Task};
 use aviary::observation::ObservationType;
 use aviary::physics::Physics;
@@ -241,9 +241,9 @@ fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 drag: if air { params.drag_coefficients.into() } else { Vector3::zeros() },
                 wake: Wake::new(&params),
                 share: 1.0,
-                envelope: Envelope::default(),
+                reach_bound: ReachBound::default(),
             };
-            let frames = Airframes::all(&airframe);
+            let frames = LaneParams::all(&airframe);
             let mut start = vec![Lanes::default(); BLOCKS];
             for (block, lanes) in start.iter_mut().enumerate() {
                 for lane in 0..LANES {

@@ -2,7 +2,7 @@ use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 
 use super::body::{Fluid, Motion, Push};
-use super::envelope::Envelope;
+use super::reach_bound::ReachBound;
 use super::{FreeBody, Width};
 use crate::math::{Pack, Real, Turn, V3};
 use crate::physics::downwash::Wake;
@@ -17,7 +17,7 @@ pub const LANES: usize = 8;
 /// One number of each.
 type Row = [f64; LANES];
 
-/// One drone's part of [`Airframes`]: what does not change during a step.
+/// One drone's part of [`LaneParams`]: what does not change during a step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Airframe {
     /// The body.
@@ -33,13 +33,13 @@ pub struct Airframe {
     /// Share of the way to the command that rotor speeds go in one physics step; 1 without lag.
     pub share: f64,
     /// How far it can come.
-    pub envelope: Envelope,
+    pub reach_bound: ReachBound,
 }
 
-/// Airframes of so many drones, number by number.
+/// LaneParams of so many drones, number by number.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(64))]
-pub struct Airframes {
+pub struct LaneParams {
     inverse_mass: Row,
     gravity: Row,
     inverse_inertia: [Row; 3],
@@ -54,7 +54,7 @@ pub struct Airframes {
     drag: [Row; 3],
     wake: [Row; 4],
     share: Row,
-    envelope: [Row; 8],
+    reach_bound: [Row; 8],
 }
 
 /// So many drones, number by number.
@@ -95,7 +95,7 @@ fn take<const N: usize>(rows: &[Row; N], lane: usize) -> [f64; N] {
     values
 }
 
-impl Airframes {
+impl LaneParams {
     /// The same one in every lane.
     pub fn all(airframe: &Airframe) -> Self {
         let mut all = Self::default();
@@ -105,7 +105,7 @@ impl Airframes {
 
     /// Puts an airframe into a lane.
     pub fn set(&mut self, lane: usize, airframe: &Airframe) {
-        let Airframe { body, rotors, ground, drag, wake, share, envelope } = airframe;
+        let Airframe { body, rotors, ground, drag, wake, share, reach_bound } = airframe;
         self.inverse_mass[lane] = body.inverse_mass;
         self.gravity[lane] = body.gravity;
         put(&mut self.inverse_inertia, lane, body.inverse_inertia);
@@ -122,7 +122,7 @@ impl Airframes {
         put(&mut self.drag, lane, (*drag).into());
         put(&mut self.wake, lane, [wake.strength, wake.spread, wake.offset, wake.cap]);
         self.share[lane] = *share;
-        put(&mut self.envelope, lane, envelope.numbers());
+        put(&mut self.reach_bound, lane, reach_bound.numbers());
     }
 }
 
@@ -270,36 +270,36 @@ impl<S: Simd> Part<S> {
     }
 
     #[inline(always)]
-    fn body(self, frames: &Airframes) -> FreeBody<Pack<S>> {
+    fn body(self, lane_params: &LaneParams) -> FreeBody<Pack<S>> {
         FreeBody {
-            inverse_mass: self.get(&frames.inverse_mass),
-            gravity: self.get(&frames.gravity),
-            inverse_inertia: self.array(&frames.inverse_inertia),
-            gyration: self.array(&frames.gyration),
+            inverse_mass: self.get(&lane_params.inverse_mass),
+            gravity: self.get(&lane_params.gravity),
+            inverse_inertia: self.array(&lane_params.inverse_inertia),
+            gyration: self.array(&lane_params.gyration),
             fluid: Fluid {
-                viscous: self.get(&frames.viscous),
-                quadratic: self.array(&frames.quadratic),
-                viscous_rate: self.array(&frames.viscous_rate),
-                quadratic_rate: self.array(&frames.quadratic_rate),
+                viscous: self.get(&lane_params.viscous),
+                quadratic: self.array(&lane_params.quadratic),
+                viscous_rate: self.array(&lane_params.viscous_rate),
+                quadratic_rate: self.array(&lane_params.quadratic_rate),
             },
         }
     }
 
     #[inline(always)]
-    fn rotors(self, frames: &Airframes) -> RotorModel<Pack<S>> {
-        let [x, y, z] = &frames.torque;
-        RotorModel { thrust: self.get(&frames.thrust), torque: [self.get4(x), self.get4(y), self.get4(z)] }
+    fn rotors(self, lane_params: &LaneParams) -> RotorModel<Pack<S>> {
+        let [x, y, z] = &lane_params.torque;
+        RotorModel { thrust: self.get(&lane_params.thrust), torque: [self.get4(x), self.get4(y), self.get4(z)] }
     }
 
     #[inline(always)]
-    fn wake(self, frames: &Airframes) -> Wake<Pack<S>> {
-        let [strength, spread, offset, cap] = self.get4(&frames.wake);
+    fn wake(self, lane_params: &LaneParams) -> Wake<Pack<S>> {
+        let [strength, spread, offset, cap] = self.get4(&lane_params.wake);
         Wake { strength, spread, offset, cap }
     }
 
     #[inline(always)]
-    fn ball(self, lanes: &Lanes, frames: &Airframes, dt: f64, steps: u32) -> Pack<S> {
-        let rows = &frames.envelope;
+    fn ball(self, lanes: &Lanes, lane_params: &LaneParams, dt: f64, steps: u32) -> Pack<S> {
+        let rows = &lane_params.reach_bound;
         let numbers = [
             self.get(&rows[0]),
             self.get(&rows[1]),
@@ -310,7 +310,7 @@ impl<S: Simd> Part<S> {
             self.get(&rows[6]),
             self.get(&rows[7]),
         ];
-        Envelope::of(numbers).ball(dt, steps, &self.motion(lanes))
+        ReachBound::of(numbers).ball(dt, steps, &self.motion(lanes))
     }
 }
 
@@ -332,7 +332,7 @@ pub struct Flow {
 /// Physics steps of lanes that do not feel each other.
 struct Substeps<'a, const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> {
     lanes: &'a mut Lanes,
-    frames: &'a Airframes,
+    lane_params: &'a LaneParams,
     dt: f64,
     steps: u32,
 }
@@ -342,9 +342,9 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { lanes, frames, dt, steps } = self;
+        let Self { lanes, lane_params, dt, steps } = self;
         for part in Part::all(simd) {
-            let (body, rotors) = (part.body(frames), part.rotors(frames));
+            let (body, rotors) = (part.body(lane_params), part.rotors(lane_params));
             let target = part.get4(&lanes.target);
             let mut motion = part.motion(lanes);
             let mut rpm = if AIR { part.get4(&lanes.rpm) } else { target };
@@ -352,7 +352,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
             let mut push = Push { thrust: none, torque: V3::new(none, none, none), force: V3::new(none, none, none) };
             for _ in 0..steps {
                 if AIR {
-                    let share = part.get(&frames.share);
+                    let share = part.get(&lane_params.share);
                     let lag = share.less(share.all(1.0));
                     for motor in 0..4 {
                         let slow = rpm[motor] + (target[motor] - rpm[motor]) * share;
@@ -360,15 +360,17 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
                         rpm[motor] = Real::choose(lag, slow, target[motor]);
                     }
                     (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
-                    let ground =
-                        GroundEffect { coefficient: part.get(&frames.ground[0]), clip: part.get(&frames.ground[1]) };
+                    let ground = GroundEffect {
+                        coefficient: part.get(&lane_params.ground[0]),
+                        clip: part.get(&lane_params.ground[1]),
+                    };
                     let (mut sum, air) = (part.get3(&lanes.force), part.get3(&lanes.air));
                     if MEDIUM && <Pack<S> as Real>::any(none.less(air.dot(air))) {
                         sum = sum + body.medium_change(&motion.attitude, motion.velocity, air);
                     }
                     sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
                     let relative = motion.velocity - air;
-                    sum = sum + drag::push(part.get3(&frames.drag), &motion.attitude, &rpm, relative);
+                    sum = sum + drag::push(part.get3(&lane_params.drag), &motion.attitude, &rpm, relative);
                     sum.z = sum.z + part.get(&lanes.downwash);
                     push.force = sum;
                 } else {
@@ -393,10 +395,10 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
 }
 
 /// Advances lanes that do not feel each other by so many physics steps.
-pub fn advance(flow: &Flow, lanes: &mut Lanes, frames: &Airframes, steps: u32) {
+pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, steps: u32) {
     macro_rules! go {
         ($fixed:literal, $medium:literal, $air:literal) => {
-            flow.width.run(Substeps::<$fixed, $medium, $air> { lanes, frames, dt: flow.dt, steps })
+            flow.width.run(Substeps::<$fixed, $medium, $air> { lanes, lane_params, dt: flow.dt, steps })
         };
     }
     // a form of its own for what is flown most; the others have what they may not need switched off by zeros
@@ -411,7 +413,7 @@ pub fn advance(flow: &Flow, lanes: &mut Lanes, frames: &Airframes, steps: u32) {
 
 struct Downwash<'a> {
     drones: &'a mut [Lanes],
-    frames: &'a [Airframes],
+    lane_params: &'a [LaneParams],
 }
 
 impl WithSimd for Downwash<'_> {
@@ -419,7 +421,7 @@ impl WithSimd for Downwash<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { drones, frames } = self;
+        let Self { drones, lane_params } = self;
         for part in Part::all(simd) {
             for i in 0..drones.len() {
                 let (before, rest) = drones.split_at_mut(i);
@@ -427,13 +429,13 @@ impl WithSimd for Downwash<'_> {
                 let place = part.get3(&a.position);
                 let zero = place.x.all(0.0);
                 let mut on_a = zero;
-                let wake = part.wake(&frames[i]);
+                let wake = part.wake(&lane_params[i]);
                 for (j, b) in before.iter_mut().enumerate() {
                     let apart = place - part.get3(&b.position);
                     let sideways = apart.x * apart.x + apart.y * apart.y;
                     let above = zero.less(apart.z);
                     let below = apart.z.abs();
-                    let upper = Wake::choose(above, &wake, &part.wake(&frames[j]));
+                    let upper = Wake::choose(above, &wake, &part.wake(&lane_params[j]));
                     // most pairs are out of each other's reach
                     if !<Pack<S> as Real>::any(upper.reaches(below, sideways)) {
                         continue;
@@ -449,10 +451,10 @@ impl WithSimd for Downwash<'_> {
     }
 }
 
-/// Computes the wakes among the drones of environments, one environment per lane: `drones` and `frames` have one entry
+/// Computes the wakes among the drones of environments, one environment per lane: `drones` and `lane_params` have one entry
 /// per drone.
-pub fn compute_downwash(width: Width, drones: &mut [Lanes], frames: &[Airframes]) {
-    width.run(Downwash { drones, frames });
+pub fn compute_downwash(width: Width, drones: &mut [Lanes], lane_params: &[LaneParams]) {
+    width.run(Downwash { drones, lane_params });
 }
 
 struct Rpys<'a>(&'a mut Lanes);
@@ -476,7 +478,7 @@ pub fn compute_rpys(width: Width, lanes: &mut Lanes) {
 
 struct Clear<'a> {
     drones: &'a [Lanes],
-    frames: &'a [Airframes],
+    lane_params: &'a [LaneParams],
     dt: f64,
     steps: u32,
 }
@@ -486,7 +488,7 @@ impl WithSimd for Clear<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> [bool; LANES] {
-        let Self { drones, frames, dt, steps } = self;
+        let Self { drones, lane_params, dt, steps } = self;
         let mut room = [0.0; LANES];
         for part in Part::all(simd) {
             let one = Pack::new(simd, simd.splat_f64s(1.0));
@@ -495,11 +497,11 @@ impl WithSimd for Clear<'_> {
             let mut clear = zero.less(one);
             for i in 0..drones.len() {
                 let place = part.get3(&drones[i].position);
-                let ball = part.ball(&drones[i], &frames[i], dt, steps);
+                let ball = part.ball(&drones[i], &lane_params[i], dt, steps);
                 clear = clear & zero.less(place.z - ball);
                 for j in 0..i {
                     let apart = (place - part.get3(&drones[j].position)).norm();
-                    clear = clear & zero.less(apart - ball - part.ball(&drones[j], &frames[j], dt, steps));
+                    clear = clear & zero.less(apart - ball - part.ball(&drones[j], &lane_params[j], dt, steps));
                 }
             }
             part.put(&mut room, Real::choose(clear, one, zero));
@@ -509,7 +511,7 @@ impl WithSimd for Clear<'_> {
 }
 
 /// Which environments are in the open for so many physics steps, one per lane: no drone can touch the floor or another
-/// drone, and none turns too fast for the kernel. `drones` and `frames` have one entry per drone.
-pub fn find_clear(width: Width, drones: &[Lanes], frames: &[Airframes], dt: f64, steps: u32) -> [bool; LANES] {
-    width.run(Clear { drones, frames, dt, steps })
+/// drone, and none turns too fast for the kernel. `drones` and `lane_params` have one entry per drone.
+pub fn find_clear(width: Width, drones: &[Lanes], lane_params: &[LaneParams], dt: f64, steps: u32) -> [bool; LANES] {
+    width.run(Clear { drones, lane_params, dt, steps })
 }

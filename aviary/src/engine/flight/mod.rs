@@ -6,12 +6,12 @@
 //! and are advanced as many at once as the machine can, to the same bits.
 
 mod body;
-mod envelope;
 mod lanes;
+mod reach_bound;
 mod width;
 
 pub use body::FreeBody;
-pub use envelope::Envelope;
-pub(crate) use envelope::clearance;
-pub use lanes::{Airframe, Airframes, Flow, LANES, Lanes, advance, compute_downwash, compute_rpys, find_clear};
+pub use lanes::{Airframe, Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
+pub use reach_bound::ReachBound;
+pub(crate) use reach_bound::clearance;
 pub use width::Width;

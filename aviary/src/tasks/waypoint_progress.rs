@@ -8,7 +8,7 @@ use crate::simulation::SimView;
 
 /// Points to be passed one after the other, so many times over, and how far each drone has come.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Course {
+pub(super) struct WaypointProgress {
     /// Points passed by each drone.
     passed: Vec<usize>,
     /// Whether each drone passed one in the last control step.
@@ -21,7 +21,7 @@ pub(super) struct Course {
     before: Vec<Vector3<f64>>,
 }
 
-impl Course {
+impl WaypointProgress {
     pub(super) fn reset(&mut self, simulation: SimView<'_>) {
         let count = simulation.num_drones();
         self.passed.clear();

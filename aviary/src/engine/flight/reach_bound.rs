@@ -9,7 +9,7 @@ use crate::state::DroneState;
 ///
 /// A drone is a ball about its middle that grows by what it can travel. Every bound is on the safe side.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Envelope<R = f64> {
+pub struct ReachBound<R = f64> {
     /// How far the drone reaches from its middle, m.
     reach: R,
     /// Greatest acceleration of thrust, gravity and wakes, m/s²; infinite where there is none that is sure.
@@ -27,7 +27,7 @@ pub struct Envelope<R = f64> {
 /// Room that a bound leaves for rounding, m.
 const SLACK: f64 = 1e-9;
 
-impl Envelope {
+impl ReachBound {
     /// Of a drone that reaches so far (m), of that body, whose rotors and surroundings give at most this acceleration (m/s²,
     /// beside gravity) and torque (N·m), and whose blades drag at most so much (1/s).
     pub fn new(body: &FreeBody, reach: f64, acceleration: f64, torque: f64, slowing: f64) -> Self {
@@ -81,13 +81,13 @@ impl Envelope {
 }
 
 #[allow(private_bounds)] // for one number or for many
-impl<R: Real> Envelope<R> {
+impl<R: Real> ReachBound<R> {
     #[inline(always)]
     pub(super) fn of([reach, acceleration, linear, quadratic, viscous, drag, growth, turning]: [R; 8]) -> Self {
         Self { reach, acceleration, slowing: [linear, quadratic], braking: [viscous, drag], growth, turning }
     }
 
-    /// [`radius`](Envelope::radius) of one or of many.
+    /// [`radius`](ReachBound::radius) of one or of many.
     #[inline(always)]
     pub(super) fn ball(&self, dt: f64, steps: u32, motion: &Motion<R>) -> R {
         /// Beyond that the numbers themselves are to be looked at: m and m/s.
