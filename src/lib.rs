@@ -34,7 +34,7 @@ pub mod prelude {
         Task, TaskDefaults, check_env,
     };
     pub use aviary::multi_agent::{ParallelAviary, ParallelEnv};
-    pub use aviary::observation::{Observation, ObservationType};
+    pub use aviary::observation::{Observation, ObservationType, obs};
     pub use aviary::physics::{Effects, Physics};
     pub use aviary::rollout::{ControllerPolicy, Policy, Rollout, RolloutError, fly_episode};
     pub use aviary::simulation::{SimView, Simulation, SimulationError};

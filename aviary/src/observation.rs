@@ -8,6 +8,35 @@ use mujoco_rs::Error;
 use crate::state::DroneState;
 use crate::vision::{ImageSize, Painter};
 
+/// Indices of a drone's state in the vectors of all built-in tasks, which begin with it.
+///
+/// ```
+/// use aviary::env::Env;
+/// use aviary::observation::obs;
+/// use aviary::tasks::Hover;
+///
+/// let mut env = Hover::builder().build()?;
+/// let vector = &env.reset(Some(1))?.vector;
+/// assert_eq!((vector[obs::Z], &vector[obs::VELOCITY]), (0.1, &[0.0; 3][..]));
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub mod obs {
+    use std::ops::Range;
+
+    /// Position, world frame, m.
+    pub const POSITION: Range<usize> = 0..3;
+    /// Height, m.
+    pub const Z: usize = 2;
+    /// Roll, pitch and yaw, rad: intrinsic z-y'-x''.
+    pub const RPY: Range<usize> = 3..6;
+    /// Velocity, world frame, m/s.
+    pub const VELOCITY: Range<usize> = 6..9;
+    /// Vertical velocity, m/s.
+    pub const VZ: usize = 8;
+    /// Angular velocity, body frame, rad/s.
+    pub const ANGULAR_VELOCITY: Range<usize> = 9..12;
+}
+
 /// What an observation is made of: the paper's `KIN`, `RGB` and `KIN_RGB`, and any other combination with depth and
 /// segmentation.
 ///
