@@ -17,7 +17,7 @@ const TEMPERATURE: f64 = 0.15;
 /// Standard deviation of the sampled thrust, roll, pitch and yaw rate, as shares of their ranges.
 const SPREAD: [f64; 4] = [0.25, 0.35, 0.35, 0.05];
 
-fn cost(env: &dyn Env, goal: &Vector3<f64>) -> f64 {
+fn cost(env: &dyn DroneEnv, goal: &Vector3<f64>) -> f64 {
     let state = &env.simulation().states()[0];
     let crash = if env.info().end.is_some_and(|end| end.is_crash()) { 100.0 } else { 0.0 };
     (state.position - goal).norm() + 0.12 * state.velocity.norm() + 0.02 * state.angular_velocity.norm() + crash

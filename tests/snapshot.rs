@@ -11,7 +11,7 @@ use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper, SafetyWra
 use mujoco_drones_gym::{Rng, RngExt as _, SeedableRng as _};
 
 /// Everything that a step of an environment says, as bits.
-fn step(env: &mut dyn Env, rng: &mut Rng, out: &mut Vec<u64>) {
+fn step(env: &mut dyn DroneEnv, rng: &mut Rng, out: &mut Vec<u64>) {
     let action: Vec<f64> = (0..env.action_space().size()).map(|_| 0.6 * rng.random::<f64>() - 0.28).collect();
     if env.info().end.is_some() {
         env.reset(None).unwrap();
@@ -35,14 +35,14 @@ fn step(env: &mut dyn Env, rng: &mut Rng, out: &mut Vec<u64>) {
     out.extend(env.simulation().obstacles().iter().map(|obstacle| obstacle.position.x.to_bits()));
 }
 
-fn flight(env: &mut dyn Env, seed: u64, steps: usize) -> Vec<u64> {
+fn flight(env: &mut dyn DroneEnv, seed: u64, steps: usize) -> Vec<u64> {
     let (mut rng, mut out) = (Rng::seed_from_u64(seed), Vec::new());
     (0..steps).for_each(|_| step(env, &mut rng, &mut out));
     out
 }
 
 /// Flies to a snapshot and on, and again from the snapshot in the same environment and in another one.
-fn check(what: &str, build: &dyn Fn() -> Box<dyn Env>) {
+fn check(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
     let (mut env, mut other) = (build(), build());
     for (seed, before) in [(1, 0), (2, 7), (3, 40)] {
         env.reset(Some(seed)).unwrap();
@@ -175,7 +175,7 @@ fn a_snapshot_of_another_environment_is_refused() {
     assert!(multi.restore(&snapshot("multi_hover")).unwrap_err().to_string().contains("the snapshot has 2 entries"));
 }
 
-fn make_reset(name: &str) -> Box<dyn Env + Send> {
+fn make_reset(name: &str) -> Box<dyn DroneEnv + Send> {
     let mut env = make(name, EnvConfig::default()).unwrap();
     env.reset(Some(1)).unwrap();
     env

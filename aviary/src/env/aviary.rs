@@ -5,7 +5,9 @@ use rand::Rng as _;
 
 use super::episode::{Episode, Phase, StepOutcome};
 use super::pipeline::{EnvModel, EnvParts, EnvWorkspace, Synced};
-use super::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step, Task};
+use super::{
+    BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step, Task,
+};
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;

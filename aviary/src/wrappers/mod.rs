@@ -5,6 +5,6 @@ mod safety;
 mod wrapper;
 
 pub use curriculum::{Curriculum, CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
-pub(crate) use safety::VelocityFilter;
 pub use safety::SafetyWrapper;
+pub(crate) use safety::VelocityFilter;
 pub use wrapper::Wrapper;

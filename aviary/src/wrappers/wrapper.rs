@@ -3,7 +3,9 @@ use nalgebra::Vector3;
 use crate::action::ActionType;
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
-use crate::env::{BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step};
+use crate::env::{
+    BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step,
+};
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
