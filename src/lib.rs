@@ -42,7 +42,7 @@ pub mod prelude {
     pub use aviary::tasks::{
         Antipodal, FlyThrough, Formation, Hover, MultiHover, Race, Stabilize, Track, Velocity, make,
     };
-    pub use aviary::vector::{Autoreset, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv, make_vec};
+    pub use aviary::vector::{Autoreset, BufferedVecEnv, OnFault, VecAviary, VecBuffers, VecConfig, VecEnv, make_vec};
     pub use aviary::vision::{ImageSize, View};
 }
 

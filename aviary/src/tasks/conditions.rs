@@ -79,10 +79,10 @@ fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
 ///
 /// let mut simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 0.5]]).build()?;
 /// let (conditions, mut watch) = (CrashConditions::with_max_tilt(1.5), CrashWatch::default());
-/// watch.reset(&simulation);
+/// watch.reset(simulation.view());
 /// while watch.end(0).is_none() {
 ///     simulation.step(&[[0.0; 4]])?;
-///     watch.update(&conditions, &simulation);
+///     watch.update(&conditions, simulation.view());
 /// }
 /// assert_eq!(watch.end(0), Some(EndReason::FloorContact));
 /// # Ok::<(), aviary::simulation::SimulationError>(())

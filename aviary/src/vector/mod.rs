@@ -225,6 +225,86 @@ impl VecBuffers {
     }
 }
 
+/// A batch that owns its buffers, for callers that need not decide where they lie.
+///
+/// ```
+/// use aviary::env::EnvConfig;
+/// use aviary::tasks::Hover;
+/// use aviary::vector::{BufferedVecEnv, VecAviary, VecConfig, make_vec};
+///
+/// let mut batch = BufferedVecEnv::new(VecAviary::new(Hover::builder(), VecConfig::new(64))?);
+/// batch.reset(Some(1))?;
+/// let mut actions = [0.0; 64 * 4];
+/// for _ in 0..10 {
+///     let step = batch.step(&actions)?;
+///     for (action, seen) in actions.chunks_exact_mut(4).zip(step.observations.chunks_exact(12)) {
+///         action.fill(0.5 * (1.0 - seen[2]) - 0.4 * seen[8]);
+///     }
+/// }
+/// // a batch whose task is chosen at run time
+/// let mut named = BufferedVecEnv::boxed(make_vec("hover", EnvConfig::default(), VecConfig::new(64))?);
+/// named.reset(Some(1))?;
+/// assert_ne!(named.buffers().observations, batch.buffers().observations);
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+pub struct BufferedVecEnv<E: ?Sized> {
+    buffers: VecBuffers,
+    env: Box<E>,
+}
+
+impl<E: ?Sized> std::fmt::Debug for BufferedVecEnv<E> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BufferedVecEnv").field("environments", &self.buffers.rewards.len()).finish_non_exhaustive()
+    }
+}
+
+impl<E: VecEnv> BufferedVecEnv<E> {
+    /// Allocates the buffers of a batch.
+    pub fn new(env: E) -> Self {
+        Self::boxed(Box::new(env))
+    }
+}
+
+impl<E: VecEnv + ?Sized> BufferedVecEnv<E> {
+    /// Allocates the buffers of a boxed batch, as [`make_vec`] returns it.
+    pub fn boxed(env: Box<E>) -> Self {
+        Self { buffers: VecBuffers::new(&*env), env }
+    }
+
+    /// Starts an episode in every environment, and returns the observations: see [`VecEnv::reset`].
+    ///
+    /// # Errors
+    /// As for [`VecEnv::reset`].
+    pub fn reset(&mut self, seed: Option<u64>) -> Result<&[f32], EnvError> {
+        self.env.reset(seed, &mut self.buffers.observations)?;
+        Ok(&self.buffers.observations)
+    }
+
+    /// Advances every environment by one control step, and returns what the step wrote: see [`VecEnv::step`].
+    ///
+    /// # Errors
+    /// As for [`VecEnv::step`].
+    pub fn step(&mut self, actions: &[f32]) -> Result<&VecBuffers, EnvError> {
+        self.env.step(actions, self.buffers.step())?;
+        Ok(&self.buffers)
+    }
+
+    /// Returns what the last reset and the last step wrote.
+    pub fn buffers(&self) -> &VecBuffers {
+        &self.buffers
+    }
+
+    /// Returns the batch.
+    pub fn env(&self) -> &E {
+        &self.env
+    }
+
+    /// Returns the batch, to be changed.
+    pub fn env_mut(&mut self) -> &mut E {
+        &mut self.env
+    }
+}
+
 /// Makes a batch of a task by name.
 ///
 /// ```
