@@ -56,10 +56,11 @@ struct Checker<'a> {
 /// Most control steps that an episode of the checker takes before it starts another.
 const LONGEST: usize = 400;
 
-/// Checks that an environment, of this crate or of one's own, keeps the contract of [`Env`] (in the spirit of Gymnasium's
-/// `check_env`): it flies a few episodes under random actions.
+/// Checks that an environment, of this crate or your own, keeps the contract of [`Env`](super::Env), in the spirit of Gymnasium's
+/// `check_env`: it flies a few episodes under random actions.
 ///
-/// - observations are of their space, in single precision too, rewards are numbers, and so is everything in [`info`](Env::info)
+/// - observations are of their space, in single precision too, rewards are numbers, and so is everything in
+///   [`info`](super::Env::info)
 /// - the same seed gives the same episode to the bit, and an episode leaves nothing behind
 /// - after a reset time is zero, nothing has ended and the drones are where the simulation says they start
 /// - what should move moves: no entry of the observation stays the same, unless it may

@@ -1,4 +1,5 @@
-//! Environments: Gymnasium's contract ([`Env`]), what drones add to it ([`DroneEnv`]), and tasks made into environments ([`Aviary`]).
+//! Environments: Gymnasium's contract ([`Env`]), what drones add to it ([`DroneEnv`]), and tasks made into environments
+//! ([`Aviary`]).
 
 mod aviary;
 mod builder;
@@ -168,8 +169,8 @@ pub struct EpisodeSummary {
     pub end: Option<EndReason>,
     /// True if every drone fulfils the task at the end.
     pub success: bool,
-    /// [`Env::info_map`] at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the scalar metrics of
-    /// the task. Truth values are 0 and 1.
+    /// [`Env::info_map`] at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the
+    /// scalar metrics of the task. Truth values are 0 and 1.
     pub metrics: BTreeMap<&'static str, f64>,
 }
 
@@ -325,11 +326,13 @@ pub trait Env {
     /// Returns the space of actions. A step clips actions to its bounds.
     fn action_space(&self) -> &BoxSpace;
 
-    /// Starts an episode. A seed restarts every random stream; without a seed, random streams go on from where they are.
+    /// Starts an episode. A seed restarts every random stream; without a seed, random streams go on from where they
+    /// are.
     ///
     /// # Errors
-    /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error, [`EnvError::Option`] where the task or its
-    /// options were changed to what is impossible, [`EnvError::Vision`] where observed pictures cannot be drawn.
+    /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error, [`EnvError::Option`] where the
+    /// task or its options were changed to what is impossible, [`EnvError::Vision`] where observed pictures cannot be
+    /// drawn.
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError>;
 
     /// Advances the environment by one control step.
@@ -342,12 +345,12 @@ pub trait Env {
     /// Returns everything that changes, for [`restore`](Self::restore): to plan with, or to branch.
     fn snapshot(&self) -> EnvSnapshot;
 
-    /// Goes back to a snapshot of this environment, or of one with the same options. Steps and resets from there on are bit-identical to
-    /// those after the snapshot.
+    /// Goes back to a snapshot of this environment, or of one with the same options. Steps and resets from there on are
+    /// bit-identical to those after the snapshot.
     ///
     /// # Errors
-    /// [`EnvError::Snapshot`] for one of another kind of environment, and [`EnvError::Simulation`] for one with another number of drones
-    /// or obstacles; then nothing has changed.
+    /// [`EnvError::Snapshot`] for one of another kind of environment, and [`EnvError::Simulation`] for one with another
+    /// number of drones or obstacles; then nothing has changed.
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError>;
 
     /// Returns the observation of the last reset or step; zeros before the first reset.
@@ -370,7 +373,8 @@ pub trait Env {
         map
     }
 
-    /// Renders an image for people: RGB, three bytes per pixel, top row first. The first call loads the renderer and is slow.
+    /// Renders an image for people: RGB, three bytes per pixel, top row first. The first call loads the renderer and is
+    /// slow.
     ///
     /// # Errors
     /// [`EnvError::Vision`] where there is no OpenGL to draw with or the buffer has the wrong length.
@@ -398,8 +402,8 @@ pub trait DroneEnv: Env {
     /// Returns the meaning of the numbers of an action.
     fn action_type(&self) -> ActionType;
 
-    /// Writes the action that commands these motor speeds (rpm), for controllers, which command motor speeds. The action is normalized or
-    /// raw, according to the [action type](Self::action_type).
+    /// Writes the action that commands these motor speeds (rpm), for controllers, which command motor speeds. The
+    /// action is normalized or raw, according to the [action type](Self::action_type).
     ///
     /// # Errors
     /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
@@ -420,8 +424,8 @@ pub trait DroneEnv: Env {
     /// Returns the reference that fulfils the task when a controller follows it with a drone now.
     fn reference(&self, drone: usize) -> Reference;
 
-    /// Returns a trajectory that fulfils the task from the present state of a drone, for controllers; `None` where following
-    /// [`reference`](Self::reference) fulfils the task.
+    /// Returns a trajectory that fulfils the task from the present state of a drone, for controllers; `None` where
+    /// following [`reference`](Self::reference) fulfils the task.
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = drone;
         None
@@ -441,8 +445,8 @@ pub trait DroneEnv: Env {
     /// Sets the wind from now on, also for later episodes; `None` for still air.
     ///
     /// # Errors
-    /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that draws
-    /// the wind.
+    /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that
+    /// draws the wind.
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
 
     /// Samples the body, the sensors, the start, … for every episode from the next reset on; `None` for nominal values.

@@ -7,10 +7,11 @@ use crate::env::{DroneEnv, EnvError};
 
 /// Flies a task with one controller per drone.
 ///
-/// Each drone follows the trajectory that it was given, or the [plan](DroneEnv::plans) that the task makes at the start of an episode, or the
-/// present [reference](DroneEnv::reference) of the task. Controllers command motor speeds ([`ActionType::Rpm`] and
-/// [`ActionType::RawRpm`]). Where actions are velocities ([`ActionType::Vel`]), which the environment flies with controllers of its
-/// own, the drones steer towards their references at up to 1 m/s and pass each other on the right.
+/// Each drone follows the trajectory that it was given, or the [plan](DroneEnv::plans) that the task makes at the start
+/// of an episode, or the present [reference](DroneEnv::reference) of the task. Controllers command motor speeds
+/// ([`ActionType::Rpm`] and [`ActionType::RawRpm`]). Where actions are velocities ([`ActionType::Vel`]), which the
+/// environment flies with controllers of its own, the drones steer towards their references at up to 1 m/s and pass
+/// each other on the right.
 ///
 /// ```
 /// use aviary::control::trajectory::named;
@@ -62,8 +63,8 @@ impl ControllerPolicy {
         Self { controllers, planned: true, trajectories: Vec::new(), speeds }
     }
 
-    /// Follows a trajectory with each drone, in place of the plans and references of the task. Drones beyond the last trajectory follow
-    /// the references.
+    /// Follows a trajectory with each drone, in place of the plans and references of the task. Drones beyond the last
+    /// trajectory follow the references.
     #[must_use]
     pub fn follow(mut self, trajectories: impl IntoIterator<Item = Box<dyn Trajectory>>) -> Self {
         self.trajectories = trajectories.into_iter().map(Some).collect();

@@ -18,8 +18,8 @@ use std::fmt;
 use crate::env::{DroneEnv, EnvError, EpisodeSummary, Step};
 use crate::policy::{PolicyError, PolicyNetwork};
 
-/// Chooses the actions of an environment: of all its drones, from the observation, the states and whatever else the environment
-/// says of itself.
+/// Chooses the actions of an environment: of all its drones, from the observation, the states and whatever else the
+/// environment says of itself.
 ///
 /// ```
 /// use aviary::env::DroneEnv;

@@ -4,9 +4,9 @@ use crate::state::DroneState;
 /// Largest speed that is commanded, m/s, horizontally and vertically.
 const SPEED: f64 = 1.0;
 
-/// Returns the command of [`ActionType::Vel`](crate::action::ActionType::Vel) that takes a drone to its reference: velocity in the
-/// heading frame (m/s) and a yaw rate of 0. While the reference is far, the course is a little to the right of it: two drones that
-/// come towards each other both give way.
+/// Returns the command of [`ActionType::Vel`](crate::action::ActionType::Vel) that takes a drone to its reference:
+/// velocity in the heading frame (m/s) and a yaw rate of 0. While the reference is far, the course is a little to the
+/// right of it: two drones that come towards each other both give way.
 pub(super) fn velocity_to(state: &DroneState, reference: &Reference) -> [f64; 4] {
     let path = reference.position - state.position;
     let aside = 0.25 * (path.xy().norm() - 0.3).clamp(0.0, 1.0);

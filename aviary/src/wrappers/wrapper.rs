@@ -11,10 +11,11 @@ use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
 use crate::vision::{ImageSize, View};
 
-/// An environment around another one. Every function forwards to the environment inside; a wrapper overrides those that it changes.
+/// An environment around another one. Every function forwards to the environment inside; a wrapper overrides those that
+/// it changes.
 ///
-/// Whatever implements it is an [`Env`] and a [`DroneEnv`]. The functions take `this` in place of `self`, so that `wrapper.step(..)` is
-/// always [`Env::step`].
+/// Whatever implements it is an [`Env`] and a [`DroneEnv`]. The functions take `this` in place of `self`, so that
+/// `wrapper.step(..)` is always [`Env::step`].
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env, EnvError, Step, check_env};
@@ -93,7 +94,8 @@ pub trait Wrapper {
         Self::inner_mut(this).step(action)
     }
 
-    /// [`Env::snapshot`]. A wrapper with a state of its own puts it [around](EnvSnapshot::around) the snapshot of the environment inside.
+    /// [`Env::snapshot`]. A wrapper with a state of its own puts it [around](EnvSnapshot::around) the snapshot of the
+    /// environment inside.
     fn snapshot(this: &Self) -> EnvSnapshot {
         Self::inner(this).snapshot()
     }
