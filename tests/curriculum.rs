@@ -126,7 +126,7 @@ fn impossible_curricula_are_refused() {
     let refused = |config: CurriculumConfig, text: &str| {
         assert!(config.validate().unwrap_err().to_string().contains(text));
     };
-    refused(CurriculumConfig { levels: 0, ..CurriculumConfig::default() }, "number of levels is 0");
+    refused(CurriculumConfig { levels: 0, ..CurriculumConfig::default() }, "levels is 0");
     refused(CurriculumConfig { window: 0, ..CurriculumConfig::default() }, "window is 0");
     refused(CurriculumConfig { advance: f64::NAN, ..CurriculumConfig::default() }, "advance at is NaN");
     refused(CurriculumConfig { retreat: Some(0.9), ..CurriculumConfig::default() }, "retreat at is 0.9");

@@ -202,8 +202,8 @@ fn impossible_options_are_errors_that_name_them() {
     assert!(text(Hover::builder().ctrl_freq(0).build()).contains("ctrl_freq 0 Hz"));
     assert!(text(Hover::builder().episode_seconds(-1.0).build()).contains("-1 s"));
     assert!(text(Hover::builder().episode_seconds(f64::NAN).build()).contains("NaN s"));
-    assert!(text(Hover::builder().num_drones(2).build()).contains("number of drones of hover is 2"));
-    assert!(text(Hover::builder().task(|hover| hover.target_height = 4.0).build()).contains("target height is 4 m"));
+    assert!(text(Hover::builder().num_drones(2).build()).contains("num_drones is 2, expected 1 in hover"));
+    assert!(text(Hover::builder().task(|hover| hover.target_height = 4.0).build()).contains("target_height is 4 m"));
     let heavy = DroneParams { mass: f64::NAN, ..DroneModel::Race.params() };
     assert!(text(Hover::builder().drone(heavy).build()).contains("mass is NaN"));
     assert!(text(Hover::builder().initial_positions([[f64::NAN, 0.0, 1.0]]).build()).contains("position of drone 0"));

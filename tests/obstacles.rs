@@ -361,7 +361,7 @@ fn settings_of_obstacles_that_exclude_each_other_are_refused() {
     let both = Hover::builder()
         .obstacle_field(ObstacleConfig::default())
         .obstacles([Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.0, 0.0, 1.0))]);
-    assert!(both.build().unwrap_err().to_string().contains("a list and a field"));
+    assert!(both.build().unwrap_err().to_string().contains("obstacles is a list, with an obstacle_field as well"));
 }
 
 #[test]

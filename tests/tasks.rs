@@ -583,19 +583,22 @@ fn impossible_options_are_refused_by_name() {
         assert!(error.contains(text) && !error.contains('\n'), "{error}");
     };
     let config = EnvConfig::default;
-    said(make("hover", config().num_drones(2)), "the number of drones of hover is 2");
+    said(make("hover", config().num_drones(2)), "num_drones is 2, expected 1 in hover");
     said(make("race", config().num_drones(0)), "drones");
-    said(make("race", config().episode_seconds(f64::NAN)), "length of an episode");
+    said(make("race", config().episode_seconds(f64::NAN)), "episode_seconds is NaN s");
     said(make("race", config().neighbourhood_radius(-1.0)), "neighbourhood");
     said(make("formation", config().num_drones(40)), "two places in the formation");
     said(make("formation", config().drone(DroneModel::Race).num_drones(8)), "two places in the formation");
     said(make("antipodal", config().num_drones(60)), "neighbours on the circle");
     let boxed = |env: Result<Aviary<FlyThrough>, EnvError>| env.map(|env| Box::new(env) as Box<dyn DroneEnv + Send>);
-    said(boxed(FlyThrough::builder().task(|task| task.waypoints.clear()).build()), "number of points to pass is 0");
+    said(
+        boxed(FlyThrough::builder().task(|task| task.waypoints.clear()).build()),
+        "waypoints is 0 points, expected 1 to 198",
+    );
     said(boxed(FlyThrough::builder().task(|task| task.radius = 0.0).build()), "radius of a point is 0 m");
     said(boxed(FlyThrough::builder().task(|task| task.waypoints[2][1] = f64::NAN).build()), "coordinate is NaN");
     let heights = MultiHover::builder().task(|task| task.target_heights = Some(vec![1.0])).build();
-    assert!(heights.unwrap_err().to_string().contains("target heights is 1, expected one per drone"));
+    assert!(heights.unwrap_err().to_string().contains("target_heights is 1 height, expected one per drone"));
     let laps = Race::builder().task(|task| task.laps = 0).build();
     assert!(laps.unwrap_err().to_string().contains("number of laps is 0"));
 }
@@ -652,7 +655,7 @@ fn a_task_that_is_changed_is_checked_at_the_next_reset() {
     assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
     for _ in 0..2 {
         assert_eq!((env.info().success, env.info().position_error), (false, 0.0));
-        assert!(env.reset(None).unwrap_err().to_string().contains("number of points to pass is 0"));
+        assert!(env.reset(None).unwrap_err().to_string().contains("waypoints is 0 points, expected 1 to 198"));
         assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
     }
     env.task_mut().waypoints.push([0.0, 0.0, 1.0]);

@@ -3,6 +3,7 @@
 mod plausibility;
 
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use nalgebra::{Matrix4, Vector3};
 use serde::{Deserialize, Serialize};
@@ -39,15 +40,19 @@ named_enum! {
 }
 
 impl DroneModel {
-    /// Its parameters.
+    /// Its parameters, which are read from `assets/airframes` once.
     pub fn params(self) -> DroneParams {
-        let text = match self {
-            Self::Cf2x => include_str!("../../assets/airframes/cf2x.toml"),
-            Self::Cf2p => include_str!("../../assets/airframes/cf2p.toml"),
-            Self::Race => include_str!("../../assets/airframes/race.toml"),
+        // a test reads all three, so that this cannot fail for a caller
+        let read = |text| DroneParams::from_toml(text).expect("a built-in airframe is valid");
+        static CF2X: OnceLock<DroneParams> = OnceLock::new();
+        static CF2P: OnceLock<DroneParams> = OnceLock::new();
+        static RACE: OnceLock<DroneParams> = OnceLock::new();
+        let params = match self {
+            Self::Cf2x => CF2X.get_or_init(|| read(include_str!("../../assets/airframes/cf2x.toml"))),
+            Self::Cf2p => CF2P.get_or_init(|| read(include_str!("../../assets/airframes/cf2p.toml"))),
+            Self::Race => RACE.get_or_init(|| read(include_str!("../../assets/airframes/race.toml"))),
         };
-        // A test reads all three, so that this cannot happen to a caller.
-        DroneParams::from_toml(text).expect("a built-in airframe is valid")
+        params.clone()
     }
 }
 

@@ -197,12 +197,21 @@ impl FlightOptions {
             (None, "antipodal") => antipodal(config, self.controller()?),
             (None, name) => tasks::make(name, config).map(|env| env as Box<dyn DroneEnv>),
         };
-        env.map_err(|error| match (&error, self.duration) {
-            (EnvError::Option { option: "the length of an episode", expected, .. }, Some(seconds)) => {
-                Failure::input(anyhow!("--duration is {seconds} s, expected {expected}"))
-            }
-            _ => Failure::input(error),
-        })
+        env.map_err(|error| in_options(error, |_| true))
+    }
+}
+
+/// Options of the command line, by the names that they have in the library.
+const OPTIONS: [(&str, &str); 2] = [("episode_seconds", "--duration"), ("num_drones", "--num-drones")];
+
+/// Why an environment cannot be made, with the names of the command line for those of its options that were given.
+pub fn in_options(error: EnvError, is_given: impl Fn(&str) -> bool) -> Failure {
+    match error {
+        EnvError::Option { option: field, got, expected } => {
+            let option = OPTIONS.iter().find(|(name, option)| *name == field && is_given(option));
+            Failure::input(EnvError::Option { option: option.map_or(field, |(_, option)| option), got, expected })
+        }
+        _ => Failure::input(error),
     }
 }
 
@@ -223,7 +232,7 @@ fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn Dr
     let drones = env.simulation().num_drones();
     if drones > MAX_SWAPPING {
         return Err(EnvError::Option {
-            option: "--num-drones",
+            option: "num_drones",
             got: drones.to_string(),
             expected: "at most 16 with the built-in pilot of antipodal, which more drones bring to a stop in the middle",
         });

@@ -15,7 +15,7 @@ use serde_json::json;
 
 use crate::failure::Failure;
 use crate::film::FilmOptions;
-use crate::options::ConditionOptions;
+use crate::options::{ConditionOptions, in_options};
 use crate::output;
 use crate::parse::{self, NameOrFile};
 
@@ -136,8 +136,15 @@ impl Play {
         config.physics = self.physics.unwrap_or(config.physics);
         config.num_drones = self.num_drones.or(config.num_drones);
         config.episode_seconds = self.duration.or(config.episode_seconds);
-        let seconds =
-            config.environment().map_err(Failure::input)?.episode_steps() as f64 / f64::from(config.ctrl_freq);
+        let is_given = |option: &str| match option {
+            "--duration" => self.duration.is_some(),
+            _ => self.num_drones.is_some(),
+        };
+        let env = config.environment().map_err(|error| match error {
+            TrainError::Env(error) => in_options(error, is_given),
+            _ => Failure::input(error),
+        })?;
+        let seconds = env.episode_steps() as f64 / f64::from(config.ctrl_freq);
         config.success = config.success.within(seconds);
         Ok(config)
     }

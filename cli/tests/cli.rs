@@ -413,7 +413,7 @@ fn every_task_is_flown_to_success() {
     assert_eq!(flight["success"], true, "{flight}");
     assert!(flight["info"]["minimum_distance"].as_f64().unwrap() > 0.3);
     refused(&["fly", "--task", "race", "--trajectory", "circle"], 2, &["--trajectory goes with --task hover"]);
-    refused(&["fly", "--task", "hover", "--num-drones", "2"], 2, &["number of drones of hover is 2"]);
+    refused(&["fly", "--task", "hover", "--num-drones", "2"], 2, &["--num-drones is 2, expected 1 in hover"]);
     refused(&["fly", "--task", "flythrough"], 2, &["did you mean `fly_through`"]);
 }
 

@@ -314,7 +314,7 @@ impl TrainConfig {
         if let Some(seconds) = self.training_starts.iter().filter_map(|start| start.seconds).find(|&x| !positive(x)) {
             let got = format!("{seconds} s");
             return Err(TrainError::Option {
-                option: "the length of a training start's episodes",
+                option: "training_starts.seconds",
                 got,
                 expected: "a positive number of seconds",
             });

@@ -92,7 +92,7 @@ impl CollisionCone {
             ("radius", self.radius),
             ("decay", self.decay),
             ("approach", self.approach),
-            ("largest acceleration", self.max_acceleration),
+            ("max_acceleration", self.max_acceleration),
             ("sight", self.sight),
         ] {
             if !(got > 0.0 && got <= 1e6) {

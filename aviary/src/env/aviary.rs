@@ -336,7 +336,7 @@ impl<T: Task + Clone + Send> DroneEnv for Aviary<T> {
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
         if !matches!(self.model.action_type, ActionType::Rpm | ActionType::RawRpm) {
             return Err(EnvError::Option {
-                option: "the action type",
+                option: "action_type",
                 got: self.model.action_type.to_string(),
                 expected: "rpm or raw_rpm, which command single motors",
             });

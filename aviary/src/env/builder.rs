@@ -292,14 +292,14 @@ impl<T: Task> AviaryBuilder<T> {
         // the shortest episode is one control step; a year of them still counts exactly
         if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
             return Err(EnvError::Option {
-                option: "the length of an episode",
+                option: "episode_seconds",
                 got: format!("{seconds} s"),
                 expected: "a positive number of seconds below 4e7",
             });
         }
         if self.neighbourhood_radius.is_nan() || self.neighbourhood_radius < 0.0 {
             return Err(EnvError::Option {
-                option: "the neighbourhood's radius",
+                option: "neighbourhood_radius",
                 got: format!("{} m", self.neighbourhood_radius),
                 expected: "zero or a positive number of metres",
             });
@@ -310,8 +310,8 @@ impl<T: Task> AviaryBuilder<T> {
         }
         if self.field.is_some() && simulation.has_obstacles() {
             return Err(EnvError::Option {
-                option: "the obstacles",
-                got: "a list and a field".into(),
+                option: "obstacles",
+                got: "a list, with an obstacle_field as well".into(),
                 expected: "one of the two",
             });
         }
@@ -334,7 +334,7 @@ impl<T: Task> AviaryBuilder<T> {
         let (kind, camera_size) = (self.observation_type, self.camera_size);
         if kind.is_empty() {
             return Err(EnvError::Option {
-                option: "the observation type",
+                option: "observation_type",
                 got: "empty".into(),
                 expected: "at least one part",
             });
@@ -342,14 +342,14 @@ impl<T: Task> AviaryBuilder<T> {
         let sides = 1..=ImageSize::MAX_SIDE;
         if !(sides.contains(&camera_size.width) && sides.contains(&camera_size.height)) {
             return Err(EnvError::Option {
-                option: "the camera's size",
+                option: "camera_size",
                 got: camera_size.to_string(),
                 expected: "sides of 1 to 8192 pixels",
             });
         }
         if kind.has_images() && camera_size.pixels().saturating_mul(count) > Self::MAX_CAMERA_PIXELS {
             return Err(EnvError::Option {
-                option: "the camera's size",
+                option: "camera_size",
                 got: format!("{camera_size} for {count} drones"),
                 expected: "at most 2^27 pixels of all onboard cameras together",
             });
@@ -406,7 +406,7 @@ impl<T: Task> AviaryBuilder<T> {
 
 /// An episode that begins inside the floor or another drone is over before it began.
 fn check_starts(simulation: &Simulation) -> Result<(), EnvError> {
-    let wrong = |got, expected| Err(EnvError::Option { option: "an initial position", got, expected });
+    let wrong = |got, expected| Err(EnvError::Option { option: "initial_positions", got, expected });
     for (drone, state) in simulation.initial_states().iter().enumerate() {
         let params = simulation.params(drone);
         let (cos, sin) = (state.up().z.abs(), state.tilt().sin());

@@ -210,10 +210,10 @@ pub enum EnvError {
     /// A name that no task has.
     #[error(transparent)]
     UnknownName(#[from] UnknownName),
-    /// An option of the task that is impossible.
+    /// An option that is impossible.
     #[error("{option} is {got}, expected {expected}")]
     Option {
-        /// The option.
+        /// Name of the field, or of the builder's method, that sets it.
         option: &'static str,
         /// What it is.
         got: String,
@@ -275,6 +275,7 @@ pub enum EnvError {
         /// Its index.
         environment: usize,
         /// What is wrong.
+        #[source]
         error: Box<EnvError>,
     },
     /// Something that concerns one of several agents.
@@ -283,6 +284,7 @@ pub enum EnvError {
         /// Its name.
         agent: String,
         /// What is wrong.
+        #[source]
         error: Box<EnvError>,
     },
     /// Pictures cannot be drawn.

@@ -65,7 +65,7 @@ impl MovingMarkers {
             if let Some(x) = pose.position.iter().chain(&pose.rpy).find(|x| far(x)) {
                 let got = format!("{x} for the marker `{}`", declared.marker.name);
                 let expected = "finite numbers up to 1e6";
-                return Err(EnvError::Option { option: "the pose of a moving marker", got, expected });
+                return Err(EnvError::Option { option: "move_markers", got, expected });
             }
             if declared.solid {
                 let body = &mut self.obstacles[obstacle];

@@ -38,6 +38,7 @@ pub enum RecordError {
         /// Its path.
         path: PathBuf,
         /// Why.
+        #[source]
         error: std::io::Error,
     },
     /// A file that is no record of a flight.

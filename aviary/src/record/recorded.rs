@@ -81,11 +81,7 @@ fn prefix(episode: u64) -> String {
 
 /// The directory is the user's: what is wrong with it is an option.
 fn unwritable(error: &RecordError) -> EnvError {
-    EnvError::Option {
-        option: "the directory for records",
-        got: error.to_string(),
-        expected: "one that can be written",
-    }
+    EnvError::Option { option: "directory", got: error.to_string(), expected: "one that can be written" }
 }
 
 impl<E: DroneEnv> Wrapper for Recorded<E> {

@@ -103,7 +103,7 @@ impl Policy for ControllerPolicy {
     fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         if self.controllers.len() != env.simulation().num_drones() {
             let got = format!("{} for {} drones", self.controllers.len(), env.simulation().num_drones());
-            let option = "the number of controllers";
+            let option = "controllers";
             return Err(EnvError::Option { option, got, expected: "one for each drone" }.into());
         }
         for controller in &mut self.controllers {
@@ -161,9 +161,9 @@ mod tests {
         };
         let mut one = ControllerPolicy::new(ControllerKind::Pid, &Hover::builder().build().unwrap());
         let error = refused(&mut MultiHover::builder().build().unwrap(), &mut one);
-        assert_eq!(error, "the number of controllers is 1 for 2 drones, expected one for each drone");
+        assert_eq!(error, "controllers is 1 for 2 drones, expected one for each drone");
         let error = refused(&mut Hover::builder().action_type(ActionType::Attitude).build().unwrap(), &mut one);
-        assert!(error.starts_with("the action type is attitude, expected rpm or raw_rpm"), "{error}");
+        assert!(error.starts_with("action_type is attitude, expected rpm or raw_rpm"), "{error}");
     }
 
     #[test]

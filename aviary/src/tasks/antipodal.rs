@@ -120,11 +120,7 @@ impl Task for Antipodal {
 
     fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        for (option, got) in [
-            ("the circle's radius", self.radius),
-            ("the height", self.height),
-            ("the safety radius", self.safety_radius),
-        ] {
+        for (option, got) in [("radius", self.radius), ("height", self.height), ("safety_radius", self.safety_radius)] {
             if !(got > 0.0 && got <= 1e3) {
                 let expected = "a positive number of metres up to 1000";
                 return Err(EnvError::Option { option, got: format!("{got} m"), expected });
@@ -133,14 +129,18 @@ impl Task for Antipodal {
         if !(0.0..=1e3).contains(&self.stagger) {
             let expected = "zero or a positive number of metres";
             let got = format!("{} m", self.stagger);
-            return Err(EnvError::Option { option: "the stagger of heights", got, expected });
+            return Err(EnvError::Option { option: "stagger", got, expected });
         }
         let apart = 2.0 * self.radius * (TAU / (2.0 * drones.len() as f64)).sin();
         if drones.len() > 1 && apart <= self.safety_radius {
             return Err(EnvError::Option {
-                option: "the distance of neighbours on the circle",
-                got: format!("{apart:.3} m for {}", crate::count(drones.len(), "drone")),
-                expected: "more than the safety radius",
+                option: "radius",
+                got: format!(
+                    "{} m, {apart:.3} m between neighbours on the circle of {}",
+                    self.radius,
+                    crate::count(drones.len(), "drone")
+                ),
+                expected: "more than safety_radius between them",
             });
         }
         Ok(())

@@ -52,7 +52,7 @@ impl CrashConditions {
             return Ok(());
         }
         let (got, expected) = (format!("{} rad", self.max_tilt), "a positive angle (π or more for no limit)");
-        Err(EnvError::Option { option: "the largest tilt", got, expected })
+        Err(EnvError::Option { option: "max_tilt", got, expected })
     }
 }
 

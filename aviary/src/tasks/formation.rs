@@ -138,20 +138,20 @@ impl Task for Formation {
         self.crash.validate()?;
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         if self.path.is_empty() || self.path.iter().flatten().any(|x| !(-1e4..=1e4).contains(x)) {
-            return wrong("the path", format!("{:?}", self.path), "at least one corner, finite metres up to 10 km");
+            return wrong("path", format!("{:?}", self.path), "at least one corner, finite metres up to 10 km");
         }
         if !(0.0..=1e3).contains(&self.speed) {
-            return wrong("the speed of the middle", format!("{} m/s", self.speed), "zero or a positive number");
+            return wrong("speed", format!("{} m/s", self.speed), "zero or a positive number");
         }
         if let Some(offsets) = &self.offsets {
             if offsets.len() != drones.len() {
-                return wrong("the number of places", offsets.len().to_string(), "one per drone");
+                return wrong("offsets", crate::count(offsets.len(), "place"), "one per drone");
             }
         } else if !(self.radius >= 0.0 && self.radius <= 1e3) {
-            return wrong("the radius", format!("{} m", self.radius), "zero or a positive number of metres");
+            return wrong("radius", format!("{} m", self.radius), "zero or a positive number of metres");
         }
         if let Some(x) = self.offsets.iter().flatten().flatten().find(|x| !(-1e4..=1e4).contains(*x)) {
-            return wrong("a place in the formation", format!("{x} m"), "a finite number of metres up to 10 km");
+            return wrong("offsets", format!("{x} m along an axis"), "finite numbers of metres up to 10 km");
         }
         let places: Vec<_> = (0..drones.len()).map(|drone| self.offset(drone, drones.len())).collect();
         for (i, (a, first)) in places.iter().zip(drones).enumerate() {
@@ -159,8 +159,13 @@ impl Task for Formation {
                 let apart = (a - b).norm();
                 let least = first.collision_radius + second.collision_radius;
                 if apart.is_nan() || apart <= least {
-                    let got = format!("{apart:.3} m for {least:.3} m of drones");
-                    return wrong("the distance of two places in the formation", got, "room between the drones");
+                    let (option, value) = match &self.offsets {
+                        Some(offsets) => ("offsets", format!("{offsets:?}")),
+                        None => ("radius", format!("{} m", self.radius)),
+                    };
+                    let got =
+                        format!("{value}, {apart:.3} m between two places in the formation for {least:.3} m of drones");
+                    return wrong(option, got, "room between the drones");
                 }
             }
         }

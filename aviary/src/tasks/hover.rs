@@ -91,17 +91,17 @@ impl Task for Hover {
         self.crash.validate()?;
         if drones.len() != 1 {
             return Err(EnvError::Option {
-                option: "the number of drones of hover",
+                option: "num_drones",
                 got: drones.len().to_string(),
-                expected: "1",
+                expected: "1 in hover",
             });
         }
         let (target, max) = (self.target_height, self.max_height);
         if !(target.is_finite() && target > 0.0 && target < max) {
             return Err(EnvError::Option {
-                option: "the target height",
+                option: "target_height",
                 got: format!("{target} m"),
-                expected: "a height above the floor and below the task's greatest",
+                expected: "a height above the floor and below max_height",
             });
         }
         Ok(())

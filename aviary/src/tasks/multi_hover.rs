@@ -115,17 +115,17 @@ impl Task for MultiHover {
             && heights.len() != drones.len()
         {
             return Err(EnvError::Option {
-                option: "the number of target heights",
-                got: heights.len().to_string(),
+                option: "target_heights",
+                got: crate::count(heights.len(), "height"),
                 expected: "one per drone",
             });
         }
         let heights = (0..drones.len()).map(|drone| self.height(drone, drones.len()));
         match heights.into_iter().find(|&height| !(height > 0.0 && height < self.max_height)) {
             Some(height) => Err(EnvError::Option {
-                option: "a target height",
-                got: format!("{height} m under a greatest of {} m", self.max_height),
-                expected: "a height above the floor and below the task's greatest",
+                option: "target_heights",
+                got: format!("{height} m with a max_height of {} m", self.max_height),
+                expected: "heights above the floor and below max_height",
             }),
             None => Ok(()),
         }

@@ -122,11 +122,11 @@ impl Task for Race {
 
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        waypoint_progress::check(&self.gates, self.laps, self.radius)?;
+        waypoint_progress::check("gates", &self.gates, self.laps, self.radius)?;
         waypoint_progress::check_rewards([
-            ("the reward for a gate", self.gate_reward),
-            ("the reward for speed", self.speed_reward),
-            ("the penalty for distance", self.distance_penalty),
+            ("gate_reward", self.gate_reward),
+            ("speed_reward", self.speed_reward),
+            ("distance_penalty", self.distance_penalty),
         ])
     }
 

@@ -99,9 +99,9 @@ impl Task for Stabilize {
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         for (option, got, most) in [
-            ("the largest speed at the start", self.max_speed, 1e3),
-            ("the largest lean at the start", self.max_lean, FRAC_PI_2),
-            ("the largest body rate at the start", self.max_rate, 1e3),
+            ("max_speed", self.max_speed, 1e3),
+            ("max_lean", self.max_lean, FRAC_PI_2),
+            ("max_rate", self.max_rate, 1e3),
         ] {
             if !(0.0..=most).contains(&got) {
                 let expected = "zero or a positive number, angles up to π/2";

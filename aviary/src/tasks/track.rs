@@ -134,10 +134,10 @@ impl Task for Track {
         self.crash.validate()?;
         let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
         for (option, got, least, expected) in [
-            ("the radius", self.radius, 1e-3, "1 mm to 1000 m"),
-            ("the height", self.height, widest, "more than a drone's radius, up to 1000 m"),
-            ("the speed", self.speed, 0.0, "0 to 1000 m/s"),
-            ("the largest distance", self.max_distance, 1e-3, "1 mm to 1000 m"),
+            ("radius", self.radius, 1e-3, "1 mm to 1000 m"),
+            ("height", self.height, widest, "more than a drone's radius, up to 1000 m"),
+            ("speed", self.speed, 0.0, "0 to 1000 m/s"),
+            ("max_distance", self.max_distance, 1e-3, "1 mm to 1000 m"),
         ] {
             if !(least..=1e3).contains(&got) {
                 return Err(EnvError::Option { option, got: got.to_string(), expected });

@@ -245,22 +245,22 @@ fn distance_to_way(from: &Vector3<f64>, to: &Vector3<f64>, point: &Vector3<f64>)
     (from + way * share - point).norm()
 }
 
-/// Checks points, laps and a radius.
-pub(super) fn check(points: &[[f64; 3]], laps: usize, radius: f64) -> Result<(), EnvError> {
+/// Checks points, the option that lists them, laps and a radius.
+pub(super) fn check(option: &'static str, points: &[[f64; 3]], laps: usize, radius: f64) -> Result<(), EnvError> {
     let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
     if laps == 0 {
-        return wrong("the number of laps", "0".into(), "at least 1");
+        return wrong("laps", "0".into(), "at least 1");
     }
     // what a plan takes, which counts the start and a place to go to at the end
     if !(1..=198).contains(&points.len().saturating_mul(laps)) {
-        let expected = "1 to 198 over all laps";
-        return wrong("the number of points to pass", points.len().saturating_mul(laps).to_string(), expected);
+        let got = crate::count(points.len().saturating_mul(laps), "point");
+        return wrong(option, got, "1 to 198 over all laps");
     }
     if let Some(x) = points.iter().flatten().find(|x| !(-1e4..=1e4).contains(*x)) {
-        return wrong("a point's coordinate", format!("{x} m"), "a finite number of metres up to 10 km");
+        return wrong(option, format!("{x} m along an axis"), "finite numbers of metres up to 10 km");
     }
     if !(radius > 0.0 && radius <= 1e3) {
-        return wrong("the radius of a point", format!("{radius} m"), "a positive number of metres");
+        return wrong("radius", format!("{radius} m"), "a positive number of metres");
     }
     Ok(())
 }

@@ -62,17 +62,17 @@ impl CurriculumConfig {
     pub fn validate(&self) -> Result<(), EnvError> {
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         if !(1..=1_000_000).contains(&self.levels) {
-            return wrong("the number of levels", self.levels.to_string(), "1 to 1,000,000");
+            return wrong("levels", self.levels.to_string(), "1 to 1,000,000");
         }
         if !(1..=1_000_000).contains(&self.window) {
-            return wrong("the curriculum's window", self.window.to_string(), "1 to 1,000,000 episodes");
+            return wrong("window", self.window.to_string(), "1 to 1,000,000 episodes");
         }
         if !self.advance.is_finite() {
-            return wrong("the mean to advance at", self.advance.to_string(), "a finite number");
+            return wrong("advance", self.advance.to_string(), "a finite number");
         }
         match self.retreat {
             Some(retreat) if retreat.is_nan() || retreat >= self.advance => {
-                wrong("the mean to retreat at", retreat.to_string(), "less than the one to advance at")
+                wrong("retreat", retreat.to_string(), "less than advance")
             }
             _ => Ok(()),
         }
@@ -168,7 +168,7 @@ impl Curriculum {
             && state.recent.iter().all(|x| x.is_finite());
         if !fits {
             return Err(EnvError::Option {
-                option: "the curriculum's state",
+                option: "state",
                 got: format!(
                     "level {} of {}, {} episodes",
                     state.level,

@@ -99,9 +99,9 @@ impl VelocityFilter {
         filter.validate()?;
         if action_type != ActionType::Vel {
             return Err(EnvError::Option {
-                option: "the action type under a safety filter",
+                option: "action_type",
                 got: action_type.to_string(),
-                expected: "vel",
+                expected: "vel under a safety filter",
             });
         }
         let vectors = || vec![Vector3::zeros(); drones];
@@ -112,7 +112,7 @@ impl VelocityFilter {
     fn response(self, response: f64) -> Result<Self, EnvError> {
         if !(response > 0.0 && response <= 1e6) {
             return Err(EnvError::Option {
-                option: "the response under a safety filter",
+                option: "response",
                 got: format!("{response} 1/s"),
                 expected: "a positive number",
             });

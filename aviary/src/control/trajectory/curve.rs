@@ -67,7 +67,7 @@ impl Plane {
     pub fn normal(normal: [f64; 3]) -> Result<Self, TrajectoryError> {
         let normal = Vector3::from(normal);
         let size = normal.norm();
-        TrajectoryError::check("the length of the normal", size, (1e-9..1e9).contains(&size), "a positive number")?;
+        TrajectoryError::check("the length of normal", size, (1e-9..1e9).contains(&size), "a positive number")?;
         let normal = normal / size;
         let level = Vector3::z().cross(&normal);
         let first = if level.norm() < 1e-9 { Vector3::x() } else { level.normalize() };
@@ -113,7 +113,7 @@ impl Curve {
     /// # Errors
     /// [`TrajectoryError`] naming what is impossible; likewise below.
     pub fn circle(radius: f64, period: f64) -> Result<Self, TrajectoryError> {
-        length("the radius", radius)?;
+        length("radius", radius)?;
         Self::new(Shape::Circle { radius }, period)
     }
 
@@ -123,8 +123,8 @@ impl Curve {
     /// # Errors
     /// As above.
     pub fn lemniscate(half_length: f64, half_width: f64, period: f64) -> Result<Self, TrajectoryError> {
-        length("the half length", half_length)?;
-        length("the half width", half_width)?;
+        length("half_length", half_length)?;
+        length("half_width", half_width)?;
         Self::new(Shape::Lemniscate { half_length, half_width }, period)
     }
 
@@ -133,7 +133,7 @@ impl Curve {
     /// # Errors
     /// As above.
     pub fn lemniscate_at(half_length: f64, half_width: f64, peak_speed: f64) -> Result<Self, TrajectoryError> {
-        length("the peak speed", peak_speed)?;
+        length("peak_speed", peak_speed)?;
         // ‖(A·cos θ, 2B·cos 2θ)‖ is greatest in the middle
         let way = half_length.hypot(2.0 * half_width);
         Self::lemniscate(half_length, half_width, TAU * way / peak_speed)
@@ -144,8 +144,8 @@ impl Curve {
     /// # Errors
     /// As above.
     pub fn helix(radius: f64, period: f64, climb: f64) -> Result<Self, TrajectoryError> {
-        length("the radius", radius)?;
-        TrajectoryError::check("the climb", climb, climb.abs() <= 1e6, "a finite number of metres up to 1e6")?;
+        length("radius", radius)?;
+        TrajectoryError::check("climb", climb, climb.abs() <= 1e6, "a finite number of metres up to 1e6")?;
         Self::new(Shape::Helix { radius, climb }, period)
     }
 
@@ -188,12 +188,12 @@ impl Curve {
             Heading::Turning { yaw, rate } => (yaw, rate),
             Heading::Forward => (0.0, 0.0),
         };
-        TrajectoryError::check("the yaw", yaw, yaw.abs() <= 1e6, "a finite angle, rad")?;
-        TrajectoryError::check("the yaw rate", rate, rate.abs() <= 1e3, "a finite rate, rad/s, up to 1000")?;
+        TrajectoryError::check("yaw", yaw, yaw.abs() <= 1e6, "a finite angle, rad")?;
+        TrajectoryError::check("yaw_rate", rate, rate.abs() <= 1e3, "a finite rate, rad/s, up to 1000")?;
         let slope = self.plane.axis().z.abs();
         if heading == Heading::Forward {
             let expected = "at least 0.1 for a forward heading: an upright curve goes straight up somewhere";
-            TrajectoryError::check("the vertical part of the plane's normal", slope, slope >= 0.1, expected)?;
+            TrajectoryError::check("the vertical part of normal", slope, slope >= 0.1, expected)?;
         }
         Ok(Self { heading, ..self })
     }

@@ -167,7 +167,7 @@ macro_rules! curve {
             fn placed(&self, mut curve: Curve) -> Result<Box<dyn Trajectory>, TrajectoryError> {
                 if let Some(centre) = self.centre {
                     for x in centre {
-                        TrajectoryError::check("the centre", x, x.abs() <= 1e6, "finite numbers of metres up to 1e6")?;
+                        TrajectoryError::check("centre", x, x.abs() <= 1e6, "finite numbers of metres up to 1e6")?;
                     }
                     curve = curve.centre(centre);
                 }
@@ -274,7 +274,7 @@ mod tests {
         assert!(error(0, "radius = 0.5", "radius = \"wide\"").contains("line 2"));
         assert!(error(0, "radius = 0.5", "").contains("radius"));
         assert!(error(0, "ramp", "rampp").contains("line 5"));
-        assert!(error(0, "radius = 0.5", "radius = -0.5").contains("the radius is -0.5"));
+        assert!(error(0, "radius = 0.5", "radius = -0.5").contains("radius is -0.5"));
         assert!(error(0, "ramp = 1.0", "ramp = 99.0").contains("full speed is never reached"));
         assert!(error(0, "period = 4.0", "period = nan").contains("period"));
         assert!(error(0, "ramp", "forward = true\nramp").contains("straight up"));

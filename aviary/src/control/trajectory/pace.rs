@@ -24,18 +24,18 @@ impl Pace {
 
     pub(super) fn check(&self) -> Result<(), TrajectoryError> {
         let Self { phase, rate, ramp, turns } = *self;
-        TrajectoryError::check("the phase", phase, phase.abs() <= 1e6, "a finite angle, rad")?;
+        TrajectoryError::check("phase", phase, phase.abs() <= 1e6, "a finite angle, rad")?;
         TrajectoryError::check(
-            "the period",
+            "period",
             TAU / rate,
             rate.is_finite() && (1e-6..=1e6).contains(&rate.abs()),
             "a number of seconds up to a few days, negative to turn the other way",
         )?;
-        TrajectoryError::check("the ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
-        TrajectoryError::check("the number of turns", turns, turns > 0.0, "a positive number")?;
+        TrajectoryError::check("ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
+        TrajectoryError::check("turns", turns, turns > 0.0, "a positive number")?;
         // ramping up and down takes half of the ramp's time at full speed each
         TrajectoryError::check(
-            "the number of turns",
+            "turns",
             turns,
             turns * TAU >= ramp * rate.abs(),
             "at least the ramp over the period, or full speed is never reached",

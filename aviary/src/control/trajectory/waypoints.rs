@@ -161,20 +161,15 @@ impl WaypointsBuilder {
     pub fn build(self) -> Result<Waypoints, TrajectoryError> {
         let count = self.points.len();
         let expected = "2 to 200";
-        TrajectoryError::check("the number of waypoints", count as f64, (2..=200).contains(&count), expected)?;
+        TrajectoryError::check("the number of points", count as f64, (2..=200).contains(&count), expected)?;
         for &x in self.points.iter().flatten() {
-            TrajectoryError::check(
-                "a waypoint's coordinate",
-                x,
-                x.abs() <= 1e6,
-                "a finite number of metres up to 1e6",
-            )?;
+            TrajectoryError::check("a coordinate in points", x, x.abs() <= 1e6, "a finite number of metres up to 1e6")?;
         }
         let yaws = self.yaws.unwrap_or_else(|| vec![0.0; count]);
         let expected = "one per waypoint";
         TrajectoryError::check("the number of yaws", yaws.len() as f64, yaws.len() == count, expected)?;
         for &yaw in &yaws {
-            TrajectoryError::check("a waypoint's yaw", yaw, yaw.is_finite(), "a finite angle, rad")?;
+            TrajectoryError::check("a yaw in yaws", yaw, yaw.is_finite(), "a finite angle, rad")?;
         }
         // by the shorter turns
         let mut turned = vec![yaws[0]];
@@ -184,16 +179,16 @@ impl WaypointsBuilder {
         }
         if let Some(times) = self.times {
             TrajectoryError::check("the number of times", times.len() as f64, times.len() == count, expected)?;
-            TrajectoryError::check("the first waypoint's time", times[0], times[0] == 0.0, "0")?;
+            TrajectoryError::check("the first of times", times[0], times[0] == 0.0, "0")?;
             for pair in times.windows(2) {
                 let gap = pair[1] - pair[0];
                 let good = (1e-3..=1e6).contains(&gap);
-                TrajectoryError::check("the time between two waypoints", gap, good, "at least 1 ms, and up to 1e6 s")?;
+                TrajectoryError::check("a gap in times", gap, good, "at least 1 ms, and up to 1e6 s")?;
             }
             return Waypoints::solve(&self.points, &turned, times);
         }
         let (speed, acceleration) = (self.max_speed, self.max_acceleration);
-        for (what, limit) in [("the greatest speed", speed), ("the greatest acceleration", acceleration)] {
+        for (what, limit) in [("max_speed", speed), ("max_acceleration", acceleration)] {
             TrajectoryError::check(what, limit, (1e-6..=1e6).contains(&limit), "a positive number")?;
         }
         Waypoints::allocate(&self.points, &turned, speed, acceleration)
@@ -502,12 +497,12 @@ mod tests {
         };
         let two = || Waypoints::through(&[[0.0; 3], [1.0; 3]]);
         refused(Waypoints::through(&[[0.0; 3]]), "2 to 200");
-        refused(Waypoints::through(&[[0.0; 3], [f64::NAN; 3]]), "coordinate is NaN");
+        refused(Waypoints::through(&[[0.0; 3], [f64::NAN; 3]]), "a coordinate in points is NaN");
         refused(two().yaws([0.0]), "one per waypoint");
         refused(two().times([0.0, 0.0]), "at least 1 ms");
-        refused(two().times([1.0, 2.0]), "first waypoint's time is 1");
-        refused(two().limits(0.0, 1.0), "greatest speed is 0");
-        refused(two().limits(1.0, f64::INFINITY), "greatest acceleration is inf");
+        refused(two().times([1.0, 2.0]), "the first of times is 1");
+        refused(two().limits(0.0, 1.0), "max_speed is 0");
+        refused(two().limits(1.0, f64::INFINITY), "max_acceleration is inf");
     }
 
     #[test]
