@@ -236,7 +236,7 @@ fn main() {
     // the handler throws through MuJoCo's frames and, on the way into the parser, through its own
     let shim = || cc::Build::new().include(&mujoco.include).include(&out).warnings_into_errors(true).to_owned();
     let built = shim()
-        .files(["shim/shim.c", "shim/environment.c", "shim/store.c"])
+        .files(["shim/shim.c", "shim/environment.c"])
         .std("c11")
         .flag("-fexceptions")
         .try_compile("mjshim")

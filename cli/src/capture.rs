@@ -3,11 +3,11 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
+use append_file::AppendFile;
 use aviary::record::{STATE_COLUMNS, picture, state_numbers};
 use aviary::vision::{CAMERA_SIZE, ImageSize, Painter, intrinsics};
 use aviary::world::World;
 use clap::Args;
-use mujoco_rs::AppendFile;
 use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;

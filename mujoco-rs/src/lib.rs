@@ -20,10 +20,9 @@
 //! # Ok::<(), mujoco_rs::Error>(())
 //! ```
 //!
-//! This crate is the only one of the workspace that holds unsafe code; it knows nothing of drones.
+//! This crate holds all unsafe code about MuJoCo and OpenGL; it knows nothing of drones.
 #![allow(unsafe_code)]
 
-mod append;
 mod arrays;
 mod contact;
 mod data;
@@ -38,7 +37,6 @@ mod renderer;
 mod runtime;
 mod scene;
 
-pub use append::AppendFile;
 pub use contact::Contact;
 pub use data::{Data, WarningKind, WarningStat};
 pub use error::{DivergedQuantity, Divergence, Error, GlAttempt};

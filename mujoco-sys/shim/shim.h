@@ -82,11 +82,6 @@ int mjshim_draw(mjrRect viewport, mjvScene* scn, mjrContext* con, unsigned char*
 void mjshim_without_rasteriser_threads(void);
 void mjshim_restore_environment(void);
 
-// Stores a line into the pages of a mapped file, its first byte last; 1 where the file no longer reaches so far. Needs
-// `mjshim_catch_bus_errors`, once in the process, which returns whether it failed.
-int mjshim_catch_bus_errors(void);
-int mjshim_store(char* target, const char* line, size_t length);
-
 // Raises an error on purpose: guarded != 0 under setjmp, otherwise as an unguarded call would.
 int mjshim_raise(const char* message, int guarded);
 

@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use mujoco_rs::AppendFile;
+use append_file::AppendFile;
 
 use super::flight::Sample;
 use super::table::{state_numbers, written};

@@ -1,9 +1,7 @@
 // Stores into the pages of a mapped file, whose owner may have cut it off. The system answers a store beyond the end of a
-// mapped file with SIGBUS; during `mjshim_store` that becomes a return value, at any other time the handler that was there
+// mapped file with SIGBUS; during `append_file_store` that becomes a return value, at any other time the handler that was there
 // before gets it.
 #define _GNU_SOURCE  // siginfo_t, sigsetjmp
-
-#include "shim.h"
 
 #include <setjmp.h>
 #include <signal.h>
@@ -20,7 +18,7 @@ static struct sigaction previous;
 
 static void on_bus_error(int signal, siginfo_t* info, void* context) {
   const char* const address = info->si_addr;
-  // only memory and the loop of `mjshim_store` lie between
+  // only memory and the loop of `append_file_store` lie between
   if (storing && info->si_code > 0 && address >= first_byte && address <= last_byte) {
     siglongjmp(*storing, 1);
   }
@@ -39,14 +37,14 @@ static void on_bus_error(int signal, siginfo_t* info, void* context) {
   }
 }
 
-int mjshim_catch_bus_errors(void) {
+int append_file_catch_bus_errors(void) {
   struct sigaction action = {.sa_sigaction = on_bus_error, .sa_flags = SA_SIGINFO | SA_ONSTACK | SA_NODEFER};
   sigemptyset(&action.sa_mask);
   // the handler may run before `sigaction` returns, so that what it refers to is read first
   return sigaction(SIGBUS, NULL, &previous) || sigaction(SIGBUS, &action, NULL);
 }
 
-int mjshim_store(char* target, const char* line, size_t length) {
+int append_file_store(char* target, const char* line, size_t length) {
   if (!length) {
     return 0;
   }

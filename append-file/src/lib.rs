@@ -1,5 +1,10 @@
-//! Files that grow line by line and keep every line through the end of the program, whatever end that is.
+//! Files that grow line by line and keep every line, whatever ends the program.
+//!
+//! A line is stored into the pages of a mapped file. `store.c` turns the signal of a file that was cut off meanwhile into a return
+//! value.
+#![allow(unsafe_code)]
 
+use std::ffi::{c_char, c_int};
 use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::os::unix::fs::FileExt as _;
@@ -7,6 +12,15 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use memmap2::{MmapMut, MmapOptions};
+
+unsafe extern "C" {
+    /// Stores a line into the pages of a mapped file, its first byte last; 1 where the file no longer reaches so far. Needs
+    /// `append_file_catch_bus_errors`.
+    fn append_file_store(target: *mut c_char, line: *const c_char, length: usize) -> c_int;
+
+    /// Installs the handler of SIGBUS, once in the process; returns whether that failed.
+    fn append_file_catch_bus_errors() -> c_int;
+}
 
 /// A file of lines that a program may be killed over without losing any that it has appended.
 ///
@@ -19,7 +33,7 @@ use memmap2::{MmapMut, MmapOptions};
 /// first file that is opened installs a handler for it, which passes on whatever is not its own to the handler that was there.
 ///
 /// ```
-/// use mujoco_rs::AppendFile;
+/// use append_file::AppendFile;
 ///
 /// # let directory = std::env::temp_dir();
 /// let path = directory.join(format!("append_{}.csv", std::process::id()));
@@ -124,7 +138,7 @@ impl AppendFile {
         // killed program has not finished.
         // SAFETY: as many bytes as are borrowed mutably here, and as there are in the line; the handler has been installed
         // before the window was made.
-        let status = unsafe { mujoco_sys::mjshim_store(cells.as_mut_ptr().cast(), line.as_ptr().cast(), line.len()) };
+        let status = unsafe { append_file_store(cells.as_mut_ptr().cast(), line.as_ptr().cast(), line.len()) };
         if status != 0 {
             return Ok(false);
         }
@@ -206,7 +220,7 @@ impl AppendFile {
 fn catches_bus_errors() -> bool {
     static INSTALLED: OnceLock<bool> = OnceLock::new();
     // SAFETY: once in the process.
-    *INSTALLED.get_or_init(|| unsafe { mujoco_sys::mjshim_catch_bus_errors() } == 0)
+    *INSTALLED.get_or_init(|| unsafe { append_file_catch_bus_errors() } == 0)
 }
 
 impl Drop for AppendFile {
@@ -326,7 +340,7 @@ mod tests {
     /// Files are limited to 100 KiB in a child process: a part of a line stayed where a `write` for each was cut short.
     #[test]
     fn a_line_that_does_not_fit_leaves_nothing_behind() {
-        const CHILD: &str = "MUJOCO_RS_TEST_LIMIT";
+        const CHILD: &str = "APPEND_FILE_TEST_LIMIT";
         if let Some(path) = std::env::var_os(CHILD) {
             for mapped in [true, false] {
                 let mut file = AppendFile::create(&path).unwrap();
@@ -345,7 +359,7 @@ mod tests {
             return;
         }
         let path = path("limit");
-        let test = "append::tests::a_line_that_does_not_fit_leaves_nothing_behind";
+        let test = "tests::a_line_that_does_not_fit_leaves_nothing_behind";
         // its output goes through pipes: a file that the tests write to may be beyond the limit already
         let output = std::process::Command::new("bash")
             .args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" --exact \"$1\""])
@@ -361,7 +375,7 @@ mod tests {
     /// A fault that no store has caused goes where it went before.
     #[test]
     fn other_bus_errors_still_end_the_program() {
-        const CHILD: &str = "MUJOCO_RS_TEST_BUS";
+        const CHILD: &str = "APPEND_FILE_TEST_BUS";
         if let Some(path) = std::env::var_os(CHILD) {
             drop(AppendFile::create(&path).unwrap());
             let file = OpenOptions::new().read(true).write(true).open(&path).unwrap();
@@ -374,7 +388,7 @@ mod tests {
         }
         let path = path("bus");
         let status = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "append::tests::other_bus_errors_still_end_the_program"])
+            .args(["--exact", "tests::other_bus_errors_still_end_the_program"])
             .env(CHILD, &path)
             .status()
             .unwrap();
