@@ -128,7 +128,7 @@ fn impossible_curricula_are_refused() {
     };
     refused(CurriculumConfig { levels: 0, ..CurriculumConfig::default() }, "levels is 0");
     refused(CurriculumConfig { window: 0, ..CurriculumConfig::default() }, "window is 0");
-    refused(CurriculumConfig { advance: f64::NAN, ..CurriculumConfig::default() }, "advance at is NaN");
-    refused(CurriculumConfig { retreat: Some(0.9), ..CurriculumConfig::default() }, "retreat at is 0.9");
-    refused(CurriculumConfig { retreat: Some(f64::NAN), ..CurriculumConfig::default() }, "retreat at is NaN");
+    refused(CurriculumConfig { advance: f64::NAN, ..CurriculumConfig::default() }, "advance is NaN");
+    refused(CurriculumConfig { retreat: Some(0.9), ..CurriculumConfig::default() }, "retreat is 0.9");
+    refused(CurriculumConfig { retreat: Some(f64::NAN), ..CurriculumConfig::default() }, "retreat is NaN");
 }

@@ -252,7 +252,7 @@ fn markers_may_stand_among_obstacles_that_are_placed_anew() {
 fn a_pose_that_is_none_is_an_error_by_the_name_of_the_marker() {
     let mut env = Ball::new(true, f64::NAN).build().unwrap();
     let error = env.reset(Some(1)).unwrap_err().to_string();
-    assert!(error.contains("moving marker") && error.contains("`ball`"), "{error}");
+    assert!(error.contains("move_markers is NaN") && error.contains("`ball`"), "{error}");
     let mut env = Ball::new(true, 0.0).build().unwrap();
     env.reset(Some(1)).unwrap();
     assert!(env.step(&[0.0; 4]).is_ok());

@@ -303,7 +303,7 @@ fn a_poisoned_action_concerns_its_own_environment_alone() {
 #[test]
 fn mistakes_are_errors_that_lose_nothing() {
     let make = |config| VecAviary::new(Hover::builder(), config);
-    assert!(make(VecConfig::new(0)).unwrap_err().to_string().contains("number of environments"));
+    assert!(make(VecConfig::new(0)).unwrap_err().to_string().contains("environments is 0"));
     let mut batch = make(VecConfig { autoreset: Autoreset::Disabled, ..VecConfig::new(10) }).unwrap();
     let mut buffers = VecBuffers::new(&batch);
     let actions = vec![0.0; 40];

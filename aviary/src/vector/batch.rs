@@ -60,7 +60,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let count = config.environments;
         if !(1..=VecConfig::MAX_ENVIRONMENTS).contains(&count) {
             return Err(EnvError::Option {
-                option: "the number of environments",
+                option: "environments",
                 got: count.to_string(),
                 expected: "1 to 16,777,216",
             });
@@ -70,7 +70,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let threads = if asked == 0 { cores } else { asked };
         if threads > 1024 {
             let got = threads.to_string();
-            return Err(EnvError::Option { option: "the number of threads", got, expected: "up to 1024" });
+            return Err(EnvError::Option { option: "threads", got, expected: "up to 1024" });
         }
         /// Environments in flight that keep a thread busy for longer than it takes to wake.
         const WORTH_A_THREAD: usize = 256;

@@ -51,9 +51,9 @@ where
     pub fn new(env: VecAviary<T>, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
         if env.config().autoreset == Autoreset::SameStep {
             return Err(EnvError::Option {
-                option: "the autoreset under a curriculum",
+                option: "autoreset",
                 got: "in the same step".into(),
-                expected: "in the next step, or none",
+                expected: "in the next step, or none, under a curriculum",
             });
         }
         let levels = vec![None; env.num_envs()];

@@ -24,7 +24,7 @@ impl<T: Task + Send> WorkerPool<T> {
     pub fn new(workers: Vec<Worker<T>>) -> Result<Self, EnvError> {
         let count = workers.len();
         let threads = (count > 1).then(|| Threads::new(count)).transpose().map_err(|error| EnvError::Option {
-            option: "the number of threads",
+            option: "threads",
             got: format!("{count} ({error})"),
             expected: "no more than the machine gives",
         })?;
