@@ -1,191 +1,13 @@
-//! Wind: forces of moving air on the airframe, and the velocity of the air that blades meet
-//! (*MuJoCo-Drones-Gym*, Tayal, §3.5.1).
-//!
-//! The steady wind and the turbulence are velocities of one air mass. They are added, and one drag law acts on the velocity of
-//! the drone relative to the sum. Gusts and the sinusoidal wind are forces and are added to that of the drag law.
+//! The wind about drones: one step of every model.
 
 use nalgebra::Vector3;
 use rand::{RngExt as _, SeedableRng as _};
-use serde::{Deserialize, Serialize};
 
+use super::dryden::{SecondOrder, dryden, feet};
+use super::{DrydenFilter, WindConfig, WindError, WindModel};
 use crate::drone::DroneParams;
-use crate::names::named_enum;
 use crate::random::{Rng, normals};
 use crate::state::DroneState;
-
-named_enum! {
-    "wind"
-    /// Which winds blow.
-    #[derive(Default)]
-    pub enum WindModel {
-        /// Still air.
-        #[default]
-        None = "none",
-        /// Air that moves at a constant velocity.
-        Constant = "constant",
-        /// Forces that start at random times.
-        Gust = "gust",
-        /// Air that moves as Dryden turbulence does, through the filters of [`DrydenFilter`].
-        Dryden = "dryden",
-        /// A force that turns at a constant rate.
-        Sinusoidal = "sinusoidal",
-        /// All four: the air moves at the sum of the constant velocity and the turbulence; gusts and the sinusoidal force add.
-        Combined = "combined",
-    }
-}
-
-impl WindModel {
-    fn has(self, part: Self) -> bool {
-        self == part || self == Self::Combined
-    }
-}
-
-named_enum! {
-    "Dryden filter"
-    /// Spectra of the Dryden turbulence, all with the standard deviations σ and length scales L of [`dryden`].
-    ///
-    /// With T = L/V, V the airspeed, the autocorrelation at a lag τ is
-    ///
-    /// | component | `first_order` | `mil_f_8785c` |
-    /// | --- | --- | --- |
-    /// | along the mean wind | σ²·exp(−τ/T) | σ²·exp(−τ/T) |
-    /// | across it, and upwards | σ²·exp(−τ/T) | σ²·exp(−τ/T)·(1 − τ/2T) |
-    ///
-    /// ```
-    /// use aviary::physics::wind::{DrydenFilter, WindConfig, WindModel};
-    ///
-    /// let wind = WindConfig { filter: DrydenFilter::MilF8785c, ..WindConfig::new(WindModel::Dryden) };
-    /// assert!(wind.validate().is_ok());
-    /// ```
-    #[derive(Default)]
-    pub enum DrydenFilter {
-        /// First-order noise along every axis, x ← α·x + σ·√(1 − α²)·ξ with α = exp(−dt/T): the recursion of the paper.
-        #[default]
-        FirstOrder = "first_order",
-        /// The spectra of MIL-F-8785C, §3.7.2.1: a first-order filter along the mean wind, the second-order filter
-        /// (1 + √3·T·s)/(1 + T·s)² across it and upwards.
-        MilF8785c = "mil_f_8785c",
-    }
-}
-
-/// A wind. Every drone has its own gusts and its own turbulence; the steady and the sinusoidal wind are the same for all.
-///
-/// ```
-/// use aviary::physics::wind::{WindConfig, WindModel};
-///
-/// let wind = WindConfig { velocity: [3.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
-/// assert!(wind.validate().is_ok());
-/// ```
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct WindConfig {
-    /// Which winds blow.
-    pub model: WindModel,
-    /// Velocity of the steady wind, world frame, m/s; 0.9 m/s along y by default, the paper's figure. Turbulence is along and
-    /// across it.
-    #[serde(deserialize_with = "crate::error::triple")]
-    pub velocity: [f64; 3],
-    /// Largest force of a gust, N; each one's is uniform up to it, its direction uniform over all.
-    pub gust_force: f64,
-    /// Length of a gust, s; its force follows sin(π·s), s from 0 to 1.
-    pub gust_duration: f64,
-    /// Gusts per second on average while there is none: one begins in a physics step with this probability times its length.
-    pub gust_rate: f64,
-    /// Mean wind 20 feet (6 m) above the ground that the turbulence belongs to, m/s: σ_w is a tenth of it ([`dryden`]).
-    pub turbulence: f64,
-    /// Spectra of the turbulence.
-    pub filter: DrydenFilter,
-    /// Amplitude A of the sinusoidal force, N.
-    pub sinusoidal_force: f64,
-    /// Its angular frequency ω, rad/s.
-    pub sinusoidal_frequency: f64,
-    /// Density of the air, kg/m³.
-    pub air_density: f64,
-    /// True if the drag law acts in still air, too: with model `none`, for gusts and the sinusoidal force alone, and for a
-    /// wind of zero velocity; off by default. The drag law always acts in air that moves.
-    pub still_air_drag: bool,
-}
-
-impl Default for WindConfig {
-    fn default() -> Self {
-        Self {
-            model: WindModel::None,
-            velocity: [0.0, 0.9, 0.0],
-            gust_force: 0.02,
-            gust_duration: 0.5,
-            gust_rate: 0.3,
-            turbulence: 3.0,
-            filter: DrydenFilter::FirstOrder,
-            sinusoidal_force: 0.002,
-            sinusoidal_frequency: 1.0,
-            air_density: 1.225,
-            still_air_drag: false,
-        }
-    }
-}
-
-/// A setting of the wind that is impossible.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the wind's {field} is {got}, expected {expected}")]
-pub struct WindError {
-    field: &'static str,
-    got: f64,
-    expected: &'static str,
-}
-
-impl WindConfig {
-    /// The defaults of a wind.
-    pub fn new(model: WindModel) -> Self {
-        Self { model, ..Self::default() }
-    }
-
-    /// Checks every setting.
-    ///
-    /// # Errors
-    /// [`WindError`] naming one that is impossible.
-    pub fn validate(&self) -> Result<(), WindError> {
-        let check = |field, got: f64, least: f64, expected| {
-            if (least..=1e3).contains(&got) { Ok(()) } else { Err(WindError { field, got, expected }) }
-        };
-        for got in self.velocity {
-            check("velocity", got, -1e3, "finite numbers up to 1000 m/s")?;
-        }
-        check("gust_duration", self.gust_duration, 1e-3, "1 ms to 1000 s")?;
-        for (field, got) in [
-            ("gust_force", self.gust_force),
-            ("gust_rate", self.gust_rate),
-            ("turbulence", self.turbulence),
-            ("sinusoidal_force", self.sinusoidal_force),
-            ("sinusoidal_frequency", self.sinusoidal_frequency),
-            ("air_density", self.air_density),
-        ] {
-            check(field, got, 0.0, "0 to 1000")?;
-        }
-        Ok(())
-    }
-
-    /// Whether the drag law acts: in air that moves, and in still air where [`still_air_drag`](Self::still_air_drag) says so.
-    pub(crate) fn has_drag(&self) -> bool {
-        self.still_air_drag
-            || self.model.has(WindModel::Constant) && self.velocity != [0.0; 3]
-            || self.model.has(WindModel::Dryden) && self.turbulence > 0.0
-    }
-
-    /// Returns whether a flight under these settings is a flight without wind.
-    ///
-    /// ```
-    /// use aviary::physics::wind::{WindConfig, WindModel};
-    ///
-    /// let calm = WindConfig { velocity: [0.0; 3], ..WindConfig::new(WindModel::Constant) };
-    /// assert!(calm.is_calm() && WindConfig::default().is_calm());
-    /// assert!(!WindConfig { still_air_drag: true, ..calm }.is_calm());
-    /// ```
-    pub fn is_calm(&self) -> bool {
-        let gusts = self.model.has(WindModel::Gust) && self.gust_force > 0.0 && self.gust_rate > 0.0;
-        let sinusoidal = self.model.has(WindModel::Sinusoidal) && self.sinusoidal_force > 0.0;
-        !(self.has_drag() || gusts || sinusoidal)
-    }
-}
 
 /// Force of air that moves at `relative` (velocity of the air minus that of the drone, m/s): ½·ρ·C_d·A·‖v‖²·v̂, N.
 ///
@@ -199,90 +21,6 @@ impl WindConfig {
 #[inline]
 pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Vector3<f64> {
     0.5 * air_density * drag_area * relative.norm() * relative
-}
-
-/// Scales of low-altitude turbulence by MIL-F-8785C (§3.7.2.5), which both [filters](DrydenFilter) have: standard deviations (m/s) and length scales (m) along the mean wind,
-/// across it and upwards, at a height (m) and for a mean wind at 20 feet (m/s). Heights below 10 and above 1,000 feet, where
-/// the model ends, count as those.
-///
-/// ```
-/// use aviary::physics::wind::dryden;
-///
-/// // upwards: a tenth of the mean wind, and the height
-/// let ([_, _, sigma], [_, _, length]) = dryden(30.0, 4.0);
-/// assert!((sigma - 0.4).abs() < 1e-12 && (length - 30.0).abs() < 1e-9);
-/// ```
-pub fn dryden(height: f64, turbulence: f64) -> ([f64; 3], [f64; 3]) {
-    let h = feet(height);
-    let shape = 0.177 + 8.23e-4 * h;
-    let horizontal = h / shape.powf(1.2) * FOOT;
-    let vertical = 0.1 * turbulence;
-    let sideways = vertical / shape.powf(0.4);
-    ([sideways, sideways, vertical], [horizontal, horizontal, h * FOOT])
-}
-
-const FOOT: f64 = 0.3048;
-
-/// Height in feet, within the model's limits.
-fn feet(height: f64) -> f64 {
-    (height / FOOT).clamp(10.0, 1000.0)
-}
-
-/// The filter (1 + √3·T·s)/(1 + T·s)² under white noise, with an output of variance 1.
-///
-/// With T·ṗ = −p + noise and T·ṙ = −r + p the output is √3·p + (1 − √3)·r. Over a step of s = dt/T both are multiplied by
-/// e⁻ˢ·[[1, 0], [s, 1]] and gain normal noise of covariance ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du: the discretization is exact for
-/// steps of any length.
-#[derive(Debug, Clone, Copy, Default)]
-struct SecondOrder {
-    p: f64,
-    r: f64,
-}
-
-impl SecondOrder {
-    /// From the stationary distribution, of covariance [[1/2, 1/4], [1/4, 1/4]], by two normal draws.
-    fn stationary([a, b]: [f64; 2]) -> Self {
-        let p = 0.5_f64.sqrt() * a;
-        Self { p, r: 0.5 * p + 0.125_f64.sqrt() * b }
-    }
-
-    /// Goes through a step of `s` time constants with two normal draws.
-    fn advance(&mut self, s: f64, [a, b]: [f64; 2]) {
-        let decay = (-s).exp();
-        let [[pp, pr], [_, rr]] = Self::covariance(s);
-        // Cholesky's factor; no noise in a step of no length
-        let first = pp.sqrt();
-        let second = if first > 0.0 { pr / first } else { 0.0 };
-        let third = (rr - second * second).max(0.0).sqrt();
-        let (p, r) = (self.p, self.r);
-        self.p = decay * p + first * a;
-        self.r = decay * (s * p + r) + second * a + third * b;
-    }
-
-    /// ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du.
-    fn covariance(s: f64) -> [[f64; 2]; 2] {
-        let pp = -0.5 * (-2.0 * s).exp_m1();
-        let (pr, rr) = if s < 0.125 {
-            // the closed forms below cancel: integrals of the terms of the exponential series
-            let (mut term, mut pr, mut rr) = (1.0, 0.0, 0.0);
-            for k in 0..12 {
-                let order = f64::from(k);
-                pr += term / (order + 2.0);
-                rr += term / (order + 3.0);
-                term *= -2.0 * s / (order + 1.0);
-            }
-            (pr * s * s, rr * s * s * s)
-        } else {
-            let decay = (-2.0 * s).exp();
-            (0.25 - decay * (0.5 * s + 0.25), 0.25 - decay * (0.5 * s * s + 0.5 * s + 0.25))
-        };
-        [[pp, pr], [pr, rr]]
-    }
-
-    fn output(self) -> f64 {
-        let root = 3.0_f64.sqrt();
-        root * self.p + (1.0 - root) * self.r
-    }
 }
 
 /// One drone's gust and turbulence.
@@ -585,31 +323,6 @@ mod tests {
         }
     }
 
-    /// A step of a filter of second order keeps the stationary covariance, for steps of every length.
-    #[test]
-    fn the_second_order_filter_is_stationary_in_steps_of_every_length() {
-        for exponent in -40..=10 {
-            let s = 2f64.powi(exponent);
-            let [[pp, pr], [_, rr]] = SecondOrder::covariance(s);
-            let decay = (-2.0 * s).exp();
-            // Φ·Σ·Φᵀ + Q = Σ
-            assert!((decay * 0.5 + pp - 0.5).abs() < 1e-15, "{s}");
-            assert!((decay * (0.5 * s + 0.25) + pr - 0.25).abs() < 1e-15, "{s}");
-            assert!((decay * (0.5 * s * s + 0.5 * s + 0.25) + rr - 0.25).abs() < 1e-15, "{s}");
-            // the noise of short steps is that of twice integrated white noise, s³/3 and s³/12 about the regression
-            if s < 1e-3 {
-                assert!((rr / s.powi(3) * 3.0 - 1.0).abs() < 2.0 * s && rr * pp - pr * pr > 0.0, "{s}");
-            }
-        }
-        assert_eq!(SecondOrder::covariance(0.0), [[0.0; 2]; 2]);
-        // two half steps are a whole one
-        let (a, b) = (SecondOrder { p: 0.3, r: -0.8 }, SecondOrder { p: 0.3, r: -0.8 });
-        let (mut whole, mut halves) = (a, b);
-        whole.advance(0.2, [0.0; 2]);
-        (0..2).for_each(|_| halves.advance(0.1, [0.0; 2]));
-        assert!((whole.p - halves.p).abs() < 1e-15 && (whole.r - halves.r).abs() < 1e-15);
-    }
-
     /// An episode starts from the stationary distribution: variances over many starts, before and after a step.
     #[test]
     fn second_order_turbulence_starts_as_if_it_had_always_been_there() {
@@ -827,18 +540,5 @@ mod tests {
                 assert_eq!(field(windy, 1).advance(DT, 0, &state), field(dragged, 1).advance(DT, 0, &state));
             }
         }
-    }
-
-    #[test]
-    fn impossible_winds_are_refused_by_field() {
-        let refused = |config: WindConfig, text: &str| {
-            assert!(config.validate().unwrap_err().to_string().starts_with(text));
-        };
-        refused(WindConfig { velocity: [0.0, f64::NAN, 0.0], ..WindConfig::default() }, "the wind's velocity is NaN");
-        refused(WindConfig { turbulence: -1.0, ..WindConfig::default() }, "the wind's turbulence is -1");
-        refused(WindConfig { gust_duration: 0.0, ..WindConfig::default() }, "the wind's gust_duration is 0");
-        let error = toml::from_str::<WindConfig>("filter = \"mil\"").unwrap_err().to_string();
-        assert!(error.contains("first_order") && error.contains("mil_f_8785c"), "{error}");
-        refused(WindConfig { air_density: f64::INFINITY, ..WindConfig::default() }, "the wind's air_density is inf");
     }
 }
