@@ -7,11 +7,11 @@ use aviary::policy::{PolicyError, PolicyNetwork};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 
+use crate::curve::Point;
 use crate::evaluation::Score;
 use crate::network::{LOG_DEVIATIONS, Shape};
 use crate::optimizer::Moments;
 use crate::scale::{RewardScale, Running};
-use crate::trainer::{Point, Trainer};
 use crate::{TrainConfig, TrainError};
 
 /// Key of the metadata.
@@ -51,27 +51,6 @@ pub(crate) struct Limits<'a> {
 }
 
 impl Checkpoint {
-    pub fn of(trainer: &Trainer) -> Result<Self, TrainError> {
-        let (command, ppo, iteration, best) = trainer.parts();
-        let moments = ppo.optimizer.moments(ppo.parameters.len());
-        Ok(Self {
-            state: State {
-                config: trainer.config().clone(),
-                command: command.into(),
-                iteration,
-                time: moments.time,
-                rate: ppo.rate,
-                observations: ppo.observations.clone(),
-                rewards: ppo.rewards.clone(),
-                best,
-            },
-            parameters: ppo.parameters.clone(),
-            moments,
-            curve: trainer.curve().to_vec(),
-            best: trainer.best().to_bytes()?,
-        })
-    }
-
     /// Checks every number.
     pub fn check(&self, run: &Limits<'_>, best: &PolicyNetwork) -> Result<(), String> {
         let Self { state, parameters, moments, curve, .. } = self;

@@ -7,6 +7,7 @@
 mod agents;
 mod checkpoint;
 mod config;
+mod curve;
 mod error;
 mod evaluation;
 mod network;
@@ -18,7 +19,8 @@ mod trainer;
 
 pub use agents::{Agents, Batch, Next, Outcome, Swarm, Terms};
 pub use config::{CourseRewards, TrainConfig, TrainingStart};
+pub use curve::Point;
 pub use error::TrainError;
 pub use evaluation::{AnyEnv, Arena, Episode, Score, Success, fly};
 pub use ppo::{Clock, PpoConfig, Report};
-pub use trainer::{Point, Stop, Trainer};
+pub use trainer::{Stop, Trainer};

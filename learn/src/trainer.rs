@@ -9,9 +9,10 @@ use rand::{Rng as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
 use crate::agents::Agents;
-use crate::checkpoint::{Checkpoint, Limits};
+use crate::checkpoint::{Checkpoint, Limits, State};
+use crate::curve::Point;
 use crate::evaluation::{Arena, Episode, Score};
-use crate::ppo::{Clock, Ppo, Report};
+use crate::ppo::{Clock, Ppo};
 use crate::{TrainConfig, TrainError};
 
 /// First seed of evaluations; the environments of training draw from streams of other seeds.
@@ -19,21 +20,6 @@ const EVALUATION_SEED: u64 = 1 << 40;
 
 /// And of those that confirm a success.
 const CONFIRMATION_SEED: u64 = 1 << 41;
-
-/// How the training stood after an iteration.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Point {
-    /// Iterations so far.
-    pub iteration: u64,
-    /// Environment steps so far.
-    pub steps: u64,
-    /// What the last one did.
-    pub report: Report,
-    /// Evaluation after it, if there was one.
-    pub score: Option<Score>,
-    /// Adam's rate.
-    pub rate: f64,
-}
 
 /// Why a run is over.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -299,11 +285,20 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Policy`] for what cannot be written.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
-        Checkpoint::of(self)?.to_bytes()
-    }
-
-    pub(crate) fn parts(&self) -> (&str, &Ppo, u64, Option<Score>) {
-        (&self.command, &self.ppo, self.iteration, self.best.1)
+        let ppo = &self.ppo;
+        let moments = ppo.optimizer.moments(ppo.parameters.len());
+        let state = State {
+            config: self.config.clone(),
+            command: self.command.clone(),
+            iteration: self.iteration,
+            time: moments.time,
+            rate: ppo.rate,
+            observations: ppo.observations.clone(),
+            rewards: ppo.rewards.clone(),
+            best: self.best.1,
+        };
+        let (parameters, curve, best) = (ppo.parameters.clone(), self.curve.clone(), self.best.0.to_bytes()?);
+        Checkpoint { state, parameters, moments, curve, best }.to_bytes()
     }
 }
 

@@ -1,4 +1,4 @@
-use crate::gl::GlBackend;
+use crate::backend::GlBackend;
 use crate::id::ObjectKind;
 
 /// What can go wrong between a caller and MuJoCo.

@@ -24,6 +24,7 @@
 #![allow(unsafe_code)]
 
 mod arrays;
+mod backend;
 mod contact;
 mod data;
 mod error;
@@ -37,10 +38,11 @@ mod renderer;
 mod runtime;
 mod scene;
 
+pub use backend::GlBackend;
 pub use contact::Contact;
 pub use data::{Data, WarningKind, WarningStat};
 pub use error::{DivergedQuantity, Divergence, Error, GlAttempt};
-pub use gl::{GlBackend, GlInfo, gl_info};
+pub use gl::{GlInfo, gl_info};
 pub use id::{
     ActuatorId, BodyId, CameraId, GeomId, JointId, LightId, MaterialId, MeshId, ObjectId, ObjectKind, SensorId, SiteId,
     TextureId,

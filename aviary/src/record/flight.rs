@@ -1,11 +1,11 @@
 //! A flight drone by drone, moment by moment: what is logged, plotted and read back.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use nalgebra::Vector3;
 
 use super::RecordError;
-use super::recorder::file_of;
+use super::files::file_of;
 use super::table::{self, Row};
 use crate::control::Reference;
 use crate::env::DroneEnv;
@@ -202,9 +202,4 @@ pub(super) fn at(path: &Path, line: usize) -> String {
         0 => path.display().to_string(),
         line => format!("{}: line {line}", path.display()),
     }
-}
-
-/// The files of a flight that are there.
-pub fn files(directory: impl AsRef<Path>) -> Vec<PathBuf> {
-    (0..).map(|drone| file_of(directory.as_ref(), "", drone)).take_while(|path| path.exists()).collect()
 }

@@ -4,6 +4,7 @@
 //! [`plot`] draws it, [`Film`] makes pictures of it that [`animation`] puts into files.
 
 pub mod animation;
+mod files;
 mod film;
 mod flight;
 mod log;
@@ -17,8 +18,9 @@ mod table;
 
 use std::path::{Path, PathBuf};
 
+pub use files::files;
 pub use film::{Film, Overlays};
-pub use flight::{Flight, Sample, files};
+pub use flight::{Flight, Sample};
 pub use log::CsvLog;
 pub use recorded::Recorded;
 pub use recorder::Recorder;

@@ -2,17 +2,13 @@ use std::path::{Path, PathBuf};
 
 use append_file::AppendFile;
 
+use super::files::file_of;
 use super::flight::Sample;
 use super::table::{state_numbers, written};
 use super::{COLUMNS, RecordError};
 use crate::control::Reference;
 use crate::env::DroneEnv;
 use crate::simulation::Simulation;
-
-/// A drone's file in a directory, in which `prefix` tells one flight from another.
-pub(super) fn file_of(directory: &Path, prefix: &str, drone: usize) -> PathBuf {
-    directory.join(format!("{prefix}drone{drone}.csv"))
-}
 
 /// Writes a flight as CSV while it is flown: one file per drone, `drone0.csv` and on, one row per call with the
 /// [`COLUMNS`] of a [`Sample`]. Numbers read back to the same bits; a negative zero is written as zero.
