@@ -1,85 +1,15 @@
-//! Pictures of a world: onboard cameras for agents, views for people.
-//!
-//! They are drawn from a second model of the same scene with the same `qpos`, brought up to date when somebody looks,
-//! so that meshes and cameras cost the physics nothing.
-
-mod framing;
+//! The renderer of a world: its scene, kept up to date, and the cameras that look at it.
 
 use mujoco_rs::{
-    BodyId, Camera, CameraId, Data, Error, GeomId, JointId, LightId, Model, ObjectId as _, Quality, Renderer, Scene,
+    BodyId, Camera, CameraId, Data, Effects, Error, GeomId, ImageSize, JointId, LightId, Model, Quality, Renderer,
+    Scene,
 };
 use nalgebra::Vector3;
 
-pub use framing::CameraPose;
-pub use mujoco_rs::{Decor, Effects, ImageSize};
-
+use super::{CameraPose, View};
 use crate::engine::{BuildError, place_geom};
-use crate::names::named_enum;
 use crate::state::{DroneState, wxyz};
 use crate::world::{Marker, Obstacle, SceneError, World};
-
-/// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
-pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
-
-named_enum! {
-    "kind of picture"
-    /// What a picture shows.
-    ///
-    /// ```
-    /// use aviary::vision::ImageKind;
-    ///
-    /// assert_eq!("depth".parse::<ImageKind>()?, ImageKind::Depth);
-    /// assert!("infrared".parse::<ImageKind>().is_err());
-    /// # Ok::<(), aviary::UnknownName>(())
-    /// ```
-    pub enum ImageKind {
-        /// Colour.
-        Rgb = "rgb",
-        /// Distance along the camera's axis.
-        Depth = "depth",
-        /// Which object.
-        Segmentation = "segmentation",
-    }
-}
-
-named_enum! {
-    "camera"
-    /// From where people look.
-    ///
-    /// ```
-    /// use aviary::vision::View;
-    ///
-    /// assert_eq!("top".parse::<View>()?, View::Top);
-    /// assert_eq!(View::ALL.map(View::name), ["track", "fpv", "fixed", "front", "top"]);
-    /// # Ok::<(), aviary::UnknownName>(())
-    /// ```
-    #[derive(Default)]
-    pub enum View {
-        /// Following the drones, from behind and above.
-        #[default]
-        Track = "track",
-        /// Through the onboard camera of the first drone.
-        Fpv = "fpv",
-        /// From the side and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
-        Fixed = "fixed",
-        /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
-        /// as seen from there.
-        Front = "front",
-        /// From straight above, standing still: x to the right, y up.
-        Top = "top",
-    }
-}
-
-/// What a camera saw of an object: a geom of the scene.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct SeenObject {
-    /// The second number of a segmentation pixel.
-    pub index: i32,
-    /// Name in the scene: `floor`, `drone0_propellers`, …
-    pub name: String,
-    /// The drone it belongs to.
-    pub drone: Option<usize>,
-}
 
 /// Draws one world.
 ///
@@ -103,11 +33,11 @@ pub struct SeenObject {
 #[derive(Debug)]
 pub struct Painter {
     // dropped before the data whose model it draws
-    renderer: Renderer,
-    scene: Scene,
-    data: Data,
+    pub(super) renderer: Renderer,
+    pub(super) scene: Scene,
+    pub(super) data: Data,
     joints: Vec<usize>,
-    bodies: Vec<BodyId>,
+    pub(super) bodies: Vec<BodyId>,
     cameras: Vec<CameraId>,
     /// A point and a distance around it that the standing views look at, where they are told to.
     stage: Option<(Vector3<f64>, f64)>,
@@ -321,54 +251,6 @@ impl Painter {
         self.stage = Some((centre.into(), reach));
     }
 
-    /// Adds a shape to the scene until the next update, in red, green, blue and alpha from 0 to 1; `false` where there is no
-    /// room.
-    pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
-        self.scene.add(decor, rgba)
-    }
-
-    /// Adds a line through points (world frame, m), of a radius in m, until the next update; `false` where there is no room
-    /// for all of it.
-    pub fn add_line(&mut self, points: &[Vector3<f64>], radius: f64, rgba: [f32; 4]) -> bool {
-        let rod = |pair: &[Vector3<f64>]| Decor::Rod { from: pair[0].into(), to: pair[1].into(), radius };
-        points.windows(2).all(|pair| self.add(rod(pair), rgba))
-    }
-
-    /// Adds a thread through points (world frame, m), so many pixels wide from wherever it is seen, until the next update;
-    /// `false` where there is no room for all of it. It costs much less than a line of rods.
-    pub fn add_thread(&mut self, points: &[Vector3<f64>], width: f64, rgba: [f32; 4]) -> bool {
-        let line = |pair: &[Vector3<f64>]| Decor::Line { from: pair[0].into(), to: pair[1].into(), width };
-        points.windows(2).all(|pair| self.add(line(pair), rgba))
-    }
-
-    /// Adds a dot at every point (world frame, m), of a radius in m, until the next update; `false` where there is no room
-    /// for all of them.
-    pub fn add_dots(&mut self, points: &[Vector3<f64>], radius: f64, rgba: [f32; 4]) -> bool {
-        points.iter().all(|&point| self.add(Decor::Sphere { centre: point.into(), radius }, rgba))
-    }
-
-    /// Adds a ring about a point (world frame, m) across an axis, with a radius and a thickness in m, until the next update;
-    /// `false` where there is no room for all of it.
-    pub fn add_ring(
-        &mut self,
-        centre: Vector3<f64>,
-        axis: Vector3<f64>,
-        radius: f64,
-        thickness: f64,
-        rgba: [f32; 4],
-    ) -> bool {
-        self.add_line(&ring(centre, axis, radius), 0.5 * thickness, rgba)
-    }
-
-    /// Adds a square gate that stands upright about a point (world frame, m) and is flown through along a yaw (rad); `reach` m
-    /// from its middle to the middle of each bar. It stays until the next update; `false` where there is no room.
-    pub fn add_gate(&mut self, centre: Vector3<f64>, yaw: f64, reach: f64, rgba: [f32; 4]) -> bool {
-        let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
-        let corner = |side: f64, up: f64| centre + reach * (side * left + up * Vector3::z());
-        let frame = [corner(1.0, 1.0), corner(-1.0, 1.0), corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0)];
-        self.add_line(&frame, 0.06 * reach, rgba)
-    }
-
     /// The camera of a view in pictures of a size.
     fn camera(&mut self, view: View, size: ImageSize) -> Camera {
         if let (Some((stage, reach)), false) = (self.stage, view == View::Track) {
@@ -412,7 +294,7 @@ impl Painter {
     }
 
     /// Looks from a view for people.
-    fn look(&mut self, view: View, size: ImageSize) -> Result<(), Error> {
+    pub(super) fn look(&mut self, view: View, size: ImageSize) -> Result<(), Error> {
         if view == View::Fpv {
             return self.look_from_board(0);
         }
@@ -421,7 +303,7 @@ impl Painter {
     }
 
     /// Looks through a drone's camera, which does not see the drone that carries it: it sits inside the airframe.
-    fn look_from_board(&mut self, drone: usize) -> Result<(), Error> {
+    pub(super) fn look_from_board(&mut self, drone: usize) -> Result<(), Error> {
         self.seen_from(&Camera::Fixed(self.cameras[drone]), Some(self.bodies[drone]))
     }
 
@@ -432,85 +314,6 @@ impl Painter {
         self.scene.look(&mut self.data, camera)?;
         self.scene.hide(hidden);
         Ok(())
-    }
-
-    /// A picture from a view: RGB, three bytes per pixel, top row first.
-    ///
-    /// # Errors
-    /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong length,
-    /// [`Error::Value`] for sides that are not 1 to 8192 pixels.
-    pub fn rgb(&mut self, view: View, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
-        self.look(view, size)?;
-        self.renderer.rgb(&mut self.scene, size, out)
-    }
-
-    /// Depth from a view, m along the camera's axis, top row first; the far plane's distance where there is nothing.
-    ///
-    /// # Errors
-    /// As for [`rgb`](Self::rgb).
-    pub fn depth(&mut self, view: View, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
-        self.look(view, size)?;
-        self.renderer.depth(&mut self.scene, size, out)
-    }
-
-    /// Objects from a view, `[type, index]` per pixel, −1 twice where there is nothing, top row first.
-    ///
-    /// # Errors
-    /// As for [`rgb`](Self::rgb), and [`Error::Multisampled`] for a painter for people.
-    pub fn segmentation(&mut self, view: View, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
-        self.look(view, size)?;
-        self.renderer.segmentation(&mut self.scene, size, out)
-    }
-
-    /// What a drone's onboard camera sees: RGBA, four bytes per pixel, alpha 255, top row first.
-    ///
-    /// # Errors
-    /// As for [`rgb`](Self::rgb).
-    ///
-    /// # Panics
-    /// If there is no drone of that index; likewise below.
-    pub fn onboard_rgba(&mut self, drone: usize, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
-        self.look_from_board(drone)?;
-        self.renderer.rgba(&mut self.scene, size, out)
-    }
-
-    /// What a drone's onboard camera sees: depth, m along its axis, top row first.
-    ///
-    /// # Errors
-    /// As for [`rgb`](Self::rgb).
-    pub fn onboard_depth(&mut self, drone: usize, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
-        self.look_from_board(drone)?;
-        self.renderer.depth(&mut self.scene, size, out)
-    }
-
-    /// What a drone's onboard camera sees: objects, `[type, index]` per pixel, top row first.
-    ///
-    /// # Errors
-    /// As for [`segmentation`](Self::segmentation).
-    pub fn onboard_segmentation(&mut self, drone: usize, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
-        self.look_from_board(drone)?;
-        self.renderer.segmentation(&mut self.scene, size, out)
-    }
-
-    /// Every geom that can be seen, by the index that segmentation gives it.
-    pub fn objects(&self) -> Vec<SeenObject> {
-        let model = self.data.model();
-        (0..model.ngeom())
-            .filter(|&geom| model.geom_group()[geom] != World::COLLISION_GROUP as i32)
-            .map(|geom| {
-                let body = model.geom_bodyid()[geom];
-                SeenObject {
-                    index: geom as i32,
-                    name: model.name(GeomId::new(geom)).unwrap_or_default().to_string(),
-                    drone: self.bodies.iter().position(|drone| drone.index() as i32 == body),
-                }
-            })
-            .collect()
-    }
-
-    /// The visible scene's simulation, for rays.
-    pub fn data(&self) -> &Data {
-        &self.data
     }
 }
 
@@ -526,20 +329,6 @@ fn thin_blades(model: &mut Model, world: &World) -> Result<(), Error> {
     Ok(())
 }
 
-/// Points of a closed ring about a point across an axis; none where the axis has no direction.
-pub(crate) fn ring(centre: Vector3<f64>, axis: Vector3<f64>, radius: f64) -> Vec<Vector3<f64>> {
-    const CORNERS: u32 = 40;
-    // any direction across the axis will do
-    let aside = if axis.x.abs() < 0.9 * axis.norm() { Vector3::x() } else { Vector3::y() };
-    let Some(u) = axis.cross(&aside).try_normalize(1e-12) else { return Vec::new() };
-    let Some(v) = axis.cross(&u).try_normalize(1e-12) else { return Vec::new() };
-    let corner = |i: u32| {
-        let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / f64::from(CORNERS)).sin_cos();
-        centre + radius * (cos * u + sin * v)
-    };
-    (0..=CORNERS).map(corner).collect()
-}
-
 /// Two corners of a box around obstacles; none around none.
 fn bounds<'a>(obstacles: impl Iterator<Item = &'a Obstacle>) -> Option<[Vector3<f64>; 2]> {
     obstacles
@@ -548,21 +337,4 @@ fn bounds<'a>(obstacles: impl Iterator<Item = &'a Obstacle>) -> Option<[Vector3<
             [obstacle.position - reach, obstacle.position + reach]
         })
         .reduce(|[a, b], [c, d]| [a.inf(&c), b.sup(&d)])
-}
-
-/// Focal length and centre of a camera with square pixels, pixels: `[fx, fy, cx, cy]`; the centre is measured from the
-/// top left corner of the picture.
-///
-/// ```
-/// use aviary::vision::{CAMERA_SIZE, intrinsics};
-///
-/// // half of the picture's 48 rows are 30°
-/// let [fx, fy, cx, cy] = intrinsics(CAMERA_SIZE);
-/// assert!((fy - 24.0 / 30_f64.to_radians().tan()).abs() < 1e-9 && fx == fy);
-/// assert_eq!([cx, cy], [32.0, 24.0]);
-/// ```
-pub fn intrinsics(size: ImageSize) -> [f64; 4] {
-    let (width, height) = (f64::from(size.width), f64::from(size.height));
-    let focal = height / 2.0 / (World::CAMERA_FOVY.to_radians() / 2.0).tan();
-    [focal, focal, width / 2.0, height / 2.0]
 }
