@@ -1,0 +1,88 @@
+//! Simulations to scenarios.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+
+use super::{ReplayError, Scenario, ScenarioBody};
+use crate::drone::{DroneModel, GRAVITY};
+use crate::engine::{Engine, EngineKind};
+use crate::physics::actuators::ActuatorParams;
+use crate::record::table::written;
+use crate::simulation::Simulation;
+use crate::state::{DroneState, attitude_from_rpy, wxyz};
+use crate::world::{ObstacleConfig, ObstacleKind};
+
+impl Scenario {
+    /// The scenario of a flight: call it at the flight's start, after the reset of its environment.
+    ///
+    /// # Errors
+    /// [`ReplayError::Field`] for what a scenario cannot describe: a flight under way, drones of different airframes, effects that
+    /// are not those of the physics mode.
+    pub fn of(simulation: &Simulation) -> Result<Self, ReplayError> {
+        let wrong = |field, message: &str| Err(ReplayError::Field { field, line: None, message: message.into() });
+        let (world, states) = (&simulation.scene(), simulation.states());
+        let nominal = &world.drones[0].params;
+        if simulation.control_steps() > 0 {
+            return wrong("initial_xyzs", "the flight is under way, expected its start");
+        }
+        if world.drones.iter().any(|drone| drone.params != *nominal) {
+            return wrong("drone_model", "the drones have different airframes, expected one for all");
+        }
+        if simulation.effects() != simulation.physics().effects() {
+            return wrong("physics", "the effects are chosen one by one, expected those of the physics mode");
+        }
+        let built_in = nominal.name.parse::<DroneModel>().is_ok_and(|model| model.params() == *nominal);
+        let count = states.len();
+        let all = |vector: fn(&DroneState) -> Vector3<f64>| -> Vec<[f64; 3]> {
+            states.iter().map(|state| vector(state).into()).collect()
+        };
+        let nonzero = |list: Vec<[f64; 3]>| list.iter().flatten().any(|&x| x != 0.0).then_some(list);
+        // attitudes of the compiled scene: MuJoCo's inertia has their rounding
+        let scene: Vec<[f64; 3]> = world.drones.iter().map(|drone| drone.rpy.into()).collect();
+        let quaternions: Vec<_> = states.iter().map(|state| wxyz(&state.attitude)).collect();
+        let bits = |q: [f64; 4]| q.map(f64::to_bits);
+        let of_scene = scene.iter().map(|&rpy| bits(wxyz(&attitude_from_rpy(rpy.into()))));
+        let exact = of_scene.eq(quaternions.iter().copied().map(bits));
+        let (rpys, scene) = if exact {
+            (scene, None)
+        } else {
+            (all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect(), nonzero(scene))
+        };
+        let body = |drone| ScenarioBody {
+            airframe: simulation.params(drone).clone(),
+            actuators: *simulation.actuator_params(drone),
+        };
+        let plain = |drone| {
+            simulation.params(drone) == nominal && *simulation.actuator_params(drone) == ActuatorParams::default()
+        };
+        let obstacles = ObstacleConfig { custom: world.obstacles.clone(), ..ObstacleConfig::new(ObstacleKind::Custom) };
+        Ok(Self {
+            drone_model: nominal.name.clone(),
+            physics: simulation.physics(),
+            num_drones: count,
+            sim_freq: simulation.sim_freq(),
+            ctrl_freq: simulation.ctrl_freq(),
+            initial_xyzs: all(|state| state.position),
+            initial_rpys: rpys,
+            initial_quaternions: (!exact).then_some(quaternions),
+            scene_rpys: scene,
+            initial_velocities: nonzero(all(|state| state.velocity)),
+            initial_angular_velocities: nonzero(all(|state| state.angular_velocity)),
+            forcing: world.forcing,
+            integrator: world.integrator,
+            engine: match simulation.engine() {
+                Engine::Hybrid(_) => EngineKind::Hybrid,
+                Engine::Mujoco(_) | Engine::Explicit(_) => EngineKind::Mujoco,
+            },
+            gravity: Some(simulation.gravity()).filter(|&gravity| gravity != GRAVITY),
+            wind_seed: simulation.wind().map(|_| simulation.wind_seed()),
+            medium: world.medium,
+            wind: simulation.wind().copied(),
+            obstacles: (!world.obstacles.is_empty()).then_some(obstacles),
+            airframe: (!built_in).then(|| nominal.clone()),
+            bodies: (!(0..count).all(plain)).then(|| (0..count).map(body).collect()),
+            lines: BTreeMap::new(),
+        })
+    }
+}
