@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 pub use plausibility::DerivedNumber;
 
+use crate::SystemError;
 use crate::names::named_enum;
 
 /// Acceleration of gravity that every derived constant is computed with, m/s².
@@ -177,9 +178,9 @@ impl DroneParams {
     /// [`DroneError::File`] naming the file, around what [`from_toml`](Self::from_toml) finds.
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self, DroneError> {
         let path = path.as_ref();
-        let in_file = |message: String| DroneError::File { path: path.to_path_buf(), message };
-        let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-        Self::from_toml(&text).map_err(|error| in_file(error.to_string()))
+        let in_file = |error| DroneError::File { path: path.into(), error: Box::new(error) };
+        let text = std::fs::read_to_string(path).map_err(|error| in_file(SystemError::from(error).into()))?;
+        Self::from_toml(&text).map_err(in_file)
     }
 
     /// Checks that the parameters describe a body that can exist and fly.
@@ -381,13 +382,17 @@ pub enum DroneError {
         /// Line, column and what was expected.
         message: String,
     },
+    /// A file that the system cannot read or write.
+    #[error(transparent)]
+    System(#[from] SystemError),
     /// A file that holds no valid airframe.
-    #[error("{}: {message}", path.display())]
+    #[error("{}: {error}", path.display())]
     File {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        message: String,
+        #[source]
+        error: Box<Self>,
     },
 }
 

@@ -1,6 +1,45 @@
 //! Helpers for reading input, and for saying what is wrong with it, that several subsystems share.
 
+use std::fmt;
+use std::io;
+use std::sync::Arc;
+
 use serde::{Deserialize, Deserializer};
+
+/// The system's error about a file. Two are equal where their kinds and texts are.
+#[derive(Debug, Clone)]
+pub struct SystemError(Arc<io::Error>);
+
+impl SystemError {
+    /// Kind of the error.
+    pub fn kind(&self) -> io::ErrorKind {
+        self.0.kind()
+    }
+}
+
+impl From<io::Error> for SystemError {
+    fn from(error: io::Error) -> Self {
+        Self(Arc::new(error))
+    }
+}
+
+impl fmt::Display for SystemError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl std::error::Error for SystemError {
+    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
+        self.0.source()
+    }
+}
+
+impl PartialEq for SystemError {
+    fn eq(&self, other: &Self) -> bool {
+        (self.kind(), self.to_string()) == (other.kind(), other.to_string())
+    }
+}
 
 /// A TOML error on one line: where it is and what was expected, without the drawing of the source, and with numbers named by
 /// what they are instead of by Rust's types.
@@ -101,6 +140,23 @@ mod tests {
         assert_eq!(did_you_mean("mutli_hover", &names), "; did you mean `multi_hover`?");
         assert_eq!(did_you_mean("xyz", &names), "");
         assert_eq!(did_you_mean("hover", &[]), "");
+    }
+
+    #[test]
+    fn errors_of_files_have_the_systems_and_the_contents_as_their_source() {
+        use std::error::Error as _;
+
+        use crate::drone::{DroneError, DroneParams};
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("airframe.toml");
+        let read = || DroneParams::from_file(&path).unwrap_err();
+        let DroneError::File { error, .. } = read() else { panic!("{}", read()) };
+        assert!(matches!(*error, DroneError::System(ref system) if system.kind() == io::ErrorKind::NotFound));
+        let text = include_str!("../../assets/airframes/cf2x.toml").replace("mass = 0.027", "mass = -1.0");
+        std::fs::write(&path, text).unwrap();
+        let error = read();
+        assert_eq!(error.source().unwrap().to_string(), "mass is -1, expected a positive number");
+        assert!(error.to_string().ends_with("airframe.toml: mass is -1, expected a positive number"), "{error}");
     }
 
     #[test]

@@ -44,5 +44,5 @@ pub mod record;
 
 mod error;
 
-pub use error::{count, did_you_mean, toml_message, without_byte_order_mark};
+pub use error::{SystemError, count, did_you_mean, toml_message, without_byte_order_mark};
 pub use names::{NamedEnum, UnknownName};

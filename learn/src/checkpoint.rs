@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use aviary::SystemError;
 use aviary::policy::{PolicyError, PolicyNetwork};
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
@@ -137,9 +138,9 @@ impl Checkpoint {
     }
 
     pub fn load(path: &Path) -> Result<Self, TrainError> {
-        let wrong = |message: String| TrainError::File { path: path.into(), message };
-        let bytes = std::fs::read(path).map_err(|error| wrong(error.to_string()))?;
-        Self::from_bytes(&bytes).map_err(|message| wrong(format!("not a checkpoint: {message}")))
+        let in_file = |error| TrainError::File { path: path.into(), error: Box::new(error) };
+        let bytes = std::fs::read(path).map_err(|error| in_file(SystemError::from(error).into()))?;
+        Self::from_bytes(&bytes).map_err(|message| in_file(TrainError::Checkpoint { message }))
     }
 
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {

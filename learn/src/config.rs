@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use aviary::SystemError;
 use aviary::action::ActionType;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::EngineKind;
@@ -233,9 +234,9 @@ impl TrainConfig {
     /// [`TrainError::File`] naming it, around what [`read_toml_with`](Self::read_toml_with) finds.
     pub fn read_file_with(&mut self, path: impl AsRef<Path>, choice: &ConditionChoice) -> Result<(), TrainError> {
         let path = path.as_ref();
-        let in_file = |message: String| TrainError::File { path: path.into(), message };
-        let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-        self.read_toml_with(&text, choice).map_err(|error| in_file(error.to_string()))
+        let in_file = |error| TrainError::File { path: path.into(), error: Box::new(error) };
+        let text = std::fs::read_to_string(path).map_err(|error| in_file(SystemError::from(error).into()))?;
+        self.read_toml_with(&text, choice).map_err(in_file)
     }
 
     /// Checks every number.
@@ -375,8 +376,7 @@ impl TrainConfig {
 
     fn airframe(&self) -> Result<DroneParams, TrainError> {
         if Path::new(&self.drone).extension().is_some_and(|ending| ending == "toml") {
-            return DroneParams::from_file(&self.drone)
-                .map_err(|error| TrainError::Toml { message: error.to_string() });
+            return Ok(DroneParams::from_file(&self.drone)?);
         }
         Ok(self.drone.parse::<DroneModel>().map_err(EnvError::from)?.params())
     }

@@ -1,5 +1,7 @@
 use std::path::PathBuf;
 
+use aviary::SystemError;
+use aviary::drone::DroneError;
 use aviary::env::EnvError;
 use aviary::policy::PolicyError;
 use aviary::rollout::RolloutError;
@@ -30,14 +32,27 @@ pub enum TrainError {
         /// Line, column and what was expected.
         message: String,
     },
+    /// A file that the system cannot read or write.
+    #[error(transparent)]
+    System(#[from] SystemError),
     /// A file that cannot be read or written, or is not what it should be.
-    #[error("{}: {message}", path.display())]
+    #[error("{}: {error}", path.display())]
     File {
-        /// Which one.
+        /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// What is wrong.
+        #[source]
+        error: Box<Self>,
+    },
+    /// Bytes that are no checkpoint.
+    #[error("not a checkpoint: {message}")]
+    Checkpoint {
+        /// What is wrong with them.
         message: String,
     },
+    /// An airframe.
+    #[error(transparent)]
+    Drone(#[from] DroneError),
     /// Gradients without bounds.
     #[error("the gradient is no longer a number; try a lower learning_rate or max_gradient")]
     Diverged,

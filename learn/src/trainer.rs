@@ -115,21 +115,21 @@ impl Trainer {
     /// Takes over what a checkpoint has.
     fn restore(&mut self, checkpoint: Checkpoint, path: PathBuf) -> Result<(), TrainError> {
         let trainer = self;
-        let wrong = |message: String| TrainError::File { path: path.clone(), message };
-        let best = PolicyNetwork::from_bytes(&checkpoint.best).map_err(|error| wrong(error.to_string()))?;
+        let wrong = |error| TrainError::File { path: path.clone(), error: Box::new(error) };
+        let best = PolicyNetwork::from_bytes(&checkpoint.best).map_err(|error| wrong(error.into()))?;
         let run = Limits {
             shape: &trainer.ppo.shape,
             steps_per_iteration: trainer.steps_per_iteration(),
             updates_per_iteration: trainer.ppo.updates_per_iteration(trainer.agents.rows()),
         };
-        checkpoint.check(&run, &best).map_err(|message| wrong(format!("not a checkpoint: {message}")))?;
+        checkpoint.check(&run, &best).map_err(|message| wrong(TrainError::Checkpoint { message }))?;
         let Checkpoint { state, parameters, moments, curve, .. } = checkpoint;
         trainer.ppo.parameters = parameters;
         trainer.ppo.optimizer.restore(&moments);
         trainer.ppo.rate = state.rate;
         trainer.ppo.observations = state.observations;
         trainer.ppo.rewards = state.rewards;
-        trainer.ppo.refresh().map_err(|error| wrong(error.to_string()))?;
+        trainer.ppo.refresh().map_err(|error| wrong(error.into()))?;
         trainer.iteration = state.iteration;
         trainer.first = state.iteration;
         trainer.curve = curve;

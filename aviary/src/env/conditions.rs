@@ -3,6 +3,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{AviaryBuilder, EnvError, Randomization};
+use crate::SystemError;
 use crate::physics::wind::{WindConfig, WindModel};
 use crate::world::{ObstacleConfig, ObstacleKind};
 
@@ -159,12 +160,12 @@ impl Conditions {
     /// Reads and checks a file, of the kinds that are chosen.
     ///
     /// # Errors
-    /// [`EnvError::Toml`] with the file, around what [`from_toml_with`](Self::from_toml_with) finds.
+    /// [`EnvError::File`] around what [`from_toml_with`](Self::from_toml_with) finds.
     pub fn from_file_with(path: impl AsRef<Path>, choice: &ConditionChoice) -> Result<Self, EnvError> {
         let path = path.as_ref();
-        let in_file = |message: String| EnvError::Toml { message: format!("{}: {message}", path.display()) };
-        let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-        Self::from_toml_with(&text, choice).map_err(|error| in_file(error.to_string()))
+        let in_file = |error| EnvError::File { path: path.into(), error: Box::new(error) };
+        let text = std::fs::read_to_string(path).map_err(|error| in_file(SystemError::from(error).into()))?;
+        Self::from_toml_with(&text, choice).map_err(in_file)
     }
 }
 

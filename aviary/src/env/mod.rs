@@ -29,10 +29,10 @@ pub(crate) use task::path_points;
 pub use task::{Task, TaskDefaults};
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use nalgebra::Vector3;
 
-use crate::UnknownName;
 use crate::action::{ActionLimitsError, ActionType};
 use crate::control::trajectory::Trajectory;
 use crate::control::{Reference, SafetyError};
@@ -43,6 +43,7 @@ use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationError};
 use crate::vision::{ImageSize, View};
 use crate::world::FieldError;
+use crate::{SystemError, UnknownName};
 
 pub use crate::random::Rng;
 
@@ -225,6 +226,18 @@ pub enum EnvError {
     Toml {
         /// Line, column and what was expected.
         message: String,
+    },
+    /// A file that the system cannot read or write.
+    #[error(transparent)]
+    System(#[from] SystemError),
+    /// A file that holds no valid conditions.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        #[source]
+        error: Box<EnvError>,
     },
     /// Obstacles that cannot be placed.
     #[error(transparent)]

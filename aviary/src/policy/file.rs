@@ -7,6 +7,7 @@ use std::path::Path;
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
 use super::{Activation, Mlp, PolicyError, PolicyInfo, PolicyNetwork};
+use crate::SystemError;
 
 /// Key of the metadata: one alone, so that equal policies are equal files.
 const KEY: &str = "policy";
@@ -136,9 +137,9 @@ impl PolicyNetwork {
     /// [`PolicyError::File`].
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), PolicyError> {
         let path = path.as_ref();
-        let in_file = |message: String| PolicyError::File { path: path.into(), message };
-        let bytes = self.to_bytes().map_err(|error| in_file(error.to_string()))?;
-        write_whole(path, &bytes).map_err(|error| in_file(error.to_string()))
+        let in_file = |error| PolicyError::File { path: path.into(), error: Box::new(error) };
+        let bytes = self.to_bytes().map_err(in_file)?;
+        write_whole(path, &bytes).map_err(|error| in_file(SystemError::from(error).into()))
     }
 
     /// Reads a file.
@@ -147,9 +148,9 @@ impl PolicyNetwork {
     /// [`PolicyError::File`] saying what is wrong.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, PolicyError> {
         let path = path.as_ref();
-        let in_file = |message: String| PolicyError::File { path: path.into(), message };
-        let bytes = std::fs::read(path).map_err(|error| in_file(error.to_string()))?;
-        Self::from_bytes(&bytes).map_err(|error| in_file(error.to_string()))
+        let in_file = |error| PolicyError::File { path: path.into(), error: Box::new(error) };
+        let bytes = std::fs::read(path).map_err(|error| in_file(SystemError::from(error).into()))?;
+        Self::from_bytes(&bytes).map_err(in_file)
     }
 }
 

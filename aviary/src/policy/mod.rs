@@ -9,6 +9,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::SystemError;
 use crate::action::ActionType;
 use crate::env::DroneEnv;
 
@@ -48,13 +49,17 @@ pub enum PolicyError {
         /// What is wrong with them.
         message: String,
     },
+    /// A file that the system cannot read or write.
+    #[error(transparent)]
+    System(#[from] SystemError),
     /// A file that cannot be read or written, or whose content is no policy.
-    #[error("{}: {message}", path.display())]
+    #[error("{}: {error}", path.display())]
     File {
-        /// Which one.
+        /// The file.
         path: PathBuf,
-        /// What is wrong with it.
-        message: String,
+        /// What is wrong.
+        #[source]
+        error: Box<Self>,
     },
 }
 

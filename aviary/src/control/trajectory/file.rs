@@ -4,7 +4,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::{Curve, Heading, Plane, Steps, Trajectory, TrajectoryError, Waypoints};
-use crate::error::{toml_message, triple, triples};
+use crate::error::{SystemError, toml_message, triple, triples};
 
 /// Trajectories that have a name.
 pub const NAMES: [&str; 5] = ["circle", "lemniscate", "helix", "square", "loop"];
@@ -43,9 +43,9 @@ pub fn named(name: &str) -> Option<Box<dyn Trajectory>> {
 /// [`TrajectoryError::File`] with the file, the line and what is expected.
 pub fn from_file(path: impl AsRef<Path>) -> Result<Box<dyn Trajectory>, TrajectoryError> {
     let path = path.as_ref();
-    let in_file = |message: String| TrajectoryError::File { path: path.into(), message };
-    let text = std::fs::read_to_string(path).map_err(|error| in_file(error.to_string()))?;
-    from_toml(&text).map_err(|error| in_file(error.to_string()))
+    let in_file = |error| TrajectoryError::File { path: path.into(), error: Box::new(error) };
+    let text = std::fs::read_to_string(path).map_err(|error| in_file(SystemError::from(error).into()))?;
+    from_toml(&text).map_err(in_file)
 }
 
 /// Reads a trajectory from TOML text. `kind` is `circle`, `lemniscate`, `helix`, `steps` or `waypoints`; the other keys are

@@ -11,6 +11,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use super::Reference;
+use crate::SystemError;
 
 pub use curve::{Curve, Heading, Plane};
 pub use file::{NAMES, from_file, from_toml, named};
@@ -81,13 +82,17 @@ pub enum TrajectoryError {
         /// Line, column and what was expected.
         message: String,
     },
+    /// A file that the system cannot read or write.
+    #[error(transparent)]
+    System(#[from] SystemError),
     /// A file that holds no valid trajectory.
-    #[error("{}: {message}", path.display())]
+    #[error("{}: {error}", path.display())]
     File {
         /// The file.
         path: PathBuf,
         /// What is wrong.
-        message: String,
+        #[source]
+        error: Box<Self>,
     },
 }
 
