@@ -596,7 +596,10 @@ fn impossible_options_are_refused_by_name() {
         "waypoints is 0 points, expected 1 to 198",
     );
     said(boxed(FlyThrough::builder().task(|task| task.radius = 0.0).build()), "radius is 0 m");
-    said(boxed(FlyThrough::builder().task(|task| task.waypoints[2][1] = f64::NAN).build()), "waypoints is NaN m along an axis");
+    said(
+        boxed(FlyThrough::builder().task(|task| task.waypoints[2][1] = f64::NAN).build()),
+        "waypoints is NaN m along an axis",
+    );
     let heights = MultiHover::builder().task(|task| task.target_heights = Some(vec![1.0])).build();
     assert!(heights.unwrap_err().to_string().contains("target_heights is 1 height, expected one per drone"));
     let laps = Race::builder().task(|task| task.laps = 0).build();

@@ -108,7 +108,10 @@ impl Task for FlyThrough {
     fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         waypoint_progress::check("waypoints", &self.waypoints, 1, self.radius)?;
-        waypoint_progress::check_rewards([("capture_reward", self.capture_reward), ("distance_penalty", self.distance_penalty)])
+        waypoint_progress::check_rewards([
+            ("capture_reward", self.capture_reward),
+            ("distance_penalty", self.distance_penalty),
+        ])
     }
 
     fn markers(&self) -> Vec<Marker> {
