@@ -9,11 +9,11 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::{Rng, RngExt as _, SeedableRng as _};
 use nalgebra::Vector3;
 
-const SAMPLES: usize = 48;
-/// Control steps that are looked ahead: half a second.
-const HORIZON: usize = 24;
+const SAMPLES: usize = 64;
+/// Control steps that are looked ahead: one second.
+const HORIZON: usize = 48;
 /// Temperature of the weights, in units of the cost.
-const TEMPERATURE: f64 = 0.15;
+const TEMPERATURE: f64 = 0.01;
 /// Standard deviation of the sampled thrust, roll, pitch and yaw rate, as shares of their ranges.
 const SPREAD: [f64; 4] = [0.25, 0.35, 0.35, 0.05];
 
