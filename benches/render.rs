@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use mujoco_drones_gym::mujoco::{Assets, Camera, CameraId, Data, Effects, Model, Quality, Renderer, Scene};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::vision::{ImageSize, Painter};
+use mujoco_drones_gym::vision::{ImageSize, SceneRenderer};
 
 const SMALL: ImageSize = ImageSize { width: 64, height: 48 };
 const LARGE: ImageSize = ImageSize { width: 640, height: 480 };
@@ -87,7 +87,7 @@ fn rate(seconds: f64, mut frame: impl FnMut()) -> f64 {
 /// What an agent's camera costs, the scene brought up to date for every frame.
 struct Onboard {
     simulation: Simulation,
-    painter: Painter,
+    painter: SceneRenderer,
 }
 
 impl Onboard {
@@ -105,7 +105,7 @@ impl Onboard {
             }))
             .build()
             .expect("a simulation");
-        let painter = Painter::for_observations(simulation.world()).expect("a painter");
+        let painter = SceneRenderer::for_observations(simulation.world()).expect("a painter");
         Self { simulation, painter }
     }
 

@@ -8,7 +8,7 @@ use mujoco_drones_gym::mujoco::Quality;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::tasks::Antipodal;
-use mujoco_drones_gym::vision::{Effects, Painter};
+use mujoco_drones_gym::vision::{Effects, SceneRenderer};
 use mujoco_drones_gym::wrappers::SafetyWrapper;
 use nalgebra::Vector3;
 
@@ -27,7 +27,7 @@ fn main() -> anyhow::Result<()> {
     let pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
     let mut rollout = Rollout::start(env, pilot, Some(1))?;
     // without shadows and reflections: twelve drones with rings are enough to look at
-    let mut painter = Painter::new(rollout.env().simulation().world(), Quality::PRETTY, Effects::default())?;
+    let mut painter = SceneRenderer::new(rollout.env().simulation().world(), Quality::PRETTY, Effects::default())?;
     painter.set_stage([0.0, 0.0, 1.0], 1.3);
     let (tile, sheet) = (ImageSize { width: SIDE, height: SIDE }, ImageSize { width: 3 * SIDE, height: 2 * SIDE });
     let (mut rgb, mut picture) = (vec![0; 3 * tile.pixels()], vec![0; 3 * sheet.pixels()]);

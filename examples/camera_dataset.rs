@@ -11,7 +11,7 @@ use mujoco_drones_gym::record::CsvLog;
 use mujoco_drones_gym::record::picture::{
     depth_in_colour, png_depth, png_rgb, png_segmentation, segmentation_in_colour,
 };
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
 use mujoco_drones_gym::{Rng, SeedableRng as _};
 
@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<()> {
         .obstacles(trees)
         .build()?;
     let mut controller = GeometricControl::new(simulation.params(0));
-    let mut painter = Painter::for_observations(simulation.world())?;
+    let mut painter = SceneRenderer::for_observations(simulation.world())?;
     let mut poses = CsvLog::new(std::fs::File::create(directory.join("poses.csv"))?)?;
     let (mut rgb, mut depth) = (vec![0; 3 * SIZE.pixels()], vec![0.0; SIZE.pixels()]);
     let mut objects = vec![[0; 2]; SIZE.pixels()];

@@ -7,7 +7,7 @@ use mujoco_drones_gym::control::PidGains;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, Series};
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 use nalgebra::Vector3;
 
 #[allow(clippy::print_stdout)]
@@ -35,7 +35,7 @@ fn main() -> anyhow::Result<()> {
     let dt = simulation.control_period();
     let size = ImageSize { width: 640, height: 480 };
     let mut picture = vec![0; 3 * size.pixels()];
-    let mut painter = Painter::for_people(simulation.world())?;
+    let mut painter = SceneRenderer::for_people(simulation.world())?;
     while simulation.time() < seconds {
         // the upper drone comes in over the lower one after two seconds
         let t = simulation.time();

@@ -7,7 +7,7 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, colour_of};
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 
 #[allow(clippy::print_stdout)]
 fn main() -> anyhow::Result<()> {
@@ -32,7 +32,7 @@ fn main() -> anyhow::Result<()> {
     })?;
     let size = ImageSize { width: 800, height: 600 };
     let mut rgb = vec![0; 3 * size.pixels()];
-    let mut painter = Painter::for_people(env.simulation().world())?;
+    let mut painter = SceneRenderer::for_people(env.simulation().world())?;
     painter.update(env.simulation().states())?;
     for drone in 0..drones {
         painter.add_thread(&flight.positions(drone), 4.0, colour_of(drone, drones));

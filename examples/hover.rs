@@ -7,7 +7,7 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::Plot;
-use mujoco_drones_gym::record::{Film, Flight, Overlays, Recorder};
+use mujoco_drones_gym::record::{Flight, FrameRecorder, Overlays, Recorder};
 
 #[allow(clippy::print_stdout)]
 fn main() -> anyhow::Result<()> {
@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     let mut rollout = Rollout::start(&mut env, &mut pilot, Some(1))?;
     let mut recorder = Recorder::create(&directory, 1)?;
     let size = ImageSize { width: 320, height: 240 };
-    let mut film = Film::new(rollout.env(), View::Track, size, Overlays::default())?;
+    let mut film = FrameRecorder::new(rollout.env(), View::Track, size, Overlays::default())?;
     let mut gif =
         GifAnimation::new(std::fs::File::create(directory.join("hover.gif"))?, size, film.seconds_per_frame())?;
     loop {

@@ -4,7 +4,7 @@
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
 
 #[allow(clippy::print_stdout)]
@@ -27,7 +27,7 @@ fn main() -> anyhow::Result<()> {
         let field = ObstacleConfig { count, seed: Some(seed), arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
         let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_field(field).build()?;
         env.reset(Some(seed))?;
-        let mut painter = Painter::for_people(env.simulation().world())?;
+        let mut painter = SceneRenderer::for_people(env.simulation().world())?;
         painter.set_stage([0.0, 0.0, 0.4], 1.1);
         painter.update(env.simulation().states())?;
         painter.rgb(View::Fixed, size, &mut picture)?;

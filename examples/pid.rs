@@ -12,7 +12,7 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::Plot;
 use mujoco_drones_gym::record::{Flight, Recorder};
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 
 /// Flies every drone along its own way and gives the simulation at the end.
 #[allow(clippy::print_stdout)]
@@ -63,7 +63,7 @@ fn main() -> anyhow::Result<()> {
     let three = fly(&directory.join("swarm"), Physics::MjcGndDragDw, ControllerKind::Pid, &swarm, seconds)?;
 
     let size = ImageSize { width: 640, height: 480 };
-    let (mut painter, mut picture) = (Painter::for_people(three.world())?, vec![0; 3 * size.pixels()]);
+    let (mut painter, mut picture) = (SceneRenderer::for_people(three.world())?, vec![0; 3 * size.pixels()]);
     painter.update(three.states())?;
     painter.rgb(View::Track, size, &mut picture)?;
     std::fs::write(directory.join("swarm.png"), png_rgb(size, &picture)?)?;

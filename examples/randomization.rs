@@ -7,7 +7,7 @@ use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, Series};
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 
 #[allow(clippy::print_stdout)]
 fn main() -> anyhow::Result<()> {
@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     let config = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).episode_seconds(seconds);
     let mut env = config.randomization(Randomization::default()).build()?;
     let size = ImageSize { width: 800, height: 600 };
-    let mut painter = Painter::for_people(env.simulation().world())?;
+    let mut painter = SceneRenderer::for_people(env.simulation().world())?;
     let (mut heights, mut aside, mut trails) = (vec![], vec![], vec![]);
     println!(
         "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",
@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<()> {
         heights.push(Series { name: name.clone(), points: z });
         aside.push(Series { name, points: y });
         trails.push(trail);
-        let (info, Some(drawn)) = (env.info(), env.draw()) else { continue };
+        let (info, Some(drawn)) = (env.info(), env.sampled_params()) else { continue };
         let (drone, end) = (&drawn.drones[0], info.end.map_or("", |end| end.name()));
         let wind = drawn.wind.map_or(0.0, |wind| nalgebra::Vector3::from(wind.velocity).norm());
         let (lag, latency) = (1e3 * drone.actuators.lag, 1e3 * drone.actuators.latency);

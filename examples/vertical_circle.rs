@@ -7,7 +7,7 @@ use mujoco_drones_gym::control::GeometricControl;
 use mujoco_drones_gym::control::trajectory::{Curve, Plane, Trajectory};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 
 #[allow(clippy::print_stdout)]
 fn main() -> anyhow::Result<()> {
@@ -31,7 +31,7 @@ fn main() -> anyhow::Result<()> {
 
     let size = ImageSize { width: 800, height: 600 };
     let mut picture = vec![0; 3 * size.pixels()];
-    let mut painter = Painter::for_people(simulation.world())?;
+    let mut painter = SceneRenderer::for_people(simulation.world())?;
     painter.set_stage([0.0, 0.0, 0.75], 0.0);
     painter.update(simulation.states())?;
     let planned: Vec<_> = (0..80).map(|i| circle.reference(0.1 * f64::from(i)).position).collect();

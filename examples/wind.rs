@@ -9,7 +9,7 @@ use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, Series};
-use mujoco_drones_gym::vision::{Decor, Painter};
+use mujoco_drones_gym::vision::{Decor, SceneRenderer};
 use nalgebra::Vector3;
 
 #[allow(clippy::print_stdout)]
@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<()> {
         println!("{name}: {:.1} cm downwind on average over the second half", 100.0 * drift);
         lines.push(Series { name: name.to_string(), points });
         if lines.len() == 1 {
-            let mut painter = Painter::for_people(env.simulation().world())?;
+            let mut painter = SceneRenderer::for_people(env.simulation().world())?;
             painter.set_stage([0.0, 0.1, 1.0], -0.35);
             painter.update(env.simulation().states())?;
             let dots: Vec<_> = trail.iter().step_by(8).copied().collect();

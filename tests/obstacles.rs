@@ -7,7 +7,7 @@ use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::sensing::{RangeConfig, Rangefinder};
 use mujoco_drones_gym::tasks::NAMES;
-use mujoco_drones_gym::vision::Painter;
+use mujoco_drones_gym::vision::SceneRenderer;
 use mujoco_drones_gym::world::{DroneBody, Obstacle, ObstacleConfig, ObstacleKind, Shape, World};
 use mujoco_drones_gym::{Rng, SeedableRng};
 use nalgebra::Vector3;
@@ -315,13 +315,13 @@ fn what_has_moved_is_drawn_where_it_is() {
     let layout = |seed| config.generate(&[[0.0, 0.0, 1.0]], &mut Rng::seed_from_u64(seed)).unwrap();
     let size = ImageSize { width: 160, height: 120 };
     let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 1.0), Vector3::zeros());
-    let draw = |painter: &mut Painter| {
+    let draw = |painter: &mut SceneRenderer| {
         painter.update(&[state]).unwrap();
         let mut rgb = vec![0; 3 * size.pixels()];
         painter.rgb(View::Fixed, size, &mut rgb).unwrap();
         rgb
     };
-    let painter = |seed| Painter::for_observations(&world(layout(seed), [0.0, 0.0, 1.0])).unwrap();
+    let painter = |seed| SceneRenderer::for_observations(&world(layout(seed), [0.0, 0.0, 1.0])).unwrap();
     let mut moved = painter(1);
     let before = draw(&mut moved);
     for seed in 2..4 {

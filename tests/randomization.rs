@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use mujoco_drones_gym::env::{Draw, Randomization, SensorRanges, check_env, check_independence};
+use mujoco_drones_gym::env::{Randomization, SampledParams, SensorRanges, check_env, check_independence};
 use mujoco_drones_gym::mujoco::{Data, Model};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
@@ -12,13 +12,13 @@ use mujoco_drones_gym::world::{DroneBody, Obstacle, Shape, World};
 use nalgebra::Vector3;
 
 /// Draws of so many episodes of two drones that hover high up.
-fn draws(config: Randomization, episodes: u64) -> Vec<Draw> {
+fn draws(config: Randomization, episodes: u64) -> Vec<SampledParams> {
     let high = [[0.0, 0.0, 2.0], [3.0, 0.0, 2.0]];
     let mut env = MultiHover::builder().initial_positions(high).randomization(config).build().unwrap();
     (0..episodes)
         .map(|seed| {
             env.reset(Some(seed)).unwrap();
-            env.draw().unwrap().clone()
+            env.sampled_params().unwrap().clone()
         })
         .collect()
 }
@@ -53,14 +53,14 @@ fn normal(sigma: f64) -> impl Fn(f64) -> f64 {
 #[test]
 fn every_parameter_has_the_papers_distribution() {
     let draws = draws(Randomization::default(), 2000);
-    let each = |value: &dyn Fn(&mujoco_drones_gym::env::DroneDraw) -> f64| {
+    let each = |value: &dyn Fn(&mujoco_drones_gym::env::SampledDroneParams) -> f64| {
         draws.iter().flat_map(|draw| &draw.drones).map(value).collect::<Vec<_>>()
     };
     let mut statistics = Vec::new();
     let mut test = |name: String, samples: Vec<f64>, cdf: &dyn Fn(f64) -> f64| {
         statistics.push((name, kolmogorov_smirnov(samples, cdf)));
     };
-    type Value = fn(&mujoco_drones_gym::env::DroneDraw) -> f64;
+    type Value = fn(&mujoco_drones_gym::env::SampledDroneParams) -> f64;
     let factors: [(&str, Value, [f64; 2]); 15] = [
         ("mass", |d| d.mass, [0.8, 1.2]),
         ("inertia", |d| d.inertia, [0.8, 1.2]),
@@ -91,9 +91,9 @@ fn every_parameter_has_the_papers_distribution() {
     }
     test("gravity".into(), draws.iter().map(|draw| draw.gravity).collect(), &uniform(0.98, 1.02));
     test("sensor latency".into(), draws.iter().map(|draw| draw.sensor_latency).collect(), &uniform(0.0, 0.02));
-    let wind = |draw: &Draw| Vector3::from(draw.wind.unwrap().velocity);
+    let wind = |draw: &SampledParams| Vector3::from(draw.wind.unwrap().velocity);
     test("wind".into(), draws.iter().map(|draw| wind(draw).norm()).collect(), &uniform(0.0, 1.0));
-    let around = |draw: &Draw| wind(draw).y.atan2(wind(draw).x);
+    let around = |draw: &SampledParams| wind(draw).y.atan2(wind(draw).x);
     test("wind's direction".into(), draws.iter().map(around).collect(), &uniform(-PI, PI));
     for (name, statistic) in statistics {
         assert!(statistic < 1.95, "{name}: {statistic}");
@@ -196,7 +196,7 @@ fn what_is_seen_is_noisy_biased_and_late_and_the_drone_itself_is_not() {
     // noise about a bias that stays: mean and standard deviation over an episode
     let config = only("[sensors]\nlatency = [0, 0]\nposition = 0.02\nvelocity = 0.1\n");
     let mut env = hovering(config);
-    let bias = env.draw().unwrap().drones[0].bias;
+    let bias = env.sampled_params().unwrap().drones[0].bias;
     let mut differences = Vec::new();
     for _ in 0..2000 {
         let truth = env.simulation().states()[0];
@@ -375,16 +375,16 @@ fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
     let nominal = flight(&mut env);
     env.set_randomization(Some(Randomization::default())).unwrap();
     let drawn = flight(&mut env);
-    let draw = env.draw().unwrap().clone();
+    let draw = env.sampled_params().unwrap().clone();
     assert_ne!(drawn, nominal);
     env.reset(None).unwrap();
-    assert_ne!(env.draw().unwrap(), &draw);
+    assert_ne!(env.sampled_params().unwrap(), &draw);
     assert_eq!(flight(&mut env), drawn);
-    assert_eq!(env.draw().unwrap(), &draw);
+    assert_eq!(env.sampled_params().unwrap(), &draw);
     assert_eq!(env.info_map()["drawn_mass"], draw.drones[0].mass);
     env.set_randomization(None).unwrap();
     assert_eq!(flight(&mut env), nominal);
-    assert!(env.draw().is_none());
+    assert!(env.sampled_params().is_none());
     assert_eq!(env.simulation().params(0), &DroneModel::Cf2x.params());
 }
 

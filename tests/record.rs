@@ -12,10 +12,10 @@ use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
 use mujoco_drones_gym::record::plot::Plot;
-use mujoco_drones_gym::record::{COLUMNS, Film, Flight, Overlays, Recorded, Recorder, files};
+use mujoco_drones_gym::record::{COLUMNS, Flight, FrameRecorder, Overlays, Recorded, Recorder, files};
 use mujoco_drones_gym::state::wxyz;
 use mujoco_drones_gym::tasks::Antipodal;
-use mujoco_drones_gym::vision::{Effects, Painter};
+use mujoco_drones_gym::vision::{Effects, SceneRenderer};
 use proptest::prelude::*;
 
 /// Actions that tumble a little.
@@ -316,7 +316,7 @@ fn last_frame(overlays: Overlays, view: View) -> Option<Vec<u8>> {
         .build()
         .unwrap();
     env.reset(Some(1)).unwrap();
-    let mut film = Film::new(&env, view, size, overlays).unwrap();
+    let mut film = FrameRecorder::new(&env, view, size, overlays).unwrap();
     let mut gif = GifAnimation::new(Vec::new(), size, film.seconds_per_frame()).unwrap();
     let mut frames = 0;
     for step in 0..48 {
@@ -356,11 +356,11 @@ fn rings_and_gates_are_seen_where_they_are() {
         return;
     }
     let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
-    let mut painter = Painter::new(simulation.world(), Quality::FAST, Effects::default()).unwrap();
+    let mut painter = SceneRenderer::new(simulation.world(), Quality::FAST, Effects::default()).unwrap();
     painter.set_stage([0.0, 0.0, 1.0], 0.2);
     let size = ImageSize { width: 201, height: 201 };
     // the middle of what is magenta, and how far it reaches across and down the picture
-    let mut seen = |add: &dyn Fn(&mut Painter) -> bool| {
+    let mut seen = |add: &dyn Fn(&mut SceneRenderer) -> bool| {
         painter.update(simulation.states()).unwrap();
         assert!(add(&mut painter));
         let mut rgb = vec![0; 3 * size.pixels()];
@@ -394,7 +394,7 @@ fn a_film_goes_on_from_episode_to_episode() {
     let size = ImageSize { width: 32, height: 24 };
     let mut env = Hover::builder().ctrl_freq(40).build().unwrap();
     env.reset(Some(1)).unwrap();
-    let mut film = Film::new(&env, View::Track, size, Overlays::ALL).unwrap();
+    let mut film = FrameRecorder::new(&env, View::Track, size, Overlays::ALL).unwrap();
     assert!((film.seconds_per_frame() - 0.05).abs() < 1e-12, "20 a second are nearer to 24 than 40 are");
     for _ in 0..3 {
         env.reset(None).unwrap();

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use mujoco_rs::Error;
 
 use crate::state::DroneState;
-use crate::vision::{ImageSize, Painter};
+use crate::vision::{ImageSize, SceneRenderer};
 
 /// Indices of a drone's state in the vectors of all built-in tasks, which begin with it.
 ///
@@ -246,7 +246,7 @@ impl Observation {
     ///
     /// # Panics
     /// If there are pictures of more drones than the painter has.
-    pub fn take_pictures(&mut self, painter: &mut Painter, size: ImageSize) -> Result<(), Error> {
+    pub fn take_pictures(&mut self, painter: &mut SceneRenderer, size: ImageSize) -> Result<(), Error> {
         // a size of nothing has no pictures
         let pixels = size.pixels().max(1);
         for (drone, rgb) in self.rgb.chunks_exact_mut(4 * pixels).enumerate() {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, anyhow};
 use append_file::AppendFile;
 use aviary::record::{STATE_COLUMNS, picture, state_numbers};
-use aviary::vision::{CAMERA_SIZE, ImageSize, Painter, intrinsics};
+use aviary::vision::{CAMERA_SIZE, ImageSize, SceneRenderer, intrinsics};
 use aviary::world::World;
 use clap::Args;
 use serde_json::{Map, Value, json};
@@ -61,7 +61,7 @@ impl Capture {
         }
         let mut pilot = Pilot::varied(&self.options, self.vary)?;
         let world = pilot.env().simulation().world().clone();
-        let mut painter = Painter::for_observations(&world).map_err(vision_failure)?;
+        let mut painter = SceneRenderer::for_observations(&world).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;
         self.clear(&out)?;
         // whatever ends the program, what the numbers in the images mean is there
@@ -163,7 +163,7 @@ impl Capture {
     }
 
     /// Flies on to the next frame.
-    fn advance(&self, pilot: &mut Pilot, painter: &mut Painter, seen: &mut Seen) -> Result<(), Failure> {
+    fn advance(&self, pilot: &mut Pilot, painter: &mut SceneRenderer, seen: &mut Seen) -> Result<(), Failure> {
         for _ in 0..self.every {
             if pilot.step()?.over {
                 seen.crashes += u64::from(pilot.env().info().crashed());
@@ -180,7 +180,7 @@ impl Capture {
     }
 
     /// What the numbers in segmentation pictures stand for.
-    fn objects(&self, painter: &Painter) -> Value {
+    fn objects(&self, painter: &SceneRenderer) -> Value {
         let mut names = Map::new();
         names.insert("0".into(), json!({ "type": "background", "name": null, "drone": null }));
         for object in painter.objects() {

@@ -89,7 +89,8 @@ impl FilmOptions {
         let gif = self.gif.as_deref().map(OutputFile::begin).transpose()?;
         let video = self.video.as_deref().map(OutputFile::begin).transpose()?;
         let overlays = self.overlay.unwrap_or_default();
-        let mut film = aviary::record::Film::of(simulation, self.camera, size, overlays).map_err(vision_failure)?;
+        let mut film =
+            aviary::record::FrameRecorder::of(simulation, self.camera, size, overlays).map_err(vision_failure)?;
         if !kept.is_empty() {
             film.painter().keep_in_frame(kept);
         }
@@ -124,7 +125,7 @@ pub fn is_previewed(view: View, simulation: &Simulation) -> bool {
 
 /// A film being made.
 pub struct Film {
-    film: aviary::record::Film,
+    film: aviary::record::FrameRecorder,
     gif: Option<GifAnimation<FileWriter>>,
     video: Option<(Mp4, OutputFile)>,
     frames: Option<PngSequence>,

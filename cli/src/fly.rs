@@ -319,7 +319,7 @@ impl Flight {
             (false, None) => "no".to_string(),
         };
         let mut measures: Vec<_> = Vec::new();
-        env.measures(&mut |name, value| measures.push((name.replace('_', " "), measure(name, value))));
+        env.metrics(&mut |name, value| measures.push((name.replace('_', " "), measure(name, value))));
         let mut rows = vec![
             (
                 "task",

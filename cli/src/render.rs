@@ -2,7 +2,7 @@ use std::path::PathBuf;
 
 use anyhow::anyhow;
 use aviary::record::picture;
-use aviary::vision::{ImageKind, ImageSize, Painter, View};
+use aviary::vision::{ImageKind, ImageSize, SceneRenderer, View};
 use aviary::world::World;
 use clap::{Args, ValueHint};
 use nalgebra::Vector3;
@@ -90,8 +90,8 @@ impl Render {
     fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind, kept: &[Vector3<f64>]) -> Result<Vec<u8>, Failure> {
         let simulation = pilot.env().simulation();
         let painter = match kind {
-            ImageKind::Rgb => Painter::for_people(simulation.world()),
-            ImageKind::Depth | ImageKind::Segmentation => Painter::for_observations(simulation.world()),
+            ImageKind::Rgb => SceneRenderer::for_people(simulation.world()),
+            ImageKind::Depth | ImageKind::Segmentation => SceneRenderer::for_observations(simulation.world()),
         };
         let mut painter = painter.map_err(vision_failure)?;
         if !kept.is_empty() {

@@ -6,7 +6,8 @@ use rand::Rng as _;
 use super::episode::{Episode, Phase, StepOutcome};
 use super::pipeline::{EnvModel, EnvParts, EnvWorkspace, Synced};
 use super::{
-    BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step, Task,
+    BoxSpace, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, SampledParams,
+    Step, Task,
 };
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
@@ -15,7 +16,7 @@ use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::{SimData, Simulation};
 use crate::state::DroneState;
-use crate::vision::{ImageSize, Painter, View};
+use crate::vision::{ImageSize, SceneRenderer, View};
 
 /// A task made into an environment.
 ///
@@ -40,7 +41,7 @@ pub struct Aviary<T> {
     pub(crate) decoders: Vec<ActionDecoder>,
     pub(crate) workspace: EnvWorkspace,
     /// Renders for people, once they ask.
-    pub(super) painter: Option<Synced<Painter>>,
+    pub(super) painter: Option<Synced<SceneRenderer>>,
 }
 
 impl<T: Task> Aviary<T> {
@@ -212,11 +213,11 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
         }
     }
 
-    fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, report: &mut dyn FnMut(&'static str, f64)) {
         if self.episode.phase != Phase::New {
-            self.episode.task.measures(self.simulation.view(), report);
+            self.episode.task.metrics(self.simulation.view(), report);
         }
-        if let Some(draw) = self.draw() {
+        if let Some(draw) = self.sampled_params() {
             let first = &draw.drones[0];
             for (name, value) in [
                 ("drawn_mass", first.mass),
@@ -240,9 +241,9 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
         let (model, data) = (&self.simulation.model, &self.simulation.data);
         let painter = match &mut self.painter {
             Some(painter) => painter,
-            none => none.insert(Synced::new(Painter::for_people(model.world())?)),
+            none => none.insert(Synced::new(SceneRenderer::for_people(model.world())?)),
         };
-        let painter = painter.sync(model, data, Painter::set_obstacles)?;
+        let painter = painter.sync(model, data, SceneRenderer::set_obstacles)?;
         if begins {
             painter.keep_in_frame(&extent);
         }
@@ -316,7 +317,7 @@ impl<T: Task + Clone + Send> DroneEnv for Aviary<T> {
         Ok(())
     }
 
-    fn draw(&self) -> Option<&Draw> {
+    fn sampled_params(&self) -> Option<&SampledParams> {
         self.episode.randomizer.as_ref().map(|randomizer| &randomizer.draw)
     }
 

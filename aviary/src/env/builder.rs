@@ -18,7 +18,7 @@ use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
 use crate::sensing::{RangeConfig, Rangefinder};
 use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
-use crate::vision::{CAMERA_SIZE, ImageSize, Painter};
+use crate::vision::{CAMERA_SIZE, ImageSize, SceneRenderer};
 use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle, ObstacleConfig};
 
 /// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
@@ -360,7 +360,7 @@ impl<T: Task> AviaryBuilder<T> {
             .collect::<Result<Vec<_>, _>>()?;
         let bounds = (0..count).flat_map(|drone| self.action_type.bounds(simulation.params(drone), limits));
         let action_space = BoxSpace::new(bounds);
-        let cameras = kind.has_images().then(|| Painter::for_observations(simulation.world())).transpose()?;
+        let cameras = kind.has_images().then(|| SceneRenderer::for_observations(simulation.world())).transpose()?;
         let observation = Observation::with_sizes(kind, vector.size(), count, camera_size, self.rays.directions.len());
         let observation_space = ObservationSpace {
             vector: if kind.kinematic { vector } else { BoxSpace::new([]) },

@@ -20,8 +20,8 @@ pub use conditions::{ConditionChoice, Conditions};
 pub(crate) use episode::{Episode, Phase};
 pub(crate) use pipeline::EnvParts;
 pub use randomization::{
-    ActuatorRanges, AerodynamicRanges, BodyRanges, Draw, DroneDraw, EnvironmentRanges, InitialRanges, Randomization,
-    Range, SensorRanges,
+    ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range,
+    SampledDroneParams, SampledParams, SensorRanges,
 };
 pub use snapshot::EnvSnapshot;
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
@@ -375,14 +375,14 @@ pub trait Env {
     fn info(&self) -> Info;
 
     /// Reports the scalar metrics of the task by name: gates passed, formation error.
-    fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = report;
     }
 
-    /// Returns the values of [`info`](Self::info) and [`measures`](Self::measures) by name; truth values are 0 and 1.
+    /// Returns the values of [`info`](Self::info) and [`metrics`](Self::metrics) by name; truth values are 0 and 1.
     fn info_map(&self) -> BTreeMap<&'static str, f64> {
         let mut map: BTreeMap<_, _> = self.info().values().collect();
-        self.measures(&mut |name, value| {
+        self.metrics(&mut |name, value| {
             map.insert(name, value);
         });
         map
@@ -471,7 +471,7 @@ pub trait DroneEnv: Env {
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
 
     /// Returns the sampled parameters of this episode; `None` without randomization.
-    fn draw(&self) -> Option<&Draw>;
+    fn sampled_params(&self) -> Option<&SampledParams>;
 
     /// Returns true if an entry of the observation's vector may be constant during an episode, like a target.
     fn may_be_constant(&self, entry: usize) -> bool {

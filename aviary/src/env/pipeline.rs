@@ -12,7 +12,7 @@ use crate::observation::Observation;
 use crate::sensing::Rangefinder;
 use crate::simulation::{self, SimData, SimModel, SimView};
 use crate::state::DroneState;
-use crate::vision::Painter;
+use crate::vision::SceneRenderer;
 use crate::world::{Obstacle, ObstacleConfig};
 
 /// What all environments of a batch share, besides the [`SimModel`].
@@ -47,7 +47,7 @@ pub(crate) struct EnvWorkspace {
     pub moving: MovingMarkers,
     pub rangefinder: Option<Synced<Rangefinder>>,
     /// Renders the onboard cameras, where they are observed.
-    pub cameras: Option<Synced<Painter>>,
+    pub cameras: Option<Synced<SceneRenderer>>,
     /// What was observed last.
     pub observation: Observation,
     /// The action within its bounds.
@@ -297,7 +297,7 @@ impl<T: Task> EnvParts<'_, T> {
     pub(crate) fn observe_images(&mut self) -> Result<(), EnvError> {
         let EnvWorkspace { observation, cameras, moving, .. } = &mut *self.workspace;
         if let Some(cameras) = cameras {
-            let cameras = cameras.sync(self.sim_model, self.data, Painter::set_obstacles)?;
+            let cameras = cameras.sync(self.sim_model, self.data, SceneRenderer::set_obstacles)?;
             if !moving.is_empty() {
                 cameras.set_markers(&self.data.markers(self.sim_model))?;
             }

@@ -289,7 +289,7 @@ impl Randomization {
 
 /// What was drawn for one drone.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DroneDraw {
+pub struct SampledDroneParams {
     /// Factor on the mass.
     pub mass: f64,
     /// Factor on the inertia.
@@ -325,12 +325,12 @@ pub struct DroneDraw {
 /// let heavier = Randomization { body: Some(body), ..Randomization::NONE };
 /// let mut env = Hover::builder().randomization(heavier).build()?;
 /// env.reset(Some(1))?;
-/// assert_eq!(env.draw().map(|draw| draw.drones[0].mass), Some(1.1));
+/// assert_eq!(env.sampled_params().map(|draw| draw.drones[0].mass), Some(1.1));
 /// assert!((env.simulation().params(0).mass - 1.1 * 0.027).abs() < 1e-12);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Draw {
+pub struct SampledParams {
     /// Factor on gravity.
     pub gravity: f64,
     /// The wind; `None` where none was drawn.
@@ -338,7 +338,7 @@ pub struct Draw {
     /// Age of what is seen, s.
     pub sensor_latency: f64,
     /// Every drone's.
-    pub drones: Vec<DroneDraw>,
+    pub drones: Vec<SampledDroneParams>,
 }
 
 /// Draws and applies what a [`Randomization`] says.
@@ -346,7 +346,7 @@ pub struct Draw {
 pub(super) struct Randomizer {
     // what environments of a batch have in common is there once
     pub(super) config: Arc<Randomization>,
-    pub(super) draw: Draw,
+    pub(super) draw: SampledParams,
     /// Whence the noise of the sensors comes.
     noise: Rng,
     nominal: Arc<[DroneParams]>,
@@ -383,7 +383,7 @@ impl Randomizer {
         config.validate()?;
         let nominal: Arc<[_]> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
         let initial = simulation.initial_states().to_vec();
-        let still = |initial: &DroneState| DroneDraw {
+        let still = |initial: &DroneState| SampledDroneParams {
             mass: 1.0,
             inertia: 1.0,
             arm_length: 1.0,
@@ -396,7 +396,12 @@ impl Randomizer {
             bias: [Vector3::zeros(); 4],
             initial: *initial,
         };
-        let draw = Draw { gravity: 1.0, wind: None, sensor_latency: 0.0, drones: initial.iter().map(still).collect() };
+        let draw = SampledParams {
+            gravity: 1.0,
+            wind: None,
+            sensor_latency: 0.0,
+            drones: initial.iter().map(still).collect(),
+        };
         use rand::SeedableRng as _;
         let motors = (0..nominal.len()).map(|drone| *simulation.actuator_params(drone)).collect();
         Ok(Self {
@@ -623,7 +628,7 @@ fn stream(rng: &mut Rng) -> Rng {
 }
 
 /// Makes an airframe one with these factors, whose motors are as fast as before.
-fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &DroneDraw) {
+fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &SampledDroneParams) {
     let [sideways, upwards] = draw.drag;
     let [x, y, z] = nominal.drag_coefficients;
     let [c1, c2, c3] = nominal.downwash_coefficients;

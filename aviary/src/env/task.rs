@@ -177,7 +177,7 @@ pub trait Task: std::fmt::Debug + 'static {
     }
 
     /// Reports further numbers by name: gates passed, formation error.
-    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = (simulation, report);
     }
 

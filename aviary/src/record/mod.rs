@@ -1,12 +1,12 @@
 //! Flights and pictures as files.
 //!
 //! [`Recorder`] and [`Recorded`] write a flight while it is flown, [`Flight`] keeps one in memory or reads it back,
-//! [`plot`] draws it, [`Film`] makes pictures of it that [`animation`] puts into files.
+//! [`plot`] draws it, [`FrameRecorder`] makes pictures of it that [`animation`] puts into files.
 
 pub mod animation;
 mod files;
-mod film;
 mod flight;
+mod frame_recorder;
 mod log;
 pub mod picture;
 pub mod plot;
@@ -19,8 +19,8 @@ mod table;
 use std::path::{Path, PathBuf};
 
 pub use files::files;
-pub use film::{Film, Overlays};
 pub use flight::{Flight, Sample};
+pub use frame_recorder::{FrameRecorder, Overlays};
 pub use log::CsvLog;
 pub use recorded::Recorded;
 pub use recorder::Recorder;

@@ -36,7 +36,7 @@ pub fn png_depth(size: ImageSize, depth: &[f32]) -> Result<Vec<u8>, RecordError>
     png_u16(size, millimetres)
 }
 
-/// Object numbers (as [`Painter`](crate::vision::Painter) gives them) as 16-bit PNG: index plus one, 0 for nothing.
+/// Object numbers (as [`SceneRenderer`](crate::vision::SceneRenderer) gives them) as 16-bit PNG: index plus one, 0 for nothing.
 ///
 /// # Errors
 /// As for [`png_rgb`].

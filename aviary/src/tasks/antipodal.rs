@@ -189,7 +189,7 @@ impl Task for Antipodal {
         Reference::hover(self.goal(simulation, drone), simulation.initial_states()[drone].yaw())
     }
 
-    fn measures(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         if self.nearest.is_finite() {
             report("minimum_distance", self.nearest);
         }

@@ -181,7 +181,7 @@ impl Task for FlyThrough {
         self.progress.extent(simulation, drone, &self.waypoints, 1)
     }
 
-    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let captured = (0..simulation.num_drones()).map(|drone| self.captured(drone));
         report("waypoints_captured", captured.sum::<usize>() as f64);
     }

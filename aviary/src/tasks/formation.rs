@@ -222,7 +222,7 @@ impl Task for Formation {
         path_points(seconds, |time| self.middle(time).0 + offset).collect()
     }
 
-    fn measures(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         report("mean_formation_error", self.mean_error());
     }
 

@@ -223,7 +223,7 @@ impl Task for Race {
         self.progress.extent(simulation, drone, &self.gates, self.laps)
     }
 
-    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let passed: usize = (0..simulation.num_drones()).map(|drone| self.gates_passed(drone)).sum();
         report("gates_passed", passed as f64);
     }

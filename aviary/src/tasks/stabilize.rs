@@ -160,7 +160,7 @@ impl Task for Stabilize {
         Reference::hover(state.position, state.yaw())
     }
 
-    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let speeds = simulation.states().iter().map(|state| state.velocity.norm());
         report("speed", speeds.fold(0.0, f64::max));
         let rates = simulation.states().iter().map(|state| state.angular_velocity.norm());

@@ -199,7 +199,7 @@ impl Task for Track {
         path_points(seconds, |time| self.target(drone, time).position).collect()
     }
 
-    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let errors =
             (0..simulation.num_drones()).map(|drone| simulation.distance(drone, &self.now(simulation, drone).position));
         report("tracking_error", errors.fold(0.0, f64::max));

@@ -173,7 +173,7 @@ impl Task for Velocity {
         vec![start, start + velocity * seconds]
     }
 
-    fn measures(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
+    fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let errors = (0..simulation.num_drones()).map(|drone| self.error(simulation, drone));
         report("velocity_error", errors.fold(0.0, f64::max));
     }

@@ -3,9 +3,9 @@
 use mujoco_rs::Decor;
 use nalgebra::Vector3;
 
-use super::Painter;
+use super::SceneRenderer;
 
-impl Painter {
+impl SceneRenderer {
     /// Adds a shape to the scene until the next update, in red, green, blue and alpha from 0 to 1; `false` where there is no
     /// room.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {

@@ -2,7 +2,7 @@
 
 use mujoco_rs::{Data, Error, GeomId, ImageSize, ObjectId as _};
 
-use super::{Painter, View};
+use super::{SceneRenderer, View};
 use crate::world::World;
 
 /// What a camera saw of an object: a geom of the scene.
@@ -16,7 +16,7 @@ pub struct SeenObject {
     pub drone: Option<usize>,
 }
 
-impl Painter {
+impl SceneRenderer {
     /// A picture from a view: RGB, three bytes per pixel, top row first.
     ///
     /// # Errors

@@ -6,13 +6,13 @@
 mod decor;
 mod framing;
 mod images;
-mod painter;
+mod scene_renderer;
 
 pub(crate) use decor::ring;
 pub use framing::CameraPose;
 pub use images::{SeenObject, intrinsics};
 pub use mujoco_rs::{Decor, Effects, ImageSize};
-pub use painter::Painter;
+pub use scene_renderer::SceneRenderer;
 
 use crate::names::named_enum;
 
@@ -58,7 +58,7 @@ named_enum! {
         Track = "track",
         /// Through the onboard camera of the first drone.
         Fpv = "fpv",
-        /// From the side and above, standing still, with all that is [kept in the frame](Painter::keep_in_frame).
+        /// From the side and above, standing still, with all that is [kept in the frame](SceneRenderer::keep_in_frame).
         Fixed = "fixed",
         /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
         /// as seen from there.

@@ -4,7 +4,8 @@ use crate::action::ActionType;
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::env::{
-    BoxSpace, Draw, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, Step,
+    BoxSpace, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, SampledParams,
+    Step,
 };
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
@@ -118,9 +119,9 @@ pub trait Wrapper {
         Self::inner(this).info()
     }
 
-    /// [`Env::measures`].
-    fn measures(this: &Self, report: &mut dyn FnMut(&'static str, f64)) {
-        Self::inner(this).measures(report);
+    /// [`Env::metrics`].
+    fn metrics(this: &Self, report: &mut dyn FnMut(&'static str, f64)) {
+        Self::inner(this).metrics(report);
     }
 
     /// [`Env::render`].
@@ -206,9 +207,9 @@ pub trait Wrapper {
         Self::inner_mut(this).set_randomization(randomization)
     }
 
-    /// [`DroneEnv::draw`].
-    fn draw(this: &Self) -> Option<&Draw> {
-        Self::inner(this).draw()
+    /// [`DroneEnv::sampled_params`].
+    fn sampled_params(this: &Self) -> Option<&SampledParams> {
+        Self::inner(this).sampled_params()
     }
 
     /// [`DroneEnv::may_be_constant`].
@@ -254,8 +255,8 @@ impl<W: Wrapper> Env for W {
         <W as Wrapper>::info(self)
     }
 
-    fn measures(&self, report: &mut dyn FnMut(&'static str, f64)) {
-        <W as Wrapper>::measures(self, report);
+    fn metrics(&self, report: &mut dyn FnMut(&'static str, f64)) {
+        <W as Wrapper>::metrics(self, report);
     }
 
     fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
@@ -312,8 +313,8 @@ impl<W: Wrapper> DroneEnv for W {
         <W as Wrapper>::set_randomization(self, randomization)
     }
 
-    fn draw(&self) -> Option<&Draw> {
-        <W as Wrapper>::draw(self)
+    fn sampled_params(&self) -> Option<&SampledParams> {
+        <W as Wrapper>::sampled_params(self)
     }
 
     fn may_be_constant(&self, entry: usize) -> bool {

@@ -16,11 +16,11 @@ use crate::world::{Marker, Obstacle, SceneError, World};
 /// ```
 /// use aviary::drone::DroneModel;
 /// use aviary::simulation::Simulation;
-/// use aviary::vision::{CAMERA_SIZE, Painter, intrinsics};
+/// use aviary::vision::{CAMERA_SIZE, SceneRenderer, intrinsics};
 ///
 /// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
 /// let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build()?;
-/// let mut painter = Painter::for_observations(simulation.world())?;
+/// let mut painter = SceneRenderer::for_observations(simulation.world())?;
 /// painter.update(simulation.states())?;
 /// let mut depth = vec![0.0; CAMERA_SIZE.pixels()];
 /// painter.onboard_depth(0, CAMERA_SIZE, &mut depth)?;
@@ -31,7 +31,7 @@ use crate::world::{Marker, Obstacle, SceneError, World};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
-pub struct Painter {
+pub struct SceneRenderer {
     // dropped before the data whose model it draws
     pub(super) renderer: Renderer,
     pub(super) scene: Scene,
@@ -65,7 +65,7 @@ const SHADOW_REACH: f64 = 12.0;
 /// Distance of the sun's place from the middle of its square, m; whatever casts shadows is between it and the floor.
 const SUN_DISTANCE: f64 = 40.0;
 
-impl Painter {
+impl SceneRenderer {
     /// For onboard cameras: one sample per pixel, no shadows, no reflections, no sky (black).
     ///
     /// # Errors

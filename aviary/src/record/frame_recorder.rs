@@ -8,7 +8,7 @@ use crate::control::trajectory::Trajectory;
 use crate::env::{DroneEnv, EnvError};
 use crate::physics::wind::WindModel;
 use crate::simulation::Simulation;
-use crate::vision::{Decor, ImageSize, Painter, View, ring};
+use crate::vision::{Decor, ImageSize, SceneRenderer, View, ring};
 use crate::world::{Marker, Obstacle};
 
 /// What is drawn into pictures of a flight beside what is there. Drones have the colours that they have in plots.
@@ -63,7 +63,7 @@ impl FromStr for Overlays {
 /// ```
 /// use aviary::env::Env;
 /// use aviary::record::animation::{Animation, GifAnimation};
-/// use aviary::record::{Film, Overlays};
+/// use aviary::record::{FrameRecorder, Overlays};
 /// use aviary::tasks::Hover;
 /// use aviary::vision::{ImageSize, View};
 /// # if mujoco_rs::gl_info().is_err() {
@@ -73,7 +73,7 @@ impl FromStr for Overlays {
 /// let size = ImageSize { width: 64, height: 48 };
 /// let mut env = Hover::builder().build()?;
 /// env.reset(Some(1))?;
-/// let mut film = Film::new(&env, View::Track, size, Overlays { trails: true, ..Overlays::default() })?;
+/// let mut film = FrameRecorder::new(&env, View::Track, size, Overlays { trails: true, ..Overlays::default() })?;
 /// let mut gif = GifAnimation::new(Vec::new(), size, film.seconds_per_frame())?;
 /// for _ in 0..12 {
 ///     env.step(&[0.1; 4])?;
@@ -85,8 +85,8 @@ impl FromStr for Overlays {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
-pub struct Film {
-    painter: Painter,
+pub struct FrameRecorder {
+    painter: SceneRenderer,
     view: View,
     size: ImageSize,
     overlays: Overlays,
@@ -108,7 +108,7 @@ pub struct Film {
 /// Frames per second, as near as control steps come to it.
 const RATE: f64 = 24.0;
 
-impl Film {
+impl FrameRecorder {
     /// Of an environment as it is now: reset it before. What drones [plan](DroneEnv::plan) to fly is looked up here, for
     /// [`Overlays::references`].
     ///
@@ -142,7 +142,7 @@ impl Film {
         let every = (f64::from(simulation.ctrl_freq()) / RATE).round().max(1.0) as u32;
         let drones = simulation.num_drones();
         Ok(Self {
-            painter: Painter::for_people(simulation.world())?,
+            painter: SceneRenderer::for_people(simulation.world())?,
             view,
             size,
             overlays,
@@ -168,8 +168,8 @@ impl Film {
         self.ways[drone] = (0..=POINTS).map(at).collect();
     }
 
-    /// What draws it: to set the [stage](Painter::set_stage), for example.
-    pub fn painter(&mut self) -> &mut Painter {
+    /// What draws it: to set the [stage](SceneRenderer::set_stage), for example.
+    pub fn painter(&mut self) -> &mut SceneRenderer {
         &mut self.painter
     }
 
