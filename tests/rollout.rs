@@ -1,4 +1,4 @@
-//! The loop that flies episodes: what it does to the bit, and what it refuses.
+//! The loop that flies episodes: bit-identical flights, and what it refuses.
 
 use mujoco_drones_gym::control::CollisionCone;
 use mujoco_drones_gym::policy::{PolicyError, PolicyNetwork};

@@ -6,9 +6,10 @@ use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{Antipodal, NAMES, make};
-use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+use mujoco_drones_gym::world::{Obstacle, ObstacleConfig, ObstacleKind, Shape};
 use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper, SafetyWrapper};
 use mujoco_drones_gym::{Rng, RngExt as _, SeedableRng as _};
+use nalgebra::Vector3;
 
 /// Everything that a step of an environment says, as bits.
 fn step(env: &mut dyn DroneEnv, rng: &mut Rng, out: &mut Vec<u64>) {
@@ -151,6 +152,17 @@ fn a_simulation_goes_on_from_its_data_and_refuses_that_of_another() {
         simulation.restore(&data).unwrap();
         assert_eq!(fly(&mut simulation, 50), wanted);
     }
+    // obstacles of another shape
+    let among = |shape| {
+        let obstacle = Obstacle::new(shape, Vector3::new(3.0, 0.0, 1.0));
+        Simulation::builder(DroneModel::Cf2x).obstacles([obstacle]).build().unwrap()
+    };
+    // that have moved: others are the model's
+    let mut ball = among(Shape::Sphere { radius: 0.2 });
+    ball.set_obstacles(&[Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(2.0, 0.0, 1.0))]).unwrap();
+    let ball = ball.snapshot();
+    let error = among(Shape::Box { half_size: [0.2; 3] }).restore(&ball).unwrap_err().to_string();
+    assert!(error.contains("another shape"), "{error}");
     let mut two = build(2);
     let states = two.states().to_vec();
     assert!(two.restore(&data).unwrap_err().to_string().contains("the snapshot has 3 entries"), "two drones");
@@ -170,9 +182,18 @@ fn a_snapshot_of_another_environment_is_refused() {
     let error = hover.restore(&snapshot("race")).unwrap_err().to_string();
     assert!(error.contains("another kind of environment"), "{error}");
     assert!(flight(&mut *hover, 3, 10) == before, "and nothing has changed");
+    // of the same task with other actions, or with other observations
+    for config in [
+        EnvConfig::default().action_type(ActionType::Vel),
+        EnvConfig::default().observation_type(ObservationType::KIN_RANGES),
+    ] {
+        let mut other = make("hover", config).unwrap();
+        other.reset(Some(1)).unwrap();
+        assert!(hover.restore(&other.snapshot()).unwrap_err().to_string().contains("another kind of environment"));
+    }
     let mut multi = make("multi_hover", EnvConfig::default().num_drones(3)).unwrap();
     multi.reset(Some(1)).unwrap();
-    assert!(multi.restore(&snapshot("multi_hover")).unwrap_err().to_string().contains("the snapshot has 2 entries"));
+    assert!(multi.restore(&snapshot("multi_hover")).is_err(), "two drones for three");
 }
 
 fn make_reset(name: &str) -> Box<dyn DroneEnv + Send> {

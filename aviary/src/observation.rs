@@ -202,6 +202,15 @@ pub struct Observation {
 }
 
 impl Observation {
+    /// Returns whether every part has the size that it has in another observation.
+    pub(crate) fn has_sizes_of(&self, other: &Self) -> bool {
+        let sizes = |of: &Self| {
+            let numbers = [of.vector.len(), of.obstacle.len(), of.ranges.len(), of.adjacency.len()];
+            (numbers, [of.rgb.len(), of.depth.len(), of.segmentation.len()])
+        };
+        sizes(self) == sizes(other)
+    }
+
     /// What counts as no obstacle near, m.
     pub const FAR: f64 = 100.0;
 

@@ -139,6 +139,7 @@ struct Snapshot<T> {
     episode: Episode<T>,
     decoders: Vec<ActionDecoder>,
     observation: Observation,
+    action_type: ActionType,
 }
 
 impl<T: Task + Clone + Send> Env for Aviary<T> {
@@ -176,11 +177,15 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
             episode: self.episode.clone(),
             decoders: self.decoders.clone(),
             observation: self.workspace.observation.clone(),
+            action_type: self.model.action_type,
         })
     }
 
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
-        let Snapshot { data, episode, decoders, observation } = snapshot.own::<Snapshot<T>>()?;
+        let Snapshot { data, episode, decoders, observation, action_type } = snapshot.own::<Snapshot<T>>()?;
+        if *action_type != self.model.action_type || !observation.has_sizes_of(&self.workspace.observation) {
+            return Err(EnvError::Snapshot);
+        }
         self.simulation.restore(data)?;
         self.episode.clone_from(episode);
         self.decoders.clone_from(decoders);

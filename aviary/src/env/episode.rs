@@ -5,7 +5,7 @@ use super::randomization::Randomizer;
 use super::{EndReason, EnvError, Randomization, Rng, Task};
 use crate::simulation::SimView;
 
-/// What an environment has besides its simulation: the task with its memory, the random stream, what was sampled, how the episode ends.
+/// What an environment has in addition to its simulation: the task with its memory, the random stream, what was sampled, how the episode ends.
 #[derive(Debug, Clone)]
 pub(crate) struct Episode<T> {
     pub task: T,

@@ -261,6 +261,11 @@ impl SimData {
         markers
     }
 
+    /// Returns the number of markers that a model must have for the poses of those that have moved.
+    pub(super) fn markers_needed(&self) -> usize {
+        self.marker_poses.iter().map(|(index, _)| index + 1).max().unwrap_or(0)
+    }
+
     /// Moves a marker, which is drawn there from now on.
     pub(crate) fn set_marker_pose(&mut self, index: usize, pose: MarkerPose) {
         match self.marker_poses.iter_mut().find(|(known, _)| *known == index) {

@@ -125,7 +125,8 @@ impl Simulation {
     /// from the snapshot.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] for a snapshot of another number of drones or obstacles, and then nothing has changed.
+    /// [`SimulationError::Length`] for a snapshot of another number of drones or obstacles or of more markers,
+    /// [`SimulationError::Obstacle`] for one with another shape; and then nothing has changed.
     pub fn restore(&mut self, snapshot: &SimData) -> Result<(), SimulationError> {
         let (got, expected) = (snapshot.states.len(), self.data.states.len());
         if got != expected {
@@ -134,6 +135,14 @@ impl Simulation {
         let (got, expected) = (snapshot.obstacles(&self.model).len(), self.obstacles().len());
         if got != expected {
             return Err(SimulationError::Length { what: "the snapshot's list of obstacles", got, expected });
+        }
+        let mut shapes = snapshot.obstacles(&self.model).iter().zip(self.obstacles());
+        if let Some(index) = shapes.position(|(new, own)| new.shape.kind() != own.shape.kind()) {
+            return Err(SimulationError::Obstacle { index });
+        }
+        let (got, expected) = (snapshot.markers_needed(), self.model.world.markers.len());
+        if got > expected {
+            return Err(SimulationError::Length { what: "the snapshot's list of markers", got, expected });
         }
         self.data.copy_from(snapshot);
         Ok(())
@@ -222,7 +231,7 @@ impl Simulation {
         self.data.set_wind(wind.into(), seed)
     }
 
-    /// Starts the wind anew from a seed, which a reset by itself does not.
+    /// Restarts the wind from a seed, which a reset by itself does not.
     pub fn reset_wind(&mut self, seed: u64) {
         self.data.reset_wind(seed);
     }
