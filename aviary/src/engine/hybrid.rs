@@ -8,11 +8,12 @@
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
 
-use super::flight::{FreeBody, clearance};
+use super::flight::FreeBody;
 use super::mujoco::{BuildError, MujocoEngine};
 use super::{Bodies, Body, Contact, Load, Substeps};
 use crate::math::V3;
 use crate::state::DroneState;
+use crate::world::placement::{CollisionCylinder, obstacle_distance, sphere_clearance, sphere_floor_clearance};
 use crate::world::{Forcing, Integrator, Obstacle, World};
 
 /// N bodies that fly or are in touch, together.
@@ -24,8 +25,7 @@ pub struct HybridEngine {
     medium: bool,
     /// Whether the kernel can do what MuJoCo would: it knows RK4 alone.
     able: bool,
-    /// Radius and height of the drones' collision cylinders, m.
-    sizes: Vec<(f64, f64)>,
+    cylinders: Vec<CollisionCylinder>,
     obstacles: Vec<Obstacle>,
     clearance_caches: Vec<ClearanceCache>,
     /// Whether the whole control step is in the open.
@@ -54,7 +54,7 @@ impl ClearanceCache {
         if obstacles.is_empty() || self.distance - (place - self.place).norm() > room + SLACK {
             return true;
         }
-        let distance = obstacles.iter().map(|obstacle| obstacle.distance(place)).fold(f64::INFINITY, f64::min);
+        let distance = obstacle_distance(obstacles, place);
         *self = Self { place: *place, distance };
         distance > room
     }
@@ -66,14 +66,13 @@ impl HybridEngine {
     /// # Errors
     /// [`BuildError`] with what the scene or MuJoCo objects to.
     pub fn new(world: &World) -> Result<Self, BuildError> {
-        let size = |params: &crate::drone::DroneParams| (params.collision_radius, params.collision_height);
         Ok(Self {
             mujoco: MujocoEngine::new(world)?,
             dt: world.timestep,
             forcing: world.forcing,
             medium: world.medium.is_some(),
             able: world.integrator == Integrator::Rk4,
-            sizes: world.drones.iter().map(|drone| size(&drone.params)).collect(),
+            cylinders: world.drones.iter().map(|drone| CollisionCylinder::from(&drone.params)).collect(),
             obstacles: world.obstacles.clone(),
             clearance_caches: vec![ClearanceCache::default(); world.drones.len()],
             clear: false,
@@ -120,7 +119,7 @@ impl HybridEngine {
             let force = load.rotors.thrust.abs() + load.external.force_world.norm() + mass * bodies.gravity.abs();
             reach_bound.one_step(dt, free, force, load.rotors.torque_body.norm(), &states[drone])
         };
-        let sizes = std::mem::take(&mut self.sizes);
+        let cylinders = std::mem::take(&mut self.cylinders);
         let free = self.has_room(
             states,
             bodies.obstacle_drift,
@@ -134,12 +133,13 @@ impl HybridEngine {
                 }
             },
             |drone, state| {
-                let ((travel, turn), (radius, height)) = (motion(drone), sizes[drone]);
+                let (travel, turn) = motion(drone);
                 turn < FreeBody::MAX_TURN
-                    && clearance(radius, height, state) > travel + turn * bodies.drones[drone].reach_bound.reach()
+                    && cylinders[drone].floor_clearance(state)
+                        > travel + turn * bodies.drones[drone].reach_bound.reach()
             },
         );
-        self.sizes = sizes;
+        self.cylinders = cylinders;
         free
     }
 
@@ -154,9 +154,10 @@ impl HybridEngine {
     ) -> bool {
         states.iter().enumerate().all(|(drone, state)| {
             let ball = radius(drone);
-            let off_the_floor = state.position.z - ball > 0.0 || off_floor(drone, state);
             let place = V3::from(&state.position);
-            let apart = |other: usize| (place - V3::from(&states[other].position)).norm() - ball - radius(other) > 0.0;
+            let off_the_floor = sphere_floor_clearance(place, ball) > 0.0 || off_floor(drone, state);
+            let apart =
+                |other: usize| sphere_clearance(place, ball, V3::from(&states[other].position), radius(other)) > 0.0;
             off_the_floor
                 && (0..drone).all(apart)
                 && self.clearance_caches[drone].has_room(&self.obstacles, &state.position, ball + drift)

@@ -11,7 +11,6 @@ pub use hybrid::HybridEngine;
 pub(crate) use mujoco::place_geom;
 pub use mujoco::{BuildError, MujocoEngine};
 
-pub(crate) use flight::clearance;
 use flight::{FreeBody, ReachBound};
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;

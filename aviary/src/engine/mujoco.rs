@@ -8,6 +8,7 @@ use nalgebra::Vector3;
 
 use super::{Bodies, Contact, Load, Touched};
 use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
+use crate::world::placement::CollisionCylinder;
 use crate::world::{Forcing, Obstacle, SceneError, World};
 
 /// Where one drone's numbers lie in MuJoCo's arrays.
@@ -119,11 +120,8 @@ impl MujocoEngine {
                 }
             }
         }
-        obstacles.reaches = world
-            .drones
-            .iter()
-            .map(|drone| drone.params.collision_radius.hypot(drone.params.collision_height))
-            .collect();
+        obstacles.reaches =
+            world.drones.iter().map(|drone| CollisionCylinder::from(&drone.params).bounding_radius()).collect();
         obstacles.near.reserve(obstacles.list.len());
         let mut engine = Self { data: Data::new(model)?, slots, owners, obstacles, gravity: world.gravity, steps: 0 };
         // exactly where they are, also where the scene's text has them a little off (see `World::to_mjcf`)
@@ -434,4 +432,29 @@ pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: GeomId, obstacle: &Obst
 /// MuJoCo's indices of things that exist are never negative.
 fn address(index: i32) -> usize {
     usize::try_from(index).expect("an address of something that exists")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+    use crate::world::{DroneBody, Shape};
+
+    /// A drone of 0.6 m height reaches half of that upwards, not all of it.
+    #[test]
+    fn obstacles_get_geoms_once_the_sphere_around_a_drone_is_near_them() {
+        let mut params = DroneModel::Cf2x.params();
+        params.collision_height = 0.6;
+        let reach = 0.06_f64.hypot(0.3);
+        let ball = |x: f64| Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(x, 0.0, 5.0));
+        // more than there are geoms for; a drone that stands still looks 0.1 m ahead
+        let far = (0..20).map(|i| ball(10.0 + f64::from(i)));
+        let obstacles = far.chain([ball(0.2 + reach - 1e-3), ball(-0.2 - reach - 1e-3)]).collect();
+        let body = DroneBody { params, position: Vector3::new(0.0, 0.0, 5.0), rpy: Vector3::zeros() };
+        let mut engine = MujocoEngine::new(&World { obstacles, ..World::new(vec![body]) }).unwrap();
+        assert!(engine.obstacles.crowded);
+        engine.look_around(&[DroneState::at_rest(Vector3::new(0.0, 0.0, 5.0), Vector3::zeros())]).unwrap();
+        let held: Vec<_> = engine.obstacles.slots.iter().filter_map(|slot| slot.holds).collect();
+        assert_eq!(held, [20]);
+    }
 }

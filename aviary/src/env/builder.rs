@@ -19,6 +19,7 @@ use crate::physics::{Effects, Physics};
 use crate::sensing::{RangeConfig, Rangefinder};
 use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
 use crate::vision::{CAMERA_SIZE, ImageSize, SceneRenderer};
+use crate::world::placement::CollisionCylinder;
 use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle, ObstacleConfig};
 
 /// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
@@ -408,18 +409,16 @@ impl<T: Task> AviaryBuilder<T> {
 fn check_starts(simulation: &Simulation) -> Result<(), EnvError> {
     let wrong = |got, expected| Err(EnvError::Option { option: "initial_positions", got, expected });
     for (drone, state) in simulation.initial_states().iter().enumerate() {
-        let params = simulation.params(drone);
-        let (cos, sin) = (state.up().z.abs(), state.tilt().sin());
-        let lowest = state.position.z - 0.5 * params.collision_height * cos - params.collision_radius * sin;
+        let cylinder = CollisionCylinder::from(simulation.params(drone));
+        let lowest = cylinder.floor_clearance(state);
         if lowest < -1e-3 {
             let got =
                 format!("{:.3} m high for drone {drone}, whose lowest point is {lowest:.3} m high", state.position.z);
             return wrong(got, "one above the floor");
         }
         for (other, place) in simulation.initial_states()[..drone].iter().enumerate() {
-            let (apart, size) = (state.position - place.position, simulation.params(other));
-            let level = apart.xy().norm() < params.collision_radius + size.collision_radius;
-            if level && apart.z.abs() < 0.5 * (params.collision_height + size.collision_height) {
+            let apart = state.position - place.position;
+            if cylinder.overlaps_upright(&CollisionCylinder::from(simulation.params(other)), &apart) {
                 let got = format!("{:.3} m apart for drones {other} and {drone}", apart.norm());
                 return wrong(got, "room for both");
             }

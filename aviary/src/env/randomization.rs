@@ -12,6 +12,7 @@ use crate::random::{Rng, normals};
 use crate::simulation::{SimData, SimModel, SimView, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy};
 use crate::world::Obstacle;
+use crate::world::placement::CollisionCylinder;
 
 /// Least and greatest value of a uniform draw.
 pub type Range = [f64; 2];
@@ -508,26 +509,20 @@ impl Randomizer {
         obstacles: &[Obstacle],
         rng: &mut Rng,
     ) -> DroneState {
-        let params = &self.nominal[drone];
+        let cylinder = CollisionCylinder::from(&self.nominal[drone]);
         let middle = start.position + Vector3::from(ranges.offset);
         let rpy = start.rpy() + around(rng, ranges.attitude);
         let velocity = start.velocity + around(rng, ranges.velocity);
         let attitude = attitude_from_rpy(rpy);
         let tilted = DroneState { attitude, ..*start }.tilt();
-        // half the height of the cylinder as it leans
-        let lowest = 0.5 * params.collision_height * tilted.cos().abs() + params.collision_radius * tilted.sin();
+        let lowest = cylinder.depth_at_tilt(tilted);
         let above_floor = |place: Vector3<f64>| Vector3::new(place.x, place.y, place.z.max(lowest + 1e-3));
         let mut position = above_floor(middle);
         for _ in 0..20 {
             let place = above_floor(middle + around(rng, ranges.position));
-            let reach = params.collision_radius.hypot(0.5 * params.collision_height);
-            let off_obstacles = obstacles.iter().all(|obstacle| obstacle.distance(&place) > reach);
-            let free = (0..drone).all(|other| {
-                let room = params.collision_radius.max(params.collision_height)
-                    + self.nominal[other].collision_radius.max(self.nominal[other].collision_height);
-                (place - self.draw.drones[other].initial.position).norm() > room
-            });
-            if free && off_obstacles {
+            let others = self.draw.drones[..drone].iter().zip(&*self.nominal);
+            let others = others.map(|(draw, params)| (draw.initial.position, CollisionCylinder::from(params)));
+            if cylinder.has_room(&place, others, obstacles) {
                 position = place;
                 break;
             }

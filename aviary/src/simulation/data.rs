@@ -15,6 +15,7 @@ use crate::physics::rotor::RotorModel;
 use crate::physics::wind::{WindConfig, WindField};
 use crate::physics::{Effects, Wrench};
 use crate::state::DroneState;
+use crate::world::placement::CollisionCylinder;
 use crate::world::{Marker, MarkerPose, Obstacle, World};
 
 /// Everything of one simulation that changes: states of drones, motors, wind and sensors, parameters, contacts, time.
@@ -352,7 +353,7 @@ impl SimData {
         self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
         for (body, drone) in self.bodies.drones.iter_mut().zip(&world.drones) {
             // the size that it collides with is always that of the scene
-            let reach = drone.params.collision_radius.hypot(0.5 * drone.params.collision_height);
+            let reach = CollisionCylinder::from(&drone.params).bounding_radius();
             body.reach_bound = body.reach_bound.reaching(reach);
         }
     }

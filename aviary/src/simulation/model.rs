@@ -1,11 +1,10 @@
-use nalgebra::Vector3;
-
 use super::{SimData, Workspace};
 use crate::drone::DroneParams;
-use crate::engine::{BuildError, Engine, EngineKind, ExplicitEngine, HybridEngine, MujocoEngine, clearance};
+use crate::engine::{BuildError, Engine, EngineKind, ExplicitEngine, HybridEngine, MujocoEngine};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::{Effects, Physics};
 use crate::state::DroneState;
+use crate::world::placement::{self, CollisionCylinder};
 use crate::world::{Obstacle, World};
 
 /// Everything of a simulation that does not change: scene, nominal airframes, effects, rates, initial states.
@@ -94,25 +93,6 @@ impl SimModel {
 
     /// Returns whether drones in these states are neither in the floor nor in each other nor in one of the obstacles.
     pub(crate) fn has_room(&self, states: &[DroneState], obstacles: &[Obstacle]) -> bool {
-        let size = |drone: usize| {
-            let params = &self.world.drones[drone].params;
-            (params.collision_radius, params.collision_height)
-        };
-        let reach = |drone: usize| {
-            let (radius, height) = size(drone);
-            radius.hypot(0.5 * height)
-        };
-        states.iter().enumerate().all(|(drone, state)| {
-            let (radius, height) = size(drone);
-            let apart = |other: usize| (state.position - states[other].position).norm() > reach(drone) + reach(other);
-            let off = |obstacle: &Obstacle| obstacle.distance(&state.position) > reach(drone);
-            clearance(radius, height, state) >= 0.0 && (0..drone).all(apart) && obstacles.iter().all(off)
-        })
+        placement::have_room(|drone| CollisionCylinder::from(self.nominal_params(drone)), states, obstacles)
     }
-}
-
-/// Returns the distance of a point (world frame, m) from the surface of the nearest obstacle, m; negative inside one, infinite where there
-/// is none.
-pub(super) fn obstacle_distance(obstacles: &[Obstacle], point: &Vector3<f64>) -> f64 {
-    obstacles.iter().map(|obstacle| obstacle.distance(point)).fold(f64::INFINITY, f64::min)
 }

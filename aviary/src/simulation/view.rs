@@ -223,7 +223,7 @@ impl<'a> SimView<'a> {
     /// # Panics
     /// If there is no drone of that index.
     pub fn obstacle_distance(self, drone: usize) -> f64 {
-        super::model::obstacle_distance(self.obstacles(), &self.states[drone].position)
+        crate::world::placement::obstacle_distance(self.obstacles(), &self.states[drone].position)
     }
 
     /// Writes which drones are within a neighbourhood: row i, column j of an N × N matrix is whether drones i and j are at most

@@ -7,6 +7,7 @@ use crate::engine::Touched;
 use crate::env::{EndReason, EnvError};
 use crate::simulation::SimView;
 use crate::state::DroneState;
+use crate::world::placement::CollisionCylinder;
 
 /// When a drone counts as crashed. All are on by default; each can be switched off.
 ///
@@ -66,7 +67,7 @@ const CLEAR_OF_FLOOR: f64 = 0.01;
 
 /// Height of the lowest point of a drone's collision cylinder over the floor, m.
 fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
-    crate::engine::clearance(params.collision_radius, params.collision_height, state)
+    CollisionCylinder::from(params).floor_clearance(state)
 }
 
 /// Watches the drones of an episode for crashes: what a task asks in its `end`.

@@ -29,6 +29,7 @@ use crate::UnknownName;
 use crate::drone::DroneParams;
 use crate::env::{DroneEnv, EnvConfig, EnvError, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
+use crate::world::placement::max_collision_radius;
 
 /// No bound.
 const UNBOUNDED: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
@@ -44,7 +45,7 @@ const STATE_BOUNDS: [[f64; 2]; STATE_SIZE] = {
 
 /// Starts on a line along −y from (0, 0, 0.1) m, with room between the drones.
 fn side_by_side(drones: &[DroneParams]) -> Vec<[f64; 3]> {
-    let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
+    let widest = max_collision_radius(drones);
     let spacing = (4.0 * widest).max(1.0);
     (0..drones.len()).map(|drone| [0.0, -spacing * drone as f64, 0.1]).collect()
 }

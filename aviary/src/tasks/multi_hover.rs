@@ -10,6 +10,7 @@ use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
+use crate::world::placement::max_collision_radius;
 
 /// Drones on a line take off, each to a height of its own (paper, §4.1 `MultiHoverAviary`).
 ///
@@ -99,7 +100,7 @@ impl Task for MultiHover {
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
-        let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
+        let widest = max_collision_radius(drones);
         // nearer ones, at one height, are in the worst of each other's wakes
         let spacing = (4.0 * widest).max(1.0);
         (0..drones.len()).map(|drone| [spacing * drone as f64, 0.0, 0.1]).collect()

@@ -11,6 +11,7 @@ use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDe
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::state::DroneState;
+use crate::world::placement::max_collision_radius;
 
 /// A drone follows a point that goes round in a circle (the `track` task of the paper's vectorised back end, §3.6).
 ///
@@ -132,7 +133,7 @@ impl Task for Track {
 
     fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        let widest = drones.iter().map(|params| params.collision_radius).fold(0.0, f64::max);
+        let widest = max_collision_radius(drones);
         for (option, got, least, expected) in [
             ("radius", self.radius, 1e-3, "1 mm to 1000 m"),
             ("height", self.height, widest, "more than a drone's radius, up to 1000 m"),

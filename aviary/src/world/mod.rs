@@ -4,6 +4,7 @@ mod field;
 mod look;
 mod mjcf;
 mod obstacle;
+pub(crate) mod placement;
 
 use nalgebra::Vector3;
 

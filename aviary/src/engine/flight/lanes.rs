@@ -10,6 +10,7 @@ use crate::physics::drag;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
 use crate::state::{DroneState, wxyz};
+use crate::world::placement::{sphere_clearance, sphere_floor_clearance};
 
 /// How many drones are advanced together.
 pub const LANES: usize = 8;
@@ -498,10 +499,11 @@ impl WithSimd for Clear<'_> {
             for i in 0..drones.len() {
                 let place = part.get3(&drones[i].position);
                 let ball = part.ball(&drones[i], &lane_params[i], dt, steps);
-                clear = clear & zero.less(place.z - ball);
+                clear = clear & zero.less(sphere_floor_clearance(place, ball));
                 for j in 0..i {
-                    let apart = (place - part.get3(&drones[j].position)).norm();
-                    clear = clear & zero.less(apart - ball - part.ball(&drones[j], &lane_params[j], dt, steps));
+                    let (other, other_ball) =
+                        (part.get3(&drones[j].position), part.ball(&drones[j], &lane_params[j], dt, steps));
+                    clear = clear & zero.less(sphere_clearance(place, ball, other, other_ball));
                 }
             }
             part.put(&mut room, Real::choose(clear, one, zero));

@@ -13,5 +13,4 @@ mod width;
 pub use body::FreeBody;
 pub use lanes::{Airframe, Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
 pub use reach_bound::ReachBound;
-pub(crate) use reach_bound::clearance;
 pub use width::Width;

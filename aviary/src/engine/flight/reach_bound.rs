@@ -1,5 +1,3 @@
-use nalgebra::Vector3;
-
 use super::FreeBody;
 use super::body::Motion;
 use crate::math::{Real, V3};
@@ -124,12 +122,4 @@ impl<R: Real> ReachBound<R> {
     fn turn_rate(&self, time: f64, rate: R) -> R {
         self.growth * rate + self.turning * time
     }
-}
-
-/// Height of the lowest point of an upright cylinder's rim and faces over the floor, m: of this radius and height (m) about the
-/// drone's middle.
-pub(crate) fn clearance(radius: f64, height: f64, state: &DroneState) -> f64 {
-    let up: Vector3<f64> = state.up();
-    let sideways = (1.0 - up.z * up.z).max(0.0).sqrt();
-    state.position.z - 0.5 * height * up.z.abs() - radius * sideways
 }

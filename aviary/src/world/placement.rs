@@ -1,0 +1,164 @@
+//! Room for drones: the extent of their collision cylinders, and their clearance from the floor, obstacles and each other.
+
+use nalgebra::Vector3;
+
+use super::Obstacle;
+use crate::drone::DroneParams;
+use crate::math::{Real, V3};
+use crate::state::DroneState;
+
+/// Collision cylinder of an airframe, centred on the body, its axis along body z.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct CollisionCylinder {
+    /// m.
+    pub radius: f64,
+    /// m.
+    pub height: f64,
+}
+
+impl From<&DroneParams> for CollisionCylinder {
+    fn from(params: &DroneParams) -> Self {
+        Self { radius: params.collision_radius, height: params.collision_height }
+    }
+}
+
+impl CollisionCylinder {
+    /// Returns the radius of the sphere around the cylinder, m.
+    pub(crate) fn bounding_radius(&self) -> f64 {
+        self.radius.hypot(0.5 * self.height)
+    }
+
+    /// Returns how far the lowest point of the cylinder is below its middle, m, given the cosine and the sine of the angle between
+    /// its axis and the vertical.
+    fn depth(&self, cos: f64, sin: f64) -> f64 {
+        0.5 * self.height * cos.abs() + self.radius * sin
+    }
+
+    /// Returns how far the lowest point of the cylinder is below its middle, m, at this tilt (rad).
+    ///
+    /// [`floor_clearance`](Self::floor_clearance) takes the sine from a square root. The two differ in their last bits, and random
+    /// starts on the floor keep theirs.
+    pub(crate) fn depth_at_tilt(&self, tilt: f64) -> f64 {
+        self.depth(tilt.cos(), tilt.sin())
+    }
+
+    /// Returns the height of the lowest point of the cylinder above the floor, m; negative in the floor.
+    pub(crate) fn floor_clearance(&self, state: &DroneState) -> f64 {
+        // without an angle: it is asked before physics steps
+        let cos = state.up().z;
+        state.position.z - self.depth(cos, (1.0 - cos * cos).max(0.0).sqrt())
+    }
+
+    /// Returns true if two upright cylinders overlap whose middles are `apart` (m) from each other.
+    pub(crate) fn overlaps_upright(&self, other: &Self, apart: &Vector3<f64>) -> bool {
+        apart.xy().norm() < self.radius + other.radius && apart.z.abs() < 0.5 * (self.height + other.height)
+    }
+
+    /// Returns true if the sphere around the cylinder at a position (world frame, m) meets no obstacle and no sphere around another
+    /// cylinder.
+    pub(crate) fn has_room(
+        &self,
+        position: &Vector3<f64>,
+        mut others: impl Iterator<Item = (Vector3<f64>, Self)>,
+        obstacles: &[Obstacle],
+    ) -> bool {
+        let (place, radius) = (V3::from(position), self.bounding_radius());
+        others.all(|(other, cylinder)| {
+            let gap: f64 = sphere_clearance(place, radius, V3::from(&other), cylinder.bounding_radius());
+            gap > 0.0
+        }) && obstacle_distance(obstacles, position) > radius
+    }
+}
+
+/// Returns the largest radius of the collision cylinders, m.
+pub(crate) fn max_collision_radius<'a>(drones: impl IntoIterator<Item = &'a DroneParams>) -> f64 {
+    drones.into_iter().map(|params| params.collision_radius).fold(0.0, f64::max)
+}
+
+/// Returns the clearance of a sphere from another one, m; negative where they overlap. For one pair or for many.
+#[inline(always)]
+pub(crate) fn sphere_clearance<R: Real>(position: V3<R>, radius: R, other: V3<R>, other_radius: R) -> R {
+    (position - other).norm() - radius - other_radius
+}
+
+/// Returns the clearance of a sphere from the floor, m; negative in the floor. For one sphere or for many.
+#[inline(always)]
+pub(crate) fn sphere_floor_clearance<R: Real>(position: V3<R>, radius: R) -> R {
+    position.z - radius
+}
+
+/// Returns the distance of a point (world frame, m) from the surface of the nearest obstacle, m; negative inside one, infinite where
+/// there is none.
+pub(crate) fn obstacle_distance(obstacles: &[Obstacle], point: &Vector3<f64>) -> f64 {
+    obstacles.iter().map(|obstacle| obstacle.distance(point)).fold(f64::INFINITY, f64::min)
+}
+
+/// Returns true if drones in these states are neither in the floor nor in each other nor in an obstacle.
+pub(crate) fn have_room(
+    cylinder: impl Fn(usize) -> CollisionCylinder,
+    states: &[DroneState],
+    obstacles: &[Obstacle],
+) -> bool {
+    states.iter().enumerate().all(|(drone, state)| {
+        let others = (0..drone).map(|other| (states[other].position, cylinder(other)));
+        let own = cylinder(drone);
+        own.floor_clearance(state) >= 0.0 && own.has_room(&state.position, others, obstacles)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
+
+    use super::*;
+    use crate::world::Shape;
+
+    const CYLINDER: CollisionCylinder = CollisionCylinder { radius: 0.06, height: 0.03 };
+
+    fn at(z: f64, roll: f64) -> DroneState {
+        DroneState::at_rest(Vector3::new(0.0, 0.0, z), Vector3::new(roll, 0.0, 0.4))
+    }
+
+    #[test]
+    fn the_bounding_radius_reaches_from_the_middle_to_a_rim() {
+        // 60 mm sideways and half of 30 mm upwards
+        assert!((CYLINDER.bounding_radius() - 0.061_846_584).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_lowest_point_is_that_of_the_leaning_cylinder() {
+        let diagonal = (0.06 + 0.015) * FRAC_PI_4.sin();
+        for (tilt, depth) in [(0.0, 0.015), (FRAC_PI_2, 0.06), (PI, 0.015), (FRAC_PI_4, diagonal)] {
+            assert!((CYLINDER.depth_at_tilt(tilt) - depth).abs() < 1e-15, "{tilt}");
+            assert!((CYLINDER.floor_clearance(&at(0.5, tilt)) - (0.5 - depth)).abs() < 1e-9, "{tilt}");
+        }
+        // no point of the rims is lower, and one is as low
+        let state = DroneState::at_rest(Vector3::new(0.3, -0.2, 1.0), Vector3::new(0.7, -0.4, 2.0));
+        let rim = |i: u32| {
+            let (sin, cos) = (f64::from(i) * 1e-3).sin_cos();
+            [0.015, -0.015].map(|z| (state.position + state.attitude * Vector3::new(0.06 * cos, 0.06 * sin, z)).z)
+        };
+        let lowest = (0..6284).flat_map(rim).fold(f64::INFINITY, f64::min);
+        assert!((lowest - CYLINDER.floor_clearance(&state)).abs() < 1e-7);
+    }
+
+    #[test]
+    fn room_is_a_sphere_around_each_drone() {
+        let sphere = CYLINDER.bounding_radius();
+        let pair = |x: f64| [at(1.0, 0.0), DroneState { position: Vector3::new(x, 0.0, 1.0), ..at(1.0, 0.0) }];
+        let wall = Obstacle::new(Shape::Box { half_size: [0.1, 1.0, 1.0] }, Vector3::new(-1.0, 0.0, 1.0));
+        for (x, free) in [(2.0 * sphere - 1e-6, false), (2.0 * sphere + 1e-6, true), (sphere - 0.9 - 1e-6, false)] {
+            assert_eq!(have_room(|_| CYLINDER, &pair(x), &[wall]), free, "{x}");
+        }
+        for (z, free) in [(0.015 - 1e-6, false), (0.015, true)] {
+            assert_eq!(have_room(|_| CYLINDER, &[at(z, 0.0)], &[]), free, "{z}");
+        }
+    }
+
+    #[test]
+    fn upright_drones_may_hover_closely_above_each_other() {
+        for (apart, overlap) in [([0.0, 0.0, 0.031], false), ([0.0, 0.0, 0.029], true), ([0.121, 0.0, 0.0], false)] {
+            assert_eq!(CYLINDER.overlaps_upright(&CYLINDER, &apart.into()), overlap, "{apart:?}");
+        }
+    }
+}
