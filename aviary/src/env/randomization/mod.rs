@@ -1,0 +1,10 @@
+//! Randomization: what is drawn for every episode.
+
+mod ranges;
+mod sampling;
+
+pub use ranges::{
+    ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range, SensorRanges,
+};
+pub(super) use sampling::Randomizer;
+pub use sampling::{SampledDroneParams, SampledParams};

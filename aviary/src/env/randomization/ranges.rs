@@ -1,0 +1,279 @@
+use serde::{Deserialize, Serialize};
+
+use crate::env::EnvError;
+use crate::physics::actuators::ActuatorParams;
+use crate::physics::wind::{WindConfig, WindModel};
+
+/// Least and greatest value of a uniform draw.
+pub type Range = [f64; 2];
+
+/// What is drawn anew for every episode (paper, §3.5.4 and its table of ranges). A group that is `None` is left alone.
+///
+/// Drawn parameters change the simulated body, not only somebody's copy: MuJoCo's mass, inertia and gravity, the rotors,
+/// the aerodynamic effects, the motors. What an agent's action means stays that of the nominal airframe, and so do the
+/// controllers beneath velocities and attitudes. Every drone has draws of its own; gravity and wind are one for all.
+///
+/// In TOML a group that is not there is off, and an empty one has the paper's ranges:
+///
+/// ```
+/// use aviary::env::Randomization;
+///
+/// let some = Randomization::from_toml("[body]\nmass = [0.9, 1.1]\n[sensors]\n")?;
+/// assert_eq!(some.body.unwrap().inertia, [0.8, 1.2]);
+/// assert!(some.aerodynamics.is_none() && Randomization::default().aerodynamics.is_some());
+/// # Ok::<(), aviary::env::EnvError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Randomization {
+    /// The body.
+    pub body: Option<BodyRanges>,
+    /// Rotors and aerodynamic effects.
+    pub aerodynamics: Option<AerodynamicRanges>,
+    /// Motors.
+    pub actuators: Option<ActuatorRanges>,
+    /// What is seen.
+    pub sensors: Option<SensorRanges>,
+    /// Gravity and wind.
+    pub environment: Option<EnvironmentRanges>,
+    /// Where an episode starts.
+    pub initial: Option<InitialRanges>,
+}
+
+/// Factors on the body's parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BodyRanges {
+    /// On the mass.
+    pub mass: Range,
+    /// On all moments of inertia at once.
+    pub inertia: Range,
+    /// On the arm length.
+    pub arm_length: Range,
+}
+
+/// Factors on rotors and aerodynamic effects.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AerodynamicRanges {
+    /// On the thrust coefficient.
+    pub thrust: Range,
+    /// On the torque coefficient.
+    pub torque: Range,
+    /// On the blade drag, once for x and y and once for z.
+    pub drag: Range,
+    /// On the ground-effect coefficient.
+    pub ground: Range,
+    /// On the strength of the wake.
+    pub downwash: Range,
+}
+
+/// How the motors answer.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ActuatorRanges {
+    /// Factor on the speed of every motor, four draws.
+    pub gain: Range,
+    /// Time constant of the lag, s.
+    pub lag: Range,
+    /// Latency of actions, s.
+    pub latency: Range,
+    /// Factor on the greatest motor speed.
+    pub max_rpm: Range,
+}
+
+/// What is seen of the state (pictures and rays are exact): standard deviations of noise that is drawn at every step, and of a bias that stays for the
+/// episode, as a share of them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SensorRanges {
+    /// Of each coordinate, m.
+    pub position: f64,
+    /// Of each component, m/s.
+    pub velocity: f64,
+    /// Of roll, pitch and yaw, rad.
+    pub attitude: f64,
+    /// Of each body rate, rad/s.
+    pub angular_velocity: f64,
+    /// Standard deviation of the episode's bias over that of the noise.
+    pub bias: f64,
+    /// Age of what is seen, s, rounded to physics steps.
+    pub latency: Range,
+}
+
+/// Gravity and wind.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnvironmentRanges {
+    /// Factor on gravity.
+    pub gravity: Range,
+    /// Speed of a [combined](WindModel::Combined) wind from any side, m/s, in place of any other wind, of which only
+    /// [`filter`](WindConfig::filter) and [`still_air_drag`](WindConfig::still_air_drag) are kept; `[0, 0]` leaves the wind alone.
+    pub wind: Range,
+}
+
+/// Where an episode starts: largest change of each component, uniform both ways, about the environment's own start or a place beside it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InitialRanges {
+    /// Of the position, m. (No drone starts in the floor or in another one.)
+    pub position: f64,
+    /// Of roll, pitch and yaw, rad.
+    pub attitude: f64,
+    /// Of the velocity, m/s.
+    pub velocity: f64,
+    /// From the environment's own start to the middle of them, world frame, m; none by default.
+    #[serde(deserialize_with = "crate::error::triple")]
+    pub offset: [f64; 3],
+}
+
+impl Default for BodyRanges {
+    fn default() -> Self {
+        Self { mass: [0.8, 1.2], inertia: [0.8, 1.2], arm_length: [0.98, 1.02] }
+    }
+}
+
+impl Default for AerodynamicRanges {
+    fn default() -> Self {
+        let (rotor, effect) = ([0.85, 1.15], [0.7, 1.3]);
+        Self { thrust: rotor, torque: rotor, drag: effect, ground: effect, downwash: effect }
+    }
+}
+
+impl Default for ActuatorRanges {
+    fn default() -> Self {
+        Self { gain: [0.95, 1.05], lag: [0.005, 0.05], latency: [0.0, 0.05], max_rpm: [0.95, 1.05] }
+    }
+}
+
+impl Default for SensorRanges {
+    fn default() -> Self {
+        Self {
+            position: 0.01,
+            velocity: 0.05,
+            attitude: 1_f64.to_radians(),
+            angular_velocity: 0.05,
+            bias: 1.0,
+            latency: [0.0, 0.02],
+        }
+    }
+}
+
+impl Default for EnvironmentRanges {
+    fn default() -> Self {
+        Self { gravity: [0.98, 1.02], wind: [0.0, 1.0] }
+    }
+}
+
+impl Default for InitialRanges {
+    fn default() -> Self {
+        Self { position: 0.2, attitude: 0.1, velocity: 0.5, offset: [0.0; 3] }
+    }
+}
+
+/// Every group with the paper's ranges.
+impl Default for Randomization {
+    fn default() -> Self {
+        Self {
+            body: Some(BodyRanges::default()),
+            aerodynamics: Some(AerodynamicRanges::default()),
+            actuators: Some(ActuatorRanges::default()),
+            sensors: Some(SensorRanges::default()),
+            environment: Some(EnvironmentRanges::default()),
+            initial: Some(InitialRanges::default()),
+        }
+    }
+}
+
+impl Randomization {
+    /// No group at all, to switch on those that one wants.
+    pub const NONE: Self =
+        Self { body: None, aerodynamics: None, actuators: None, sensors: None, environment: None, initial: None };
+
+    /// Reads and checks a randomization from TOML text.
+    ///
+    /// # Errors
+    /// [`EnvError::Toml`] with line and column, or what [`validate`](Self::validate) finds.
+    pub fn from_toml(text: &str) -> Result<Self, EnvError> {
+        let config: Self = toml::from_str(text)
+            .map_err(|error| EnvError::Toml { message: crate::error::toml_message(text, &error) })?;
+        config.validate()?;
+        Ok(config)
+    }
+
+    /// Returns whether the wind of an episode is drawn, in place of the environment's own.
+    pub fn draws_wind(&self) -> bool {
+        self.environment.is_some_and(|ranges| ranges.wind[1] > 0.0)
+    }
+
+    /// Refuses a wind of the environment that the draws would replace in every episode.
+    pub(in crate::env) fn check_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
+        if !self.draws_wind() || wind.model == WindModel::None {
+            return Ok(());
+        }
+        let expected =
+            "none next to a randomization that draws the wind; environment.wind = [0, 0] there leaves the wind alone";
+        Err(EnvError::Option { option: "the wind", got: wind.model.to_string(), expected })
+    }
+
+    /// Checks that every range is one, and that nothing in it is impossible.
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] naming the field.
+    pub fn validate(&self) -> Result<(), EnvError> {
+        let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
+        let (b, a) = (self.body.unwrap_or_default(), self.aerodynamics.unwrap_or_default());
+        let (m, e) = (self.actuators.unwrap_or_default(), self.environment.unwrap_or_default());
+        for (option, [low, high]) in [
+            ("the randomized body.mass", b.mass),
+            ("the randomized body.inertia", b.inertia),
+            ("the randomized body.arm_length", b.arm_length),
+            ("the randomized aerodynamics.thrust", a.thrust),
+            ("the randomized aerodynamics.torque", a.torque),
+            ("the randomized actuators.max_rpm", m.max_rpm),
+        ] {
+            if !(low >= 1e-2 && high >= low && high <= 1e2) {
+                return wrong(option, format!("[{low}, {high}]"), "a range of factors from 0.01 to 100");
+            }
+        }
+        let s = self.sensors.unwrap_or_default();
+        for (option, [low, high], most) in [
+            ("the randomized aerodynamics.drag", a.drag, 1e2),
+            ("the randomized aerodynamics.ground", a.ground, 1e2),
+            ("the randomized aerodynamics.downwash", a.downwash, 1e2),
+            ("the randomized actuators.gain", m.gain, 1e2),
+            ("the randomized actuators.lag", m.lag, 10.0),
+            ("the randomized actuators.latency", m.latency, ActuatorParams::MAX_LATENCY),
+            ("the randomized sensors.latency", s.latency, 1.0),
+            ("the randomized environment.gravity", e.gravity, 1e2),
+            ("the randomized environment.wind", e.wind, 1e2),
+        ] {
+            if !(low >= 0.0 && high >= low && high <= most) {
+                return wrong(
+                    option,
+                    format!("[{low}, {high}]"),
+                    "a range that starts at 0 or above and is not too wide",
+                );
+            }
+        }
+        let i = self.initial.unwrap_or_default();
+        for (option, got) in [
+            ("the randomized sensors.position", s.position),
+            ("the randomized sensors.velocity", s.velocity),
+            ("the randomized sensors.attitude", s.attitude),
+            ("the randomized sensors.angular_velocity", s.angular_velocity),
+            ("the randomized sensors.bias", s.bias),
+            ("the randomized initial.position", i.position),
+            ("the randomized initial.attitude", i.attitude),
+            ("the randomized initial.velocity", i.velocity),
+        ] {
+            if !(0.0..=1e3).contains(&got) {
+                return wrong(option, got.to_string(), "zero or a positive number up to 1000");
+            }
+        }
+        match i.offset.iter().find(|x| !(-1e3..=1e3).contains(*x)) {
+            Some(x) => wrong("the randomized initial.offset", x.to_string(), "three numbers from −1000 to 1000"),
+            None => Ok(()),
+        }
+    }
+}
