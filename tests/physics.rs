@@ -102,13 +102,12 @@ fn the_explicit_mode_converges_to_mujoco_at_first_order() {
 fn constant_thrust_of_a_body_that_does_not_turn_is_the_closed_form_in_every_engine() {
     for model in DroneModel::ALL {
         let params = model.params();
-        for physics in Physics::ALL {
+        for engine in EngineKind::ALL {
             for forcing in [Forcing::Frozen, Forcing::BodyFixed] {
                 for (sim_freq, ctrl_freq) in [(240, 48), (77, 11)] {
                     let rpy = [0.2, -0.3, 2.0];
                     let mut simulation = Simulation::builder(model)
-                        .physics(physics)
-                        .effects(Effects::NONE)
+                        .engine(engine)
                         .forcing(forcing)
                         .sim_freq(sim_freq)
                         .ctrl_freq(ctrl_freq)
@@ -125,12 +124,12 @@ fn constant_thrust_of_a_body_that_does_not_turn_is_the_closed_form_in_every_engi
                     }
                     let (t, dt) = (simulation.time(), 1.0 / f64::from(sim_freq));
                     // semi-implicit Euler is ahead by half a step's change of velocity, exactly
-                    let lead = if physics == Physics::Dyn { 0.5 * t * dt } else { 0.0 };
+                    let lead = if engine == EngineKind::Explicit { 0.5 * t * dt } else { 0.0 };
                     let wanted = Vector3::new(1.0, 2.0, 30.0)
                         + Vector3::new(0.5, 0.25, 1.0) * t
                         + acceleration * (0.5 * t * t + lead);
                     let off = simulation.distance(0, &wanted);
-                    assert!(off < 1e-10, "{model} {physics} {forcing:?} at {sim_freq} Hz: {off:e}");
+                    assert!(off < 1e-10, "{model} {engine} {forcing:?} at {sim_freq} Hz: {off:e}");
                 }
             }
         }
@@ -204,8 +203,60 @@ fn modes_differ_by_exactly_the_forces_of_their_effects() {
     }
     for (mode, effects) in Physics::ALL.map(|mode| (mode, mode.effects())) {
         let simulation = Simulation::builder(DroneModel::Cf2x).physics(mode).build().unwrap();
-        assert_eq!((simulation.physics(), simulation.effects()), (mode, effects));
+        assert_eq!((simulation.physics(), simulation.effects()), (Some(mode), effects));
     }
+}
+
+#[test]
+fn the_paper_names_six_of_the_combinations_and_contradictions_are_refused() {
+    for bits in 0..8 {
+        let effects = Effects { ground: bits & 1 > 0, drag: bits & 2 > 0, downwash: bits & 4 > 0 };
+        assert_eq!(effects.to_string().parse(), Ok(effects));
+        for engine in EngineKind::ALL {
+            let builder = || Simulation::builder(DroneModel::Race).effects(effects).engine(engine);
+            let simulation = builder().build().unwrap();
+            assert_eq!((simulation.effects(), simulation.engine().name()), (effects, engine.name()));
+            for mode in Physics::ALL {
+                let explicit = engine == EngineKind::Explicit;
+                let agrees = mode.effects() == effects && (mode == Physics::Dyn) == explicit;
+                assert_eq!(simulation.physics() == Some(mode), agrees, "{mode} {effects} {engine}");
+                match builder().physics(mode).build() {
+                    Ok(same) => assert!(agrees && same.physics() == Some(mode), "{mode} {effects} {engine}"),
+                    Err(error) => {
+                        let named =
+                            ["effects is", "engine is"].iter().any(|start| error.to_string().starts_with(start));
+                        assert!(!agrees && named && error.to_string().contains(mode.name()), "{error}");
+                    }
+                }
+            }
+        }
+    }
+    assert!("drag,lift".parse::<Effects>().unwrap_err().to_string().contains("no aerodynamic effect `lift`"));
+    assert!("".parse::<Effects>().is_err() && "ground,".parse::<Effects>().is_err());
+}
+
+/// The explicit engine integrates whatever forces there are: with drag it slows down by the force of the drag law.
+#[test]
+fn effects_act_in_the_explicit_engine() {
+    let fly = |effects| {
+        let mut simulation = Simulation::builder(DroneModel::Cf2x)
+            .engine(EngineKind::Explicit)
+            .effects(effects)
+            .initial_positions([[0.0, 0.0, 50.0]])
+            .initial_rpys([[0.0, 0.0, 0.7]])
+            .initial_velocities([[2.0, 1.0, 0.0]])
+            .sim_freq(48)
+            .build()
+            .unwrap();
+        let start = simulation.states()[0];
+        let hover = simulation.params(0).hover_rpm();
+        simulation.step(&[[hover; 4]]).unwrap();
+        (start, simulation.states()[0].velocity)
+    };
+    let ((start, with), (_, without)) = (fly(Effects { drag: true, ..Effects::NONE }), fly(Effects::NONE));
+    let params = DroneModel::Cf2x.params();
+    let force = drag::force(&params, &start, &[params.hover_rpm(); 4], &Vector3::zeros());
+    assert!(((with - without) - force / (48.0 * params.mass)).norm() < 1e-15 && force.norm() > 1e-3);
 }
 
 #[test]

@@ -106,7 +106,6 @@ fn every_task_is_what_its_environments_are_alone() {
         ] {
             let builder = AviaryBuilder::new(task.clone()).physics(physics).episode_seconds(1.1);
             let config = VecConfig { autoreset, threads, ..VecConfig::new(environments) };
-            // the dyn mode integrates by itself
             let hybrid = builder.clone().engine(EngineKind::Hybrid);
             let builder = if physics == Physics::Dyn { builder } else { hybrid };
             *ended += compare_as_built(&builder, config, 80);

@@ -59,7 +59,7 @@ fn a_drone_that_moves_with_the_air_feels_no_drag() {
     for config in [constant(wind.into()), combined(wind.into())] {
         for (physics, medium) in [(Physics::Mjc, None), (Physics::MjcDrag, None), (Physics::MjcDrag, Some(Medium::AIR))]
         {
-            for engine in EngineKind::ALL {
+            for engine in EngineKind::WITH_CONTACTS {
                 let mut simulation = Simulation::builder(DroneModel::Cf2x)
                     .num_drones(2)
                     .initial_positions([[0.0, 0.0, 5.0], [0.0, 3.0, 6.0]])
@@ -106,7 +106,7 @@ fn the_medium_moves_with_the_wind() {
     };
     // air without density for the drag law: the medium alone
     let config = WindConfig { air_density: 0.0, ..constant(wind.into()) };
-    for engine in EngineKind::ALL {
+    for engine in EngineKind::WITH_CONTACTS {
         let moving = settle(Vector3::zeros(), Some(config), engine);
         let still = settle(-wind, None, engine);
         let gained = (still - settle(Vector3::zeros(), None, engine)).norm();
@@ -148,7 +148,7 @@ fn a_wind_of_zero_velocity_is_a_flight_without_wind() {
         }
         bits
     };
-    for engine in EngineKind::ALL {
+    for engine in EngineKind::WITH_CONTACTS {
         let none = fly(None, engine);
         for config in [WindConfig::default(), constant([0.0; 3]), combined([0.0; 3])] {
             assert!(fly(Some(config), engine) == none, "{engine:?} {config:?}");

@@ -107,7 +107,7 @@ impl Fly {
     fn draw(&self, to: &OutputDir, env: &dyn DroneEnv, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
         let simulation = env.simulation();
         let what = self.options.trajectory.as_ref().map_or(env.name().into(), ToString::to_string);
-        let title = format!("{what} with {} ({})", simulation.params(0).name, simulation.physics());
+        let title = format!("{what} with {} ({})", simulation.params(0).name, output::physics(simulation));
         let mut written = Vec::new();
         for (name, plot) in [("flight", Plot::of_flight(&title, samples)), ("path", Plot::of_paths(&title, samples))] {
             let plot = plot.map_err(Failure::work)?;
@@ -288,7 +288,8 @@ impl Flight {
             "drone_model": simulation.params(0).name,
             "hover_rpm": nominal(env).hover_rpm(),
             "hover_share": nominal(env).hover_rpm() / nominal(env).max_rpm(),
-            "physics": simulation.physics().name(),
+            "physics": simulation.physics(),
+            "effects": simulation.effects().to_string(),
             "engine": simulation.engine().name(),
             "controller": self.controller.name(),
             "trajectory": options.trajectory.as_ref().map(ToString::to_string),
@@ -327,7 +328,7 @@ impl Flight {
             ),
             ("hover speed", hover_speed(nominal(env))),
             ("controller", self.controller.to_string()),
-            ("physics", env.simulation().physics().to_string()),
+            ("physics", output::physics(env.simulation())),
             ("engine", env.simulation().engine().name().to_string()),
             ("success", success),
             ("final position error", centimetres(self.info.position_error)),

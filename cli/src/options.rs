@@ -9,8 +9,8 @@ use aviary::control::{CollisionCone, ControllerKind};
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::{BuildError, EngineKind};
 use aviary::env::{ConditionChoice, Conditions, DroneEnv, EnvConfig, EnvError, Randomization};
-use aviary::physics::Physics;
 use aviary::physics::wind::WindModel;
+use aviary::physics::{Effects, Physics};
 use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
 use aviary::world::ObstacleKind;
 use aviary::wrappers::SafetyWrapper;
@@ -92,12 +92,16 @@ pub struct FlightOptions {
     /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
     #[arg(long, default_value = "cf2x", value_parser = parse::airframe(), hide_possible_values = true)]
     pub drone: NameOrFile<DroneModel>,
-    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
-    #[arg(long, default_value = "mjc", value_parser = parse::named::<Physics>(), hide_possible_values = true)]
-    pub physics: Physics,
-    /// Engine: mujoco, or hybrid, which gives the same flight many times faster
-    #[arg(long, default_value = "mujoco", value_parser = parse::named::<EngineKind>(), hide_possible_values = true)]
-    pub engine: EngineKind,
+    /// Physics mode, the paper's name for effects and an engine: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn; mjc by default
+    #[arg(long, value_parser = parse::named::<Physics>(), hide_possible_values = true)]
+    pub physics: Option<Physics>,
+    /// Aerodynamic effects, separated by commas: ground, drag, downwash; or none. Those of --physics by default
+    #[arg(long, value_parser = parse::effects(), hide_possible_values = true)]
+    pub effects: Option<Effects>,
+    /// Engine: mujoco, hybrid (the same flight, many times faster), or explicit (no contacts, the engine of --physics dyn); that of
+    /// --physics by default
+    #[arg(long, value_parser = parse::named::<EngineKind>(), hide_possible_values = true)]
+    pub engine: Option<EngineKind>,
     /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (stiffest); by default the task's, and geometric
     /// for trajectories and, in place of pid, in wind
     #[arg(long, value_parser = parse::named::<ControllerKind>(), hide_possible_values = true)]
@@ -171,11 +175,18 @@ impl FlightOptions {
         variation.apply(&mut conditions, &self.task)?;
         let mut config = EnvConfig::default()
             .drone(params(&self.drone)?)
-            .physics(self.physics)
-            .engine(self.engine)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .conditions(&conditions);
+        if let Some(physics) = self.physics {
+            config = config.physics(physics);
+        }
+        if let Some(effects) = self.effects {
+            config = config.effects(effects);
+        }
+        if let Some(engine) = self.engine {
+            config = config.engine(engine);
+        }
         if let Some(count) = self.num_drones {
             config = config.num_drones(count);
         }

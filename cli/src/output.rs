@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context as _, anyhow};
+use aviary::simulation::Simulation;
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{
     SIGALRM, SIGHUP, SIGINT, SIGPROF, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
@@ -52,6 +53,11 @@ pub fn decimals(x: f64, count: usize) -> String {
 pub fn table(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(label, _)| label.chars().count()).max().unwrap_or(0);
     rows.iter().map(|(label, value)| format!("{label:width$}  {value}\n")).collect()
+}
+
+/// Physics mode of a simulation, or its effects where the paper names no mode.
+pub fn physics(simulation: &Simulation) -> String {
+    simulation.physics().map_or_else(|| format!("effects {}", simulation.effects()), |mode| mode.to_string())
 }
 
 /// A bar on a terminal, nothing where standard error is piped.

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use aviary::NamedEnum;
 use aviary::control::trajectory;
 use aviary::drone::DroneModel;
+use aviary::physics::Effects;
 use aviary::record::Overlays;
 use aviary::tasks::{self, TaskSummary};
 use aviary::vision::ImageSize;
@@ -61,6 +62,12 @@ fn refusal(message: String) -> clap::Error {
 /// Parser of a named enum.
 pub fn named<T: NamedEnum>() -> Names<T> {
     Names { names: || T::NAMES.to_vec(), find: |name| name.parse().ok(), file: None }
+}
+
+/// Parser of aerodynamic effects: names, separated by commas.
+pub fn effects() -> Names<Effects> {
+    let names = || std::iter::once("none").chain(Effects::NAMES).collect();
+    Names { names, find: |text| text.parse().ok(), file: None }
 }
 
 /// Parser of a task.

@@ -61,7 +61,8 @@ impl Replay {
             let positions: Vec<_> = simulation.states().iter().map(|state| state.position.as_slice()).collect();
             return output::print_json(&json!({
                 "drone_model": scenario.drone_model,
-                "physics": scenario.physics.name(),
+                "physics": simulation.physics(),
+                "effects": simulation.effects().to_string(),
                 "engine": simulation.engine().name(),
                 "control_steps": actions.len(),
                 "simulated_seconds": simulation.time(),
@@ -71,7 +72,7 @@ impl Replay {
         }
         output::print(&output::table(&[
             ("drones", format!("{} {}", simulation.num_drones(), scenario.drone_model)),
-            ("physics", simulation.physics().to_string()),
+            ("physics", output::physics(&simulation)),
             ("engine", simulation.engine().name().to_string()),
             ("control steps", actions.len().to_string()),
             ("simulated time", format!("{:.2} s", simulation.time())),

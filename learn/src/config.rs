@@ -355,7 +355,7 @@ impl TrainConfig {
     /// What is wrong with a name.
     pub fn options(&self) -> Result<EnvConfig, TrainError> {
         let mut options = EnvConfig::default();
-        if self.physics != Physics::Dyn {
+        if !self.physics.is_explicit() {
             options = options.engine(EngineKind::Hybrid);
         }
         options = options

@@ -1,4 +1,4 @@
-//! Who integrates. An engine takes loads and gives states; it never computes a force.
+//! Integrators. An engine takes loads and gives states; it never computes a force.
 
 mod explicit;
 pub mod flight;
@@ -77,7 +77,7 @@ pub struct Bodies {
 
 named_enum! {
     "engine"
-    /// Which engine integrates, where the physics mode leaves a choice.
+    /// Integrator of a simulation.
     ///
     /// ```
     /// use aviary::drone::DroneModel;
@@ -99,7 +99,14 @@ named_enum! {
         Mujoco = "mujoco",
         /// The flight kernel while nothing can touch, MuJoCo otherwise.
         Hybrid = "hybrid",
+        /// Explicit Euler steps of free bodies, without medium or contacts: the engine of the physics mode `dyn`.
+        Explicit = "explicit",
     }
+}
+
+impl EngineKind {
+    /// The engines that fly as `mj_step` does, contacts included.
+    pub const WITH_CONTACTS: [Self; 2] = [Self::Mujoco, Self::Hybrid];
 }
 
 /// How many physics steps each engine did.
@@ -138,7 +145,7 @@ impl Engine {
         match self {
             Self::Mujoco(_) => EngineKind::Mujoco.name(),
             Self::Hybrid(_) => EngineKind::Hybrid.name(),
-            Self::Explicit(_) => "explicit",
+            Self::Explicit(_) => EngineKind::Explicit.name(),
         }
     }
 

@@ -169,7 +169,8 @@ impl<T> AviaryBuilder<T> {
     forward! {
         /// The physics mode; MuJoCo without aerodynamic effects by default.
         physics(physics: Physics);
-        /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+        /// Any subset of the aerodynamic effects; those of the physics mode by default. Next to a physics mode with other effects they
+        /// are an error.
         effects(effects: Effects);
         /// Physics rate, Hz; 240 by default.
         sim_freq(hertz: u32);
@@ -183,8 +184,9 @@ impl<T> AviaryBuilder<T> {
         initial_velocities(velocities: impl IntoIterator<Item = [f64; 3]>);
         /// Initial body rates, body frame, rad/s; none by default.
         initial_angular_velocities(rates: impl IntoIterator<Item = [f64; 3]>);
-        /// The engine; MuJoCo alone by default (the hybrid engine in batches). The hybrid engine gives the same flights, many
-        /// times faster. The `dyn` mode integrates by itself: the hybrid engine with it is an error.
+        /// The engine; by default the explicit engine in the physics mode `dyn`, and otherwise MuJoCo (in batches the hybrid engine).
+        /// The hybrid engine gives the same flights as MuJoCo, many times faster. An engine that the physics mode does not stand for
+        /// is an error.
         engine(engine: EngineKind);
         /// How the rotors' wrench acts during a physics step; frozen by default.
         forcing(forcing: Forcing);

@@ -10,7 +10,7 @@ pub mod wind;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::names::named_enum;
+use crate::names::{UnknownName, named_enum};
 
 /// Force and torque on one drone's centre of mass.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,7 +34,9 @@ impl std::ops::Add for Wrench {
     }
 }
 
-/// Which aerodynamic effects act beside the rotors' thrust and torque.
+/// Aerodynamic effects that act in addition to the rotors' thrust and torque.
+///
+/// Their text form lists the effects that are switched on, as in `ground,drag`, or is `none`.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -44,7 +46,8 @@ impl std::ops::Add for Wrench {
 /// // a subset that no mode of the paper has
 /// let effects = Effects { drag: true, downwash: true, ..Effects::NONE };
 /// let simulation = Simulation::builder(DroneModel::Cf2x).effects(effects).build()?;
-/// assert_eq!(simulation.effects(), effects);
+/// assert_eq!((simulation.effects(), simulation.physics()), (effects, None));
+/// assert_eq!("drag,downwash".parse(), Ok(effects));
 /// # Ok::<(), aviary::simulation::SimulationError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
@@ -62,15 +65,55 @@ pub struct Effects {
 }
 
 impl Effects {
-    /// None of them.
+    /// No effect.
     pub const NONE: Self = Self { ground: false, drag: false, downwash: false };
-    /// All of them.
+    /// All effects.
     pub const ALL: Self = Self { ground: true, drag: true, downwash: true };
+    /// Names of the effects, in the order of the fields.
+    pub const NAMES: [&'static str; 3] = ["ground", "drag", "downwash"];
+
+    fn switches(self) -> [bool; 3] {
+        [self.ground, self.drag, self.downwash]
+    }
+}
+
+impl std::fmt::Display for Effects {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let names = Self::NAMES.into_iter().zip(self.switches());
+        let names: Vec<_> = names.filter_map(|(name, on)| on.then_some(name)).collect();
+        f.pad(&if names.is_empty() { "none".into() } else { names.join(",") })
+    }
+}
+
+impl std::str::FromStr for Effects {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let mut effects = Self::NONE;
+        if text == "none" {
+            return Ok(effects);
+        }
+        for name in text.split(',') {
+            match name.trim() {
+                "ground" => effects.ground = true,
+                "drag" => effects.drag = true,
+                "downwash" => effects.downwash = true,
+                name => {
+                    let names = &["none", "ground", "drag", "downwash"];
+                    return Err(UnknownName { noun: "aerodynamic effect", name: name.into(), names });
+                }
+            }
+        }
+        Ok(effects)
+    }
 }
 
 named_enum! {
     "physics mode"
-    /// The paper's physics modes (its table 1): who integrates, under which effects.
+    /// Physics modes of the paper (its table 1). Each is a shorthand for an engine and a set of aerodynamic [`Effects`].
+    ///
+    /// The modes `mjc…` are integrated by MuJoCo, alone or in the hybrid engine. The mode `dyn` is integrated by the explicit engine.
+    /// Other combinations are set by `effects` and `engine`. A mode next to effects or an engine that contradict it is an error.
     ///
     /// ```
     /// use aviary::drone::DroneModel;
@@ -101,13 +144,23 @@ named_enum! {
         MjcDw = "mjc_dw",
         /// MuJoCo with all three.
         MjcGndDragDw = "mjc_gnd_drag_dw",
-        /// Explicit integration without effects, medium or contacts.
+        /// Explicit integration without aerodynamic effects, medium or contacts.
         Dyn = "dyn",
     }
 }
 
 impl Physics {
-    /// The effects that it switches on.
+    /// Returns the mode of these effects under explicit integration or under MuJoCo, if the paper names one.
+    pub fn of(effects: Effects, explicit: bool) -> Option<Self> {
+        Self::ALL.into_iter().find(|mode| (mode.effects(), mode.is_explicit()) == (effects, explicit))
+    }
+
+    /// Returns true if the explicit engine integrates, and false if MuJoCo does.
+    pub fn is_explicit(self) -> bool {
+        self == Self::Dyn
+    }
+
+    /// Returns the aerodynamic effects of the mode.
     pub fn effects(self) -> Effects {
         match self {
             Self::Mjc | Self::Dyn => Effects::NONE,

@@ -35,7 +35,7 @@ pub struct SimulationBuilder {
     ctrl_freq: u32,
     velocities: Option<Vec<[f64; 3]>>,
     angular_velocities: Option<Vec<[f64; 3]>>,
-    physics: Physics,
+    physics: Option<Physics>,
     effects: Option<Effects>,
     forcing: Forcing,
     actuators: ActuatorParams,
@@ -61,7 +61,7 @@ impl SimulationBuilder {
             ctrl_freq: 48,
             velocities: None,
             angular_velocities: None,
-            physics: Physics::default(),
+            physics: None,
             effects: None,
             forcing: Forcing::default(),
             actuators: ActuatorParams::default(),
@@ -128,22 +128,24 @@ impl SimulationBuilder {
         self
     }
 
-    /// The physics mode; MuJoCo without aerodynamic effects by default.
+    /// The physics mode, the paper's shorthand for [`effects`](Self::effects) and [`engine`](Self::engine); MuJoCo without
+    /// aerodynamic effects by default.
     #[must_use]
     pub fn physics(mut self, physics: Physics) -> Self {
-        self.physics = physics;
+        self.physics = Some(physics);
         self
     }
 
-    /// Any subset of the aerodynamic effects, in place of the physics mode's own.
+    /// Any subset of the aerodynamic effects; those of the physics mode by default. Next to a physics mode with other effects they
+    /// are an error.
     #[must_use]
     pub fn effects(mut self, effects: Effects) -> Self {
         self.effects = Some(effects);
         self
     }
 
-    /// The engine; MuJoCo alone by default. The hybrid engine gives the same flights, many times faster. The `dyn` mode
-    /// integrates by itself: the hybrid engine with it is an error.
+    /// The engine; by default the explicit engine in the physics mode `dyn`, and MuJoCo otherwise. The hybrid engine gives the same
+    /// flights as MuJoCo, many times faster. An engine that the physics mode does not stand for is an error.
     #[must_use]
     pub fn engine(mut self, engine: EngineKind) -> Self {
         self.engine = Some(engine);
@@ -245,6 +247,22 @@ impl SimulationBuilder {
         self
     }
 
+    /// Resolves the physics mode, the effects and the engine.
+    fn effects_and_engine(&self) -> Result<(Effects, EngineKind), SimulationError> {
+        let Some(physics) = self.physics else {
+            return Ok((self.effects.unwrap_or_default(), self.engine.unwrap_or(self.default_engine)));
+        };
+        if let Some(effects) = self.effects.filter(|effects| *effects != physics.effects()) {
+            return Err(SimulationError::EffectsOfPhysics { effects, physics });
+        }
+        let default = if physics.is_explicit() { EngineKind::Explicit } else { self.default_engine };
+        let engine = self.engine.unwrap_or(default);
+        if physics.is_explicit() != (engine == EngineKind::Explicit) {
+            return Err(SimulationError::EngineOfPhysics { engine, physics });
+        }
+        Ok((physics.effects(), engine))
+    }
+
     /// Compiles the world.
     ///
     /// # Errors
@@ -255,6 +273,7 @@ impl SimulationBuilder {
         {
             return Err(SimulationError::Rates { sim_freq, ctrl_freq });
         }
+        let (effects, engine) = self.effects_and_engine()?;
         let count = self.drones.len();
         if !(1..=Simulation::MAX_DRONES).contains(&count) {
             return Err(SimulationError::NumDrones { got: self.asked.max(count) });
@@ -302,19 +321,7 @@ impl SimulationBuilder {
             markers: self.markers,
             ..World::new(bodies)
         };
-        if self.physics == Physics::Dyn && self.engine == Some(EngineKind::Hybrid) {
-            return Err(SimulationError::HybridDyn);
-        }
-        let model = SimModel {
-            world,
-            physics: self.physics,
-            effects: self.effects.unwrap_or_else(|| self.physics.effects()),
-            engine: self.engine.unwrap_or(self.default_engine),
-            sim_freq,
-            ctrl_freq,
-            initial,
-            actuators: self.actuators,
-        };
+        let model = SimModel { world, effects, engine, sim_freq, ctrl_freq, initial, actuators: self.actuators };
         let workspace = model.workspace()?;
         // positions and attitudes that are out of range have been named by the scene
         if let Some(drone) = model.initial.iter().position(|state| out_of_range(state).is_some()) {

@@ -1,8 +1,9 @@
 use super::Simulation;
 use crate::drone::DroneError;
-use crate::engine::BuildError;
+use crate::engine::{BuildError, EngineKind};
 use crate::physics::actuators::ActuatorError;
 use crate::physics::wind::WindError;
+use crate::physics::{Effects, Physics};
 use crate::world::World;
 
 /// What can go wrong with a simulation.
@@ -30,6 +31,7 @@ pub enum SimulationError {
         /// Index of the drone.
         drone: usize,
         /// What is wrong with it.
+        #[source]
         error: DroneError,
     },
     /// Rates that do not fit together.
@@ -53,13 +55,24 @@ pub enum SimulationError {
         /// Number of drones.
         expected: usize,
     },
-    /// The hybrid engine in the `dyn` mode.
-    #[error(
-        "the engine is hybrid and the physics mode dyn, which integrates by itself; expected another mode or no engine"
-    )]
-    HybridDyn,
+    /// An engine that contradicts the physics mode.
+    #[error("engine is {engine} and physics {physics}, which stands for {}; expected one of the two alone", engines(*physics))]
+    EngineOfPhysics {
+        /// The engine.
+        engine: EngineKind,
+        /// The physics mode.
+        physics: Physics,
+    },
+    /// Aerodynamic effects that contradict the physics mode.
+    #[error("effects is {effects} and physics {physics}, which stands for {}; expected one of the two alone", physics.effects())]
+    EffectsOfPhysics {
+        /// The effects.
+        effects: Effects,
+        /// The physics mode.
+        physics: Physics,
+    },
     /// No drones at all, or too many.
-    #[error("the number of drones is {got}, expected 1 to {}", Simulation::MAX_DRONES)]
+    #[error("num_drones is {got}, expected 1 to {}", Simulation::MAX_DRONES)]
     NumDrones {
         /// How many.
         got: usize,
@@ -107,4 +120,9 @@ pub enum SimulationError {
         /// MuJoCo's error.
         error: mujoco_rs::Error,
     },
+}
+
+/// Engines that a physics mode stands for.
+fn engines(physics: Physics) -> &'static str {
+    if physics.is_explicit() { "the explicit engine" } else { "mujoco or hybrid" }
 }

@@ -377,8 +377,8 @@ impl Simulation {
         self.view().scene()
     }
 
-    /// The physics mode.
-    pub fn physics(&self) -> Physics {
+    /// Returns the physics mode of the engine and the effects, if the paper names one.
+    pub fn physics(&self) -> Option<Physics> {
         self.view().physics()
     }
 

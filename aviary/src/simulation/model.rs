@@ -13,7 +13,6 @@ use crate::world::{Obstacle, World};
 #[derive(Debug)]
 pub struct SimModel {
     pub(super) world: World,
-    pub(super) physics: Physics,
     pub(super) effects: Effects,
     pub(super) engine: EngineKind,
     pub(super) sim_freq: u32,
@@ -28,9 +27,14 @@ impl SimModel {
         &self.world
     }
 
-    /// Returns the physics mode.
-    pub fn physics(&self) -> Physics {
-        self.physics
+    /// Returns the physics mode of the engine and the effects, if the paper names one.
+    pub fn physics(&self) -> Option<Physics> {
+        Physics::of(self.effects, self.engine == EngineKind::Explicit)
+    }
+
+    /// Returns the kind of the engine.
+    pub fn engine_kind(&self) -> EngineKind {
+        self.engine
     }
 
     /// Returns the aerodynamic effects.
@@ -83,10 +87,10 @@ impl SimModel {
     /// # Errors
     /// [`BuildError`] with what the scene or MuJoCo objects to.
     pub fn workspace(&self) -> Result<Workspace, BuildError> {
-        let engine = match (self.physics, self.engine) {
-            (Physics::Dyn, _) => Engine::Explicit(ExplicitEngine::new(&self.world)?),
-            (_, EngineKind::Mujoco) => Engine::Mujoco(MujocoEngine::new(&self.world)?),
-            (_, EngineKind::Hybrid) => Engine::Hybrid(HybridEngine::new(&self.world)?),
+        let engine = match self.engine {
+            EngineKind::Mujoco => Engine::Mujoco(MujocoEngine::new(&self.world)?),
+            EngineKind::Hybrid => Engine::Hybrid(HybridEngine::new(&self.world)?),
+            EngineKind::Explicit => Engine::Explicit(ExplicitEngine::new(&self.world)?),
         };
         Ok(Workspace::new(self, engine))
     }

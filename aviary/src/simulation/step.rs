@@ -2,8 +2,8 @@ use nalgebra::Vector3;
 
 use super::data::unique;
 use super::{SimData, SimModel, SimulationError, out_of_range};
-use crate::engine::{Engine, Load};
-use crate::physics::{Physics, Wrench, downwash, drag};
+use crate::engine::{Engine, EngineKind, Load};
+use crate::physics::{Wrench, downwash, drag};
 use crate::state::DroneState;
 
 /// Scratch memory of one thread: the engine with MuJoCo's `mjData`, and buffers.
@@ -120,7 +120,7 @@ pub fn step(
 fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData) {
     let (effects, dt) = (model.effects, model.world.timestep);
     // the engine's medium is still
-    let medium = model.world.medium.is_some() && model.physics != Physics::Dyn;
+    let medium = model.world.medium.is_some() && model.engine != EngineKind::Explicit;
     let SimData { states, loads, drones, actuators, wakes, bodies, wind, motor_speeds, .. } = data;
     if effects.downwash {
         workspace.downwash.fill(0.0);

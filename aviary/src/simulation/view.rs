@@ -187,9 +187,9 @@ impl<'a> SimView<'a> {
         World { obstacles: self.obstacles().to_vec(), markers: self.markers(), ..self.model.world.clone() }
     }
 
-    /// Returns the physics mode.
-    pub fn physics(self) -> Physics {
-        self.model.physics
+    /// Returns the physics mode of the engine and the effects, if the paper names one.
+    pub fn physics(self) -> Option<Physics> {
+        self.model.physics()
     }
 
     /// Returns the aerodynamic effects that act.

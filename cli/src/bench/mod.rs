@@ -108,7 +108,7 @@ impl Bench {
         for (physics, drones) in
             [(Physics::Mjc, 1), (Physics::MjcGndDragDw, 1), (Physics::Mjc, 4), (Physics::MjcGndDragDw, 4)]
         {
-            for engine in EngineKind::ALL {
+            for engine in EngineKind::WITH_CONTACTS {
                 if self.quick && drones > 1 {
                     continue;
                 }

@@ -73,8 +73,6 @@ impl Scenario {
         }
         let mut builder: SimulationBuilder = Simulation::builder(self.drone()?)
             .num_drones(self.num_drones)
-            .physics(self.physics)
-            .engine(self.engine)
             .obstacles(self.obstacles()?)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
@@ -83,6 +81,15 @@ impl Scenario {
             .medium(self.medium)
             .forcing(self.forcing)
             .integrator(self.integrator);
+        if let Some(physics) = self.physics {
+            builder = builder.physics(physics);
+        }
+        if let Some(effects) = self.effects {
+            builder = builder.effects(effects);
+        }
+        if let Some(engine) = self.engine {
+            builder = builder.engine(engine);
+        }
         if let Some(velocities) = &self.initial_velocities {
             builder = builder.initial_velocities(velocities.iter().copied());
         }
@@ -93,7 +100,8 @@ impl Scenario {
             let field = match &error {
                 SimulationError::Rates { .. } => "sim_freq",
                 SimulationError::NumDrones { .. } => "num_drones",
-                SimulationError::HybridDyn => "engine",
+                SimulationError::EngineOfPhysics { .. } => "engine",
+                SimulationError::EffectsOfPhysics { .. } => "effects",
                 _ => "drone_model",
             };
             self.wrong(field, error)

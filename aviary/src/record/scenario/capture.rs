@@ -6,7 +6,6 @@ use nalgebra::Vector3;
 
 use super::{ReplayError, Scenario, ScenarioBody};
 use crate::drone::{DroneModel, GRAVITY};
-use crate::engine::{Engine, EngineKind};
 use crate::physics::actuators::ActuatorParams;
 use crate::record::table::written;
 use crate::simulation::Simulation;
@@ -17,8 +16,7 @@ impl Scenario {
     /// The scenario of a flight: call it at the flight's start, after the reset of its environment.
     ///
     /// # Errors
-    /// [`ReplayError::Field`] for what a scenario cannot describe: a flight under way, drones of different airframes, effects that
-    /// are not those of the physics mode.
+    /// [`ReplayError::Field`] for what a scenario cannot describe: a flight under way, drones of different airframes.
     pub fn of(simulation: &Simulation) -> Result<Self, ReplayError> {
         let wrong = |field, message: &str| Err(ReplayError::Field { field, line: None, message: message.into() });
         let (world, states) = (&simulation.scene(), simulation.states());
@@ -29,9 +27,7 @@ impl Scenario {
         if world.drones.iter().any(|drone| drone.params != *nominal) {
             return wrong("drone_model", "the drones have different airframes, expected one for all");
         }
-        if simulation.effects() != simulation.physics().effects() {
-            return wrong("physics", "the effects are chosen one by one, expected those of the physics mode");
-        }
+        let physics = simulation.physics();
         let built_in = nominal.name.parse::<DroneModel>().is_ok_and(|model| model.params() == *nominal);
         let count = states.len();
         let all = |vector: fn(&DroneState) -> Vector3<f64>| -> Vec<[f64; 3]> {
@@ -59,7 +55,8 @@ impl Scenario {
         let obstacles = ObstacleConfig { custom: world.obstacles.clone(), ..ObstacleConfig::new(ObstacleKind::Custom) };
         Ok(Self {
             drone_model: nominal.name.clone(),
-            physics: simulation.physics(),
+            physics,
+            effects: physics.is_none().then(|| simulation.effects()),
             num_drones: count,
             sim_freq: simulation.sim_freq(),
             ctrl_freq: simulation.ctrl_freq(),
@@ -71,10 +68,7 @@ impl Scenario {
             initial_angular_velocities: nonzero(all(|state| state.angular_velocity)),
             forcing: world.forcing,
             integrator: world.integrator,
-            engine: match simulation.engine() {
-                Engine::Hybrid(_) => EngineKind::Hybrid,
-                Engine::Mujoco(_) | Engine::Explicit(_) => EngineKind::Mujoco,
-            },
+            engine: Some(simulation.model().engine_kind()),
             gravity: Some(simulation.gravity()).filter(|&gravity| gravity != GRAVITY),
             wind_seed: simulation.wind().map(|_| simulation.wind_seed()),
             medium: world.medium,

@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::drone::DroneParams;
 use crate::engine::EngineKind;
-use crate::physics::Physics;
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::WindConfig;
+use crate::physics::{Effects, Physics};
 use crate::world::{Forcing, Integrator, Medium, ObstacleConfig};
 
 /// The start and the rules of a flight.
@@ -42,8 +42,9 @@ use crate::world::{Forcing, Integrator, Medium, ObstacleConfig};
 pub struct Scenario {
     /// Airframe: a built-in one by name, a TOML file, or the name of `airframe`.
     pub drone_model: String,
-    /// Physics mode.
-    pub physics: Physics,
+    /// Physics mode, the shorthand for `effects` and `engine`. Without it there must be `effects`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub physics: Option<Physics>,
     /// Number of drones.
     pub num_drones: usize,
     /// Physics rate, Hz.
@@ -75,15 +76,18 @@ pub struct Scenario {
     /// MuJoCo's integrator.
     #[serde(default = "paper_integrator", with = "IntegratorName")]
     pub integrator: Integrator,
-    /// The engine, in every physics mode but `dyn`.
-    #[serde(default)]
-    pub engine: EngineKind,
+    /// The engine; `explicit` in the physics mode `dyn` and `mujoco` otherwise by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub engine: Option<EngineKind>,
     /// Gravity, downwards, m/s²; 9.81 by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gravity: Option<f64>,
     /// Seed of the wind, written as text: TOML has no integers of 64 bits without a sign.
     #[serde(default, with = "seed", skip_serializing_if = "Option::is_none")]
     pub wind_seed: Option<u64>,
+    /// Aerodynamic effects; those of the physics mode by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub effects: Option<Effects>,
     /// MuJoCo's fluid forces.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub medium: Option<Medium>,
@@ -176,10 +180,13 @@ impl Scenario {
     /// Reads a scenario.
     ///
     /// # Errors
-    /// [`ReplayError::Toml`] with line and column.
+    /// [`ReplayError::Toml`] with line and column, [`ReplayError::Field`] for a scenario without `physics` and `effects`.
     pub fn from_toml(text: &str) -> Result<Self, ReplayError> {
         let mut scenario: Self =
             toml::from_str(text).map_err(|error| ReplayError::Toml(crate::error::toml_message(text, &error)))?;
+        if scenario.physics.is_none() && scenario.effects.is_none() {
+            return Err(scenario.wrong("physics", "missing, expected a physics mode, or effects"));
+        }
         for field in FIELDS {
             let line = text.lines().position(|line| {
                 line.trim_start().strip_prefix(field).is_some_and(|rest| rest.trim_start().starts_with('='))
@@ -203,7 +210,7 @@ impl Scenario {
 }
 
 /// Fields of a scenario that can be impossible although they are well-formed.
-const FIELDS: [&str; 15] = [
+const FIELDS: [&str; 16] = [
     "drone_model",
     "num_drones",
     "sim_freq",
@@ -213,6 +220,7 @@ const FIELDS: [&str; 15] = [
     "scene_rpys",
     "initial_velocities",
     "initial_angular_velocities",
+    "effects",
     "engine",
     "gravity",
     "wind_seed",
@@ -296,7 +304,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         assert!(message("[obstacles]\nkind = \"forest\"\n").contains("expected custom"));
         let hybrid = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"hybrid\"\n";
         let error = Scenario::from_toml(&hybrid).unwrap().simulation().unwrap_err().to_string();
-        assert!(error.starts_with("line 9: engine: the engine is hybrid"), "{error}");
+        assert!(
+            error.starts_with("line 9: engine: engine is hybrid and physics dyn, which stands for the explicit engine"),
+            "{error}"
+        );
         let airframe = include_str!("../../../../assets/airframes/race.toml");
         assert!(
             message(&format!("[airframe]\n{airframe}")).starts_with("line 2: drone_model: `cf2x`, expected `race`")
@@ -304,16 +315,45 @@ initial_rpys = [[0.0, 0.0, 0.0]]
     }
 
     #[test]
-    fn a_flight_under_way_or_of_chosen_effects_has_no_scenario() {
+    fn a_flight_under_way_or_of_different_airframes_has_no_scenario() {
         let mut simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
         simulation.step(&[[1e4; 4]]).unwrap();
         assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("under way"));
-        let effects = crate::physics::Effects { drag: true, ..Physics::Mjc.effects() };
-        let simulation = Simulation::builder(DroneModel::Cf2x).effects(effects).build().unwrap();
-        assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("effects"));
         let two = [DroneModel::Cf2x.params(), DroneModel::Race.params()];
         let simulation = Simulation::builder(DroneModel::Cf2x).drones(two).build().unwrap();
         assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("different airframes"));
+    }
+
+    #[test]
+    fn effects_and_engine_without_a_physics_mode_are_written_and_read() {
+        let (drag, none) = (Effects { drag: true, downwash: true, ..Effects::NONE }, Effects::NONE);
+        for (effects, engine, physics) in [
+            (drag, EngineKind::Hybrid, None),
+            (drag, EngineKind::Explicit, None),
+            (none, EngineKind::Explicit, Some(Physics::Dyn)),
+            (Effects::ALL, EngineKind::Mujoco, Some(Physics::MjcGndDragDw)),
+        ] {
+            let builder = Simulation::builder(DroneModel::Cf2x).num_drones(2).effects(effects).engine(engine);
+            let simulation = builder.build().unwrap();
+            let text = Scenario::of(&simulation).unwrap().to_toml().unwrap();
+            let scenario = Scenario::from_toml(&text).unwrap();
+            assert_eq!((scenario.physics, scenario.effects), (physics, physics.is_none().then_some(effects)), "{text}");
+            let again = scenario.simulation().unwrap();
+            assert_eq!((again.effects(), again.model().engine_kind()), (effects, engine), "{text}");
+        }
+        let message = |text: &str| match Scenario::from_toml(text) {
+            Err(error) => error.to_string(),
+            Ok(scenario) => scenario.simulation().unwrap_err().to_string(),
+        };
+        assert_eq!(
+            message(&SCENARIO.replace("physics = \"mjc\"\n", "")),
+            "physics: missing, expected a physics mode, or effects"
+        );
+        let contradiction = message(&format!("{SCENARIO}effects = {{ drag = true }}\n"));
+        let expected = "line 9: effects: effects is drag and physics mjc, which stands for none";
+        assert!(contradiction.starts_with(expected), "{contradiction}");
+        let contradiction = message(&format!("{SCENARIO}engine = \"explicit\"\n"));
+        assert!(contradiction.starts_with("line 9: engine: engine is explicit and physics mjc"), "{contradiction}");
     }
 
     /// The flight of a field may be flown again, however many bars its gates have.
@@ -374,8 +414,8 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         fn a_scenario_and_a_log_are_the_flight(
             starts in prop::collection::vec((vector(3.0), vector(3.1), vector(5.0), vector(20.0)), 1..4),
             speeds in prop::collection::vec(prop::array::uniform4(-1e3..3e4_f64), 1..12),
-            physics in prop::sample::select(&Physics::ALL[..]),
-            hybrid in any::<bool>(),
+            effects in prop::sample::select(&Physics::ALL[..]).prop_map(Physics::effects),
+            engine in prop::sample::select(&EngineKind::ALL[..]),
             wind in prop::option::of(any::<u64>()),
             lag in prop::option::of(0.0..0.1_f64),
             heavier in prop::option::of(0.9..1.3_f64),
@@ -383,11 +423,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             scene in prop::option::of(vector(3.1)),
         ) {
             let count = starts.len();
-            let engine = if hybrid && physics != Physics::Dyn { EngineKind::Hybrid } else { EngineKind::Mujoco };
             let mut simulation = Simulation::builder(DroneModel::Cf2p)
                 .num_drones(count)
                 .initial_rpys(vec![scene.unwrap_or_default(); count])
-                .physics(physics)
+                .effects(effects)
                 .engine(engine)
                 .wind(wind.map(|_| WindConfig::new(WindModel::Combined)))
                 .build()
