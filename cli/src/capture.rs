@@ -165,7 +165,8 @@ impl Capture {
     /// Flies on to the next frame.
     fn advance(&self, pilot: &mut Pilot, painter: &mut SceneRenderer, seen: &mut Seen) -> Result<(), Failure> {
         for _ in 0..self.every {
-            if pilot.step()?.over {
+            pilot.rollout.step().map_err(Failure::work)?;
+            if pilot.rollout.is_over() {
                 seen.crashes += u64::from(pilot.env().info().crashed());
                 seen.end_episode();
                 pilot.restart().map_err(|failure| match failure {

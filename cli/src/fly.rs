@@ -142,14 +142,17 @@ impl Fly {
                 film.look(pilot.env().simulation(), |drone| pilot.reference(drone))?;
             }
             let start = Instant::now();
-            let flown = pilot.step()?;
+            let step = pilot.rollout.step().map_err(Failure::work)?;
             wall_seconds += start.elapsed().as_secs_f64();
-            reward += flown.reward;
+            let of_task = step.reward;
+            // along a trajectory the reward is about the trajectory, not about the target of the task
+            reward +=
+                if pilot.is_on_trajectory() { (0..drones).map(|drone| pilot.reward(drone)).sum() } else { of_task };
             errors.note(pilot);
             if pilot.env().simulation().control_steps().is_multiple_of(64) {
                 bar.set_position(pilot.env().simulation().control_steps());
             }
-            if flown.over {
+            if pilot.rollout.is_over() {
                 break;
             }
         }

@@ -14,17 +14,12 @@ use crate::parse::Variation;
 
 /// A flight of the command line: episodes of a task with built-in controllers.
 pub struct Pilot {
-    rollout: Rollout<Box<dyn DroneEnv>, ControllerPolicy>,
+    /// The episode under way.
+    pub rollout: Rollout<Box<dyn DroneEnv>, ControllerPolicy>,
     kind: ControllerKind,
     /// True if the drones follow a trajectory of the command line in place of the task's references.
     on_trajectory: bool,
     seed: u64,
-}
-
-/// What a control step brought.
-pub struct Flown {
-    pub reward: f64,
-    pub over: bool,
 }
 
 impl Pilot {
@@ -69,7 +64,7 @@ impl Pilot {
         let every = ((EVERY / self.env().simulation().control_period()).round() as u64).max(1);
         loop {
             // a flight that fails does so again when it is flown to be seen
-            let goes_on = self.step().is_ok_and(|flown| !flown.over);
+            let goes_on = self.goes_on();
             let simulation = self.env().simulation();
             if !goes_on || simulation.control_steps().is_multiple_of(every) {
                 points.extend(simulation.states().iter().map(|state| state.position));
@@ -107,7 +102,7 @@ impl Pilot {
             let drones = 0..self.num_drones();
             let mut places = drones.map(|drone| (drone, self.reference(drone).position));
             let found = places.find(|(drone, place)| self.is_blocked(*drone, place));
-            if found.is_some() || !self.step().is_ok_and(|flown| !flown.over) {
+            if found.is_some() || !self.goes_on() {
                 break found;
             }
         };
@@ -198,7 +193,7 @@ impl Pilot {
 
     /// Flies the first episode, says how it ended, and begins it again with the same random numbers.
     fn fly_ahead(&mut self) -> Result<Info, Failure> {
-        while self.step().is_ok_and(|flown| !flown.over) {}
+        while self.goes_on() {}
         let info = self.env().info();
         self.begin(Some(self.seed))?;
         Ok(info)
@@ -258,13 +253,9 @@ impl Pilot {
             .fold(0.0, f64::max)
     }
 
-    /// Flies one control step.
-    pub fn step(&mut self) -> Result<Flown, Failure> {
-        let step = self.rollout.step().map_err(Failure::work)?;
-        let (reward, over) = (step.reward, step.terminated || step.truncated);
-        let drones = 0..self.num_drones();
-        let reward = if self.on_trajectory { drones.map(|drone| self.reward(drone)).sum() } else { reward };
-        Ok(Flown { reward, over })
+    /// Flies a control step ahead. Returns true if it succeeds and the episode goes on after it.
+    fn goes_on(&mut self) -> bool {
+        self.rollout.step().is_ok() && !self.rollout.is_over()
     }
 
     pub fn env(&self) -> &dyn DroneEnv {
@@ -315,7 +306,8 @@ mod tests {
                         share.min(params.collision_radius / (distance * (CameraPose::FOVY / 2.0).to_radians().tan()));
                 }
             }
-            if pilot.step().unwrap().over {
+            pilot.rollout.step().unwrap();
+            if pilot.rollout.is_over() {
                 return share;
             }
         }
@@ -355,7 +347,7 @@ mod tests {
                 if ahead {
                     pilot.preview().unwrap();
                 }
-                while !pilot.step().unwrap().over {}
+                pilot.rollout.finish(|_| {}).unwrap();
                 pilot.env().simulation().states().to_vec()
             };
             assert_eq!(fly(false), fly(true), "{line}");
@@ -380,7 +372,7 @@ mod tests {
             Err(Failure::Input(error)) => return Outcome::Refused(error.to_string()),
             Err(Failure::Work(error)) => return Outcome::Failure(error.to_string()),
         };
-        while !pilot.step().unwrap().over {}
+        pilot.rollout.finish(|_| {}).unwrap();
         let info = pilot.env().info();
         if info.success { Outcome::Success } else { Outcome::Failure(format!("{:?} {:.2} s", info.end, info.time)) }
     }

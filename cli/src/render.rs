@@ -65,7 +65,8 @@ impl Render {
         // half a step early or late is as near as a control step can be
         let until = self.at - 0.5 * pilot.env().simulation().control_period();
         while pilot.env().simulation().time() < until {
-            let over = pilot.step()?.over;
+            pilot.rollout.step().map_err(Failure::work)?;
+            let over = pilot.rollout.is_over();
             if over && pilot.env().simulation().time() < until {
                 let (time, end) = (pilot.env().info().time, pilot.env().info().end);
                 let end = end.map_or("", |end| end.name());

@@ -164,7 +164,11 @@ impl HybridEngine {
         })
     }
 
-    pub(super) fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
+    /// Makes one physics step of these bodies under these loads from these states, which are replaced by the new ones.
+    ///
+    /// # Errors
+    /// As for [`MujocoEngine::advance`].
+    pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
         // the kernel's bodies are turned by their rotors alone
         let able = self.able && loads.iter().all(|load| load.external.torque_world == Vector3::zeros());
         if able && (self.clear || self.is_free(bodies, loads, states)) {
@@ -182,9 +186,7 @@ impl HybridEngine {
             self.mujoco.resume(states, None)?;
             self.in_mujoco = true;
         }
-        self.mujoco.advance(loads, states)?;
-        self.mujoco.states(states);
-        Ok(())
+        self.mujoco.advance(loads, states)
     }
 
     fn fly(&self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) {

@@ -188,22 +188,6 @@ impl Engine {
         }
     }
 
-    /// One physics step of these bodies from these states, which are replaced by the new ones.
-    ///
-    /// # Errors
-    /// MuJoCo's; the drones must then be [reset](Self::reset).
-    pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
-        match self {
-            Self::Mujoco(engine) => {
-                engine.advance(loads, states)?;
-                engine.states(states);
-            }
-            Self::Hybrid(engine) => engine.advance(bodies, loads, states)?,
-            Self::Explicit(engine) => engine.advance(bodies, loads, states),
-        }
-        Ok(())
-    }
-
     /// Takes over an environment that another engine of the same world, or this one, has [left](Self::leave).
     ///
     /// # Errors

@@ -343,17 +343,18 @@ impl MujocoEngine {
         Ok(&self.data)
     }
 
-    /// One `mj_step` under these loads, from these states. What is external is constant in the world frame through it;
-    /// so are the rotors, or they turn with the body where forcing is body-fixed.
+    /// Makes one `mj_step` under these loads from these states, which are replaced by the new ones. External loads are constant in the
+    /// world frame through the step. The rotors' wrench is constant in the world frame, or turns with the body where forcing is
+    /// body-fixed.
     ///
     /// # Errors
     /// [`Error::Diverged`], MuJoCo's own errors, and [`Error::Raised`] for more contacts than there is room for; the drones must
     /// then be [reset](Self::reset).
-    pub fn advance(&mut self, loads: &[Load], states: &[DroneState]) -> Result<(), Error> {
+    pub fn advance(&mut self, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
         if self.obstacles.crowded {
             self.look_around(states)?;
         }
-        for ((slot, load), state) in self.slots.iter().zip(loads).zip(states) {
+        for ((slot, load), state) in self.slots.iter().zip(loads).zip(&*states) {
             let wrench = match slot.control {
                 None => load.rotors.in_world(&state.attitude) + load.external,
                 Some(control) => {
@@ -380,6 +381,7 @@ impl MujocoEngine {
             );
             return Err(Error::Raised { call: "mj_step", message });
         }
+        self.states(states);
         Ok(())
     }
 

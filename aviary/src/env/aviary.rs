@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use rand::Rng as _;
 
 use super::episode::{Episode, Phase, StepOutcome};
-use super::pipeline::{EnvModel, EnvParts, EnvWorkspace, Synced};
+use super::workspace::{EnvModel, EnvWorkspace, Synced};
 use super::{
     BoxSpace, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, SampledParams,
     Step, Task,
@@ -14,7 +14,8 @@ use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
-use crate::simulation::{SimData, Simulation};
+use crate::sensing::Rangefinder;
+use crate::simulation::{self, SimData, SimModel, SimView, Simulation};
 use crate::state::DroneState;
 use crate::vision::{ImageSize, SceneRenderer, View};
 
@@ -79,12 +80,6 @@ impl<T: Task> Aviary<T> {
         }
     }
 
-    pub(crate) fn observe(&mut self) -> Result<(), EnvError> {
-        let mut parts = self.parts();
-        parts.observe_numbers()?;
-        parts.observe_images()
-    }
-
     /// Makes a control step up to the task's update, without observing. `instead` may give motor speeds (rpm) for a drone in place of
     /// what the action says.
     pub(crate) fn advance(
@@ -95,7 +90,8 @@ impl<T: Task> Aviary<T> {
         self.episode.check_running()?;
         self.check_action(action)?;
         let mut parts = self.parts();
-        parts.decode(action.iter().copied());
+        let (dt, states) = (parts.sim_model.control_period(), parts.data.states());
+        parts.workspace.decode(parts.model, dt, states, parts.decoders, action.iter().copied());
         let commands = parts.workspace.commands.iter_mut().zip(parts.data.states()).enumerate();
         for (drone, (command, state)) in commands {
             if let Some(speeds) = instead(drone, state) {
@@ -132,6 +128,112 @@ impl<T: Task> Aviary<T> {
     }
 }
 
+/// Borrowed parts of one environment, on which the stages of a control step work: an [`Aviary`] owns them all, a batch has the model
+/// and the workspaces of a thread and the data of each environment.
+pub(crate) struct EnvParts<'a, T> {
+    pub model: &'a EnvModel,
+    pub sim_model: &'a SimModel,
+    pub data: &'a mut SimData,
+    pub episode: &'a mut Episode<T>,
+    pub decoders: &'a mut [ActionDecoder],
+    pub workspace: &'a mut EnvWorkspace,
+    pub sim_workspace: &'a mut simulation::Workspace,
+}
+
+impl<T: Task> EnvParts<'_, T> {
+    pub(crate) fn view(&self) -> SimView<'_> {
+        SimView::new(self.sim_model, self.data)
+    }
+
+    /// Advances the simulation by one control step under the workspace's commands.
+    pub(crate) fn advance(&mut self) -> Result<(), EnvError> {
+        let Self { sim_model, data, workspace, sim_workspace, .. } = self;
+        if let Err(error) = simulation::step(sim_model, sim_workspace, data, &workspace.commands) {
+            self.episode.phase = Phase::Over;
+            return Err(error.into());
+        }
+        Ok(())
+    }
+
+    /// Updates the task after a control step, moves its markers, and asks how the step ended for each drone.
+    pub(crate) fn update_task(&mut self) -> Result<(), EnvError> {
+        self.episode.task.update(SimView::new(self.sim_model, self.data));
+        self.move_markers()?;
+        let (view, Episode { task, ends, .. }) = (SimView::new(self.sim_model, self.data), &mut *self.episode);
+        for (drone, end) in ends.iter_mut().enumerate() {
+            *end = task.end(view, drone);
+        }
+        Ok(())
+    }
+
+    /// Returns the outcome of the last control step.
+    pub(crate) fn outcome(&self) -> StepOutcome {
+        self.episode.outcome(self.view(), self.model.episode_steps)
+    }
+
+    /// Writes everything of the observation but its images.
+    pub(crate) fn observe_numbers(&mut self) -> Result<(), EnvError> {
+        let truth = SimView::new(self.sim_model, self.data);
+        let Episode { task, randomizer, .. } = &mut *self.episode;
+        let EnvWorkspace { observation, rangefinder, .. } = &mut *self.workspace;
+        // a task observes what the sensors measure
+        let measured = randomizer.as_mut().and_then(|randomizer| randomizer.measure(self.data));
+        let view = measured.map_or(truth, |(states, rpys)| truth.measured(states, rpys));
+        if self.model.observation_space.kind.kinematic {
+            for (drone, part) in observation.vector.chunks_exact_mut(self.model.block.max(1)).enumerate() {
+                task.observe(view, drone, part);
+            }
+        }
+        if self.model.observation_space.kind.adjacency {
+            view.adjacency(self.model.neighbourhood_radius, &mut observation.adjacency);
+        }
+        for (drone, out) in observation.obstacle.iter_mut().enumerate() {
+            *out = truth.obstacle_distance(drone).min(Observation::FAR);
+        }
+        if let Some(rangefinder) = rangefinder {
+            let rangefinder = rangefinder.sync(self.sim_model, self.data, Rangefinder::set_obstacles)?;
+            rangefinder.measure(truth.states(), &mut observation.ranges)?;
+        }
+        Ok(())
+    }
+
+    /// Renders the images of the onboard cameras into the observation.
+    pub(crate) fn observe_images(&mut self) -> Result<(), EnvError> {
+        let EnvWorkspace { observation, cameras, moving, .. } = &mut *self.workspace;
+        if let Some(cameras) = cameras {
+            let cameras = cameras.sync(self.sim_model, self.data, SceneRenderer::set_obstacles)?;
+            if !moving.is_empty() {
+                cameras.set_markers(&self.data.markers(self.sim_model))?;
+            }
+            cameras.update(self.data.states())?;
+            observation.take_pictures(cameras, self.model.observation_space.camera_size)?;
+        }
+        Ok(())
+    }
+}
+
+impl EnvWorkspace {
+    /// Decodes an action to motor speeds in `commands`, after clipping it to its bounds.
+    pub(crate) fn decode(
+        &mut self,
+        model: &EnvModel,
+        control_period: f64,
+        states: &[DroneState],
+        decoders: &mut [ActionDecoder],
+        action: impl Iterator<Item = f64>,
+    ) {
+        let bounds = model.action_space.low().iter().zip(model.action_space.high());
+        for ((clipped, x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
+            *clipped = x.clamp(low, high);
+        }
+        let drones = decoders.iter_mut().zip(states);
+        let parts = self.clipped.chunks_exact(model.action_type.size());
+        for ((command, (decoder, state)), part) in self.commands.iter_mut().zip(drones).zip(parts) {
+            *command = decoder.motor_speeds(control_period, state, part);
+        }
+    }
+}
+
 /// What an [`Aviary`] keeps in a snapshot.
 #[derive(Debug)]
 struct Snapshot<T> {
@@ -157,7 +259,9 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
 
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError> {
         self.parts().begin(seed)?;
-        self.observe()?;
+        let mut parts = self.parts();
+        parts.observe_numbers()?;
+        parts.observe_images()?;
         Ok(&self.workspace.observation)
     }
 
@@ -167,7 +271,9 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
         if let Some(end) = end {
             self.episode.finish(end);
         }
-        self.observe()?;
+        let mut parts = self.parts();
+        parts.observe_numbers()?;
+        parts.observe_images()?;
         Ok(Step { observation: &self.workspace.observation, reward, terminated, truncated })
     }
 

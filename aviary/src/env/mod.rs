@@ -7,18 +7,19 @@ mod checker;
 mod conditions;
 mod episode;
 mod moving;
-mod pipeline;
 mod randomization;
+mod reset;
 mod snapshot;
 mod space;
 mod task;
+mod workspace;
 
 pub use aviary::Aviary;
+pub(crate) use aviary::EnvParts;
 pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
 pub use conditions::{ConditionChoice, Conditions};
 pub(crate) use episode::{Episode, Phase};
-pub(crate) use pipeline::EnvParts;
 pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range,
     SampledDroneParams, SampledParams, SensorRanges,

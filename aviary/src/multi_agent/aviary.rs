@@ -177,7 +177,11 @@ impl<T: Task + Clone + Send> ParallelEnv for ParallelAviary<T> {
             let held = holders[drone].as_mut().map(|(control, place)| control.control(dt, state, place).rpm);
             if drones.contains(&drone) { None } else { Some(held.unwrap_or([0.0; 4])) }
         };
-        let done = self.env.advance(&self.action, instead).and_then(|()| self.env.observe());
+        let done = self.env.advance(&self.action, instead).and_then(|()| {
+            let mut parts = self.env.parts();
+            parts.observe_numbers()?;
+            parts.observe_images()
+        });
         if let Err(error) = done {
             // the world may have moved: only a reset leads on
             self.live.clear();

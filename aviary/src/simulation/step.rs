@@ -107,7 +107,17 @@ pub fn step(
     for substep in 0..model.substeps() {
         data.memory.note(&data.states);
         compute_loads(model, workspace, data);
-        advance(model, workspace, data, substep)?;
+        workspace.previous.copy_from_slice(&data.states);
+        let (loads, states) = (&data.loads, &mut data.states);
+        let advanced = match &mut workspace.engine {
+            Engine::Mujoco(engine) => engine.advance(loads, states),
+            Engine::Hybrid(engine) => engine.advance(&data.bodies, loads, states),
+            Engine::Explicit(engine) => {
+                engine.advance(&data.bodies, loads, states);
+                Ok(())
+            }
+        };
+        check_states(model, workspace, data, substep, advanced)?;
         note_contacts(workspace, data);
     }
     data.control_steps += 1;
@@ -149,18 +159,17 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
     }
 }
 
-/// Integrates one physics step under the loads. On an error the states are those before it.
-fn advance(
+/// Checks the states after a physics step. On an error they become those before it.
+fn check_states(
     model: &SimModel,
     workspace: &mut Workspace,
     data: &mut SimData,
     substep: u32,
+    advanced: Result<(), mujoco_rs::Error>,
 ) -> Result<(), SimulationError> {
-    workspace.previous.copy_from_slice(&data.states);
-    let outcome = workspace.engine.advance(&data.bodies, &data.loads, &mut data.states);
     // MuJoCo itself would say only at the next step that a state has left the range of numbers
     let lost = data.states.iter().enumerate().find_map(|(drone, state)| Some((drone, out_of_range(state)?)));
-    let error = match (outcome, lost) {
+    let error = match (advanced, lost) {
         (Err(error), _) => {
             data.states.copy_from_slice(&workspace.previous);
             fail(model, workspace, data, substep, error)

@@ -1,0 +1,108 @@
+//! Start of an episode.
+
+use rand::{Rng as _, SeedableRng as _};
+
+use super::episode::{Episode, Phase};
+use super::randomization::Randomizer;
+use super::{EnvError, EnvParts, Rng, Task};
+use crate::simulation::SimView;
+
+impl<T: Task> EnvParts<'_, T> {
+    /// Starts an episode, without observing it.
+    pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
+        let Self { sim_model, data, episode, .. } = self;
+        // until all of it has gone well
+        episode.phase = Phase::New;
+        if let Some(seed) = seed {
+            episode.rng = Rng::seed_from_u64(seed);
+            episode.rng.set_stream(episode.stream);
+        }
+        if std::mem::take(&mut episode.task_changed) {
+            let drones: Vec<_> = sim_model.world().drones.iter().map(|drone| drone.params.clone()).collect();
+            if let Err(error) = episode.task.check(&drones) {
+                // until it is one that can be flown
+                episode.task_changed = true;
+                return Err(error);
+            }
+        }
+        if let Some(next) = episode.next_randomization.take() {
+            if let Some(old) = episode.randomizer.take() {
+                old.undo(sim_model, data)?;
+            }
+            let view = SimView::new(sim_model, data);
+            let next = next.map(|config| Randomizer::new(*config, view, view.wind().copied())).transpose()?;
+            episode.randomizer = next.map(Box::new);
+        }
+        if !self.workspace.moving.is_empty() {
+            // starts do not depend on where the last episode left them
+            self.workspace.moving.place(None::<&T>, self.sim_model, self.data)?;
+        }
+        let moves_obstacles = self.model.moves_obstacles();
+        match &mut self.episode.randomizer {
+            Some(randomizer) => {
+                randomizer.begin(self.sim_model, self.data, &mut self.episode.rng, moves_obstacles)?;
+            }
+            None => self.data.reset(self.sim_model),
+        }
+        self.start_as_the_task_says()?;
+        if moves_obstacles {
+            self.move_obstacles()?;
+        }
+        if self.view().wind().is_some() {
+            let seed = self.episode.rng.next_u64();
+            self.data.reset_wind(seed);
+        }
+        self.episode.task.reset(SimView::new(self.sim_model, self.data), &mut self.episode.rng);
+        self.move_markers()?;
+        for decoder in &mut *self.decoders {
+            decoder.reset();
+        }
+        self.episode.ends.fill(None);
+        self.episode.end = None;
+        self.episode.phase = Phase::Running;
+        Ok(())
+    }
+
+    /// Lets the task change what the episode starts from. A start in the floor, in an obstacle or in another drone is drawn again, up to
+    /// twenty times.
+    fn start_as_the_task_says(&mut self) -> Result<(), EnvError> {
+        let moves_obstacles = self.model.moves_obstacles();
+        let Episode { task, rng, .. } = &mut *self.episode;
+        let (view, starts) = (SimView::new(self.sim_model, self.data), &mut self.workspace.starts);
+        // those that move make room for the drones
+        let obstacles = if moves_obstacles { &[] } else { view.obstacles() };
+        for _ in 0..20 {
+            starts.copy_from_slice(view.states());
+            if !task.start(view, rng, starts) {
+                return Ok(());
+            }
+            if self.sim_model.has_room(starts, obstacles) {
+                break;
+            }
+        }
+        Ok(self.data.reset_to(starts)?)
+    }
+
+    /// Draws another layout of the obstacles. Where none can be found about these starts, it is the first one.
+    fn move_obstacles(&mut self) -> Result<(), EnvError> {
+        let starts: Vec<_> = self.data.states().iter().map(|state| state.position.into()).collect();
+        let generator = self.model.obstacle_generator.as_ref();
+        let mut obstacles = match generator.map(|generator| generator.generate(&starts, &mut self.episode.rng)) {
+            Some(Ok(obstacles)) => obstacles,
+            // the same for every history
+            _ => self.model.first_layout.clone(),
+        };
+        // those that move come after the others
+        let first_moving = self.workspace.moving.first_obstacle();
+        obstacles.extend_from_slice(&self.data.obstacles(self.sim_model)[first_moving..]);
+        Ok(self.data.set_obstacles(self.sim_model, &obstacles)?)
+    }
+
+    /// Moves the markers that move to where the task says.
+    pub(super) fn move_markers(&mut self) -> Result<(), EnvError> {
+        if self.workspace.moving.is_empty() {
+            return Ok(());
+        }
+        self.workspace.moving.place(Some(&self.episode.task), self.sim_model, self.data)
+    }
+}

@@ -1,0 +1,97 @@
+//! Constants that environments share, and the scratch memory of a thread.
+
+use super::moving::MovingMarkers;
+use super::{BoxSpace, ObservationSpace};
+use crate::action::ActionType;
+use crate::observation::Observation;
+use crate::sensing::Rangefinder;
+use crate::simulation::{SimData, SimModel};
+use crate::state::DroneState;
+use crate::vision::SceneRenderer;
+use crate::world::{Obstacle, ObstacleConfig};
+
+/// Constants that all environments of a batch share, in addition to the [`SimModel`].
+#[derive(Debug)]
+pub(crate) struct EnvModel {
+    pub action_type: ActionType,
+    pub action_space: BoxSpace,
+    pub observation_space: ObservationSpace,
+    /// Bounds of a row of [`EnvWorkspace::write_row`].
+    pub row_space: BoxSpace,
+    pub episode_steps: u64,
+    /// Obstacles that are placed at random.
+    pub obstacle_generator: Option<ObstacleConfig>,
+    /// Where they were when the scene was compiled.
+    pub first_layout: Vec<Obstacle>,
+    /// Numbers in one drone's part of the observation.
+    pub block: usize,
+    pub neighbourhood_radius: f64,
+}
+
+impl EnvModel {
+    /// Returns whether every episode has its obstacles elsewhere.
+    pub(crate) fn moves_obstacles(&self) -> bool {
+        self.obstacle_generator.as_ref().is_some_and(|generator| generator.new_layout)
+    }
+}
+
+/// Scratch memory of one thread, in addition to the simulation's.
+#[derive(Debug)]
+pub(crate) struct EnvWorkspace {
+    /// Markers of the task that move.
+    pub moving: MovingMarkers,
+    pub rangefinder: Option<Synced<Rangefinder>>,
+    /// Renders the onboard cameras, where they are observed.
+    pub cameras: Option<Synced<SceneRenderer>>,
+    /// What was observed last.
+    pub observation: Observation,
+    /// The action within its bounds.
+    pub clipped: Vec<f64>,
+    /// Motor speeds, rpm.
+    pub commands: Vec<[f64; 4]>,
+    /// Where an episode starts.
+    pub starts: Vec<DroneState>,
+}
+
+/// Something with obstacles of its own, and the revision of those it has.
+#[derive(Debug)]
+pub(crate) struct Synced<V> {
+    pub value: V,
+    revision: u64,
+}
+
+impl<V> Synced<V> {
+    /// Made from the scene of the model.
+    pub(crate) fn new(value: V) -> Self {
+        Self { value, revision: 0 }
+    }
+
+    /// Returns it after `set` has given it the present obstacles, where they are others than its own.
+    pub(crate) fn sync<E>(
+        &mut self,
+        model: &SimModel,
+        data: &SimData,
+        set: impl FnOnce(&mut V, &[Obstacle]) -> Result<(), E>,
+    ) -> Result<&mut V, E> {
+        if self.revision != data.obstacle_revision() {
+            set(&mut self.value, data.obstacles(model))?;
+            self.revision = data.obstacle_revision();
+        }
+        Ok(&mut self.value)
+    }
+}
+
+impl EnvWorkspace {
+    /// Copies everything observed that is no image into a row of single precision, within its bounds.
+    pub(crate) fn write_row(&self, model: &EnvModel, row: &mut [f32]) {
+        let Observation { vector, obstacle, ranges, adjacency, .. } = &self.observation;
+        let (first, rest) = row.split_at_mut(vector.len());
+        first.iter_mut().zip(vector).for_each(|(out, &x)| *out = x as f32);
+        if !rest.is_empty() {
+            let others = obstacle.iter().chain(ranges).map(|&x| x as f32);
+            let others = others.chain(adjacency.iter().map(|&near| f32::from(u8::from(near))));
+            rest.iter_mut().zip(others).for_each(|(out, x)| *out = x);
+        }
+        model.row_space.round_inside(row);
+    }
+}
