@@ -1,0 +1,242 @@
+//! Every environment of a batch flies as it would alone.
+
+use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
+use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::tasks::{self, Antipodal};
+use mujoco_drones_gym::vector::VecPictures;
+use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+
+use super::{Wander, bits, compare, compare_as_built};
+
+#[test]
+fn every_task_is_what_its_environments_are_alone() {
+    fn all<T: Task + Clone + Send>(task: T, ended: &mut usize) {
+        for (physics, autoreset, environments, threads) in [
+            (Physics::Mjc, Autoreset::NextStep, 13, 1),
+            (Physics::MjcGndDragDw, Autoreset::SameStep, 19, 2),
+            (Physics::Dyn, Autoreset::NextStep, 3, 2),
+        ] {
+            let builder = AviaryBuilder::new(task.clone()).physics(physics).episode_seconds(1.1);
+            let config = VecConfig { autoreset, threads, ..VecConfig::new(environments) };
+            let hybrid = builder.clone().engine(EngineKind::Hybrid);
+            let builder = if physics == Physics::Dyn { builder } else { hybrid };
+            *ended += compare_as_built(&builder, config, 80);
+        }
+    }
+    let mut ended = 0;
+    all(Hover::default(), &mut ended);
+    all(Velocity::default(), &mut ended);
+    all(MultiHover::default(), &mut ended);
+    all(FlyThrough::default(), &mut ended);
+    all(Formation::default(), &mut ended);
+    all(Race::default(), &mut ended);
+    all(MultiHover::multi_agent(), &mut ended);
+    all(Antipodal::default(), &mut ended);
+    all(Stabilize::default(), &mut ended);
+    all(Track::default(), &mut ended);
+    assert!(ended > 200, "{ended}");
+}
+
+#[test]
+fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_alone() {
+    let hover =
+        || Hover::builder().initial_positions([[0.0, 0.0, 0.6]]).physics(Physics::MjcGndDragDw).episode_seconds(1.4);
+    let bodies = Randomization { sensors: None, environment: None, actuators: None, ..Randomization::default() };
+    let config = |threads| VecConfig { threads, autoreset: Autoreset::SameStep, ..VecConfig::new(11) };
+    let forest = |new_layout| ObstacleConfig {
+        count: 20,
+        arena: [2.0, 2.0, 2.0],
+        safe_zone: 0.3,
+        new_layout,
+        ..ObstacleConfig::new(ObstacleKind::Forest)
+    };
+    assert!(compare(&hover().randomization(bodies), config(2), 90) > 5);
+    assert!(compare(&hover().randomization(Randomization::default()), config(2), 90) > 5);
+    assert!(compare(&hover().wind(WindConfig::new(WindModel::Combined)), config(2), 90) > 5);
+    assert!(compare(&hover().wind(WindConfig { still_air_drag: true, ..WindConfig::default() }), config(2), 90) > 5);
+    let lag = ActuatorParams { lag: 0.03, gains: [1.0, 0.99, 1.0, 1.01], ..ActuatorParams::default() };
+    assert!(compare(&hover().actuators(lag), config(1), 90) > 5);
+    let late = ActuatorParams { latency: 0.02, ..ActuatorParams::default() };
+    assert!(compare(&hover().actuators(late), config(2), 90) > 5);
+    assert!(compare(&hover().obstacle_field(forest(false)), config(2), 90) > 5);
+    assert!(compare(&hover().obstacle_field(forest(true)), config(2), 90) > 5);
+    for kind in [ActionType::Vel, ActionType::Pid, ActionType::Attitude, ActionType::Ctbr, ActionType::OneDRpm] {
+        compare(&hover().action_type(kind), config(2), 90);
+    }
+}
+
+#[test]
+fn mujoco_alone_makes_the_same_bits_in_a_batch_contacts_included() {
+    // on the floor, bouncing, without an end
+    let builder = Hover::builder()
+        .engine(EngineKind::Mujoco)
+        .initial_positions([[0.0, 0.0, 0.3]])
+        .task(|hover| (hover.crash.floor_contact, hover.crash.max_tilt) = (false, 4.0));
+    for threads in [1, 2] {
+        let mut batch = VecAviary::new(builder.clone(), VecConfig { threads, ..VecConfig::new(9) }).unwrap();
+        let mut alone: Vec<_> = (0..9).map(|_| builder.clone().build().unwrap()).collect();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        alone.iter_mut().for_each(|env| {
+            env.reset(Some(1)).unwrap();
+        });
+        let mut wander = Wander::new(8, 9, 4);
+        let mut touched = 0;
+        for _ in 0..150 {
+            let actions: Vec<f32> = wander.next().iter().map(|x| x - 0.1).collect();
+            batch.step(&actions, buffers.step()).unwrap();
+            for (i, env) in alone.iter_mut().enumerate() {
+                let action: Vec<f64> = actions[4 * i..][..4].iter().map(|&x| f64::from(x)).collect();
+                if env.info().end.is_some() {
+                    env.reset(None).unwrap();
+                } else {
+                    env.step(&action).unwrap();
+                }
+                touched += env.info().contacts;
+                let seen: Vec<f32> = env.observation().vector.iter().map(|&x| x as f32).collect();
+                assert_eq!(bits(&seen), bits(&buffers.observations[12 * i..][..12]));
+            }
+        }
+        assert!(touched > 200, "{touched}");
+    }
+}
+
+#[test]
+fn threads_change_no_bits() {
+    let builder = || {
+        MultiHover::builder()
+            .num_drones(3)
+            .physics(Physics::MjcGndDragDw)
+            .randomization(Randomization { sensors: None, ..Randomization::default() })
+    };
+    let mut digests = Vec::new();
+    for threads in [1, 2, 3, 5] {
+        let mut batch = VecAviary::new(builder(), VecConfig { threads, ..VecConfig::new(100) }).unwrap();
+        let mut buffers = VecBuffers::new(&batch);
+        batch.reset(Some(3), &mut buffers.observations).unwrap();
+        let mut wander = Wander::new(4, 100, 12);
+        let mut digest = Vec::new();
+        for _ in 0..60 {
+            batch.step(wander.next(), buffers.step()).unwrap();
+            digest.extend(bits(&buffers.observations));
+            digest.extend(bits(&buffers.rewards));
+        }
+        digests.push(digest);
+    }
+    assert!(digests.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+#[test]
+fn what_a_batch_observes_beside_vectors_stands_behind_them() {
+    let field = ObstacleConfig { count: 4, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) };
+    let kind: ObservationType = "kin_obstacle_ranges_adjacency".parse().unwrap();
+    let builder = MultiHover::builder().obstacle_field(field).observation_type(kind);
+    let mut batch = VecAviary::new(builder.clone(), VecConfig::new(9)).unwrap();
+    assert_eq!(batch.observation_size(), 26 + 2 + 20 + 4);
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    batch.step(&[0.1; 72], buffers.step()).unwrap();
+    let mut env = builder.engine(EngineKind::Hybrid).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    env.step(&[0.1_f32 as f64; 8]).unwrap();
+    let seen = env.observation();
+    let mut row: Vec<f32> = seen.vector.iter().chain(&seen.obstacle).chain(&seen.ranges).map(|&x| x as f32).collect();
+    row.extend(seen.adjacency.iter().map(|&near| f32::from(u8::from(near))));
+    for i in 0..9 {
+        assert_eq!(bits(&row), bits(&buffers.observations[52 * i..][..52]), "{i}");
+    }
+}
+
+#[test]
+fn every_task_has_a_batch_by_name() {
+    for name in tasks::NAMES {
+        let mut env = make_vec(name, EnvConfig::default(), VecConfig::new(10)).unwrap();
+        let mut buffers = VecBuffers::new(&*env);
+        env.reset(Some(1), &mut buffers.observations).unwrap();
+        let actions = vec![0.0; 10 * env.action_size()];
+        env.step(&actions, buffers.step()).unwrap();
+        assert_eq!(env.name(), name);
+        assert!(buffers.observations.iter().chain(&buffers.rewards).all(|x| x.is_finite()), "{name}");
+    }
+    let error = make_vec("nosuch", EnvConfig::default(), VecConfig::new(1)).err().unwrap().to_string();
+    assert!(error.contains("nosuch") && error.contains("stabilize"), "{error}");
+}
+
+#[test]
+fn pictures_of_a_batch_are_those_of_its_environments_alone() {
+    let builder = || {
+        Hover::builder()
+            .initial_positions([[0.0, 0.0, 0.4]])
+            .observation_type("kin_rgb_depth_segmentation".parse().unwrap())
+            .obstacle_field(ObstacleConfig { arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) })
+    };
+    let count = 9;
+    let mut env = match VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(count) }) {
+        Ok(env) => env,
+        // nothing to draw with
+        Err(EnvError::Vision(_)) => return,
+        Err(error) => panic!("{error}"),
+    };
+    let mut buffers = VecBuffers::new(&env);
+    env.reset(Some(1), &mut buffers.observations).unwrap();
+    let actions: Vec<f32> = (0..4 * count).map(|i| 0.02 * (i / 4) as f32 + 0.003 * (i % 4) as f32).collect();
+    let pixels = env.camera_size().pixels();
+    let mut rgb = vec![0; count * 4 * pixels];
+    let (mut depth, mut segmentation) = (vec![0.0; count * pixels], vec![[0; 2]; count * pixels]);
+    for _ in 0..15 {
+        env.step(&actions, buffers.step()).unwrap();
+    }
+    env.pictures(VecPictures { rgb: &mut rgb, depth: &mut depth, segmentation: &mut segmentation }).unwrap();
+    for i in [0, 4, 8] {
+        let mut alone = builder().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap();
+        alone.reset(Some(1)).unwrap();
+        let action: Vec<f64> = actions[4 * i..][..4].iter().map(|&x| f64::from(x)).collect();
+        for _ in 0..15 {
+            alone.step(&action).unwrap();
+        }
+        let seen = alone.observation();
+        assert_eq!(seen.rgb, rgb[4 * pixels * i..][..4 * pixels]);
+        assert_eq!(seen.depth, depth[pixels * i..][..pixels]);
+        assert_eq!(seen.segmentation, segmentation[pixels * i..][..pixels]);
+    }
+    assert_ne!(rgb[..4 * pixels], rgb[4 * 8 * pixels..][..4 * pixels], "they are in different places");
+    let error = env.pictures(VecPictures::default()).unwrap_err().to_string();
+    assert!(error.contains("buffer of colours"), "{error}");
+}
+
+#[test]
+fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
+    use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
+    use mujoco_drones_gym::wrappers::SafetyWrapper;
+    let builder =
+        || Antipodal::builder().num_drones(4).action_type(ActionType::Vel).controller(ControllerKind::Geometric);
+    let filter = || CollisionCone::new(0.36);
+    let batch = VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(10) }).unwrap();
+    let mut batch = batch.safety(filter(), 10.0).unwrap();
+    let env = builder().engine(EngineKind::Hybrid).build().unwrap();
+    let mut alone = SafetyWrapper::new(env, filter()).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    alone.reset(Some(1)).unwrap();
+    for _ in 0..120 {
+        // all straight to the middle
+        let action: Vec<f32> = (0..4)
+            .flat_map(|drone| {
+                let position = alone.simulation().states()[drone].position;
+                [-0.7 * position.x as f32, -0.7 * position.y as f32, 0.0, 0.0]
+            })
+            .collect();
+        batch.step(&action.repeat(10), buffers.step()).unwrap();
+        let action: Vec<f64> = action.iter().map(|&x| f64::from(x)).collect();
+        alone.step(&action).unwrap();
+        let seen: Vec<f32> = alone.observation().vector.iter().map(|&x| x as f32).collect();
+        for row in buffers.observations.chunks_exact(seen.len()) {
+            assert_eq!(bits(row), bits(&seen));
+        }
+    }
+    assert!(alone.interventions() > 30, "{}", alone.interventions());
+    let wrong = VecAviary::new(Hover::builder(), VecConfig::new(2)).unwrap().safety(filter(), 10.0);
+    assert!(wrong.unwrap_err().to_string().contains("expected vel"));
+}

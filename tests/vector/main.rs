@@ -1,0 +1,96 @@
+//! A batch flies every environment to the bits that it would fly alone, whatever the number of threads.
+
+mod alone;
+mod episodes;
+mod faults;
+
+use mujoco_drones_gym::env::AviaryBuilder;
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
+
+/// Actions that wander, so that drones fly, tumble and crash: row after row.
+struct Wander {
+    rng: Rng,
+    held: Vec<f32>,
+    size: usize,
+}
+
+impl Wander {
+    fn new(seed: u64, count: usize, size: usize) -> Self {
+        Self { rng: Rng::seed_from_u64(seed), held: vec![0.0; count * size], size }
+    }
+
+    fn next(&mut self) -> &[f32] {
+        for row in self.held.chunks_exact_mut(self.size) {
+            // most of it common to all motors: drones stay in the air for a while
+            let common = 0.3 * (self.rng.random::<f32>() - 0.45);
+            for x in row {
+                *x = (0.8 * *x + common + 0.01 * (self.rng.random::<f32>() - 0.5)).clamp(-1.2, 1.2);
+            }
+        }
+        &self.held
+    }
+}
+
+fn bits(row: &[f32]) -> Vec<u32> {
+    row.iter().map(|x| x.to_bits()).collect()
+}
+
+/// Compares a batch of the hybrid engine with its environments.
+fn compare<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
+    compare_as_built(&builder.clone().engine(EngineKind::Hybrid), config, steps)
+}
+
+/// Flies a batch and each of its environments alone and compares every number; says how many episodes ended.
+fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
+    let mut batch = VecAviary::new(builder.clone(), config).unwrap();
+    let count = batch.num_envs();
+    let (a, o) = (batch.action_size(), batch.observation_size());
+    let mut buffers = VecBuffers::new(&batch);
+    let mut alone: Vec<_> = (0..count).map(|i| builder.clone().stream(i as u64).build().unwrap()).collect();
+    let mut over = vec![false; count];
+    let (space, mut row) = (batch.observation_space().vector.clone(), vec![0.0_f32; o]);
+    batch.reset(Some(11), &mut buffers.observations).unwrap();
+    for (i, env) in alone.iter_mut().enumerate() {
+        space.write_f32(&env.reset(Some(11)).unwrap().vector, &mut row);
+        assert_eq!(bits(&row), bits(&buffers.observations[i * o..][..o]), "reset of {i}");
+    }
+    let mut wander = Wander::new(5, count, a);
+    let mut ended = 0;
+    for step in 0..steps {
+        let actions = wander.next().to_vec();
+        batch.step(&actions, buffers.step()).unwrap();
+        for (i, env) in alone.iter_mut().enumerate() {
+            let seen = &buffers.observations[i * o..][..o];
+            let got = (buffers.rewards[i], buffers.terminated[i], buffers.truncated[i]);
+            if over[i] {
+                space.write_f32(&env.reset(None).unwrap().vector, &mut row);
+                assert_eq!(bits(&row), bits(seen), "next reset of {i}");
+                assert_eq!(got, (0.0, false, false));
+                over[i] = false;
+                continue;
+            }
+            let action: Vec<f64> = actions[i * a..][..a].iter().map(|&x| f64::from(x)).collect();
+            let Step { observation, reward, terminated, truncated } = env.step(&action).unwrap();
+            space.write_f32(&observation.vector, &mut row);
+            assert_eq!(got, (reward as f32, terminated, truncated), "step {step} of {i}");
+            let ends = terminated || truncated;
+            if ends {
+                ended += 1;
+                let report = batch.ended(i).copied().unwrap();
+                assert_eq!(Some(report.reason), env.info().end);
+                assert_eq!((report.success, report.steps), (env.info().success, env.simulation().control_steps()));
+            } else {
+                assert!(batch.ended(i).is_none());
+            }
+            if ends && config.autoreset == Autoreset::SameStep {
+                assert_eq!(bits(&row), bits(&batch.final_observations()[i * o..][..o]));
+                space.write_f32(&env.reset(None).unwrap().vector, &mut row);
+            } else {
+                over[i] = ends;
+            }
+            assert_eq!(bits(&row), bits(seen), "step {step} of {i}");
+        }
+    }
+    ended
+}
