@@ -2,7 +2,7 @@
 
 use mujoco_drones_gym::control::AnyController;
 use mujoco_drones_gym::engine::flight::{
-    Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, Width, advance, compute_rpys,
+    Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, Width, advance, compute_rpys, find_clear,
 };
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
@@ -72,7 +72,7 @@ fn ten_seconds_of_tumbling_are_those_of_mj_step_in_every_width() {
                     lanes.set_target(lane, &tumbling(&params, lane, step));
                 }
                 let (body_fixed, medium) = (forcing == Forcing::BodyFixed, medium.is_some());
-                advance(&Flow { dt, body_fixed, medium, air: false, width: *width }, lanes, &frames, 1);
+                advance(&Flow { dt, body_fixed, medium, air: false, width: *width }, lanes, &frames, LANES, 1);
             }
         }
         for lane in 0..LANES {
@@ -125,6 +125,51 @@ fn ten_seconds_of_tumbling_are_those_of_mj_step_in_every_width() {
     }
 }
 
+/// The first lanes alone come to the bits that they come to among eight, and the others are left as they are.
+#[test]
+fn the_first_lanes_fly_alone_to_the_same_bits() {
+    let params = DroneModel::Cf2x.params();
+    for (body_fixed, medium, air) in
+        [(false, None, false), (false, None, true), (false, Some(Medium::AIR), true), (true, Some(Medium::AIR), true)]
+    {
+        let body = FreeBody::new(params.mass, &params.inertia_vector(), 9.81, medium);
+        let drag = params.drag_coefficients.into();
+        let airframe = Airframe { body, rotors: RotorModel::new(&params), drag, share: 0.3, ..Airframe::default() };
+        let frames = LaneParams::all(&airframe);
+        let mut first = Lanes::default();
+        for lane in 0..LANES {
+            first.set(lane, &start(lane, 50.0), &[14_000.0; 4], &tumbling(&params, lane, 3));
+        }
+        let fly = |width, count| {
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium: medium.is_some(), air, width };
+            let mut lanes = first.clone();
+            advance(&flow, &mut lanes, &frames, count, 5);
+            compute_rpys(width, &mut lanes, count);
+            let clear = find_clear(&flow, std::slice::from_ref(&lanes), std::slice::from_ref(&frames), count, 5);
+            (lanes, clear)
+        };
+        let (all, all_clear) = fly(Width::Portable, LANES);
+        assert_ne!(all.state(LANES - 1), first.state(LANES - 1));
+        for width in Width::available() {
+            for count in 1..=LANES {
+                let (lanes, clear) = fly(width, count);
+                for lane in 0..count {
+                    let (got, expected) = (&lanes, &all);
+                    assert_eq!(got.state(lane), expected.state(lane), "{width:?}, {lane} of {count}");
+                    assert_eq!(got.rpm(lane), expected.rpm(lane));
+                    assert_eq!(got.rpy(lane), expected.rpy(lane));
+                    assert_eq!(got.push(lane), expected.push(lane));
+                    assert_eq!(clear[lane], all_clear[lane]);
+                }
+                // a register may hold some lanes more
+                for lane in count.next_multiple_of(4)..LANES {
+                    assert_eq!(lanes.state(lane), first.state(lane), "{width:?}, {lane} behind {count}");
+                }
+            }
+        }
+    }
+}
+
 /// Roll, pitch and yaw of lanes are those of single drones to the last bit, at and near gimbal lock too, whatever is in the
 /// other lanes.
 #[test]
@@ -141,7 +186,7 @@ fn angles_of_lanes_are_those_of_single_drones_to_the_last_bit() {
         for width in Width::available() {
             let mut lanes = Lanes::default();
             states.iter().enumerate().for_each(|(lane, state)| lanes.set(lane, state, &[0.0; 4], &[0.0; 4]));
-            compute_rpys(width, &mut lanes);
+            compute_rpys(width, &mut lanes, LANES);
             for (lane, state) in states.iter().enumerate() {
                 assert_eq!(lanes.rpy(lane).map(f64::to_bits), state.rpy().map(f64::to_bits), "{width:?} {state:?}");
             }
@@ -171,7 +216,7 @@ fn lanes_in_wind_and_medium_are_single_drones_to_the_last_bit() {
                 }
             }
             let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), air: true, width };
-            advance(&flow, &mut lanes, &frames, 1);
+            advance(&flow, &mut lanes, &frames, LANES, 1);
             for lane in 0..LANES {
                 let state = start(lane, 50.0);
                 let (force, air) = if lane % 2 == 0 { (force, air) } else { (Vector3::zeros(), Vector3::zeros()) };

@@ -6,7 +6,7 @@ use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{self, Antipodal};
 use mujoco_drones_gym::vector::VecPictures;
-use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
+use mujoco_drones_gym::world::{Forcing, Medium, ObstacleConfig, ObstacleKind};
 
 use super::{Wander, bits, compare, compare_as_built};
 
@@ -239,4 +239,26 @@ fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
     assert!(alone.interventions() > 30, "{}", alone.interventions());
     let wrong = VecAviary::new(Hover::builder(), VecConfig::new(2)).unwrap().safety(filter(), 10.0);
     assert!(wrong.unwrap_err().to_string().contains("expected vel"));
+}
+
+/// Few environments, and the last ones of a batch, are computed in narrower registers than a full block.
+#[test]
+fn environments_that_fill_no_block_are_what_they_are_alone() {
+    let lag = ActuatorParams { lag: 0.03, ..ActuatorParams::default() };
+    let mut ended = 0;
+    for environments in [1, 2, 3, 5, 9] {
+        let config = VecConfig { threads: 1, autoreset: Autoreset::SameStep, ..VecConfig::new(environments) };
+        let hover = || Hover::builder().initial_positions([[0.0, 0.0, 0.6]]).episode_seconds(1.1);
+        let several = || MultiHover::builder().num_drones(3).episode_seconds(1.1);
+        ended += compare(&hover(), config, 80);
+        ended += compare(&hover().actuators(lag), config, 80);
+        ended += compare(&hover().randomization(Randomization::default()), config, 80);
+        ended += compare(&hover().forcing(Forcing::BodyFixed), config, 80);
+        ended += compare(&hover().forcing(Forcing::BodyFixed).medium(Medium::AIR), config, 80);
+        ended += compare(&hover().medium(Medium::AIR), config, 80);
+        ended += compare(&several(), config, 80);
+        let effects = several().physics(Physics::MjcGndDragDw).actuators(lag).randomization(Randomization::default());
+        ended += compare(&effects, config, 80);
+    }
+    assert!(ended > 200, "{ended}");
 }

@@ -164,7 +164,7 @@ impl<T: Task> Worker<T> {
         let Some(flow) = model.flow.as_ref().filter(|_| fits_lanes.contains(&true)) else { return [false; LANES] };
         let drones = model.drones;
         let (lanes, lane_params) = lanes_and_frames(model, shard, range.start);
-        let mut clear = find_clear(flow.width, lanes, lane_params, flow.dt, model.substeps);
+        let mut clear = find_clear(flow, lanes, lane_params, range.len(), model.substeps);
         clear.iter_mut().zip(fits_lanes).for_each(|(clear, fits)| *clear &= fits);
         if shard.envs.clearance_caches.is_empty() {
             return clear;
@@ -217,9 +217,9 @@ impl<T: Task> Worker<T> {
     ) {
         let drones = model.drones;
         let flying = clear.iter().filter(|clear| **clear).count();
-        let block = range.start / LANES;
-        let (lanes, lane_params) = lanes_and_frames(model, shard, block * LANES);
-        // all lanes fly; those that should not are put back
+        let count = range.len();
+        let (lanes, lane_params) = lanes_and_frames(model, shard, range.start);
+        // all of them fly; those that should not are put back
         let grounded = range.map(|index| index % LANES).filter(|&lane| !clear[lane]);
         for lane in grounded.clone() {
             for (drone, lanes) in lanes.iter().enumerate() {
@@ -228,14 +228,14 @@ impl<T: Task> Worker<T> {
         }
         if model.downwash {
             for _ in 0..model.substeps {
-                compute_downwash(flow.width, lanes, lane_params);
+                compute_downwash(flow.width, lanes, lane_params, count);
                 for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
-                    advance(flow, lanes, lane_params, 1);
+                    advance(flow, lanes, lane_params, count, 1);
                 }
             }
         } else {
             for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
-                advance(flow, lanes, lane_params, model.substeps);
+                advance(flow, lanes, lane_params, count, model.substeps);
             }
         }
         for lane in grounded {
@@ -245,7 +245,7 @@ impl<T: Task> Worker<T> {
             }
         }
         for lanes in lanes {
-            compute_rpys(flow.width, lanes);
+            compute_rpys(flow.width, lanes, count);
         }
         self.flown += u64::from(model.substeps) * flying as u64;
     }

@@ -260,7 +260,7 @@ fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 all.clone_from(&start);
                 let begin = Instant::now();
                 for lanes in &mut all {
-                    advance(&flow, lanes, &frames, 20);
+                    advance(&flow, lanes, &frames, LANES, 20);
                 }
                 black_box(&mut all);
                 Ok(begin.elapsed())

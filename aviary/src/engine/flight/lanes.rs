@@ -203,10 +203,10 @@ struct Part<S: Simd> {
 }
 
 impl<S: Simd> Part<S> {
-    /// All parts of the lanes.
+    /// The parts that hold the first `count` lanes.
     #[inline(always)]
-    fn all(simd: S) -> impl Iterator<Item = Self> {
-        (0..LANES / S::F64_LANES).map(move |index| Self { simd, index })
+    fn first(simd: S, count: usize) -> impl Iterator<Item = Self> {
+        (0..count.min(LANES).div_ceil(S::F64_LANES)).map(move |index| Self { simd, index })
     }
 
     #[inline(always)]
@@ -334,6 +334,7 @@ pub struct Flow {
 struct Substeps<'a, const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> {
     lanes: &'a mut Lanes,
     lane_params: &'a LaneParams,
+    count: usize,
     dt: f64,
     steps: u32,
 }
@@ -343,8 +344,8 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { lanes, lane_params, dt, steps } = self;
-        for part in Part::all(simd) {
+        let Self { lanes, lane_params, count, dt, steps } = self;
+        for part in Part::first(simd, count) {
             let (body, rotors) = (part.body(lane_params), part.rotors(lane_params));
             let target = part.get4(&lanes.target);
             let mut motion = part.motion(lanes);
@@ -395,11 +396,11 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
     }
 }
 
-/// Advances lanes that do not feel each other by so many physics steps.
-pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, steps: u32) {
+/// Advances the first `count` lanes, which do not feel each other, by so many physics steps.
+pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, count: usize, steps: u32) {
     macro_rules! go {
         ($fixed:literal, $medium:literal, $air:literal) => {
-            flow.width.run(Substeps::<$fixed, $medium, $air> { lanes, lane_params, dt: flow.dt, steps })
+            flow.width.run(count, Substeps::<$fixed, $medium, $air> { lanes, lane_params, count, dt: flow.dt, steps })
         };
     }
     // a form of its own for what is flown most; the others have what they may not need switched off by zeros
@@ -415,6 +416,7 @@ pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, steps: 
 struct Downwash<'a> {
     drones: &'a mut [Lanes],
     lane_params: &'a [LaneParams],
+    count: usize,
 }
 
 impl WithSimd for Downwash<'_> {
@@ -422,8 +424,8 @@ impl WithSimd for Downwash<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { drones, lane_params } = self;
-        for part in Part::all(simd) {
+        let Self { drones, lane_params, count } = self;
+        for part in Part::first(simd, count) {
             for i in 0..drones.len() {
                 let (before, rest) = drones.split_at_mut(i);
                 let a = &mut rest[0];
@@ -452,34 +454,38 @@ impl WithSimd for Downwash<'_> {
     }
 }
 
-/// Computes the wakes among the drones of environments, one environment per lane: `drones` and `lane_params` have one entry
-/// per drone.
-pub fn compute_downwash(width: Width, drones: &mut [Lanes], lane_params: &[LaneParams]) {
-    width.run(Downwash { drones, lane_params });
+/// Computes the wakes among the drones of the first `count` environments, one environment per lane: `drones` and `lane_params`
+/// have one entry per drone.
+pub fn compute_downwash(width: Width, drones: &mut [Lanes], lane_params: &[LaneParams], count: usize) {
+    width.run(count, Downwash { drones, lane_params, count });
 }
 
-struct Rpys<'a>(&'a mut Lanes);
+struct Rpys<'a> {
+    lanes: &'a mut Lanes,
+    count: usize,
+}
 
 impl WithSimd for Rpys<'_> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        for part in Part::all(simd) {
-            let rpy = part.turn(self.0).rpy();
-            part.put3(&mut self.0.rpy, rpy);
+        for part in Part::first(simd, self.count) {
+            let rpy = part.turn(self.lanes).rpy();
+            part.put3(&mut self.lanes.rpy, rpy);
         }
     }
 }
 
-/// Computes roll, pitch and yaw of every lane.
-pub fn compute_rpys(width: Width, lanes: &mut Lanes) {
-    width.run(Rpys(lanes));
+/// Computes roll, pitch and yaw of the first `count` lanes.
+pub fn compute_rpys(width: Width, lanes: &mut Lanes, count: usize) {
+    width.run(count, Rpys { lanes, count });
 }
 
 struct Clear<'a> {
     drones: &'a [Lanes],
     lane_params: &'a [LaneParams],
+    count: usize,
     dt: f64,
     steps: u32,
 }
@@ -489,9 +495,9 @@ impl WithSimd for Clear<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> [bool; LANES] {
-        let Self { drones, lane_params, dt, steps } = self;
+        let Self { drones, lane_params, count, dt, steps } = self;
         let mut room = [0.0; LANES];
-        for part in Part::all(simd) {
+        for part in Part::first(simd, count) {
             let one = Pack::new(simd, simd.splat_f64s(1.0));
             let zero = one.all(0.0);
             // a comparison with NaN is false, and what is once false stays so
@@ -512,8 +518,14 @@ impl WithSimd for Clear<'_> {
     }
 }
 
-/// Which environments are in the open for so many physics steps, one per lane: no drone can touch the floor or another
-/// drone, and none turns too fast for the kernel. `drones` and `lane_params` have one entry per drone.
-pub fn find_clear(width: Width, drones: &[Lanes], lane_params: &[LaneParams], dt: f64, steps: u32) -> [bool; LANES] {
-    width.run(Clear { drones, lane_params, dt, steps })
+/// Which of the first `count` environments are in the open for so many physics steps, one per lane: no drone can touch the floor
+/// or another drone, and none turns too fast for the kernel. `drones` and `lane_params` have one entry per drone.
+pub fn find_clear(
+    flow: &Flow,
+    drones: &[Lanes],
+    lane_params: &[LaneParams],
+    count: usize,
+    steps: u32,
+) -> [bool; LANES] {
+    flow.width.run(count, Clear { drones, lane_params, count, dt: flow.dt, steps })
 }

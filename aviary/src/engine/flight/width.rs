@@ -1,5 +1,6 @@
 use pulp::WithSimd;
 
+use super::LANES;
 use crate::names::named_enum;
 
 named_enum! {
@@ -39,13 +40,17 @@ impl Width {
         }
     }
 
-    /// Runs work with these instructions, or with what there is.
+    /// Runs work on the first `count` lanes with these instructions, or with what there is. Lanes that fit half a register are computed
+    /// in halves: the machine does twice as many of them at once.
     #[inline]
-    pub(super) fn run<W: WithSimd>(self, work: W) -> W::Output {
+    pub(super) fn run<W: WithSimd>(self, count: usize, work: W) -> W::Output {
         #[cfg(target_arch = "x86_64")]
         match self {
             Self::Avx512 => {
                 if let Some(simd) = pulp::x86::V4::try_new() {
+                    if count <= LANES / 2 {
+                        return simd.vectorize(InHalves(simd, work));
+                    }
                     return pulp::Simd::vectorize(simd, work);
                 }
             }
@@ -57,5 +62,20 @@ impl Width {
             Self::Portable => {}
         }
         work.with_simd(pulp::Scalar128b)
+    }
+}
+
+/// Work in the lower halves of AVX-512's 32 registers.
+#[cfg(target_arch = "x86_64")]
+struct InHalves<W>(pulp::x86::V4, W);
+
+#[cfg(target_arch = "x86_64")]
+impl<W: WithSimd> pulp::NullaryFnOnce for InHalves<W> {
+    type Output = W::Output;
+
+    #[inline(always)]
+    fn call(self) -> W::Output {
+        let Self(simd, work) = self;
+        work.with_simd(*simd)
     }
 }
