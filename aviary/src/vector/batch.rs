@@ -150,7 +150,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         let shares = environments.slots[environment].data.is_none();
         if shares {
             let mut data = Box::new(env.simulation.snapshot());
-            environments.shard().envs.load(model, environment, &mut data);
+            environments.slices().load(model, environment, &mut data);
             environments.slots[environment].data = Some(data);
         }
         let slot = &mut environments.slots[environment];
@@ -175,10 +175,10 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         if !unchanged && environments.lane_params.is_empty() {
             environments.lane_params = model.lane_params.repeat(count.div_ceil(LANES));
         }
-        let mut shard = environments.shard();
-        shard.envs.store(model, environment, None, Some(&env.simulation));
-        shard.envs.forget_clearances(model, environment);
-        let slot = &mut shard.envs.slots[environment];
+        let mut envs = environments.slices();
+        envs.store(model, environment, None, Some(&env.simulation));
+        envs.forget_clearances(model, environment);
+        let slot = &mut envs.slots[environment];
         if unchanged {
             slot.data = None;
         }
@@ -376,9 +376,9 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
         check("the mask", mask.len(), self.num_envs())?;
         check("the buffer of observations", observations.len(), self.num_envs() * self.model.observation_size)?;
-        let mut shard = self.environments.shard();
-        (shard.mask, shard.step.observations) = (mask, observations);
-        let model = &self.model;
+        let (model, envs) = (&self.model, self.environments.slices());
+        let step = StepSlices { observations, ..StepSlices::default() };
+        let shard = Shard { first: 0, mask, envs, step, images: ImageSlices::default() };
         self.pool.run(model, shard, &|worker, shard, faults| worker.reset_where(model, shard, seed, faults))?;
         self.take_faults(true)
     }
@@ -395,11 +395,10 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
             self.check_actions(actions)?;
         }
         let VecStep { observations, rewards, terminated, truncated } = out;
-        let shard = self.environments.shard();
-        let finals = shard.step.finals;
-        let step = StepSlices { actions, observations, finals, rewards, terminated, truncated };
-        let model = &self.model;
-        self.pool.run(model, Shard { step, ..shard }, &|worker, shard, faults| worker.step(model, shard, faults))?;
+        let (model, envs) = (&self.model, self.environments.slices());
+        let step = StepSlices { actions, observations, rewards, terminated, truncated };
+        let shard = Shard { first: 0, mask: &[], envs, step, images: ImageSlices::default() };
+        self.pool.run(model, shard, &|worker, shard, faults| worker.step(model, shard, faults))?;
         self.take_faults(fatal)
     }
 
@@ -409,9 +408,9 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         check("the buffer of depths", out.depth.len(), count * depth)?;
         check("the buffer of objects", out.segmentation.len(), count * objects)?;
         let images = ImageSlices { rgb: out.rgb, depth: out.depth, segmentation: out.segmentation };
-        let (model, shard) = (&self.model, self.environments.shard());
-        self.pool
-            .run(model, Shard { images, ..shard }, &|worker, shard, faults| worker.render(model, shard, faults))?;
+        let (model, envs) = (&self.model, self.environments.slices());
+        let shard = Shard { first: 0, mask: &[], envs, step: StepSlices::default(), images };
+        self.pool.run(model, shard, &|worker, shard, faults| worker.render(model, shard, faults))?;
         self.take_faults(true)
     }
 

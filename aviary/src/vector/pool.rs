@@ -15,6 +15,7 @@ use crate::env::{EnvError, Task};
 #[derive(Debug)]
 pub(super) struct WorkerPool<T> {
     pub workers: Vec<Mutex<Worker<T>>>,
+    /// `None` for a single worker, which works on the caller's thread.
     threads: Option<Threads>,
     pub faults: Faults,
 }
@@ -35,12 +36,18 @@ impl<T: Task + Send> WorkerPool<T> {
     pub fn run(
         &self,
         model: &BatchModel,
-        shard: Shard<'_, T>,
+        mut shard: Shard<'_, T>,
         work: &(impl Fn(&mut Worker<T>, &mut Shard<'_, T>, &Faults) + Sync),
     ) -> Result<(), EnvError> {
         if self.workers.iter().any(Mutex::is_poisoned) {
             return Err(EnvError::Panicked);
         }
+        let Some(threads) = &self.threads else {
+            // a single worker needs no queue, which would be dear beside the step of one environment
+            let mut worker = self.workers[0].lock().unwrap_or_else(PoisonError::into_inner);
+            work(&mut worker, &mut shard, &self.faults);
+            return Ok(());
+        };
         let queue = WorkQueue::new(model, shard, self.workers.len());
         // every worker is taken once, by whatever thread, and keeps at it until nothing is left: a task that uses the threads itself may
         // find its thread with another worker, never with its own
@@ -50,10 +57,7 @@ impl<T: Task + Send> WorkerPool<T> {
                 work(&mut worker, &mut shard, &self.faults);
             }
         };
-        match &self.threads {
-            None => take(0),
-            Some(threads) => threads.run(|| for_each(0..self.workers.len(), &take)),
-        }
+        threads.run(|| for_each(0..self.workers.len(), &take));
         Ok(())
     }
 }

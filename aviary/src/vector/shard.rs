@@ -108,20 +108,15 @@ pub(super) struct Environments<T> {
 }
 
 impl<T> Environments<T> {
-    /// Returns all of them as one shard, without buffers.
-    pub fn shard(&mut self) -> Shard<'_, T> {
-        Shard {
-            first: 0,
-            mask: &[],
-            envs: EnvSlices {
-                slots: &mut self.slots,
-                lanes: &mut self.lanes,
-                lane_params: &mut self.lane_params,
-                warm_starts: &mut self.warm_starts,
-                clearance_caches: &mut self.clearance_caches,
-            },
-            step: StepSlices { finals: &mut self.finals, ..StepSlices::default() },
-            images: ImageSlices::default(),
+    /// Returns what they keep from step to step.
+    pub fn slices(&mut self) -> EnvSlices<'_, T> {
+        EnvSlices {
+            slots: &mut self.slots,
+            lanes: &mut self.lanes,
+            lane_params: &mut self.lane_params,
+            warm_starts: &mut self.warm_starts,
+            clearance_caches: &mut self.clearance_caches,
+            finals: &mut self.finals,
         }
     }
 
@@ -158,6 +153,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub lane_params: &'a mut [LaneParams],
     pub warm_starts: &'a mut [f64],
     pub clearance_caches: &'a mut [ClearanceCache],
+    pub finals: &'a mut [f32],
 }
 
 /// The buffers of a step.
@@ -165,7 +161,6 @@ pub(super) struct EnvSlices<'a, T> {
 pub(super) struct StepSlices<'a> {
     pub actions: &'a [f32],
     pub observations: &'a mut [f32],
-    pub finals: &'a mut [f32],
     pub rewards: &'a mut [f32],
     pub terminated: &'a mut [bool],
     pub truncated: &'a mut [bool],
@@ -191,6 +186,12 @@ impl<'a, T> Shard<'a, T> {
         self.envs.slots.len().div_ceil(LANES)
     }
 
+    /// Keeps an environment's observation as the last one of its episode.
+    pub fn keep_final(&mut self, model: &BatchModel, index: usize) {
+        let row = model.observation_size * index..model.observation_size * (index + 1);
+        self.envs.finals[row.clone()].copy_from_slice(&self.step.observations[row]);
+    }
+
     /// Splits so many blocks off the front.
     pub fn split(self, model: &BatchModel, blocks: usize) -> (Self, Self) {
         let count = (blocks * LANES).min(self.envs.slots.len());
@@ -213,14 +214,16 @@ impl<'a, T> EnvSlices<'a, T> {
         let (lane_params, frames2) = cut(self.lane_params, blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
         let (clearance_caches, clearances2) = cut(self.clearance_caches, drones * count);
+        let (finals, finals2) = cut(self.finals, model.observation_size * count);
         (
-            Self { slots, lanes, lane_params, warm_starts, clearance_caches },
+            Self { slots, lanes, lane_params, warm_starts, clearance_caches, finals },
             Self {
                 slots: slots2,
                 lanes: lanes2,
                 lane_params: frames2,
                 warm_starts: warm_starts2,
                 clearance_caches: clearances2,
+                finals: finals2,
             },
         )
     }
@@ -268,16 +271,14 @@ impl<'a> StepSlices<'a> {
     fn split(self, model: &BatchModel, count: usize) -> (Self, Self) {
         let (actions, actions2) = self.actions.split_at((model.action_size * count).min(self.actions.len()));
         let (observations, observations2) = cut(self.observations, model.observation_size * count);
-        let (finals, finals2) = cut(self.finals, model.observation_size * count);
         let (rewards, rewards2) = cut(self.rewards, count);
         let (terminated, terminated2) = cut(self.terminated, count);
         let (truncated, truncated2) = cut(self.truncated, count);
         (
-            Self { actions, observations, finals, rewards, terminated, truncated },
+            Self { actions, observations, rewards, terminated, truncated },
             Self {
                 actions: actions2,
                 observations: observations2,
-                finals: finals2,
                 rewards: rewards2,
                 terminated: terminated2,
                 truncated: truncated2,
@@ -293,12 +294,6 @@ impl<'a> StepSlices<'a> {
     /// Returns an environment's row of the observations.
     pub fn observation(&mut self, model: &BatchModel, index: usize) -> &mut [f32] {
         &mut self.observations[model.observation_size * index..][..model.observation_size]
-    }
-
-    /// Keeps an environment's observation as the last one of its episode.
-    pub fn keep_final(&mut self, model: &BatchModel, index: usize) {
-        let row = model.observation_size * index..model.observation_size * (index + 1);
-        self.finals[row.clone()].copy_from_slice(&self.observations[row]);
     }
 }
 

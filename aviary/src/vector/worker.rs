@@ -15,13 +15,14 @@ use crate::wrappers::VelocityFilter;
 pub(super) type Faults = Mutex<Vec<(usize, EnvError)>>;
 
 /// What an environment does in a step.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 enum Turn {
     /// Fly in its lane, or in MuJoCo.
     Fly,
     /// Begin an episode.
     Begin,
-    Fail(EnvError),
+    /// Fail, for the reason in [`Worker::errors`].
+    Fail,
 }
 
 /// One thread's memory.
@@ -35,7 +36,9 @@ pub(super) struct Worker<T> {
     commands: Vec<[f64; 4]>,
     /// Lanes as they were, of environments that do not fly in lanes.
     saved: Vec<(DroneState, [f64; 4], [f64; 4])>,
-    turns: Vec<Turn>,
+    turns: [Turn; LANES],
+    /// Why environments of a block fail, of those that do.
+    errors: [Option<EnvError>; LANES],
     /// States of the environment whose action is decoded.
     states: Vec<DroneState>,
     /// Makes velocities safe, where that is asked for.
@@ -53,7 +56,8 @@ impl<T: Task> Worker<T> {
             grounded: vec![env.simulation.snapshot(); LANES],
             commands: vec![[0.0; 4]; LANES * drones],
             saved: vec![(DroneState::default(), [0.0; 4], [0.0; 4]); LANES * drones],
-            turns: vec![Turn::Fly; LANES],
+            turns: [Turn::Fly; LANES],
+            errors: Default::default(),
             states: vec![DroneState::default(); drones],
             guard: None,
             action: Vec::new(),
@@ -89,7 +93,7 @@ impl<T: Task> Worker<T> {
                 continue;
             }
             if let Err(error) = self.decode_one(model, shard, index, action) {
-                self.turns[lane] = Turn::Fail(error);
+                (self.turns[lane], self.errors[lane]) = (Turn::Fail, Some(error));
                 continue;
             }
             let (commands, slot) = (&self.env.workspace.commands, &mut shard.envs.slots[index]);
@@ -105,20 +109,23 @@ impl<T: Task> Worker<T> {
         fits_lanes
     }
 
-    fn turn(&self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> Turn {
+    /// Decides what an environment does.
+    fn turn(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> Turn {
         let slot = &shard.envs.slots[index];
-        match slot.episode.phase {
+        let error = match slot.episode.phase {
             Phase::Running => match action.iter().position(|x| !x.is_finite()) {
-                None => Turn::Fly,
+                None => return Turn::Fly,
                 Some(entry) => {
                     let time = slot.control_steps as f64 * self.env.simulation.control_period();
-                    Turn::Fail(EnvError::Action { index: entry, got: f64::from(action[entry]), time })
+                    EnvError::Action { index: entry, got: f64::from(action[entry]), time }
                 }
             },
-            _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => Turn::Begin,
-            Phase::Over => Turn::Fail(EnvError::NeedsReset { when: "after the end of the episode" }),
-            Phase::New => Turn::Fail(EnvError::NeedsReset { when: "on a new environment" }),
-        }
+            _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => return Turn::Begin,
+            Phase::Over => EnvError::NeedsReset { when: "after the end of the episode" },
+            Phase::New => EnvError::NeedsReset { when: "on a new environment" },
+        };
+        self.errors[index % LANES] = Some(error);
+        Turn::Fail
     }
 
     /// Decodes an environment's action to the workspace's commands.
@@ -200,7 +207,7 @@ impl<T: Task> Worker<T> {
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
             parts.workspace.commands.copy_from_slice(&self.commands[lane * model.drones..][..model.drones]);
             if let Err(error) = parts.advance() {
-                self.turns[lane] = Turn::Fail(error);
+                (self.turns[lane], self.errors[lane]) = (Turn::Fail, Some(error));
             }
             shard.envs.store(model, index, Some(shared), None);
         }
@@ -253,7 +260,7 @@ impl<T: Task> Worker<T> {
     /// Stage 3: lets the task look at the step of an environment, and writes reward, end and observation.
     fn evaluate(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool, faults: &Faults) {
         let lane = index % LANES;
-        match std::mem::replace(&mut self.turns[lane], Turn::Fly) {
+        match self.turns[lane] {
             Turn::Fly => {
                 let grounded = self.read(model, shard, index, clear);
                 let shared = grounded.then(|| &mut self.grounded[lane]);
@@ -285,12 +292,14 @@ impl<T: Task> Worker<T> {
                     self.end_without_start(model, shard, index);
                 }
             }
-            Turn::Fail(error) => {
+            Turn::Fail => {
                 let grounded = shard.envs.slots[index].data.is_none();
                 if grounded {
                     shard.envs.load(model, index, &mut self.grounded[lane]);
                 }
-                self.fail(model, shard, index, grounded, error, faults);
+                if let Some(error) = self.errors[lane].take() {
+                    self.fail(model, shard, index, grounded, error, faults);
+                }
             }
         }
     }
@@ -329,7 +338,7 @@ impl<T: Task> Worker<T> {
         slot.episode.finish(reason);
         self.observe(model, shard, index, grounded, faults);
         if model.autoreset == Autoreset::SameStep {
-            shard.step.keep_final(model, index);
+            shard.keep_final(model, index);
             self.reset(model, shard, index, None, faults);
         }
     }
@@ -340,7 +349,7 @@ impl<T: Task> Worker<T> {
         let ended = Ended { reason: EndReason::Fault, success: false, steps: 0, reward: 0.0 };
         shard.envs.slots[index].ended = Some(ended);
         if model.autoreset == Autoreset::SameStep {
-            shard.step.keep_final(model, index);
+            shard.keep_final(model, index);
         }
     }
 
