@@ -1,15 +1,19 @@
 //! Snapshots: what follows a restore is bit-identical to what followed the snapshot, whatever the environment is made of.
 
-use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
-use mujoco_drones_gym::env::{EnvConfig, EnvSnapshot, Randomization};
+use mujoco_drones_gym::control::CollisionCone;
+use mujoco_drones_gym::env::{EnvSnapshot, Randomization};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::tasks::{Antipodal, NAMES, make};
-use mujoco_drones_gym::world::{Obstacle, ObstacleConfig, ObstacleKind, Shape};
+use mujoco_drones_gym::simulation::{SimData, step as step_data};
+use mujoco_drones_gym::tasks::NAMES;
+use mujoco_drones_gym::world::{Forcing, Obstacle, ObstacleConfig, ObstacleKind, Shape};
 use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper, SafetyWrapper};
 use mujoco_drones_gym::{Rng, RngExt as _, SeedableRng as _};
 use nalgebra::Vector3;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 /// Everything that a step of an environment says, as bits.
 fn step(env: &mut dyn DroneEnv, rng: &mut Rng, out: &mut Vec<u64>) {
@@ -42,9 +46,18 @@ fn flight(env: &mut dyn DroneEnv, seed: u64, steps: usize) -> Vec<u64> {
     out
 }
 
-/// Flies to a snapshot and on, and again from the snapshot in the same environment and in another one.
+/// The same snapshot, written to JSON and read from it.
+fn written_and_read<V: Serialize + DeserializeOwned>(snapshot: &V) -> V {
+    let text = serde_json::to_string(snapshot).unwrap();
+    let read: V = serde_json::from_str(&text).unwrap();
+    assert_eq!(serde_json::to_string(&read).unwrap(), text, "written again");
+    read
+}
+
+/// Flies to a snapshot and on, and again from the snapshot in the same environment and in another one, also from a snapshot that
+/// was written and read.
 fn check(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
-    let (mut env, mut other) = (build(), build());
+    let (mut env, mut other, mut third) = (build(), build(), build());
     for (seed, before) in [(1, 0), (2, 7), (3, 40)] {
         env.reset(Some(seed)).unwrap();
         flight(&mut *env, seed, before);
@@ -54,8 +67,9 @@ fn check(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
         // what happens in between does not matter
         other.reset(Some(9)).unwrap();
         flight(&mut *other, 5, 13);
-        for env in [&mut env, &mut other] {
-            env.restore(&snapshot).unwrap();
+        let read = written_and_read(&snapshot);
+        for (env, snapshot) in [(&mut env, &snapshot), (&mut other, &snapshot), (&mut third, &read)] {
+            env.restore(snapshot).unwrap();
             assert_eq!((env.observation(), env.info()), (&seen, info), "{what}, seed {seed}");
             let got = flight(&mut **env, 100 + seed, 90);
             assert!(got == wanted, "{what}, seed {seed} after {before} steps");
@@ -147,10 +161,15 @@ fn a_simulation_goes_on_from_its_data_and_refuses_that_of_another() {
     fly(&mut simulation, 0);
     let data = simulation.snapshot();
     let wanted = fly(&mut simulation, 50);
-    for _ in 0..2 {
-        simulation.restore(&data).unwrap();
+    for data in [&data, &data, &written_and_read(&data)] {
+        simulation.restore(data).unwrap();
         assert_eq!(fly(&mut simulation, 50), wanted);
     }
+    // read while its state is in the engine: no workspace takes it for its own
+    let read = written_and_read(&simulation.snapshot());
+    let on = fly(&mut simulation, 3);
+    simulation.restore(&read).unwrap();
+    assert_eq!(fly(&mut simulation, 3), on);
     // obstacles of another shape
     let among = |shape| {
         let obstacle = Obstacle::new(shape, Vector3::new(3.0, 0.0, 1.0));
@@ -193,6 +212,220 @@ fn a_snapshot_of_another_environment_is_refused() {
     let mut multi = make("multi_hover", EnvConfig::default().num_drones(3)).unwrap();
     multi.reset(Some(1)).unwrap();
     assert!(multi.restore(&snapshot("multi_hover")).is_err(), "two drones for three");
+}
+
+/// Sizes are equal, numbers of the model are not.
+#[test]
+fn a_snapshot_of_another_model_is_refused() {
+    let params = DroneModel::Cf2x.params();
+    let heavier = DroneParams { mass: 0.03, ..params.clone() };
+    let builder = || Simulation::builder(DroneModel::Cf2x).physics(Physics::MjcDrag);
+    let lag = ActuatorParams { lag: 0.01, ..ActuatorParams::default() };
+    let mut simulation = builder().build().unwrap();
+    let before = simulation.states().to_vec();
+    for (what, other) in [
+        ("mass", Simulation::builder(heavier).physics(Physics::MjcDrag)),
+        ("physics rate", builder().sim_freq(480)),
+        ("control rate", builder().ctrl_freq(120)),
+        ("effects", builder().physics(Physics::Mjc)),
+        ("engine", builder().engine(EngineKind::Hybrid)),
+        ("start", builder().initial_positions([[0.0, 0.0, 0.2]])),
+        ("motors", builder().actuators(lag)),
+        ("forcing", builder().forcing(Forcing::BodyFixed)),
+    ] {
+        let mut snapshot = other.build().unwrap().snapshot();
+        for _ in 0..2 {
+            let error = simulation.restore(&snapshot).unwrap_err();
+            assert_eq!(error, SimulationError::Model, "{what}");
+            snapshot = written_and_read(&snapshot);
+        }
+        let mut workspace = simulation.model().workspace().unwrap();
+        let stepped = step_data(simulation.model(), &mut workspace, &mut snapshot, &[[0.0; 4]]);
+        assert_eq!(stepped, Err(SimulationError::Model), "{what}");
+    }
+    assert_eq!(simulation.states(), before);
+    // equal configurations, built separately; wind and changed airframes are data
+    let mut other = builder().wind(WindConfig::new(WindModel::Dryden)).build().unwrap();
+    other.set_airframe(0, DroneParams { mass: 0.03, ..params }).unwrap();
+    simulation.restore(&written_and_read(&other.snapshot())).unwrap();
+    for _ in 0..50 {
+        simulation.step(&[[15_000.0; 4]]).unwrap();
+        other.step(&[[15_000.0; 4]]).unwrap();
+    }
+    assert_eq!(simulation.states(), other.states());
+}
+
+/// A flight that has failed stays so, with the numbers that made it fail.
+#[test]
+fn a_failed_simulation_is_written_and_read() {
+    let mut params = DroneModel::Cf2x.params();
+    params.thrust_coefficient = 1e3;
+    params.thrust_to_weight = 1e3;
+    let mut simulation = Simulation::builder(DroneModel::Cf2x).physics(Physics::MjcDrag).build().unwrap();
+    simulation.set_airframe(0, params).unwrap();
+    let error = (0..100).find_map(|_| simulation.step(&[[2e4; 4]]).err()).unwrap().to_string();
+    let data = written_and_read(&simulation.snapshot());
+    let mut other = Simulation::builder(DroneModel::Cf2x).physics(Physics::MjcDrag).build().unwrap();
+    other.restore(&data).unwrap();
+    assert_eq!(other.step(&[[0.0; 4]]).unwrap_err().to_string(), error);
+    other.reset().unwrap();
+    other.step(&[[0.0; 4]]).unwrap();
+}
+
+/// Calls `change` with every value in a JSON value, one after the other.
+fn every_change(value: &Value, changes: &[fn(&Value) -> Option<Value>], try_out: &mut dyn FnMut(Value)) {
+    fn places(value: &Value, path: String, out: &mut Vec<String>) {
+        match value {
+            Value::Array(list) => {
+                list.iter().enumerate().for_each(|(i, x)| places(x, format!("{path}/{i}"), out));
+            }
+            Value::Object(map) => map.iter().for_each(|(key, x)| places(x, format!("{path}/{key}"), out)),
+            _ => {}
+        }
+        out.push(path);
+    }
+    let mut paths = Vec::new();
+    places(value, String::new(), &mut paths);
+    for path in paths {
+        for change in changes {
+            let mut changed = value.clone();
+            let place = changed.pointer_mut(&path).unwrap();
+            if let Some(new) = change(place) {
+                *place = new;
+                try_out(changed);
+            }
+        }
+    }
+}
+
+/// Data with any one value changed is read and flown, or refused; no change is a panic.
+#[test]
+fn changed_data_is_refused_or_flown() {
+    let motors = ActuatorParams { lag: 0.03, latency: 0.02, ..ActuatorParams::default() };
+    let ball = |x| Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(x, 0.0, 1.0));
+    let builder = Simulation::builder(DroneModel::Cf2x).num_drones(2).physics(Physics::MjcGndDragDw).actuators(motors);
+    let builder = builder.obstacles([ball(3.0)]).wind(WindConfig::new(WindModel::Combined));
+    let mut simulation = builder.build().unwrap();
+    simulation.remember(0.01);
+    simulation.set_obstacles(&[ball(2.0)]).unwrap();
+    for _ in 0..30 {
+        simulation.step(&[[9_000.0; 4]; 2]).unwrap();
+    }
+    let value = serde_json::to_value(simulation.snapshot()).unwrap();
+    let changes: [fn(&Value) -> Option<Value>; 8] = [
+        |_| Some(Value::Null),
+        |old| old.is_number().then(|| Value::from(-1)),
+        |old| old.is_number().then(|| Value::from(u64::MAX)),
+        |old| old.is_number().then(|| Value::from(1e300)),
+        |old| old.is_array().then(|| Value::Array(Vec::new())),
+        |old| old.as_array().and_then(|list| Some([list.as_slice(), &[list.first()?.clone()]].concat().into())),
+        |old| old.as_array().and_then(|list| Some(list.split_first()?.1.to_vec().into())),
+        |old| old.is_string().then(|| Value::from("x")),
+    ];
+    let (mut refused, mut flown) = (0, 0);
+    every_change(&value, &changes, &mut |changed| {
+        let read = serde_json::from_value::<SimData>(changed).map_err(|error| error.to_string());
+        match read.and_then(|data| simulation.restore(&data).map_err(|error| error.to_string())) {
+            Ok(()) => {
+                flown += 1;
+                // may diverge
+                let _ = (0..3).try_for_each(|_| simulation.step(&[[14_000.0; 4]; 2]));
+            }
+            Err(error) => {
+                refused += 1;
+                assert!(error.len() > 10, "{error}");
+            }
+        }
+    });
+    assert!(refused > 400 && flown > 100, "{refused} {flown}");
+}
+
+/// The task of an environment trusts its own numbers.
+#[test]
+fn a_changed_snapshot_of_an_environment_is_refused() {
+    let config = EnvConfig::default().randomization(Randomization::default());
+    let mut env = make("race", config).unwrap();
+    env.reset(Some(1)).unwrap();
+    flight(&mut *env, 1, 5);
+    let value = serde_json::to_value(env.snapshot()).unwrap();
+    let changes: [fn(&Value) -> Option<Value>; 1] = [|old| (!old.is_null()).then_some(Value::Null)];
+    every_change(&value, &changes, &mut |changed| {
+        assert!(serde_json::from_value::<EnvSnapshot>(changed).is_err());
+    });
+    let snapshot: EnvSnapshot = serde_json::from_value(value).unwrap();
+    env.restore(&snapshot).unwrap();
+    // of another task, of another number of drones, of another airframe
+    let race = |config: EnvConfig| make("race", config).unwrap();
+    let heavy = DroneParams { mass: 0.26, ..DroneModel::Race.params() };
+    for (mut other, expected) in [
+        (make("hover", EnvConfig::default()).unwrap(), "another kind of environment"),
+        (race(EnvConfig::default().num_drones(2)), "another kind of environment"),
+        (race(EnvConfig::default().drone(heavy)), "another scene, airframe"),
+    ] {
+        other.reset(Some(1)).unwrap();
+        let error = other.restore(&snapshot).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+/// A task without `save`.
+#[derive(Debug, Clone)]
+struct Unsaved(Hover);
+
+impl Task for Unsaved {
+    fn name(&self) -> &'static str {
+        "unsaved"
+    }
+
+    fn defaults(&self) -> TaskDefaults {
+        self.0.defaults()
+    }
+
+    fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
+        self.0.initial_positions(drones)
+    }
+
+    fn observation_space(&self) -> BoxSpace {
+        self.0.observation_space()
+    }
+
+    fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
+        self.0.reset(simulation, rng);
+    }
+
+    fn update(&mut self, simulation: SimView<'_>) {
+        self.0.update(simulation);
+    }
+
+    fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
+        self.0.end(simulation, drone)
+    }
+
+    fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
+        self.0.reward(simulation, drone, end)
+    }
+
+    fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
+        self.0.observe(simulation, drone, out);
+    }
+
+    fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
+        self.0.success(simulation, drone)
+    }
+
+    fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
+        self.0.reference(simulation, drone)
+    }
+}
+
+#[test]
+fn a_task_that_cannot_be_saved_is_named() {
+    let mut env = AviaryBuilder::new(Unsaved(Hover::default())).build().unwrap();
+    env.reset(Some(1)).unwrap();
+    let snapshot = env.snapshot();
+    env.restore(&snapshot).unwrap();
+    let error = serde_json::to_string(&snapshot).unwrap_err().to_string();
+    assert!(error.contains("`unsaved` cannot be saved") && error.contains("Task::save"), "{error}");
 }
 
 fn make_reset(name: &str) -> Box<dyn DroneEnv + Send> {

@@ -102,7 +102,7 @@ impl ActionType {
 /// assert_eq!(env.action_space().high()[..3], [2.0, 2.0, 2.0]);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ActionLimits {
     /// Least and greatest x, y and z of a waypoint, world frame, m; ±10 m sideways and 0 to 10 m up by default.
     pub arena: [[f64; 2]; 3],
@@ -181,7 +181,7 @@ pub struct ActionLimitsError {
 /// assert!(rpm.iter().all(|n| (n - params.hover_rpm()).abs() < 1e-6));
 /// # Ok::<(), aviary::action::ActionLimitsError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct ActionDecoder {
     kind: ActionType,
     limits: ActionLimits,
@@ -190,7 +190,7 @@ pub struct ActionDecoder {
 }
 
 /// What stands between an action and the motors.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 enum Loops {
     None,
     Velocity { controller: AnyController, heading: HeadingHold },
@@ -313,7 +313,7 @@ impl ActionDecoder {
 /// assert!((scale.rpm(1.0) - params.max_rpm()).abs() < 1e-9);
 /// assert!((scale.command(scale.rpm(0.3)) - 0.3).abs() < 1e-12);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MotorScale {
     hover_rpm: f64,
     max_rpm: f64,

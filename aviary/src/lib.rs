@@ -13,6 +13,7 @@ pub mod drone;
 mod math;
 mod names;
 mod random;
+mod serial;
 pub mod state;
 pub mod world;
 

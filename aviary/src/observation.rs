@@ -182,7 +182,7 @@ impl FromStr for ObservationType {
 /// assert_eq!(observation.of_drone(1, 2).vector[0], 1.0);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Observation {
     /// The task's vector.
     pub vector: Vec<f64>,

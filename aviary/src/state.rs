@@ -23,15 +23,19 @@ use crate::math::Turn;
 /// assert!((state.velocity_body() - Vector3::new(2.0, 0.0, 0.0)).norm() < 1e-12, "straight ahead");
 /// assert!((state.yaw() - FRAC_PI_2).abs() < 1e-12 && state.tilt() < 1e-6);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DroneState {
     /// Centre of mass, world frame, m.
+    #[serde(with = "crate::serial::vector")]
     pub position: Vector3<f64>,
     /// Rotation from the body to the world frame.
+    #[serde(with = "crate::serial::attitude")]
     pub attitude: UnitQuaternion<f64>,
     /// Velocity of the centre of mass, world frame, m/s.
+    #[serde(with = "crate::serial::vector")]
     pub velocity: Vector3<f64>,
     /// Body rates, **body** frame, rad/s.
+    #[serde(with = "crate::serial::vector")]
     pub angular_velocity: Vector3<f64>,
 }
 

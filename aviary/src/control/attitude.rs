@@ -15,13 +15,16 @@ use crate::state::{DroneState, wrap_angle};
 /// let (soft, strong) = (AttitudeGains::paper(&crazyflie), AttitudeGains::paper(&racer));
 /// assert!((strong.proportional.x / soft.proportional.x - ratio).abs() < 1e-9);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AttitudeGains {
     /// Proportional, N·m/rad.
+    #[serde(with = "crate::serial::vector")]
     pub proportional: Vector3<f64>,
     /// Integral, N·m/(rad·s).
+    #[serde(with = "crate::serial::vector")]
     pub integral: Vector3<f64>,
     /// Derivative, N·m/(rad/s).
+    #[serde(with = "crate::serial::vector")]
     pub derivative: Vector3<f64>,
     /// Limit of each component of the integrated error, rad·s.
     pub integral_clamp: f64,
@@ -73,10 +76,11 @@ impl AttitudeGains {
 /// let rpm = attitude.control(1.0 / 48.0, &DroneState::default(), params.weight(), &leaning, &Vector3::zeros());
 /// assert!(rpm[0] > rpm[3], "the left motors push to the right");
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AttitudeControl {
     gains: AttitudeGains,
     mixer: Mixer,
+    #[serde(with = "crate::serial::vector")]
     integral: Vector3<f64>,
 }
 
@@ -141,7 +145,7 @@ impl AttitudeControl {
 /// }
 /// assert!((hold.advance(0.1, &facing_x, 0.5) - HeadingHold::MAX_LEAD).abs() < 1e-12);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct HeadingHold {
     yaw: Option<f64>,
 }

@@ -26,14 +26,15 @@ use crate::state::{DroneState, wrap_angle};
 /// assert_eq!(output.position_error.x, 3.0);
 /// assert!(output.rpm.iter().all(|rpm| (rpm / params.hover_rpm() - 1.0).abs() < 0.05));
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DslPidControl {
     cascade: PidControl,
     setpoint: Option<Setpoint>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 struct Setpoint {
+    #[serde(with = "crate::serial::vector")]
     position: Vector3<f64>,
     yaw: f64,
 }

@@ -16,7 +16,7 @@ use crate::state::{DroneState, body_z};
 /// let control = GeometricControl::with_bandwidths(&DroneModel::Cf2x.params(), bandwidths);
 /// assert_eq!(control.bandwidths().integral, 0.1);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Bandwidths {
     /// Position, world x and y.
     pub horizontal: f64,
@@ -58,10 +58,11 @@ impl Default for Bandwidths {
 /// let output = control.control(1.0 / 48.0, &DroneState::default(), &Reference::default());
 /// assert!((output.rpm[0] - params.hover_rpm()).abs() < 1e-6);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct GeometricControl {
     bandwidths: Bandwidths,
     mass: f64,
+    #[serde(with = "crate::serial::vector")]
     inertia: Vector3<f64>,
     mixer: Mixer,
     /// Most acceleration that errors of position and velocity may ask for, m/s².
@@ -69,6 +70,7 @@ pub struct GeometricControl {
     chart: Chart,
     /// Whether its bandwidths are positive numbers.
     sound: bool,
+    #[serde(with = "crate::serial::vector")]
     integral: Vector3<f64>,
 }
 
@@ -270,7 +272,7 @@ struct Attitude {
 
 /// How a yaw and a direction of body z make an attitude. Neither way is good for every direction, and near a direction
 /// where one fails the other one is good.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 enum Chart {
     /// Body x is perpendicular to the heading's left (times the sign): the yaw of roll-pitch-yaw is the heading.
     Left(f64),

@@ -53,7 +53,7 @@ impl ControllerKind {
 /// let all: Vec<AnyController> = ControllerKind::ALL.iter().map(|kind| kind.build(&params)).collect();
 /// assert_eq!(all[2], AnyController::Geometric(GeometricControl::new(&params)));
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum AnyController {
     /// [`PidControl`].
     Pid(PidControl),

@@ -16,8 +16,9 @@ use crate::drone::DroneParams;
 /// let given = RotorModel::new(&params).wrench(&rpm);
 /// assert!((given.thrust - params.weight()).abs() < 1e-9 && (given.torque_body - torque).norm() < 1e-9);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Mixer {
+    #[serde(with = "crate::serial::matrix")]
     inverse: Matrix4<f64>,
     thrust_coefficient: f64,
     /// Thrust of one rotor at full speed, N.

@@ -6,13 +6,16 @@ use crate::drone::{DroneParams, GRAVITY};
 use crate::state::DroneState;
 
 /// Gains of the position loop: accelerations per m, per m·s and per m/s.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PositionGains {
     /// Proportional, 1/s².
+    #[serde(with = "crate::serial::vector")]
     pub proportional: Vector3<f64>,
     /// Integral, 1/s³.
+    #[serde(with = "crate::serial::vector")]
     pub integral: Vector3<f64>,
     /// Derivative, 1/s.
+    #[serde(with = "crate::serial::vector")]
     pub derivative: Vector3<f64>,
     /// Limit of each component of the integrated error, m·s.
     pub integral_clamp: f64,
@@ -30,7 +33,7 @@ pub struct PositionGains {
 /// let pid = PidControl::with_gains(&params, gains);
 /// assert_eq!(pid.gains().position.integral.z, 0.1);
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PidGains {
     /// Outer loop, world frame.
     pub position: PositionGains,
@@ -75,11 +78,12 @@ impl PidGains {
 /// let output = pid.control(1.0 / 48.0, &here, &Reference::hover(Vector3::zeros(), 0.0));
 /// assert!((output.rpm[0] - params.hover_rpm()).abs() < 1e-6);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PidControl {
     gains: PositionGains,
     mass: f64,
     attitude: AttitudeControl,
+    #[serde(with = "crate::serial::vector")]
     position_integral: Vector3<f64>,
 }
 

@@ -20,10 +20,12 @@ use crate::state::DroneState;
 /// // a Crazyflie's motors 1 and 3 push the nose to the left
 /// assert!(rpm[1] > params.hover_rpm() && rpm[0] < params.hover_rpm());
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RateControl {
     /// Inverse of the time constant of each axis, 1/s.
+    #[serde(with = "crate::serial::vector")]
     pub bandwidth: Vector3<f64>,
+    #[serde(with = "crate::serial::vector")]
     inertia: Vector3<f64>,
     mixer: Mixer,
 }

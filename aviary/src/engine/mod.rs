@@ -31,7 +31,8 @@ pub struct Load {
 }
 
 /// What a drone touched.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Touched {
     /// The floor.
     Floor,
@@ -42,7 +43,7 @@ pub enum Touched {
 }
 
 /// A drone in touch with something.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub struct Contact {
     /// Index of the drone.
     pub drone: usize,

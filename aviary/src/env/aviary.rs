@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 use rand::Rng as _;
 
 use super::episode::{Episode, Phase, StepOutcome};
+use super::stored::Snapshot;
 use super::workspace::{EnvModel, EnvWorkspace, Synced};
 use super::{
     BoxSpace, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, SampledParams,
@@ -234,16 +235,6 @@ impl EnvWorkspace {
     }
 }
 
-/// What an [`Aviary`] keeps in a snapshot.
-#[derive(Debug)]
-struct Snapshot<T> {
-    data: SimData,
-    episode: Episode<T>,
-    decoders: Vec<ActionDecoder>,
-    observation: Observation,
-    action_type: ActionType,
-}
-
 impl<T: Task + Clone + Send> Env for Aviary<T> {
     fn name(&self) -> &'static str {
         self.episode.task.name()
@@ -278,7 +269,7 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
     }
 
     fn snapshot(&self) -> EnvSnapshot {
-        EnvSnapshot::new(Snapshot {
+        EnvSnapshot::serializable(Snapshot {
             data: self.simulation.snapshot(),
             episode: self.episode.clone(),
             decoders: self.decoders.clone(),
@@ -288,8 +279,20 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
     }
 
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
-        let Snapshot { data, episode, decoders, observation, action_type } = snapshot.own::<Snapshot<T>>()?;
-        if *action_type != self.model.action_type || !observation.has_sizes_of(&self.workspace.observation) {
+        let read;
+        let snapshot = match snapshot.saved() {
+            Some(saved) => {
+                read = Snapshot::read(saved, &self.episode.task)?;
+                &read
+            }
+            None => snapshot.own::<Snapshot<T>>()?,
+        };
+        let Snapshot { data, episode, decoders, observation, action_type } = snapshot;
+        let has_shape = *action_type == self.model.action_type
+            && decoders.len() == self.decoders.len()
+            && episode.ends.len() == self.episode.ends.len()
+            && observation.has_sizes_of(&self.workspace.observation);
+        if !has_shape {
             return Err(EnvError::Snapshot);
         }
         self.simulation.restore(data)?;

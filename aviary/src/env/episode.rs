@@ -24,7 +24,7 @@ pub(crate) struct Episode<T> {
     pub ends: SmallVec<[Option<EndReason>; 8]>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(crate) enum Phase {
     New,
     Running,

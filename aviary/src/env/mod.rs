@@ -11,6 +11,7 @@ mod randomization;
 mod reset;
 mod snapshot;
 mod space;
+mod stored;
 mod task;
 mod workspace;
 
@@ -24,7 +25,7 @@ pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range,
     SampledDroneParams, SampledParams, SensorRanges,
 };
-pub use snapshot::EnvSnapshot;
+pub use snapshot::{EnvSnapshot, Saved};
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
 pub(crate) use task::path_points;
 pub use task::{Task, TaskDefaults};
@@ -209,6 +210,12 @@ pub enum EnvError {
         "the snapshot is of another kind of environment, expected one of this environment or of one with the same options"
     )]
     Snapshot,
+    /// A snapshot from a file whose content does not fit.
+    #[error("the snapshot cannot be read: {message}")]
+    SavedSnapshot {
+        /// What is wrong.
+        message: String,
+    },
     /// A name that no task has.
     #[error(transparent)]
     UnknownName(#[from] UnknownName),
@@ -365,8 +372,9 @@ pub trait Env {
     /// bit-identical to those after the snapshot.
     ///
     /// # Errors
-    /// [`EnvError::Snapshot`] for one of another kind of environment, and [`EnvError::Simulation`] for one with another
-    /// number of drones or obstacles; then nothing has changed.
+    /// [`EnvError::Snapshot`] for one of another kind of environment, [`EnvError::SavedSnapshot`] for one from a file whose
+    /// content is of another kind, and [`EnvError::Simulation`] for one of another [model](Simulation::restore), such as another
+    /// number of drones, another mass or another rate; then nothing has changed.
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError>;
 
     /// Returns the observation of the last reset or step; zeros before the first reset.

@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 
-use super::{BoxSpace, EndReason, EnvError, Rng};
+use super::{BoxSpace, EndReason, EnvError, Rng, Saved};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -27,7 +27,8 @@ pub struct TaskDefaults {
 /// The order of calls is `start`, `reset`, `observe` at the start of an episode, and after every control step `update`,
 /// `end`, `reward`, `observe`: what `update` changes (a waypoint that was reached) is seen by all that follow.
 ///
-/// A task is `Clone`: batches and snapshots copy it with everything that it remembers.
+/// A task is `Clone`: batches and snapshots copy it with everything that it remembers. Snapshots in files need
+/// [`save`](Self::save) and [`load`](Self::load) as well.
 ///
 /// A worked example is `examples/custom_task.rs`.
 ///
@@ -179,6 +180,21 @@ pub trait Task: std::fmt::Debug + 'static {
     /// Reports further numbers by name: gates passed, formation error.
     fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = (simulation, report);
+    }
+
+    /// Saves its options and everything that it remembers, for snapshots in files; `None`, the default, for a task that cannot be
+    /// saved. A task that implements serde's traits returns `Saved::new(self)`.
+    fn save(&self) -> Option<Saved> {
+        None
+    }
+
+    /// Takes over what [`save`](Self::save) has returned; a task that implements serde's traits does `*self = saved.read()?`.
+    ///
+    /// # Errors
+    /// [`EnvError::SavedSnapshot`] for a value of another kind, and then nothing has changed.
+    fn load(&mut self, saved: &Saved) -> Result<(), EnvError> {
+        let _ = saved;
+        Err(EnvError::SavedSnapshot { message: format!("the task `{}` cannot be loaded", self.name()) })
     }
 
     /// Whether an entry of a drone's observation may stay the same for a whole episode, as a target does. The checker

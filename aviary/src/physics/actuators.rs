@@ -81,7 +81,7 @@ impl ActuatorParams {
 /// let speeds = [12_000.0, 13_000.0, 14_000.0].map(|command| motors.advance(&[command; 4])[0]);
 /// assert_eq!(speeds, [params.hover_rpm(), params.hover_rpm(), 12_000.0]);
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Actuators {
     gains: [f64; 4],
     max_rpm: f64,
@@ -140,6 +140,13 @@ impl Actuators {
         self.queue.fill([self.initial_rpm; 4]);
         self.next = 0;
         self.rpm = [self.initial_rpm; 4];
+    }
+
+    /// Returns whether the parts fit each other and every number is one that motors can have.
+    pub(crate) fn is_valid(&self) -> bool {
+        let numbers = [self.max_rpm, self.initial_rpm, self.share].into_iter();
+        let mut numbers = numbers.chain(self.gains).chain(self.rpm).chain(self.queue.iter().flatten().copied());
+        numbers.all(|x| x.is_finite() && x >= 0.0) && (self.next == 0 || self.next < self.queue.len())
     }
 
     /// Rotor speeds, rpm.

@@ -6,6 +6,7 @@ use crate::engine::EngineKind;
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
+use crate::serial::Fingerprint;
 use crate::state::DroneState;
 use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, World};
 
@@ -321,7 +322,9 @@ impl SimulationBuilder {
             markers: self.markers,
             ..World::new(bodies)
         };
-        let model = SimModel { world, effects, engine, sim_freq, ctrl_freq, initial, actuators: self.actuators };
+        let (actuators, fingerprint) = (self.actuators, Fingerprint::default());
+        let model = SimModel { world, effects, engine, sim_freq, ctrl_freq, initial, actuators, fingerprint }
+            .with_fingerprint();
         let workspace = model.workspace()?;
         // positions and attitudes that are out of range have been named by the scene
         if let Some(drone) = model.initial.iter().position(|state| out_of_range(state).is_some()) {

@@ -14,6 +14,7 @@ use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
 use crate::physics::wind::{WindConfig, WindField};
 use crate::physics::{Effects, Wrench};
+use crate::serial::Fingerprint;
 use crate::state::DroneState;
 use crate::world::placement::CollisionCylinder;
 use crate::world::{Marker, MarkerPose, Obstacle, World};
@@ -21,9 +22,12 @@ use crate::world::{Marker, MarkerPose, Obstacle, World};
 /// Everything of one simulation that changes: states of drones, motors, wind and sensors, parameters, contacts, time.
 ///
 /// A clone is a snapshot: [`step`](super::step) takes it to where it takes the original, bit-identically, in every
-/// [`Workspace`](super::Workspace) of the same [`SimModel`].
+/// [`Workspace`](super::Workspace) of the same [`SimModel`]. So it does with data that was serialized and deserialized again, also by
+/// another program, in a format that keeps doubles exactly.
 #[derive(Debug, Clone)]
 pub struct SimData {
+    /// Of the model that it is data of.
+    pub(super) model: Fingerprint,
     pub(super) states: Vec<DroneState>,
     /// Roll, pitch and yaw of the same, rad.
     pub(super) rpys: Vec<Vector3<f64>>,
@@ -47,11 +51,11 @@ pub struct SimData {
     /// Whether something changed on which the bodies depend.
     pub(super) changed: bool,
     /// In place of the model's, once they have moved.
-    obstacles: Option<Arc<[Obstacle]>>,
+    pub(super) obstacles: Option<Arc<[Obstacle]>>,
     /// Equal for equal obstacles; 0 for the model's.
     pub(super) obstacle_revision: u64,
     /// Poses of markers that have moved, with their indices.
-    marker_poses: Vec<(usize, MarkerPose)>,
+    pub(super) marker_poses: Vec<(usize, MarkerPose)>,
     /// Warm start of MuJoCo's solver.
     pub(super) warm_start: Vec<f64>,
     /// Whether MuJoCo made the last physics step, so that there is a warm start.
@@ -89,6 +93,7 @@ impl SimData {
     /// Becomes a copy of other data, in the memory that it has.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         let Self {
+            model,
             states,
             rpys,
             started,
@@ -112,6 +117,7 @@ impl SimData {
             in_mujoco,
             stamp,
         } = other;
+        self.model = *model;
         self.states.clone_from(states);
         self.rpys.clone_from(rpys);
         self.started.clone_from(started);
@@ -149,6 +155,7 @@ impl SimData {
         let no_load =
             Load { rotors: RotorModel::new(model.nominal_params(0)).wrench(&[0.0; 4]), external: Wrench::ZERO };
         let mut data = Self {
+            model: model.fingerprint,
             states: model.initial.clone(),
             rpys: vec![Vector3::zeros(); count],
             started: model.initial.clone(),

@@ -16,6 +16,15 @@ pub enum SimulationError {
         /// Its index.
         index: usize,
     },
+    /// Data or a snapshot of another model.
+    #[error("the data is of a simulation with another scene, airframe, physics, engine, rate or start")]
+    Model,
+    /// The failure of a simulation that was read from a file.
+    #[error("{message}")]
+    Stored {
+        /// What it was.
+        message: String,
+    },
     /// Gravity out of its range.
     #[error("gravity is {got} m/s², expected a number within ±{}", World::MAX_GRAVITY)]
     Gravity {

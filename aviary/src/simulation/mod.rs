@@ -9,6 +9,7 @@ mod error;
 mod lanes;
 mod model;
 mod step;
+mod stored;
 mod view;
 
 use std::sync::Arc;
@@ -121,12 +122,13 @@ impl Simulation {
         self.data.clone()
     }
 
-    /// Goes back to a snapshot of this simulation, or of another one of the same model. The flight from there on is bit-identical to that
-    /// from the snapshot.
+    /// Goes back to a snapshot of this simulation, or of another one of an equal model: the same scene, airframes, physics, engine,
+    /// rates and starts. The flight from there on is bit-identical to that from the snapshot.
     ///
     /// # Errors
     /// [`SimulationError::Length`] for a snapshot of another number of drones or obstacles or of more markers,
-    /// [`SimulationError::Obstacle`] for one with another shape; and then nothing has changed.
+    /// [`SimulationError::Obstacle`] for one with another shape, [`SimulationError::Model`] for one of another model otherwise; and
+    /// then nothing has changed.
     pub fn restore(&mut self, snapshot: &SimData) -> Result<(), SimulationError> {
         let (got, expected) = (snapshot.states.len(), self.data.states.len());
         if got != expected {
@@ -144,7 +146,12 @@ impl Simulation {
         if got > expected {
             return Err(SimulationError::Length { what: "the snapshot's list of markers", got, expected });
         }
+        if snapshot.model != self.model.fingerprint {
+            return Err(SimulationError::Model);
+        }
         self.data.copy_from(snapshot);
+        // what was read from a file has nothing that follows from parameters
+        self.data.refresh(&self.model);
         Ok(())
     }
 

@@ -3,6 +3,7 @@ use crate::drone::DroneParams;
 use crate::engine::{BuildError, Engine, EngineKind, ExplicitEngine, HybridEngine, MujocoEngine};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::{Effects, Physics};
+use crate::serial::Fingerprint;
 use crate::state::DroneState;
 use crate::world::placement::{self, CollisionCylinder};
 use crate::world::{Obstacle, World};
@@ -19,9 +20,19 @@ pub struct SimModel {
     pub(super) ctrl_freq: u32,
     pub(super) initial: Vec<DroneState>,
     pub(super) actuators: ActuatorParams,
+    /// Of all of the above: snapshots are of models with the same one.
+    pub(super) fingerprint: Fingerprint,
 }
 
 impl SimModel {
+    /// Returns the model with the fingerprint of what it is made of. Models of equal configurations have equal ones.
+    pub(super) fn with_fingerprint(self) -> Self {
+        // doubles as text are the shortest that read back to the same bits
+        let Self { world, effects, engine, sim_freq, ctrl_freq, initial, actuators, .. } = &self;
+        let parts = (world, effects, engine, sim_freq, ctrl_freq, initial, actuators);
+        Self { fingerprint: Fingerprint::of(format_args!("{parts:?}")), ..self }
+    }
+
     /// Returns the scene as it was built. Obstacles and markers that have moved since are in [`SimData`].
     pub fn world(&self) -> &World {
         &self.world

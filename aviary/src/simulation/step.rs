@@ -85,7 +85,8 @@ impl Workspace {
 /// integrates.
 ///
 /// # Errors
-/// [`SimulationError::Command`] and [`Length`](SimulationError::Length) before anything has moved;
+/// [`SimulationError::Model`] for data of another model, [`Command`](SimulationError::Command) and
+/// [`Length`](SimulationError::Length) before anything has moved;
 /// [`Diverged`](SimulationError::Diverged) and [`Engine`](SimulationError::Engine), which every further step returns again until the
 /// data is reset.
 pub fn step(
@@ -94,6 +95,9 @@ pub fn step(
     data: &mut SimData,
     commands: &[[f64; 4]],
 ) -> Result<(), SimulationError> {
+    if data.model != model.fingerprint {
+        return Err(SimulationError::Model);
+    }
     if let Some(error) = &data.failed {
         return Err(error.clone());
     }

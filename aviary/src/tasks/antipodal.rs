@@ -40,7 +40,7 @@ use crate::simulation::SimView;
 /// assert!((env.task().minimum_distance() - 8_f64.sqrt()).abs() < 1e-2);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Antipodal {
     /// Radius of the circle, m; 2 by default.
     pub radius: f64,
@@ -54,6 +54,7 @@ pub struct Antipodal {
     pub crash: CrashConditions,
     watch: CrashWatch,
     /// Smallest distance of two drones so far, m.
+    #[serde(with = "crate::serial::extended")]
     nearest: f64,
 }
 
@@ -198,4 +199,6 @@ impl Task for Antipodal {
     fn may_be_constant(&self, entry: usize) -> bool {
         (12..15).contains(&entry)
     }
+
+    super::saved_by_serde!();
 }

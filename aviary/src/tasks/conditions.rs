@@ -22,7 +22,7 @@ use crate::world::placement::CollisionCylinder;
 /// assert!(env.task().crash.floor_contact);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CrashConditions {
     /// The centre of a drone is below z = 0 (which only happens where no floor stops it).
     pub below_floor: bool,
@@ -33,6 +33,7 @@ pub struct CrashConditions {
     /// Two drones touch.
     pub drone_contact: bool,
     /// Largest angle between body z and world z, rad.
+    #[serde(with = "crate::serial::extended")]
     pub max_tilt: f64,
 }
 
@@ -88,7 +89,7 @@ fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
 /// assert_eq!(watch.end(0), Some(EndReason::FloorContact));
 /// # Ok::<(), aviary::simulation::SimulationError>(())
 /// ```
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub struct CrashWatch {
     /// Which drones have been clear of the floor since the start.
     airborne: SmallVec<[bool; 8]>,

@@ -41,7 +41,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// assert!(env.plan(0).is_some(), "the way through all of them, for a controller to follow");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct FlyThrough {
     /// The waypoints, world frame, m.
     pub waypoints: Vec<[f64; 3]>,
@@ -190,4 +190,6 @@ impl Task for FlyThrough {
         // the next waypoint in the world, until it is captured
         (12..15).contains(&entry)
     }
+
+    super::saved_by_serde!();
 }

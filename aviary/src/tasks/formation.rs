@@ -38,7 +38,7 @@ use crate::simulation::SimView;
 /// assert!((0..3).all(|drone| seen[18 * drone + 15..][..3].iter().all(|x| x.abs() < 1e-12)), "all in their slots");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Formation {
     /// Radius of the circle, m; 0.3 by default.
     pub radius: f64,
@@ -230,4 +230,6 @@ impl Task for Formation {
         // the slot, where the path is a point or level
         (12..15).contains(&entry)
     }
+
+    super::saved_by_serde!();
 }

@@ -37,7 +37,7 @@ use crate::simulation::SimView;
 /// assert!((step.reward + 0.7).abs() < 1e-3, "at rest, 0.7 m below the target");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Hover {
     /// Height z\* to hover at, m; 1 by default.
     pub target_height: f64,
@@ -135,6 +135,8 @@ impl Task for Hover {
     fn reference(&self, _simulation: SimView<'_>, _drone: usize) -> Reference {
         Reference::hover(self.target(), 0.0)
     }
+
+    super::saved_by_serde!();
 }
 
 /// Distance from the target, in height and to the side, within which it counts as reached, m.

@@ -31,6 +31,21 @@ use crate::env::{DroneEnv, EnvConfig, EnvError, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
 use crate::world::placement::max_collision_radius;
 
+/// [`Task::save`] and [`Task::load`] of a task that implements serde's traits.
+macro_rules! saved_by_serde {
+    () => {
+        fn save(&self) -> Option<$crate::env::Saved> {
+            $crate::env::Saved::new(self)
+        }
+
+        fn load(&mut self, saved: &$crate::env::Saved) -> Result<(), $crate::env::EnvError> {
+            *self = saved.read()?;
+            Ok(())
+        }
+    };
+}
+use saved_by_serde;
+
 /// No bound.
 const UNBOUNDED: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 

@@ -38,7 +38,7 @@ use crate::world::placement::max_collision_radius;
 /// assert_eq!([seen[12], seen[25], seen[38]], [0.7, 0.95, 1.2]);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct MultiHover {
     /// Height for every drone, m; evenly from 0.7 to 1.2 by default.
     pub target_heights: Option<Vec<f64>>,
@@ -46,7 +46,8 @@ pub struct MultiHover {
     pub max_height: f64,
     /// When a drone counts as crashed.
     pub crash: CrashConditions,
-    name: &'static str,
+    /// Whether it is the paper's `MultiAgentAviary`.
+    multi_agent: bool,
     num_drones: usize,
     watch: CrashWatch,
 }
@@ -57,7 +58,7 @@ impl Default for MultiHover {
             target_heights: None,
             max_height: 3.0,
             crash: CrashConditions::with_max_tilt(FRAC_PI_2),
-            name: "multi_hover",
+            multi_agent: false,
             num_drones: 2,
             watch: CrashWatch::default(),
         }
@@ -73,7 +74,7 @@ impl MultiHover {
     /// The paper's `MultiAgentAviary`: the same with three drones, each of which is an agent in a
     /// [`ParallelAviary`](crate::multi_agent::ParallelAviary).
     pub fn multi_agent() -> Self {
-        Self { name: "multi_agent", num_drones: 3, ..Self::default() }
+        Self { multi_agent: true, num_drones: 3, ..Self::default() }
     }
 
     fn target(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
@@ -92,7 +93,7 @@ impl MultiHover {
 
 impl Task for MultiHover {
     fn name(&self) -> &'static str {
-        self.name
+        if self.multi_agent { "multi_agent" } else { "multi_hover" }
     }
 
     fn defaults(&self) -> TaskDefaults {
@@ -162,4 +163,6 @@ impl Task for MultiHover {
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         Reference::hover(self.target(simulation, drone), simulation.initial_states()[drone].yaw())
     }
+
+    super::saved_by_serde!();
 }

@@ -43,7 +43,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// assert!((seen[17] - 0.9).abs() < 1e-12, "which is higher than the drone");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Race {
     /// Middles of the gates, world frame, m.
     pub gates: Vec<[f64; 3]>,
@@ -231,4 +231,6 @@ impl Task for Race {
     fn may_be_constant(&self, entry: usize) -> bool {
         (12..15).contains(&entry)
     }
+
+    super::saved_by_serde!();
 }

@@ -37,7 +37,7 @@ use crate::state::{DroneState, attitude_from_rpy};
 /// assert!(velocity.norm() > 0.0 && velocity.amax() <= 3.0);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Stabilize {
     /// Largest component of the velocity at the start, m/s; 1 by default.
     pub max_speed: f64,
@@ -166,4 +166,6 @@ impl Task for Stabilize {
         let rates = simulation.states().iter().map(|state| state.angular_velocity.norm());
         report("body_rate", rates.fold(0.0, f64::max));
     }
+
+    super::saved_by_serde!();
 }

@@ -42,7 +42,7 @@ use crate::world::placement::max_collision_radius;
 /// assert!((point.xy().norm() - 0.5).abs() < 1e-9);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Track {
     /// Radius of the circle, m; 0.5 by default.
     pub radius: f64,
@@ -210,4 +210,6 @@ impl Task for Track {
         // a reference that stands still, or goes round in a plane
         entry >= STATE_SIZE
     }
+
+    super::saved_by_serde!();
 }

@@ -41,7 +41,7 @@ use crate::state::wrap_angle;
 /// assert_eq!((&seen[12..15], seen[15]), (velocity.as_slice(), yaw_rate));
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Velocity {
     /// Largest component of the target velocity, m/s; 0.5 by default.
     pub max_speed: f64,
@@ -51,6 +51,7 @@ pub struct Velocity {
     pub crash: CrashConditions,
     watch: CrashWatch,
     /// Velocity and yaw rate for every drone.
+    #[serde(with = "crate::serial::vectors_and_numbers")]
     targets: Vec<(Vector3<f64>, f64)>,
 }
 
@@ -177,4 +178,6 @@ impl Task for Velocity {
         let errors = (0..simulation.num_drones()).map(|drone| self.error(simulation, drone));
         report("velocity_error", errors.fold(0.0, f64::max));
     }
+
+    super::saved_by_serde!();
 }

@@ -7,7 +7,7 @@ use crate::env::{EnvError, path_points};
 use crate::simulation::SimView;
 
 /// Points to be passed one after the other, so many times over, and how far each drone has come.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct WaypointProgress {
     /// Points passed by each drone.
     passed: Vec<usize>,
@@ -18,6 +18,7 @@ pub(super) struct WaypointProgress {
     /// Distance of each drone from the point that it was to pass in the last control step, m.
     distance: Vec<f64>,
     /// Where each drone was before it.
+    #[serde(with = "crate::serial::vector_list")]
     before: Vec<Vector3<f64>>,
 }
 

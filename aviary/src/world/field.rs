@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 use rand::RngExt as _;
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{Obstacle, SceneError, Shape};
 use crate::error::triple;
@@ -77,7 +77,7 @@ pub struct ObstacleConfig {
     /// What stands around where the kind is [`Custom`](ObstacleKind::Custom). In TOML `[[custom]]` with `shape` (`box`, `sphere`,
     /// `cylinder`, `capsule`), `size` (half sizes; radius; radius and half height), `position`, `euler` (roll, pitch, yaw, rad)
     /// and `rgba`.
-    #[serde(skip_serializing_if = "Vec::is_empty", serialize_with = "write_custom")]
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub custom: Vec<Obstacle>,
 }
 
@@ -99,7 +99,7 @@ struct Fields {
     safe_zone: Option<f64>,
     new_layout: Option<bool>,
     seed: Option<u64>,
-    #[serde(default, deserialize_with = "read_custom")]
+    #[serde(default)]
     custom: Vec<Obstacle>,
 }
 
@@ -121,62 +121,6 @@ impl From<Fields> for ObstacleConfig {
 
 fn optional_triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<[f64; 3]>, D::Error> {
     triple(deserializer).map(Some)
-}
-
-/// An obstacle in TOML.
-#[derive(Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct CustomObstacle {
-    shape: CustomShape,
-    size: Vec<f64>,
-    #[serde(deserialize_with = "triple")]
-    position: [f64; 3],
-    #[serde(default, deserialize_with = "triple")]
-    euler: [f64; 3],
-    rgba: Option<[f64; 4]>,
-}
-
-#[derive(Serialize, Deserialize, Clone, Copy)]
-#[serde(rename_all = "snake_case")]
-enum CustomShape {
-    Box,
-    Sphere,
-    Cylinder,
-    Capsule,
-}
-
-fn write_custom<S: Serializer>(obstacles: &[Obstacle], serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_seq(obstacles.iter().map(|obstacle| CustomObstacle {
-        shape: match obstacle.shape {
-            Shape::Box { .. } => CustomShape::Box,
-            Shape::Sphere { .. } => CustomShape::Sphere,
-            Shape::Cylinder { .. } => CustomShape::Cylinder,
-            Shape::Capsule { .. } => CustomShape::Capsule,
-        },
-        size: obstacle.shape.geom().1,
-        position: obstacle.position.into(),
-        euler: obstacle.rpy.into(),
-        rgba: Some(obstacle.rgba),
-    }))
-}
-
-fn read_custom<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Obstacle>, D::Error> {
-    let read = |one: CustomObstacle| {
-        let shape = match (one.shape, &one.size[..]) {
-            (CustomShape::Box, &[x, y, z]) => Shape::Box { half_size: [x, y, z] },
-            (CustomShape::Sphere, &[radius]) => Shape::Sphere { radius },
-            (CustomShape::Cylinder, &[radius, half_height]) => Shape::Cylinder { radius, half_height },
-            (CustomShape::Capsule, &[radius, half_height]) => Shape::Capsule { radius, half_height },
-            (_, sizes) => {
-                let count = sizes.len();
-                let expected = "3 for a box, 1 for a sphere, 2 for a cylinder or capsule";
-                return Err(serde::de::Error::custom(format!("{count} sizes, expected {expected}")));
-            }
-        };
-        let plain = Obstacle::new(shape, one.position.into());
-        Ok(Obstacle { rpy: one.euler.into(), rgba: one.rgba.unwrap_or(plain.rgba), ..plain })
-    };
-    Vec::<CustomObstacle>::deserialize(deserializer)?.into_iter().map(read).collect()
 }
 
 /// Obstacles that cannot be placed.

@@ -1,6 +1,8 @@
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::{SceneError, World};
+use crate::error::triple;
 use crate::state::attitude_from_rpy;
 
 /// Shape and size of an obstacle, in its own frame.
@@ -109,7 +111,8 @@ impl Shape {
 /// assert!((trunk.distance(&Vector3::new(0.0, 0.0, 1.0)) - 1.9).abs() < 1e-12);
 /// assert!(trunk.distance(&trunk.position) < 0.0, "inside");
 /// ```
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Stored", into = "Stored")]
 pub struct Obstacle {
     /// Shape and size.
     pub shape: Shape,
@@ -119,6 +122,66 @@ pub struct Obstacle {
     pub rpy: Vector3<f64>,
     /// Red, green, blue and alpha, each from 0 to 1.
     pub rgba: [f64; 4],
+}
+
+/// An obstacle in files.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    shape: StoredShape,
+    size: Vec<f64>,
+    #[serde(deserialize_with = "triple")]
+    position: [f64; 3],
+    #[serde(default, deserialize_with = "triple")]
+    euler: [f64; 3],
+    rgba: Option<[f64; 4]>,
+}
+
+#[derive(Serialize, Deserialize, Clone, Copy)]
+#[serde(rename_all = "snake_case")]
+enum StoredShape {
+    Box,
+    Sphere,
+    Cylinder,
+    Capsule,
+}
+
+impl From<Obstacle> for Stored {
+    fn from(obstacle: Obstacle) -> Self {
+        Self {
+            shape: match obstacle.shape {
+                Shape::Box { .. } => StoredShape::Box,
+                Shape::Sphere { .. } => StoredShape::Sphere,
+                Shape::Cylinder { .. } => StoredShape::Cylinder,
+                Shape::Capsule { .. } => StoredShape::Capsule,
+            },
+            size: obstacle.shape.geom().1,
+            position: obstacle.position.into(),
+            euler: obstacle.rpy.into(),
+            rgba: Some(obstacle.rgba),
+        }
+    }
+}
+
+impl TryFrom<Stored> for Obstacle {
+    type Error = String;
+
+    fn try_from(stored: Stored) -> Result<Self, String> {
+        let shape = match (stored.shape, &stored.size[..]) {
+            (StoredShape::Box, &[x, y, z]) => Shape::Box { half_size: [x, y, z] },
+            (StoredShape::Sphere, &[radius]) => Shape::Sphere { radius },
+            (StoredShape::Cylinder, &[radius, half_height]) => Shape::Cylinder { radius, half_height },
+            (StoredShape::Capsule, &[radius, half_height]) => Shape::Capsule { radius, half_height },
+            (_, sizes) => {
+                let count = sizes.len();
+                return Err(format!(
+                    "{count} sizes, expected 3 for a box, 1 for a sphere, 2 for a cylinder or capsule"
+                ));
+            }
+        };
+        let plain = Self::new(shape, stored.position.into());
+        Ok(Self { rpy: stored.euler.into(), rgba: stored.rgba.unwrap_or(plain.rgba), ..plain })
+    }
 }
 
 impl Obstacle {
@@ -192,11 +255,13 @@ impl MovingMarker {
 }
 
 /// Pose of a moving marker.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct MarkerPose {
     /// Centre, world frame, m.
+    #[serde(with = "crate::serial::vector")]
     pub position: Vector3<f64>,
     /// Roll, pitch, yaw from its own to the world frame, rad: intrinsic z-y'-x''.
+    #[serde(with = "crate::serial::vector")]
     pub rpy: Vector3<f64>,
 }
 

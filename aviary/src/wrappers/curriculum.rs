@@ -122,7 +122,7 @@ pub struct CurriculumState {
 /// assert_eq!(curriculum.level(), 1, "both of the last two episodes were a success");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Curriculum {
     config: CurriculumConfig,
     state: CurriculumState,
@@ -294,14 +294,13 @@ impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Wrapper for C
     }
 
     fn snapshot(this: &Self) -> EnvSnapshot {
-        EnvSnapshot::around(this.env.snapshot(), (this.curriculum.clone(), this.running))
+        EnvSnapshot::serializable((this.curriculum.clone(), this.running)).with_inner(this.env.snapshot())
     }
 
     fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
-        let (curriculum, running) = snapshot.own::<(Curriculum, (f64, u64))>()?;
+        let (curriculum, running) = snapshot.read::<(Curriculum, (f64, u64))>()?;
         this.env.restore(snapshot.inner()?)?;
-        this.curriculum.clone_from(curriculum);
-        this.running = *running;
+        (this.curriculum, this.running) = (curriculum, running);
         Ok(())
     }
 

@@ -167,11 +167,11 @@ impl<E: DroneEnv> Wrapper for SafetyWrapper<E> {
     }
 
     fn snapshot(this: &Self) -> EnvSnapshot {
-        EnvSnapshot::around(this.env.snapshot(), (this.interventions, this.started))
+        EnvSnapshot::serializable((this.interventions, this.started)).with_inner(this.env.snapshot())
     }
 
     fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
-        let &own = snapshot.own::<(u64, bool)>()?;
+        let own = snapshot.read::<(u64, bool)>()?;
         this.env.restore(snapshot.inner()?)?;
         (this.interventions, this.started) = own;
         Ok(())

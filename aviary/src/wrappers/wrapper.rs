@@ -95,7 +95,7 @@ pub trait Wrapper {
         Self::inner_mut(this).step(action)
     }
 
-    /// [`Env::snapshot`]. A wrapper with a state of its own puts it [around](EnvSnapshot::around) the snapshot of the
+    /// [`Env::snapshot`]. A wrapper with a state of its own puts it [around](EnvSnapshot::with_inner) the snapshot of the
     /// environment inside.
     fn snapshot(this: &Self) -> EnvSnapshot {
         Self::inner(this).snapshot()

@@ -15,7 +15,7 @@ use crate::world::Obstacle;
 use crate::world::placement::CollisionCylinder;
 
 /// What was drawn for one drone.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SampledDroneParams {
     /// Factor on the mass.
     pub mass: f64,
@@ -36,6 +36,7 @@ pub struct SampledDroneParams {
     /// The motors.
     pub actuators: ActuatorParams,
     /// Bias of what is seen: position (m), velocity (m/s), roll-pitch-yaw (rad), body rates (rad/s).
+    #[serde(with = "crate::serial::vector_array")]
     pub bias: [Vector3<f64>; 4],
     /// The state that the episode started from, but for what the task made of it.
     pub initial: DroneState,
@@ -56,7 +57,7 @@ pub struct SampledDroneParams {
 /// assert!((env.simulation().params(0).mass - 1.1 * 0.027).abs() < 1e-12);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SampledParams {
     /// Factor on gravity.
     pub gravity: f64,
@@ -69,18 +70,22 @@ pub struct SampledParams {
 }
 
 /// Draws and applies what a [`Randomization`] says.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(in crate::env) struct Randomizer {
     // what environments of a batch have in common is there once
+    #[serde(with = "crate::serial::shared")]
     pub(in crate::env) config: Arc<Randomization>,
     pub(in crate::env) draw: SampledParams,
     /// Whence the noise of the sensors comes.
     noise: Rng,
+    #[serde(with = "crate::serial::shared")]
     nominal: Arc<[DroneParams]>,
     /// How the motors and the wind were before.
+    #[serde(with = "crate::serial::shared")]
     motors: Arc<[ActuatorParams]>,
     wind: Option<WindConfig>,
     measured: Vec<DroneState>,
+    #[serde(with = "crate::serial::vector_list")]
     measured_rpys: Vec<Vector3<f64>>,
 }
 

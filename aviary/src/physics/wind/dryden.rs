@@ -63,7 +63,7 @@ pub(super) fn feet(height: f64) -> f64 {
 /// With T·ṗ = −p + noise and T·ṙ = −r + p the output is √3·p + (1 − √3)·r. Over a step of s = dt/T both are multiplied by
 /// e⁻ˢ·[[1, 0], [s, 1]] and gain normal noise of covariance ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du: the discretization is exact for
 /// steps of any length.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct SecondOrder {
     p: f64,
     r: f64,

@@ -24,7 +24,7 @@ pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Ve
 }
 
 /// One drone's gust and turbulence.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 struct Local {
     rng: Rng,
     drag_area: f64,
@@ -34,10 +34,12 @@ struct Local {
     /// Filters of second order, across the mean wind and upwards.
     filters: [SecondOrder; 2],
     /// The turbulence's constants at a height within the model's limits.
+    #[serde(skip)]
     constants: (f64, [f64; 3], [f64; 3]),
     /// A normal draw that is left over.
     spare: Option<f64>,
     /// Force at its height (world frame, N) and how much of it is over, 0 to 1; 1 while there is none.
+    #[serde(with = "crate::serial::vector_and_number")]
     gust: (Vector3<f64>, f64),
 }
 
@@ -58,7 +60,8 @@ struct Local {
 /// assert_eq!(air, Vector3::new(3.0, 0.0, 0.0));
 /// # Ok::<(), aviary::physics::wind::WindError>(())
 /// ```
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[serde(try_from = "Stored", into = "Stored")]
 pub struct WindField {
     config: WindConfig,
     velocity: Vector3<f64>,
@@ -67,6 +70,39 @@ pub struct WindField {
     locals: Vec<Local>,
     /// Steps since the episode began.
     steps: u64,
+}
+
+/// [`WindField`] as it is serialized; the rest follows from the settings.
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    config: WindConfig,
+    steps: u64,
+    locals: Vec<Local>,
+}
+
+impl From<WindField> for Stored {
+    fn from(field: WindField) -> Self {
+        Self { config: field.config, steps: field.steps, locals: field.locals }
+    }
+}
+
+impl TryFrom<Stored> for WindField {
+    type Error = String;
+
+    fn try_from(stored: Stored) -> Result<Self, String> {
+        stored.config.validate().map_err(|error| error.to_string())?;
+        if let Some(local) = stored.locals.iter().find(|local| !(0.0..=1e9).contains(&local.drag_area)) {
+            return Err(format!("a drag area is {}, expected 0 to 1e9 m²", local.drag_area));
+        }
+        if stored.steps > 1 << 60 {
+            return Err(format!("`steps` is {}, expected fewer than 2^60", stored.steps));
+        }
+        let Stored { config, steps, locals } = stored;
+        let mut field = Self { config, velocity: Vector3::zeros(), axes: [Vector3::zeros(); 3], locals, steps };
+        field.take(config);
+        Ok(field)
+    }
 }
 
 impl WindField {
@@ -128,6 +164,11 @@ impl WindField {
     /// Changes the drag area of a drone, m².
     pub(crate) fn set_area(&mut self, drone: usize, drag_area: f64) {
         self.locals[drone].drag_area = drag_area;
+    }
+
+    /// Number of drones.
+    pub(crate) fn num_drones(&self) -> usize {
+        self.locals.len()
     }
 
     /// Bytes that it takes for its drones.
