@@ -3,13 +3,16 @@
 use aviary::control::trajectory;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::env::{Conditions, Env as _, EnvConfig, Rng};
+use aviary::physics::Physics;
+use aviary::physics::wind::{WindConfig, WindModel};
 use aviary::policy::PolicyNetwork;
 use aviary::record::{Flight, RecordError, Scenario, read_actions};
-use aviary::simulation::Simulation;
+use aviary::simulation::{SimData, Simulation};
 use aviary::tasks;
-use aviary::world::{ObstacleConfig, check_obj};
+use aviary::world::{Obstacle, ObstacleConfig, Shape, check_obj};
 use learn::TrainConfig;
 use mujoco_rs::{Assets, Data, Model};
+use nalgebra::Vector3;
 use rand_chacha::rand_core::SeedableRng as _;
 
 /// One kind of input.
@@ -26,7 +29,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub static ALL: [Target; 11] = [
+pub static ALL: [Target; 12] = [
     Target { name: "actions", about: "motor speeds as CSV", more: &[], run: actions },
     Target {
         name: "airframe",
@@ -39,6 +42,12 @@ pub static ALL: [Target; 11] = [
         about: "wind, obstacles and randomization as TOML: written and read again, then flown for two control steps",
         more: &[],
         run: conditions,
+    },
+    Target {
+        name: "data",
+        about: "data of a simulation as JSON: written and read again, restored, then flown for two control steps",
+        more: &[],
+        run: data,
     },
     Target { name: "flight", about: "a recorded flight as CSV", more: &[], run: flight },
     Target {
@@ -112,6 +121,26 @@ fn airframe(input: &[u8]) -> Result<(), String> {
         Simulation::builder(params).initial_positions([[0.0, 0.0, height]]).build().map_err(message)?;
     for _ in 0..2 {
         simulation.step(&[[hover; 4]]).map_err(message)?;
+    }
+    Ok(())
+}
+
+fn data(input: &[u8]) -> Result<(), String> {
+    let ball = Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(3.0, 0.0, 1.0));
+    let wind = WindConfig::new(WindModel::Combined);
+    let builder = Simulation::builder(DroneModel::Cf2x).num_drones(2).physics(Physics::MjcGndDragDw);
+    let mut simulation = builder.obstacles([ball]).wind(wind).build().map_err(message)?;
+    let mut value: serde_json::Value = serde_json::from_str(text(input)?).map_err(message)?;
+    // of this simulation, whatever version wrote it
+    let own = serde_json::to_value(simulation.snapshot()).map_err(message)?;
+    value.as_object_mut().ok_or("no object")?.insert("model".into(), own["model"].clone());
+    let data: SimData = serde_json::from_value(value).map_err(message)?;
+    let written = serde_json::to_string(&data).map_err(message)?;
+    let read: SimData = serde_json::from_str(&written).map_err(message)?;
+    assert_eq!(serde_json::to_string(&read).map_err(message)?, written);
+    simulation.restore(&read).map_err(message)?;
+    for _ in 0..2 {
+        simulation.step(&[[14_000.0; 4]; 2]).map_err(message)?;
     }
     Ok(())
 }

@@ -5,7 +5,7 @@ use fuzz::{corpus, run, targets};
 /// Cases of a target: those that compile or step a scene take milliseconds each.
 fn cases(name: &str) -> u64 {
     match name {
-        "conditions" | "scenario" | "obstacles" | "mjcf" | "airframe" => 150,
+        "conditions" | "data" | "scenario" | "obstacles" | "mjcf" | "airframe" => 150,
         "flight" | "mesh" => 300,
         _ => 1000,
     }
