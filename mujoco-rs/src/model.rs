@@ -1,3 +1,6 @@
+mod assets;
+mod patch;
+
 use std::collections::BTreeSet;
 use std::ffi::{CStr, CString, c_char};
 use std::fmt;
@@ -6,11 +9,15 @@ use std::ptr::{self, NonNull};
 use std::sync::Arc;
 
 use crate::error::Error;
-use crate::id::{GeomId, ObjectId, ObjectKind};
+use crate::id::{ObjectId, ObjectKind};
 use crate::limits;
 use crate::mesh;
 use crate::mjcf::{self, Source};
 use crate::runtime::{check_library, guarded};
+
+pub use assets::Assets;
+use assets::FileSystem;
+pub use patch::ModelMut;
 
 /// A compiled scene.
 ///
@@ -43,136 +50,6 @@ pub struct Model {
 unsafe impl Send for Model {}
 // SAFETY: as above.
 unsafe impl Sync for Model {}
-
-/// Files that a scene refers to, kept in memory.
-///
-/// ```
-/// use mujoco_rs::{Assets, Model};
-///
-/// let corner = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
-/// let model = Model::from_xml_with_assets(
-///     "<mujoco><asset><mesh name='corner' file='corner.obj'/></asset>
-///     <worldbody><geom type='mesh' mesh='corner'/></worldbody></mujoco>",
-///     &Assets::new().with("corner.obj", corner),
-/// )?;
-/// assert_eq!(model.nmesh(), 1);
-/// # Ok::<(), mujoco_rs::Error>(())
-/// ```
-#[derive(Debug, Clone, Default)]
-pub struct Assets {
-    files: Vec<(String, Vec<u8>)>,
-}
-
-impl Assets {
-    /// No files.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
-    /// Adds a file under the name that the scene uses for it (without directories).
-    #[must_use]
-    pub fn with(mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Self {
-        self.insert(name, bytes);
-        self
-    }
-
-    /// Adds a file under the name that the scene uses for it (without directories).
-    pub fn insert(&mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) {
-        self.files.push((name.into(), bytes.into()));
-    }
-
-    /// How many files there are.
-    pub fn len(&self) -> usize {
-        self.files.len()
-    }
-
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.files.is_empty()
-    }
-
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (&str, &[u8])> {
-        self.files.iter().map(|(name, bytes)| (name.as_str(), bytes.as_slice()))
-    }
-}
-
-/// MuJoCo's virtual file system: fixed slots for file names and pointers to copies of their content.
-struct FileSystem(Box<mujoco_sys::mjVFS>);
-
-impl FileSystem {
-    fn new() -> Self {
-        let mut vfs: Box<std::mem::MaybeUninit<mujoco_sys::mjVFS>> = Box::new_zeroed();
-        // SAFETY: a structure of integers and pointers for which all zeros is a value; the call makes it an empty one.
-        unsafe {
-            mujoco_sys::mj_defaultVFS(vfs.as_mut_ptr());
-            Self(vfs.assume_init())
-        }
-    }
-
-    /// Files in addition to the scene's text; MuJoCo leaves one place empty.
-    const ROOM: usize = mujoco_sys::mjMAXVFS as usize - 2;
-
-    fn full(name: &str) -> Error {
-        Error::Asset { name: name.to_string(), reason: format!("more than {} files", Self::ROOM) }
-    }
-
-    fn repeated(name: &str) -> Error {
-        Error::Asset {
-            name: name.to_string(),
-            reason: "a file of that name is there already (names are compared without regard to case)".into(),
-        }
-    }
-
-    fn check_name(name: &str) -> Result<(), Error> {
-        let refuse = |reason: String| Error::Asset { name: name.to_string(), reason };
-        let longest = mujoco_sys::mjMAXVFSNAME as usize - 1;
-        if name.is_empty() || name.len() > longest {
-            return Err(refuse(format!("the name has {} bytes, expected 1 to {longest}", name.len())));
-        }
-        if name.contains(['/', '\\']) {
-            return Err(refuse("the name holds a directory, expected a bare file name".into()));
-        }
-        Ok(())
-    }
-
-    fn add(&mut self, name: &str, bytes: &[u8]) -> Result<(), Error> {
-        Self::check_name(name)?;
-        let refuse = |reason: String| Error::Asset { name: name.to_string(), reason };
-        let c_name = CString::new(name).map_err(|_| Error::Nul { what: "asset name" })?;
-        let Ok(size) = i32::try_from(bytes.len()) else {
-            return Err(refuse(format!("{} bytes, expected less than 2 GiB", bytes.len())));
-        };
-        if size == 0 {
-            return Err(refuse("the file is empty".into()));
-        }
-        // SAFETY: a valid VFS and a terminated name; the call allocates `size` bytes in the slot it fills.
-        let status = unsafe { mujoco_sys::mj_makeEmptyFileVFS(&mut *self.0, c_name.as_ptr(), size) };
-        match status {
-            0 => {}
-            1 => return Err(Self::full(name)),
-            2 => return Err(Self::repeated(name)),
-            other => return Err(refuse(format!("MuJoCo's file system answered {other}"))),
-        }
-        // SAFETY: as above.
-        let slot = unsafe { mujoco_sys::mj_findFileVFS(&*self.0, c_name.as_ptr()) };
-        let target = usize::try_from(slot).ok().and_then(|slot| self.0.filedata.get(slot)).copied();
-        match target {
-            Some(target) if !target.is_null() => {
-                // SAFETY: the slot holds `size` bytes of MuJoCo's own, apart from ours.
-                unsafe { ptr::copy_nonoverlapping(bytes.as_ptr(), target.cast::<u8>(), bytes.len()) };
-                Ok(())
-            }
-            _ => Err(refuse("MuJoCo's file system lost it".into())),
-        }
-    }
-}
-
-impl Drop for FileSystem {
-    fn drop(&mut self) {
-        // SAFETY: frees the copies that `add` made, once.
-        unsafe { mujoco_sys::mj_deleteVFS(&mut *self.0) };
-    }
-}
 
 /// The name under which text in memory is compiled; messages show `scene` instead.
 const TEXT_NAME: &str = "__scene__.xml";
@@ -469,164 +346,5 @@ impl Integrator {
             Self::Rk4 => mujoco_sys::mjtIntegrator_::mjINT_RK4,
             Self::Implicit => mujoco_sys::mjtIntegrator_::mjINT_IMPLICIT,
         }
-    }
-}
-
-/// The numbers of a model to be written; its structure cannot change.
-///
-/// Arrays that MuJoCo only calculates with are slices. Numbers by which it finds memory (sizes and orientations of geoms,
-/// height fields) have setters that check them, and slices that are `unsafe` to write.
-///
-/// MuJoCo derives some numbers from others when it compiles (`body_subtreemass`, `dof_M0`, `body_invweight0`, …):
-/// whoever patches a mass writes those as well.
-///
-/// ```
-/// use mujoco_rs::Model;
-///
-/// let mut model = Model::from_xml("<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>")?;
-/// model.patch().set_gravity([0.0, 0.0, -1.62])?;
-/// assert_eq!(model.gravity(), [0.0, 0.0, -1.62], "on the Moon");
-/// # Ok::<(), mujoco_rs::Error>(())
-/// ```
-pub struct ModelMut<'a> {
-    model: &'a mut Model,
-}
-
-impl ModelMut<'_> {
-    #[inline]
-    pub(crate) fn raw(&self) -> &mujoco_sys::mjModel {
-        self.model.raw()
-    }
-
-    fn options(&mut self) -> &mut mujoco_sys::mjOption {
-        // SAFETY: the model is borrowed mutably.
-        unsafe { &mut self.model.pointer.as_mut().opt }
-    }
-
-    /// Sets the length of a step, s.
-    ///
-    /// # Errors
-    /// [`Error::Value`] unless positive and finite.
-    pub fn set_timestep(&mut self, timestep: f64) -> Result<(), Error> {
-        if !(timestep.is_finite() && timestep > 0.0) {
-            return Err(Error::Value {
-                what: "the time step",
-                got: timestep,
-                expected: "a positive number of seconds",
-            });
-        }
-        self.options().timestep = timestep;
-        Ok(())
-    }
-
-    /// Sets the acceleration of gravity, world frame, m/s².
-    ///
-    /// # Errors
-    /// [`Error::Value`] unless finite.
-    pub fn set_gravity(&mut self, gravity: [f64; 3]) -> Result<(), Error> {
-        if let Some(&got) = gravity.iter().find(|value| !value.is_finite()) {
-            return Err(Error::Value { what: "gravity", got, expected: "a finite number of m/s²" });
-        }
-        self.options().gravity = gravity;
-        Ok(())
-    }
-
-    /// Sets the sizes of a geom, in MuJoCo's order for its type, m: radius of a sphere; radius and half length of a capsule or
-    /// cylinder; half sizes of an ellipsoid or box; half sizes (0 for infinite) and grid spacing of a plane. Numbers that the
-    /// type does not have are 0.
-    ///
-    /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a size that is not finite, negative, or outside 1e-15 m to 1e6 m where
-    /// the type has it.
-    #[inline]
-    pub fn set_geom_size(&mut self, geom: GeomId, size: [f64; 3]) -> Result<(), Error> {
-        let row = self.geom_row(geom)?;
-        limits::geom_size(self.raw_geom_type(row), &size)?;
-        // SAFETY: the sizes are ones that the compiler would take.
-        let values = unsafe { self.geom_size_mut() };
-        values[3 * row..][..3].copy_from_slice(&size);
-        Ok(())
-    }
-
-    /// Sets the position of a geom in its body's frame, m.
-    ///
-    /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a coordinate that is not finite or exceeds 1e10.
-    #[inline]
-    pub fn set_geom_pos(&mut self, geom: GeomId, position: [f64; 3]) -> Result<(), Error> {
-        let row = self.geom_row(geom)?;
-        limits::position(&position)?;
-        // SAFETY: the coordinates are ones that the compiler would take.
-        let values = unsafe { self.geom_pos_mut() };
-        values[3 * row..][..3].copy_from_slice(&position);
-        Ok(())
-    }
-
-    /// Sets the orientation of a geom in its body's frame, `[w, x, y, z]`.
-    ///
-    /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] unless the quaternion has length 1 within 1e-6.
-    #[inline]
-    pub fn set_geom_quat(&mut self, geom: GeomId, quaternion: [f64; 4]) -> Result<(), Error> {
-        let row = self.geom_row(geom)?;
-        limits::unit_quaternion(&quaternion)?;
-        // SAFETY: the quaternion has length 1, as the compiler's have.
-        let values = unsafe { self.geom_quat_mut() };
-        values[4 * row..][..4].copy_from_slice(&quaternion);
-        Ok(())
-    }
-
-    /// Sets the radius of the ball around a geom outside of which MuJoCo looks for no contacts, m; 0 for a plane.
-    ///
-    /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a radius that is not finite, negative or above 1e7.
-    #[inline]
-    pub fn set_geom_rbound(&mut self, geom: GeomId, radius: f64) -> Result<(), Error> {
-        let row = self.geom_row(geom)?;
-        limits::bounding_radius(radius)?;
-        // SAFETY: the radius is one that the compiler would compute.
-        let values = unsafe { self.geom_rbound_mut() };
-        values[row] = radius;
-        Ok(())
-    }
-
-    /// Sets the sizes of a height field, by its position in the model's list, m: half sizes along x and y, height of its
-    /// highest point, thickness of its base.
-    ///
-    /// # Errors
-    /// [`Error::Value`] unless there is such a field and all sizes lie between 1e-15 m and 1e6 m.
-    pub fn set_hfield_size(&mut self, hfield: usize, size: [f64; 4]) -> Result<(), Error> {
-        if hfield >= self.model.nhfield() {
-            return Err(Error::Value {
-                what: "the index of a height field",
-                got: hfield as f64,
-                expected: "less than the model has",
-            });
-        }
-        limits::hfield_size(&size)?;
-        // SAFETY: the sizes are ones that the compiler would take.
-        let values = unsafe { self.hfield_size_mut() };
-        values[4 * hfield..][..4].copy_from_slice(&size);
-        Ok(())
-    }
-
-    #[inline]
-    fn geom_row(&self, geom: GeomId) -> Result<usize, Error> {
-        let count = self.model.ngeom();
-        if geom.index() < count {
-            Ok(geom.index())
-        } else {
-            Err(Error::NotOfModel { kind: ObjectKind::Geom, index: geom.index(), count })
-        }
-    }
-
-    #[inline]
-    fn raw_geom_type(&self, row: usize) -> i32 {
-        self.model.geom_type()[row]
-    }
-
-    /// Sets the integrator.
-    pub fn set_integrator(&mut self, integrator: Integrator) {
-        self.options().integrator = integrator.code() as i32;
     }
 }
