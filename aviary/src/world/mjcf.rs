@@ -1,19 +1,16 @@
 //! A world as MJCF text.
 
-use std::collections::BTreeMap;
-use std::io;
+mod xml;
+
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use mujoco_rs::{Assets, Integrator};
-use nalgebra::Vector3;
-use quick_xml::Writer;
-use quick_xml::events::{BytesEnd, BytesStart, Event};
 
 use super::look::Look;
-use super::{DroneBody, Forcing, Obstacle, World};
+use super::{Forcing, World};
 use crate::drone::DroneError;
-use crate::state::{attitude_from_rpy, wxyz};
+use xml::{Xml, numbers};
 
 /// What can be wrong with a scene before MuJoCo sees it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -291,189 +288,13 @@ impl World {
     }
 }
 
-/// MJCF being written. Writing to memory cannot fail, so nothing here returns an error.
-struct Xml {
-    writer: Writer<io::Cursor<Vec<u8>>>,
-}
-
-impl Xml {
-    fn new() -> Self {
-        Self { writer: Writer::new_with_indent(io::Cursor::new(Vec::new()), b' ', 2) }
-    }
-
-    fn event(&mut self, event: Event<'_>) {
-        self.writer.write_event(event).expect("memory takes every write");
-    }
-
-    fn element<'a>(name: &'a str, attributes: &[(&str, String)]) -> BytesStart<'a> {
-        BytesStart::new(name).with_attributes(attributes.iter().map(|(key, value)| (*key, value.as_str())))
-    }
-
-    fn open(&mut self, name: &str, attributes: &[(&str, String)]) {
-        self.event(Event::Start(Self::element(name, attributes)));
-    }
-
-    fn leaf(&mut self, name: &str, attributes: &[(&str, String)]) {
-        self.event(Event::Empty(Self::element(name, attributes)));
-    }
-
-    fn close(&mut self, name: &str) {
-        self.event(Event::End(BytesEnd::new(name)));
-    }
-
-    fn open_drone(&mut self, index: usize, drone: &DroneBody) {
-        let name = World::drone_name(index);
-        let params = &drone.params;
-        self.open(
-            "body",
-            &[
-                ("name", name.clone()),
-                ("pos", vector(&drone.position)),
-                ("quat", numbers(&wxyz(&attitude_from_rpy(drone.rpy)))),
-            ],
-        );
-        self.leaf("freejoint", &[("name", name)]);
-        self.leaf(
-            "inertial",
-            &[("pos", "0 0 0".into()), ("mass", params.mass.to_string()), ("diaginertia", numbers(&params.inertia))],
-        );
-    }
-
-    fn obstacles(&mut self, obstacles: &[Obstacle]) {
-        for (index, obstacle) in obstacles.iter().enumerate() {
-            self.shape(World::obstacle_name(index), obstacle, &[]);
-        }
-    }
-
-    fn shape(&mut self, name: String, obstacle: &Obstacle, more: &[(&str, String)]) {
-        let (kind, size) = obstacle.shape.geom();
-        // a geom that is compiled in the world's own frame could not be moved afterwards: MuJoCo remembers that it is there
-        let mut position = obstacle.position;
-        if position.norm() < 1e-3 && obstacle.rpy.norm() < 1e-3 {
-            position.z += 0.01;
-        }
-        let own = [
-            ("name", name),
-            ("type", kind.into()),
-            ("size", numbers(&size)),
-            ("pos", vector(&position)),
-            ("quat", numbers(&wxyz(&attitude_from_rpy(obstacle.rpy)))),
-            ("rgba", numbers(&obstacle.rgba)),
-        ];
-        self.leaf("geom", &[&own[..], more].concat());
-    }
-
-    fn rotors(&mut self, drones: usize) {
-        self.open("actuator", &[]);
-        for index in 0..drones {
-            let gears = ["0 0 1 0 0 0", "0 0 0 1 0 0", "0 0 0 0 1 0", "0 0 0 0 0 1"];
-            for (name, gear) in World::actuator_names(index).into_iter().zip(gears) {
-                self.leaf("motor", &[("name", name), ("site", World::drone_name(index)), ("gear", gear.into())]);
-            }
-        }
-        self.close("actuator");
-    }
-
-    fn collision_geom(&mut self, index: usize, drone: &DroneBody, more: &[(&str, String)]) {
-        let params = &drone.params;
-        let cylinder = [
-            ("name", World::drone_name(index)),
-            ("type", "cylinder".into()),
-            ("size", numbers(&[params.collision_radius, params.collision_height / 2.0])),
-        ];
-        self.leaf("geom", &[&cylinder, more].concat());
-    }
-
-    /// Sky, floor, and every mesh and material of these looks once.
-    fn assets(&mut self, looks: &[Look]) -> Result<Assets, SceneError> {
-        self.open("asset", &[]);
-        self.leaf(
-            "texture",
-            &[
-                ("type", "skybox".into()),
-                ("builtin", "gradient".into()),
-                ("rgb1", "0.75 0.83 0.9".into()),
-                ("rgb2", "0.3 0.48 0.68".into()),
-                ("width", "128".into()),
-                ("height", "768".into()),
-            ],
-        );
-        self.leaf(
-            "texture",
-            &[
-                ("name", "floor".into()),
-                ("type", "2d".into()),
-                ("builtin", "checker".into()),
-                ("rgb1", "0.60 0.62 0.64".into()),
-                ("rgb2", "0.53 0.55 0.57".into()),
-                ("mark", "edge".into()),
-                ("markrgb", "0.68 0.70 0.72".into()),
-                ("width", "256".into()),
-                ("height", "256".into()),
-            ],
-        );
-        // two squares of half a metre per texture
-        self.leaf(
-            "material",
-            &[
-                ("name", "floor".into()),
-                ("texture", "floor".into()),
-                ("texuniform", "true".into()),
-                ("texrepeat", "1 1".into()),
-                ("specular", "0".into()),
-                ("reflectance", "0.1".into()),
-            ],
-        );
-        let mut files = Assets::new();
-        let (mut meshes, mut materials) = (BTreeMap::new(), BTreeMap::new());
-        for look in looks {
-            let mut is_new_file = false;
-            for part in look.parts {
-                meshes.entry(look.mesh_name(part)).or_insert((part.file, look.scale));
-                is_new_file |= materials.insert(Look::material_name(part), part).is_none();
-            }
-            if is_new_file {
-                look.add_files(&mut files)?;
-            }
-        }
-        for (name, (file, scale)) in meshes {
-            self.leaf("mesh", &[("name", name), ("file", file.to_string()), ("scale", numbers(&[scale; 3]))]);
-        }
-        for (name, part) in materials {
-            self.leaf(
-                "material",
-                &[
-                    ("name", name),
-                    ("rgba", numbers(&part.rgba)),
-                    ("specular", part.specular.to_string()),
-                    ("shininess", part.shininess.to_string()),
-                ],
-            );
-        }
-        self.close("asset");
-        Ok(files)
-    }
-
-    fn finish(self) -> String {
-        String::from_utf8(self.writer.into_inner().into_inner()).expect("only text was written")
-    }
-}
-
-/// Numbers as MJCF reads them; Rust prints the shortest text that reads back to the same bits.
-fn numbers(values: &[f64]) -> String {
-    values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
-}
-
-fn vector(values: &Vector3<f64>) -> String {
-    numbers(values.as_slice())
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::Medium;
+    use super::super::{DroneBody, Medium};
     use super::*;
     use crate::drone::DroneModel;
     use mujoco_rs::{BodyId, Data, Model, WarningKind};
+    use nalgebra::Vector3;
     use proptest::prelude::*;
 
     fn body(model: DroneModel, position: Vector3<f64>) -> DroneBody {
