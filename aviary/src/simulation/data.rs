@@ -5,19 +5,17 @@ use nalgebra::Vector3;
 use smallvec::SmallVec;
 
 use super::{SimModel, SimulationError, out_of_range};
-use crate::drone::{DroneError, DroneParams};
-use crate::engine::flight::{Airframe, FreeBody, ReachBound};
-use crate::engine::{Bodies, Body, BuildError, Contact, Load};
+use crate::drone::DroneParams;
+use crate::engine::{Bodies, BuildError, Contact, Load};
+use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
-use crate::physics::wind::{WindConfig, WindField};
-use crate::physics::{Effects, Wrench};
+use crate::physics::wind::WindField;
 use crate::serial::Fingerprint;
 use crate::state::DroneState;
-use crate::world::placement::CollisionCylinder;
-use crate::world::{Marker, MarkerPose, Obstacle, World};
+use crate::world::{Marker, MarkerPose, Obstacle};
 
 /// Everything of one simulation that changes: states of drones, motors, wind and sensors, parameters, contacts, time.
 ///
@@ -317,138 +315,6 @@ impl SimData {
         self.bodies.obstacle_drift = metres;
     }
 
-    /// Updates what the engines derive from parameters, where parameters have changed: bodies, and how far they can come.
-    pub(crate) fn refresh(&mut self, model: &SimModel) {
-        if !std::mem::take(&mut self.changed) {
-            return;
-        }
-        let (world, effects) = (&model.world, model.effects);
-        let wakes: f64 = self.wakes.iter().map(|wake| wake.cap).sum();
-        let gravity = self.bodies.gravity;
-        let body = |(drone, motors): (&Drone, &Actuators)| {
-            let (params, inertia) = (&drone.params, drone.params.inertia_vector());
-            let free = FreeBody::new(params.mass, &inertia, gravity, world.medium);
-            let (rpm, rotors) = (motors.max_rpm(), &drone.rotors);
-            let most = [rpm; 4];
-            let mut force = rotors.wrench(&most).thrust;
-            let slowing = if effects.drag {
-                let least = params.drag_coefficients.into_iter().fold(0.0, f64::max);
-                least * 4.0 * rpm * (std::f64::consts::TAU / 60.0) / params.mass
-            } else {
-                0.0
-            };
-            if effects.ground && drone.ground.coefficient > 0.0 {
-                force += force * drone.ground.coefficient / (drone.ground.clip * drone.ground.clip);
-            }
-            if effects.downwash {
-                force += wakes;
-            }
-            if self.wind.is_some() {
-                // gusts have no bound that is worth anything
-                force = f64::INFINITY;
-            }
-            let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
-            let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
-            Body {
-                mass: params.mass,
-                inertia,
-                free,
-                reach_bound: ReachBound::new(&free, 0.0, force / params.mass, torque, slowing),
-            }
-        };
-        self.bodies.drones.clear();
-        self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
-        for (body, drone) in self.bodies.drones.iter_mut().zip(&world.drones) {
-            // the size that it collides with is always that of the scene
-            let reach = CollisionCylinder::from(&drone.params).bounding_radius();
-            body.reach_bound = body.reach_bound.reaching(reach);
-        }
-    }
-
-    /// Changes the parameters of a drone's airframe. What is not one is an error, and there all the same.
-    pub(super) fn change(&mut self, drone: usize, change: impl FnOnce(&mut DroneParams)) -> Result<(), DroneError> {
-        let own = &mut self.drones[drone];
-        change(&mut own.params);
-        let params = &mut own.params;
-        // one that can no longer hover is still a body
-        let ratio = params.thrust_to_weight;
-        params.thrust_to_weight = ratio.max(1.0);
-        let sound = params.validate();
-        params.thrust_to_weight = ratio;
-        (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
-        self.wakes[drone] = Wake::new(&own.params);
-        if let Some(wind) = &mut self.wind {
-            wind.set_area(drone, own.params.drag_area());
-        }
-        self.changed = true;
-        sound
-    }
-
-    /// Changes the parameters of a drone's airframe, from the next step on.
-    ///
-    /// # Errors
-    /// [`SimulationError::Drone`] for parameters that no body has; they are there then.
-    pub(crate) fn change_params(
-        &mut self,
-        drone: usize,
-        change: impl FnOnce(&mut DroneParams),
-    ) -> Result<(), SimulationError> {
-        self.change(drone, change).map_err(|error| SimulationError::Drone { drone, error })
-    }
-
-    /// Replaces the parameters of a drone's airframe, from the next step on.
-    ///
-    /// # Errors
-    /// [`SimulationError::Drone`] for parameters that no body has, and then nothing has changed.
-    pub(crate) fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
-        let before = self.drones[drone].params.clone();
-        if let Err(error) = self.change(drone, |own| *own = params) {
-            // it was valid before
-            let _ = self.change(drone, |own| *own = before);
-            return Err(SimulationError::Drone { drone, error });
-        }
-        Ok(())
-    }
-
-    /// Changes how the motors of a drone answer; they start at rest.
-    ///
-    /// # Errors
-    /// [`SimulationError::Actuators`] naming a setting that is impossible.
-    pub(crate) fn set_actuators(
-        &mut self,
-        model: &SimModel,
-        drone: usize,
-        actuators: &ActuatorParams,
-    ) -> Result<(), SimulationError> {
-        actuators.validate()?;
-        self.drones[drone].actuators = *actuators;
-        // motors are those of the airframe it was built with
-        self.actuators[drone].set(model.nominal_params(drone), actuators, model.world.timestep);
-        self.changed = true;
-        Ok(())
-    }
-
-    /// Allocates for motors of this latency (s) and sensors of that one, so that later changes up to them need no memory.
-    pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
-        let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
-        let (motors, states) = (steps(motors), self.states.len() * steps(sensors));
-        self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
-        self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
-    }
-
-    /// Changes gravity (m/s², downwards), from the next step on.
-    ///
-    /// # Errors
-    /// [`SimulationError::Gravity`] for what is not a number in range.
-    pub(crate) fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
-        if !(-World::MAX_GRAVITY..=World::MAX_GRAVITY).contains(&gravity) {
-            return Err(SimulationError::Gravity { got: gravity });
-        }
-        self.bodies.gravity = gravity;
-        self.changed = true;
-        Ok(())
-    }
-
     /// Keeps the states of so many whole physics steps.
     pub(crate) fn remember(&mut self, model: &SimModel, seconds: f64) {
         let steps = (seconds.clamp(0.0, super::Simulation::MAX_MEMORY) / model.world.timestep).round() as usize;
@@ -460,47 +326,6 @@ impl SimData {
     pub(crate) fn remembered(&self) -> &[DroneState] {
         let (count, memory) = (self.states.len(), &self.memory);
         memory.states.get(memory.oldest * count..(memory.oldest + 1) * count).unwrap_or(&self.states)
-    }
-
-    /// Changes the wind, which starts again from this seed; `None` for still air.
-    ///
-    /// # Errors
-    /// [`SimulationError::Wind`], and then nothing has changed.
-    pub(crate) fn set_wind(&mut self, wind: Option<WindConfig>, seed: u64) -> Result<(), SimulationError> {
-        let areas = self.drones.iter().map(|drone| drone.params.drag_area());
-        if let Some(wind) = &wind {
-            wind.validate()?;
-        }
-        match (wind.filter(|wind| !wind.is_calm()), &mut self.wind) {
-            (Some(config), Some(field)) => field.set(config, areas)?,
-            (Some(config), field) => *field = Some(WindField::of_areas(config, areas)?),
-            (None, field) => *field = None,
-        }
-        self.changed = true;
-        self.reset_wind(seed);
-        Ok(())
-    }
-
-    /// Starts the wind again from a seed.
-    pub(crate) fn reset_wind(&mut self, seed: u64) {
-        self.wind_seed = seed;
-        if let Some(wind) = &mut self.wind {
-            wind.reset(seed, &self.states);
-        }
-    }
-
-    /// A drone for the flight kernel's lanes.
-    pub(crate) fn airframe(&self, drone: usize, effects: Effects) -> Airframe {
-        let Drone { params, rotors, ground, .. } = &self.drones[drone];
-        Airframe {
-            body: self.bodies.drones[drone].free,
-            rotors: *rotors,
-            ground: if effects.ground { *ground } else { GroundEffect::default() },
-            drag: if effects.drag { params.drag_coefficients.into() } else { nalgebra::Vector3::zeros() },
-            wake: if effects.downwash { self.wakes[drone] } else { Wake::default() },
-            share: self.actuators[drone].share(),
-            reach_bound: self.bodies.drones[drone].reach_bound,
-        }
     }
 
     /// Takes motor commands over, clipped, if all of them are numbers.

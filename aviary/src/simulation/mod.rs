@@ -8,6 +8,7 @@ mod data;
 mod error;
 mod lanes;
 mod model;
+mod parameters;
 mod step;
 mod stored;
 mod view;
