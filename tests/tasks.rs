@@ -1,14 +1,10 @@
-//! The tasks: the paper's table and rewards, their ends, and the contract that all of them keep, alone and as agents.
+//! The tasks: the paper's table and rewards, their ends, the flights of controllers through them, and their options.
 
 use mujoco_drones_gym::control::trajectory::Trajectory;
 use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
-use mujoco_drones_gym::env::{BoxSpace, EndReason, EnvConfig, TaskDefaults, check_env, check_independence};
-use mujoco_drones_gym::mujoco::{Error, gl_info};
-use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, check_parallel_env};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::Recorded;
 use mujoco_drones_gym::state::attitude_from_rpy;
-use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, NAMES, Race, Velocity, make};
+use mujoco_drones_gym::tasks::{self, Antipodal, FlyThrough, Formation, MultiHover, Race, Velocity, make};
 use mujoco_drones_gym::wrappers::SafetyWrapper;
 use mujoco_drones_gym::{Rng, SeedableRng};
 use nalgebra::Vector3;
@@ -17,50 +13,6 @@ use nalgebra::Vector3;
 fn fly(env: &mut dyn DroneEnv, kind: ControllerKind, seed: u64) -> f64 {
     let mut pilot = ControllerPolicy::new(kind, env);
     fly_episode(env, &mut pilot, Some(seed)).unwrap().reward
-}
-
-/// Rows of single precision are of their space where an angle is at its bound: π in single precision is larger than π. Every task,
-/// one environment and a batch, with rays of a range that single precision rounds up, on the first row and after steps.
-#[test]
-fn rows_of_single_precision_are_of_their_space_at_the_bounds_of_every_angle() {
-    use mujoco_drones_gym::sensing::RangeConfig;
-    use std::f64::consts::{FRAC_PI_2, PI};
-    assert!(f64::from(PI as f32) > PI && f64::from(FRAC_PI_2 as f32) > FRAC_PI_2 && f64::from(4.3_f32) > 4.3);
-    let mut at_bound = 0;
-    for name in NAMES {
-        let drones = make(name, EnvConfig::default()).unwrap().simulation().num_drones();
-        for rpy in [[0.0, 0.0, PI], [PI, 0.0, 0.0], [0.0, FRAC_PI_2, PI], [0.0, -FRAC_PI_2, 0.3], [-PI, 0.0, -PI]] {
-            let kind: ObservationType = "kin_ranges_obstacle_adjacency".parse().unwrap();
-            let config = EnvConfig::default()
-                .initial_rpys(vec![rpy; drones])
-                .observation_type(kind)
-                .rays(RangeConfig { max_range: 4.3, ..RangeConfig::default() });
-            let mut env = make(name, config.clone()).unwrap();
-            let space = env.observation_space().vector.clone();
-            env.reset(Some(1)).unwrap();
-            let mut row = vec![0.0; space.size()];
-            let mut batch = make_vec(name, config, VecConfig { threads: 1, ..VecConfig::new(3) }).unwrap();
-            let rows = batch.observation_space().row();
-            assert_eq!(rows.size(), batch.observation_size());
-            let mut buffers = VecBuffers::new(&*batch);
-            batch.reset(Some(1), &mut buffers.observations).unwrap();
-            for step in 0..4 {
-                let vector = &env.observation().vector;
-                at_bound += vector.iter().filter(|x| [PI, FRAC_PI_2].contains(&x.abs())).count();
-                space.write_f32(vector, &mut row);
-                assert!(space.contains(vector) && space.contains(&row), "{name} {rpy:?} {step}: {row:?}");
-                assert!(row.iter().zip(vector).all(|(&y, &x)| (f64::from(y) - x).abs() <= 2e-7 * x.abs().max(1e-30)));
-                for row in buffers.observations.chunks_exact(rows.size()) {
-                    assert!(rows.contains(row), "{name} {rpy:?} {step}: {row:?}");
-                }
-                if env.info().end.is_none() {
-                    env.step(&vec![0.0; env.action_space().size()]).unwrap();
-                }
-                batch.step(&vec![0.0; 3 * batch.action_size()], buffers.step()).unwrap();
-            }
-        }
-    }
-    assert!(at_bound > 30, "{at_bound} angles at their bounds");
 }
 
 #[test]
@@ -94,127 +46,6 @@ fn the_table_is_the_papers() {
     let error = make("nosuch", EnvConfig::default()).err().unwrap().to_string();
     let expected = tasks::NAMES[..9].join(", ") + " or track";
     assert_eq!(error, format!("no task `nosuch`, expected {expected}"));
-}
-
-#[test]
-fn every_task_keeps_the_contract_with_every_action_type_and_number_of_drones() {
-    for name in tasks::NAMES {
-        for action_type in ActionType::ALL {
-            let config = EnvConfig::default().action_type(action_type).episode_seconds(5.0);
-            let mut env = make(name, config).unwrap();
-            check_env(&mut *env).unwrap_or_else(|error| panic!("{action_type}: {error}"));
-        }
-        let drones = if name == "hover" { 1 } else { 4 };
-        let config = || {
-            EnvConfig::default()
-                .num_drones(drones)
-                .drone(DroneModel::Race)
-                .physics(Physics::MjcGndDragDw)
-                .sim_freq(300)
-                .ctrl_freq(100)
-                .episode_seconds(1.0)
-                .observation_type(ObservationType::KIN_ADJACENCY)
-                .neighbourhood_radius(1.0)
-        };
-        // four racers in a formation that has room for them
-        let build = || match name {
-            "formation" => {
-                Box::new(config().with_task(Formation::default()).task(|task| task.radius = 0.6).build().unwrap())
-            }
-            _ => make(name, config()).unwrap() as Box<dyn DroneEnv + Send>,
-        };
-        let report = check_env(&mut *build()).unwrap();
-        assert!(report.episodes >= 5, "{name}: {report:?}");
-        check_independence(&mut *build(), &mut *build()).unwrap();
-    }
-}
-
-#[test]
-fn cameras_keep_the_contract() {
-    if matches!(gl_info(), Err(Error::NoGl { .. })) {
-        return;
-    }
-    let all = "kin_rgb_depth_segmentation_adjacency".parse::<ObservationType>().unwrap();
-    let size = ImageSize { width: 16, height: 12 };
-    let config = EnvConfig::default().observation_type(all).camera_size(size).episode_seconds(0.3);
-    let mut env = make("race", config.clone().num_drones(2)).unwrap();
-    check_env(&mut *env).unwrap();
-    let names: Vec<_> = env.observation_space().parts().iter().map(|part| (part.name, part.shape.clone())).collect();
-    assert_eq!(names[1], ("rgb", vec![2, 12, 16, 4]));
-    assert_eq!(names[4], ("adjacency", vec![2, 2]));
-    let multi = config.with_task(MultiHover::multi_agent()).build().unwrap();
-    check_parallel_env(&mut ParallelAviary::new(multi), 1).unwrap();
-}
-
-#[test]
-fn the_checker_finds_what_is_wrong() {
-    /// A task with one fault.
-    #[derive(Debug, Default, Clone)]
-    struct Faulty {
-        fault: &'static str,
-        episodes: f64,
-    }
-    impl Task for Faulty {
-        fn name(&self) -> &'static str {
-            "faulty"
-        }
-        fn defaults(&self) -> TaskDefaults {
-            TaskDefaults { num_drones: 1, episode_seconds: 2.0, controller: ControllerKind::Pid }
-        }
-        fn initial_positions(&self, _: &[DroneParams]) -> Vec<[f64; 3]> {
-            vec![[0.0, 0.0, 1.0]]
-        }
-        fn observation_space(&self) -> BoxSpace {
-            BoxSpace::new([[-10.0, 10.0], [-1.0, 1.0]])
-        }
-        fn reset(&mut self, _: SimView<'_>, _: &mut Rng) {
-            self.episodes += 1.0;
-        }
-        fn update(&mut self, _: SimView<'_>) {}
-        fn end(&self, simulation: SimView<'_>, _: usize) -> Option<EndReason> {
-            let low = simulation.states()[0].position.z < 0.5;
-            low.then_some(if self.fault == "reason" { EndReason::TimeLimit } else { EndReason::FloorContact })
-        }
-        fn reward(&self, simulation: SimView<'_>, _: usize, _: Option<EndReason>) -> f64 {
-            match self.fault {
-                "memory" => self.episodes,
-                "nan" if simulation.time() > 0.1 => f64::NAN,
-                _ => 0.0,
-            }
-        }
-        fn observe(&self, simulation: SimView<'_>, _: usize, out: &mut [f64]) {
-            let state = &simulation.states()[0];
-            out[0] = if self.fault == "bounds" { 11.0 * state.position.z } else { state.position.z };
-            out[1] = if self.fault == "constant" { 0.3 } else { state.up().x };
-        }
-        fn success(&self, _: SimView<'_>, _: usize) -> bool {
-            false
-        }
-        fn progress(&self, _: SimView<'_>, _: usize) -> f64 {
-            if self.fault == "progress" { 1.5 } else { 0.0 }
-        }
-        fn reference(&self, _: SimView<'_>, _: usize) -> Reference {
-            Reference::default()
-        }
-        fn may_be_constant(&self, _: usize) -> bool {
-            false
-        }
-    }
-    let mut sound = EnvConfig::default().with_task(Faulty::default()).build().unwrap();
-    check_env(&mut sound).unwrap();
-    for (fault, said) in [
-        ("memory", "two episodes with one seed differ"),
-        ("nan", "a reward is NaN"),
-        ("bounds", "observation[0]"),
-        ("constant", "observation[1] is always 0.3"),
-        ("reason", "the end in its info"),
-        ("progress", "progress is 1.5"),
-    ] {
-        let task = Faulty { fault, ..Faulty::default() };
-        let mut env = EnvConfig::default().with_task(task).build().unwrap();
-        let error = check_env(&mut env).unwrap_err().to_string();
-        assert!(error.contains(said), "{fault}: {error}");
-    }
 }
 
 #[test]
@@ -280,28 +111,6 @@ fn twelve_drones_swap_places_behind_the_filter_with_and_without_downwash() {
     }
     let rpm = Antipodal::builder().build().unwrap();
     assert!(SafetyWrapper::new(rpm, CollisionCone::new(0.3)).unwrap_err().to_string().contains("expected vel"));
-}
-
-#[test]
-fn the_safety_wrapper_keeps_the_contract_and_changes_nothing_that_is_safe() {
-    for name in ["multi_hover", "antipodal", "formation"] {
-        let build = || {
-            let config = EnvConfig::default().action_type(ActionType::Vel).episode_seconds(2.0);
-            SafetyWrapper::new(make(name, config).unwrap(), CollisionCone::new(0.2)).unwrap()
-        };
-        check_env(&mut build()).unwrap();
-        check_independence(&mut build(), &mut build()).unwrap();
-    }
-    let plain = || MultiHover::builder().num_drones(2).action_type(ActionType::Vel).build().unwrap();
-    let mut bare = plain();
-    let mut safe = SafetyWrapper::new(plain(), CollisionCone::new(0.2)).unwrap();
-    bare.reset(Some(1)).unwrap();
-    safe.reset(Some(1)).unwrap();
-    for _ in 0..100 {
-        let action = [0.1, 0.0, 0.2, 0.0, 0.1, 0.0, 0.2, 0.0];
-        assert_eq!(bare.step(&action).unwrap(), safe.step(&action).unwrap());
-    }
-    assert_eq!(safe.interventions(), 0);
 }
 
 /// A simulation of so many drones that started where the task says and is now in these states.
@@ -457,44 +266,6 @@ fn a_crash_costs_a_hundred_in_every_task_and_ends_it() {
 }
 
 #[test]
-fn equal_seeds_give_equal_bits_on_every_thread_and_others_differ() {
-    let episode = |name: &str, seed: u64| {
-        let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw)).unwrap();
-        env.reset(Some(seed)).unwrap();
-        let mut rng = Rng::seed_from_u64(5);
-        let mut bits = Vec::new();
-        for _ in 0..60 {
-            let action: Vec<_> = env.action_space().sample(&mut rng).iter().map(|x| 0.3 * x).collect();
-            let step = env.step(&action).unwrap();
-            bits.push(step.reward.to_bits());
-            bits.extend(step.observation.vector.iter().map(|x| x.to_bits()));
-            if step.terminated {
-                break;
-            }
-        }
-        bits
-    };
-    for name in tasks::NAMES {
-        let here = episode(name, 4);
-        let there = std::thread::scope(|scope| scope.spawn(|| episode(name, 4)).join().unwrap());
-        assert_eq!(here, there, "{name}");
-    }
-    // the paper's tasks have nothing random but for the target velocity
-    assert_ne!(episode("velocity", 4), episode("velocity", 5));
-    let mut env = Velocity::builder().build().unwrap();
-    let mut targets = Vec::new();
-    env.reset(Some(1)).unwrap();
-    for _ in 0..200 {
-        let seen = env.reset(None).unwrap().vector.clone();
-        let (velocity, rate) = env.task().target(0);
-        assert_eq!((&seen[12..15], seen[15]), (velocity.as_slice(), rate), "what is seen is what is rewarded");
-        assert!(velocity.amax() <= 0.5 && rate.abs() <= 0.25);
-        targets.push(velocity.x);
-    }
-    assert!(targets.iter().any(|x| *x > 0.4) && targets.iter().any(|x| *x < -0.4));
-}
-
-#[test]
 fn a_captured_waypoint_is_seen_as_such_at_once_by_the_drone_that_captured_it() {
     let mut env = FlyThrough::builder()
         .num_drones(2)
@@ -520,60 +291,6 @@ fn a_captured_waypoint_is_seen_as_such_at_once_by_the_drone_that_captured_it() {
     assert!((x - yaw.cos()).abs() < 0.05, "seen in the body's frame");
     assert!((env.info().progress - 0.1).abs() < 1e-12);
     assert_eq!(env.info_map()["waypoints_captured"], 1.0);
-}
-
-#[test]
-fn agents_keep_their_contract_in_every_task() {
-    for drones in [1, 2, 3] {
-        let multi = MultiHover::builder().num_drones(drones).episode_seconds(4.0).build().unwrap();
-        check_parallel_env(&mut MultiAgentAviary::new(multi), 3).unwrap();
-    }
-    let config = || EnvConfig::default().num_drones(3).episode_seconds(3.0);
-    check_parallel_env(&mut ParallelAviary::new(config().with_task(FlyThrough::default()).build().unwrap()), 2)
-        .unwrap();
-    check_parallel_env(&mut ParallelAviary::new(config().with_task(Race::default()).build().unwrap()), 2).unwrap();
-    check_parallel_env(&mut ParallelAviary::new(config().with_task(Formation::default()).build().unwrap()), 2).unwrap();
-    check_parallel_env(&mut ParallelAviary::new(config().with_task(Velocity::default()).build().unwrap()), 2).unwrap();
-    let attitudes = config().action_type(ActionType::Attitude).with_task(Antipodal::default()).build().unwrap();
-    check_parallel_env(&mut ParallelAviary::new(attitudes), 2).unwrap();
-}
-
-#[test]
-fn an_agent_that_crashes_leaves_and_the_others_fly_on() {
-    let mut env = MultiAgentAviary::new(MultiHover::builder().num_drones(3).build().unwrap());
-    let (observations, infos) = env.reset(Some(1)).unwrap();
-    assert!(observations.iter().all(|(_, seen)| seen.vector.len() == 13));
-    assert!(infos.iter().all(|(_, info)| info.end.is_none()));
-    assert_eq!(env.state().len(), 36);
-    let mut pids: Vec<_> = (0..3).map(|_| PidControl::new(&DroneModel::Cf2x.params())).collect();
-    let scale = mujoco_drones_gym::action::MotorScale::new(&DroneModel::Cf2x.params());
-    let mut left = Vec::new();
-    let mut sums = [0.0; 3];
-    while !env.agents().is_empty() {
-        let mut actions = Vec::new();
-        for agent in env.agents() {
-            let drone: usize = agent.trim_start_matches("drone").parse().unwrap();
-            let state = env.simulation().states()[drone];
-            let reference = Reference::hover(Vector3::new(drone as f64, 0.0, 0.7 + 0.25 * drone as f64), 0.0);
-            let mut rpm = pids[drone].control(1.0 / 48.0, &state, &reference).rpm;
-            if drone == 1 && env.simulation().time() > 2.0 {
-                rpm = [0.0; 4];
-            }
-            actions.push((agent.clone(), rpm.map(|rpm| scale.command(rpm)).to_vec()));
-        }
-        let step = env.step(&actions.into_iter().collect::<AgentMap<_>>()).unwrap();
-        for (agent, reward) in step.rewards.iter() {
-            sums[agent.trim_start_matches("drone").parse::<usize>().unwrap()] += reward;
-            if step.terminated.get(agent) == Some(&true) {
-                left.push((agent.to_string(), step.infos.get(agent).unwrap().end.unwrap()));
-                assert!(*reward < -90.0);
-            }
-        }
-    }
-    assert_eq!(left, [("drone1".to_string(), EndReason::FloorContact)]);
-    assert_eq!(env.simulation().time(), 10.0);
-    assert!(sums[0] > 0.0 && sums[2] > 0.0 && sums[1] < -90.0, "{sums:?}");
-    assert!((env.simulation().states()[2].position.z - 1.2).abs() < 0.05);
 }
 
 #[test]
@@ -629,41 +346,6 @@ fn gates_are_in_the_picture_and_not_in_the_way() {
     let physical = env.simulation().world().to_mjcf().unwrap();
     assert_eq!(visible.matches("name=\"gate").count(), 24);
     assert_eq!(physical.matches("name=\"gate").count(), 0);
-}
-
-#[test]
-fn a_recorded_environment_is_the_same_and_leaves_a_file_per_episode() {
-    let directory = tempfile::tempdir().unwrap();
-    let build = || Hover::builder().episode_seconds(1.0).build().unwrap();
-    check_env(&mut Recorded::new(build(), directory.path().join("checked")).unwrap()).unwrap();
-    let (mut plain, mut recorded) = (build(), Recorded::new(build(), directory.path()).unwrap());
-    for _ in 0..3 {
-        plain.reset(None).unwrap();
-        recorded.reset(None).unwrap();
-        while recorded.info().end.is_none() {
-            assert_eq!(plain.step(&[0.1; 4]).unwrap(), recorded.step(&[0.1; 4]).unwrap());
-        }
-    }
-    for episode in 0..3 {
-        let text = std::fs::read_to_string(directory.path().join(format!("episode_000{episode}_drone0.csv"))).unwrap();
-        assert_eq!(text.lines().count(), 1 + 1 + 48, "a header, the start, and every step");
-    }
-}
-
-#[test]
-fn a_task_that_is_changed_is_checked_at_the_next_reset() {
-    let mut env = FlyThrough::builder().build().unwrap();
-    env.reset(Some(1)).unwrap();
-    env.task_mut().waypoints.clear();
-    assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
-    for _ in 0..2 {
-        assert_eq!((env.info().success, env.info().position_error), (false, 0.0));
-        assert!(env.reset(None).unwrap_err().to_string().contains("waypoints is 0 points, expected 1 to 198"));
-        assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
-    }
-    env.task_mut().waypoints.push([0.0, 0.0, 1.0]);
-    env.reset(None).unwrap();
-    env.step(&[0.0; 4]).unwrap();
 }
 
 #[test]
