@@ -12,7 +12,7 @@ use std::process::Command;
 use std::sync::Barrier;
 use std::time::Instant;
 
-use mujoco_drones_gym::mujoco::{Assets, Camera, CameraId, Data, Effects, Model, Quality, Renderer, Scene};
+use mujoco_drones_gym::mujoco::{Assets, Camera, CameraId, Data, Model, Quality, Renderer, Scene, VisualEffects};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::vision::{ImageSize, SceneRenderer};
 
@@ -55,7 +55,7 @@ impl Stock {
         let model = data.shared_model();
         let camera = Camera::Fixed(model.find::<CameraId>("eye").expect("a camera"));
         let mut scene = Scene::new(model.clone(), 0).expect("a scene");
-        scene.set_effects(Effects { haze: false, ..Effects::pretty() });
+        scene.set_effects(VisualEffects { haze: false, ..VisualEffects::pretty() });
         let mut renderer = Renderer::new(model, Quality { samples: 4, shadow_map: 2048 }).expect("a renderer");
         // the buffer has its size whatever is drawn into it
         scene.update(&mut data, &camera).expect("an update");
@@ -87,7 +87,7 @@ fn rate(seconds: f64, mut frame: impl FnMut()) -> f64 {
 /// What an agent's camera costs, the scene brought up to date for every frame.
 struct Onboard {
     simulation: Simulation,
-    painter: SceneRenderer,
+    renderer: SceneRenderer,
 }
 
 impl Onboard {
@@ -105,13 +105,13 @@ impl Onboard {
             }))
             .build()
             .expect("a simulation");
-        let painter = SceneRenderer::for_observations(simulation.world()).expect("a painter");
-        Self { simulation, painter }
+        let renderer = SceneRenderer::for_observations(simulation.world()).expect("a renderer");
+        Self { simulation, renderer }
     }
 
     fn rgb(&mut self, size: ImageSize, rgba: &mut [u8]) {
-        self.painter.update(self.simulation.states()).expect("an update");
-        self.painter.onboard_rgba(0, size, rgba).expect("a picture");
+        self.renderer.update(self.simulation.states()).expect("an update");
+        self.renderer.onboard_rgba(0, size, rgba).expect("a picture");
     }
 }
 
@@ -180,13 +180,13 @@ fn main() {
     };
     row(&format!("RGB {SMALL}"), rate(2.0, || onboard.rgb(SMALL, &mut small)), stock_one_core.0);
     let depth_rate = rate(2.0, || {
-        onboard.painter.update(onboard.simulation.states()).expect("an update");
-        onboard.painter.onboard_depth(0, SMALL, &mut depth).expect("a picture");
+        onboard.renderer.update(onboard.simulation.states()).expect("an update");
+        onboard.renderer.onboard_depth(0, SMALL, &mut depth).expect("a picture");
     });
     row(&format!("depth {SMALL}"), depth_rate, stock_one_core.0);
     let segmentation_rate = rate(2.0, || {
-        onboard.painter.update(onboard.simulation.states()).expect("an update");
-        onboard.painter.onboard_segmentation(0, SMALL, &mut objects).expect("a picture");
+        onboard.renderer.update(onboard.simulation.states()).expect("an update");
+        onboard.renderer.onboard_segmentation(0, SMALL, &mut objects).expect("a picture");
     });
     row(&format!("segmentation {SMALL}"), segmentation_rate, stock_one_core.0);
     row(&format!("RGB {LARGE}"), rate(2.0, || onboard.rgb(LARGE, &mut large)), stock_one_core.1);

@@ -167,8 +167,8 @@ fn conditions() {
             "motors",
             config().randomization(Randomization { actuators: sensors_and_more.actuators, ..Randomization::NONE }),
         ),
-        ("20 trees", low().obstacle_field(forest(20, false))),
-        ("200 trees", low().obstacle_field(forest(200, false))),
+        ("20 trees", low().obstacle_generator(forest(20, false))),
+        ("200 trees", low().obstacle_generator(forest(200, false))),
     ] {
         let (mut under, mut plain) = (hover(config), hover(if name.contains("tree") { low() } else { self::plain() }));
         let (under, plain) = (std::cell::RefCell::new(&mut under), std::cell::RefCell::new(&mut plain));
@@ -183,7 +183,7 @@ fn conditions() {
         println!("{name:>14}: {:.3}", ratio(40, restart, || step(&under), || step(&plain)));
     }
     for count in [20, 200] {
-        let mut env = hover(low().obstacle_field(forest(count, true)));
+        let mut env = hover(low().obstacle_generator(forest(count, true)));
         let start = Instant::now();
         for seed in 0..200 {
             env.reset(Some(seed)).expect("a reset");

@@ -8,7 +8,7 @@ use mujoco_drones_gym::mujoco::Quality;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::tasks::Antipodal;
-use mujoco_drones_gym::vision::{Effects, SceneRenderer};
+use mujoco_drones_gym::vision::{SceneRenderer, VisualEffects};
 use mujoco_drones_gym::wrappers::SafetyWrapper;
 use nalgebra::Vector3;
 
@@ -27,8 +27,9 @@ fn main() -> anyhow::Result<()> {
     let pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
     let mut rollout = Rollout::start(env, pilot, Some(1))?;
     // without shadows and reflections: twelve drones with rings are enough to look at
-    let mut painter = SceneRenderer::new(rollout.env().simulation().world(), Quality::PRETTY, Effects::default())?;
-    painter.set_stage([0.0, 0.0, 1.0], 1.3);
+    let mut renderer =
+        SceneRenderer::new(rollout.env().simulation().world(), Quality::PRETTY, VisualEffects::default())?;
+    renderer.set_stage([0.0, 0.0, 1.0], 1.3);
     let (tile, sheet) = (ImageSize { width: SIDE, height: SIDE }, ImageSize { width: 3 * SIDE, height: 2 * SIDE });
     let (mut rgb, mut picture) = (vec![0; 3 * tile.pixels()], vec![0; 3 * sheet.pixels()]);
     let colour = |drone: usize| {
@@ -40,13 +41,13 @@ fn main() -> anyhow::Result<()> {
             rollout.step()?;
         }
         let env = rollout.env();
-        painter.update(env.simulation().states())?;
+        renderer.update(env.simulation().states())?;
         for drone in 0..12 {
             let (here, goal) = (env.simulation().states()[drone].position, env.reference(drone).position);
-            painter.add_ring(here, Vector3::z(), 0.15, 0.024, colour(drone));
-            painter.add_dots(&[goal], 0.04, colour(drone));
+            renderer.add_ring(here, Vector3::z(), 0.15, 0.024, colour(drone));
+            renderer.add_dots(&[goal], 0.04, colour(drone));
         }
-        painter.rgb(View::Top, tile, &mut rgb)?;
+        renderer.rgb(View::Top, tile, &mut rgb)?;
         for (row, line) in rgb.chunks_exact(3 * SIDE as usize).enumerate() {
             let start = 3 * ((shot / 3 * SIDE as usize + row) * sheet.width as usize + shot % 3 * SIDE as usize);
             let line = if row < 3 { &[255; 3 * SIDE as usize][..] } else { line };

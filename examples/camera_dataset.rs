@@ -5,7 +5,7 @@
 //! colours for people (by default to `out/camera_dataset`, 24 frames). `aviary capture` does the like for any task.
 
 use mujoco_drones_gym::control::GeometricControl;
-use mujoco_drones_gym::control::trajectory::{Curve, Trajectory};
+use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Trajectory};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::CsvLog;
 use mujoco_drones_gym::record::picture::{
@@ -24,7 +24,7 @@ fn main() -> anyhow::Result<()> {
     let frames: usize = arguments.next().map_or(Ok(24), |text| text.parse())?;
     std::fs::create_dir_all(&directory)?;
 
-    let circle = Curve::circle(0.5, 6.0)?.centre([0.0, 0.0, 0.6]);
+    let circle = PeriodicTrajectory::circle(0.5, 6.0)?.centre([0.0, 0.0, 0.6]);
     let start = circle.start();
     let forest = ObstacleConfig {
         count: 40,
@@ -39,16 +39,16 @@ fn main() -> anyhow::Result<()> {
         .obstacles(trees)
         .build()?;
     let mut controller = GeometricControl::new(simulation.params(0));
-    let mut painter = SceneRenderer::for_observations(simulation.world())?;
+    let mut renderer = SceneRenderer::for_observations(simulation.world())?;
     let mut poses = CsvLog::new(std::fs::File::create(directory.join("poses.csv"))?)?;
     let (mut rgb, mut depth) = (vec![0; 3 * SIZE.pixels()], vec![0.0; SIZE.pixels()]);
     let mut objects = vec![[0; 2]; SIZE.pixels()];
     let dt = simulation.control_period();
     for frame in 0..frames {
-        painter.update(simulation.states())?;
-        painter.rgb(View::Fpv, SIZE, &mut rgb)?;
-        painter.depth(View::Fpv, SIZE, &mut depth)?;
-        painter.segmentation(View::Fpv, SIZE, &mut objects)?;
+        renderer.update(simulation.states())?;
+        renderer.rgb(View::Fpv, SIZE, &mut rgb)?;
+        renderer.depth(View::Fpv, SIZE, &mut depth)?;
+        renderer.segmentation(View::Fpv, SIZE, &mut objects)?;
         let save = |kind: &str, png: Vec<u8>| std::fs::write(directory.join(format!("{kind}_{frame:05}.png")), png);
         save("rgb", png_rgb(SIZE, &rgb)?)?;
         save("depth", png_depth(SIZE, &depth)?)?;

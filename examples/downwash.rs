@@ -35,7 +35,7 @@ fn main() -> anyhow::Result<()> {
     let dt = simulation.control_period();
     let size = ImageSize { width: 640, height: 480 };
     let mut picture = vec![0; 3 * size.pixels()];
-    let mut painter = SceneRenderer::for_people(simulation.world())?;
+    let mut renderer = SceneRenderer::for_people(simulation.world())?;
     while simulation.time() < seconds {
         // the upper drone comes in over the lower one after two seconds
         let t = simulation.time();
@@ -51,8 +51,8 @@ fn main() -> anyhow::Result<()> {
             thrusts[drone].push((simulation.time(), share));
         }
     }
-    painter.update(simulation.states())?;
-    painter.rgb(View::Track, size, &mut picture)?;
+    renderer.update(simulation.states())?;
+    renderer.rgb(View::Track, size, &mut picture)?;
     let names = ["lower drone", "upper drone"];
     let lines = |points: [Vec<(f64, f64)>; 2]| {
         names.iter().zip(points).map(|(name, points)| Series { name: name.to_string(), points }).collect::<Vec<_>>()

@@ -32,12 +32,12 @@ fn main() -> anyhow::Result<()> {
     })?;
     let size = ImageSize { width: 800, height: 600 };
     let mut rgb = vec![0; 3 * size.pixels()];
-    let mut painter = SceneRenderer::for_people(env.simulation().world())?;
-    painter.update(env.simulation().states())?;
+    let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+    renderer.update(env.simulation().states())?;
     for drone in 0..drones {
-        painter.add_thread(&flight.positions(drone), 4.0, colour_of(drone, drones));
+        renderer.add_thread(&flight.positions(drone), 4.0, colour_of(drone, drones));
     }
-    painter.rgb(View::Track, size, &mut rgb)?;
+    renderer.rgb(View::Track, size, &mut rgb)?;
     std::fs::write(directory.join("formation.png"), png_rgb(size, &rgb)?)?;
     Plot::of_flight("Formation", &flight)?.save(directory.join("flight.svg"))?;
     Plot::of_paths("Formation", &flight)?.save(directory.join("path.svg"))?;

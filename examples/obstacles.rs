@@ -25,12 +25,12 @@ fn main() -> anyhow::Result<()> {
         // a room is looked into from above its walls
         let height = if kind == ObstacleKind::Indoor { 0.8 } else { 1.6 };
         let field = ObstacleConfig { count, seed: Some(seed), arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
-        let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_field(field).build()?;
+        let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_generator(field).build()?;
         env.reset(Some(seed))?;
-        let mut painter = SceneRenderer::for_people(env.simulation().world())?;
-        painter.set_stage([0.0, 0.0, 0.4], 1.1);
-        painter.update(env.simulation().states())?;
-        painter.rgb(View::Fixed, size, &mut picture)?;
+        let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+        renderer.set_stage([0.0, 0.0, 0.4], 1.1);
+        renderer.update(env.simulation().states())?;
+        renderer.rgb(View::Fixed, size, &mut picture)?;
         let path = directory.join(format!("{}.png", kind.name()));
         std::fs::write(&path, png_rgb(size, &picture)?)?;
         let nearest = env.simulation().obstacle_distance(0);

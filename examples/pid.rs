@@ -63,9 +63,9 @@ fn main() -> anyhow::Result<()> {
     let three = fly(&directory.join("swarm"), Physics::MjcGndDragDw, ControllerKind::Pid, &swarm, seconds)?;
 
     let size = ImageSize { width: 640, height: 480 };
-    let (mut painter, mut picture) = (SceneRenderer::for_people(three.world())?, vec![0; 3 * size.pixels()]);
-    painter.update(three.states())?;
-    painter.rgb(View::Track, size, &mut picture)?;
+    let (mut renderer, mut picture) = (SceneRenderer::for_people(three.world())?, vec![0; 3 * size.pixels()]);
+    renderer.update(three.states())?;
+    renderer.rgb(View::Track, size, &mut picture)?;
     std::fs::write(directory.join("swarm.png"), png_rgb(size, &picture)?)?;
     println!("{}", directory.join("swarm.png").display());
     Ok(())

@@ -33,7 +33,7 @@ fn main() -> anyhow::Result<()> {
             println!("{:5.2} s  {:3.0} %", env.info().time, 100.0 * progress);
         }
     })?;
-    println!("success: {} after {:.2} s", summary.success, summary.metrics["time"]);
+    println!("success: {} after {:.2} s", summary.success, rollout.env().info().time);
     Plot::of_paths(&format!("{} by a trained policy", info.task), &flight)?.save(directory.join("path.png"))?;
     Ok(())
 }

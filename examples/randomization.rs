@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     let config = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).episode_seconds(seconds);
     let mut env = config.randomization(Randomization::default()).build()?;
     let size = ImageSize { width: 800, height: 600 };
-    let mut painter = SceneRenderer::for_people(env.simulation().world())?;
+    let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
     let (mut heights, mut aside, mut trails) = (vec![], vec![], vec![]);
     println!(
         "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",
@@ -46,13 +46,13 @@ fn main() -> anyhow::Result<()> {
         let (mass, thrust, error) = (drone.mass, drone.thrust, 100.0 * info.position_error);
         println!("{draw:>5}{mass:>8.2}{thrust:>8.2}{lag:>10.0}{latency:>6.0} ms{wind:>13.2}{end:>12}{error:>8.1} cm");
     }
-    painter.set_stage([0.0, 0.0, 0.8], -0.1);
-    painter.update(env.simulation().states())?;
+    renderer.set_stage([0.0, 0.0, 0.8], -0.1);
+    renderer.update(env.simulation().states())?;
     for (trail, [r, g, b]) in trails.iter().zip(colours) {
-        painter.add_line(trail, 0.004, [r, g, b, 1.0]);
+        renderer.add_line(trail, 0.004, [r, g, b, 1.0]);
     }
     let mut picture = vec![0; 3 * size.pixels()];
-    painter.rgb(View::Front, size, &mut picture)?;
+    renderer.rgb(View::Front, size, &mut picture)?;
     let plot = Plot::time_series("Five draws of hover", &[("z (m)", heights), ("y (m)", aside)])?;
     plot.save(directory.join("randomization.svg"))?;
     std::fs::write(directory.join("randomization.png"), png_rgb(size, &picture)?)?;

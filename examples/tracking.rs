@@ -3,7 +3,7 @@
 //! `cargo run --release --example tracking`
 
 use mujoco_drones_gym::control::ControllerKind;
-use mujoco_drones_gym::control::trajectory::{Curve, Plane, Steps, Trajectory, named};
+use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Plane, Steps, Trajectory, named};
 use mujoco_drones_gym::prelude::*;
 
 /// Mean, peak and final position error of a flight, m.
@@ -28,8 +28,8 @@ fn main() -> anyhow::Result<()> {
     use DroneModel::{Cf2p, Cf2x, Race};
     let hover = Steps::step([0.0, 0.0, 0.1], [0.0, 0.0, 1.0], 10.0)?;
     let square = Steps::square(1.0, 4.0)?;
-    let circle = Curve::circle(0.3, 8.0)?.plane(Plane::YZ);
-    let eight = Curve::lemniscate_at(2.0, 1.0, 3.0)?.turns(3.0)?.ramp(2.0)?;
+    let circle = PeriodicTrajectory::circle(0.3, 8.0)?.plane(Plane::YZ);
+    let eight = PeriodicTrajectory::lemniscate_at(2.0, 1.0, 3.0)?.turns(3.0)?.ramp(2.0)?;
     let over = named("loop").expect("a trajectory of that name");
     let (all, crazyflies_and_racer) = ([Pid, Dsl, Geometric], [Cf2x, Cf2p, Race]);
     println!("| trajectory | controller | airframe | mean (cm) | peak (cm) | at the end (cm) |");

@@ -4,7 +4,7 @@
 //! `out/vertical_circle`, 8 s): the planned ring in white dots, the flown curve in cyan, seen from the front camera.
 
 use mujoco_drones_gym::control::GeometricControl;
-use mujoco_drones_gym::control::trajectory::{Curve, Plane, Trajectory};
+use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
 use mujoco_drones_gym::vision::SceneRenderer;
@@ -16,7 +16,7 @@ fn main() -> anyhow::Result<()> {
     let seconds: f64 = arguments.next().map_or(Ok(8.0), |text| text.parse())?;
     std::fs::create_dir_all(&directory)?;
 
-    let circle = Curve::circle(0.3, 8.0)?.plane(Plane::YZ).centre([0.0, 0.0, 0.75]);
+    let circle = PeriodicTrajectory::circle(0.3, 8.0)?.plane(Plane::YZ).centre([0.0, 0.0, 0.75]);
     let mut simulation =
         Simulation::builder(DroneModel::Cf2x).initial_positions([circle.start().position.into()]).build()?;
     let mut controller = GeometricControl::new(simulation.params(0));
@@ -31,13 +31,13 @@ fn main() -> anyhow::Result<()> {
 
     let size = ImageSize { width: 800, height: 600 };
     let mut picture = vec![0; 3 * size.pixels()];
-    let mut painter = SceneRenderer::for_people(simulation.world())?;
-    painter.set_stage([0.0, 0.0, 0.75], 0.0);
-    painter.update(simulation.states())?;
+    let mut renderer = SceneRenderer::for_people(simulation.world())?;
+    renderer.set_stage([0.0, 0.0, 0.75], 0.0);
+    renderer.update(simulation.states())?;
     let planned: Vec<_> = (0..80).map(|i| circle.reference(0.1 * f64::from(i)).position).collect();
-    painter.add_dots(&planned, 0.005, [1.0, 1.0, 1.0, 1.0]);
-    painter.add_line(&flown, 0.0025, [0.0, 0.85, 0.95, 1.0]);
-    painter.rgb(View::Front, size, &mut picture)?;
+    renderer.add_dots(&planned, 0.005, [1.0, 1.0, 1.0, 1.0]);
+    renderer.add_line(&flown, 0.0025, [0.0, 0.85, 0.95, 1.0]);
+    renderer.rgb(View::Front, size, &mut picture)?;
     let path = directory.join("vertical_circle.png");
     std::fs::write(&path, png_rgb(size, &picture)?)?;
     println!("{}", path.display());

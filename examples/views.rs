@@ -22,10 +22,10 @@ fn main() -> anyhow::Result<()> {
     for model in [DroneModel::Cf2x, DroneModel::Race] {
         let simulation =
             Simulation::builder(model).initial_positions([[0.0, 0.0, 1.0]]).initial_rpys([[0.05, 0.1, 0.3]]).build()?;
-        let mut painter = SceneRenderer::for_people(simulation.world())?;
-        painter.update(simulation.states())?;
+        let mut renderer = SceneRenderer::for_people(simulation.world())?;
+        renderer.update(simulation.states())?;
         for view in View::ALL {
-            painter.rgb(view, SIZE, &mut rgb)?;
+            renderer.rgb(view, SIZE, &mut rgb)?;
             save(format!("{model}_{view}.png"), picture::png_rgb(SIZE, &rgb)?)?;
         }
     }
@@ -34,20 +34,20 @@ fn main() -> anyhow::Result<()> {
         .drones([DroneModel::Cf2x, DroneModel::Cf2p, DroneModel::Race].map(DroneModel::params))
         .initial_positions([[0.0, 0.0, 0.8], [0.35, 0.12, 0.86], [0.8, -0.2, 0.78]])
         .build()?;
-    let mut painter = SceneRenderer::for_people(three.world())?;
-    painter.update(three.states())?;
-    painter.rgb(View::Track, SIZE, &mut rgb)?;
+    let mut renderer = SceneRenderer::for_people(three.world())?;
+    renderer.update(three.states())?;
+    renderer.rgb(View::Track, SIZE, &mut rgb)?;
     save("three_track.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
 
-    let mut painter = SceneRenderer::for_observations(three.world())?;
-    painter.update(three.states())?;
-    painter.rgb(View::Fpv, SIZE, &mut rgb)?;
+    let mut renderer = SceneRenderer::for_observations(three.world())?;
+    renderer.update(three.states())?;
+    renderer.rgb(View::Fpv, SIZE, &mut rgb)?;
     save("three_fpv.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
     let mut depth = vec![0.0; SIZE.pixels()];
-    painter.depth(View::Fpv, SIZE, &mut depth)?;
+    renderer.depth(View::Fpv, SIZE, &mut depth)?;
     save("three_fpv_depth.png".into(), picture::png_rgb(SIZE, &picture::depth_in_colour(&depth, 100.0))?)?;
     let mut objects = vec![[0; 2]; SIZE.pixels()];
-    painter.segmentation(View::Fpv, SIZE, &mut objects)?;
+    renderer.segmentation(View::Fpv, SIZE, &mut objects)?;
     save("three_fpv_segmentation.png".into(), picture::png_rgb(SIZE, &picture::segmentation_in_colour(&objects))?)?;
     Ok(())
 }

@@ -39,15 +39,15 @@ fn main() -> anyhow::Result<()> {
         println!("{name}: {:.1} cm downwind on average over the second half", 100.0 * drift);
         lines.push(Series { name: name.to_string(), points });
         if lines.len() == 1 {
-            let mut painter = SceneRenderer::for_people(env.simulation().world())?;
-            painter.set_stage([0.0, 0.1, 1.0], -0.35);
-            painter.update(env.simulation().states())?;
+            let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+            renderer.set_stage([0.0, 0.1, 1.0], -0.35);
+            renderer.update(env.simulation().states())?;
             let dots: Vec<_> = trail.iter().step_by(8).copied().collect();
-            painter.add_dots(&dots, 0.003, [1.0, 1.0, 1.0, 1.0]);
+            renderer.add_dots(&dots, 0.003, [1.0, 1.0, 1.0, 1.0]);
             let (from, along) = (Vector3::new(0.0, -0.25, 1.15), Vector3::from(wind.velocity) * 0.25);
             let arrow = Decor::Arrow { from: from.into(), to: (from + along).into(), radius: 0.008 };
-            painter.add(arrow, [0.0, 0.85, 0.95, 1.0]);
-            painter.rgb(View::Front, size, &mut picture)?;
+            renderer.add(arrow, [0.0, 0.85, 0.95, 1.0]);
+            renderer.rgb(View::Front, size, &mut picture)?;
         }
     }
     std::fs::write(directory.join("wind.png"), png_rgb(size, &picture)?)?;

@@ -99,7 +99,7 @@ fn wind_randomization_obstacles_and_a_curriculum_allocate_nothing_in_a_step() {
         .initial_positions([[0.0, 0.0, 1.0]])
         // the wind is sampled, too
         .randomization(Randomization::default())
-        .obstacle_field(field)
+        .obstacle_generator(field)
         .observation_type(ObservationType::KIN_RANGES);
     let env = config.with_task(Hover::default()).build().unwrap();
     let easy = |_: &mut Aviary<Hover>, _: usize| Ok(());
@@ -131,7 +131,7 @@ fn a_batch_allocates_nothing_after_its_first_steps() {
         let allocations = measure(|| {
             for _ in 0..100 {
                 env.step(&actions, buffers.step()).unwrap();
-                ended += (0..100).filter(|&i| env.ended(i).is_some()).count();
+                ended += (0..100).filter(|&i| env.episode_summary(i).is_some()).count();
             }
         });
         assert!(ended > 100, "with resets: {ended}");

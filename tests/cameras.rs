@@ -90,12 +90,12 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
         .initial_rpys([[0.0, 0.0, 0.0], [0.2, 0.1, 1.0], [0.3, -0.5, 3.0]])
         .build()
         .unwrap();
-    let mut painter = SceneRenderer::for_observations(simulation.world()).unwrap();
-    painter.update(simulation.states()).unwrap();
+    let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+    renderer.update(simulation.states()).unwrap();
     let size = ImageSize { width: 160, height: 120 };
     let mut objects = vec![[0; 2]; size.pixels()];
-    painter.onboard_segmentation(0, size, &mut objects).unwrap();
-    let names = painter.objects();
+    renderer.onboard_segmentation(0, size, &mut objects).unwrap();
+    let names = renderer.objects();
     let name = |index: i32| names.iter().find(|object| object.index == index).map_or("?", |object| &object.name);
     let seen: std::collections::BTreeSet<_> = objects.iter().filter(|o| o[0] == 5).map(|o| name(o[1])).collect();
     for part in ["floor", "drone1_frame", "drone1_propellers", "drone2_frame", "drone2_propellers"] {
@@ -104,8 +104,8 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
     assert!(!seen.iter().any(|name| name.starts_with("drone0") || *name == "?"), "{seen:?}");
 
     let mut depth = vec![0.0; size.pixels()];
-    painter.onboard_depth(0, size, &mut depth).unwrap();
-    let data = painter.data();
+    renderer.onboard_depth(0, size, &mut depth).unwrap();
+    let data = renderer.data();
     let own = data.model().find(&World::drone_name(0)).unwrap();
     // what is drawn: everything but the group of the collision geoms
     let groups = std::array::from_fn(|group| group != World::COLLISION_GROUP);
@@ -153,13 +153,13 @@ fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
     let size = ImageSize { width: 320, height: 240 };
     for model in DroneModel::ALL {
         let simulation = Simulation::builder(model).initial_positions([[0.0, 0.0, 0.9]]).build().unwrap();
-        let mut painter = SceneRenderer::for_observations(simulation.world()).unwrap();
-        painter.update(simulation.states()).unwrap();
-        let drones: Vec<_> = painter.objects().into_iter().filter(|o| o.drone == Some(0)).map(|o| o.index).collect();
+        let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+        renderer.update(simulation.states()).unwrap();
+        let drones: Vec<_> = renderer.objects().into_iter().filter(|o| o.drone == Some(0)).map(|o| o.index).collect();
         assert_eq!(drones.len(), 7);
         for view in View::ALL {
             let mut objects = vec![[0; 2]; size.pixels()];
-            painter.segmentation(view, size, &mut objects).unwrap();
+            renderer.segmentation(view, size, &mut objects).unwrap();
             let pixels = objects.iter().filter(|o| drones.contains(&o[1])).count();
             let expected = match view {
                 View::Fpv => 0..1,
@@ -192,9 +192,9 @@ fn airframes_are_drawn_the_way_their_motors_sit() {
     for model in DroneModel::ALL {
         let params = model.params();
         let simulation = Simulation::builder(model).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
-        let mut painter = SceneRenderer::for_observations(simulation.world()).unwrap();
-        painter.update(simulation.states()).unwrap();
-        let data = painter.data();
+        let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+        renderer.update(simulation.states()).unwrap();
+        let data = renderer.data();
         // drawn motors may sit further out than L (92 mm between opposite ones), but on the same lines
         let hits = |angle: f64| {
             let groups = std::array::from_fn(|group| group == World::VISUAL_GROUP);
@@ -218,7 +218,7 @@ fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
     if let Ok(expected) = std::env::var(CHILD) {
         let simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
         match SceneRenderer::for_observations(simulation.world()) {
-            Ok(painter) => assert_eq!(painter.data().model().nmeshface().to_string(), expected),
+            Ok(renderer) => assert_eq!(renderer.data().model().nmeshface().to_string(), expected),
             Err(error) => assert!(error.to_string().contains(&expected), "{error}"),
         }
         return;
@@ -257,20 +257,20 @@ fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
         .initial_rpys([[0.0, 0.3, 0.0], [0.0, 0.0, 0.7]])
         .build()
         .unwrap();
-    let mut painter = SceneRenderer::for_observations(simulation.world()).unwrap();
-    let floor = painter.objects().into_iter().find(|object| object.name == "floor").unwrap();
+    let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+    let floor = renderer.objects().into_iter().find(|object| object.name == "floor").unwrap();
     let [fx, fy, cx, cy] = intrinsics(size);
     let mut look = |offsets: [[f64; 3]; 2]| {
         let mut states = simulation.states().to_vec();
         states.iter_mut().zip(offsets).for_each(|(state, offset)| state.position += Vector3::from(offset));
-        painter.update(&states).unwrap();
+        renderer.update(&states).unwrap();
         let (mut rgb, mut depth, mut objects) =
             (vec![0; 4 * size.pixels()], vec![0.0; size.pixels()], vec![[0; 2]; size.pixels()]);
         // the last drone's first, so that the pictures of the first one are drawn after a camera elsewhere
-        painter.onboard_rgba(1, size, &mut rgb).unwrap();
-        painter.onboard_rgba(0, size, &mut rgb).unwrap();
-        painter.onboard_depth(0, size, &mut depth).unwrap();
-        painter.onboard_segmentation(0, size, &mut objects).unwrap();
+        renderer.onboard_rgba(1, size, &mut rgb).unwrap();
+        renderer.onboard_rgba(0, size, &mut rgb).unwrap();
+        renderer.onboard_depth(0, size, &mut depth).unwrap();
+        renderer.onboard_segmentation(0, size, &mut objects).unwrap();
         let state = &states[0];
         let eye = state.position + state.attitude * Vector3::from(World::CAMERA_POSITION);
         let (mut worst, mut seen): (f64, usize) = (0.0, 0);
@@ -285,7 +285,7 @@ fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
         }
         // rays of the visible scene meet the floor there too, where all drones are
         let down =
-            painter.data().ray([eye.x, eye.y, 0.5], [0.0, 0.0, -1.0], [true, false, false, false, false, false], None);
+            renderer.data().ray([eye.x, eye.y, 0.5], [0.0, 0.0, -1.0], [true, false, false, false, false, false], None);
         assert_eq!(down.unwrap().map(|(geom, distance)| (geom.index() as i32, distance)), Some((floor.index, 0.5)));
         (rgb, objects, worst, seen)
     };
@@ -310,7 +310,7 @@ fn far_and_high_gates_have_shadows() {
     if no_gl() {
         return;
     }
-    use mujoco_drones_gym::vision::Effects;
+    use mujoco_drones_gym::vision::VisualEffects;
     use mujoco_drones_gym::world::{Marker, Obstacle, Shape};
     let shape = Shape::Box { half_size: [0.4, 0.4, 0.05] };
     let place = Vector3::new(5.0, -4.0, 4.5);
@@ -318,13 +318,13 @@ fn far_and_high_gates_have_shadows() {
     let env = Hover::builder().markers([gate]).build().unwrap();
     let size = ImageSize { width: 120, height: 120 };
     let picture = |shadows| {
-        let effects = Effects { shadows, ..Effects::default() };
+        let effects = VisualEffects { shadows, ..VisualEffects::default() };
         let quality = mujoco_drones_gym::mujoco::Quality::PRETTY;
-        let mut painter = SceneRenderer::new(env.simulation().world(), quality, effects).unwrap();
-        painter.set_stage([5.0, -4.0, 0.0], 2.0);
-        painter.update(env.simulation().states()).unwrap();
+        let mut renderer = SceneRenderer::new(env.simulation().world(), quality, effects).unwrap();
+        renderer.set_stage([5.0, -4.0, 0.0], 2.0);
+        renderer.update(env.simulation().states()).unwrap();
         let mut rgb = vec![0; 3 * size.pixels()];
-        painter.rgb(View::Top, size, &mut rgb).unwrap();
+        renderer.rgb(View::Top, size, &mut rgb).unwrap();
         rgb
     };
     let (with, without) = (picture(true), picture(false));

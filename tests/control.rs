@@ -3,7 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use mujoco_drones_gym::action::ActionLimits;
-use mujoco_drones_gym::control::trajectory::{Curve, Heading, Plane, Steps, Trajectory, Waypoints, named};
+use mujoco_drones_gym::control::trajectory::{Heading, PeriodicTrajectory, Plane, Steps, Trajectory, Waypoints, named};
 use mujoco_drones_gym::control::{Bandwidths, ControllerKind, GeometricControl};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::prelude::*;
@@ -52,7 +52,7 @@ fn at_start(model: DroneModel, way: &dyn Trajectory) -> Simulation {
 /// The paper: mean 0.7 cm, peak 3.5 cm.
 #[test]
 fn the_papers_vertical_circle_is_followed_within_a_millimetre_on_average() {
-    let circle = Curve::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
+    let circle = PeriodicTrajectory::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
     for model in DroneModel::ALL {
         let mut control = GeometricControl::new(&model.params());
         let flight = fly(at_start(model, &circle), &mut control, &circle, 8.0);
@@ -64,7 +64,7 @@ fn the_papers_vertical_circle_is_followed_within_a_millimetre_on_average() {
 fn a_loop_goes_over_the_top_in_every_vertical_plane_and_at_every_yaw() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8), (-0.6, 0.8), (0.02, 1.0), (1.0, -0.02)] {
         for yaw in [0.0, 0.7, -2.0] {
-            let way = Curve::circle(1.0, 1.6)
+            let way = PeriodicTrajectory::circle(1.0, 1.6)
                 .and_then(|curve| curve.phase(-FRAC_PI_2)?.turns(1.0)?.ramp(0.8)?.heading(Heading::Fixed(yaw)))
                 .unwrap()
                 .plane(Plane::normal([x, y, 0.0]).unwrap())
@@ -79,7 +79,7 @@ fn a_loop_goes_over_the_top_in_every_vertical_plane_and_at_every_yaw() {
 
 #[test]
 fn a_lemniscate_at_three_metres_a_second_is_followed_looking_along_it() {
-    let way = Curve::lemniscate_at(2.0, 1.0, 3.0)
+    let way = PeriodicTrajectory::lemniscate_at(2.0, 1.0, 3.0)
         .and_then(|curve| curve.turns(2.0)?.ramp(2.0)?.heading(Heading::Forward))
         .unwrap();
     let fastest = (0..2000).map(|i| way.reference(f64::from(i) * 0.005).velocity.norm()).fold(0.0, f64::max);
@@ -110,7 +110,7 @@ fn every_controller_settles_on_a_step_and_dsl_and_geometric_on_a_square() {
 
 #[test]
 fn control_rates_from_24_to_240_hertz_and_slow_motors_are_flown_with_the_same_gains() {
-    let circle = Curve::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
+    let circle = PeriodicTrajectory::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
     for (ctrl_freq, lag) in [(24, 0.0), (30, 0.0), (120, 0.0), (240, 0.0), (48, 0.03), (240, 0.03)] {
         for kind in [ControllerKind::Dsl, ControllerKind::Geometric] {
             let simulation = Simulation::builder(DroneModel::Cf2x)
@@ -208,14 +208,14 @@ fn ways_of_unequal_legs_do_not_swing_out_far() {
         let turning = samples.iter().map(|r| r.yaw_rate.abs()).fold(0.0, f64::max);
         (beyond.fold(0.0, f64::max), way.duration(), turning)
     };
-    for (points, most) in [
+    for (points, max) in [
         (&[[0.0, 0.0, 0.1], [0.0, 0.0, 1.0], [5.0, 0.0, 1.0]][..], 20.0),
         (&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [20.0, 0.0, 1.0]], 60.0),
         (&[[0.0, 0.0, 1.0], [0.05, 0.0, 1.0], [20.0, 0.0, 1.0]], 60.0),
         (&[[0.0, 0.0, 1.0], [0.01, 0.0, 1.0], [10.0, 0.0, 1.0], [10.0, 5.0, 1.0]], 60.0),
     ] {
         let (beyond, duration, _) = extent(points, &vec![0.0; points.len()]);
-        assert!(beyond < 1.0 && duration < most, "{points:?}: {beyond} m beyond, {duration} s");
+        assert!(beyond < 1.0 && duration < max, "{points:?}: {beyond} m beyond, {duration} s");
     }
     let (_, duration, turning) = extent(&[[0.0, 0.0, 1.0], [0.01, 0.0, 1.0]], &[0.0, 3.0]);
     assert!(turning < 3.2 && duration > 1.0, "{turning} rad/s");
@@ -227,7 +227,7 @@ fn ways_of_unequal_legs_do_not_swing_out_far() {
 #[test]
 fn a_helix_climbs_whichever_way_it_turns_and_a_heading_comes_to_rest_with_it() {
     for period in [4.0, -4.0] {
-        let way = Curve::helix(0.5, period, 0.2)
+        let way = PeriodicTrajectory::helix(0.5, period, 0.2)
             .and_then(|curve| curve.turns(5.0)?.heading(Heading::Turning { yaw: 0.1, rate: 0.3 }))
             .unwrap();
         let [start, end, after] = [-1.0, 20.0, 30.0].map(|time| way.reference(time));
@@ -235,7 +235,7 @@ fn a_helix_climbs_whichever_way_it_turns_and_a_heading_comes_to_rest_with_it() {
         assert_eq!((start.yaw, start.yaw_rate), (0.1, 0.0));
         assert_eq!((after.yaw, after.yaw_rate, after.position), (end.yaw, 0.0, end.position));
     }
-    let upright = Curve::circle(0.3, 8.0).unwrap().heading(Heading::Forward).unwrap().plane(Plane::YZ);
+    let upright = PeriodicTrajectory::circle(0.3, 8.0).unwrap().heading(Heading::Forward).unwrap().plane(Plane::YZ);
     assert!((0..100).all(|i| upright.reference(0.08 * f64::from(i)).is_finite()));
 }
 
@@ -470,7 +470,7 @@ fn named_trajectories_start_at_rest_where_they_begin_and_their_derivatives_are_t
             close((after.jerk - before.jerk) / (2.0 * h), now.snap);
         }
     }
-    let forward = Curve::helix(1.0, -3.0, 0.3)
+    let forward = PeriodicTrajectory::helix(1.0, -3.0, 0.3)
         .and_then(|curve| {
             curve.plane(Plane::normal([0.3, -0.4, 1.0])?).turns(3.0)?.ramp(1.0)?.heading(Heading::Forward)
         })

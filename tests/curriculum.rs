@@ -107,7 +107,7 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
             new_layout: true,
             ..Default::default()
         };
-        let mut env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_field(field)).unwrap();
+        let mut env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_generator(field)).unwrap();
         env.set_wind(Some(WindConfig::new(WindModel::Combined))).unwrap();
         // a drawn wind would replace the one that is set
         let drawn = Randomization { environment: None, ..Randomization::default() };

@@ -231,7 +231,7 @@ fn moving_markers_are_drawn_where_they_are() {
 fn markers_may_stand_among_obstacles_that_are_placed_anew() {
     use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
     let field = ObstacleConfig { count: 15, new_layout: true, ..ObstacleConfig::new(ObstacleKind::Forest) };
-    let mut env = Ball::new(true, 0.0).obstacle_field(field).build().unwrap();
+    let mut env = Ball::new(true, 0.0).obstacle_generator(field).build().unwrap();
     let mut layouts = Vec::new();
     for _ in 0..3 {
         env.reset(None).unwrap();

@@ -102,7 +102,7 @@ fn too_many_and_impossible_ones_are_refused() {
     refused(ObstacleConfig { spacing: f64::NAN, ..config(ObstacleKind::Urban) }, "spacing is NaN");
     refused(ObstacleConfig { arena: [0.1, 1.0, 1.0], ..config(ObstacleKind::Urban) }, "arena is 0.1");
     refused(ObstacleConfig { safe_zone: 3.0, ..config(ObstacleKind::Indoor) }, "wall of the room is 2.000 m");
-    let env = Hover::builder().obstacle_field(ObstacleConfig { count: 5000, ..ObstacleConfig::default() }).build();
+    let env = Hover::builder().obstacle_generator(ObstacleConfig { count: 5000, ..ObstacleConfig::default() }).build();
     assert!(env.unwrap_err().to_string().contains("count is 5000"));
 }
 
@@ -275,7 +275,7 @@ fn every_task_keeps_its_contract_among_obstacles_that_move_and_are_measured() {
             ..ObstacleConfig::new(ObstacleKind::Random)
         };
         let config = EnvConfig::default()
-            .obstacle_field(field)
+            .obstacle_generator(field)
             .observation_type(ObservationType::KIN_RANGES)
             .episode_seconds(2.0);
         let build = || make(name, config.clone()).unwrap();
@@ -315,19 +315,19 @@ fn what_has_moved_is_drawn_where_it_is() {
     let layout = |seed| config.generate(&[[0.0, 0.0, 1.0]], &mut Rng::seed_from_u64(seed)).unwrap();
     let size = ImageSize { width: 160, height: 120 };
     let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 1.0), Vector3::zeros());
-    let draw = |painter: &mut SceneRenderer| {
-        painter.update(&[state]).unwrap();
+    let draw = |renderer: &mut SceneRenderer| {
+        renderer.update(&[state]).unwrap();
         let mut rgb = vec![0; 3 * size.pixels()];
-        painter.rgb(View::Fixed, size, &mut rgb).unwrap();
+        renderer.rgb(View::Fixed, size, &mut rgb).unwrap();
         rgb
     };
-    let painter = |seed| SceneRenderer::for_observations(&world(layout(seed), [0.0, 0.0, 1.0])).unwrap();
-    let mut moved = painter(1);
+    let renderer = |seed| SceneRenderer::for_observations(&world(layout(seed), [0.0, 0.0, 1.0])).unwrap();
+    let mut moved = renderer(1);
     let before = draw(&mut moved);
     for seed in 2..4 {
         moved.set_obstacles(&layout(seed)).unwrap();
         let after = draw(&mut moved);
-        assert!(after != before && after == draw(&mut painter(seed)), "seed {seed}");
+        assert!(after != before && after == draw(&mut renderer(seed)), "seed {seed}");
     }
 }
 
@@ -359,9 +359,9 @@ fn settings_of_obstacles_that_exclude_each_other_are_refused() {
     let huge = custom.replace("0.1", "1e15");
     refused(&format!("kind = \"custom\"\n{huge}"), "the size of custom obstacle 0 is 1000000000000000");
     let both = Hover::builder()
-        .obstacle_field(ObstacleConfig::default())
+        .obstacle_generator(ObstacleConfig::default())
         .obstacles([Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.0, 0.0, 1.0))]);
-    assert!(both.build().unwrap_err().to_string().contains("obstacles is a list, with an obstacle_field as well"));
+    assert!(both.build().unwrap_err().to_string().contains("obstacles is a list, with an obstacle_generator as well"));
 }
 
 #[test]
@@ -369,11 +369,11 @@ fn a_wind_beside_one_that_is_drawn_and_a_kind_beside_another_are_refused() {
     let drawn = "[randomization.environment]\n";
     let choice = ConditionChoice { wind: Some(WindModel::Constant), ..ConditionChoice::default() };
     let error = Conditions::from_toml_with(drawn, &choice).unwrap_err().to_string();
-    assert!(error.contains("the wind is constant, expected none next to a randomization"), "{error}");
+    assert!(error.contains("wind is constant, expected none next to a randomization"), "{error}");
     let calm = Conditions::from_toml_with("[randomization.environment]\nwind = [0.0, 0.0]\n", &choice).unwrap();
     assert_eq!(calm.wind.unwrap().model, WindModel::Constant);
     let built = Hover::builder().wind(WindConfig::new(WindModel::Gust)).randomization(Randomization::default()).build();
-    assert!(built.unwrap_err().to_string().contains("the wind is gust"));
+    assert!(built.unwrap_err().to_string().contains("wind is gust"));
 
     let error = Conditions::from_toml_with("[wind]\nmodel = \"dryden\"\n", &choice).unwrap_err().to_string();
     assert!(error.contains("[wind] has model = \"dryden\", but `constant` is chosen"), "{error}");

@@ -176,8 +176,8 @@ fn motors_lag_and_wait_as_drawn() {
     let mut env =
         hovering(only("[actuators]\nlag = [0, 0]\nlatency = [0, 0]\ngain = [1, 1]\nmax_rpm = [0.95, 0.95]\n"));
     env.step(&[1.0; 4]).unwrap();
-    let most = DroneModel::Cf2x.params().max_rpm();
-    assert!((env.simulation().rotor_speeds(0)[0] / most - 0.95).abs() < 1e-12);
+    let max = DroneModel::Cf2x.params().max_rpm();
+    assert!((env.simulation().rotor_speeds(0)[0] / max - 0.95).abs() < 1e-12);
 }
 
 #[test]
@@ -282,7 +282,7 @@ fn a_wind_next_to_a_drawn_wind_is_refused() {
     let wind = WindConfig::new(WindModel::Combined);
     let mut windy = Hover::builder().build().unwrap();
     windy.set_wind(Some(wind)).unwrap();
-    let message = "the wind is combined, expected none";
+    let message = "wind is combined, expected none";
     let error = windy.set_randomization(Some(Randomization::default())).unwrap_err().to_string();
     assert!(error.contains(message), "{error}");
     let mut drawn = Hover::builder().randomization(Randomization::default()).build().unwrap();

@@ -15,7 +15,7 @@ use mujoco_drones_gym::record::plot::Plot;
 use mujoco_drones_gym::record::{COLUMNS, Flight, FrameRecorder, Overlays, Recorded, Recorder, files};
 use mujoco_drones_gym::state::wxyz;
 use mujoco_drones_gym::tasks::Antipodal;
-use mujoco_drones_gym::vision::{Effects, SceneRenderer};
+use mujoco_drones_gym::vision::{SceneRenderer, VisualEffects};
 use proptest::prelude::*;
 
 /// Actions that tumble a little.
@@ -356,15 +356,15 @@ fn rings_and_gates_are_seen_where_they_are() {
         return;
     }
     let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
-    let mut painter = SceneRenderer::new(simulation.world(), Quality::FAST, Effects::default()).unwrap();
-    painter.set_stage([0.0, 0.0, 1.0], 0.2);
+    let mut renderer = SceneRenderer::new(simulation.world(), Quality::FAST, VisualEffects::default()).unwrap();
+    renderer.set_stage([0.0, 0.0, 1.0], 0.2);
     let size = ImageSize { width: 201, height: 201 };
     // the middle of what is magenta, and how far it reaches across and down the picture
     let mut seen = |add: &dyn Fn(&mut SceneRenderer) -> bool| {
-        painter.update(simulation.states()).unwrap();
-        assert!(add(&mut painter));
+        renderer.update(simulation.states()).unwrap();
+        assert!(add(&mut renderer));
         let mut rgb = vec![0; 3 * size.pixels()];
-        painter.rgb(View::Top, size, &mut rgb).unwrap();
+        renderer.rgb(View::Top, size, &mut rgb).unwrap();
         let pixels = rgb.chunks_exact(3).enumerate().filter(|(_, c)| c[0].min(c[2]).saturating_sub(c[1]) > 60);
         let places: Vec<_> = pixels.map(|(i, _)| ((i % 201) as f64, (i / 201) as f64)).collect();
         let count = places.len() as f64;
@@ -377,11 +377,11 @@ fn rings_and_gates_are_seen_where_they_are() {
     };
     let magenta = [1.0, 0.0, 1.0, 1.0];
     // from above x is to the right and y is up
-    let level = seen(&|painter| painter.add_ring(Vector3::new(0.3, 0.2, 1.0), Vector3::z(), 0.2, 0.02, magenta));
+    let level = seen(&|renderer| renderer.add_ring(Vector3::new(0.3, 0.2, 1.0), Vector3::z(), 0.2, 0.02, magenta));
     assert!(level.0.0 > 115.0 && level.0.1 < 90.0 && (level.1 - level.2).abs() < 4.0, "{level:?}");
-    let upright = seen(&|painter| painter.add_ring(Vector3::new(0.0, 0.0, 1.0), Vector3::x(), 0.2, 0.02, magenta));
+    let upright = seen(&|renderer| renderer.add_ring(Vector3::new(0.0, 0.0, 1.0), Vector3::x(), 0.2, 0.02, magenta));
     assert!(upright.2 > 5.0 * upright.1, "across x it is a line along y: {upright:?}");
-    let gate = seen(&|painter| painter.add_gate(Vector3::new(0.0, 0.0, 1.0), 0.0, 0.2, magenta));
+    let gate = seen(&|renderer| renderer.add_gate(Vector3::new(0.0, 0.0, 1.0), 0.0, 0.2, magenta));
     assert!(gate.2 > 4.0 * gate.1, "flown through along x it stands across it: {gate:?}");
 }
 

@@ -89,7 +89,7 @@ fn conditions() -> Vec<(&'static str, EnvConfig)> {
         ("wind", config().wind(WindConfig::new(WindModel::Combined))),
         ("motors", config().actuators(motors)),
         ("randomization", config().physics(Physics::MjcDrag).randomization(Randomization::default())),
-        ("obstacles", config().obstacle_field(forest).randomization(Randomization::default())),
+        ("obstacles", config().obstacle_generator(forest).randomization(Randomization::default())),
         ("explicit", config().physics(Physics::Dyn)),
     ]
 }

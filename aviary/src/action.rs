@@ -1,5 +1,6 @@
 //! What an agent says, and the motor speeds that follow.
 
+use crate::error::OptionError;
 use std::f64::consts::{FRAC_PI_6, PI};
 
 use nalgebra::Vector3;
@@ -73,7 +74,7 @@ impl ActionType {
 
     /// Least and greatest value of every number, for one drone.
     pub fn bounds(self, params: &DroneParams, limits: &ActionLimits) -> Vec<[f64; 2]> {
-        let around_zero = |most: f64| [-most, most];
+        let around_zero = |max: f64| [-max, max];
         match self {
             Self::Rpm | Self::OneDRpm | Self::Attitude | Self::Ctbr => vec![[-1.0, 1.0]; self.size()],
             Self::RawRpm => vec![[0.0, params.max_rpm()]; 4],
@@ -129,36 +130,25 @@ impl ActionLimits {
     /// Checks that they are numbers, the right way round, and attitudes that can be held.
     ///
     /// # Errors
-    /// [`ActionLimitsError`] naming the field.
-    pub fn validate(&self) -> Result<(), ActionLimitsError> {
-        let error = |field, got, expected| Err(ActionLimitsError { field, got, expected });
+    /// [`OptionError`] naming the field.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        let error = |option, got, expected| Err(OptionError { option, got: f64::to_string(&got), expected });
         for [low, high] in self.arena {
             if !(low.is_finite() && high.is_finite() && low <= high) {
-                return error("arena", high - low, "finite bounds, the least before the greatest");
+                return error("action_limits.arena", high - low, "finite bounds, the lower before the upper");
             }
         }
         if !(self.tilt > 0.0 && self.tilt < 1.5) {
-            return error("tilt", self.tilt, "a positive angle below 1.5 rad");
+            return error("action_limits.tilt", self.tilt, "a positive angle below 1.5 rad");
         }
-        for (field, got) in [("yaw_rate", self.yaw_rate)].into_iter().chain(self.body_rate.map(|x| ("body_rate", x))) {
+        let rates = self.body_rate.map(|rate| ("action_limits.body_rate", rate));
+        for (option, got) in [("action_limits.yaw_rate", self.yaw_rate)].into_iter().chain(rates) {
             if !(got > 0.0 && got <= 1e3) {
-                return error(field, got, "a positive rate up to 1000 rad/s");
+                return error(option, got, "a positive rate up to 1000 rad/s");
             }
         }
         Ok(())
     }
-}
-
-/// A limit of actions that is impossible.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("the action limit `{field}` is {got}, expected {expected}")]
-pub struct ActionLimitsError {
-    /// The field of [`ActionLimits`].
-    pub field: &'static str,
-    /// What it is.
-    pub got: f64,
-    /// What is possible.
-    pub expected: &'static str,
 }
 
 /// Turns one drone's actions into motor speeds. Its controllers live as long as an episode: they remember from step to
@@ -179,7 +169,7 @@ pub struct ActionLimitsError {
 /// // thrust as at hover, and no body rates, of a drone that has none
 /// let rpm = decoder.motor_speeds(1.0 / 48.0, &DroneState::default(), &[0.0; 4]);
 /// assert!(rpm.iter().all(|n| (n - params.hover_rpm()).abs() < 1e-6));
-/// # Ok::<(), aviary::action::ActionLimitsError>(())
+/// # Ok::<(), aviary::OptionError>(())
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct ActionDecoder {
@@ -203,13 +193,13 @@ impl ActionDecoder {
     /// For actions of a kind, with this controller beneath velocities and waypoints.
     ///
     /// # Errors
-    /// [`ActionLimitsError`].
+    /// [`OptionError`].
     pub fn new(
         kind: ActionType,
         controller: ControllerKind,
         params: &DroneParams,
         limits: &ActionLimits,
-    ) -> Result<Self, ActionLimitsError> {
+    ) -> Result<Self, OptionError> {
         limits.validate()?;
         let thrust_coefficient = params.thrust_coefficient;
         let loops = match kind {

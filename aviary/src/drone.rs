@@ -204,9 +204,9 @@ impl DroneParams {
             ("collision_height", self.collision_height, 1e-4, 1e3),
             ("max_speed", self.max_speed, 1e-3, 1e4),
         ];
-        for (field, got, least, most) in ranges {
+        for (field, got, min, max) in ranges {
             // NaN is in no range
-            if (least..=most).contains(&got) {
+            if (min..=max).contains(&got) {
                 continue;
             }
             return Err(match field {
@@ -216,7 +216,7 @@ impl DroneParams {
                 _ if !(got.is_finite() && got > 0.0) => {
                     DroneError::Parameter { field, got, expected: "a positive number" }
                 }
-                _ => DroneError::Range { field, got, least, most },
+                _ => DroneError::Range { field, got, min, max },
             });
         }
         let [x, y, z] = self.inertia;
@@ -359,16 +359,16 @@ pub enum DroneError {
         expected: &'static str,
     },
     /// A parameter so large or small that its unit must be wrong.
-    #[error("{field} is {got}, expected {least:e} to {most:e} (SI units, rotor speeds in rpm)")]
+    #[error("{field} is {got}, expected {min:e} to {max:e} (SI units, rotor speeds in rpm)")]
     Range {
         /// The field.
         field: &'static str,
         /// What it is.
         got: f64,
         /// Least value.
-        least: f64,
+        min: f64,
         /// Greatest value.
-        most: f64,
+        max: f64,
     },
     /// A name that cannot stand in a scene or a file name.
     #[error("name is `{name}`, expected letters, digits, `_` and `-`")]

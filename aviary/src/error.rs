@@ -6,6 +6,30 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer};
 
+/// An option that is impossible.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{option} is {got}, expected {expected}")]
+pub struct OptionError {
+    /// Name of the field that sets it, after the section that it belongs to: `wind.gust_force`.
+    pub option: &'static str,
+    /// Its value.
+    pub got: String,
+    /// The possible values.
+    pub expected: &'static str,
+}
+
+impl OptionError {
+    /// Returns an error unless the value of an option lies in a range.
+    pub(crate) fn check(
+        option: &'static str,
+        got: f64,
+        range: std::ops::RangeInclusive<f64>,
+        expected: &'static str,
+    ) -> Result<(), Self> {
+        if range.contains(&got) { Ok(()) } else { Err(Self { option, got: got.to_string(), expected }) }
+    }
+}
+
 /// The system's error about a file. Two are equal where their kinds and texts are.
 #[derive(Debug, Clone)]
 pub struct SystemError(Arc<io::Error>);

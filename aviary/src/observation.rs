@@ -248,24 +248,24 @@ impl Observation {
         }
     }
 
-    /// Fills the pictures from a painter that is up to date.
+    /// Fills the pictures from a renderer that is up to date.
     ///
     /// # Errors
-    /// The painter's.
+    /// The renderer's.
     ///
     /// # Panics
-    /// If there are pictures of more drones than the painter has.
-    pub fn take_pictures(&mut self, painter: &mut SceneRenderer, size: ImageSize) -> Result<(), Error> {
+    /// If there are pictures of more drones than the renderer has.
+    pub fn take_pictures(&mut self, renderer: &mut SceneRenderer, size: ImageSize) -> Result<(), Error> {
         // a size of nothing has no pictures
         let pixels = size.pixels().max(1);
         for (drone, rgb) in self.rgb.chunks_exact_mut(4 * pixels).enumerate() {
-            painter.onboard_rgba(drone, size, rgb)?;
+            renderer.onboard_rgba(drone, size, rgb)?;
         }
         for (drone, depth) in self.depth.chunks_exact_mut(pixels).enumerate() {
-            painter.onboard_depth(drone, size, depth)?;
+            renderer.onboard_depth(drone, size, depth)?;
         }
         for (drone, objects) in self.segmentation.chunks_exact_mut(pixels).enumerate() {
-            painter.onboard_segmentation(drone, size, objects)?;
+            renderer.onboard_segmentation(drone, size, objects)?;
         }
         Ok(())
     }

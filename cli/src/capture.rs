@@ -61,12 +61,12 @@ impl Capture {
         }
         let mut pilot = Pilot::varied(&self.options, self.vary)?;
         let world = pilot.env().simulation().world().clone();
-        let mut painter = SceneRenderer::for_observations(&world).map_err(vision_failure)?;
+        let mut renderer = SceneRenderer::for_observations(&world).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;
         self.clear(&out)?;
         // whatever ends the program, what the numbers in the images mean is there
         out.write("camera.json", &pretty(&self.camera()))?;
-        out.write("segmentation.json", &pretty(&self.objects(&painter)))?;
+        out.write("segmentation.json", &pretty(&self.objects(&renderer)))?;
         let table = self.out.join("frames.csv");
         let unwritten =
             |error: std::io::Error| Failure::work(anyhow::Error::new(error).context(table.display().to_string()));
@@ -81,11 +81,11 @@ impl Capture {
         let bar = output::progress(self.frames, "capturing");
         for frame in 0..self.frames {
             let simulation = pilot.env().simulation();
-            painter.update(simulation.states()).map_err(vision_failure)?;
+            renderer.update(simulation.states()).map_err(vision_failure)?;
             for (drone, state) in simulation.states().iter().enumerate() {
-                painter.onboard_rgba(drone, self.size, &mut rgba).map_err(vision_failure)?;
-                painter.onboard_depth(drone, self.size, &mut depth).map_err(vision_failure)?;
-                painter.onboard_segmentation(drone, self.size, &mut objects).map_err(vision_failure)?;
+                renderer.onboard_rgba(drone, self.size, &mut rgba).map_err(vision_failure)?;
+                renderer.onboard_depth(drone, self.size, &mut depth).map_err(vision_failure)?;
+                renderer.onboard_segmentation(drone, self.size, &mut objects).map_err(vision_failure)?;
                 let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
                 let files = ["rgb", "depth", "segmentation"].map(|kind| format!("{kind}/{frame:06}_{drone}.png"));
                 out.write(&files[0], &picture::png_rgb(self.size, &rgb).map_err(Failure::work)?)?;
@@ -104,7 +104,7 @@ impl Capture {
             }
             bar.inc(1);
             if frame + 1 < self.frames {
-                self.advance(&mut pilot, &mut painter, &mut seen)?;
+                self.advance(&mut pilot, &mut renderer, &mut seen)?;
             }
         }
         bar.finish_and_clear();
@@ -163,7 +163,7 @@ impl Capture {
     }
 
     /// Flies on to the next frame.
-    fn advance(&self, pilot: &mut Pilot, painter: &mut SceneRenderer, seen: &mut Seen) -> Result<(), Failure> {
+    fn advance(&self, pilot: &mut Pilot, renderer: &mut SceneRenderer, seen: &mut Seen) -> Result<(), Failure> {
         for _ in 0..self.every {
             pilot.rollout.step().map_err(Failure::work)?;
             if pilot.rollout.is_over() {
@@ -173,7 +173,7 @@ impl Capture {
                     Failure::Work(error) => Failure::Work(error.context("the next episode cannot begin")),
                     other => other,
                 })?;
-                painter.set_obstacles(pilot.env().simulation().obstacles()).map_err(vision_failure)?;
+                renderer.set_obstacles(pilot.env().simulation().obstacles()).map_err(vision_failure)?;
                 return Ok(());
             }
         }
@@ -181,10 +181,10 @@ impl Capture {
     }
 
     /// What the numbers in segmentation pictures stand for.
-    fn objects(&self, painter: &SceneRenderer) -> Value {
+    fn objects(&self, renderer: &SceneRenderer) -> Value {
         let mut names = Map::new();
         names.insert("0".into(), json!({ "type": "background", "name": null, "drone": null }));
-        for object in painter.objects() {
+        for object in renderer.objects() {
             names.insert(
                 (object.index + 1).to_string(),
                 json!({ "type": "geom", "name": object.name, "drone": object.drone }),

@@ -47,7 +47,7 @@ pub struct FilmOptions {
 
 impl FilmOptions {
     /// Checks what can be checked before anything is flown.
-    pub fn check(&self) -> Result<(), Failure> {
+    pub fn validate(&self) -> Result<(), Failure> {
         if let Some(path) = &self.frames {
             let path = path.display();
             return Err(Failure::input(anyhow!(
@@ -92,7 +92,7 @@ impl FilmOptions {
         let mut film =
             aviary::record::FrameRecorder::of(simulation, self.camera, size, overlays).map_err(vision_failure)?;
         if !kept.is_empty() {
-            film.painter().keep_in_frame(kept);
+            film.renderer().keep_in_frame(kept);
         }
         for drone in 0..simulation.num_drones() {
             if let Some(way) = way(drone) {

@@ -49,9 +49,9 @@ pub struct Fly {
 
 impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
-        self.film.check()?;
+        self.film.validate()?;
         let mut pilot = Pilot::new(&self.options)?;
-        pilot.check(&self.options)?;
+        pilot.validate(&self.options)?;
         // all files of a directory belong to one flight: plots are written to where its log is
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
@@ -359,6 +359,6 @@ fn nominal(env: &dyn DroneEnv) -> &DroneParams {
 
 /// Hover speed of an airframe and its share of the largest.
 fn hover_speed(params: &DroneParams) -> String {
-    let (hover, most) = (params.hover_rpm(), params.max_rpm());
-    format!("{hover:.0} rpm, {:.0} % of the largest", 100.0 * hover / most)
+    let (hover, max) = (params.hover_rpm(), params.max_rpm());
+    format!("{hover:.0} rpm, {:.0} % of the largest", 100.0 * hover / max)
 }

@@ -226,7 +226,7 @@ pub fn in_options(error: EnvError, is_given: impl Fn(&str) -> bool) -> Failure {
     }
 }
 
-/// Most drones that the built-in pilot of antipodal brings to their goals.
+/// Maximum number of drones that the built-in pilot of antipodal brings to their goals.
 const MAX_SWAPPING: usize = 16;
 
 /// Velocities behind a safety filter, which is what the task is for.
@@ -318,12 +318,7 @@ mod tests {
             let error = read(wind, obstacles, Some(text), 0).unwrap_err();
             assert!(error.contains("conditions.toml: ") && error.contains(expected), "{error}");
         };
-        refused(
-            Some(WindModel::Constant),
-            None,
-            "[randomization.environment]\n",
-            "the wind is constant, expected none",
-        );
+        refused(Some(WindModel::Constant), None, "[randomization.environment]\n", "wind is constant, expected none");
         refused(Some(WindModel::Gust), None, "[wind]\nmodel = \"dryden\"\n", "[wind] has model = \"dryden\"");
         refused(
             None,

@@ -140,7 +140,7 @@ impl Pilot {
 
     /// Refuses what the built-in pilots cannot fly, naming what they can: they plan no way around obstacles, and of many drones each
     /// waits until its way is free.
-    pub fn check(&mut self, options: &FlightOptions) -> Result<(), Failure> {
+    pub fn validate(&mut self, options: &FlightOptions) -> Result<(), Failure> {
         let task = self.env().name();
         if let Some((drone, place)) = self.obstruction()? {
             let which = if self.num_drones() > 1 { format!("drone {drone}") } else { "the drone".into() };
@@ -166,10 +166,10 @@ impl Pilot {
             let success = self.fly_ahead()?.success;
             if !success {
                 let (count, seconds) = (self.num_drones(), self.episode_seconds());
-                let most = self.most_in_time(options, seconds);
+                let max = self.max_in_time(options, seconds);
                 return Err(Failure::input(anyhow!(
-                    "--num-drones is {count}, but the built-in pilots fly {task} with up to {most} in {seconds} s: \
-                     expected --num-drones {most}, or a longer --duration"
+                    "--num-drones is {count}, but the built-in pilots fly {task} with up to {max} in {seconds} s: \
+                     expected --num-drones {max}, or a longer --duration"
                 )));
             }
         }
@@ -177,7 +177,7 @@ impl Pilot {
     }
 
     /// Returns the largest number of drones below the present one whose paths through the task all end in time.
-    fn most_in_time(&self, options: &FlightOptions, seconds: f64) -> usize {
+    fn max_in_time(&self, options: &FlightOptions, seconds: f64) -> usize {
         let in_time = |count: &usize| {
             let mut options = options.clone();
             options.num_drones = Some(*count);
@@ -316,10 +316,9 @@ mod tests {
     #[test]
     fn every_drone_of_every_flight_is_in_the_frame_of_views_that_stand_still() {
         // drones take a good part of the frame where they stay near
-        for (line, least) in [("--task hover", 0.08), ("--task hover --obstacles forest", 0.03), ("--task track", 0.04)]
-        {
+        for (line, min) in [("--task hover", 0.08), ("--task hover --obstacles forest", 0.03), ("--task track", 0.04)] {
             let share = share_of_the_frame(line);
-            assert!(share > least, "{line}: {share}");
+            assert!(share > min, "{line}: {share}");
         }
         for task in aviary::tasks::NAMES {
             let share = share_of_the_frame(&format!("--task {task} --duration 8"));
@@ -366,7 +365,7 @@ mod tests {
 
     fn outcome(line: &str) -> Outcome {
         let options = options(line);
-        let ready = Pilot::new(&options).and_then(|mut pilot| pilot.check(&options).map(|()| pilot));
+        let ready = Pilot::new(&options).and_then(|mut pilot| pilot.validate(&options).map(|()| pilot));
         let mut pilot = match ready {
             Ok(pilot) => pilot,
             Err(Failure::Input(error)) => return Outcome::Refused(error.to_string()),
@@ -385,10 +384,10 @@ mod tests {
         let Outcome::Refused(error) = outcome("--task fly_through --num-drones 14") else {
             panic!("14 drones in 20 s")
         };
-        let most = error.split("expected --num-drones ").nth(1).and_then(|rest| rest.split(',').next()).unwrap();
-        let most: usize = most.parse().unwrap();
-        assert!(most >= 7, "{error}");
-        assert_eq!(outcome(&format!("--task fly_through --num-drones {most}")), Outcome::Success, "{error}");
+        let max = error.split("expected --num-drones ").nth(1).and_then(|rest| rest.split(',').next()).unwrap();
+        let max: usize = max.parse().unwrap();
+        assert!(max >= 7, "{error}");
+        assert_eq!(outcome(&format!("--task fly_through --num-drones {max}")), Outcome::Success, "{error}");
     }
 
     /// Obstacles that stand in the way of a pilot that does not see them.

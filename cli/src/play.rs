@@ -74,7 +74,7 @@ pub struct Play {
 
 impl Play {
     pub fn run(&self) -> Result<(), Failure> {
-        self.film.check()?;
+        self.film.validate()?;
         if self.episodes == 0 {
             return Err(Failure::input(anyhow!("--episodes is 0, expected at least 1")));
         }

@@ -90,30 +90,30 @@ impl Render {
 
     fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind, kept: &[Vector3<f64>]) -> Result<Vec<u8>, Failure> {
         let simulation = pilot.env().simulation();
-        let painter = match kind {
+        let renderer = match kind {
             ImageKind::Rgb => SceneRenderer::for_people(simulation.world()),
             ImageKind::Depth | ImageKind::Segmentation => SceneRenderer::for_observations(simulation.world()),
         };
-        let mut painter = painter.map_err(vision_failure)?;
+        let mut renderer = renderer.map_err(vision_failure)?;
         if !kept.is_empty() {
-            painter.keep_in_frame(kept);
+            renderer.keep_in_frame(kept);
         }
-        painter.update(simulation.states()).map_err(vision_failure)?;
+        renderer.update(simulation.states()).map_err(vision_failure)?;
         let pixels = self.size.pixels();
         let rgb = match kind {
             ImageKind::Rgb => {
                 let mut rgb = vec![0; 3 * pixels];
-                painter.rgb(view, self.size, &mut rgb).map_err(vision_failure)?;
+                renderer.rgb(view, self.size, &mut rgb).map_err(vision_failure)?;
                 rgb
             }
             ImageKind::Depth => {
                 let mut depth = vec![0.0; pixels];
-                painter.depth(view, self.size, &mut depth).map_err(vision_failure)?;
+                renderer.depth(view, self.size, &mut depth).map_err(vision_failure)?;
                 picture::depth_in_colour(&depth, World::CLIP_PLANES[1] as f32)
             }
             ImageKind::Segmentation => {
                 let mut objects = vec![[0; 2]; pixels];
-                painter.segmentation(view, self.size, &mut objects).map_err(vision_failure)?;
+                renderer.segmentation(view, self.size, &mut objects).map_err(vision_failure)?;
                 picture::segmentation_in_colour(&objects)
             }
         };

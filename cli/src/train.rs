@@ -428,14 +428,15 @@ fn shares(clock: &Clock) -> [(&'static str, f64); 5] {
 /// The curve as CSV: nothing in it depends on the machine's speed.
 fn curve(points: &[Point]) -> String {
     let mut text = String::from(
-        "iteration,steps,mean_return,mean_reward,success,progress,evaluation_return,divergence,clipped,loss,deviation,explained,learning_rate\n",
+        "iteration,steps,mean_return,mean_reward,success,progress,evaluation_return,approx_kl,clip_fraction,loss,action_std,explained_variance,learning_rate\n",
     );
     let number = |x: Option<f64>| x.map_or(String::new(), |x| x.to_string());
     for point in points {
         let Point { iteration, steps, report, score, rate } = point;
-        let Report { mean_return, mean_reward, divergence, clipped, loss, deviation, explained } = report;
+        let Report { mean_return, mean_reward, approx_kl, clip_fraction, loss, action_std, explained_variance } =
+            report;
         text += &format!(
-            "{iteration},{steps},{},{mean_reward},{},{},{},{divergence},{clipped},{loss},{deviation},{explained},{rate}\n",
+            "{iteration},{steps},{},{mean_reward},{},{},{},{approx_kl},{clip_fraction},{loss},{action_std},{explained_variance},{rate}\n",
             number(*mean_return),
             number(score.map(|score| score.success)),
             number(score.map(|score| score.progress)),
@@ -466,7 +467,7 @@ fn plot(config: &TrainConfig, points: &[Point]) -> Result<Plot, aviary::record::
                 series("training", &|point| point.report.mean_return),
             ],
         ),
-        ("standard deviation of actions", vec![series("deviation", &|point| Some(point.report.deviation))]),
+        ("standard deviation of actions", vec![series("action_std", &|point| Some(point.report.action_std))]),
     ];
     let title = format!("{}, seed {}", config.task, config.seed);
     Ok(Plot::time_series(&title, &panels)?.over("environment steps (millions)"))

@@ -16,13 +16,13 @@ fn no_target_panics_on_its_corpus_or_on_what_is_like_it() {
     for target in &targets::ALL {
         let corpus = corpus(target).unwrap();
         assert!(!corpus.is_empty(), "{}", target.name);
-        let most = cases(target.name);
-        let report = run(target, &corpus, 17, |case, _| case < most);
+        let max = cases(target.name);
+        let report = run(target, &corpus, 17, |case, _| case < max);
         if let Some(finding) = report.finding {
             let input = String::from_utf8_lossy(&finding.input).into_owned();
             panic!("{}: case {:?}: {}\n{input}", target.name, finding.case, finding.message);
         }
-        assert_eq!(report.cases, most);
+        assert_eq!(report.cases, max);
         // mutations that are all refused, or all refused alike, would test nothing
         assert!(report.accepted > 0 && report.answers > 3, "{}: {report:?}", target.name);
     }

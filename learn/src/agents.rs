@@ -173,10 +173,10 @@ impl Agents for Batch {
                 (false, true) => Next::Truncated,
                 (false, false) => Next::Running,
             };
-            if let Some(ended) = next.is_end().then(|| self.env.ended(row)).flatten() {
-                match ended.reason {
-                    EndReason::Fault => *next = Next::Absent,
-                    EndReason::OutOfBounds => outcome.rewards[row] -= self.terms.out_of_bounds,
+            if let Some(summary) = next.is_end().then(|| self.env.episode_summary(row)).flatten() {
+                match summary.end {
+                    Some(EndReason::Fault) => *next = Next::Absent,
+                    Some(EndReason::OutOfBounds) => outcome.rewards[row] -= self.terms.out_of_bounds,
                     _ => {}
                 }
             }

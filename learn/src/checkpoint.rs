@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::curve::Point;
 use crate::evaluation::Score;
-use crate::network::{LOG_DEVIATIONS, Shape};
+use crate::network::{LOG_DEVIATIONS, NetworkShape};
 use crate::optimizer::Moments;
 use crate::scale::{RewardScale, Running};
 use crate::{TrainConfig, TrainError};
@@ -45,7 +45,7 @@ pub(crate) struct Checkpoint {
 
 /// Sizes that the numbers of a checkpoint must fit.
 pub(crate) struct Limits<'a> {
-    pub shape: &'a Shape,
+    pub shape: &'a NetworkShape,
     pub steps_per_iteration: u64,
     /// Largest number of optimizer steps in an iteration.
     pub updates_per_iteration: u64,
@@ -53,7 +53,7 @@ pub(crate) struct Limits<'a> {
 
 impl Checkpoint {
     /// Checks every number.
-    pub fn check(&self, run: &Limits<'_>, best: &PolicyNetwork) -> Result<(), String> {
+    pub fn validate(&self, run: &Limits<'_>, best: &PolicyNetwork) -> Result<(), String> {
         let Self { state, parameters, moments, curve, .. } = self;
         let expected = run.shape.count();
         for (name, numbers) in
@@ -78,15 +78,15 @@ impl Checkpoint {
             return Err(format!("`iteration` is {}, expected {entries}, the length of `curve`", state.iteration));
         }
         // the optimizer raises a number to this power, as an i32
-        let most = entries
+        let max = entries
             .saturating_mul(run.updates_per_iteration)
             .min((i32::MAX as u64).saturating_sub(run.updates_per_iteration));
-        if moments.time as u64 > most {
-            return Err(format!("`time` is {}, expected up to {most} optimizer steps", moments.time));
+        if moments.time as u64 > max {
+            return Err(format!("`time` is {}, expected up to {max} optimizer steps", moments.time));
         }
         if !(state.rate > 0.0 && state.rate <= state.config.ppo.learning_rate) {
-            let most = state.config.ppo.learning_rate;
-            return Err(format!("`rate` is {}, expected above 0 and up to {most}", state.rate));
+            let max = state.config.ppo.learning_rate;
+            return Err(format!("`rate` is {}, expected above 0 and up to {max}", state.rate));
         }
         if !state.observations.is_of(run.shape.observation()) {
             return Err("`observations` are no means and sums of squares of the observations".into());

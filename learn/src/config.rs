@@ -250,14 +250,14 @@ impl TrainConfig {
             epochs,
             minibatch,
             learning_rate,
-            divergence,
-            discount,
-            lambda,
-            clip,
-            value,
-            entropy,
-            max_gradient,
-            deviation,
+            target_kl,
+            gamma,
+            gae_lambda,
+            clip_range,
+            value_coef,
+            entropy_coef,
+            max_grad_norm,
+            initial_std,
             ..
         } = &self.ppo;
         // a configuration file has no larger integers
@@ -273,8 +273,8 @@ impl TrainConfig {
             ("steps", self.steps, largest),
             ("ctrl_freq", self.ctrl_freq.into(), largest),
         ];
-        for (option, got, most) in counts {
-            if !(1..=most).contains(&got) {
+        for (option, got, max) in counts {
+            if !(1..=max).contains(&got) {
                 return Err(TrainError::Option {
                     option,
                     got: got.to_string(),
@@ -288,14 +288,14 @@ impl TrainConfig {
         }
         for (option, got, low, high, expected) in [
             ("learning_rate", *learning_rate, 1e-9, 1.0, "1e-9 to 1"),
-            ("divergence", *divergence, 0.0, 10.0, "0 to 10"),
-            ("discount", *discount, 0.0, 1.0, "0 to 1"),
-            ("lambda", *lambda, 0.0, 1.0, "0 to 1"),
-            ("clip", *clip, 1e-3, 10.0, "0.001 to 10"),
-            ("value", *value, 0.0, 1e3, "0 to 1000"),
-            ("entropy", *entropy, 0.0, 1e3, "0 to 1000"),
-            ("max_gradient", *max_gradient, 1e-6, 1e9, "a positive number"),
-            ("deviation", *deviation, 1e-4, 10.0, "0.0001 to 10"),
+            ("target_kl", *target_kl, 0.0, 10.0, "0 to 10"),
+            ("gamma", *gamma, 0.0, 1.0, "0 to 1"),
+            ("gae_lambda", *gae_lambda, 0.0, 1.0, "0 to 1"),
+            ("clip_range", *clip_range, 1e-3, 10.0, "0.001 to 10"),
+            ("value_coef", *value_coef, 0.0, 1e3, "0 to 1000"),
+            ("entropy_coef", *entropy_coef, 0.0, 1e3, "0 to 1000"),
+            ("max_grad_norm", *max_grad_norm, 1e-6, 1e9, "a positive number"),
+            ("initial_std", *initial_std, 1e-4, 10.0, "0.0001 to 10"),
         ] {
             if !(low..=high).contains(&got) {
                 return Err(TrainError::Option { option, got: got.to_string(), expected });

@@ -11,13 +11,13 @@ use rand_distr::StandardNormal;
 
 /// Sizes of an actor and a critic.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Shape {
+pub(crate) struct NetworkShape {
     pub actor: Vec<usize>,
     pub critic: Vec<usize>,
     pub activation: Activation,
 }
 
-impl Shape {
+impl NetworkShape {
     pub fn new(observation: usize, action: usize, hidden: &[usize], activation: Activation) -> Self {
         let sizes = |last: usize| std::iter::once(observation).chain(hidden.iter().copied()).chain([last]).collect();
         Self { actor: sizes(action), critic: sizes(1), activation }
@@ -84,7 +84,7 @@ mod tests {
 
     #[test]
     fn first_weights_are_orthogonal_and_deviations_as_asked_for() {
-        let shape = Shape::new(12, 4, &[64, 48], Activation::Relu);
+        let shape = NetworkShape::new(12, 4, &[64, 48], Activation::Relu);
         let parameters = shape.initial(0.3, &mut Rng::seed_from_u64(1));
         assert_eq!(parameters.len(), shape.count());
         let (actor, _, logs) = shape.split(&parameters);

@@ -122,7 +122,7 @@ impl Trainer {
             steps_per_iteration: trainer.steps_per_iteration(),
             updates_per_iteration: trainer.ppo.updates_per_iteration(trainer.agents.rows()),
         };
-        checkpoint.check(&run, &best).map_err(|message| wrong(TrainError::Checkpoint { message }))?;
+        checkpoint.validate(&run, &best).map_err(|message| wrong(TrainError::Checkpoint { message }))?;
         let Checkpoint { state, parameters, moments, curve, .. } = checkpoint;
         trainer.ppo.parameters = parameters;
         trainer.ppo.optimizer.restore(&moments);

@@ -244,8 +244,8 @@ fn configurations_say_what_is_wrong_with_them() {
             .to_string()
     };
     for (text, wanted) in [
-        ("[ppo]\nclipp = 0.1", "clip"),
-        ("[ppo]\nclip = -1.0", "clip is -1, expected 0.001 to 10"),
+        ("[ppo]\nclip_rang = 0.1", "did you mean `clip_range`"),
+        ("[ppo]\nclip_range = -1.0", "clip_range is -1, expected 0.001 to 10"),
         ("[ppo]\nenvironments = 0", "environments is 0"),
         ("[ppo]\nenvironments = 1000000\nhorizon = 1000", "environments × horizon"),
         ("[ppo]\nlearning_rate = nan", "learning_rate is NaN"),
@@ -265,6 +265,26 @@ fn configurations_say_what_is_wrong_with_them() {
         assert!(refused(text).contains(wanted), "{text}: {}", refused(text));
     }
     assert!(TrainConfig::of_task("hoover").unwrap_err().to_string().contains("did you mean `hover`"));
+}
+
+/// Policies of earlier versions carry the settings of their training under these names.
+#[test]
+fn hyperparameters_are_read_under_their_earlier_names() {
+    let read = |text: &str| {
+        let mut config = TrainConfig::of_task("hover").unwrap();
+        config.read_toml(text).map(|()| config)
+    };
+    let values = "0.5 0.6 0.7 0.25 0.8 0.01 2.0 0.4";
+    let with = |names: &str| {
+        let pairs = names.split(' ').zip(values.split(' '));
+        pairs.fold("[ppo]\n".to_string(), |text, (name, value)| format!("{text}{name} = {value}\n"))
+    };
+    let now = with("target_kl gamma gae_lambda clip_range value_coef entropy_coef max_grad_norm initial_std");
+    let before = with("divergence discount lambda clip value entropy max_gradient deviation");
+    let (now, before) = (read(&now).unwrap(), read(&before).unwrap());
+    assert_eq!(now, before);
+    assert_eq!((now.ppo.gamma, now.ppo.clip_range, now.ppo.initial_std), (0.6, 0.25, 0.4));
+    assert!(read("[ppo]\nclip = 0.1\nclip_range = 0.1\n").unwrap_err().to_string().contains("duplicate"));
 }
 
 #[test]

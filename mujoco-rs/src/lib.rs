@@ -50,7 +50,7 @@ pub use id::{
 pub use model::{Assets, Integrator, Model, ModelMut};
 pub use renderer::{ImageSize, Quality, Renderer};
 pub use runtime::{HEADER_VERSION, check_library, library_version};
-pub use scene::{Camera, Decor, Effects, Scene};
+pub use scene::{Camera, Decor, Scene, VisualEffects};
 
 #[doc(hidden)]
 pub mod testing {

@@ -33,8 +33,8 @@ fn sizes(geom_type: i32) -> (usize, bool) {
 pub(crate) fn geom_size(geom_type: i32, size: &[f64; 3]) -> Result<(), Error> {
     let (count, may_vanish) = sizes(geom_type);
     for (index, &got) in size.iter().enumerate() {
-        let least = if index < count && !may_vanish { MIN_LENGTH } else { 0.0 };
-        if !(least..=MAX_LENGTH).contains(&got) {
+        let min = if index < count && !may_vanish { MIN_LENGTH } else { 0.0 };
+        if !(min..=MAX_LENGTH).contains(&got) {
             return Err(Error::Value {
                 what: "a geom's size",
                 got,

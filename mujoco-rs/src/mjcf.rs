@@ -460,14 +460,14 @@ impl Element<'_> {
 
     /// Whole numbers by which MuJoCo allocates.
     fn check_counts(&self) -> Result<(), String> {
-        for &(element, key, least, most) in COUNTS {
+        for &(element, key, min, max) in COUNTS {
             if element != self.name {
                 continue;
             }
             let Some(value) = self.get(key) else { continue };
             let numbers = self.numbers::<i64>(key, value)?;
-            if numbers.is_empty() || numbers.iter().any(|number| !(least..=most).contains(number)) {
-                return Err(self.wrong(key, value, &format!("whole numbers from {least} to {most}")));
+            if numbers.is_empty() || numbers.iter().any(|number| !(min..=max).contains(number)) {
+                return Err(self.wrong(key, value, &format!("whole numbers from {min} to {max}")));
             }
             if numbers.iter().fold(1_i64, |all, &number| all.saturating_mul(number)) > MAX_COMPOSITE && key == "count" {
                 return Err(self.wrong(key, value, &format!("a product of at most {MAX_COMPOSITE}")));
@@ -493,7 +493,7 @@ impl Element<'_> {
     /// Returns the largest of a mesh's scale factors, where it has any.
     fn scale(&self) -> Result<Option<f64>, String> {
         let Some(scale) = self.get("scale").filter(|_| self.name == "mesh") else { return Ok(None) };
-        Ok(Some(self.numbers::<f64>("scale", scale)?.into_iter().fold(0.0, |most: f64, x| most.max(x.abs()))))
+        Ok(Some(self.numbers::<f64>("scale", scale)?.into_iter().fold(0.0, |max: f64, x| max.max(x.abs()))))
     }
 
     /// Vertices and faces in the text: every face names vertices that are there. Returns the largest coordinate.
@@ -518,6 +518,6 @@ impl Element<'_> {
                 ));
             }
         }
-        Ok(vertices.iter().fold(0.0, |most: f64, x| most.max(x.abs())))
+        Ok(vertices.iter().fold(0.0, |max: f64, x| max.max(x.abs())))
     }
 }

@@ -284,10 +284,10 @@ impl Renderer {
             return Ok(());
         }
         let size = ImageSize { width: size.width.max(self.size.width), height: size.height.max(self.size.height) };
-        let most = limits()?.picture;
-        if size.width.max(size.height) > most {
+        let max = limits()?.picture;
+        if size.width.max(size.height) > max {
             return Err(Error::Gl {
-                message: format!("a picture of {size} is beyond this driver's limit of {most} pixels"),
+                message: format!("a picture of {size} is beyond this driver's limit of {max} pixels"),
             });
         }
         let (raw, model, quality) = (&mut self.raw, &self.model, self.quality);
@@ -317,7 +317,7 @@ impl std::fmt::Debug for Renderer {
 
 /// MuJoCo's objects in the current context.
 fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> {
-    let most_samples = limits()?.samples;
+    let max_samples = limits()?.samples;
     let _lock = loading();
     // MuJoCo reads sizes and quality from the model. This copy of its header shares the arrays, is only read, and is
     // forgotten without being freed.
@@ -325,7 +325,7 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
     let mut header = unsafe { MaybeUninit::new(std::ptr::read(model.as_ptr())).assume_init() };
     header.vis.global.offwidth = size.width as i32;
     header.vis.global.offheight = size.height as i32;
-    header.vis.quality.offsamples = quality.samples.min(most_samples) as i32;
+    header.vis.quality.offsamples = quality.samples.min(max_samples) as i32;
     header.vis.quality.shadowsize = quality.shadow_map as i32;
     let mut raw: Box<MaybeUninit<mujoco_sys::mjrContext>> = Box::new_uninit();
     // SAFETY: initialises the structure, then fills it; an OpenGL context is current.
@@ -373,8 +373,8 @@ fn check_quality(model: &Model, quality: Quality, limits: Limits) -> Result<(), 
         }
     }
     if quality.shadow_map > limits.texture {
-        let (side, most) = (quality.shadow_map, limits.texture);
-        let message = format!("a shadow map of {side} texels a side is beyond this driver's limit of {most}");
+        let (side, max) = (quality.shadow_map, limits.texture);
+        let message = format!("a shadow map of {side} texels a side is beyond this driver's limit of {max}");
         return Err(Error::Gl { message });
     }
     Ok(())

@@ -98,7 +98,7 @@ fn index<I: ObjectId>(id: I, count: usize) -> Result<i32, Error> {
 /// What costs time beyond the geoms themselves. Everything off is what observations want, [`pretty`](Self::pretty)
 /// what people want.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Effects {
+pub struct VisualEffects {
     /// Shadows of lights that cast them (the renderer needs a shadow map).
     pub shadows: bool,
     /// Mirror images in reflective geoms.
@@ -109,7 +109,7 @@ pub struct Effects {
     pub haze: bool,
 }
 
-impl Effects {
+impl VisualEffects {
     /// All of them.
     pub fn pretty() -> Self {
         Self { shadows: true, reflections: true, skybox: true, haze: true }
@@ -236,7 +236,7 @@ impl Scene {
     }
 
     /// Switches effects on and off; before the first call they are MuJoCo's own defaults.
-    pub fn set_effects(&mut self, effects: Effects) {
+    pub fn set_effects(&mut self, effects: VisualEffects) {
         use mujoco_sys::mjtRndFlag_ as flag;
         let flags = &mut self.raw.flags;
         for (flag, on) in [

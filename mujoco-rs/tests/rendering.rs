@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use mujoco_rs::{
-    BodyId, Camera, CameraId, Data, Decor, Effects, Error, GeomId, GlBackend, ImageSize, Model, ObjectId as _, Quality,
-    Renderer, Scene, gl_info,
+    BodyId, Camera, CameraId, Data, Decor, Error, GeomId, GlBackend, ImageSize, Model, ObjectId as _, Quality,
+    Renderer, Scene, VisualEffects, gl_info,
 };
 use proptest::prelude::*;
 
@@ -38,7 +38,7 @@ fn studio(xml: &str, quality: Quality) -> Option<Studio> {
     data.forward().unwrap();
     let model = data.shared_model();
     let mut scene = Scene::new(Arc::clone(&model), 100).unwrap();
-    scene.set_effects(Effects::default());
+    scene.set_effects(VisualEffects::default());
     Some(Studio { data, scene, renderer: Renderer::new(model, quality).unwrap() })
 }
 
@@ -130,9 +130,9 @@ fn the_depth_of_a_box_face_is_its_distance_and_of_nothing_the_far_plane() {
         }
         assert!(seen > 20);
         // a sky and whatever else is drawn for people change nothing of it
-        studio.scene.set_effects(Effects::pretty());
+        studio.scene.set_effects(VisualEffects::pretty());
         assert!(studio.depth(size) == depth);
-        studio.scene.set_effects(Effects::default());
+        studio.scene.set_effects(VisualEffects::default());
         assert_eq!(studio.scene.clip_planes().map(|x| (x * 1e4).round() / 1e4), [0.01, 100.0]);
     }
 }
@@ -265,7 +265,7 @@ fn decoration_is_seen_in_colour_but_is_no_object() {
 fn a_line_has_its_colour_with_shadows_too() {
     for (shadows, quality) in [(false, Quality::PRETTY), (true, Quality::PRETTY), (true, Quality::FAST)] {
         let Some(mut studio) = studio(ROOM, quality) else { return };
-        studio.scene.set_effects(Effects { shadows, ..Effects::default() });
+        studio.scene.set_effects(VisualEffects { shadows, ..VisualEffects::default() });
         studio.see("ahead");
         let line = Decor::Line { from: [-0.5, -1.5, 0.5], to: [0.5, -1.5, 0.5], width: 9.0 };
         assert!(studio.scene.add(line, [0.2, 0.8, 0.4, 1.0]));

@@ -60,8 +60,8 @@ fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_al
     assert!(compare(&hover().actuators(lag), config(1), 90) > 5);
     let late = ActuatorParams { latency: 0.02, ..ActuatorParams::default() };
     assert!(compare(&hover().actuators(late), config(2), 90) > 5);
-    assert!(compare(&hover().obstacle_field(forest(false)), config(2), 90) > 5);
-    assert!(compare(&hover().obstacle_field(forest(true)), config(2), 90) > 5);
+    assert!(compare(&hover().obstacle_generator(forest(false)), config(2), 90) > 5);
+    assert!(compare(&hover().obstacle_generator(forest(true)), config(2), 90) > 5);
     for kind in [ActionType::Vel, ActionType::Pid, ActionType::Attitude, ActionType::Ctbr, ActionType::OneDRpm] {
         compare(&hover().action_type(kind), config(2), 90);
     }
@@ -132,7 +132,7 @@ fn threads_change_no_bits() {
 fn what_a_batch_observes_beside_vectors_stands_behind_them() {
     let field = ObstacleConfig { count: 4, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) };
     let kind: ObservationType = "kin_obstacle_ranges_adjacency".parse().unwrap();
-    let builder = MultiHover::builder().obstacle_field(field).observation_type(kind);
+    let builder = MultiHover::builder().obstacle_generator(field).observation_type(kind);
     let mut batch = VecAviary::new(builder.clone(), VecConfig::new(9)).unwrap();
     assert_eq!(batch.observation_size(), 26 + 2 + 20 + 4);
     let mut buffers = VecBuffers::new(&batch);
@@ -170,7 +170,7 @@ fn pictures_of_a_batch_are_those_of_its_environments_alone() {
         Hover::builder()
             .initial_positions([[0.0, 0.0, 0.4]])
             .observation_type("kin_rgb_depth_segmentation".parse().unwrap())
-            .obstacle_field(ObstacleConfig { arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) })
+            .obstacle_generator(ObstacleConfig { arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) })
     };
     let count = 9;
     let mut env = match VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(count) }) {

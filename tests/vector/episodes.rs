@@ -103,7 +103,7 @@ fn long_run(steps: usize) {
             env.step(&actions, buffers.step()).unwrap();
             assert!(buffers.observations.iter().chain(&buffers.rewards).all(|x| x.is_finite()));
             for (i, ended) in ended.iter_mut().enumerate() {
-                if let Some(report) = env.ended(i) {
+                if let Some(report) = env.episode_summary(i) {
                     *ended += 1;
                     lengths += report.steps;
                 }
@@ -203,7 +203,7 @@ fn looking_at_an_environment_shows_its_own_commands_and_end_and_changes_nothing(
     let mut ends = Vec::new();
     for _ in 0..20 {
         batch.step(&[-1.0; 4], buffers.step()).unwrap();
-        ends.extend(batch.ended(0).map(|ended| ended.reason));
+        ends.extend(batch.episode_summary(0).and_then(|summary| summary.end));
     }
     assert_eq!(ends, [EndReason::FloorContact]);
     assert!(!buffers.truncated[0] && !buffers.terminated[0]);

@@ -43,7 +43,7 @@ fn a_poisoned_action_concerns_its_own_environment_alone() {
                 assert_eq!(lenient.faults().len(), 1);
                 assert_eq!(lenient.faults()[0].0, 5);
                 assert!(buffers[2].truncated[5] && !buffers[2].terminated[5] && buffers[2].rewards[5] == 0.0);
-                assert_eq!(lenient.ended(5).unwrap().reason, EndReason::Fault);
+                assert_eq!(lenient.episode_summary(5).unwrap().end, Some(EndReason::Fault));
             } else {
                 assert!(lenient.faults().is_empty());
             }
@@ -242,15 +242,15 @@ fn a_step_that_could_not_start_an_episode_is_no_step_of_an_episode() {
         let (mut ends, mut steps, mut faults) = (Vec::new(), 0, 0);
         for _ in 0..65 {
             // with NextStep, the step after an end starts the next episode
-            let starts = autoreset == Autoreset::NextStep && batch.ended(8).is_some();
+            let starts = autoreset == Autoreset::NextStep && batch.episode_summary(8).is_some();
             batch.step(&[0.01; 36], buffers.step()).unwrap();
-            assert_eq!(batch.ended(0), batch.ended(8));
+            assert_eq!(batch.episode_summary(0), batch.episode_summary(8));
             faults += batch.faults().len();
-            match batch.ended(8) {
-                Some(ended) => {
+            match batch.episode_summary(8) {
+                Some(summary) => {
                     assert!(buffers.truncated[8] && !buffers.terminated[8]);
-                    ends.push((ended.reason, ended.steps));
-                    steps += u32::from(ended.reason != EndReason::Fault);
+                    ends.push((summary.end.unwrap(), summary.steps));
+                    steps += u32::from(summary.end != Some(EndReason::Fault));
                 }
                 None => {
                     assert!(!buffers.truncated[8]);

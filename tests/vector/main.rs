@@ -77,11 +77,11 @@ fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: 
             let ends = terminated || truncated;
             if ends {
                 ended += 1;
-                let report = batch.ended(i).copied().unwrap();
-                assert_eq!(Some(report.reason), env.info().end);
+                let report = batch.episode_summary(i).copied().unwrap();
+                assert_eq!(report.end, env.info().end);
                 assert_eq!((report.success, report.steps), (env.info().success, env.simulation().control_steps()));
             } else {
-                assert!(batch.ended(i).is_none());
+                assert!(batch.episode_summary(i).is_none());
             }
             if ends && config.autoreset == Autoreset::SameStep {
                 assert_eq!(bits(&row), bits(&batch.final_observations()[i * o..][..o]));

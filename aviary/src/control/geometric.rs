@@ -66,7 +66,7 @@ pub struct GeometricControl {
     inertia: Vector3<f64>,
     mixer: Mixer,
     /// Most acceleration that errors of position and velocity may ask for, m/s².
-    most_feedback: f64,
+    max_feedback: f64,
     chart: Chart,
     /// Whether its bandwidths are positive numbers.
     sound: bool,
@@ -101,7 +101,7 @@ impl GeometricControl {
             inertia: params.inertia_vector(),
             mixer: Mixer::new(params),
             // less than g, so that errors never turn a level drone over, and within what the motors have to spare
-            most_feedback: GRAVITY * (0.8 * (params.thrust_to_weight - 1.0)).clamp(0.1, 0.7),
+            max_feedback: GRAVITY * (0.8 * (params.thrust_to_weight - 1.0)).clamp(0.1, 0.7),
             chart: Chart::Left(1.0),
             sound: [bandwidths.horizontal, bandwidths.vertical, bandwidths.tilt, bandwidths.yaw]
                 .iter()
@@ -118,8 +118,8 @@ impl GeometricControl {
 
     /// Natural frequency of the position loop, world axes, rad/s.
     fn frequency(&self, dt: f64) -> Vector3<f64> {
-        let most = Self::FASTEST_POSITION / dt;
-        let (xy, z) = (self.bandwidths.horizontal.min(most), self.bandwidths.vertical.min(most));
+        let max = Self::FASTEST_POSITION / dt;
+        let (xy, z) = (self.bandwidths.horizontal.min(max), self.bandwidths.vertical.min(max));
         Vector3::new(xy, xy, z)
     }
 
@@ -127,7 +127,7 @@ impl GeometricControl {
         if self.bandwidths.integral > 0.0 && error.norm() <= Self::INTEGRATED {
             let gain = self.bandwidths.integral * frequency.component_mul(frequency).component_mul(frequency);
             self.integral += gain.component_mul(error) * dt;
-            let excess = self.integral.norm() / (0.5 * self.most_feedback);
+            let excess = self.integral.norm() / (0.5 * self.max_feedback);
             if excess > 1.0 {
                 self.integral /= excess;
             }
@@ -143,20 +143,20 @@ impl GeometricControl {
     ) -> (Vector3<f64>, bool) {
         let [stiffness, damping] = gains;
         // an error so large that its way home would need more than the most feedback to brake at its end counts as that
-        let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.most_feedback / stiffness.max(1e-9));
+        let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.max_feedback / stiffness.max(1e-9));
         let sideways = position.xy().norm();
         let clipped = sideways > reach[0] || position.z.abs() > reach[1];
         let share = if sideways > reach[0] { reach[0] / sideways } else { 1.0 };
         let near = Vector3::new(position.x * share, position.y * share, position.z.max(-reach[1]).min(reach[1]));
         let value = stiffness.component_mul(&near) + damping.component_mul(velocity) + self.integral;
         let size = value.norm();
-        if size > self.most_feedback { (value * (self.most_feedback / size), false) } else { (value, !clipped) }
+        if size > self.max_feedback { (value * (self.max_feedback / size), false) } else { (value, !clipped) }
     }
 
     /// Torque about the body axes, N·m, for a wanted attitude and its body rates and their derivative.
     fn torque(&self, dt: f64, state: &DroneState, wanted: &Attitude) -> Vector3<f64> {
-        let most = Self::FASTEST_ATTITUDE / dt;
-        let (tilt, yaw) = (self.bandwidths.tilt.min(most), self.bandwidths.yaw.min(most));
+        let max = Self::FASTEST_ATTITUDE / dt;
+        let (tilt, yaw) = (self.bandwidths.tilt.min(max), self.bandwidths.yaw.min(max));
         let frequency = Vector3::new(tilt, tilt, yaw);
         let to_body = state.attitude.inverse() * wanted.attitude;
         let error = to_body.scaled_axis();
@@ -187,7 +187,7 @@ impl GeometricControl {
         let gains = [stiffness, damping];
         let (position, velocity) = (output.position_error, reference.velocity - state.velocity);
         let (feedback, live) = self.feedback(&gains, &position, &velocity);
-        let mut wanted = Motion {
+        let mut wanted = MovingVector {
             value: reference.acceleration + gravity + feedback,
             rate: reference.jerk,
             acceleration: reference.snap,
@@ -204,7 +204,7 @@ impl GeometricControl {
             let jerk = reference.jerk - (up * thrust_rate + up_rate * thrust);
             wanted.acceleration += stiffness.component_mul(&acceleration) + damping.component_mul(&jerk);
         }
-        let direction = if wanted.value.norm() > Self::FREE_FALL { wanted.unit() } else { Motion::still(up) };
+        let direction = if wanted.value.norm() > Self::FREE_FALL { wanted.unit() } else { MovingVector::still(up) };
         let attitude = self.chart.attitude(&direction, reference);
         let torque = self.torque(dt, state, &attitude);
         ControlOutput { rpm: self.mixer.rpm(self.mass * thrust, torque), ..output }
@@ -228,13 +228,13 @@ impl Controller for GeometricControl {
 
 /// A vector with its first two time derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Motion {
+struct MovingVector {
     value: Vector3<f64>,
     rate: Vector3<f64>,
     acceleration: Vector3<f64>,
 }
 
-impl Motion {
+impl MovingVector {
     fn still(value: Vector3<f64>) -> Self {
         Self { value, rate: Vector3::zeros(), acceleration: Vector3::zeros() }
     }
@@ -284,12 +284,12 @@ impl Chart {
     /// A chart is left where its sine of the angle to the failing direction falls below this.
     const WORN: f64 = 0.35;
 
-    fn attitude(&mut self, z: &Motion, reference: &Reference) -> Attitude {
+    fn attitude(&mut self, z: &MovingVector, reference: &Reference) -> Attitude {
         let (sin, cos) = reference.yaw.sin_cos();
         let (forward, left) = (Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0));
         let (rate, acceleration) = (reference.yaw_rate, reference.yaw_acceleration);
         // a unit vector that turns about z: r' = ψ'·n, r'' = ψ''·n − ψ'²·r, n a quarter turn ahead of r
-        let turning = |value: Vector3<f64>, ahead: Vector3<f64>| Motion {
+        let turning = |value: Vector3<f64>, ahead: Vector3<f64>| MovingVector {
             value,
             rate: rate * ahead,
             acceleration: acceleration * ahead - rate * rate * value,
@@ -307,7 +307,7 @@ impl Chart {
                 (y.cross(z), y)
             }
         };
-        let matrix = |part: fn(&Motion) -> Vector3<f64>| Matrix3::from_columns(&[part(&x), part(&y), part(z)]);
+        let matrix = |part: fn(&MovingVector) -> Vector3<f64>| Matrix3::from_columns(&[part(&x), part(&y), part(z)]);
         let (r, r1, r2) = (matrix(|m| m.value), matrix(|m| m.rate), matrix(|m| m.acceleration));
         // R' = R·ω̂ and R'' = R·(ω̂² + ω̂')
         let hat = r.tr_mul(&r1);
@@ -341,7 +341,7 @@ impl Chart {
     }
 }
 
-impl Motion {
+impl MovingVector {
     fn scaled(&self, factor: f64) -> Self {
         Self { value: factor * self.value, rate: factor * self.rate, acceleration: factor * self.acceleration }
     }

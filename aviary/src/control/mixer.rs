@@ -73,8 +73,8 @@ impl Mixer {
         let (low, high) = (roll_pitch.min(), roll_pitch.max());
         let scale = if high - low > max { max / (high - low) } else { 1.0 };
         let roll_pitch = roll_pitch * scale;
-        let (least, most) = (-low * scale, max - high * scale);
-        let collective = collective.min(most).max(least);
+        let (lowest, highest) = (-low * scale, max - high * scale);
+        let collective = collective.min(highest).max(lowest);
 
         // and as much of yaw as there is room for
         let mut share: f64 = 1.0;

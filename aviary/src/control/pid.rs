@@ -94,7 +94,7 @@ impl PidControl {
 
     /// Least vertical acceleration the position loop asks for, as a share of g: it never pushes downwards, where the
     /// direction of the thrust would turn over.
-    const LEAST_LIFT: f64 = 0.2;
+    const MIN_LIFT: f64 = 0.2;
 
     /// With the paper's gains.
     pub fn new(params: &DroneParams) -> Self {
@@ -158,14 +158,14 @@ impl PidControl {
             + gains.derivative.component_mul(velocity_error)
             + feed_forward
             + Vector3::new(0.0, 0.0, GRAVITY);
-        if wanted.z < Self::LEAST_LIFT * GRAVITY {
-            wanted.z = Self::LEAST_LIFT * GRAVITY;
+        if wanted.z < Self::MIN_LIFT * GRAVITY {
+            wanted.z = Self::MIN_LIFT * GRAVITY;
         }
         let sideways = wanted.xy().norm();
-        let most = wanted.z * Self::MAX_TILT.tan();
-        if sideways > most {
-            wanted.x *= most / sideways;
-            wanted.y *= most / sideways;
+        let max = wanted.z * Self::MAX_TILT.tan();
+        if sideways > max {
+            wanted.x *= max / sideways;
+            wanted.y *= max / sideways;
         }
         wanted
     }

@@ -74,7 +74,7 @@ pub enum SafetyError {
 struct Condition {
     pair: (usize, usize),
     gradient: Vector2<f64>,
-    least: f64,
+    min: f64,
 }
 
 impl CollisionCone {
@@ -134,13 +134,13 @@ impl CollisionCone {
         }
         let holds = |condition: &Condition| {
             let (i, j) = condition.pair;
-            condition.gradient.dot(&(accelerations[j] - accelerations[i]).xy()) >= condition.least
+            condition.gradient.dot(&(accelerations[j] - accelerations[i]).xy()) >= condition.min
         };
         if conditions.iter().all(holds) {
             return Ok(false);
         }
         // what holds, and would whatever two drones did within their bounds, needs no place in the program
-        conditions.retain(|condition| condition.least > -3.0 * self.max_acceleration || !holds(condition));
+        conditions.retain(|condition| condition.min > -3.0 * self.max_acceleration || !holds(condition));
         self.solve(&conditions, accelerations)?;
         Ok(true)
     }
@@ -151,8 +151,8 @@ impl CollisionCone {
         let (distance2, r2, k) = (p.norm_squared(), self.radius * self.radius, self.approach);
         // drones at the very same place part along x
         let away = if distance2 > 1e-12 { p } else { Vector2::new(1e-6, 0.0) };
-        let least = -v.norm_squared() - 2.0 * k * p.dot(&v) - 0.5 * k * k * (distance2 - r2);
-        conditions.push(self.scaled(pair, away, least));
+        let min = -v.norm_squared() - 2.0 * k * p.dot(&v) - 0.5 * k * k * (distance2 - r2);
+        conditions.push(self.scaled(pair, away, min));
         // outside the circle, on the way towards each other
         let tangent2 = distance2 - r2;
         let speed = v.norm();
@@ -160,10 +160,10 @@ impl CollisionCone {
             let tangent = tangent2.sqrt();
             let h = p.dot(&v) + speed * tangent;
             let gradient = p + v * (tangent / speed);
-            let least = -v.norm_squared() - speed * p.dot(&v) / tangent - self.decay * h;
+            let min = -v.norm_squared() - speed * p.dot(&v) / tangent - self.decay * h;
             // straight at its middle the cone says nothing of the side to pass on
             if gradient.norm() > 1e-6 {
-                conditions.push(self.scaled(pair, gradient, least));
+                conditions.push(self.scaled(pair, gradient, min));
             }
         }
         conditions
@@ -171,9 +171,9 @@ impl CollisionCone {
 
     /// With a gradient of length one, so that slacks of all conditions weigh the same, and asking for no more than two drones
     /// can give together.
-    fn scaled(&self, pair: (usize, usize), gradient: Vector2<f64>, least: f64) -> Condition {
+    fn scaled(&self, pair: (usize, usize), gradient: Vector2<f64>, min: f64) -> Condition {
         let size = gradient.norm();
-        Condition { pair, gradient: gradient / size, least: (least / size).min(3.0 * self.max_acceleration) }
+        Condition { pair, gradient: gradient / size, min: (min / size).min(3.0 * self.max_acceleration) }
     }
 
     /// minimise ½·Σ‖u − u*‖² + ½·penalty·Σ slack², under all conditions, over the drones that any of them is about.
@@ -200,7 +200,7 @@ impl CollisionCone {
                 entry(right.len(), 2 * i + axis, condition.gradient[axis]);
             }
             entry(right.len(), inputs + index, -1.0);
-            right.push(-condition.least);
+            right.push(-condition.min);
             entry(right.len(), inputs + index, -1.0);
             right.push(0.0);
         }
@@ -330,17 +330,17 @@ mod tests {
             let cost = |given: &[Vector3<f64>]| {
                 let missing = conditions.iter().map(|condition| {
                     let (i, j) = condition.pair;
-                    (condition.least - condition.gradient.dot(&(given[j] - given[i]).xy())).max(0.0)
+                    (condition.min - condition.gradient.dot(&(given[j] - given[i]).xy())).max(0.0)
                 });
                 let moved: f64 = given.iter().zip(&asked).map(|(a, b)| (a - b).norm_squared()).sum();
                 0.5 * moved + 0.5e4 * missing.map(|slack| slack * slack).sum::<f64>()
             };
-            let most = filter.max_acceleration;
+            let max = filter.max_acceleration;
             for step in nudges.chunks_exact(8) {
                 let mut other = given.clone();
                 for (drone, nudge) in other.iter_mut().zip(step.chunks_exact(2)) {
-                    drone.x = (drone.x + nudge[0]).clamp(-most, most);
-                    drone.y = (drone.y + nudge[1]).clamp(-most, most);
+                    drone.x = (drone.x + nudge[0]).clamp(-max, max);
+                    drone.y = (drone.y + nudge[1]).clamp(-max, max);
                 }
                 let (best, cost) = (cost(&given), cost(&other));
                 prop_assert!(best <= cost * (1.0 + 1e-5) + 1e-3, "{best} {cost}");

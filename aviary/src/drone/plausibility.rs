@@ -23,14 +23,14 @@ pub struct DerivedNumber {
 impl DerivedNumber {
     /// Returns whether the value lies in the plausible range, if there is one.
     pub fn is_plausible(&self) -> bool {
-        self.plausible.is_none_or(|[least, most]| (least..=most).contains(&self.value))
+        self.plausible.is_none_or(|[min, max]| (min..=max).contains(&self.value))
     }
 
     /// Returns the plausible range in words: `10 to 500 N/m²`.
     pub fn range(&self) -> Option<String> {
-        let [least, most] = self.plausible?;
+        let [min, max] = self.plausible?;
         let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
-        Some(if most.is_finite() { format!("{least} to {most}{unit}") } else { format!("at least {least}{unit}") })
+        Some(if max.is_finite() { format!("{min} to {max}{unit}") } else { format!("at least {min}{unit}") })
     }
 
     /// Returns the value with its unit, to four digits.
@@ -90,17 +90,17 @@ impl DroneParams {
         };
         let radius = self.propeller_radius;
         let turn = std::f64::consts::TAU / 60.0;
-        let (hover, most) = (self.hover_rpm(), self.max_rpm());
+        let (hover, max) = (self.hover_rpm(), self.max_rpm());
         add("weight", "weight", self.weight(), "N", None, "mass");
         add("max_thrust", "largest thrust", self.max_thrust(), "N", None, "mass, thrust_to_weight");
         let fields = "thrust_to_weight";
         add("thrust_to_weight", "thrust to weight", self.thrust_to_weight, "", Some([1.2, 16.0]), fields);
         let fields = "mass, thrust_coefficient";
         add("hover_rpm", "hover speed", hover, "rpm", None, fields);
-        add("max_rpm", "largest speed", most, "rpm", None, "mass, thrust_coefficient, thrust_to_weight");
-        add("hover_share", "hover speed over the largest", hover / most, "", None, "thrust_to_weight");
+        add("max_rpm", "largest speed", max, "rpm", None, "mass, thrust_coefficient, thrust_to_weight");
+        add("hover_share", "hover speed over the largest", hover / max, "", None, "thrust_to_weight");
         let fields = "mass, thrust_coefficient, thrust_to_weight, propeller_radius";
-        add("tip_speed", "propeller tip speed at most", most * turn * radius, "m/s", Some([20.0, 340.0]), fields);
+        add("tip_speed", "propeller tip speed at most", max * turn * radius, "m/s", Some([20.0, 340.0]), fields);
         let discs = 4.0 * std::f64::consts::PI * radius * radius;
         let fields = "mass, propeller_radius";
         add("disc_loading", "weight per propeller area", self.weight() / discs, "N/m²", Some([8.0, 800.0]), fields);

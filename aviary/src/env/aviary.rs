@@ -43,7 +43,7 @@ pub struct Aviary<T> {
     pub(crate) decoders: Vec<ActionDecoder>,
     pub(crate) workspace: EnvWorkspace,
     /// Renders for people, once they ask.
-    pub(super) painter: Option<Synced<SceneRenderer>>,
+    pub(super) renderer: Option<Synced<SceneRenderer>>,
 }
 
 impl<T: Task> Aviary<T> {
@@ -350,22 +350,22 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
 
     fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
         // what is asked of the task does not change with the state, once the episode has begun
-        let begins = self.painter.is_none() || self.simulation.control_steps() == 0;
+        let begins = self.renderer.is_none() || self.simulation.control_steps() == 0;
         let extent = if begins { self.extent() } else { Vec::new() };
         let (model, data) = (&self.simulation.model, &self.simulation.data);
-        let painter = match &mut self.painter {
-            Some(painter) => painter,
+        let renderer = match &mut self.renderer {
+            Some(renderer) => renderer,
             none => none.insert(Synced::new(SceneRenderer::for_people(model.world())?)),
         };
-        let painter = painter.sync(model, data, SceneRenderer::set_obstacles)?;
+        let renderer = renderer.sync(model, data, SceneRenderer::set_obstacles)?;
         if begins {
-            painter.keep_in_frame(&extent);
+            renderer.keep_in_frame(&extent);
         }
         if !self.workspace.moving.is_empty() {
-            painter.set_markers(&data.markers(model))?;
+            renderer.set_markers(&data.markers(model))?;
         }
-        painter.update(data.states())?;
-        Ok(painter.rgb(view, size, rgb)?)
+        renderer.update(data.states())?;
+        Ok(renderer.rgb(view, size, rgb)?)
     }
 }
 
@@ -410,8 +410,10 @@ impl<T: Task + Clone + Send> DroneEnv for Aviary<T> {
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
         if let Some(wind) = &wind {
             match (&self.episode.next_randomization, &self.episode.randomizer) {
-                (Some(next), _) => next.as_ref().map_or(Ok(()), |next| next.check_wind(wind))?,
-                (None, randomizer) => randomizer.as_ref().map_or(Ok(()), |randomizer| randomizer.check_wind(wind))?,
+                (Some(next), _) => next.as_ref().map_or(Ok(()), |next| next.validate_wind(wind))?,
+                (None, randomizer) => {
+                    randomizer.as_ref().map_or(Ok(()), |randomizer| randomizer.validate_wind(wind))?
+                }
             }
         }
         let seed = self.episode.rng.next_u64();
@@ -425,7 +427,7 @@ impl<T: Task + Clone + Send> DroneEnv for Aviary<T> {
                 Some(randomizer) => randomizer.own_wind(),
                 None => self.simulation.wind(),
             };
-            own.map_or(Ok(()), |wind| config.check_wind(wind))?;
+            own.map_or(Ok(()), |wind| config.validate_wind(wind))?;
         }
         self.episode.next_randomization = Some(randomization.map(Box::new));
         Ok(())

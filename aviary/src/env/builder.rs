@@ -52,7 +52,7 @@ pub struct AviaryBuilder<T> {
     observation_type: ObservationType,
     camera_size: ImageSize,
     randomization: Option<Randomization>,
-    field: Option<ObstacleConfig>,
+    obstacle_generator: Option<ObstacleConfig>,
     rays: RangeConfig,
     stream: u64,
 }
@@ -105,7 +105,7 @@ impl<T> AviaryBuilder<T> {
             observation_type: ObservationType::default(),
             camera_size: CAMERA_SIZE,
             randomization: None,
-            field: None,
+            obstacle_generator: None,
             rays: RangeConfig::default(),
             stream: 0,
         }
@@ -125,7 +125,7 @@ impl<T> AviaryBuilder<T> {
             observation_type: self.observation_type,
             camera_size: self.camera_size,
             randomization: self.randomization,
-            field: self.field,
+            obstacle_generator: self.obstacle_generator,
             rays: self.rays,
             stream: self.stream,
         }
@@ -234,8 +234,8 @@ impl<T> AviaryBuilder<T> {
 
     /// Obstacles that are placed at random; none by default. They exclude a list of [`obstacles`](Self::obstacles).
     #[must_use]
-    pub fn obstacle_field(mut self, field: impl Into<Option<ObstacleConfig>>) -> Self {
-        self.field = field.into();
+    pub fn obstacle_generator(mut self, generator: impl Into<Option<ObstacleConfig>>) -> Self {
+        self.obstacle_generator = generator.into();
         self
     }
 
@@ -290,7 +290,7 @@ impl<T: Task> AviaryBuilder<T> {
             return Err(SimulationError::NumDrones { got: count }.into());
         }
         let simulation = self.simulation.num_drones(count);
-        self.task.check(simulation.airframes())?;
+        self.task.validate(simulation.airframes())?;
         let seconds = self.episode_seconds.unwrap_or(defaults.episode_seconds);
         // the shortest episode is one control step; a year of them still counts exactly
         if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
@@ -309,12 +309,12 @@ impl<T: Task> AviaryBuilder<T> {
         }
         let wind = simulation.wind_config().copied();
         if let (Some(randomization), Some(wind)) = (&self.randomization, &wind) {
-            randomization.check_wind(wind)?;
+            randomization.validate_wind(wind)?;
         }
-        if self.field.is_some() && simulation.has_obstacles() {
+        if self.obstacle_generator.is_some() && simulation.has_obstacles() {
             return Err(EnvError::Option {
                 option: "obstacles",
-                got: "a list, with an obstacle_field as well".into(),
+                got: "a list, with an obstacle_generator as well".into(),
                 expected: "one of the two",
             });
         }
@@ -323,9 +323,9 @@ impl<T: Task> AviaryBuilder<T> {
         let visible = moving.iter().filter(|marker| !marker.solid).map(|marker| marker.marker.clone());
         let markers: Vec<_> = self.task.markers().into_iter().chain(visible).collect();
         let mut simulation = simulation.initial_positions_or(positions).markers(markers);
-        if let Some(field) = &self.field {
-            let mut rng = Rng::seed_from_u64(field.seed.unwrap_or(0));
-            let obstacles = field.generate(simulation.starts(), &mut rng)?;
+        if let Some(generator) = &self.obstacle_generator {
+            let mut rng = Rng::seed_from_u64(generator.seed.unwrap_or(0));
+            let obstacles = generator.generate(simulation.starts(), &mut rng)?;
             simulation = simulation.obstacles(obstacles);
         }
         let solid = moving.iter().filter(|marker| marker.solid).map(|marker| marker.marker.body);
@@ -382,7 +382,7 @@ impl<T: Task> AviaryBuilder<T> {
             row_space: observation_space.row(),
             observation_space,
             episode_steps: ((seconds * f64::from(simulation.ctrl_freq())).round() as u64).max(1),
-            obstacle_generator: self.field,
+            obstacle_generator: self.obstacle_generator,
             first_layout: simulation.obstacles()[..moving.first_obstacle()].to_vec(),
             block: block.size(),
             neighbourhood_radius: self.neighbourhood_radius,
@@ -402,7 +402,7 @@ impl<T: Task> AviaryBuilder<T> {
             episode: Episode::new(self.task, self.stream, randomizer, count),
             decoders,
             workspace,
-            painter: None,
+            renderer: None,
         })
     }
 }

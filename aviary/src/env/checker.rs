@@ -41,7 +41,7 @@ pub struct CheckReport {
 
 /// What one episode under random actions looked like.
 #[derive(Debug, PartialEq)]
-struct Episode {
+struct EpisodeTrace {
     observations: Vec<Observation>,
     rewards: Vec<f64>,
     initial: Observation,
@@ -191,11 +191,11 @@ impl<'a> Checker<'a> {
     }
 
     /// Flies one episode under random actions, at most so many steps.
-    fn episode(&mut self, seed: u64, actions: u64, steps: usize) -> Result<Episode, CheckFailure> {
+    fn episode(&mut self, seed: u64, actions: u64, steps: usize) -> Result<EpisodeTrace, CheckFailure> {
         let failed = self.error("an episode under random actions");
         let initial = self.env.reset(Some(seed)).map_err(&failed)?.clone();
         self.started()?;
-        let mut episode = Episode { observations: Vec::new(), rewards: Vec::new(), initial };
+        let mut episode = EpisodeTrace { observations: Vec::new(), rewards: Vec::new(), initial };
         let mut agent = RandomAgent::new(self.env.action_space(), actions);
         for _ in 0..steps {
             let action = agent.action();
@@ -273,7 +273,7 @@ impl<'a> Checker<'a> {
     }
 
     /// Whether everything moves that should.
-    fn movement(&mut self, episodes: &[Episode]) -> Result<(), CheckFailure> {
+    fn movement(&mut self, episodes: &[EpisodeTrace]) -> Result<(), CheckFailure> {
         if !self.env.observation_space().kind.kinematic {
             return Ok(());
         }

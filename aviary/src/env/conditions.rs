@@ -143,7 +143,7 @@ impl Conditions {
         if let Some(randomization) = &self.randomization {
             randomization.validate()?;
             if let Some(wind) = &self.wind {
-                randomization.check_wind(wind)?;
+                randomization.validate_wind(wind)?;
             }
         }
         Ok(())
@@ -177,7 +177,7 @@ impl<T> AviaryBuilder<T> {
             self = self.wind(wind);
         }
         if let Some(obstacles) = &conditions.obstacles {
-            self = self.obstacle_field(obstacles.clone());
+            self = self.obstacle_generator(obstacles.clone());
         }
         if let Some(randomization) = &conditions.randomization {
             self = self.randomization(randomization.clone());

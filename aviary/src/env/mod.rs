@@ -30,12 +30,13 @@ pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
 pub(crate) use task::path_points;
 pub use task::{Task, TaskDefaults};
 
+use crate::error::OptionError;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use nalgebra::Vector3;
 
-use crate::action::{ActionLimitsError, ActionType};
+use crate::action::ActionType;
 use crate::control::trajectory::Trajectory;
 use crate::control::{Reference, SafetyError};
 use crate::engine::BuildError;
@@ -44,7 +45,7 @@ use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationError};
 use crate::vision::{ImageSize, View};
-use crate::world::FieldError;
+use crate::world::ObstacleGeneratorError;
 use crate::{SystemError, UnknownName};
 
 pub use crate::random::Rng;
@@ -162,7 +163,7 @@ impl Info {
 }
 
 /// Outcome of an episode.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EpisodeSummary {
     /// Sum of the rewards.
     pub reward: f64,
@@ -172,9 +173,6 @@ pub struct EpisodeSummary {
     pub end: Option<EndReason>,
     /// True if every drone fulfils the task at the end.
     pub success: bool,
-    /// [`Env::info_map`] at the end: `time`, `success`, `progress`, `crashed`, `position_error`, `contacts` and the
-    /// scalar metrics of the task. Truth values are 0 and 1.
-    pub metrics: BTreeMap<&'static str, f64>,
 }
 
 /// What can go wrong with an environment.
@@ -249,10 +247,7 @@ pub enum EnvError {
     },
     /// Obstacles that cannot be placed.
     #[error(transparent)]
-    Field(#[from] FieldError),
-    /// Limits of actions that are impossible.
-    #[error(transparent)]
-    ActionLimits(#[from] ActionLimitsError),
+    Field(#[from] ObstacleGeneratorError),
     /// The simulation underneath.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
@@ -311,6 +306,13 @@ pub enum EnvError {
     /// Pictures cannot be drawn.
     #[error(transparent)]
     Vision(#[from] BuildError),
+}
+
+impl From<OptionError> for EnvError {
+    fn from(error: OptionError) -> Self {
+        let OptionError { option, got, expected } = error;
+        Self::Option { option, got, expected }
+    }
 }
 
 impl From<mujoco_rs::Error> for EnvError {

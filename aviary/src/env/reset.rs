@@ -19,7 +19,7 @@ impl<T: Task> EnvParts<'_, T> {
         }
         if std::mem::take(&mut episode.task_changed) {
             let drones: Vec<_> = sim_model.world().drones.iter().map(|drone| drone.params.clone()).collect();
-            if let Err(error) = episode.task.check(&drones) {
+            if let Err(error) = episode.task.validate(&drones) {
                 // until it is one that can be flown
                 episode.task_changed = true;
                 return Err(error);

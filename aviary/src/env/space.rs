@@ -37,7 +37,7 @@ fn largest_below(bound: f64) -> f32 {
 }
 
 /// The least number of single precision that is not below a bound.
-fn least_above(bound: f64) -> f32 {
+fn smallest_above(bound: f64) -> f32 {
     -largest_below(-bound)
 }
 
@@ -55,7 +55,7 @@ impl BoxSpace {
     fn of(low: Vec<f64>, high: Vec<f64>) -> Self {
         let mut outward = Vec::new();
         for (entry, (&low, &high)) in low.iter().zip(&high).enumerate() {
-            let inside = [least_above(low), largest_below(high)];
+            let inside = [smallest_above(low), largest_below(high)];
             // bounds that are nearly one number have none of single precision between them
             if inside[0] <= inside[1] {
                 let rounded = [low as f32, high as f32].into_iter().zip(inside);
@@ -79,7 +79,7 @@ impl BoxSpace {
 
     /// The bounds in single precision, rounded into the space.
     pub fn bounds_f32(&self) -> (Vec<f32>, Vec<f32>) {
-        (self.low.iter().map(|&x| least_above(x)).collect(), self.high.iter().map(|&x| largest_below(x)).collect())
+        (self.low.iter().map(|&x| smallest_above(x)).collect(), self.high.iter().map(|&x| largest_below(x)).collect())
     }
 
     /// Copies a vector into a buffer of single precision. A number within its bounds stays within them: where the nearest number
@@ -213,9 +213,9 @@ impl ObservationSpace {
         let mut add = |name, shape: Option<Vec<usize>>, dtype, bounds| {
             parts.extend(shape.map(|shape| Part { name, shape, dtype, bounds }));
         };
-        let least = self.vector.low().iter().copied().fold(f64::INFINITY, f64::min);
-        let most = self.vector.high().iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        add("vector", self.kind.kinematic.then(|| vec![self.vector.size()]), Dtype::F64, [least, most]);
+        let min = self.vector.low().iter().copied().fold(f64::INFINITY, f64::min);
+        let max = self.vector.high().iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        add("vector", self.kind.kinematic.then(|| vec![self.vector.size()]), Dtype::F64, [min, max]);
         add("rgb", self.rgb_shape().map(Vec::from), Dtype::U8, [0.0, 255.0]);
         add("depth", self.depth_shape().map(Vec::from), Dtype::F32, [0.0, far]);
         add("segmentation", self.segmentation_shape().map(Vec::from), Dtype::I32, [-1.0, f64::from(i32::MAX)]);

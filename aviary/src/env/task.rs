@@ -98,7 +98,7 @@ pub trait Task: std::fmt::Debug + 'static {
     ///
     /// # Errors
     /// [`EnvError::Option`] naming one that is impossible.
-    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         let _ = drones;
         Ok(())
     }

@@ -23,12 +23,12 @@ fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
 pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
     let (across, along) = (y.abs(), x.abs());
     let steep = along.less(across);
-    let (least, most) = (R::choose(steep, along, across), R::choose(steep, across, along));
+    let (min, max) = (R::choose(steep, along, across), R::choose(steep, across, along));
     // an angle above π/8 is π/4 and a smaller one, by the addition theorem
-    let far = (most * TAN_PI_8).less(least);
+    let far = (max * TAN_PI_8).less(min);
     // at the origin 0 by the least number there is
-    let above = R::choose(far, least - most, least);
-    let below = R::choose(far, least + most, most.greater(x.all(f64::MIN_POSITIVE)));
+    let above = R::choose(far, min - max, min);
+    let below = R::choose(far, min + max, max.greater(x.all(f64::MIN_POSITIVE)));
     let t = above / below;
     let square = t * t;
     let p = polynomial(

@@ -1,6 +1,7 @@
 //! Motors that do not do at once, or exactly, what they are told. All of it is off by default.
 
 use crate::drone::DroneParams;
+use crate::error::OptionError;
 
 /// How the motors of a drone answer to commands.
 ///
@@ -37,15 +38,6 @@ impl Default for ActuatorParams {
     }
 }
 
-/// A setting of the actuators that is impossible.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the actuators' {field} is {got}, expected {expected}")]
-pub struct ActuatorError {
-    field: &'static str,
-    got: f64,
-    expected: &'static str,
-}
-
 impl ActuatorParams {
     /// Longest latency, s.
     pub const MAX_LATENCY: f64 = 1.0;
@@ -53,16 +45,13 @@ impl ActuatorParams {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`ActuatorError`] naming one that is impossible.
-    pub fn validate(&self) -> Result<(), ActuatorError> {
-        let check = |field, got: f64, range: std::ops::RangeInclusive<f64>, expected| {
-            if range.contains(&got) { Ok(()) } else { Err(ActuatorError { field, got, expected }) }
-        };
-        check("lag", self.lag, 0.0..=1e3, "0 to 1000 s")?;
-        check("latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 1 s")?;
-        check("saturation", self.saturation, 1e-3..=1e3, "a positive factor up to 1000")?;
+    /// [`OptionError`] naming one that is impossible.
+    pub fn validate(&self) -> Result<(), OptionError> {
+        OptionError::check("actuators.lag", self.lag, 0.0..=1e3, "0 to 1000 s")?;
+        OptionError::check("actuators.latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 1 s")?;
+        OptionError::check("actuators.saturation", self.saturation, 1e-3..=1e3, "a positive factor up to 1000")?;
         for gain in self.gains {
-            check("gain", gain, 0.0..=1e3, "a factor from 0 to 1000")?;
+            OptionError::check("actuators.gains", gain, 0.0..=1e3, "a factor from 0 to 1000")?;
         }
         Ok(())
     }

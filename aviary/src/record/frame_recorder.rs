@@ -86,7 +86,7 @@ impl FromStr for Overlays {
 /// ```
 #[derive(Debug)]
 pub struct FrameRecorder {
-    painter: SceneRenderer,
+    renderer: SceneRenderer,
     view: View,
     size: ImageSize,
     overlays: Overlays,
@@ -116,7 +116,7 @@ impl FrameRecorder {
     /// [`EnvError::Vision`] where there is nothing to draw with.
     pub fn new(env: &dyn DroneEnv, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
         let mut film = Self::of(env.simulation(), view, size, overlays)?;
-        film.painter.keep_in_frame(&env.extent());
+        film.renderer.keep_in_frame(&env.extent());
         film.plan(env);
         Ok(film)
     }
@@ -142,7 +142,7 @@ impl FrameRecorder {
         let every = (f64::from(simulation.ctrl_freq()) / RATE).round().max(1.0) as u32;
         let drones = simulation.num_drones();
         Ok(Self {
-            painter: SceneRenderer::for_people(simulation.world())?,
+            renderer: SceneRenderer::for_people(simulation.world())?,
             view,
             size,
             overlays,
@@ -169,8 +169,8 @@ impl FrameRecorder {
     }
 
     /// What draws it: to set the [stage](SceneRenderer::set_stage), for example.
-    pub fn painter(&mut self) -> &mut SceneRenderer {
-        &mut self.painter
+    pub fn renderer(&mut self) -> &mut SceneRenderer {
+        &mut self.renderer
     }
 
     /// Time from frame to frame, s.
@@ -190,7 +190,7 @@ impl FrameRecorder {
     /// [`EnvError::Vision`].
     pub fn look(&mut self, env: &dyn DroneEnv) -> Result<Option<&[u8]>, EnvError> {
         if env.simulation().control_steps() < self.seen {
-            self.painter.keep_in_frame(&env.extent());
+            self.renderer.keep_in_frame(&env.extent());
             self.plan(env);
         }
         self.look_at(env.simulation(), |drone| Some(env.reference(drone)))
@@ -212,9 +212,9 @@ impl FrameRecorder {
             self.trails.fill(Trail::default());
         }
         self.seen = now;
-        let most = (Trail::ALL / self.trails.len().max(1)).clamp(40, Trail::MOST);
+        let max = (Trail::ALL / self.trails.len().max(1)).clamp(40, Trail::MOST);
         for (trail, state) in self.trails.iter_mut().zip(simulation.states()) {
-            trail.note(state.position, most);
+            trail.note(state.position, max);
         }
         if now < self.next {
             return Ok(None);
@@ -234,22 +234,22 @@ impl FrameRecorder {
     ) -> Result<&[u8], EnvError> {
         let obstacles = simulation.obstacles();
         if self.obstacles != *obstacles {
-            self.painter.set_obstacles(obstacles)?;
+            self.renderer.set_obstacles(obstacles)?;
             self.obstacles.copy_from_slice(obstacles);
         }
         let markers = &simulation.markers();
         if self.markers != *markers {
-            self.painter.set_markers(markers)?;
+            self.renderer.set_markers(markers)?;
             self.markers.clone_from(markers);
         }
-        self.painter.update(simulation.states())?;
+        self.renderer.update(simulation.states())?;
         self.draw_overlays(simulation, reference);
-        self.painter.rgb(self.view, self.size, &mut self.rgb)?;
+        self.renderer.rgb(self.view, self.size, &mut self.rgb)?;
         Ok(&self.rgb)
     }
 
     fn draw_overlays(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Option<Reference>) {
-        let Self { painter, overlays, trails, ways, .. } = self;
+        let Self { renderer, overlays, trails, ways, .. } = self;
         let count = trails.len();
         // as wide in a small picture as in a large one
         let thread = (f64::from(self.size.height) / 140.0).max(1.5);
@@ -259,11 +259,11 @@ impl FrameRecorder {
             for (drone, way) in ways.iter().enumerate() {
                 if way.is_empty() {
                     let point = reference(drone).map(|reference| reference.position);
-                    painter.add_dots(point.as_slice(), 0.25 * size, WHITE);
+                    renderer.add_dots(point.as_slice(), 0.25 * size, WHITE);
                 } else {
                     // short pieces with gaps between: dots that cost little
                     for piece in way.chunks(4) {
-                        painter.add_thread(&piece[..piece.len().min(2)], thread, WHITE);
+                        renderer.add_thread(&piece[..piece.len().min(2)], thread, WHITE);
                     }
                 }
             }
@@ -271,10 +271,10 @@ impl FrameRecorder {
         for (drone, state) in simulation.states().iter().enumerate() {
             let rgba = colour_of(drone, count);
             if overlays.trails {
-                painter.add_thread(&trails[drone].points, thread, rgba);
+                renderer.add_thread(&trails[drone].points, thread, rgba);
             }
             if let Some(radius) = overlays.rings {
-                painter.add_thread(&ring(state.position, Vector3::z(), radius), thread, rgba);
+                renderer.add_thread(&ring(state.position, Vector3::z(), radius), thread, rgba);
             }
         }
         if overlays.wind
@@ -287,7 +287,7 @@ impl FrameRecorder {
             let along = Vector3::from(wind.velocity) * 0.25;
             if along.norm() > 1e-3 {
                 let arrow = Decor::Arrow { from: from.into(), to: (from + along).into(), radius: 0.2 * size };
-                painter.add(arrow, [0.0, 0.85, 0.95, 1.0]);
+                renderer.add(arrow, [0.0, 0.85, 0.95, 1.0]);
             }
         }
     }
@@ -312,7 +312,7 @@ impl Trail {
     /// Most points of all trails together: a scene has room for so many lines and some more.
     const ALL: usize = 12_000;
 
-    fn note(&mut self, position: Vector3<f64>, most: usize) {
+    fn note(&mut self, position: Vector3<f64>, max: usize) {
         // the last point follows the drone until it is far enough from the one before
         if let [.., before, last] = &mut self.points[..]
             && (*last - *before).norm() < self.spacing
@@ -321,7 +321,7 @@ impl Trail {
             return;
         }
         self.points.push(position);
-        if self.points.len() > most {
+        if self.points.len() > max {
             let last = self.points.len() - 1;
             let mut index = 0;
             self.points.retain(|_| {

@@ -22,7 +22,7 @@ use crate::policy::{PolicyError, PolicyNetwork};
 /// environment says of itself.
 ///
 /// ```
-/// use aviary::env::DroneEnv;
+/// use aviary::env::{DroneEnv, Env};
 /// use aviary::rollout::{Policy, RolloutError, fly_episode};
 /// use aviary::tasks::Hover;
 ///
@@ -44,8 +44,9 @@ use crate::policy::{PolicyError, PolicyNetwork};
 ///     }
 /// }
 ///
-/// let summary = fly_episode(&mut Hover::builder().build()?, &mut Hop { left: 0 }, Some(1))?;
-/// assert!(summary.metrics["crashed"] == 1.0 && summary.steps > 20);
+/// let mut env = Hover::builder().build()?;
+/// let summary = fly_episode(&mut env, &mut Hop { left: 0 }, Some(1))?;
+/// assert!(env.info().crashed() && summary.steps > 20);
 /// # Ok::<(), RolloutError>(())
 /// ```
 pub trait Policy {
@@ -158,14 +159,14 @@ pub enum RolloutError {
 ///
 /// ```
 /// use aviary::control::ControllerKind;
-/// use aviary::env::EnvConfig;
+/// use aviary::env::{Env, EnvConfig};
 /// use aviary::rollout::{ControllerPolicy, fly_episode};
 /// use aviary::tasks::make;
 ///
 /// let mut env = make("race", EnvConfig::default())?;
 /// let mut pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
 /// let summary = fly_episode(&mut env, &mut pilot, Some(1))?;
-/// assert!(summary.success && summary.metrics["gates_passed"] == 12.0);
+/// assert!(summary.success && env.info_map()["gates_passed"] == 12.0);
 /// # Ok::<(), aviary::rollout::RolloutError>(())
 /// ```
 ///
@@ -263,8 +264,7 @@ impl<E: DroneEnv, P: Policy> Rollout<E, P> {
     /// Returns the outcome of the episode so far.
     pub fn summary(&self) -> EpisodeSummary {
         let info = self.env.info();
-        let metrics = self.env.info_map();
-        EpisodeSummary { reward: self.reward, steps: self.steps, end: info.end, success: info.success, metrics }
+        EpisodeSummary { reward: self.reward, steps: self.steps, end: info.end, success: info.success }
     }
 
     /// Returns the environment.

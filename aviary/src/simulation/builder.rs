@@ -288,10 +288,10 @@ impl SimulationBuilder {
         let velocities = self.velocities.unwrap_or_else(zeros);
         let rates = self.angular_velocities.unwrap_or_else(zeros);
         for (what, got) in [
-            ("the list of initial positions", positions.len()),
-            ("the list of initial attitudes", rpys.len()),
-            ("the list of initial velocities", velocities.len()),
-            ("the list of initial angular velocities", rates.len()),
+            ("initial_positions", positions.len()),
+            ("initial_rpys", rpys.len()),
+            ("initial_velocities", velocities.len()),
+            ("initial_angular_velocities", rates.len()),
         ] {
             if got != count {
                 return Err(SimulationError::Length { what, got, expected: count });

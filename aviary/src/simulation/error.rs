@@ -1,8 +1,7 @@
 use super::Simulation;
 use crate::drone::DroneError;
 use crate::engine::{BuildError, EngineKind};
-use crate::physics::actuators::ActuatorError;
-use crate::physics::wind::WindError;
+use crate::error::OptionError;
 use crate::physics::{Effects, Physics};
 use crate::world::World;
 
@@ -31,9 +30,9 @@ pub enum SimulationError {
         /// What it is.
         got: f64,
     },
-    /// A wind that cannot blow.
+    /// An option of the wind or of the motors that is impossible.
     #[error(transparent)]
-    Wind(#[from] WindError),
+    Option(#[from] OptionError),
     /// An airframe that cannot fly.
     #[error("drone {drone}: {error}")]
     Drone {
@@ -86,9 +85,6 @@ pub enum SimulationError {
         /// How many.
         got: usize,
     },
-    /// Motors that cannot be.
-    #[error(transparent)]
-    Actuators(#[from] ActuatorError),
     /// A state that is not finite or out of MuJoCo's range.
     #[error("the state of drone {drone} has a number that is not finite or not below 1e10, or no attitude")]
     State {

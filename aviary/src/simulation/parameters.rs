@@ -27,11 +27,11 @@ impl SimData {
             let (params, inertia) = (&drone.params, drone.params.inertia_vector());
             let free = FreeBody::new(params.mass, &inertia, gravity, world.medium);
             let (rpm, rotors) = (motors.max_rpm(), &drone.rotors);
-            let most = [rpm; 4];
-            let mut force = rotors.wrench(&most).thrust;
+            let speeds = [rpm; 4];
+            let mut force = rotors.wrench(&speeds).thrust;
             let slowing = if effects.drag {
-                let least = params.drag_coefficients.into_iter().fold(0.0, f64::max);
-                least * 4.0 * rpm * (std::f64::consts::TAU / 60.0) / params.mass
+                let slope = params.drag_coefficients.into_iter().fold(0.0, f64::max);
+                slope * 4.0 * rpm * (std::f64::consts::TAU / 60.0) / params.mass
             } else {
                 0.0
             };

@@ -119,7 +119,7 @@ impl Task for Antipodal {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
     }
 
-    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         for (option, got) in [("radius", self.radius), ("height", self.height), ("safety_radius", self.safety_radius)] {
             if !(got > 0.0 && got <= 1e3) {

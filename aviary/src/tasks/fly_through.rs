@@ -105,9 +105,9 @@ impl Task for FlyThrough {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
     }
 
-    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        waypoint_progress::check("waypoints", &self.waypoints, 1, self.radius)?;
+        waypoint_progress::validate("waypoints", &self.waypoints, 1, self.radius)?;
         waypoint_progress::check_rewards([
             ("capture_reward", self.capture_reward),
             ("distance_penalty", self.distance_penalty),

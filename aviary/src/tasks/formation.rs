@@ -94,14 +94,14 @@ impl Formation {
         let sides = self.path.iter().zip(self.path.iter().cycle().skip(1));
         let sides = sides.map(|(from, to)| (Vector3::from(*from), Vector3::from(*to)));
         let length: f64 = sides.clone().map(|(from, to)| (to - from).norm()).sum();
-        let mut way = if length > 0.0 { (self.speed * time).rem_euclid(length) } else { 0.0 };
+        let mut travelled = if length > 0.0 { (self.speed * time).rem_euclid(length) } else { 0.0 };
         for (from, to) in sides {
             let side = (to - from).norm();
-            if way < side {
+            if travelled < side {
                 let direction = (to - from) / side;
-                return (from + direction * way, direction * self.speed);
+                return (from + direction * travelled, direction * self.speed);
             }
-            way -= side;
+            travelled -= side;
         }
         (self.path[0].into(), Vector3::zeros())
     }
@@ -134,7 +134,7 @@ impl Task for Formation {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
     }
 
-    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         if self.path.is_empty() || self.path.iter().flatten().any(|x| !(-1e4..=1e4).contains(x)) {
@@ -157,14 +157,14 @@ impl Task for Formation {
         for (i, (a, first)) in places.iter().zip(drones).enumerate() {
             for (b, second) in places[..i].iter().zip(drones) {
                 let apart = (a - b).norm();
-                let least = first.collision_radius + second.collision_radius;
-                if apart.is_nan() || apart <= least {
+                let min = first.collision_radius + second.collision_radius;
+                if apart.is_nan() || apart <= min {
                     let (option, value) = match &self.offsets {
                         Some(offsets) => ("offsets", format!("{offsets:?}")),
                         None => ("radius", format!("{} m", self.radius)),
                     };
                     let got =
-                        format!("{value}, {apart:.3} m between two places in the formation for {least:.3} m of drones");
+                        format!("{value}, {apart:.3} m between two places in the formation for {min:.3} m of drones");
                     return wrong(option, got, "room between the drones");
                 }
             }

@@ -87,7 +87,7 @@ impl Task for Hover {
         BoxSpace::new(STATE_BOUNDS)
     }
 
-    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         if drones.len() != 1 {
             return Err(EnvError::Option {

@@ -111,7 +111,7 @@ impl Task for MultiHover {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED]))
     }
 
-    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         if let Some(heights) = &self.target_heights
             && heights.len() != drones.len()

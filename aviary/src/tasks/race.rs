@@ -120,9 +120,9 @@ impl Task for Race {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 9]))
     }
 
-    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        waypoint_progress::check("gates", &self.gates, self.laps, self.radius)?;
+        waypoint_progress::validate("gates", &self.gates, self.laps, self.radius)?;
         waypoint_progress::check_rewards([
             ("gate_reward", self.gate_reward),
             ("speed_reward", self.speed_reward),

@@ -96,14 +96,14 @@ impl Task for Stabilize {
         BoxSpace::new(STATE_BOUNDS)
     }
 
-    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
-        for (option, got, most) in [
+        for (option, got, max) in [
             ("max_speed", self.max_speed, 1e3),
             ("max_lean", self.max_lean, FRAC_PI_2),
             ("max_rate", self.max_rate, 1e3),
         ] {
-            if !(0.0..=most).contains(&got) {
+            if !(0.0..=max).contains(&got) {
                 let expected = "zero or a positive number, angles up to π/2";
                 return Err(EnvError::Option { option, got: got.to_string(), expected });
             }
@@ -113,8 +113,8 @@ impl Task for Stabilize {
 
     fn start(&mut self, _simulation: SimView<'_>, rng: &mut Rng, states: &mut [DroneState]) -> bool {
         for state in states {
-            let mut within = |most: f64| most * (2.0 * rng.random::<f64>() - 1.0);
-            let mut triple = |most: [f64; 3]| Vector3::from(most.map(&mut within));
+            let mut within = |max: f64| max * (2.0 * rng.random::<f64>() - 1.0);
+            let mut triple = |max: [f64; 3]| Vector3::from(max.map(&mut within));
             state.velocity += triple([self.max_speed; 3]);
             state.attitude *= attitude_from_rpy(triple([self.max_lean, self.max_lean, PI]));
             state.angular_velocity += triple([self.max_rate; 3]);

@@ -57,8 +57,8 @@ pub struct Track {
     watch: CrashWatch,
     /// Angle that the reference starts at, rad.
     phase: f64,
-    /// Which way round: 1 to the left, −1 to the right.
-    way: f64,
+    /// Direction of the flight: 1 turns left, −1 turns right.
+    direction: f64,
 }
 
 impl Default for Track {
@@ -71,7 +71,7 @@ impl Default for Track {
             crash: CrashConditions::with_max_tilt(FRAC_PI_2),
             watch: CrashWatch::default(),
             phase: 0.0,
-            way: 1.0,
+            direction: 1.0,
         }
     }
 }
@@ -97,9 +97,9 @@ impl Track {
         } else {
             (full * (time - 0.5 * Self::RAMP), full, 0.0)
         };
-        let (sin, cos) = (self.phase + self.way * angle).sin_cos();
+        let (sin, cos) = (self.phase + self.direction * angle).sin_cos();
         let outwards = Vector3::new(cos, sin, 0.0);
-        let along = self.way * Vector3::new(-sin, cos, 0.0);
+        let along = self.direction * Vector3::new(-sin, cos, 0.0);
         let middle = Vector3::new(0.0, -(4.0 * self.radius + 1.0) * drone as f64, self.height);
         Reference {
             velocity: along * (self.radius * rate),
@@ -131,16 +131,16 @@ impl Task for Track {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 6]))
     }
 
-    fn check(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         let widest = max_collision_radius(drones);
-        for (option, got, least, expected) in [
+        for (option, got, min, expected) in [
             ("radius", self.radius, 1e-3, "1 mm to 1000 m"),
             ("height", self.height, widest, "more than a drone's radius, up to 1000 m"),
             ("speed", self.speed, 0.0, "0 to 1000 m/s"),
             ("max_distance", self.max_distance, 1e-3, "1 mm to 1000 m"),
         ] {
-            if !(least..=1e3).contains(&got) {
+            if !(min..=1e3).contains(&got) {
                 return Err(EnvError::Option { option, got: got.to_string(), expected });
             }
         }
@@ -148,9 +148,9 @@ impl Task for Track {
     }
 
     fn start(&mut self, _simulation: SimView<'_>, rng: &mut Rng, states: &mut [DroneState]) -> bool {
-        let ways = if rng.random::<bool>() { 1.0 } else { -1.0 };
+        let direction = if rng.random::<bool>() { 1.0 } else { -1.0 };
         let first = Vector3::x() * self.radius;
-        (self.phase, self.way) = (TAU * rng.random::<f64>(), ways);
+        (self.phase, self.direction) = (TAU * rng.random::<f64>(), direction);
         let (sin, cos) = self.phase.sin_cos();
         for state in states {
             // whatever else was drawn about the start stays

@@ -108,7 +108,7 @@ impl Task for Velocity {
         BoxSpace::new(STATE_BOUNDS.into_iter().chain([speed, speed, speed, rate]))
     }
 
-    fn check(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         for (option, got) in [("max_speed", self.max_speed), ("max_yaw_rate", self.max_yaw_rate)] {
             if !(0.0..=1e3).contains(&got) {
@@ -123,7 +123,7 @@ impl Task for Velocity {
         self.watch.reset(simulation);
         self.targets.clear();
         for _ in 0..simulation.num_drones() {
-            let mut within = |most: f64| most * (2.0 * rng.random::<f64>() - 1.0);
+            let mut within = |max: f64| max * (2.0 * rng.random::<f64>() - 1.0);
             let velocity = Vector3::new(within(self.max_speed), within(self.max_speed), within(self.max_speed));
             self.targets.push((velocity, within(self.max_yaw_rate)));
         }

@@ -44,7 +44,7 @@ impl WaypointProgress {
             self.flying[drone] = self.passed[drone] < points.len() * laps;
             if let Some(point) = next(points, self.passed[drone], laps) {
                 self.distance[drone] = (state.position - point).norm();
-                if distance_to_way(&self.before[drone], &state.position, &point) <= radius {
+                if distance_to_leg(&self.before[drone], &state.position, &point) <= radius {
                     self.passed[drone] += 1;
                     self.fresh[drone] = true;
                 }
@@ -172,7 +172,7 @@ impl Scheduled {
     /// Time from place to place, s.
     const TICK: f64 = 0.05;
 
-    /// Room between two drones on their ways, m: for errors of controllers, and for the way of a tick.
+    /// Room between two drones on their paths, m: for errors of controllers, and for the distance flown in a tick.
     const ROOM: f64 = 0.3;
 
     fn new(path: &Waypoints, radius: f64) -> Self {
@@ -190,7 +190,7 @@ impl Scheduled {
         (seconds / Self::TICK).round() as usize
     }
 
-    /// The first delay (s) from this one on with which it stays clear of the ways before it; if there is none, one with which all of
+    /// The first delay (s) from this one on with which it stays clear of the paths before it; if there is none, one with which all of
     /// those are over.
     fn earliest_after(&self, delay: f64, before: &[Self]) -> f64 {
         const STRIDE: usize = 2;
@@ -199,10 +199,10 @@ impl Scheduled {
         let first = Self::ticks(delay);
         let clear = |delay: usize| {
             before.iter().rev().all(|other| {
-                let (least, others) = (self.radius + other.radius + Self::ROOM, Self::ticks(other.delay));
+                let (min, others) = (self.radius + other.radius + Self::ROOM, Self::ticks(other.delay));
                 // before and after that both stand still
                 (others.min(delay)..=end(other).max(delay + self.places.len()))
-                    .all(|tick| (self.place(delay, tick) - other.place(others, tick)).norm_squared() > least * least)
+                    .all(|tick| (self.place(delay, tick) - other.place(others, tick)).norm_squared() > min * min)
             })
         };
         let found = (first..last).step_by(STRIDE).find(|&delay| clear(delay));
@@ -210,7 +210,7 @@ impl Scheduled {
     }
 }
 
-/// A way that begins later.
+/// A path that begins later.
 #[derive(Debug)]
 struct Delayed {
     path: Waypoints,
@@ -238,16 +238,16 @@ fn limits(params: &DroneParams) -> (f64, f64) {
     ((0.25 * params.max_speed).clamp(0.3, 4.0), 0.4 * GRAVITY * spare)
 }
 
-/// Distance of a point from the straight way between two others.
-fn distance_to_way(from: &Vector3<f64>, to: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
-    let way = to - from;
-    let length = way.norm_squared();
-    let share = if length > 0.0 { ((point - from).dot(&way) / length).clamp(0.0, 1.0) } else { 0.0 };
-    (from + way * share - point).norm()
+/// Distance of a point from the line segment between two others.
+fn distance_to_leg(from: &Vector3<f64>, to: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
+    let leg = to - from;
+    let length = leg.norm_squared();
+    let share = if length > 0.0 { ((point - from).dot(&leg) / length).clamp(0.0, 1.0) } else { 0.0 };
+    (from + leg * share - point).norm()
 }
 
 /// Checks points, the option that lists them, laps and a radius.
-pub(super) fn check(option: &'static str, points: &[[f64; 3]], laps: usize, radius: f64) -> Result<(), EnvError> {
+pub(super) fn validate(option: &'static str, points: &[[f64; 3]], laps: usize, radius: f64) -> Result<(), EnvError> {
     let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
     if laps == 0 {
         return wrong("laps", "0".into(), "at least 1");
@@ -278,9 +278,9 @@ pub(super) fn check_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -
 mod tests {
     use super::*;
 
-    /// The planned ways of many drones, of every airframe: apart all the time, and each begins some day.
+    /// The planned paths of many drones, of every airframe: apart all the time, and each begins some day.
     #[test]
-    fn planned_ways_stay_clear_of_each_other() {
+    fn planned_paths_stay_clear_of_each_other() {
         use crate::drone::DroneModel;
         use crate::env::{DroneEnv as _, Env as _, EnvConfig};
 
@@ -289,17 +289,17 @@ mod tests {
                 let config = EnvConfig::default().drone(model).num_drones(count);
                 let mut env = crate::tasks::make(name, config).unwrap();
                 env.reset(Some(1)).unwrap();
-                let ways: Vec<_> = env.plans().into_iter().flatten().collect();
-                assert_eq!(ways.len(), count);
-                let end = ways.iter().map(|way| way.duration()).fold(0.0, f64::max);
+                let plans: Vec<_> = env.plans().into_iter().flatten().collect();
+                assert_eq!(plans.len(), count);
+                let end = plans.iter().map(|leg| leg.duration()).fold(0.0, f64::max);
                 assert!(end < 60.0, "{name} with {count} {model}: {end} s");
-                let least = 2.0 * model.params().collision_radius + 0.2;
+                let min = 2.0 * model.params().collision_radius + 0.2;
                 for tick in 0..(end / 0.02) as u32 {
                     let places: Vec<_> =
-                        ways.iter().map(|way| way.reference(f64::from(tick) * 0.02).position).collect();
+                        plans.iter().map(|leg| leg.reference(f64::from(tick) * 0.02).position).collect();
                     for (i, a) in places.iter().enumerate() {
                         for b in &places[..i] {
-                            assert!((a - b).norm() > least, "{name} with {count} {model}: {} m", (a - b).norm());
+                            assert!((a - b).norm() > min, "{name} with {count} {model}: {} m", (a - b).norm());
                         }
                     }
                 }
@@ -310,8 +310,8 @@ mod tests {
     #[test]
     fn a_point_between_two_steps_is_passed() {
         let [a, b] = [Vector3::new(-1.0, 0.1, 0.0), Vector3::new(1.0, 0.1, 0.0)];
-        assert!((distance_to_way(&a, &b, &Vector3::zeros()) - 0.1).abs() < 1e-12);
-        assert!((distance_to_way(&a, &b, &Vector3::new(2.0, 0.1, 0.0)) - 1.0).abs() < 1e-12);
-        assert!((distance_to_way(&a, &a, &Vector3::new(-1.0, 0.0, 0.0)) - 0.1).abs() < 1e-12);
+        assert!((distance_to_leg(&a, &b, &Vector3::zeros()) - 0.1).abs() < 1e-12);
+        assert!((distance_to_leg(&a, &b, &Vector3::new(2.0, 0.1, 0.0)) - 1.0).abs() < 1e-12);
+        assert!((distance_to_leg(&a, &a, &Vector3::new(-1.0, 0.0, 0.0)) - 0.1).abs() < 1e-12);
     }
 }

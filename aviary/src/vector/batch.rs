@@ -1,13 +1,15 @@
 use std::sync::PoisonError;
 
 use super::pool::WorkerPool;
-use super::shard::{BatchModel, Ended, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
+use super::shard::{BatchModel, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
 use super::worker::Worker;
 use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
 use crate::control::CollisionCone;
 use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, Width};
 use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
-use crate::env::{Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, ObservationSpace, Phase, Task};
+use crate::env::{
+    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, EpisodeSummary, ObservationSpace, Phase, Task,
+};
 use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
 use crate::wrappers::VelocityFilter;
@@ -251,7 +253,7 @@ impl<T: Task + Clone> Environments<T> {
                 begun: false,
                 start_failed: false,
                 reward: 0.0,
-                ended: None,
+                summary: None,
                 in_mujoco: false,
                 fits_lanes: flies && simulation.data.fits_lanes(),
             }
@@ -275,7 +277,7 @@ impl<T: Task + Clone> Environments<T> {
     }
 }
 
-fn check(what: &'static str, got: usize, expected: usize) -> Result<(), EnvError> {
+fn check_len(what: &'static str, got: usize, expected: usize) -> Result<(), EnvError> {
     if got == expected { Ok(()) } else { Err(EnvError::Buffer { what, got, expected }) }
 }
 
@@ -374,8 +376,8 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
     }
 
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
-        check("the mask", mask.len(), self.num_envs())?;
-        check("the buffer of observations", observations.len(), self.num_envs() * self.model.observation_size)?;
+        check_len("mask", mask.len(), self.num_envs())?;
+        check_len("observations", observations.len(), self.num_envs() * self.model.observation_size)?;
         let (model, envs) = (&self.model, self.environments.slices());
         let step = StepSlices { observations, ..StepSlices::default() };
         let shard = Shard { first: 0, mask, envs, step, images: ImageSlices::default() };
@@ -385,11 +387,11 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
         let count = self.num_envs();
-        check("the buffer of actions", actions.len(), count * self.model.action_size)?;
-        check("the buffer of observations", out.observations.len(), count * self.model.observation_size)?;
-        check("the buffer of rewards", out.rewards.len(), count)?;
-        check("the buffer of terminated", out.terminated.len(), count)?;
-        check("the buffer of truncated", out.truncated.len(), count)?;
+        check_len("actions", actions.len(), count * self.model.action_size)?;
+        check_len("observations", out.observations.len(), count * self.model.observation_size)?;
+        check_len("rewards", out.rewards.len(), count)?;
+        check_len("terminated", out.terminated.len(), count)?;
+        check_len("truncated", out.truncated.len(), count)?;
         let fatal = self.model.on_fault == OnFault::Error;
         if fatal {
             self.check_actions(actions)?;
@@ -404,9 +406,9 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
 
     fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError> {
         let (count, [rgb, depth, objects]) = (self.num_envs(), self.model.images);
-        check("the buffer of colours", out.rgb.len(), count * rgb)?;
-        check("the buffer of depths", out.depth.len(), count * depth)?;
-        check("the buffer of objects", out.segmentation.len(), count * objects)?;
+        check_len("rgb", out.rgb.len(), count * rgb)?;
+        check_len("depth", out.depth.len(), count * depth)?;
+        check_len("segmentation", out.segmentation.len(), count * objects)?;
         let images = ImageSlices { rgb: out.rgb, depth: out.depth, segmentation: out.segmentation };
         let (model, envs) = (&self.model, self.environments.slices());
         let shard = Shard { first: 0, mask: &[], envs, step: StepSlices::default(), images };
@@ -418,8 +420,8 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         &self.environments.finals
     }
 
-    fn ended(&self, environment: usize) -> Option<&Ended> {
-        self.environments.slots.get(environment)?.ended.as_ref()
+    fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {
+        self.environments.slots.get(environment)?.summary.as_ref()
     }
 
     fn faults(&self) -> &[(usize, EnvError)] {

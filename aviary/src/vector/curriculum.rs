@@ -1,6 +1,6 @@
-use super::{Autoreset, Ended, VecAviary, VecEnv, VecPictures, VecStep};
+use super::{Autoreset, VecAviary, VecEnv, VecPictures, VecStep};
 use crate::engine::Substeps;
-use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, ObservationSpace, Task};
+use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, ObservationSpace, Task};
 use crate::wrappers::{Curriculum, CurriculumConfig};
 
 /// A batch that becomes harder as an agent gets better: one level for all environments, which follows the episodes of all of them;
@@ -136,10 +136,10 @@ where
     }
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
-        self.set_up(|env, environment| env.ended(environment).is_some())?;
+        self.set_up(|env, environment| env.episode_summary(environment).is_some())?;
         let done = self.env.step(actions, out);
         for environment in 0..self.levels.len() {
-            if let Some(Ended { success, reward, steps, .. }) = self.env.ended(environment) {
+            if let Some(EpisodeSummary { success, reward, steps, .. }) = self.env.episode_summary(environment) {
                 self.curriculum.episode_ended(*success, *reward, *steps);
             }
         }
@@ -154,8 +154,8 @@ where
         self.env.final_observations()
     }
 
-    fn ended(&self, environment: usize) -> Option<&Ended> {
-        self.env.ended(environment)
+    fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {
+        self.env.episode_summary(environment)
     }
 
     fn faults(&self) -> &[(usize, EnvError)] {

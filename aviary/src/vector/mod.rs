@@ -15,10 +15,9 @@ mod worker;
 
 pub use batch::VecAviary;
 pub use curriculum::VecCurriculum;
-pub use shard::Ended;
 
 use crate::engine::Substeps;
-use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, ObservationSpace};
+use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, ObservationSpace};
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
 
@@ -410,8 +409,9 @@ pub trait VecEnv: Send {
     /// [`observation_size`](Self::observation_size), empty but with [`Autoreset::SameStep`].
     fn final_observations(&self) -> &[f32];
 
-    /// The episode of an environment that ended in the last step, if one did; `None` for an environment that is not there.
-    fn ended(&self, environment: usize) -> Option<&Ended>;
+    /// Returns the summary of the episode of an environment that ended in the last step, if one did; `None` for an environment that
+    /// is not there.
+    fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary>;
 
     /// Environments that failed in the last step, and why; none where a bad action was an error before anything moved.
     fn faults(&self) -> &[(usize, EnvError)];

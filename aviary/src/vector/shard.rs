@@ -4,21 +4,8 @@ use super::{Autoreset, OnFault};
 use crate::action::ActionDecoder;
 use crate::engine::ClearanceCache;
 use crate::engine::flight::{Flow, LANES, LaneParams, Lanes};
-use crate::env::{Aviary, EndReason, EnvParts, Episode, Phase, Task};
+use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, Phase, Task};
 use crate::simulation::{SimData, Simulation};
-
-/// An episode that has ended.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ended {
-    /// Why.
-    pub reason: EndReason,
-    /// Whether the task was fulfilled at its end.
-    pub success: bool,
-    /// Its length in control steps.
-    pub steps: u64,
-    /// Sum of its rewards.
-    pub reward: f64,
-}
 
 /// What is the same for all environments of a batch.
 #[derive(Debug, Clone)]
@@ -54,7 +41,7 @@ pub(super) struct EnvSlot<T> {
     pub start_failed: bool,
     /// Sum of the episode's rewards so far.
     pub reward: f64,
-    pub ended: Option<Ended>,
+    pub summary: Option<EpisodeSummary>,
     /// Whether MuJoCo made its last physics step, so that there is a warm start of its solver to be kept.
     pub in_mujoco: bool,
     /// Whether it can be flown in a lane, when nothing is near.

@@ -4,9 +4,9 @@ use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
 use super::Autoreset;
-use super::shard::{BatchModel, Ended, Shard};
+use super::shard::{BatchModel, Shard};
 use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
-use crate::env::{Aviary, EndReason, EnvError, Phase, Task};
+use crate::env::{Aviary, EndReason, EnvError, EpisodeSummary, Phase, Task};
 use crate::simulation::SimData;
 use crate::state::DroneState;
 use crate::wrappers::VelocityFilter;
@@ -88,7 +88,7 @@ impl<T: Task> Worker<T> {
             let lane = index % LANES;
             let action = &shard.step.actions[model.action_size * index..][..model.action_size];
             self.turns[lane] = self.turn(model, shard, index, action);
-            shard.envs.slots[index].ended = None;
+            shard.envs.slots[index].summary = None;
             if self.turns[lane] != Turn::Fly {
                 continue;
             }
@@ -334,7 +334,8 @@ impl<T: Task> Worker<T> {
         faults: &Faults,
     ) {
         let slot = &mut shard.envs.slots[index];
-        slot.ended = Some(Ended { reason, success, steps: slot.control_steps, reward: slot.reward });
+        slot.summary =
+            Some(EpisodeSummary { end: Some(reason), success, steps: slot.control_steps, reward: slot.reward });
         slot.episode.finish(reason);
         self.observe(model, shard, index, grounded, faults);
         if model.autoreset == Autoreset::SameStep {
@@ -346,8 +347,8 @@ impl<T: Task> Worker<T> {
     /// Reports an episode that could not start, as a fault after zero steps.
     fn end_without_start(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize) {
         shard.step.truncated[index] = true;
-        let ended = Ended { reason: EndReason::Fault, success: false, steps: 0, reward: 0.0 };
-        shard.envs.slots[index].ended = Some(ended);
+        let summary = EpisodeSummary { end: Some(EndReason::Fault), success: false, steps: 0, reward: 0.0 };
+        shard.envs.slots[index].summary = Some(summary);
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
         }
@@ -417,7 +418,7 @@ impl<T: Task> Worker<T> {
     pub fn reset_where(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, seed: Option<u64>, faults: &Faults) {
         for index in 0..shard.envs.slots.len() {
             if shard.mask[index] {
-                shard.envs.slots[index].ended = None;
+                shard.envs.slots[index].summary = None;
                 self.reset(model, shard, index, seed, faults);
             }
         }

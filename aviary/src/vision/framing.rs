@@ -78,7 +78,7 @@ impl CameraPose {
             let pose = Self::fitting(&targets, radius, azimuth, elevation, size);
             let share = pose.visible_share(&targets[..seen], obstacles);
             let all = share > 0.97;
-            if all || best.is_none_or(|(most, _)| share > most + 0.02) {
+            if all || best.is_none_or(|(max, _)| share > max + 0.02) {
                 best = Some((share, pose));
             }
             if all {
@@ -96,11 +96,11 @@ impl CameraPose {
         // a point p is left of the right edge where p·right − a·p·forward is at most that of the eye, and likewise for the others
         let fit = |axis: &Vector3<f64>, slope: f64| {
             let room = radius * slope.hypot(1.0);
-            let most = |side: f64| {
+            let max = |side: f64| {
                 let beyond = points.iter().map(|point| side * point.dot(axis) - slope * point.dot(&forward) + room);
                 beyond.fold(f64::NEG_INFINITY, f64::max)
             };
-            let (plus, minus) = (most(1.0), most(-1.0));
+            let (plus, minus) = (max(1.0), max(-1.0));
             (0.5 * (plus - minus), -0.5 * (plus + minus) / slope)
         };
         let ((x, depth_x), (y, depth_y)) = (fit(&right, tangent * aspect), fit(&up, tangent));
@@ -241,15 +241,15 @@ mod tests {
             for view in [View::Track, View::Fixed, View::Front, View::Top] {
                 let pose = CameraPose::framing(view, &points, radius, &[], size).unwrap();
                 let places = points.iter().map(|point| pose.project(point, size).unwrap());
-                let most = places.flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
-                prop_assert!(most < MARGIN, "{view}: {most}");
+                let max = places.flatten().fold(0.0, |max: f64, x| max.max(x.abs()));
+                prop_assert!(max < MARGIN, "{view}: {max}");
                 // without a ball about each point the outermost ones touch the margin
                 let tight = CameraPose::framing(view, &points, 1e-6, &[], size).unwrap();
                 let places = points.iter().map(|point| tight.project(point, size).unwrap());
-                let most = places.flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
+                let max = places.flatten().fold(0.0, |max: f64, x| max.max(x.abs()));
                 // unless one is so far in front of the others that the camera stands before it
                 let before_one = points.iter().any(|point| (point - tight.eye).norm() < 1e-3);
-                prop_assert!(before_one || most > MARGIN - 1e-3, "{view}: {most}");
+                prop_assert!(before_one || max > MARGIN - 1e-3, "{view}: {max}");
             }
         }
 

@@ -39,7 +39,7 @@ impl SceneRenderer {
     /// Objects from a view, `[type, index]` per pixel, −1 twice where there is nothing, top row first.
     ///
     /// # Errors
-    /// As for [`rgb`](Self::rgb), and [`Error::Multisampled`] for a painter for people.
+    /// As for [`rgb`](Self::rgb), and [`Error::Multisampled`] for a renderer for people.
     pub fn segmentation(&mut self, view: View, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
         self.look(view, size)?;
         self.renderer.segmentation(&mut self.scene, size, out)

@@ -11,7 +11,7 @@ mod scene_renderer;
 pub(crate) use decor::ring;
 pub use framing::CameraPose;
 pub use images::{SeenObject, intrinsics};
-pub use mujoco_rs::{Decor, Effects, ImageSize};
+pub use mujoco_rs::{Decor, ImageSize, VisualEffects};
 pub use scene_renderer::SceneRenderer;
 
 use crate::names::named_enum;

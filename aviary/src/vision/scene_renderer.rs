@@ -1,8 +1,8 @@
 //! The renderer of a world: its scene, kept up to date, and the cameras that look at it.
 
 use mujoco_rs::{
-    BodyId, Camera, CameraId, Data, Effects, Error, GeomId, ImageSize, JointId, LightId, Model, Quality, Renderer,
-    Scene,
+    BodyId, Camera, CameraId, Data, Error, GeomId, ImageSize, JointId, LightId, Model, Quality, Renderer, Scene,
+    VisualEffects,
 };
 use nalgebra::Vector3;
 
@@ -20,10 +20,10 @@ use crate::world::{Marker, Obstacle, SceneError, World};
 ///
 /// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
 /// let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build()?;
-/// let mut painter = SceneRenderer::for_observations(simulation.world())?;
-/// painter.update(simulation.states())?;
+/// let mut renderer = SceneRenderer::for_observations(simulation.world())?;
+/// renderer.update(simulation.states())?;
 /// let mut depth = vec![0.0; CAMERA_SIZE.pixels()];
-/// painter.onboard_depth(0, CAMERA_SIZE, &mut depth)?;
+/// renderer.onboard_depth(0, CAMERA_SIZE, &mut depth)?;
 /// // the middle of the lowest row sees the floor, 1 m below the camera
 /// let [_, focal, _, middle] = intrinsics(CAMERA_SIZE);
 /// let floor = focal / (47.5 - middle);
@@ -71,7 +71,7 @@ impl SceneRenderer {
     /// # Errors
     /// [`BuildError`] where the scene does not compile or there is no OpenGL to draw with.
     pub fn for_observations(world: &World) -> Result<Self, BuildError> {
-        Self::new(world, Quality::FAST, Effects::default())
+        Self::new(world, Quality::FAST, VisualEffects::default())
     }
 
     /// For people: shadows, reflections, sky and several samples per pixel. Propellers are a little transparent, so
@@ -80,14 +80,14 @@ impl SceneRenderer {
     /// # Errors
     /// As for [`for_observations`](Self::for_observations).
     pub fn for_people(world: &World) -> Result<Self, BuildError> {
-        Self::new(world, Quality::PRETTY, Effects::pretty())
+        Self::new(world, Quality::PRETTY, VisualEffects::pretty())
     }
 
     /// With any quality and effects.
     ///
     /// # Errors
     /// As for [`for_observations`](Self::for_observations).
-    pub fn new(world: &World, quality: Quality, effects: Effects) -> Result<Self, BuildError> {
+    pub fn new(world: &World, quality: Quality, effects: VisualEffects) -> Result<Self, BuildError> {
         if world.drones.is_empty() {
             let what = "the number of drones to draw".into();
             return Err(SceneError::Value { what, got: 0.0, expected: "at least 1" }.into());
@@ -151,7 +151,7 @@ impl SceneRenderer {
     pub fn update(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.stale = true;
         if states.len() != self.joints.len() {
-            return Err(Error::Buffer { what: "the list of states", got: states.len(), expected: self.joints.len() });
+            return Err(Error::Buffer { what: "states", got: states.len(), expected: self.joints.len() });
         }
         if states.iter().any(|state| !state.is_finite()) {
             return Err(Error::Value { what: "a drone's state", got: f64::NAN, expected: "finite numbers" });

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use mujoco_rs::{Assets, Integrator};
 
-use super::look::Look;
+use super::visual_model::VisualModel;
 use super::{Forcing, World};
 use crate::drone::DroneError;
 use xml::{Xml, numbers};
@@ -95,7 +95,7 @@ impl World {
     }
 
     fn physical(&self, obstacles: &[usize]) -> Result<String, SceneError> {
-        self.check()?;
+        self.validate()?;
         let mut xml = Xml::new();
         xml.open("mujoco", &[("model", "aviary".into())]);
         self.physics(&mut xml);
@@ -127,8 +127,8 @@ impl World {
     /// [`SceneError::Mesh`] where [`CF2_ASSETS`](super::CF2_ASSETS) names a directory without the meshes or with one that MuJoCo
     /// would not survive, and what [`to_mjcf`](Self::to_mjcf) finds.
     pub fn to_visible_mjcf(&self) -> Result<(String, Assets), SceneError> {
-        self.check()?;
-        let looks: Vec<_> = self.drones.iter().map(|drone| Look::of(&drone.params)).collect();
+        self.validate()?;
+        let visual_models: Vec<_> = self.drones.iter().map(|drone| VisualModel::of(&drone.params)).collect();
         let mut xml = Xml::new();
         xml.open("mujoco", &[("model", "aviary".into())]);
         self.physics(&mut xml);
@@ -148,7 +148,7 @@ impl World {
         xml.leaf("rgba", &[("haze", "0.75 0.83 0.9 1".into())]);
         xml.close("visual");
 
-        let files = xml.assets(&looks)?;
+        let files = xml.assets(&visual_models)?;
 
         xml.open("worldbody", &[]);
         xml.leaf(
@@ -181,22 +181,22 @@ impl World {
                 &[("group", World::VISUAL_GROUP.to_string()), ("contype", "0".into()), ("conaffinity", "0".into())],
             );
         }
-        for (index, (drone, look)) in self.drones.iter().zip(&looks).enumerate() {
+        for (index, (drone, visual_model)) in self.drones.iter().zip(&visual_models).enumerate() {
             xml.open_drone(index, drone);
             xml.collision_geom(
                 index,
                 drone,
                 &[("group", World::COLLISION_GROUP.to_string()), ("rgba", "1 0 0 0.3".into())],
             );
-            let half = look.turn / 2.0;
-            for part in look.parts {
+            let half = visual_model.turn / 2.0;
+            for part in visual_model.parts {
                 xml.leaf(
                     "geom",
                     &[
                         ("name", format!("{}_{}", World::drone_name(index), part.name)),
                         ("type", "mesh".into()),
-                        ("mesh", look.mesh_name(part)),
-                        ("material", Look::material_name(part)),
+                        ("mesh", visual_model.mesh_name(part)),
+                        ("material", VisualModel::material_name(part)),
                         ("group", World::VISUAL_GROUP.to_string()),
                         ("contype", "0".into()),
                         ("conaffinity", "0".into()),
@@ -252,7 +252,7 @@ impl World {
 
     /// Checks every number that reaches MuJoCo. Its compiler takes any finite number, and its collision code does not end for
     /// some of them.
-    fn check(&self) -> Result<(), SceneError> {
+    fn validate(&self) -> Result<(), SceneError> {
         let value = |what: &str, got: f64, range: RangeInclusive<f64>, expected: &'static str| {
             // NaN is in no range
             if range.contains(&got) {

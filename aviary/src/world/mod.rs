@@ -1,20 +1,20 @@
 //! The scene as typed values, and as MJCF text.
 
-mod field;
-mod look;
 mod mjcf;
 mod obstacle;
+mod obstacle_generator;
 pub(crate) mod placement;
+mod visual_model;
 
 use nalgebra::Vector3;
 
 use crate::drone::{DroneParams, GRAVITY};
 
-pub use field::{FieldError, ObstacleConfig, ObstacleKind};
-pub use look::{CF2_ASSETS, check_obj};
 pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
 pub use obstacle::{Marker, MarkerPose, MovingMarker, Obstacle, Shape};
+pub use obstacle_generator::{ObstacleConfig, ObstacleGeneratorError, ObstacleKind};
+pub use visual_model::{CF2_ASSETS, check_obj};
 
 /// The air, as MuJoCo's own fluid model sees it.
 ///

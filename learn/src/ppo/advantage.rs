@@ -32,7 +32,7 @@ impl Ppo {
         }
         let Experience { rewards, values, next_values, next, advantages, returns, .. } = experience;
         let estimate = Estimate { rewards, values, next_values, next, rows };
-        estimate.advantages(self.config.discount as f32, self.config.lambda as f32, advantages);
+        estimate.advantages(self.config.gamma as f32, self.config.gae_lambda as f32, advantages);
         returns.clear();
         returns.extend(advantages.iter().zip(&*values).map(|(advantage, value)| advantage + value));
     }

@@ -3,25 +3,27 @@
 use aviary::policy::Activation;
 use serde::{Deserialize, Serialize};
 
-/// A structure of settings, and one that has them as far as they were said.
+/// Defines a structure of settings, and a structure of those that a file sets. A setting is read under its old name as well.
 macro_rules! settings {
-    ($(#[$doc:meta])* $name:ident, $said:ident { $($(#[$field_doc:meta])* $field:ident: $kind:ty,)* }) => {
+    ($(#[$doc:meta])* $name:ident, $said:ident {
+        $($(#[$field_doc:meta])* $field:ident $(was $old:literal)?: $kind:ty,)*
+    }) => {
         $(#[$doc])*
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
         pub struct $name {
-            $($(#[$field_doc])* pub $field: $kind,)*
+            $($(#[$field_doc])* $(#[serde(alias = $old)])? pub $field: $kind,)*
         }
 
-        /// The same, as far as it is said.
+        /// Settings that a file sets.
         #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
         #[serde(default, deny_unknown_fields)]
         pub(crate) struct $said {
-            $($field: Option<$kind>,)*
+            $($(#[serde(alias = $old)])? $field: Option<$kind>,)*
         }
 
         impl $said {
-            /// Changes what is said.
+            /// Overwrites the settings that are set.
             pub(crate) fn apply(self, config: &mut $name) {
                 $(if let Some(said) = self.$field {
                     config.$field = said;
@@ -32,13 +34,13 @@ macro_rules! settings {
 }
 
 settings! {
-    /// The knobs of the algorithm.
+    /// Hyperparameters of PPO.
     PpoConfig, SaidPpo {
-        /// Environments that gather experience.
+        /// Environments that collect steps.
         environments: usize,
-        /// Steps that each makes between two updates.
+        /// Control steps of each environment between two updates.
         horizon: usize,
-        /// Times that an update goes through the experience.
+        /// Passes of an update over the collected steps.
         epochs: usize,
         /// Rows of a minibatch.
         minibatch: usize,
@@ -46,23 +48,23 @@ settings! {
         hidden: Vec<usize>,
         /// What they do.
         activation: Activation,
-        /// Adam's rate, at most.
+        /// Maximum learning rate of Adam.
         learning_rate: f64,
-        /// Divergence that an update is to have, above whose double the rate goes down; 0 leaves the rate alone.
-        divergence: f64,
-        /// Discount per step, γ.
-        discount: f64,
-        /// λ of the advantages.
-        lambda: f64,
+        /// Approximate KL divergence that an update aims at. Above its double the learning rate goes down; 0 keeps the rate.
+        target_kl was "divergence": f64,
+        /// Discount factor per step, γ.
+        gamma was "discount": f64,
+        /// λ of generalized advantage estimation.
+        gae_lambda was "lambda": f64,
         /// Largest distance of the ratio of probabilities from 1, ε.
-        clip: f64,
-        /// Weight of the critic's error.
-        value: f64,
-        /// Weight of the entropy.
-        entropy: f64,
-        /// Largest norm of a gradient.
-        max_gradient: f64,
+        clip_range was "clip": f64,
+        /// Weight of the value loss.
+        value_coef was "value": f64,
+        /// Weight of the entropy bonus.
+        entropy_coef was "entropy": f64,
+        /// Maximum norm of a gradient.
+        max_grad_norm was "max_gradient": f64,
         /// Standard deviation of actions at the start, where 1 is half the width of the action space.
-        deviation: f64,
+        initial_std was "deviation": f64,
     }
 }

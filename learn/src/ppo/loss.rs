@@ -6,7 +6,7 @@ use aviary::policy::Activation;
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor, TensorData};
 
-use crate::network::Shape;
+use crate::network::NetworkShape;
 
 /// Bound of the log-ratio of new and old action probabilities, either way. A row beyond it has the ratio exp(±20) and no gradient:
 /// unbounded, exp overflows at 88.
@@ -36,7 +36,7 @@ impl Shard {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Loss {
     /// Largest distance of the ratio of probabilities from 1.
-    pub clip: f32,
+    pub clip_range: f32,
     /// Weight of the critic's squared error.
     pub value: f32,
 }
@@ -54,7 +54,13 @@ pub(super) struct Sums {
 
 /// Gradient of the loss over a shard of a minibatch of `size` rows, and what it sums up to. The gradients of the shards of a minibatch
 /// add up to the minibatch's; the entropy's depends on no row, and whoever adds them up adds it once.
-pub(super) fn gradient(shape: &Shape, parameters: &[f32], shard: &Shard, loss: &Loss, size: usize) -> (Vec<f32>, Sums) {
+pub(super) fn gradient(
+    shape: &NetworkShape,
+    parameters: &[f32],
+    shard: &Shard,
+    loss: &Loss,
+    size: usize,
+) -> (Vec<f32>, Sums) {
     let device = Device::flex().autodiff();
     let rows = shard.returns.len();
     let tensor =
@@ -84,7 +90,7 @@ pub(super) fn gradient(shape: &Shape, parameters: &[f32], shard: &Shard, loss: &
     let log_probs = (off.clone() * off).sum_dim(1) * -0.5 - deviations.clone().sum_dim(1) - half_log_tau;
     let log_ratio = (log_probs - column(&shard.log_probs)).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
     let ratio = log_ratio.clone().exp();
-    let clipped = ratio.clone().clamp(1.0 - loss.clip, 1.0 + loss.clip);
+    let clipped = ratio.clone().clamp(1.0 - loss.clip_range, 1.0 + loss.clip_range);
     let gain = (ratio.clone() * advantages.clone()).min_pair(clipped * advantages).sum();
     let error = forward(&critic, observations) - column(&shard.returns);
     let total = ((error.clone() * error).sum() * (0.5 * loss.value) - gain) * (1.0 / size as f32);
@@ -98,7 +104,7 @@ pub(super) fn gradient(shape: &Shape, parameters: &[f32], shard: &Shard, loss: &
     for (log_ratio, ratio) in numbers(log_ratio.inner()).into_iter().zip(numbers(ratio.inner())) {
         // (r − 1) − log r, which is never negative and whose mean is the KL divergence (Schulman 2020)
         sums.approx_kl += f64::from(ratio - 1.0 - log_ratio);
-        sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > loss.clip));
+        sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > loss.clip_range));
     }
     (gradient, sums)
 }
@@ -134,7 +140,7 @@ mod tests {
     use crate::network::LOG_DEVIATIONS;
 
     /// The loss as the papers write it, in double precision, over networks as books write them.
-    fn loss(shape: &Shape, parameters: &[f64], shard: &Shard, weights: &Loss, size: usize) -> f64 {
+    fn loss(shape: &NetworkShape, parameters: &[f64], shard: &Shard, weights: &Loss, size: usize) -> f64 {
         let run = |sizes: &[usize], parameters: &[f64], input: &[f32]| {
             let mut here: Vec<f64> = input.iter().map(|&x| f64::from(x)).collect();
             let mut left = parameters;
@@ -165,7 +171,7 @@ mod tests {
                 log_prob += -0.5 * off * off - log - 0.5 * std::f64::consts::TAU.ln();
             }
             let ratio = (log_prob - f64::from(shard.log_probs[row])).exp();
-            let (advantage, clip) = (f64::from(shard.advantages[row]), f64::from(weights.clip));
+            let (advantage, clip) = (f64::from(shard.advantages[row]), f64::from(weights.clip_range));
             total -= (ratio * advantage).min(ratio.clamp(1.0 - clip, 1.0 + clip) * advantage);
             let error = run(&shape.critic, critic, seen)[0] - f64::from(shard.returns[row]);
             total += 0.5 * f64::from(weights.value) * error * error;
@@ -173,7 +179,7 @@ mod tests {
         total / size as f64
     }
 
-    fn shard(shape: &Shape, parameters: &[f32], rows: usize, rng: &mut Rng) -> Shard {
+    fn shard(shape: &NetworkShape, parameters: &[f32], rows: usize, rng: &mut Rng) -> Shard {
         let mut normals = |count: usize| -> Vec<f32> { (0..count).map(|_| rng.sample(StandardNormal)).collect() };
         let observations = normals(rows * shape.observation());
         let (actions, noise) = (normals(rows * shape.action()), normals(rows));
@@ -206,14 +212,14 @@ mod tests {
             rows in 1..7_usize,
         ) {
             let activation = if smooth { Activation::Softsign } else { Activation::Relu };
-            let shape = Shape::new(3, 2, &hidden, activation);
+            let shape = NetworkShape::new(3, 2, &hidden, activation);
             let mut rng = Rng::seed_from_u64(seed);
             let mut parameters = shape.initial(0.4, &mut rng);
             for parameter in &mut parameters {
                 *parameter += 0.1 * rng.sample::<f32, _>(StandardNormal);
             }
             let shard = shard(&shape, &parameters, rows, &mut rng);
-            let weights = Loss { clip: 0.2, value: 0.7 };
+            let weights = Loss { clip_range: 0.2, value: 0.7 };
             let (found, sums) = gradient(&shape, &parameters, &shard, &weights, 10);
             let exact: Vec<f64> = parameters.iter().map(|&x| f64::from(x)).collect();
             let at = |index: usize, by: f64| {
@@ -264,11 +270,11 @@ mod tests {
 
     #[test]
     fn gradients_of_shards_add_up_to_the_minibatchs() {
-        let shape = Shape::new(12, 4, &[64, 64], Activation::Relu);
+        let shape = NetworkShape::new(12, 4, &[64, 64], Activation::Relu);
         let mut rng = Rng::seed_from_u64(3);
         let parameters = shape.initial(0.3, &mut rng);
         let whole = shard(&shape, &parameters, 100, &mut rng);
-        let weights = Loss { clip: 0.2, value: 1.0 };
+        let weights = Loss { clip_range: 0.2, value: 1.0 };
         let (all, sums) = gradient(&shape, &parameters, &whole, &weights, 100);
         let part = |rows: std::ops::Range<usize>| Shard {
             observations: whole.observations[rows.start * 12..rows.end * 12].to_vec(),
@@ -290,7 +296,7 @@ mod tests {
 
     #[test]
     fn gradients_stay_finite_where_probabilities_leave_single_precision() {
-        let shape = Shape::new(3, 2, &[8], Activation::Relu);
+        let shape = NetworkShape::new(3, 2, &[8], Activation::Relu);
         let mut rng = Rng::seed_from_u64(4);
         for log_deviation in [*LOG_DEVIATIONS.start(), 0.0, *LOG_DEVIATIONS.end()] {
             let mut parameters = shape.initial(1.0, &mut rng);
@@ -306,7 +312,7 @@ mod tests {
                         advantages: vec![advantage; 2],
                         returns: vec![0.0; 2],
                     };
-                    let weights = Loss { clip: 0.2, value: 1.0 };
+                    let weights = Loss { clip_range: 0.2, value: 1.0 };
                     let (found, sums) = gradient(&shape, &parameters, &shard, &weights, 2);
                     assert!(found.iter().all(|x| x.is_finite()), "{log_deviation} {action} {log_prob}: {found:?}");
                     assert!(sums.loss.is_finite() && sums.approx_kl.is_finite(), "{sums:?}");

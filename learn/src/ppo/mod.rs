@@ -30,7 +30,7 @@ pub(crate) use config::SaidPpo;
 use self::loss::Shard;
 use self::rollout::Experience;
 use crate::agents::{Agents, Outcome};
-use crate::network::Shape;
+use crate::network::NetworkShape;
 use crate::optimizer::Optimizer;
 use crate::scale::{RewardScale, Running};
 
@@ -65,23 +65,27 @@ pub struct Report {
     pub mean_return: Option<f64>,
     /// Mean reward of a step.
     pub mean_reward: f64,
-    /// Divergence of the new policy from the old one.
-    pub divergence: f64,
-    /// Share of the rows whose ratio left the clip.
-    pub clipped: f64,
+    /// Approximate KL divergence of the policies before and after the update.
+    #[serde(alias = "divergence")]
+    pub approx_kl: f64,
+    /// Fraction of the rows whose probability ratio was clipped.
+    #[serde(alias = "clipped")]
+    pub clip_fraction: f64,
     /// Mean loss.
     pub loss: f64,
     /// Mean of the actions' standard deviations.
-    pub deviation: f64,
-    /// Share of the returns' variance that the critic explains.
-    pub explained: f64,
+    #[serde(alias = "deviation")]
+    pub action_std: f64,
+    /// Fraction of the variance of the returns that the critic explains.
+    #[serde(alias = "explained")]
+    pub explained_variance: f64,
 }
 
 /// A learner: its networks, what it scales with, and how it goes on.
 #[derive(Debug)]
 pub(crate) struct Ppo {
     pub config: PpoConfig,
-    pub shape: Shape,
+    pub shape: NetworkShape,
     pub parameters: Vec<f32>,
     pub optimizer: Optimizer,
     pub rate: f64,
@@ -108,8 +112,8 @@ pub(crate) struct Ppo {
 impl Ppo {
     pub fn new(config: PpoConfig, agents: &dyn Agents, seed: u64) -> Result<Self, aviary::policy::PolicyError> {
         let (observation, actions) = (agents.observation_space().size(), agents.action_space());
-        let shape = Shape::new(observation, actions.size(), &config.hidden, config.activation);
-        let parameters = shape.initial(config.deviation as f32, &mut Rng::seed_from_u64(seed));
+        let shape = NetworkShape::new(observation, actions.size(), &config.hidden, config.activation);
+        let parameters = shape.initial(config.initial_std as f32, &mut Rng::seed_from_u64(seed));
         let reach = actions.low().iter().zip(actions.high()).map(|(&low, &high)| {
             if low.is_finite() && high.is_finite() {
                 [0.5 * (low + high) as f32, 0.5 * (high - low) as f32]
@@ -208,7 +212,7 @@ impl Ppo {
         let began = Instant::now();
         self.estimate();
         self.clock.inference += began.elapsed();
-        report.explained = advantage::explained(&self.experience);
+        report.explained_variance = advantage::explained(&self.experience);
         self.update(seed, &mut report)?;
         Ok(report)
     }

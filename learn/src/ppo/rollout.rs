@@ -123,7 +123,7 @@ impl Ppo {
             }
             self.clock.simulation += began.elapsed();
             let next = &self.outcome.next;
-            self.rewards.take(&self.outcome.rewards, |row| next[row].is_end(), self.config.discount as f32);
+            self.rewards.take(&self.outcome.rewards, |row| next[row].is_end(), self.config.gamma as f32);
             for (row, next) in next.iter().enumerate() {
                 if *next == Next::Truncated {
                     experience.cut.push(step * rows + row);

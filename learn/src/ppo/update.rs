@@ -22,8 +22,8 @@ impl Ppo {
             .filter(|&entry| experience.next[entry as usize] != Next::Absent)
             .collect();
         let (mean, deviation) = moments(order.iter().map(|&entry| experience.advantages[entry as usize]));
-        let loss = Loss { clip: self.config.clip as f32, value: self.config.value as f32 };
-        let entropy = self.config.entropy as f32;
+        let loss = Loss { clip_range: self.config.clip_range as f32, value: self.config.value_coef as f32 };
+        let entropy = self.config.entropy_coef as f32;
         let mut rng = Rng::seed_from_u64(seed);
         let (mut totals, mut minibatches, mut seen) = (Sums::default(), 0, 0);
         for _ in 0..self.config.epochs {
@@ -70,7 +70,7 @@ impl Ppo {
                 if !norm.is_finite() {
                     return Err(crate::TrainError::Diverged);
                 }
-                let shrink = (self.config.max_gradient / (norm + 1e-6)).min(1.0) as f32;
+                let shrink = (self.config.max_grad_norm / (norm + 1e-6)).min(1.0) as f32;
                 for x in &mut sum {
                     *x *= shrink;
                 }
@@ -88,24 +88,24 @@ impl Ppo {
         }
         let count = seen.max(1) as f64;
         report.loss = totals.loss / f64::from(minibatches.max(1));
-        report.divergence = totals.approx_kl / count;
-        report.clipped = totals.clipped / count / self.config.epochs as f64;
-        self.rate = follow(self.rate, self.config.learning_rate, self.config.divergence, report.divergence);
+        report.approx_kl = totals.approx_kl / count;
+        report.clip_fraction = totals.clipped / count / self.config.epochs as f64;
+        self.rate = follow(self.rate, self.config.learning_rate, self.config.target_kl, report.approx_kl);
         // what was seen counts from the next iteration on
         self.observations.take(&self.experience.raw);
         self.refresh()?;
         let (_, _, logs) = self.shape.split(&self.parameters);
-        report.deviation = logs.iter().map(|log| f64::from(log.exp())).sum::<f64>() / acts as f64;
+        report.action_std = logs.iter().map(|log| f64::from(log.exp())).sum::<f64>() / acts as f64;
         Ok(())
     }
 }
 
 /// The rate goes down when the policy has moved too far, and up to what it was while it moves too little.
-fn follow(rate: f64, most: f64, wanted: f64, divergence: f64) -> f64 {
+fn follow(rate: f64, max: f64, wanted: f64, divergence: f64) -> f64 {
     if wanted > 0.0 && divergence > 2.0 * wanted {
-        (rate / 1.5).max(0.01 * most)
+        (rate / 1.5).max(0.01 * max)
     } else if wanted > 0.0 && divergence < wanted {
-        (rate * 1.1).min(most)
+        (rate * 1.1).min(max)
     } else {
         rate
     }

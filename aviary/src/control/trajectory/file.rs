@@ -3,7 +3,7 @@ use std::path::Path;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 
-use super::{Curve, Heading, Plane, Steps, Trajectory, TrajectoryError, Waypoints};
+use super::{Heading, PeriodicTrajectory, Plane, Steps, Trajectory, TrajectoryError, Waypoints};
 use crate::error::{SystemError, toml_message, triple, triples};
 
 /// Trajectories that have a name.
@@ -21,20 +21,22 @@ pub const NAMES: [&str; 5] = ["circle", "lemniscate", "helix", "square", "loop"]
 /// assert_eq!(named("square").map(|square| square.duration()), Some(16.0));
 /// ```
 pub fn named(name: &str) -> Option<Box<dyn Trajectory>> {
-    let curve = match name {
-        "circle" => Curve::circle(0.3, 8.0).map(|curve| curve.plane(Plane::YZ)),
-        "lemniscate" => Curve::lemniscate_at(1.0, 0.5, 1.5).and_then(|curve| curve.turns(2.0)?.ramp(2.0)),
-        "helix" => Curve::helix(0.5, 4.0, 0.2)
-            .map(|curve| curve.centre([0.0, 0.0, 0.5]))
-            .and_then(|curve| curve.turns(5.0)?.ramp(2.0)),
+    let periodic = match name {
+        "circle" => PeriodicTrajectory::circle(0.3, 8.0).map(|periodic| periodic.plane(Plane::YZ)),
+        "lemniscate" => {
+            PeriodicTrajectory::lemniscate_at(1.0, 0.5, 1.5).and_then(|periodic| periodic.turns(2.0)?.ramp(2.0))
+        }
+        "helix" => PeriodicTrajectory::helix(0.5, 4.0, 0.2)
+            .map(|periodic| periodic.centre([0.0, 0.0, 0.5]))
+            .and_then(|periodic| periodic.turns(5.0)?.ramp(2.0)),
         // from the bottom: the ramps are the first and the last quarter
-        "loop" => Curve::circle(1.0, 1.6)
-            .map(|curve| curve.plane(Plane::YZ).centre([0.0, 0.0, 1.5]))
-            .and_then(|curve| curve.phase(-std::f64::consts::FRAC_PI_2)?.turns(1.0)?.ramp(0.8)),
+        "loop" => PeriodicTrajectory::circle(1.0, 1.6)
+            .map(|periodic| periodic.plane(Plane::YZ).centre([0.0, 0.0, 1.5]))
+            .and_then(|periodic| periodic.phase(-std::f64::consts::FRAC_PI_2)?.turns(1.0)?.ramp(0.8)),
         "square" => return Steps::square(1.0, 4.0).ok().map(|steps| Box::new(steps) as Box<dyn Trajectory>),
         _ => return None,
     };
-    curve.ok().map(|curve| Box::new(curve) as Box<dyn Trajectory>)
+    periodic.ok().map(|periodic| Box::new(periodic) as Box<dyn Trajectory>)
 }
 
 /// Reads a trajectory from a TOML file.
@@ -72,41 +74,41 @@ pub fn from_toml(text: &str) -> Result<Box<dyn Trajectory>, TrajectoryError> {
     match read::<OnlyKind>(text)?.kind {
         Kind::Circle => {
             let spec: Circle = read(text)?;
-            spec.placed(Curve::circle(spec.radius, spec.period)?)
+            spec.placed(PeriodicTrajectory::circle(spec.radius, spec.period)?)
         }
         Kind::Lemniscate => {
             let spec: Lemniscate = read(text)?;
             spec.placed(match (spec.period, spec.peak_speed) {
-                (Some(period), None) => Curve::lemniscate(spec.half_length, spec.half_width, period)?,
-                (None, Some(speed)) => Curve::lemniscate_at(spec.half_length, spec.half_width, speed)?,
+                (Some(period), None) => PeriodicTrajectory::lemniscate(spec.half_length, spec.half_width, period)?,
+                (None, Some(speed)) => PeriodicTrajectory::lemniscate_at(spec.half_length, spec.half_width, speed)?,
                 _ => return Err(message("expected either period or peak_speed")),
             })
         }
         Kind::Helix => {
             let spec: Helix = read(text)?;
-            spec.placed(Curve::helix(spec.radius, spec.period, spec.climb)?)
+            spec.placed(PeriodicTrajectory::helix(spec.radius, spec.period, spec.climb)?)
         }
         Kind::Steps => {
             let Places { start, points, yaws, hold, .. } = read(text)?;
             let yaws = yaws.unwrap_or_else(|| vec![0.0; points.len()]);
             let (count, expected) = (yaws.len() as f64, "one per point");
-            TrajectoryError::check("the number of yaws", count, yaws.len() == points.len(), expected)?;
+            TrajectoryError::validate("the number of yaws", count, yaws.len() == points.len(), expected)?;
             let places: Vec<_> = points.into_iter().zip(yaws).collect();
             Ok(Box::new(Steps::new(start, &places, hold)?))
         }
         Kind::Waypoints => {
             let Way { points, yaws, times, max_speed, max_acceleration, .. } = read(text)?;
-            let mut way = Waypoints::through(&points);
+            let mut path = Waypoints::through(&points);
             match (times, max_speed, max_acceleration) {
-                (Some(times), None, None) => way = way.times(times),
-                (None, Some(speed), Some(acceleration)) => way = way.limits(speed, acceleration),
+                (Some(times), None, None) => path = path.times(times),
+                (None, Some(speed), Some(acceleration)) => path = path.limits(speed, acceleration),
                 (None, None, None) => {}
                 _ => return Err(message("expected either times, or max_speed and max_acceleration")),
             }
             if let Some(yaws) = yaws {
-                way = way.yaws(yaws);
+                path = path.yaws(yaws);
             }
-            Ok(Box::new(way.build()?))
+            Ok(Box::new(path.build()?))
         }
     }
 }
@@ -140,7 +142,7 @@ enum PlaneName {
 
 /// The keys of a curve: its own, and those that all curves share. (Serde cannot flatten one struct into another and refuse
 /// unknown keys at once.)
-macro_rules! curve {
+macro_rules! periodic {
     ($name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
         #[derive(Deserialize)]
         #[serde(deny_unknown_fields)]
@@ -164,48 +166,48 @@ macro_rules! curve {
 
         impl $name {
             /// The curve in its place and at its pace.
-            fn placed(&self, mut curve: Curve) -> Result<Box<dyn Trajectory>, TrajectoryError> {
+            fn placed(&self, mut periodic: PeriodicTrajectory) -> Result<Box<dyn Trajectory>, TrajectoryError> {
                 if let Some(centre) = self.centre {
                     for x in centre {
-                        TrajectoryError::check("centre", x, x.abs() <= 1e6, "finite numbers of metres up to 1e6")?;
+                        TrajectoryError::validate("centre", x, x.abs() <= 1e6, "finite numbers of metres up to 1e6")?;
                     }
-                    curve = curve.centre(centre);
+                    periodic = periodic.centre(centre);
                 }
-                curve = match (self.plane, self.normal) {
-                    (None, None) => curve,
-                    (Some(PlaneName::Xy), None) => curve.plane(Plane::XY),
-                    (Some(PlaneName::Yz), None) => curve.plane(Plane::YZ),
-                    (Some(PlaneName::Xz), None) => curve.plane(Plane::XZ),
-                    (None, Some(normal)) => curve.plane(Plane::normal(normal)?),
+                periodic = match (self.plane, self.normal) {
+                    (None, None) => periodic,
+                    (Some(PlaneName::Xy), None) => periodic.plane(Plane::XY),
+                    (Some(PlaneName::Yz), None) => periodic.plane(Plane::YZ),
+                    (Some(PlaneName::Xz), None) => periodic.plane(Plane::XZ),
+                    (None, Some(normal)) => periodic.plane(Plane::normal(normal)?),
                     (Some(_), Some(_)) => return Err(message("expected either plane or normal")),
                 };
                 // turns before the ramp: it must fit into them
                 if let Some(turns) = self.turns {
-                    curve = curve.turns(turns)?;
+                    periodic = periodic.turns(turns)?;
                 }
                 if let Some(ramp) = self.ramp {
-                    curve = curve.ramp(ramp)?;
+                    periodic = periodic.ramp(ramp)?;
                 }
                 if let Some(phase) = self.phase {
-                    curve = curve.phase(phase)?;
+                    periodic = periodic.phase(phase)?;
                 }
-                let curve = match (self.forward, self.yaw, self.yaw_rate) {
-                    (true, None, None) => curve.heading(Heading::Forward)?,
+                let periodic = match (self.forward, self.yaw, self.yaw_rate) {
+                    (true, None, None) => periodic.heading(Heading::Forward)?,
                     (true, ..) => return Err(message("expected either forward = true, or yaw and yaw_rate")),
                     (false, yaw, Some(rate)) => {
-                        curve.heading(Heading::Turning { yaw: yaw.unwrap_or(0.0), rate })?
+                        periodic.heading(Heading::Turning { yaw: yaw.unwrap_or(0.0), rate })?
                     }
-                    (false, yaw, None) => curve.heading(Heading::Fixed(yaw.unwrap_or(0.0)))?,
+                    (false, yaw, None) => periodic.heading(Heading::Fixed(yaw.unwrap_or(0.0)))?,
                 };
-                Ok(Box::new(curve))
+                Ok(Box::new(periodic))
             }
         }
     };
 }
 
-curve!(Circle { radius: f64, period: f64 });
-curve!(Lemniscate { half_length: f64, half_width: f64, period: Option<f64>, peak_speed: Option<f64> });
-curve!(Helix { radius: f64, period: f64, climb: f64 });
+periodic!(Circle { radius: f64, period: f64 });
+periodic!(Lemniscate { half_length: f64, half_width: f64, period: Option<f64>, peak_speed: Option<f64> });
+periodic!(Helix { radius: f64, period: f64, climb: f64 });
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -257,8 +259,8 @@ mod tests {
     #[test]
     fn every_kind_is_read() {
         for text in FILES {
-            let way = from_toml(text).unwrap();
-            assert!(way.reference(0.4).is_finite() && way.duration() > 1.0, "{text}");
+            let path = from_toml(text).unwrap();
+            assert!(path.reference(0.4).is_finite() && path.duration() > 1.0, "{text}");
         }
         assert!(NAMES.iter().all(|name| named(name).is_some()));
         assert!(named("nosuch").is_none());
@@ -292,8 +294,8 @@ mod tests {
             let mut bytes = FILES[file].as_bytes().to_vec();
             let at = at % bytes.len();
             bytes[at] = letter;
-            if let Ok(text) = std::str::from_utf8(&bytes) && let Ok(way) = from_toml(text) {
-                prop_assert!(way.reference(t).is_finite(), "{text}");
+            if let Ok(text) = std::str::from_utf8(&bytes) && let Ok(path) = from_toml(text) {
+                prop_assert!(path.reference(t).is_finite(), "{text}");
             }
         }
     }

@@ -1,10 +1,10 @@
 //! What controllers follow: positions as functions of time, with exact derivatives up to the snap, and yaw.
 
-mod curve;
 mod file;
 mod jet;
-mod pace;
+mod periodic;
 mod steps;
+mod time_law;
 mod waypoints;
 
 use std::fmt;
@@ -13,8 +13,8 @@ use std::path::PathBuf;
 use super::Reference;
 use crate::SystemError;
 
-pub use curve::{Curve, Heading, Plane};
 pub use file::{NAMES, from_file, from_toml, named};
+pub use periodic::{Heading, PeriodicTrajectory, Plane};
 pub use steps::Steps;
 pub use waypoints::{Waypoints, WaypointsBuilder};
 
@@ -97,7 +97,7 @@ pub enum TrajectoryError {
 }
 
 impl TrajectoryError {
-    fn check(what: &'static str, got: f64, good: bool, expected: &'static str) -> Result<(), Self> {
+    fn validate(what: &'static str, got: f64, good: bool, expected: &'static str) -> Result<(), Self> {
         if good { Ok(()) } else { Err(Self::Value { what, got, expected }) }
     }
 }

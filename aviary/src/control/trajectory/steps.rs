@@ -26,11 +26,11 @@ impl Steps {
     /// [`TrajectoryError`] naming what is impossible.
     pub fn new(start: [f64; 3], places: &[([f64; 3], f64)], hold: f64) -> Result<Self, TrajectoryError> {
         let count = places.len();
-        TrajectoryError::check("the number of points", count as f64, count > 0, "at least 1")?;
-        TrajectoryError::check("hold", hold, (1e-3..=1e6).contains(&hold), "a positive time, s")?;
+        TrajectoryError::validate("the number of points", count as f64, count > 0, "at least 1")?;
+        TrajectoryError::validate("hold", hold, (1e-3..=1e6).contains(&hold), "a positive time, s")?;
         for (position, yaw) in places.iter().map(|(position, yaw)| (position, *yaw)).chain([(&start, 0.0)]) {
             for x in position.iter().copied().chain([yaw]) {
-                TrajectoryError::check("a number in points or yaws", x, x.abs() <= 1e6, "finite numbers up to 1e6")?;
+                TrajectoryError::validate("a number in points or yaws", x, x.abs() <= 1e6, "finite numbers up to 1e6")?;
             }
         }
         let places: Vec<_> = places.iter().map(|&(position, yaw)| (position.into(), yaw)).collect();

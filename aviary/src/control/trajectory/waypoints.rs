@@ -15,7 +15,7 @@ use crate::state::wrap_angle;
 /// ```
 /// use aviary::control::trajectory::{Trajectory, Waypoints};
 ///
-/// let way = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.5]])
+/// let path = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.5]])
 ///     .limits(1.5, 4.0)
 ///     .build()?;
 /// let end = way.reference(way.duration());
@@ -113,7 +113,7 @@ impl Hermite {
 /// use aviary::control::trajectory::{Trajectory, Waypoints};
 ///
 /// // there and back, two seconds each
-/// let way = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
+/// let path = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 ///     .times([0.0, 2.0, 4.0])
 ///     .yaws([0.0, FRAC_PI_2, 0.0])
 ///     .build()?;
@@ -161,15 +161,20 @@ impl WaypointsBuilder {
     pub fn build(self) -> Result<Waypoints, TrajectoryError> {
         let count = self.points.len();
         let expected = "2 to 200";
-        TrajectoryError::check("the number of points", count as f64, (2..=200).contains(&count), expected)?;
+        TrajectoryError::validate("the number of points", count as f64, (2..=200).contains(&count), expected)?;
         for &x in self.points.iter().flatten() {
-            TrajectoryError::check("a coordinate in points", x, x.abs() <= 1e6, "a finite number of metres up to 1e6")?;
+            TrajectoryError::validate(
+                "a coordinate in points",
+                x,
+                x.abs() <= 1e6,
+                "a finite number of metres up to 1e6",
+            )?;
         }
         let yaws = self.yaws.unwrap_or_else(|| vec![0.0; count]);
         let expected = "one per waypoint";
-        TrajectoryError::check("the number of yaws", yaws.len() as f64, yaws.len() == count, expected)?;
+        TrajectoryError::validate("the number of yaws", yaws.len() as f64, yaws.len() == count, expected)?;
         for &yaw in &yaws {
-            TrajectoryError::check("a yaw in yaws", yaw, yaw.is_finite(), "a finite angle, rad")?;
+            TrajectoryError::validate("a yaw in yaws", yaw, yaw.is_finite(), "a finite angle, rad")?;
         }
         // by the shorter turns
         let mut turned = vec![yaws[0]];
@@ -178,18 +183,18 @@ impl WaypointsBuilder {
             turned.push(last + wrap_angle(yaw - last));
         }
         if let Some(times) = self.times {
-            TrajectoryError::check("the number of times", times.len() as f64, times.len() == count, expected)?;
-            TrajectoryError::check("the first of times", times[0], times[0] == 0.0, "0")?;
+            TrajectoryError::validate("the number of times", times.len() as f64, times.len() == count, expected)?;
+            TrajectoryError::validate("the first of times", times[0], times[0] == 0.0, "0")?;
             for pair in times.windows(2) {
                 let gap = pair[1] - pair[0];
                 let good = (1e-3..=1e6).contains(&gap);
-                TrajectoryError::check("a gap in times", gap, good, "at least 1 ms, and up to 1e6 s")?;
+                TrajectoryError::validate("a gap in times", gap, good, "at least 1 ms, and up to 1e6 s")?;
             }
             return Waypoints::solve(&self.points, &turned, times);
         }
         let (speed, acceleration) = (self.max_speed, self.max_acceleration);
         for (what, limit) in [("max_speed", speed), ("max_acceleration", acceleration)] {
-            TrajectoryError::check(what, limit, (1e-6..=1e6).contains(&limit), "a positive number")?;
+            TrajectoryError::validate(what, limit, (1e-6..=1e6).contains(&limit), "a positive number")?;
         }
         Waypoints::allocate(&self.points, &turned, speed, acceleration)
     }
@@ -265,13 +270,13 @@ impl Waypoints {
                 }),
             }
         };
-        let way = Self { segments: (0..count).map(segment).collect(), times };
+        let path = Self { segments: (0..count).map(segment).collect(), times };
         // times that differ by orders of magnitude leave no digits
-        let missed = points.iter().zip(&way.times).any(|(point, &time)| {
-            let off = (way.reference(time).position - Vector3::from(*point)).norm();
+        let missed = points.iter().zip(&path.times).any(|(point, &time)| {
+            let off = (path.reference(time).position - Vector3::from(*point)).norm();
             off.is_nan() || off > 1e-6 * (1.0 + Vector3::from(*point).norm())
         });
-        if missed { Err(TrajectoryError::Unsolvable) } else { Ok(way) }
+        if missed { Err(TrajectoryError::Unsolvable) } else { Ok(path) }
     }
 
     /// Most yaw rate of allocated times, rad/s.
@@ -285,11 +290,11 @@ impl Waypoints {
     fn allocate(points: &[[f64; 3]], yaws: &[f64], speed: f64, acceleration: f64) -> Result<Self, TrajectoryError> {
         // as long as a trapezoid of speed would take from rest to rest, or the turn
         let legs = points.windows(2).zip(yaws.windows(2)).map(|(pair, yaw)| {
-            let way = (Vector3::from(pair[1]) - Vector3::from(pair[0])).norm();
-            let seconds = if way * acceleration < speed * speed {
-                2.0 * (way / acceleration).sqrt()
+            let path = (Vector3::from(pair[1]) - Vector3::from(pair[0])).norm();
+            let seconds = if path * acceleration < speed * speed {
+                2.0 * (path / acceleration).sqrt()
             } else {
-                way / speed + speed / acceleration
+                path / speed + speed / acceleration
             };
             seconds.max(2.0 * (yaw[1] - yaw[0]).abs() / Self::MAX_YAW_RATE)
         });
@@ -308,33 +313,33 @@ impl Waypoints {
             for span in spans {
                 times.push(times[times.len() - 1] + span);
             }
-            let mut way = Self::solve(points, yaws, times)?;
+            let mut path = Self::solve(points, yaws, times)?;
             // scaling time by k divides speeds by k and accelerations by k²
-            let [fastest, hardest, turning] = way.peaks(samples);
+            let [fastest, hardest, turning] = path.peaks(samples);
             let scale = (fastest / speed).max((hardest / acceleration).sqrt()).max(turning / Self::MAX_YAW_RATE);
             if scale > 0.0 {
-                way.times.iter_mut().for_each(|time| *time *= scale);
+                path.times.iter_mut().for_each(|time| *time *= scale);
             }
-            Ok(way)
+            Ok(path)
         };
         if (2..=Self::SOUGHT).contains(&spans.len()) {
             // a detour counts as the time to fly it there and back, and as much again
-            let cost = |way: &Self| way.duration() + 4.0 * way.detour(points) / speed;
-            let mut least = cost(&within(&spans, 24)?);
+            let cost = |path: &Self| path.duration() + 4.0 * path.detour(points) / speed;
+            let mut min = cost(&within(&spans, 24)?);
             for factor in [1.6, 1.25, 1.1] {
                 for _ in 0..4 {
-                    let before = least;
+                    let before = min;
                     for i in 0..spans.len() {
                         for factor in [factor, 1.0 / factor] {
                             let span = spans[i];
                             spans[i] = span * factor;
                             match within(&spans, 24) {
-                                Ok(way) if cost(&way) < least => least = cost(&way),
+                                Ok(path) if cost(&path) < min => min = cost(&path),
                                 _ => spans[i] = span,
                             }
                         }
                     }
-                    if least > 0.99 * before {
+                    if min > 0.99 * before {
                         break;
                     }
                 }
@@ -355,12 +360,12 @@ impl Waypoints {
     fn detour(&self, points: &[[f64; 3]]) -> f64 {
         let legs = self.segments.iter().zip(points.windows(2));
         let samples = legs.flat_map(|(segment, points)| {
-            let (from, way) = (Vector3::from(points[0]), Vector3::from(points[1]) - Vector3::from(points[0]));
+            let (from, path) = (Vector3::from(points[0]), Vector3::from(points[1]) - Vector3::from(points[0]));
             (1..12).map(move |sample| {
                 let [[x, y, z, _], ..] = segment.derivatives(f64::from(sample) / 12.0);
                 let position = Vector3::new(x, y, z);
-                let share = ((position - from).dot(&way) / way.norm_squared().max(1e-12)).clamp(0.0, 1.0);
-                (from + way * share - position).norm()
+                let share = ((position - from).dot(&path) / path.norm_squared().max(1e-12)).clamp(0.0, 1.0);
+                (from + path * share - position).norm()
             })
         });
         samples.fold(0.0, f64::max)
@@ -424,22 +429,22 @@ mod tests {
 
     #[test]
     fn between_two_points_it_is_the_known_polynomial() {
-        let way = Waypoints::through(&[[0.0; 3], [1.0, -2.0, 0.5]]).times([0.0, 2.0]).build().unwrap();
+        let path = Waypoints::through(&[[0.0; 3], [1.0, -2.0, 0.5]]).times([0.0, 2.0]).build().unwrap();
         for i in 0..=20 {
             let tau = f64::from(i) / 20.0;
             let share = 35.0 * tau.powi(4) - 84.0 * tau.powi(5) + 70.0 * tau.powi(6) - 20.0 * tau.powi(7);
             let expected = Vector3::new(1.0, -2.0, 0.5) * share;
-            assert!((way.reference(2.0 * tau).position - expected).norm() < 1e-9);
+            assert!((path.reference(2.0 * tau).position - expected).norm() < 1e-9);
         }
     }
 
     #[test]
     fn it_rests_before_its_start_and_after_its_end() {
-        let way =
+        let path =
             Waypoints::through(&[[0.0; 3], [1.0, 0.0, 1.0], [2.0, 1.0, 0.0]]).yaws([3.0, -3.0, 0.0]).build().unwrap();
-        let end = way.duration() + 1.0;
+        let end = path.duration() + 1.0;
         for (time, position, yaw) in [(-1.0, Vector3::zeros(), 3.0), (end, Vector3::new(2.0, 1.0, 0.0), 0.0)] {
-            let reference = way.reference(time);
+            let reference = path.reference(time);
             assert!((reference.position - position).norm() < 1e-9 && wrap_angle(reference.yaw - yaw).abs() < 1e-9);
             assert_eq!((reference.velocity.norm(), reference.snap.norm(), reference.yaw_rate), (0.0, 0.0, 0.0));
         }
@@ -457,8 +462,8 @@ mod tests {
             for i in 0..3 {
                 times.push(times[i] + 1.0 + 0.5 * seed[20 + i]);
             }
-            let way = Waypoints::through(&points).times(times.clone()).build().unwrap();
-            let end = way.duration();
+            let path = Waypoints::through(&points).times(times.clone()).build().unwrap();
+            let end = path.duration();
             let (mut inner, mut size) = (0.0, 0.0);
             for i in 0..4000 {
                 let t = end * (f64::from(i) + 0.5) / 4000.0;
@@ -470,7 +475,7 @@ mod tests {
                 for &knot in &times[1..3] {
                     change = change * (x - Jet::constant(knot)) * (1.0 / end);
                 }
-                let product = way.reference(t).snap.x * change.derivative(4);
+                let product = path.reference(t).snap.x * change.derivative(4);
                 inner += product;
                 size += product.abs();
             }
@@ -480,9 +485,9 @@ mod tests {
         #[test]
         fn derivatives_are_continuous_at_waypoints(seed in prop::array::uniform32(-1.0..1.0f64)) {
             let points: Vec<_> = seed.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect();
-            let way = Waypoints::through(&points).limits(2.0, 4.0).build().unwrap();
-            for &time in &way.times()[1..way.times().len() - 1] {
-                let [before, after] = [-1e-9, 1e-9].map(|h| way.reference(time + h));
+            let path = Waypoints::through(&points).limits(2.0, 4.0).build().unwrap();
+            for &time in &path.times()[1..path.times().len() - 1] {
+                let [before, after] = [-1e-9, 1e-9].map(|h| path.reference(time + h));
                 prop_assert!((before.jerk - after.jerk).norm() < 1e-4 * (1.0 + after.jerk.norm()));
                 prop_assert!((before.snap - after.snap).norm() < 1e-4 * (1.0 + after.snap.norm()));
             }
@@ -508,9 +513,9 @@ mod tests {
     #[test]
     fn two_hundred_waypoints_and_equal_neighbours_are_solved() {
         let points: Vec<_> = (0..200).map(|i| [f64::from(i / 2 % 7), f64::from(i % 3), 1.0]).collect();
-        let way = Waypoints::through(&points).build().unwrap();
-        for (point, &time) in points.iter().zip(way.times()) {
-            assert!((way.reference(time).position - Vector3::from(*point)).norm() < 1e-6);
+        let path = Waypoints::through(&points).build().unwrap();
+        for (point, &time) in points.iter().zip(path.times()) {
+            assert!((path.reference(time).position - Vector3::from(*point)).norm() < 1e-6);
         }
         let still = Waypoints::through(&[[1.0; 3], [1.0; 3]]).build().unwrap();
         assert!((still.reference(0.05).position - Vector3::repeat(1.0)).norm() < 1e-12);

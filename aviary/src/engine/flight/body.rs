@@ -36,7 +36,7 @@ pub(super) struct Fluid<R = f64> {
 
 /// [`DroneState`] of one or of many.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Motion<R> {
+pub(super) struct FlightState<R> {
     pub position: V3<R>,
     pub attitude: Turn<R>,
     pub velocity: V3<R>,
@@ -52,7 +52,7 @@ pub(super) struct Push<R> {
     pub force: V3<R>,
 }
 
-impl From<&DroneState> for Motion<f64> {
+impl From<&DroneState> for FlightState<f64> {
     #[inline(always)]
     fn from(state: &DroneState) -> Self {
         Self {
@@ -64,9 +64,9 @@ impl From<&DroneState> for Motion<f64> {
     }
 }
 
-impl From<Motion<f64>> for DroneState {
+impl From<FlightState<f64>> for DroneState {
     #[inline(always)]
-    fn from(motion: Motion<f64>) -> Self {
+    fn from(motion: FlightState<f64>) -> Self {
         Self {
             position: motion.position.into(),
             attitude: motion.attitude.into(),
@@ -119,7 +119,7 @@ impl FreeBody {
     ) -> DroneState {
         let torque = V3::from(&rotors.torque_body);
         let push = Push { thrust: rotors.thrust, torque, force: V3::from(force_world) };
-        self.rk4::<BODY_FIXED, MEDIUM>(dt, &push, &Motion::from(state)).into()
+        self.rk4::<BODY_FIXED, MEDIUM>(dt, &push, &FlightState::from(state)).into()
     }
 }
 
@@ -134,8 +134,8 @@ impl<R: Real> FreeBody<R> {
         &self,
         dt: f64,
         push: &Push<R>,
-        start: &Motion<R>,
-    ) -> Motion<R> {
+        start: &FlightState<R>,
+    ) -> FlightState<R> {
         let (half, sixth) = (0.5 * dt, dt / 6.0);
         let (torque, rate) = (push.torque, start.rate);
         let a1 = self.angular_acceleration::<MEDIUM>(torque, rate);
@@ -173,7 +173,7 @@ impl<R: Real> FreeBody<R> {
             acceleration.z = acceleration.z - self.gravity;
             (acceleration * dt, acceleration * half)
         };
-        Motion {
+        FlightState {
             position: start.position + (start.velocity + moved) * dt,
             attitude: after(&start.attitude, &turn),
             velocity: start.velocity + gained,
@@ -265,9 +265,9 @@ impl Fluid {
     }
 
     /// Most that it takes off a velocity (1/s and 1/m) and off a body rate (1/s and 1).
-    pub(super) fn most(&self) -> ([f64; 2], [f64; 2]) {
-        let most = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
-        ([self.viscous, most(self.quadratic)], [most(self.viscous_rate), most(self.quadratic_rate)])
+    pub(super) fn max_coefficients(&self) -> ([f64; 2], [f64; 2]) {
+        let max = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
+        ([self.viscous, max(self.quadratic)], [max(self.viscous_rate), max(self.quadratic_rate)])
     }
 }
 

@@ -1,7 +1,7 @@
 use nalgebra::Vector3;
 use pulp::{Simd, WithSimd};
 
-use super::body::{Fluid, Motion, Push};
+use super::body::{FlightState, Fluid, Push};
 use super::reach_bound::ReachBound;
 use super::{FreeBody, Width};
 use crate::math::{Pack, Real, Turn, V3};
@@ -244,8 +244,8 @@ impl<S: Simd> Part<S> {
     }
 
     #[inline(always)]
-    fn motion(self, lanes: &Lanes) -> Motion<Pack<S>> {
-        Motion {
+    fn motion(self, lanes: &Lanes) -> FlightState<Pack<S>> {
+        FlightState {
             position: self.get3(&lanes.position),
             attitude: self.turn(lanes),
             velocity: self.get3(&lanes.velocity),
@@ -254,7 +254,7 @@ impl<S: Simd> Part<S> {
     }
 
     #[inline(always)]
-    fn put_motion(self, lanes: &mut Lanes, motion: &Motion<Pack<S>>) {
+    fn put_motion(self, lanes: &mut Lanes, motion: &FlightState<Pack<S>>) {
         self.put3(&mut lanes.position, motion.position);
         let [w, x, y, z] = &mut lanes.attitude;
         self.put(w, motion.attitude.w);

@@ -1,5 +1,5 @@
 use super::FreeBody;
-use super::body::Motion;
+use super::body::FlightState;
 use crate::math::{Real, V3};
 use crate::state::DroneState;
 
@@ -30,15 +30,15 @@ impl ReachBound {
     /// beside gravity) and torque (N·m), and whose blades drag at most so much (1/s).
     pub fn new(body: &FreeBody, reach: f64, acceleration: f64, torque: f64, slowing: f64) -> Self {
         let [x, y, z] = body.inverse_inertia;
-        let (most, least) = (x.max(y).max(z), x.min(y).min(z));
-        let ([linear, quadratic], braking) = body.fluid.most();
+        let (max, min) = (x.max(y).max(z), x.min(y).min(z));
+        let ([linear, quadratic], braking) = body.fluid.max_coefficients();
         Self {
             reach: reach + SLACK,
             acceleration: acceleration + body.gravity.abs(),
             slowing: [slowing + linear, quadratic],
             braking,
-            growth: most / least,
-            turning: torque * most,
+            growth: max / min,
+            turning: torque * max,
         }
     }
 
@@ -56,7 +56,7 @@ impl ReachBound {
     /// The ball that a drone does not leave in so many physics steps of `dt` seconds, about its present position: its
     /// radius, m; NaN or infinite where there is none, or where the drone may turn too fast for the kernel.
     pub fn radius(&self, dt: f64, steps: u32, state: &DroneState) -> f64 {
-        self.ball(dt, steps, &Motion::from(state))
+        self.ball(dt, steps, &FlightState::from(state))
     }
 
     /// How far a drone comes in one physics step of `dt` seconds under a known force (N, with its weight) and torque (N·m) at
@@ -87,7 +87,7 @@ impl<R: Real> ReachBound<R> {
 
     /// [`radius`](ReachBound::radius) of one or of many.
     #[inline(always)]
-    pub(super) fn ball(&self, dt: f64, steps: u32, motion: &Motion<R>) -> R {
+    pub(super) fn ball(&self, dt: f64, steps: u32, motion: &FlightState<R>) -> R {
         /// Beyond that the numbers themselves are to be looked at: m and m/s.
         const FAR: f64 = 1e6;
         let time = dt * f64::from(steps);
@@ -111,9 +111,9 @@ impl<R: Real> ReachBound<R> {
     /// overshoot, and no bound here holds.
     #[inline(always)]
     fn is_tame(&self, dt: f64, time: f64, speed: R, rate: R) -> R::Mask {
-        let (most, turning) = (speed + self.acceleration * time, self.turn_rate(time, rate));
+        let (max, turning) = (speed + self.acceleration * time, self.turn_rate(time, rate));
         let half = speed.all(0.5);
-        ((self.slowing[0] + self.slowing[1] * most) * dt).less(half)
+        ((self.slowing[0] + self.slowing[1] * max) * dt).less(half)
             & ((self.braking[0] + self.braking[1] * turning) * dt).less(half)
     }
 

@@ -207,13 +207,13 @@ impl Randomization {
     }
 
     /// Refuses a wind of the environment that the draws would replace in every episode.
-    pub(in crate::env) fn check_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
+    pub(in crate::env) fn validate_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
         if !self.draws_wind() || wind.model == WindModel::None {
             return Ok(());
         }
         let expected =
             "none next to a randomization that draws the wind; environment.wind = [0, 0] there leaves the wind alone";
-        Err(EnvError::Option { option: "the wind", got: wind.model.to_string(), expected })
+        Err(EnvError::Option { option: "wind", got: wind.model.to_string(), expected })
     }
 
     /// Checks that every range is one, and that nothing in it is impossible.
@@ -237,7 +237,7 @@ impl Randomization {
             }
         }
         let s = self.sensors.unwrap_or_default();
-        for (option, [low, high], most) in [
+        for (option, [low, high], max) in [
             ("the randomized aerodynamics.drag", a.drag, 1e2),
             ("the randomized aerodynamics.ground", a.ground, 1e2),
             ("the randomized aerodynamics.downwash", a.downwash, 1e2),
@@ -248,7 +248,7 @@ impl Randomization {
             ("the randomized environment.gravity", e.gravity, 1e2),
             ("the randomized environment.wind", e.wind, 1e2),
         ] {
-            if !(low >= 0.0 && high >= low && high <= most) {
+            if !(low >= 0.0 && high >= low && high <= max) {
                 return wrong(
                     option,
                     format!("[{low}, {high}]"),

@@ -94,8 +94,8 @@ fn within(rng: &mut Rng, [low, high]: Range) -> f64 {
 }
 
 /// Three uniform draws in ± `most`.
-fn around(rng: &mut Rng, most: f64) -> Vector3<f64> {
-    Vector3::from_fn(|_, _| within(rng, [-most, most]))
+fn around(rng: &mut Rng, max: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| within(rng, [-max, max]))
 }
 
 /// Three normal draws.
@@ -154,8 +154,8 @@ impl Randomizer {
     }
 
     /// Refuses a wind of the environment that the draws would replace in every episode.
-    pub(in crate::env) fn check_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
-        self.config.check_wind(wind)
+    pub(in crate::env) fn validate_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
+        self.config.validate_wind(wind)
     }
 
     /// Bytes that it takes, beside what others have, too.
@@ -270,11 +270,11 @@ impl Randomizer {
         obstacles_move: bool,
     ) -> Result<(), SimulationError> {
         self.draw(SimView::new(model, data), rng, obstacles_move);
-        let most = |ranges: Option<Range>| ranges.map_or(0.0, |[_, most]| most);
+        let max = |ranges: Option<Range>| ranges.map_or(0.0, |[_, max]| max);
         data.reserve(
             model,
-            most(self.config.actuators.map(|ranges| ranges.latency)),
-            most(self.config.sensors.map(|ranges| ranges.latency)),
+            max(self.config.actuators.map(|ranges| ranges.latency)),
+            max(self.config.sensors.map(|ranges| ranges.latency)),
         );
         for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&*self.nominal).enumerate() {
             if self.config.body.is_some() || self.config.aerodynamics.is_some() {

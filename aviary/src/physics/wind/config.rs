@@ -1,5 +1,6 @@
 //! Models of the wind and their settings.
 
+use crate::error::OptionError;
 use serde::{Deserialize, Serialize};
 
 use super::DrydenFilter;
@@ -89,15 +90,6 @@ impl Default for WindConfig {
     }
 }
 
-/// A setting of the wind that is impossible.
-#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("the wind's {field} is {got}, expected {expected}")]
-pub struct WindError {
-    field: &'static str,
-    got: f64,
-    expected: &'static str,
-}
-
 impl WindConfig {
     /// The defaults of a wind.
     pub fn new(model: WindModel) -> Self {
@@ -107,24 +99,21 @@ impl WindConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`WindError`] naming one that is impossible.
-    pub fn validate(&self) -> Result<(), WindError> {
-        let check = |field, got: f64, least: f64, expected| {
-            if (least..=1e3).contains(&got) { Ok(()) } else { Err(WindError { field, got, expected }) }
-        };
+    /// [`OptionError`] naming one that is impossible.
+    pub fn validate(&self) -> Result<(), OptionError> {
         for got in self.velocity {
-            check("velocity", got, -1e3, "finite numbers up to 1000 m/s")?;
+            OptionError::check("wind.velocity", got, -1e3..=1e3, "finite numbers up to 1000 m/s")?;
         }
-        check("gust_duration", self.gust_duration, 1e-3, "1 ms to 1000 s")?;
-        for (field, got) in [
-            ("gust_force", self.gust_force),
-            ("gust_rate", self.gust_rate),
-            ("turbulence", self.turbulence),
-            ("sinusoidal_force", self.sinusoidal_force),
-            ("sinusoidal_frequency", self.sinusoidal_frequency),
-            ("air_density", self.air_density),
+        OptionError::check("wind.gust_duration", self.gust_duration, 1e-3..=1e3, "1 ms to 1000 s")?;
+        for (option, got) in [
+            ("wind.gust_force", self.gust_force),
+            ("wind.gust_rate", self.gust_rate),
+            ("wind.turbulence", self.turbulence),
+            ("wind.sinusoidal_force", self.sinusoidal_force),
+            ("wind.sinusoidal_frequency", self.sinusoidal_frequency),
+            ("wind.air_density", self.air_density),
         ] {
-            check(field, got, 0.0, "0 to 1000")?;
+            OptionError::check(option, got, 0.0..=1e3, "0 to 1000")?;
         }
         Ok(())
     }
@@ -161,11 +150,11 @@ mod tests {
         let refused = |config: WindConfig, text: &str| {
             assert!(config.validate().unwrap_err().to_string().starts_with(text));
         };
-        refused(WindConfig { velocity: [0.0, f64::NAN, 0.0], ..WindConfig::default() }, "the wind's velocity is NaN");
-        refused(WindConfig { turbulence: -1.0, ..WindConfig::default() }, "the wind's turbulence is -1");
-        refused(WindConfig { gust_duration: 0.0, ..WindConfig::default() }, "the wind's gust_duration is 0");
+        refused(WindConfig { velocity: [0.0, f64::NAN, 0.0], ..WindConfig::default() }, "wind.velocity is NaN");
+        refused(WindConfig { turbulence: -1.0, ..WindConfig::default() }, "wind.turbulence is -1");
+        refused(WindConfig { gust_duration: 0.0, ..WindConfig::default() }, "wind.gust_duration is 0");
         let error = toml::from_str::<WindConfig>("filter = \"mil\"").unwrap_err().to_string();
         assert!(error.contains("first_order") && error.contains("mil_f_8785c"), "{error}");
-        refused(WindConfig { air_density: f64::INFINITY, ..WindConfig::default() }, "the wind's air_density is inf");
+        refused(WindConfig { air_density: f64::INFINITY, ..WindConfig::default() }, "wind.air_density is inf");
     }
 }

@@ -1,10 +1,11 @@
 //! The wind about drones: one step of every model.
 
+use crate::error::OptionError;
 use nalgebra::Vector3;
 use rand::{RngExt as _, SeedableRng as _};
 
 use super::dryden::{SecondOrder, dryden, feet};
-use super::{DrydenFilter, WindConfig, WindError, WindModel};
+use super::{DrydenFilter, WindConfig, WindModel};
 use crate::drone::DroneParams;
 use crate::random::{Rng, normals};
 use crate::state::DroneState;
@@ -58,7 +59,7 @@ struct Local {
 /// // ½·ρ·C_d·A·v²
 /// assert!((force.x - 0.5 * 1.225 * params.drag_area() * 9.0).abs() < 1e-12);
 /// assert_eq!(air, Vector3::new(3.0, 0.0, 0.0));
-/// # Ok::<(), aviary::physics::wind::WindError>(())
+/// # Ok::<(), aviary::OptionError>(())
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 #[serde(try_from = "Stored", into = "Stored")]
@@ -107,18 +108,18 @@ impl TryFrom<Stored> for WindField {
 
 impl WindField {
     /// Speed of a drone through the turbulence that is assumed at least, m/s: in still air it would otherwise stand.
-    const LEAST_AIRSPEED: f64 = 0.5;
+    const MIN_AIRSPEED: f64 = 0.5;
 
     /// About these drones.
     ///
     /// # Errors
-    /// [`WindError`].
-    pub fn new(config: WindConfig, drones: &[DroneParams]) -> Result<Self, WindError> {
+    /// [`OptionError`].
+    pub fn new(config: WindConfig, drones: &[DroneParams]) -> Result<Self, OptionError> {
         Self::of_areas(config, drones.iter().map(DroneParams::drag_area))
     }
 
     /// About drones of these drag areas, m².
-    pub(crate) fn of_areas(config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<Self, WindError> {
+    pub(crate) fn of_areas(config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<Self, OptionError> {
         config.validate()?;
         let local = |drag_area: f64| Local {
             rng: Rng::seed_from_u64(0),
@@ -142,7 +143,7 @@ impl WindField {
     }
 
     /// Another wind about drones of these drag areas (m²), as many as before.
-    pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), WindError> {
+    pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), OptionError> {
         config.validate()?;
         for (local, drag_area) in self.locals.iter_mut().zip(areas) {
             // the turbulence's constants are those of the wind
@@ -211,7 +212,7 @@ impl WindField {
             air += *velocity;
         }
         if config.model.has(WindModel::Dryden) {
-            let airspeed = (*velocity - state.velocity).norm().max(Self::LEAST_AIRSPEED);
+            let airspeed = (*velocity - state.velocity).norm().max(Self::MIN_AIRSPEED);
             // near the ground, where drones fly, the constants are always the same
             let h = feet(state.position.z);
             if local.constants.0 != h {

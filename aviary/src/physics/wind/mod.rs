@@ -8,6 +8,6 @@ mod config;
 mod dryden;
 mod field;
 
-pub use config::{WindConfig, WindError, WindModel};
+pub use config::{WindConfig, WindModel};
 pub use dryden::{DrydenFilter, dryden};
 pub use field::{WindField, drag_law};

@@ -291,15 +291,15 @@ pub(super) fn legend<B: Canvas>(
 
 /// Least and greatest value with this share of room on both sides, apart by `least` at least, and where nothing changes by what
 /// can be told apart in print.
-pub(super) fn span(values: impl Iterator<Item = f64>, least: f64, room: f64) -> (f64, f64) {
+pub(super) fn span(values: impl Iterator<Item = f64>, min: f64, room: f64) -> (f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     if low > high {
         return (0.0, 1.0);
     }
     let middle = 0.5 * (low + high);
     let constant = high - low <= 1e-9 * middle.abs() + 1e-12;
-    let least = if constant { least.max(1e-3 * middle.abs()).max(1e-3) } else { least };
-    let half = (0.5 * (high - low)).max(0.5 * least) * (1.0 + 2.0 * room);
+    let min = if constant { min.max(1e-3 * middle.abs()).max(1e-3) } else { min };
+    let half = (0.5 * (high - low)).max(0.5 * min) * (1.0 + 2.0 * room);
     (middle - half, middle + half)
 }
 

@@ -22,7 +22,7 @@ struct Panel {
     label: String,
     lines: Vec<Line>,
     /// Least that the axis spans.
-    least: f64,
+    min: f64,
 }
 
 /// What panels are over unless somebody says otherwise.
@@ -74,7 +74,7 @@ impl Panels {
                     stroke: Stroke::of(index, lines.len()),
                 })
                 .collect(),
-            least: 0.0,
+            min: 0.0,
         };
         Ok(Self { panels: panels.iter().map(panel).collect(), columns: 1, over: TIME.into(), legend: Vec::new() })
     }
@@ -97,13 +97,13 @@ impl Panels {
 
     /// Four panels, in which the axes lie over each other.
     fn of_one(samples: &[Sample]) -> Self {
-        let panel = |label: &str, least: f64, names: &[&str], reading: fn(usize) -> Reading| {
+        let panel = |label: &str, min: f64, names: &[&str], reading: fn(usize) -> Reading| {
             let lines = names.iter().enumerate().map(|(index, name)| Line {
                 name: name.to_string(),
                 points: reading(index).series(samples),
                 stroke: Stroke::of(index, names.len()),
             });
-            Panel { label: label.into(), lines: lines.collect(), least }
+            Panel { label: label.into(), lines: lines.collect(), min }
         };
         let mut position = panel("position (m)", 0.1, &["x", "y", "z"], Position);
         for axis in 0..3 {
@@ -130,7 +130,7 @@ impl Panels {
     /// A panel for every axis, in which the drones lie over each other.
     fn of_several(drones: &[Vec<Sample>]) -> Self {
         let count = drones.len();
-        let panel = |(label, reading): (&str, Reading), least: f64| {
+        let panel = |(label, reading): (&str, Reading), min: f64| {
             let mut lines = Vec::new();
             for (drone, samples) in drones.iter().enumerate() {
                 let stroke = Stroke::of(drone, count);
@@ -142,7 +142,7 @@ impl Panels {
                     lines.push(Line { name: String::new(), points, stroke: Stroke::REFERENCE });
                 }
             }
-            Panel { label: label.into(), lines, least }
+            Panel { label: label.into(), lines, min }
         };
         let rows: [([(&str, Reading); 4], f64); 4] = [
             (
@@ -177,7 +177,7 @@ impl Panels {
                 200.0,
             ),
         ];
-        let panels = rows.into_iter().flat_map(|(row, least)| row.map(|entry| panel(entry, least)));
+        let panels = rows.into_iter().flat_map(|(row, min)| row.map(|entry| panel(entry, min)));
         let mut legend: Vec<_> =
             (0..count.min(16)).map(|drone| (format!("drone {drone}"), Stroke::of(drone, count))).collect();
         if drones.iter().flatten().any(|sample| sample.reference.is_some()) {
@@ -218,7 +218,7 @@ impl Panels {
 
 impl Panel {
     fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>, times: (f64, f64), over: Option<&str>) -> Drawn<B> {
-        let values = span(self.lines.iter().flat_map(|line| &line.points).map(|(_, y)| *y), self.least, 0.06);
+        let values = span(self.lines.iter().flat_map(|line| &line.points).map(|(_, y)| *y), self.min, 0.06);
         let (head, body) = area.split_vertically(px(26));
         head.draw(&Text::new(self.label.clone(), (px(14), px(16)), text(13, HPos::Left, VPos::Center)))?;
         let named: Vec<_> = self

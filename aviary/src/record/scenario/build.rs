@@ -48,10 +48,10 @@ impl Scenario {
                 return Err(self.wrong(field, format!("{found}, expected one for each of {drones}")));
             }
         }
-        for (field, list, most) in vectors {
+        for (field, list, max) in vectors {
             let Some(list) = list else { continue };
-            if let Some(got) = list.iter().flatten().find(|x| !(-most..=most).contains(*x)) {
-                return Err(self.wrong(field, format!("{got}, expected finite numbers within ±{most:e}")));
+            if let Some(got) = list.iter().flatten().find(|x| !(-max..=max).contains(*x)) {
+                return Err(self.wrong(field, format!("{got}, expected finite numbers within ±{max:e}")));
             }
         }
         if self.scene_rpys.is_some() && quaternions.is_none() {

@@ -10,7 +10,7 @@ use quick_xml::events::{BytesEnd, BytesStart, Event};
 
 use super::SceneError;
 use crate::state::{attitude_from_rpy, wxyz};
-use crate::world::look::Look;
+use crate::world::visual_model::VisualModel;
 use crate::world::{DroneBody, Obstacle, World};
 
 /// MJCF being written. Writing to memory cannot fail, so nothing here returns an error.
@@ -107,7 +107,7 @@ impl Xml {
     }
 
     /// Sky, floor, and every mesh and material of these looks once.
-    pub(super) fn assets(&mut self, looks: &[Look]) -> Result<Assets, SceneError> {
+    pub(super) fn assets(&mut self, visual_models: &[VisualModel]) -> Result<Assets, SceneError> {
         self.open("asset", &[]);
         self.leaf(
             "texture",
@@ -148,14 +148,14 @@ impl Xml {
         );
         let mut files = Assets::new();
         let (mut meshes, mut materials) = (BTreeMap::new(), BTreeMap::new());
-        for look in looks {
+        for visual_model in visual_models {
             let mut is_new_file = false;
-            for part in look.parts {
-                meshes.entry(look.mesh_name(part)).or_insert((part.file, look.scale));
-                is_new_file |= materials.insert(Look::material_name(part), part).is_none();
+            for part in visual_model.parts {
+                meshes.entry(visual_model.mesh_name(part)).or_insert((part.file, visual_model.scale));
+                is_new_file |= materials.insert(VisualModel::material_name(part), part).is_none();
             }
             if is_new_file {
-                look.add_files(&mut files)?;
+                visual_model.add_files(&mut files)?;
             }
         }
         for (name, (file, scale)) in meshes {

@@ -1,3 +1,4 @@
+use crate::error::OptionError;
 use nalgebra::Vector3;
 use rand::RngExt as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -51,7 +52,7 @@ impl ObstacleKind {
 /// let config = ObstacleConfig::new(ObstacleKind::Forest);
 /// let trees = config.generate(&[[0.0, 0.0, 0.1]], &mut Rng::seed_from_u64(1))?;
 /// assert_eq!(trees.len(), 20);
-/// # Ok::<(), aviary::world::FieldError>(())
+/// # Ok::<(), aviary::world::ObstacleGeneratorError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Fields")]
@@ -126,19 +127,12 @@ fn optional_triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<
 /// Obstacles that cannot be placed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum FieldError {
-    /// A setting that is impossible.
-    #[error("the obstacles' {field} is {got}, expected {expected}")]
-    Option {
-        /// Which.
-        field: &'static str,
-        /// What it is.
-        got: f64,
-        /// What is possible.
-        expected: &'static str,
-    },
+pub enum ObstacleGeneratorError {
+    /// An option that is impossible.
+    #[error(transparent)]
+    Option(#[from] OptionError),
     /// Two settings of which one would be ignored.
-    #[error("the obstacles' {0}")]
+    #[error("obstacles.{0}")]
     Contradiction(String),
     /// An obstacle of the custom list that is impossible.
     #[error(transparent)]
@@ -216,26 +210,28 @@ impl ObstacleConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`FieldError::Option`].
-    pub fn validate(&self) -> Result<(), FieldError> {
-        let check = |field, got: f64, least: f64, most: f64, expected| {
-            if (least..=most).contains(&got) { Ok(()) } else { Err(FieldError::Option { field, got, expected }) }
-        };
+    /// [`ObstacleGeneratorError::Option`].
+    pub fn validate(&self) -> Result<(), ObstacleGeneratorError> {
         let custom = self.kind == ObstacleKind::Custom;
-        let (most, range) = if custom { (Self::MAX_CUSTOM, "0 to 8000") } else { (Self::MAX_COUNT, "0 to 2000") };
-        check("count", self.count as f64, 0.0, most as f64, range)?;
+        let (max, range) = if custom { (Self::MAX_CUSTOM, "0 to 8000") } else { (Self::MAX_COUNT, "0 to 2000") };
+        OptionError::check("obstacles.count", self.count as f64, 0.0..=max as f64, range)?;
         for side in self.arena {
-            check("arena", side, 0.5, 1e3, "sides of 0.5 to 1000 m")?;
+            OptionError::check("obstacles.arena", side, 0.5..=1e3, "sides of 0.5 to 1000 m")?;
         }
-        check("spacing", self.spacing, 0.0, 1e3, "0 to 1000 m")?;
-        check("safe_zone", self.safe_zone, 0.0, 1e3, "0 to 1000 m")?;
+        OptionError::check("obstacles.spacing", self.spacing, 0.0..=1e3, "0 to 1000 m")?;
+        OptionError::check("obstacles.safe_zone", self.safe_zone, 0.0..=1e3, "0 to 1000 m")?;
         if custom {
-            check("number of custom obstacles", self.custom.len() as f64, 0.0, most as f64, range)?;
+            OptionError::check(
+                "the number of entries of obstacles.custom",
+                self.custom.len() as f64,
+                0.0..=max as f64,
+                range,
+            )?;
         }
         for (index, obstacle) in self.custom.iter().enumerate() {
             obstacle.validate(&format!("custom obstacle {index}"))?;
         }
-        let contradiction = |message: String| Err(FieldError::Contradiction(message));
+        let contradiction = |message: String| Err(ObstacleGeneratorError::Contradiction(message));
         match (self.kind, self.custom.len()) {
             (ObstacleKind::Custom, length) => {
                 if self.count != 0 && self.count != length {
@@ -260,8 +256,8 @@ impl ObstacleConfig {
     /// whatever is drawn.
     ///
     /// # Errors
-    /// [`FieldError`].
-    pub fn generate(&self, starts: &[[f64; 3]], rng: &mut Rng) -> Result<Vec<Obstacle>, FieldError> {
+    /// [`ObstacleGeneratorError`].
+    pub fn generate(&self, starts: &[[f64; 3]], rng: &mut Rng) -> Result<Vec<Obstacle>, ObstacleGeneratorError> {
         self.validate()?;
         let starts: Vec<_> = starts.iter().map(|&start| Vector3::from(start)).collect();
         if self.kind == ObstacleKind::Custom {
@@ -279,7 +275,7 @@ impl ObstacleConfig {
                 Err(placed) => best = best.max(placed),
             }
         }
-        Err(FieldError::Full {
+        Err(ObstacleGeneratorError::Full {
             placed: best,
             asked: self.count,
             arena: self.arena,
@@ -297,9 +293,9 @@ impl ObstacleConfig {
             for _ in 0..100 {
                 let (parts, middle, radius) = self.draw(index, rng);
                 let apart = |other: &Taken| {
-                    let way = middle - other.middle;
+                    let offset = middle - other.middle;
                     // only what hangs in the air has others above and below it
-                    let distance = if self.kind == ObstacleKind::Random { way.norm() } else { way.xy().norm() };
+                    let distance = if self.kind == ObstacleKind::Random { offset.norm() } else { offset.xy().norm() };
                     distance >= radius + other.radius + self.spacing
                 };
                 let clear_of =
@@ -349,8 +345,8 @@ impl ObstacleConfig {
             }
             ObstacleKind::Urban | ObstacleKind::Indoor => {
                 let indoor = self.kind == ObstacleKind::Indoor;
-                let (least, most) = if indoor { (0.08, 0.2) } else { (0.1, 0.25) };
-                let half = [within(rng, least, most), within(rng, least, most)];
+                let (min, max) = if indoor { (0.08, 0.2) } else { (0.1, 0.25) };
+                let half = [within(rng, min, max), within(rng, min, max)];
                 let half_height = 0.5 * height * if indoor { within(rng, 0.1, 0.45) } else { within(rng, 0.3, 1.0) };
                 let radius = half[0].hypot(half[1]);
                 let [x, y] = place(radius, rng);
@@ -404,7 +400,7 @@ impl ObstacleConfig {
     }
 
     /// Walls around the arena, and across it wherever 1.5 m are left, with a doorway of 0.8 m.
-    fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Room, FieldError> {
+    fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Room, ObstacleGeneratorError> {
         const THICKNESS: f64 = 0.03;
         const DOORWAY: f64 = 0.8;
         let [length, width, height] = self.arena;
@@ -427,7 +423,7 @@ impl ObstacleConfig {
         for (drone, start) in starts.iter().enumerate() {
             let got = near(&walls, start);
             if got < self.safe_zone {
-                return Err(FieldError::Wall { drone, got, expected: self.safe_zone });
+                return Err(ObstacleGeneratorError::Wall { drone, got, expected: self.safe_zone });
             }
         }
         let rooms = ((length / 1.5) as usize).clamp(1, 6);
@@ -454,7 +450,7 @@ impl ObstacleConfig {
             for (drone, start) in starts.iter().enumerate() {
                 let got = near(&pair, start);
                 if got < self.safe_zone {
-                    return Err(FieldError::Wall { drone, got, expected: self.safe_zone });
+                    return Err(ObstacleGeneratorError::Wall { drone, got, expected: self.safe_zone });
                 }
             }
             walls.extend(pair);

@@ -11,7 +11,7 @@ use crate::world::SceneError;
 pub const CF2_ASSETS: &str = "MJ_DRONES_CF2_ASSETS";
 
 /// One visible part of an airframe.
-pub(super) struct Part {
+pub(super) struct VisualPart {
     /// What it is, as segmentation names it.
     pub name: &'static str,
     /// File name of its mesh.
@@ -27,7 +27,7 @@ pub(super) struct Part {
 
 macro_rules! part {
     ($name:literal, $directory:literal, $file:literal, $rgba:expr, $specular:literal, $shininess:literal) => {
-        Part {
+        VisualPart {
             name: $name,
             file: $file,
             embedded: include_bytes!(concat!("../../../assets/", $directory, "/", $file)),
@@ -39,7 +39,7 @@ macro_rules! part {
 }
 
 /// The Crazyflie, part for part what the files of those names are in MuJoCo Menagerie.
-static CRAZYFLIE: [Part; 7] = [
+static CRAZYFLIE: [VisualPart; 7] = [
     part!("propellers", "cf2", "cf2_0.obj", [0.792, 0.820, 0.933, 1.0], 0.5, 0.5),
     part!("deck", "cf2", "cf2_1.obj", [0.109, 0.184, 0.0, 1.0], 0.5, 0.4),
     part!("pins", "cf2", "cf2_2.obj", [0.969, 0.878, 0.6, 1.0], 0.9, 0.7),
@@ -49,7 +49,7 @@ static CRAZYFLIE: [Part; 7] = [
     part!("mounts", "cf2", "cf2_6.obj", [1.0, 1.0, 1.0, 1.0], 0.3, 0.2),
 ];
 
-static RACER: [Part; 7] = [
+static RACER: [VisualPart; 7] = [
     part!("propellers", "race", "race_0.obj", [0.55, 0.85, 0.25, 1.0], 0.4, 0.4),
     part!("frame", "race", "race_1.obj", [0.09, 0.09, 0.10, 1.0], 0.45, 0.35),
     part!("motors", "race", "race_2.obj", [0.30, 0.31, 0.34, 1.0], 0.8, 0.6),
@@ -61,8 +61,8 @@ static RACER: [Part; 7] = [
 
 /// The look of one airframe in a scene: parts, and how they are turned and scaled to its size.
 #[derive(Clone, Copy)]
-pub(super) struct Look {
-    pub parts: &'static [Part],
+pub(super) struct VisualModel {
+    pub parts: &'static [VisualPart],
     appearance: Appearance,
     /// Size relative to the meshes.
     pub scale: f64,
@@ -70,9 +70,9 @@ pub(super) struct Look {
     pub turn: f64,
 }
 
-impl Look {
+impl VisualModel {
     pub(super) fn of(params: &DroneParams) -> Self {
-        let (parts, arm): (&'static [Part], f64) = match params.appearance {
+        let (parts, arm): (&'static [VisualPart], f64) = match params.appearance {
             Appearance::Crazyflie => (&CRAZYFLIE, 0.0397),
             Appearance::Racer => (&RACER, 0.125),
         };
@@ -85,12 +85,12 @@ impl Look {
     }
 
     /// Name of a part's mesh in the scene; airframes of equal look and size share it.
-    pub(super) fn mesh_name(&self, part: &Part) -> String {
+    pub(super) fn mesh_name(&self, part: &VisualPart) -> String {
         format!("{}_x{}", part.file.trim_end_matches(".obj"), self.scale)
     }
 
     /// Name of a part's material in the scene.
-    pub(super) fn material_name(part: &Part) -> String {
+    pub(super) fn material_name(part: &VisualPart) -> String {
         format!("{}_material", part.file.trim_end_matches(".obj"))
     }
 
@@ -225,10 +225,10 @@ pub fn check_obj(bytes: &[u8]) -> Result<(), String> {
         before.count(key);
         match key {
             "v" | "vn" | "vt" => {
-                let (least, most) = if key == "vt" { (1, 3) } else { (3, 3) };
-                let numbers = words.take(most).map(coordinate).collect::<Option<Vec<_>>>();
-                if numbers.is_none_or(|numbers| numbers.len() < least) {
-                    return wrong(format!("expected {least} numbers within ±1000 after `{key}`"));
+                let (min, max) = if key == "vt" { (1, 3) } else { (3, 3) };
+                let numbers = words.take(max).map(coordinate).collect::<Option<Vec<_>>>();
+                if numbers.is_none_or(|numbers| numbers.len() < min) {
+                    return wrong(format!("expected {min} numbers within ±1000 after `{key}`"));
                 }
             }
             "f" => {

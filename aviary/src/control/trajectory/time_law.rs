@@ -7,7 +7,7 @@ use super::{TrajectoryError, jet::Jet};
 /// At full speed a turn takes one period. With a ramp the angle starts from rest and, where the number of turns is
 /// limited, comes to rest again, with continuous derivatives up to the fourth.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pace {
+pub(super) struct TimeLaw {
     /// Angle at the start, rad.
     pub phase: f64,
     /// Angular rate at full speed, rad/s.
@@ -18,23 +18,23 @@ pub(super) struct Pace {
     pub turns: f64,
 }
 
-impl Pace {
+impl TimeLaw {
     /// Integral of the seventh-order smoothstep 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷, whose first three derivatives vanish at 0 and 1.
     const RAMP: [f64; 9] = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, -14.0, 10.0, -2.5];
 
-    pub(super) fn check(&self) -> Result<(), TrajectoryError> {
+    pub(super) fn validate(&self) -> Result<(), TrajectoryError> {
         let Self { phase, rate, ramp, turns } = *self;
-        TrajectoryError::check("phase", phase, phase.abs() <= 1e6, "a finite angle, rad")?;
-        TrajectoryError::check(
+        TrajectoryError::validate("phase", phase, phase.abs() <= 1e6, "a finite angle, rad")?;
+        TrajectoryError::validate(
             "period",
             TAU / rate,
             rate.is_finite() && (1e-6..=1e6).contains(&rate.abs()),
             "a number of seconds up to a few days, negative to turn the other way",
         )?;
-        TrajectoryError::check("ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
-        TrajectoryError::check("turns", turns, turns > 0.0, "a positive number")?;
+        TrajectoryError::validate("ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
+        TrajectoryError::validate("turns", turns, turns > 0.0, "a positive number")?;
         // ramping up and down takes half of the ramp's time at full speed each
-        TrajectoryError::check(
+        TrajectoryError::validate(
             "turns",
             turns,
             turns * TAU >= ramp * rate.abs(),

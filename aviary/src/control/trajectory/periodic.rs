@@ -3,7 +3,7 @@ use std::f64::consts::TAU;
 use nalgebra::Vector3;
 
 use super::jet::Jet;
-use super::pace::Pace;
+use super::time_law::TimeLaw;
 use super::{Trajectory, TrajectoryError};
 use crate::control::Reference;
 use crate::state::wrap_angle;
@@ -13,9 +13,9 @@ use crate::state::wrap_angle;
 /// ```
 /// use std::f64::consts::FRAC_PI_2;
 ///
-/// use aviary::control::trajectory::{Curve, Heading, Trajectory};
+/// use aviary::control::trajectory::{PeriodicTrajectory, Heading, Trajectory};
 ///
-/// let circle = Curve::circle(1.0, 10.0)?.heading(Heading::Forward)?;
+/// let circle = PeriodicTrajectory::circle(1.0, 10.0)?.heading(Heading::Forward)?;
 /// // from (1, 0, 1) it goes along y
 /// assert!((circle.reference(0.0).yaw - FRAC_PI_2).abs() < 1e-12);
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
@@ -38,11 +38,11 @@ pub enum Heading {
 /// The plane of a curve, by the axes that its angle turns from and to.
 ///
 /// ```
-/// use aviary::control::trajectory::{Curve, Plane, Trajectory};
+/// use aviary::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
 ///
 /// assert_eq!(Plane::normal([2.0, 0.0, 0.0])?, Plane::YZ);
 /// // slanted by 45°: after a quarter turn the circle is at its highest
-/// let circle = Curve::circle(0.5, 4.0)?.plane(Plane::normal([1.0, 0.0, 1.0])?);
+/// let circle = PeriodicTrajectory::circle(0.5, 4.0)?.plane(Plane::normal([1.0, 0.0, 1.0])?);
 /// assert!((circle.reference(1.0).position.z - (1.0 + 0.5 * 0.5_f64.sqrt())).abs() < 1e-12);
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
 /// ```
@@ -67,7 +67,7 @@ impl Plane {
     pub fn normal(normal: [f64; 3]) -> Result<Self, TrajectoryError> {
         let normal = Vector3::from(normal);
         let size = normal.norm();
-        TrajectoryError::check("the length of normal", size, (1e-9..1e9).contains(&size), "a positive number")?;
+        TrajectoryError::validate("the length of normal", size, (1e-9..1e9).contains(&size), "a positive number")?;
         let normal = normal / size;
         let level = Vector3::z().cross(&normal);
         let first = if level.norm() < 1e-9 { Vector3::x() } else { level.normalize() };
@@ -80,7 +80,7 @@ impl Plane {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Shape {
+enum PathShape {
     Circle { radius: f64 },
     Lemniscate { half_length: f64, half_width: f64 },
     Helix { radius: f64, climb: f64 },
@@ -89,32 +89,32 @@ enum Shape {
 /// A circle, a lemniscate (an eight) or a helix, at a steady pace or from rest to rest.
 ///
 /// ```
-/// use aviary::control::trajectory::{Curve, Plane, Trajectory};
+/// use aviary::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
 ///
 /// // the paper's vertical circle: 0.3 m, 8 s, in the YZ plane
-/// let circle = Curve::circle(0.3, 8.0)?.plane(Plane::YZ).centre([0.0, 0.0, 1.0]);
+/// let circle = PeriodicTrajectory::circle(0.3, 8.0)?.plane(Plane::YZ).centre([0.0, 0.0, 1.0]);
 /// let start = circle.reference(0.0);
 /// assert_eq!(start.position.as_slice(), [0.0, 0.3, 1.0]);
 /// assert!((start.velocity.z - 0.3 * std::f64::consts::TAU / 8.0).abs() < 1e-12);
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
-pub struct Curve {
-    shape: Shape,
+pub struct PeriodicTrajectory {
+    shape: PathShape,
     centre: Vector3<f64>,
     plane: Plane,
     heading: Heading,
-    pace: Pace,
+    time_law: TimeLaw,
 }
 
-impl Curve {
+impl PeriodicTrajectory {
     /// A circle: radius in m, seconds per turn (negative to turn the other way).
     ///
     /// # Errors
     /// [`TrajectoryError`] naming what is impossible; likewise below.
     pub fn circle(radius: f64, period: f64) -> Result<Self, TrajectoryError> {
         length("radius", radius)?;
-        Self::new(Shape::Circle { radius }, period)
+        Self::new(PathShape::Circle { radius }, period)
     }
 
     /// An eight: `half_length`·sin θ along the plane's first axis and `half_width`·sin 2θ along its second, m; seconds per
@@ -125,7 +125,7 @@ impl Curve {
     pub fn lemniscate(half_length: f64, half_width: f64, period: f64) -> Result<Self, TrajectoryError> {
         length("half_length", half_length)?;
         length("half_width", half_width)?;
-        Self::new(Shape::Lemniscate { half_length, half_width }, period)
+        Self::new(PathShape::Lemniscate { half_length, half_width }, period)
     }
 
     /// An eight by its greatest speed, m/s, in place of its period.
@@ -145,15 +145,15 @@ impl Curve {
     /// As above.
     pub fn helix(radius: f64, period: f64, climb: f64) -> Result<Self, TrajectoryError> {
         length("radius", radius)?;
-        TrajectoryError::check("climb", climb, climb.abs() <= 1e6, "a finite number of metres up to 1e6")?;
-        Self::new(Shape::Helix { radius, climb }, period)
+        TrajectoryError::validate("climb", climb, climb.abs() <= 1e6, "a finite number of metres up to 1e6")?;
+        Self::new(PathShape::Helix { radius, climb }, period)
     }
 
-    fn new(shape: Shape, period: f64) -> Result<Self, TrajectoryError> {
-        let pace = Pace { phase: 0.0, rate: TAU / period, ramp: 0.0, turns: f64::INFINITY };
-        pace.check()?;
+    fn new(shape: PathShape, period: f64) -> Result<Self, TrajectoryError> {
+        let time_law = TimeLaw { phase: 0.0, rate: TAU / period, ramp: 0.0, turns: f64::INFINITY };
+        time_law.validate()?;
         let centre = Vector3::new(0.0, 0.0, 1.0);
-        Ok(Self { shape, centre, plane: Plane::XY, heading: Heading::Fixed(0.0), pace })
+        Ok(Self { shape, centre, plane: Plane::XY, heading: Heading::Fixed(0.0), time_law })
     }
 
     /// The middle, world frame, m; (0, 0, 1) by default. A helix starts in the plane through it.
@@ -173,8 +173,8 @@ impl Curve {
     /// # Errors
     /// As above.
     pub fn phase(mut self, phase: f64) -> Result<Self, TrajectoryError> {
-        self.pace.phase = phase;
-        self.pace.check()?;
+        self.time_law.phase = phase;
+        self.time_law.validate()?;
         Ok(self)
     }
 
@@ -188,12 +188,12 @@ impl Curve {
             Heading::Turning { yaw, rate } => (yaw, rate),
             Heading::Forward => (0.0, 0.0),
         };
-        TrajectoryError::check("yaw", yaw, yaw.abs() <= 1e6, "a finite angle, rad")?;
-        TrajectoryError::check("yaw_rate", rate, rate.abs() <= 1e3, "a finite rate, rad/s, up to 1000")?;
+        TrajectoryError::validate("yaw", yaw, yaw.abs() <= 1e6, "a finite angle, rad")?;
+        TrajectoryError::validate("yaw_rate", rate, rate.abs() <= 1e3, "a finite rate, rad/s, up to 1000")?;
         let slope = self.plane.axis().z.abs();
         if heading == Heading::Forward {
             let expected = "at least 0.1 for a forward heading: an upright curve goes straight up somewhere";
-            TrajectoryError::check("the vertical part of normal", slope, slope >= 0.1, expected)?;
+            TrajectoryError::validate("the vertical part of normal", slope, slope >= 0.1, expected)?;
         }
         Ok(Self { heading, ..self })
     }
@@ -204,8 +204,8 @@ impl Curve {
     /// # Errors
     /// As above.
     pub fn ramp(mut self, seconds: f64) -> Result<Self, TrajectoryError> {
-        self.pace.ramp = seconds;
-        self.pace.check()?;
+        self.time_law.ramp = seconds;
+        self.time_law.validate()?;
         Ok(self)
     }
 
@@ -214,8 +214,8 @@ impl Curve {
     /// # Errors
     /// As above.
     pub fn turns(mut self, turns: f64) -> Result<Self, TrajectoryError> {
-        self.pace.turns = turns;
-        self.pace.check()?;
+        self.time_law.turns = turns;
+        self.time_law.validate()?;
         Ok(self)
     }
 
@@ -224,15 +224,15 @@ impl Curve {
         let (sin, cos) = angle.sin_cos();
         let zero = Jet::constant(0.0);
         match self.shape {
-            Shape::Circle { radius } => ([cos * radius, sin * radius, zero], [sin * -radius, cos * radius, zero]),
-            Shape::Lemniscate { half_length, half_width } => {
+            PathShape::Circle { radius } => ([cos * radius, sin * radius, zero], [sin * -radius, cos * radius, zero]),
+            PathShape::Lemniscate { half_length, half_width } => {
                 let (sin2, cos2) = (angle * 2.0).sin_cos();
                 ([sin * half_length, sin2 * half_width, zero], [cos * half_length, cos2 * (2.0 * half_width), zero])
             }
-            Shape::Helix { radius, climb } => {
+            PathShape::Helix { radius, climb } => {
                 // up with every turn, whichever way round
-                let step = climb / TAU * self.pace.rate.signum();
-                let rise = (angle - Jet::constant(self.pace.phase)) * step;
+                let step = climb / TAU * self.time_law.rate.signum();
+                let rise = (angle - Jet::constant(self.time_law.phase)) * step;
                 let step = Jet::constant(step);
                 ([cos * radius, sin * radius, rise], [sin * -radius, cos * radius, step])
             }
@@ -246,22 +246,22 @@ impl Curve {
 }
 
 fn length(what: &'static str, metres: f64) -> Result<(), TrajectoryError> {
-    TrajectoryError::check(what, metres, metres > 0.0 && metres <= 1e6, "a positive number up to 1e6")
+    TrajectoryError::validate(what, metres, metres > 0.0 && metres <= 1e6, "a positive number up to 1e6")
 }
 
-impl Trajectory for Curve {
+impl Trajectory for PeriodicTrajectory {
     fn reference(&self, time: f64) -> Reference {
-        let (position, tangent) = self.local(self.pace.angle(time));
+        let (position, tangent) = self.local(self.time_law.angle(time));
         let position = self.world(&position);
         let derivative = |k: usize| Vector3::from_fn(|axis, _| position[axis].derivative(k));
         let [yaw, yaw_rate, yaw_acceleration] = match self.heading {
             Heading::Fixed(yaw) => [yaw, 0.0, 0.0],
             Heading::Turning { yaw, rate } => {
-                let inside = time.max(0.0).min(self.pace.end());
+                let inside = time.max(0.0).min(self.time_law.end());
                 [wrap_angle(yaw + rate * inside), if time == inside { rate } else { 0.0 }, 0.0]
             }
             Heading::Forward => {
-                let [x, y, _] = self.world(&tangent.map(|part| part * self.pace.rate.signum()));
+                let [x, y, _] = self.world(&tangent.map(|part| part * self.time_law.rate.signum()));
                 direction(x, y)
             }
         };
@@ -278,8 +278,8 @@ impl Trajectory for Curve {
     }
 
     fn duration(&self) -> f64 {
-        let end = self.pace.end();
-        if end.is_finite() { end } else { TAU / self.pace.rate.abs() + self.pace.ramp }
+        let end = self.time_law.end();
+        if end.is_finite() { end } else { TAU / self.time_law.rate.abs() + self.time_law.ramp }
     }
 }
 
