@@ -319,11 +319,10 @@ impl MotorScale {
     #[inline]
     pub fn rpm(&self, command: f64) -> f64 {
         let command = command.clamp(-1.0, 1.0);
-        if command <= 0.0 {
-            (command + 1.0) * self.hover_rpm
-        } else {
-            self.hover_rpm + command * (self.max_rpm - self.hover_rpm)
-        }
+        // both are computed: nobody could guess which one of them an agent will want
+        let (below, above) =
+            ((command + 1.0) * self.hover_rpm, self.hover_rpm + command * (self.max_rpm - self.hover_rpm));
+        if command <= 0.0 { below } else { above }
     }
 
     /// The normalized command of a motor speed (rpm), which is clipped to what the motor can do.

@@ -105,10 +105,13 @@ impl<T: Task> Episode<T> {
     /// Returns the outcome of the last control step, in an episode of so many steps at most.
     pub(crate) fn outcome(&self, simulation: SimView<'_>, episode_steps: u64) -> StepOutcome {
         // one crashed drone ends the episode, and so do all that have completed their part
-        let crash = self.ends.iter().flatten().copied().find(|end| end.is_crash());
-        let lost = crash.or(self.ends.iter().flatten().copied().find(|&end| end != EndReason::Completed));
-        let completed = self.ends.iter().all(|&end| end == Some(EndReason::Completed));
-        let end = lost.or(completed.then_some(EndReason::Completed));
+        let (mut crash, mut lost, mut completed) = (None, None, true);
+        for &end in &self.ends {
+            completed &= end == Some(EndReason::Completed);
+            lost = lost.or(end.filter(|&end| end != EndReason::Completed));
+            crash = crash.or(end.filter(|end| end.is_crash()));
+        }
+        let end = crash.or(lost).or(completed.then_some(EndReason::Completed));
         let (terminated, truncated) = (end.is_some(), simulation.control_steps() >= episode_steps);
         let reward = (0..self.ends.len()).map(|drone| self.reward_of(simulation, drone)).sum();
         StepOutcome { reward, terminated, truncated, end: end.or(truncated.then_some(EndReason::TimeLimit)) }

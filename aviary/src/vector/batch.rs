@@ -285,7 +285,11 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     /// Takes what went wrong since the last call; in a step that shall be without a fault, the first one is an error.
     fn take_faults(&mut self, fatal: bool) -> Result<(), EnvError> {
         self.found.clear();
-        self.found.append(self.pool.faults.get_mut().unwrap_or_else(PoisonError::into_inner));
+        let faults = self.pool.faults.get_mut().unwrap_or_else(PoisonError::into_inner);
+        if faults.is_empty() {
+            return Ok(());
+        }
+        self.found.append(faults);
         self.found.sort_by_key(|(environment, _)| *environment);
         match self.found.first() {
             Some((environment, error)) if fatal => {

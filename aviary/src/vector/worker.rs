@@ -3,8 +3,8 @@
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-use super::Autoreset;
 use super::shard::{BatchModel, Shard};
+use super::{Autoreset, OnFault};
 use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
 use crate::env::{Aviary, EndReason, EnvError, EpisodeSummary, Phase, Task};
 use crate::simulation::SimData;
@@ -113,6 +113,8 @@ impl<T: Task> Worker<T> {
     fn turn(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> Turn {
         let slot = &shard.envs.slots[index];
         let error = match slot.episode.phase {
+            // all have been looked at before anything moved
+            Phase::Running if model.on_fault == OnFault::Error => return Turn::Fly,
             Phase::Running => match action.iter().position(|x| !x.is_finite()) {
                 None => return Turn::Fly,
                 Some(entry) => {
