@@ -105,7 +105,7 @@ impl Onboard {
             }))
             .build()
             .expect("a simulation");
-        let renderer = SceneRenderer::for_observations(simulation.world()).expect("a renderer");
+        let renderer = SceneRenderer::for_observations(&simulation.scene()).expect("a renderer");
         Self { simulation, renderer }
     }
 

@@ -28,7 +28,7 @@ fn main() -> anyhow::Result<()> {
     let mut rollout = Rollout::start(env, pilot, Some(1))?;
     // without shadows and reflections: twelve drones with rings are enough to look at
     let mut renderer =
-        SceneRenderer::new(rollout.env().simulation().world(), Quality::PRETTY, VisualEffects::default())?;
+        SceneRenderer::new(&rollout.env().simulation().scene(), Quality::PRETTY, VisualEffects::default())?;
     renderer.set_stage([0.0, 0.0, 1.0], 1.3);
     let (tile, sheet) = (ImageSize { width: SIDE, height: SIDE }, ImageSize { width: 3 * SIDE, height: 2 * SIDE });
     let (mut rgb, mut picture) = (vec![0; 3 * tile.pixels()], vec![0; 3 * sheet.pixels()]);

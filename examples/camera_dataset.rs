@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<()> {
         .obstacles(trees)
         .build()?;
     let mut controller = GeometricControl::new(simulation.params(0));
-    let mut renderer = SceneRenderer::for_observations(simulation.world())?;
+    let mut renderer = SceneRenderer::for_observations(&simulation.scene())?;
     let mut poses = CsvLog::new(std::fs::File::create(directory.join("poses.csv"))?)?;
     let (mut rgb, mut depth) = (vec![0; 3 * SIZE.pixels()], vec![0.0; SIZE.pixels()]);
     let mut objects = vec![[0; 2]; SIZE.pixels()];

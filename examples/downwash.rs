@@ -35,7 +35,7 @@ fn main() -> anyhow::Result<()> {
     let dt = simulation.control_period();
     let size = ImageSize { width: 640, height: 480 };
     let mut picture = vec![0; 3 * size.pixels()];
-    let mut renderer = SceneRenderer::for_people(simulation.world())?;
+    let mut renderer = SceneRenderer::for_people(&simulation.scene())?;
     while simulation.time() < seconds {
         // the upper drone comes in over the lower one after two seconds
         let t = simulation.time();

@@ -32,7 +32,7 @@ fn main() -> anyhow::Result<()> {
     })?;
     let size = ImageSize { width: 800, height: 600 };
     let mut rgb = vec![0; 3 * size.pixels()];
-    let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+    let mut renderer = SceneRenderer::for_people(&env.simulation().scene())?;
     renderer.update(env.simulation().states())?;
     for drone in 0..drones {
         renderer.add_thread(&flight.positions(drone), 4.0, colour_of(drone, drones));

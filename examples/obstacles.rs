@@ -27,7 +27,7 @@ fn main() -> anyhow::Result<()> {
         let field = ObstacleConfig { count, seed: Some(seed), arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
         let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_generator(field).build()?;
         env.reset(Some(seed))?;
-        let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+        let mut renderer = SceneRenderer::for_people(&env.simulation().scene())?;
         renderer.set_stage([0.0, 0.0, 0.4], 1.1);
         renderer.update(env.simulation().states())?;
         renderer.rgb(View::Fixed, size, &mut picture)?;

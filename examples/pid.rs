@@ -63,7 +63,7 @@ fn main() -> anyhow::Result<()> {
     let three = fly(&directory.join("swarm"), Physics::MjcGndDragDw, ControllerKind::Pid, &swarm, seconds)?;
 
     let size = ImageSize { width: 640, height: 480 };
-    let (mut renderer, mut picture) = (SceneRenderer::for_people(three.world())?, vec![0; 3 * size.pixels()]);
+    let (mut renderer, mut picture) = (SceneRenderer::for_people(&three.scene())?, vec![0; 3 * size.pixels()]);
     renderer.update(three.states())?;
     renderer.rgb(View::Track, size, &mut picture)?;
     std::fs::write(directory.join("swarm.png"), png_rgb(size, &picture)?)?;

@@ -20,7 +20,7 @@ fn main() -> anyhow::Result<()> {
     let config = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).episode_seconds(seconds);
     let mut env = config.randomization(Randomization::default()).build()?;
     let size = ImageSize { width: 800, height: 600 };
-    let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+    let mut renderer = SceneRenderer::for_people(&env.simulation().scene())?;
     let (mut heights, mut aside, mut trails) = (vec![], vec![], vec![]);
     println!(
         "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",

@@ -31,7 +31,7 @@ fn main() -> anyhow::Result<()> {
 
     let size = ImageSize { width: 800, height: 600 };
     let mut picture = vec![0; 3 * size.pixels()];
-    let mut renderer = SceneRenderer::for_people(simulation.world())?;
+    let mut renderer = SceneRenderer::for_people(&simulation.scene())?;
     renderer.set_stage([0.0, 0.0, 0.75], 0.0);
     renderer.update(simulation.states())?;
     let planned: Vec<_> = (0..80).map(|i| circle.reference(0.1 * f64::from(i)).position).collect();

@@ -22,7 +22,7 @@ fn main() -> anyhow::Result<()> {
     for model in [DroneModel::Cf2x, DroneModel::Race] {
         let simulation =
             Simulation::builder(model).initial_positions([[0.0, 0.0, 1.0]]).initial_rpys([[0.05, 0.1, 0.3]]).build()?;
-        let mut renderer = SceneRenderer::for_people(simulation.world())?;
+        let mut renderer = SceneRenderer::for_people(&simulation.scene())?;
         renderer.update(simulation.states())?;
         for view in View::ALL {
             renderer.rgb(view, SIZE, &mut rgb)?;
@@ -34,12 +34,12 @@ fn main() -> anyhow::Result<()> {
         .drones([DroneModel::Cf2x, DroneModel::Cf2p, DroneModel::Race].map(DroneModel::params))
         .initial_positions([[0.0, 0.0, 0.8], [0.35, 0.12, 0.86], [0.8, -0.2, 0.78]])
         .build()?;
-    let mut renderer = SceneRenderer::for_people(three.world())?;
+    let mut renderer = SceneRenderer::for_people(&three.scene())?;
     renderer.update(three.states())?;
     renderer.rgb(View::Track, SIZE, &mut rgb)?;
     save("three_track.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
 
-    let mut renderer = SceneRenderer::for_observations(three.world())?;
+    let mut renderer = SceneRenderer::for_observations(&three.scene())?;
     renderer.update(three.states())?;
     renderer.rgb(View::Fpv, SIZE, &mut rgb)?;
     save("three_fpv.png".into(), picture::png_rgb(SIZE, &rgb)?)?;

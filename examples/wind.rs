@@ -39,7 +39,7 @@ fn main() -> anyhow::Result<()> {
         println!("{name}: {:.1} cm downwind on average over the second half", 100.0 * drift);
         lines.push(Series { name: name.to_string(), points });
         if lines.len() == 1 {
-            let mut renderer = SceneRenderer::for_people(env.simulation().world())?;
+            let mut renderer = SceneRenderer::for_people(&env.simulation().scene())?;
             renderer.set_stage([0.0, 0.1, 1.0], -0.35);
             renderer.update(env.simulation().states())?;
             let dots: Vec<_> = trail.iter().step_by(8).copied().collect();

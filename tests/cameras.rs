@@ -90,7 +90,7 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
         .initial_rpys([[0.0, 0.0, 0.0], [0.2, 0.1, 1.0], [0.3, -0.5, 3.0]])
         .build()
         .unwrap();
-    let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+    let mut renderer = SceneRenderer::for_observations(&simulation.scene()).unwrap();
     renderer.update(simulation.states()).unwrap();
     let size = ImageSize { width: 160, height: 120 };
     let mut objects = vec![[0; 2]; size.pixels()];
@@ -153,7 +153,7 @@ fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
     let size = ImageSize { width: 320, height: 240 };
     for model in DroneModel::ALL {
         let simulation = Simulation::builder(model).initial_positions([[0.0, 0.0, 0.9]]).build().unwrap();
-        let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+        let mut renderer = SceneRenderer::for_observations(&simulation.scene()).unwrap();
         renderer.update(simulation.states()).unwrap();
         let drones: Vec<_> = renderer.objects().into_iter().filter(|o| o.drone == Some(0)).map(|o| o.index).collect();
         assert_eq!(drones.len(), 7);
@@ -192,7 +192,7 @@ fn airframes_are_drawn_the_way_their_motors_sit() {
     for model in DroneModel::ALL {
         let params = model.params();
         let simulation = Simulation::builder(model).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
-        let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+        let mut renderer = SceneRenderer::for_observations(&simulation.scene()).unwrap();
         renderer.update(simulation.states()).unwrap();
         let data = renderer.data();
         // drawn motors may sit further out than L (92 mm between opposite ones), but on the same lines
@@ -217,7 +217,7 @@ fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
     const CHILD: &str = "CAMERAS_TEST_OVERRIDE";
     if let Ok(expected) = std::env::var(CHILD) {
         let simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
-        match SceneRenderer::for_observations(simulation.world()) {
+        match SceneRenderer::for_observations(&simulation.scene()) {
             Ok(renderer) => assert_eq!(renderer.data().model().nmeshface().to_string(), expected),
             Err(error) => assert!(error.to_string().contains(&expected), "{error}"),
         }
@@ -257,7 +257,7 @@ fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
         .initial_rpys([[0.0, 0.3, 0.0], [0.0, 0.0, 0.7]])
         .build()
         .unwrap();
-    let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+    let mut renderer = SceneRenderer::for_observations(&simulation.scene()).unwrap();
     let floor = renderer.objects().into_iter().find(|object| object.name == "floor").unwrap();
     let [fx, fy, cx, cy] = intrinsics(size);
     let mut look = |offsets: [[f64; 3]; 2]| {
@@ -320,7 +320,7 @@ fn far_and_high_gates_have_shadows() {
     let picture = |shadows| {
         let effects = VisualEffects { shadows, ..VisualEffects::default() };
         let quality = mujoco_drones_gym::mujoco::Quality::PRETTY;
-        let mut renderer = SceneRenderer::new(env.simulation().world(), quality, effects).unwrap();
+        let mut renderer = SceneRenderer::new(&env.simulation().scene(), quality, effects).unwrap();
         renderer.set_stage([5.0, -4.0, 0.0], 2.0);
         renderer.update(env.simulation().states()).unwrap();
         let mut rgb = vec![0; 3 * size.pixels()];

@@ -78,13 +78,13 @@ fn saved_and_restored_it_goes_on_as_if_nothing_had_happened() {
         }
     }
     let text = serde_json::to_string(first.state()).unwrap();
-    second.restore(serde_json::from_str::<CurriculumState>(&text).unwrap()).unwrap();
+    second.restore_state(serde_json::from_str::<CurriculumState>(&text).unwrap()).unwrap();
     for _ in 2..7 {
         episode(&mut second, 0.0);
     }
     assert_eq!(second.state(), whole.state());
     let foreign = CurriculumState { level: 9, ..first.state().clone() };
-    assert!(second.restore(foreign).unwrap_err().to_string().contains("level 9 of 5"));
+    assert!(second.restore_state(foreign).unwrap_err().to_string().contains("level 9 of 5"));
     assert_eq!(second.state(), whole.state());
 }
 

@@ -232,6 +232,8 @@ fn the_paper_names_six_of_the_combinations_and_contradictions_are_refused() {
         }
     }
     assert!("drag,lift".parse::<Effects>().unwrap_err().to_string().contains("no aerodynamic effect `lift`"));
+    let alone = "none,drag".parse::<Effects>().unwrap_err().to_string();
+    assert!(alone.contains("no aerodynamic effect `none`, expected ground, drag or downwash"), "{alone}");
     assert!("".parse::<Effects>().is_err() && "ground,".parse::<Effects>().is_err());
 }
 

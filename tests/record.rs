@@ -127,6 +127,30 @@ fn episodes_of_a_wrapped_environment_lie_beside_each_other_and_nothing_is_overwr
     assert!(Recorded::new(build(), &file).unwrap_err().to_string().contains("file"));
 }
 
+#[test]
+fn a_flight_after_a_restore_is_recorded_as_another_episode() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut env = Recorded::new(Hover::builder().episode_seconds(0.25).build().unwrap(), directory.path()).unwrap();
+    env.reset(Some(1)).unwrap();
+    for _ in 0..5 {
+        env.step(&[0.1; 4]).unwrap();
+    }
+    let snapshot = env.snapshot();
+    // also when the first flight has ended meanwhile
+    while env.info().end.is_none() {
+        env.step(&[0.3; 4]).unwrap();
+    }
+    let ended = env.snapshot();
+    env.restore(&snapshot).unwrap();
+    env.step(&[-0.1; 4]).unwrap();
+    env.restore(&ended).unwrap();
+    let read = |name| Flight::read_named(directory.path(), name);
+    let (first, second) = (read("episode_0000_").unwrap(), read("episode_0001_").unwrap());
+    assert_eq!((first.drones[0].len(), second.drones[0].len()), (13, 2));
+    assert_eq!(second.drones[0][0].state, first.drones[0][5].state);
+    assert!(second.drones[0][1].time > second.drones[0][0].time && read("episode_0002_").is_err());
+}
+
 /// A recorder in a loop over episodes is made before the one of the episode before is dropped, which ended the program.
 #[test]
 fn a_flight_recorded_again_replaces_the_one_before() {
@@ -356,7 +380,7 @@ fn rings_and_gates_are_seen_where_they_are() {
         return;
     }
     let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
-    let mut renderer = SceneRenderer::new(simulation.world(), Quality::FAST, VisualEffects::default()).unwrap();
+    let mut renderer = SceneRenderer::new(&simulation.scene(), Quality::FAST, VisualEffects::default()).unwrap();
     renderer.set_stage([0.0, 0.0, 1.0], 0.2);
     let size = ImageSize { width: 201, height: 201 };
     // the middle of what is magenta, and how far it reaches across and down the picture

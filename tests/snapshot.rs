@@ -1,5 +1,6 @@
 //! Snapshots: what follows a restore is bit-identical to what followed the snapshot, whatever the environment is made of.
 
+use mujoco_drones_gym::action::ActionLimits;
 use mujoco_drones_gym::control::CollisionCone;
 use mujoco_drones_gym::env::{EnvSnapshot, Randomization};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
@@ -212,6 +213,55 @@ fn a_snapshot_of_another_environment_is_refused() {
     let mut multi = make("multi_hover", EnvConfig::default().num_drones(3)).unwrap();
     multi.reset(Some(1)).unwrap();
     assert!(multi.restore(&snapshot("multi_hover")).is_err(), "two drones for three");
+    // velocities that another controller flies, or with other limits
+    let velocities = EnvConfig::default().action_type(ActionType::Vel);
+    let mut pid = make("hover", velocities.clone()).unwrap();
+    pid.reset(Some(1)).unwrap();
+    let limits = ActionLimits { tilt: 0.4, ..ActionLimits::default() };
+    for config in [velocities.clone().controller(ControllerKind::Geometric), velocities.action_limits(limits)] {
+        let mut other = make("hover", config).unwrap();
+        other.reset(Some(1)).unwrap();
+        assert!(pid.restore(&other.snapshot()).unwrap_err().to_string().contains("another kind of environment"));
+    }
+    // a level that the curriculum does not have
+    let curriculum = |levels| {
+        let config = CurriculumConfig { levels, window: 1, ..CurriculumConfig::default() };
+        let hover = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(0.1).build().unwrap();
+        CurriculumWrapper::new(hover, config, |_: &mut Aviary<Hover>, _: usize| Ok(())).unwrap()
+    };
+    let (mut three, mut five) = (curriculum(3), curriculum(5));
+    three.reset(Some(1)).unwrap();
+    for _ in 0..5 {
+        five.reset(Some(1)).unwrap();
+        while five.info().end.is_none() {
+            five.step(&[0.0; 4]).unwrap();
+        }
+    }
+    assert_eq!(five.state().level, 4);
+    let error = Env::restore(&mut three, &five.snapshot()).unwrap_err().to_string();
+    assert!(error.contains("level 4 of 5") && three.state().level == 0, "{error}");
+}
+
+/// A planner samples futures in threads, all from one snapshot.
+#[test]
+fn threads_share_a_snapshot_and_a_clone_outlives_it() {
+    let mut env = make_reset("race");
+    flight(&mut *env, 3, 20);
+    let snapshot = env.snapshot();
+    let futures: Vec<_> = std::thread::scope(|scope| {
+        let fly = || {
+            let mut env = make_reset("race");
+            env.restore(&snapshot).unwrap();
+            flight(&mut *env, 4, 20)
+        };
+        let threads: Vec<_> = (0..3).map(|_| scope.spawn(fly)).collect();
+        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+    });
+    let clone = snapshot.clone();
+    drop(snapshot);
+    env.restore(&clone).unwrap();
+    let own = flight(&mut *env, 4, 20);
+    assert!(futures.iter().all(|future| *future == own));
 }
 
 /// Sizes are equal, numbers of the model are not.

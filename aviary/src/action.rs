@@ -218,6 +218,19 @@ impl ActionDecoder {
         Ok(Self { kind, limits: *limits, scale: MotorScale::new(params), loops })
     }
 
+    /// Returns true if another decoder turns the same actions into the same commands from the same memory: action type, controller,
+    /// limits and airframe are equal.
+    pub(crate) fn is_like(&self, other: &Self) -> bool {
+        let controller = |decoder: &Self| match &decoder.loops {
+            Loops::Velocity { controller, .. } | Loops::Waypoint { controller } => {
+                Some(std::mem::discriminant(controller))
+            }
+            _ => None,
+        };
+        (self.kind, self.limits, controller(self)) == (other.kind, other.limits, controller(other))
+            && self.scale == other.scale
+    }
+
     /// The scale of normalized motor speeds.
     pub fn scale(&self) -> &MotorScale {
         &self.scale

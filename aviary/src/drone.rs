@@ -1,4 +1,4 @@
-//! LaneParams: the three that are built in, the user's own from TOML, and what follows from their parameters.
+//! Airframes: the three that are built in, the user's own from TOML, and what follows from their parameters.
 
 mod plausibility;
 

@@ -60,8 +60,8 @@ impl Capture {
             }
         }
         let mut pilot = Pilot::varied(&self.options, self.vary)?;
-        let world = pilot.env().simulation().world().clone();
-        let mut renderer = SceneRenderer::for_observations(&world).map_err(vision_failure)?;
+        let scene = pilot.env().simulation().scene();
+        let mut renderer = SceneRenderer::for_observations(&scene).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;
         self.clear(&out)?;
         // whatever ends the program, what the numbers in the images mean is there

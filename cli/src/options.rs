@@ -208,7 +208,8 @@ impl FlightOptions {
             (None, "antipodal") => antipodal(config, self.controller()?),
             (None, name) => tasks::make(name, config).map(|env| env as Box<dyn DroneEnv>),
         };
-        env.map_err(|error| in_options(error, |_| true))
+        let is_given = |option: &str| option != "--duration" || self.duration.is_some();
+        env.map_err(|error| in_options(error, is_given))
     }
 }
 

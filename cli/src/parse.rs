@@ -66,7 +66,7 @@ pub fn named<T: NamedEnum>() -> Names<T> {
 
 /// Parser of aerodynamic effects: names, separated by commas.
 pub fn effects() -> Names<Effects> {
-    let names = || std::iter::once("none").chain(Effects::NAMES).collect();
+    let names = || std::iter::once("none").chain(Effects::NAMES.iter().copied()).collect();
     Names { names, find: |text| text.parse().ok(), file: None }
 }
 

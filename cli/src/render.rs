@@ -91,8 +91,8 @@ impl Render {
     fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind, kept: &[Vector3<f64>]) -> Result<Vec<u8>, Failure> {
         let simulation = pilot.env().simulation();
         let renderer = match kind {
-            ImageKind::Rgb => SceneRenderer::for_people(simulation.world()),
-            ImageKind::Depth | ImageKind::Segmentation => SceneRenderer::for_observations(simulation.world()),
+            ImageKind::Rgb => SceneRenderer::for_people(&simulation.scene()),
+            ImageKind::Depth | ImageKind::Segmentation => SceneRenderer::for_observations(&simulation.scene()),
         };
         let mut renderer = renderer.map_err(vision_failure)?;
         if !kept.is_empty() {

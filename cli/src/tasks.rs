@@ -44,6 +44,7 @@ impl Tasks {
             let drones = task.defaults.num_drones;
             let size = |total: usize| match task.multi_agent {
                 true => format!("{total} per agent"),
+                false if drones == 1 => total.to_string(),
                 false => format!("{total} = {}N", total / drones),
             };
             text += &format!(

@@ -3,7 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use aviary::record::{Flight, STATE_COLUMNS};
+use aviary::env::{Conditions, DroneEnv, Env, EnvConfig};
+use aviary::record::{Flight, STATE_COLUMNS, picture};
+use aviary::tasks;
+use aviary::vision::{ImageSize, SceneRenderer};
 use serde_json::Value;
 
 mod common;
@@ -406,6 +409,37 @@ fn images_show_the_layout_of_their_own_episode() {
     let images: std::collections::HashSet<_> =
         (0..4).map(|frame| std::fs::read(dir.join(format!("segmentation/{frame:06}_0.png"))).unwrap()).collect();
     assert_eq!(images.len(), 4);
+}
+
+/// The layout of the first episode is sampled after its start, and is not the layout that the scene was compiled with.
+#[test]
+fn images_of_the_first_episode_show_the_obstacles_of_its_reset() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("first-layout");
+    let conditions = "[randomization.initial]\n[obstacles]\nkind = \"forest\"\ncount = 20\narena = [4.0, 4.0, 2.0]\nnew_layout = true\nseed = 5\n";
+    let config = write(&dir.join("conditions.toml"), conditions);
+    let conditions = Conditions::from_toml(conditions).unwrap();
+    let mut env = tasks::make("hover", EnvConfig::default().conditions(&conditions)).unwrap();
+    env.reset(Some(3)).unwrap();
+    let (simulation, size) = (env.simulation(), ImageSize { width: 64, height: 48 });
+    assert_ne!(simulation.obstacles(), simulation.world().obstacles);
+    let mut renderer = SceneRenderer::for_observations(simulation.world()).unwrap();
+    renderer.set_obstacles(simulation.obstacles()).unwrap();
+    renderer.update(simulation.states()).unwrap();
+    let mut objects = vec![[0; 2]; size.pixels()];
+    renderer.onboard_segmentation(0, size, &mut objects).unwrap();
+    let expected = picture::png_segmentation(size, &objects).unwrap();
+
+    let common = ["--task", "hover", "--config", text(&config), "--seed", "3", "--size", "64x48"];
+    let set = dir.join("set");
+    run(&[&["capture", "--frames", "1", "--out", text(&set)], &common[..]].concat());
+    assert!(std::fs::read(set.join("segmentation/000000_0.png")).unwrap() == expected);
+    let image = dir.join("segmentation.png");
+    let render = ["render", "--at", "0", "--camera", "fpv", "--kind", "segmentation", "--out", text(&image)];
+    run(&[&render[..], &common[..]].concat());
+    assert!(std::fs::read(&image).unwrap() == expected);
 }
 
 /// The files of a dataset that a program was killed over, or that ended on a full disk.

@@ -12,7 +12,7 @@ use super::{Wander, bits, compare, compare_as_built};
 
 #[test]
 fn every_task_is_what_its_environments_are_alone() {
-    fn all<T: Task + Clone + Send>(task: T, ended: &mut usize) {
+    fn all<T: Task + Clone + Send + Sync>(task: T, ended: &mut usize) {
         for (physics, autoreset, environments, threads) in [
             (Physics::Mjc, Autoreset::NextStep, 13, 1),
             (Physics::MjcGndDragDw, Autoreset::SameStep, 19, 2),

@@ -153,6 +153,8 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
     let mut levels = Vec::new();
     for _ in 0..40 {
         env.step(&actions, buffers.step()).unwrap();
+        // episodes that have ended do not count again when the next step is refused
+        assert!(env.step(&[f32::NAN; 64], buffers.step()).is_err());
         levels.push(env.curriculum().level());
     }
     // sixteen episodes end together: one level and six episodes of the next, which are too few

@@ -37,12 +37,16 @@ fn bits(row: &[f32]) -> Vec<u32> {
 }
 
 /// Compares a batch of the hybrid engine with its environments.
-fn compare<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
+fn compare<T: Task + Clone + Send + Sync>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
     compare_as_built(&builder.clone().engine(EngineKind::Hybrid), config, steps)
 }
 
 /// Flies a batch and each of its environments alone and compares every number; says how many episodes ended.
-fn compare_as_built<T: Task + Clone + Send>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
+fn compare_as_built<T: Task + Clone + Send + Sync>(
+    builder: &AviaryBuilder<T>,
+    config: VecConfig,
+    steps: usize,
+) -> usize {
     let mut batch = VecAviary::new(builder.clone(), config).unwrap();
     let count = batch.num_envs();
     let (a, o) = (batch.action_size(), batch.observation_size());

@@ -100,7 +100,8 @@ named_enum! {
         Mujoco = "mujoco",
         /// The flight kernel while nothing can touch, MuJoCo otherwise.
         Hybrid = "hybrid",
-        /// Explicit Euler steps of free bodies, without medium or contacts: the engine of the physics mode `dyn`.
+        /// Explicit integration of free bodies: the engine of the physics mode `dyn`. It has no contacts. MuJoCo's medium, integrators
+        /// and body-fixed forcing have no effect in it.
         Explicit = "explicit",
     }
 }

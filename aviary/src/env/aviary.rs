@@ -235,7 +235,7 @@ impl EnvWorkspace {
     }
 }
 
-impl<T: Task + Clone + Send> Env for Aviary<T> {
+impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
     fn name(&self) -> &'static str {
         self.episode.task.name()
     }
@@ -290,6 +290,7 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
         let Snapshot { data, episode, decoders, observation, action_type } = snapshot;
         let has_shape = *action_type == self.model.action_type
             && decoders.len() == self.decoders.len()
+            && decoders.iter().zip(&self.decoders).all(|(new, own)| new.is_like(own))
             && episode.ends.len() == self.episode.ends.len()
             && observation.has_sizes_of(&self.workspace.observation);
         if !has_shape {
@@ -369,7 +370,7 @@ impl<T: Task + Clone + Send> Env for Aviary<T> {
     }
 }
 
-impl<T: Task + Clone + Send> DroneEnv for Aviary<T> {
+impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
     fn drone_end(&self, drone: usize) -> Option<EndReason> {
         self.episode.ends[drone]
     }

@@ -390,7 +390,8 @@ pub trait Env {
         let _ = report;
     }
 
-    /// Returns the values of [`info`](Self::info) and [`metrics`](Self::metrics) by name; truth values are 0 and 1.
+    /// Returns the values of [`info`](Self::info) and [`metrics`](Self::metrics) by name. Truth values are 0 and 1. Wrappers make the map
+    /// of these two functions: override them and not this one.
     fn info_map(&self) -> BTreeMap<&'static str, f64> {
         let mut map: BTreeMap<_, _> = self.info().values().collect();
         self.metrics(&mut |name, value| {

@@ -1,5 +1,6 @@
 use std::any::Any;
 use std::fmt;
+use std::sync::Arc;
 
 use serde::de::{DeserializeOwned, Error as _};
 use serde::ser::Error as _;
@@ -11,6 +12,8 @@ use crate::serial::Fingerprint;
 
 /// Everything of an environment that changes, at one moment: states, motors, wind, sensors, random streams, task, controllers, and what
 /// wrappers keep.
+///
+/// Threads can share a snapshot. A clone of a snapshot shares its contents.
 ///
 /// After [`Env::restore`](super::Env::restore), an environment goes on bit-identically to after [`Env::snapshot`](super::Env::snapshot).
 ///
@@ -31,6 +34,7 @@ use crate::serial::Fingerprint;
 /// saved; a task of your own implements [`Task::save`](super::Task::save) and [`Task::load`](super::Task::load), a wrapper makes its
 /// snapshot with [`serializable`](Self::serializable). In any other case serializing is an error. Every number survives exactly in
 /// JSON that is read with serde_json's feature `float_roundtrip`.
+#[derive(Clone)]
 pub struct EnvSnapshot {
     own: Own,
     /// Of the environment within a wrapper.
@@ -38,8 +42,9 @@ pub struct EnvSnapshot {
 }
 
 /// What an environment or a wrapper has kept.
+#[derive(Clone)]
 enum Own {
-    Live { value: Box<dyn Any + Send>, save: fn(&dyn Any) -> Result<Saved, String> },
+    Live { value: Arc<dyn Any + Send + Sync>, save: fn(&dyn Any) -> Result<Saved, String> },
     Saved(Saved),
 }
 
@@ -74,18 +79,18 @@ impl Saved {
 
 impl EnvSnapshot {
     /// Makes a snapshot of what an environment keeps, which cannot be serialized.
-    pub fn new(own: impl Any + Send) -> Self {
+    pub fn new(own: impl Any + Send + Sync) -> Self {
         let save = |_: &dyn Any| Err("the environment or wrapper keeps something that cannot be serialized".into());
-        Self { own: Own::Live { value: Box::new(own), save }, inner: None }
+        Self { own: Own::Live { value: Arc::new(own), save }, inner: None }
     }
 
     /// Makes a snapshot of what an environment keeps, which can be serialized.
-    pub fn serializable<V: Any + Send + Serialize>(own: V) -> Self {
+    pub fn serializable<V: Any + Send + Sync + Serialize>(own: V) -> Self {
         fn save<V: Any + Serialize>(value: &dyn Any) -> Result<Saved, String> {
             let value: &V = value.downcast_ref().ok_or("a snapshot has changed its type")?;
             serde_json::to_value(value).map(Saved).map_err(|error| error.to_string())
         }
-        Self { own: Own::Live { value: Box::new(own), save: save::<V> }, inner: None }
+        Self { own: Own::Live { value: Arc::new(own), save: save::<V> }, inner: None }
     }
 
     /// Puts what a wrapper keeps around the snapshot of the environment within.
@@ -95,7 +100,7 @@ impl EnvSnapshot {
     }
 
     /// Makes a snapshot of what a wrapper keeps besides the environment within, which cannot be serialized.
-    pub fn around(inner: Self, own: impl Any + Send) -> Self {
+    pub fn around(inner: Self, own: impl Any + Send + Sync) -> Self {
         Self::new(own).with_inner(inner)
     }
 

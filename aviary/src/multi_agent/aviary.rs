@@ -52,7 +52,7 @@ pub struct ParallelAviary<T> {
 /// ```
 pub type MultiAgentAviary = ParallelAviary<MultiHover>;
 
-impl<T: Task + Clone + Send> ParallelAviary<T> {
+impl<T: Task + Clone + Send + Sync> ParallelAviary<T> {
     /// The agents' view of an environment.
     pub fn new(env: Aviary<T>) -> Self {
         let count = env.simulation().num_drones();
@@ -136,7 +136,7 @@ impl<T: Task + Clone + Send> ParallelAviary<T> {
     }
 }
 
-impl<T: Task + Clone + Send> ParallelEnv for ParallelAviary<T> {
+impl<T: Task + Clone + Send + Sync> ParallelEnv for ParallelAviary<T> {
     fn name(&self) -> &'static str {
         self.env.name()
     }

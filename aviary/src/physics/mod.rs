@@ -70,7 +70,7 @@ impl Effects {
     /// All effects.
     pub const ALL: Self = Self { ground: true, drag: true, downwash: true };
     /// Names of the effects, in the order of the fields.
-    pub const NAMES: [&'static str; 3] = ["ground", "drag", "downwash"];
+    pub const NAMES: &'static [&'static str] = &["ground", "drag", "downwash"];
 
     fn switches(self) -> [bool; 3] {
         [self.ground, self.drag, self.downwash]
@@ -79,7 +79,7 @@ impl Effects {
 
 impl std::fmt::Display for Effects {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let names = Self::NAMES.into_iter().zip(self.switches());
+        let names = Self::NAMES.iter().copied().zip(self.switches());
         let names: Vec<_> = names.filter_map(|(name, on)| on.then_some(name)).collect();
         f.pad(&if names.is_empty() { "none".into() } else { names.join(",") })
     }
@@ -99,7 +99,9 @@ impl std::str::FromStr for Effects {
                 "drag" => effects.drag = true,
                 "downwash" => effects.downwash = true,
                 name => {
-                    let names = &["none", "ground", "drag", "downwash"];
+                    // `none` stands alone
+                    let names: &[&str] =
+                        if text.contains(',') { Self::NAMES } else { &["none", "ground", "drag", "downwash"] };
                     return Err(UnknownName { noun: "aerodynamic effect", name: name.into(), names });
                 }
             }

@@ -235,7 +235,8 @@ impl FrameRecorder {
         let obstacles = simulation.obstacles();
         if self.obstacles != *obstacles {
             self.renderer.set_obstacles(obstacles)?;
-            self.obstacles.copy_from_slice(obstacles);
+            self.obstacles.clear();
+            self.obstacles.extend_from_slice(obstacles);
         }
         let markers = &simulation.markers();
         if self.markers != *markers {

@@ -2,7 +2,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use super::{RecordError, Recorder};
-use crate::env::{DroneEnv, EnvError, Step};
+use crate::env::{DroneEnv, EnvError, EnvSnapshot, Step};
 use crate::observation::Observation;
 use crate::wrappers::Wrapper;
 
@@ -100,6 +100,17 @@ impl<E: DroneEnv> Wrapper for Recorded<E> {
         this.env.reset(seed)?;
         this.begin().map_err(|error| unwritable(&error))?;
         Ok(this.env.observation())
+    }
+
+    /// Restores the environment within. The flight from there on is another episode in the directory, whose first row is the state of
+    /// the snapshot.
+    fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
+        this.recorder = None;
+        this.env.restore(snapshot)?;
+        if this.env.info().end.is_none() {
+            this.begin().map_err(|error| unwritable(&error))?;
+        }
+        Ok(())
     }
 
     fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {

@@ -86,7 +86,7 @@ impl SimulationBuilder {
         self
     }
 
-    /// LaneParams of all drones, where they differ.
+    /// Airframes of all drones, where they differ.
     #[must_use]
     pub fn drones(mut self, drones: impl IntoIterator<Item = DroneParams>) -> Self {
         self.drones = drones.into_iter().collect();
@@ -208,7 +208,7 @@ impl SimulationBuilder {
         self.wind.as_ref()
     }
 
-    /// LaneParams so far, in order.
+    /// Airframes so far, in order.
     pub(crate) fn airframes(&self) -> &[DroneParams] {
         &self.drones
     }
@@ -294,7 +294,7 @@ impl SimulationBuilder {
             ("initial_angular_velocities", rates.len()),
         ] {
             if got != count {
-                return Err(SimulationError::Length { what, got, expected: count });
+                return Err(SimulationError::Length { what, got, expected: count, of: "drone" });
             }
         }
         self.actuators.validate()?;

@@ -198,7 +198,7 @@ impl SimData {
     pub(crate) fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
         let expected = self.states.len();
         if states.len() != expected {
-            return Err(SimulationError::Length { what: "states", got: states.len(), expected });
+            return Err(SimulationError::Length { what: "states", got: states.len(), expected, of: "drone" });
         }
         let is_valid = |state: &DroneState| out_of_range(state).is_none() && state.attitude.norm_squared() > 1e-6;
         if let Some(drone) = states.iter().position(|state| !is_valid(state)) {
@@ -289,7 +289,7 @@ impl SimData {
         let old = self.obstacles(model);
         if obstacles.len() != old.len() {
             let (got, expected) = (obstacles.len(), old.len());
-            return Err(SimulationError::Length { what: "obstacles", got, expected });
+            return Err(SimulationError::Length { what: "obstacles", got, expected, of: "obstacle" });
         }
         for (index, (new, old)) in obstacles.iter().zip(old).enumerate() {
             if new.shape.kind() != old.shape.kind() {
@@ -332,7 +332,7 @@ impl SimData {
     pub(super) fn accept(&mut self, commands: &[[f64; 4]], time: f64) -> Result<(), SimulationError> {
         let expected = self.drones.len();
         if commands.len() != expected {
-            return Err(SimulationError::Length { what: "commands", got: commands.len(), expected });
+            return Err(SimulationError::Length { what: "commands", got: commands.len(), expected, of: "drone" });
         }
         for (drone, speeds) in commands.iter().enumerate() {
             if let Some((motor, &got)) = speeds.iter().enumerate().find(|(_, rpm)| !rpm.is_finite()) {

@@ -53,15 +53,17 @@ pub enum SimulationError {
         /// Control rate, Hz.
         ctrl_freq: u32,
     },
-    /// A list that does not have one entry per drone.
-    #[error("{what} has {}, expected one for each of {}", crate::count(*got, "entry"), crate::count(*expected, "drone"))]
+    /// A list of the wrong length.
+    #[error("{what} has {}, expected one for each of {}", crate::count(*got, "entry"), crate::count(*expected, of))]
     Length {
         /// Which list.
         what: &'static str,
         /// Its length.
         got: usize,
-        /// Number of drones.
+        /// Number of things that need one entry each.
         expected: usize,
+        /// Noun for a thing: `drone`.
+        of: &'static str,
     },
     /// An engine that contradicts the physics mode.
     #[error("engine is {engine} and physics {physics}, which stands for {}; expected one of the two alone", engines(*physics))]

@@ -133,11 +133,16 @@ impl Simulation {
     pub fn restore(&mut self, snapshot: &SimData) -> Result<(), SimulationError> {
         let (got, expected) = (snapshot.states.len(), self.data.states.len());
         if got != expected {
-            return Err(SimulationError::Length { what: "the snapshot", got, expected });
+            return Err(SimulationError::Length { what: "the snapshot", got, expected, of: "drone" });
         }
         let (got, expected) = (snapshot.obstacles(&self.model).len(), self.obstacles().len());
         if got != expected {
-            return Err(SimulationError::Length { what: "the snapshot's list of obstacles", got, expected });
+            return Err(SimulationError::Length {
+                what: "the list of obstacles of the snapshot",
+                got,
+                expected,
+                of: "obstacle",
+            });
         }
         let mut shapes = snapshot.obstacles(&self.model).iter().zip(self.obstacles());
         if let Some(index) = shapes.position(|(new, own)| new.shape.kind() != own.shape.kind()) {
@@ -145,7 +150,12 @@ impl Simulation {
         }
         let (got, expected) = (snapshot.markers_needed(), self.model.world.markers.len());
         if got > expected {
-            return Err(SimulationError::Length { what: "the snapshot's list of markers", got, expected });
+            return Err(SimulationError::Length {
+                what: "the list of markers of the snapshot",
+                got,
+                expected,
+                of: "marker",
+            });
         }
         if snapshot.model != self.model.fingerprint {
             return Err(SimulationError::Model);

@@ -104,7 +104,9 @@ pub fn step(
     data.accept(commands, model.time_of(data))?;
     data.contacts.clear();
     data.refresh(model);
-    workspace.load(model, data)?;
+    if let Err(error) = workspace.load(model, data) {
+        return Err(keep_failure(workspace, data, error));
+    }
     if let Err(error) = workspace.engine.begin(&data.bodies, &data.states, model.substeps()) {
         return Err(fail(model, workspace, data, 0, error));
     }

@@ -49,11 +49,13 @@ pub struct VecAviary<T> {
     control_period: f64,
     /// Whether every environment has ever begun an episode.
     all_begun: bool,
+    /// Steps that were made.
+    steps: u64,
     /// Those of the last step, in order.
     found: Vec<(usize, EnvError)>,
 }
 
-impl<T: Task + Clone + Send> VecAviary<T> {
+impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     /// Makes the environments. They must be [reset](VecEnv::reset) before the first step.
     ///
     /// # Errors
@@ -109,6 +111,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
             episode_steps,
             control_period,
             all_begun: false,
+            steps: 0,
             found: Vec::new(),
         })
     }
@@ -128,13 +131,18 @@ impl<T: Task + Clone + Send> VecAviary<T> {
         Ok(self)
     }
 
+    /// Returns the number of steps that were made, without those that were refused before anything had moved.
+    pub(super) fn steps(&self) -> u64 {
+        self.steps
+    }
+
     /// How it was made.
     pub fn config(&self) -> &VecConfig {
         &self.config
     }
 
     /// Puts an environment where it can be looked at and changed as if it were alone: its task, its wind, its randomization. It
-    /// should not be stepped or reset there. Its observation and its contacts are not those of the last step: observations are in the
+    /// should not be stepped, reset or restored there. Its observation and its contacts are not those of the last step: observations are in the
     /// caller's buffers, contacts were seen by the task.
     ///
     /// # Errors
@@ -281,7 +289,7 @@ fn check_len(what: &'static str, got: usize, expected: usize) -> Result<(), EnvE
     if got == expected { Ok(()) } else { Err(EnvError::Buffer { what, got, expected }) }
 }
 
-impl<T: Task + Clone + Send> VecAviary<T> {
+impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     /// Takes what went wrong since the last call; in a step that shall be without a fault, the first one is an error.
     fn take_faults(&mut self, fatal: bool) -> Result<(), EnvError> {
         self.found.clear();
@@ -346,7 +354,7 @@ impl<T: Task + Clone + Send> VecAviary<T> {
     }
 }
 
-impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
+impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     fn name(&self) -> &'static str {
         self.name
     }
@@ -400,6 +408,7 @@ impl<T: Task + Clone + Send> VecEnv for VecAviary<T> {
         if fatal {
             self.check_actions(actions)?;
         }
+        self.steps += 1;
         let VecStep { observations, rewards, terminated, truncated } = out;
         let (model, envs) = (&self.model, self.environments.slices());
         let step = StepSlices { actions, observations, rewards, terminated, truncated };

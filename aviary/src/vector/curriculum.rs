@@ -40,7 +40,7 @@ impl<T, F> std::fmt::Debug for VecCurriculum<T, F> {
 
 impl<T, F> VecCurriculum<T, F>
 where
-    T: Task + Clone + Send,
+    T: Task + Clone + Send + Sync,
     F: FnMut(&mut Aviary<T>, usize) -> Result<(), EnvError> + Send,
 {
     /// Around a batch, on level 0.
@@ -94,7 +94,7 @@ where
 
 impl<T, F> VecEnv for VecCurriculum<T, F>
 where
-    T: Task + Clone + Send,
+    T: Task + Clone + Send + Sync,
     F: FnMut(&mut Aviary<T>, usize) -> Result<(), EnvError> + Send,
 {
     fn name(&self) -> &'static str {
@@ -137,7 +137,12 @@ where
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
         self.set_up(|env, environment| env.episode_summary(environment).is_some())?;
+        let steps = self.env.steps();
         let done = self.env.step(actions, out);
+        if self.env.steps() == steps {
+            // refused before anything has moved: the summaries are those of the step before
+            return done;
+        }
         for environment in 0..self.levels.len() {
             if let Some(EpisodeSummary { success, reward, steps, .. }) = self.env.episode_summary(environment) {
                 self.curriculum.episode_ended(*success, *reward, *steps);

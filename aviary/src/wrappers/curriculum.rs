@@ -87,7 +87,7 @@ impl CurriculumConfig {
 /// let mut before = Curriculum::new(CurriculumConfig::default())?;
 /// before.episode_ended(true, 10.0, 480);
 /// let mut after = Curriculum::new(CurriculumConfig::default())?;
-/// after.restore(before.state().clone())?;
+/// after.restore_state(before.state().clone())?;
 /// assert_eq!((after.state().episodes, after.mean()), (1, Some(1.0)));
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
@@ -160,7 +160,14 @@ impl Curriculum {
     ///
     /// # Errors
     /// [`EnvError::Option`] for a state of another curriculum, and then nothing has changed.
-    pub fn restore(&mut self, state: CurriculumState) -> Result<(), EnvError> {
+    pub fn restore_state(&mut self, state: CurriculumState) -> Result<(), EnvError> {
+        self.validate_state(&state)?;
+        self.state = state;
+        self.state.recent.reserve(self.config.window);
+        Ok(())
+    }
+
+    fn validate_state(&self, state: &CurriculumState) -> Result<(), EnvError> {
         let levels = self.config.levels;
         let fits = state.level < levels
             && state.episodes_per_level.len() == levels
@@ -178,8 +185,6 @@ impl Curriculum {
                 expected: "one of a curriculum with as many levels and as long a window",
             });
         }
-        self.state = state;
-        self.state.recent.reserve(self.config.window);
         Ok(())
     }
 
@@ -272,8 +277,8 @@ impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWra
     ///
     /// # Errors
     /// [`EnvError::Option`] for a state of another curriculum, and then nothing has changed.
-    pub fn restore(&mut self, state: CurriculumState) -> Result<(), EnvError> {
-        self.curriculum.restore(state)
+    pub fn restore_state(&mut self, state: CurriculumState) -> Result<(), EnvError> {
+        self.curriculum.restore_state(state)
     }
 
     /// Mean of the metric over the last episodes on this level; `None` before the first.
@@ -299,9 +304,10 @@ impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Wrapper for C
 
     fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
         let (curriculum, running) = snapshot.read::<(Curriculum, (f64, u64))>()?;
+        this.curriculum.validate_state(curriculum.state())?;
         this.env.restore(snapshot.inner()?)?;
-        (this.curriculum, this.running) = (curriculum, running);
-        Ok(())
+        this.running = running;
+        this.curriculum.restore_state(curriculum.state)
     }
 
     fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {

@@ -380,7 +380,7 @@ fn swarm(meter: &mut Meter, drones: usize, size: usize, threads: usize) -> Resul
     fly(meter, &mut env, name, physics, engine, Actions::Policy, None)
 }
 
-fn fly<T: Task + Clone + Send>(
+fn fly<T: Task + Clone + Send + Sync>(
     meter: &mut Meter,
     env: &mut VecAviary<T>,
     name: String,

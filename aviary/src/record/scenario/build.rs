@@ -2,6 +2,8 @@
 
 use super::{ReplayError, Scenario};
 use crate::drone::{DroneModel, DroneParams};
+use crate::engine::EngineKind;
+use crate::physics::Physics;
 use crate::simulation::{Simulation, SimulationBuilder, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz};
 use crate::world::{Obstacle, ObstacleKind, World};
@@ -87,7 +89,9 @@ impl Scenario {
         if let Some(effects) = self.effects {
             builder = builder.effects(effects);
         }
-        if let Some(engine) = self.engine {
+        // scenarios of earlier versions name MuJoCo as the engine of the mode that the explicit engine integrates
+        let is_early = self.physics == Some(Physics::Dyn) && self.engine == Some(EngineKind::Mujoco);
+        if let Some(engine) = self.engine.filter(|_| !is_early) {
             builder = builder.engine(engine);
         }
         if let Some(velocities) = &self.initial_velocities {

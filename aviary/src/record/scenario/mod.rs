@@ -341,6 +341,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             let again = scenario.simulation().unwrap();
             assert_eq!((again.effects(), again.model().engine_kind()), (effects, engine), "{text}");
         }
+        // as earlier versions wrote the scenario of a flight in the mode `dyn`
+        let early = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"mujoco\"\n";
+        let early = Scenario::from_toml(&early).unwrap().simulation().unwrap();
+        assert_eq!(early.model().engine_kind(), EngineKind::Explicit);
         let message = |text: &str| match Scenario::from_toml(text) {
             Err(error) => error.to_string(),
             Ok(scenario) => scenario.simulation().unwrap_err().to_string(),
