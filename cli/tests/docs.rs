@@ -127,7 +127,9 @@ fn look_for(line: &str) {
         let places = match pair[0] {
             "--example" => vec![format!("examples/{name}.rs")],
             "--bench" => vec![format!("benches/{name}.rs")],
-            "--test" => ["tests", "mujoco-rs/tests", "cli/tests"].map(|place| format!("{place}/{name}.rs")).into(),
+            "--test" => ["tests", "mujoco-rs/tests", "cli/tests"]
+                .map(|place| [format!("{place}/{name}.rs"), format!("{place}/{name}/main.rs")])
+                .concat(),
             "-p" | "--path" => ["", "assets/"].map(|place| format!("{place}{name}/Cargo.toml")).into(),
             _ => continue,
         };
