@@ -14,11 +14,11 @@ use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
 use crate::wrappers::VelocityFilter;
 
-/// M environments of one task.
+/// A batch of M environments of one task.
 ///
-/// All options of a single environment are those of the batch: the physics mode, wind, obstacles, randomization, cameras, the task's own.
-/// The engine is the hybrid one unless the options say otherwise. Environment i draws from the seed's stream i, so that it is the same
-/// as `builder.stream(i)` alone.
+/// The batch accepts all options of a single environment: physics mode, wind, obstacles, randomization, cameras and
+/// the options of the task. The default engine is the hybrid engine. Environment i uses the random stream i of the
+/// seed and is therefore bit-identical to a single environment built with `builder.stream(i)`.
 ///
 /// ```
 /// use aviary::env::Randomization;
@@ -30,7 +30,7 @@ use crate::wrappers::VelocityFilter;
 /// let mut buffers = VecBuffers::new(&env);
 /// env.reset(Some(7), &mut buffers.observations)?;
 /// env.step(&vec![0.0; 400], buffers.step())?;
-/// // any of them can be looked at as if it were alone
+/// // access one environment as a single environment
 /// let mass = env.with(3, |env| env.simulation().params(0).mass)?;
 /// assert!(mass > 0.02 && mass < 0.04);
 /// # use aviary::env::{DroneEnv, Env};
@@ -47,19 +47,20 @@ pub struct VecAviary<T> {
     action_space: BoxSpace,
     episode_steps: u64,
     control_period: f64,
-    /// Whether every environment has ever begun an episode.
-    all_begun: bool,
-    /// Steps that were made.
+    /// True if every environment has started an episode.
+    all_started: bool,
+    /// Number of completed steps.
     steps: u64,
-    /// Those of the last step, in order.
-    found: Vec<(usize, EnvError)>,
+    /// Faults of the last step, in the order of the environments.
+    faults: Vec<(usize, EnvError)>,
 }
 
 impl<T: Task + Clone + Send + Sync> VecAviary<T> {
-    /// Makes the environments. They must be [reset](VecEnv::reset) before the first step.
+    /// Creates the environments. They must be [reset](VecEnv::reset) before the first step.
     ///
     /// # Errors
-    /// [`EnvError`] naming the option that is impossible.
+    /// [`EnvError::Option`] if an option of the batch or of the environment is invalid, and the errors of
+    /// [`AviaryBuilder::build`].
     pub fn new(builder: AviaryBuilder<T>, config: VecConfig) -> Result<Self, EnvError> {
         let count = config.environments;
         if !(1..=VecConfig::MAX_ENVIRONMENTS).contains(&count) {
@@ -70,13 +71,13 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             });
         }
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let asked = config.threads;
-        let threads = if asked == 0 { cores } else { asked };
+        let requested = config.threads;
+        let threads = if requested == 0 { cores } else { requested };
         if threads > 1024 {
             let got = threads.to_string();
             return Err(EnvError::Option { option: "threads", got, expected: "up to 1024" });
         }
-        /// Environments in flight that keep a thread busy for longer than it takes to wake.
+        /// Number of environments in lanes that keeps a thread busy for longer than it takes to wake.
         const WORTH_A_THREAD: usize = 256;
         let builder = builder.engine_or(EngineKind::Hybrid);
         let make = || -> Result<Aviary<T>, EnvError> {
@@ -87,9 +88,9 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let first = make()?;
         let flies = flies_in_lanes(&first.simulation);
         let space = first.observation_space();
-        // images and MuJoCo's steps are worth a thread for every block
+        // images, rays and MuJoCo steps are slow enough to give every block its own thread
         let quick = flies && !space.kind.has_images() && !space.kind.ranges;
-        let per_thread = if asked == 0 && quick { WORTH_A_THREAD } else { LANES };
+        let per_thread = if requested == 0 && quick { WORTH_A_THREAD } else { LANES };
         let threads = threads.min(count.div_ceil(per_thread));
         let model = batch_model(&first, &config, flies);
         let environments = Environments::of(&first, &model, count);
@@ -110,51 +111,52 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             action_space,
             episode_steps,
             control_period,
-            all_begun: false,
+            all_started: false,
             steps: 0,
-            found: Vec::new(),
+            faults: Vec::new(),
         })
     }
 
-    /// Keeps drones apart whatever an agent commands, in every environment as a
-    /// [`SafetyWrapper`](crate::wrappers::SafetyWrapper) does; `response` is how fast the controller beneath takes up a
-    /// velocity, 1/s.
+    /// Applies a velocity filter to the commands of every environment, as a
+    /// [`SafetyWrapper`](crate::wrappers::SafetyWrapper) does. `response` is the rate at which the controller
+    /// tracks a velocity command, 1/s.
     ///
     /// # Errors
-    /// As for the wrapper.
+    /// Returns the errors of [`SafetyWrapper::new`](crate::wrappers::SafetyWrapper::new).
     pub fn safety(mut self, filter: CollisionCone, response: f64) -> Result<Self, EnvError> {
         for worker in &mut self.pool.workers {
             let worker = worker.get_mut().unwrap_or_else(PoisonError::into_inner);
             let action_type = worker.env.action_type();
-            worker.guard = Some(VelocityFilter::new(filter, response, action_type, self.model.drones)?);
+            worker.velocity_filter = Some(VelocityFilter::new(filter, response, action_type, self.model.drones)?);
         }
         Ok(self)
     }
 
-    /// Returns the number of steps that were made, without those that were refused before anything had moved.
+    /// Returns the number of steps, without steps that were rejected before any environment moved.
     pub(super) fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// How it was made.
+    /// Returns the configuration. `threads` is the actual number of threads.
     pub fn config(&self) -> &VecConfig {
         &self.config
     }
 
-    /// Puts an environment where it can be looked at and changed as if it were alone: its task, its wind, its randomization. It
-    /// should not be stepped, reset or restored there. Its observation and its contacts are not those of the last step: observations are in the
-    /// caller's buffers, contacts were seen by the task.
+    /// Calls `look` with one environment as a single environment, for reading and for changes of its task, wind or
+    /// randomization. `look` must not step, reset or restore the environment. The environment does not hold the
+    /// observation and the contacts of the last step: the caller's buffers hold the observations, and the task has
+    /// evaluated the contacts.
     ///
     /// # Errors
-    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there; [`EnvError::Panicked`] where a task, or
-    /// `look`, has panicked before.
+    /// [`EnvError::NoEnvironment`] for an index outside the batch, and [`EnvError::Panicked`] after a panic in a
+    /// task or in `look`.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { model, environments, pool, .. } = self;
         let count = environments.slots.len();
         if environment >= count {
             return Err(EnvError::NoEnvironment { got: environment, environments: count });
         }
-        // a lock, which knows when `look` panics
+        // the lock is poisoned if `look` panics
         let Ok(mut worker) = pool.workers[0].lock() else { return Err(EnvError::Panicked) };
         let env = &mut worker.env;
         let shares = environments.slots[environment].data.is_none();
@@ -180,7 +182,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             own.refresh(&env.simulation.model);
         }
         let same = shares && slot.data.as_ref().is_some_and(|own| own.has_parameters_of(&env.simulation.data));
-        // what will be drawn at its next reset must not be drawn into the shared data
+        // the next reset writes sampled parameters, which must not reach the shared data
         let unchanged = same && !slot.episode.is_randomized();
         if !unchanged && environments.lane_params.is_empty() {
             environments.lane_params = model.lane_params.repeat(count.div_ceil(LANES));
@@ -192,7 +194,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         if unchanged {
             slot.data = None;
         }
-        // motors that are slow now need the longer form of the kernel
+        // motor lag needs the longer form of the kernel
         if let Some(flow) = &mut model.flow {
             let lag = |data: &SimData| {
                 let view = SimView::new(&env.simulation.model, data);
@@ -204,7 +206,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     }
 }
 
-/// Returns whether an engine's flights can be flown in lanes.
+/// Returns true if the engine of a simulation can fly in lanes.
 fn flies_in_lanes(simulation: &Simulation) -> bool {
     matches!(simulation.engine(), Engine::Hybrid(engine) if engine.can_fly())
 }
@@ -242,7 +244,7 @@ fn batch_model<T: Task>(first: &Aviary<T>, config: &VecConfig, flies: bool) -> B
 }
 
 impl<T: Task + Clone> Environments<T> {
-    /// Makes environments like the first one, each with a random stream of its own.
+    /// Creates copies of the first environment, each with its own random stream.
     fn of(first: &Aviary<T>, model: &BatchModel, count: usize) -> Self {
         let (simulation, drones, flies) = (&first.simulation, model.drones, model.flow.is_some());
         let individual = first.episode.is_randomized()
@@ -258,7 +260,7 @@ impl<T: Task + Clone> Environments<T> {
                 data: individual.then(|| Box::new(simulation.snapshot())),
                 decoders: if memory { first.decoders.clone() } else { Vec::new() },
                 control_steps: 0,
-                begun: false,
+                started: false,
                 start_failed: false,
                 reward: 0.0,
                 summary: None,
@@ -290,16 +292,16 @@ fn check_len(what: &'static str, got: usize, expected: usize) -> Result<(), EnvE
 }
 
 impl<T: Task + Clone + Send + Sync> VecAviary<T> {
-    /// Takes what went wrong since the last call; in a step that shall be without a fault, the first one is an error.
+    /// Collects the faults since the last call. Returns the first one as an error if `fatal` is set.
     fn take_faults(&mut self, fatal: bool) -> Result<(), EnvError> {
-        self.found.clear();
+        self.faults.clear();
         let faults = self.pool.faults.get_mut().unwrap_or_else(PoisonError::into_inner);
         if faults.is_empty() {
             return Ok(());
         }
-        self.found.append(faults);
-        self.found.sort_by_key(|(environment, _)| *environment);
-        match self.found.first() {
+        self.faults.append(faults);
+        self.faults.sort_by_key(|(environment, _)| *environment);
+        match self.faults.first() {
             Some((environment, error)) if fatal => {
                 Err(EnvError::InBatch { environment: *environment, error: Box::new(error.clone()) })
             }
@@ -307,15 +309,16 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
     }
 
-    /// What would make a step an error, before anything moves.
+    /// Rejects a step before any environment moves.
     fn check_actions(&mut self, actions: &[f32]) -> Result<(), EnvError> {
         let bad = |environment, error| Err(EnvError::InBatch { environment, error: Box::new(error) });
-        // a look at every environment is dear beside a step: once all have begun, only those that do not begin by themselves can fail
-        if !self.all_begun || self.config.autoreset == Autoreset::Disabled {
+        // checking every environment is slow compared with a step, therefore only the first step and batches
+        // without autoreset do it
+        if !self.all_started || self.config.autoreset == Autoreset::Disabled {
             for (environment, slot) in self.environments.slots.iter().enumerate() {
                 match slot.episode.phase {
                     Phase::Running => {}
-                    Phase::New if !slot.begun => {
+                    Phase::New if !slot.started => {
                         return bad(environment, EnvError::NeedsReset { when: "on a new environment" });
                     }
                     _ if self.config.autoreset == Autoreset::Disabled => {
@@ -324,9 +327,9 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
                     _ => {}
                 }
             }
-            self.all_begun = true;
+            self.all_started = true;
         }
-        // without an early end, which could not be vectorised
+        // the loop has no early exit, so that the compiler vectorizes it
         let has_bad = |chunk: &[f32]| chunk.iter().fold(false, |bad, x| bad | !x.is_finite());
         if !actions.chunks(512).any(has_bad) {
             return Ok(());
@@ -335,7 +338,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let (environment, index) = (entry / self.model.action_size, entry % self.model.action_size);
         let slot = &self.environments.slots[environment];
         if slot.awaits_episode() {
-            // it will not be looked at; those behind it may be
+            // this environment ignores its action, but the actions of later environments count
             let row = |environment: usize| &actions[environment * self.model.action_size..][..self.model.action_size];
             for (environment, slot) in self.environments.slots.iter().enumerate() {
                 let bad_entry = row(environment).iter().position(|x| !x.is_finite());
@@ -438,7 +441,7 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn faults(&self) -> &[(usize, EnvError)] {
-        &self.found
+        &self.faults
     }
 
     fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn DroneEnv)) -> Result<(), EnvError> {

@@ -3,8 +3,8 @@ use crate::engine::Substeps;
 use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, ObservationSpace, Task};
 use crate::wrappers::{Curriculum, CurriculumConfig};
 
-/// A batch that becomes harder as an agent gets better: one level for all environments, which follows the episodes of all of them;
-/// a function of one's own sets an environment up for the level before its next episode.
+/// A batch that becomes harder as an agent improves. All environments share one level, which follows the episodes
+/// of all of them. A function of the caller configures an environment for the level before its next episode.
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -28,7 +28,7 @@ pub struct VecCurriculum<T, F> {
     env: VecAviary<T>,
     curriculum: Curriculum,
     difficulty: F,
-    /// The level that each environment is set up for.
+    /// Level that each environment is configured for.
     levels: Vec<Option<usize>>,
 }
 
@@ -43,39 +43,39 @@ where
     T: Task + Clone + Send + Sync,
     F: FnMut(&mut Aviary<T>, usize) -> Result<(), EnvError> + Send,
 {
-    /// Around a batch, on level 0.
+    /// Creates a curriculum around a batch, at level 0.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming a setting that is impossible, and for a batch whose episodes begin in the step that
-    /// the ones before end in: there is no moment then to set them up.
+    /// [`EnvError::Option`] if a setting is invalid, or if the batch uses [`Autoreset::SameStep`], which leaves no
+    /// time to configure the next episode.
     pub fn new(env: VecAviary<T>, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
         if env.config().autoreset == Autoreset::SameStep {
             return Err(EnvError::Option {
                 option: "autoreset",
-                got: "in the same step".into(),
-                expected: "in the next step, or none, under a curriculum",
+                got: "SameStep".into(),
+                expected: "NextStep or Disabled under a curriculum",
             });
         }
         let levels = vec![None; env.num_envs()];
         Ok(Self { env, curriculum: Curriculum::new(config)?, difficulty, levels })
     }
 
-    /// The level, and what it goes by.
+    /// Returns the curriculum.
     pub fn curriculum(&self) -> &Curriculum {
         &self.curriculum
     }
 
-    /// The same, to be restored from an earlier state.
+    /// Returns the curriculum for changes, such as restoring an earlier state.
     pub fn curriculum_mut(&mut self) -> &mut Curriculum {
         &mut self.curriculum
     }
 
-    /// The batch within.
+    /// Returns the wrapped batch.
     pub fn inner(&mut self) -> &mut VecAviary<T> {
         &mut self.env
     }
 
-    /// Sets environments up that are about to begin an episode.
+    /// Configures the environments that are about to start an episode.
     fn set_up(&mut self, begins: impl Fn(&VecAviary<T>, usize) -> bool) -> Result<(), EnvError> {
         let level = self.curriculum.level();
         for environment in 0..self.levels.len() {
@@ -130,7 +130,7 @@ where
     }
 
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
-        // what is wrong with the mask the batch itself says best
+        // the batch reports a mask of the wrong length
         self.set_up(|_, environment| mask.get(environment) == Some(&true))?;
         self.env.reset_where(mask, seed, observations)
     }
@@ -140,7 +140,8 @@ where
         let steps = self.env.steps();
         let done = self.env.step(actions, out);
         if self.env.steps() == steps {
-            // refused before anything has moved: the summaries are those of the step before
+            // the batch rejected the step before any environment moved, and its summaries are those of the step
+            // before
             return done;
         }
         for environment in 0..self.levels.len() {

@@ -1,11 +1,13 @@
-//! Many environments of one task at once, on every core.
+//! Vectorized environments: many environments of one task, stepped together on all cores.
 //!
-//! The state of all of them lies in compact arrays, eight environments beside each other, as the flight kernel wants them. Every
-//! worker has one workspace with one MuJoCo simulation for what the kernel cannot do: contacts, wind, images. Environment i is bit-identical
-//! to an [`Aviary`](crate::env::Aviary) with the same options, engine, seed and [stream](crate::env::AviaryBuilder::stream) alone, for any
-//! number of threads.
+//! The state of all environments lies in compact arrays. The flight kernel reads and writes eight environments at a
+//! time in SIMD registers. Every worker owns one workspace with one MuJoCo simulation for contacts, wind and
+//! images, which the kernel does not compute. Environment i is bit-identical to a single
+//! [`Aviary`](crate::env::Aviary) with the same options, engine, seed and
+//! [stream](crate::env::AviaryBuilder::stream), for any number of threads.
 //!
-//! `batch` has the public API, `pool` the threads, `worker` the stages of a control step, `shard` the environments and who works on which.
+//! `batch` holds the public API, `pool` the threads, `worker` the stages of a control step, and `shard` the
+//! environments and their division among the workers.
 
 mod batch;
 mod curriculum;
@@ -35,24 +37,25 @@ use crate::vision::ImageSize;
 ///     env.step(&[0.5; 8], buffers.step())?;
 /// }
 /// assert_eq!(buffers.truncated, [true, true]);
-/// // the new episode stands where the old one began, which ended higher up
+/// // the new episode starts at 0.1 m; the old one ended higher
 /// assert!(buffers.observations[2] == 0.1 && env.final_observations()[2] > 0.1);
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Autoreset {
-    /// In the next step, whose action is ignored: that step returns the first observation, reward 0, and is neither terminated nor truncated.
+    /// The step after the end resets the environment and ignores its action. It returns the first observation,
+    /// reward 0, and neither `terminated` nor `truncated`.
     #[default]
     NextStep,
-    /// In the same step: it returns the first observation of the next episode, and the last one of the old episode is kept in
-    /// [`VecEnv::final_observations`].
+    /// The step that ends the episode resets the environment and returns the first observation of the next episode.
+    /// [`VecEnv::final_observations`] keeps the last observation of the old episode.
     SameStep,
-    /// Not by itself: a step of an environment that has ended is a fault.
+    /// The caller resets the environment. A step after the end of the episode is a fault.
     Disabled,
 }
 
-/// What becomes of an environment whose action is not a number or whose state leaves the range of numbers. Its neighbours'
-/// bits do not change.
+/// Handling of an environment whose action is not finite or whose state diverges. Faults do not change the results of
+/// other environments.
 ///
 /// ```
 /// use aviary::tasks::Hover;
@@ -71,16 +74,18 @@ pub enum Autoreset {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum OnFault {
-    /// The step is an error. A bad action is found before anything has moved; after another fault all other environments have made their step.
+    /// The step returns an error. An action that is not finite is rejected before any environment moves. After any
+    /// other fault, all other environments have completed their step.
     #[default]
     Error,
-    /// Its episode is truncated, without a reward for this step; [`VecEnv::faults`] says why. An episode that cannot start is reported
-    /// as one of zero steps: the step that should have started it (with [`Autoreset::SameStep`] the one after) is truncated with
-    /// [`EndReason::Fault`](crate::env::EndReason::Fault), and the next step tries again.
+    /// The step truncates the episode with reward 0, and [`VecEnv::faults`] holds the error. An episode that cannot
+    /// start counts as an episode of zero steps that ends with [`EndReason::Fault`](crate::env::EndReason::Fault).
+    /// The step that tried to start it is truncated (with [`Autoreset::SameStep`], the step after that one), and
+    /// the next step tries again.
     Truncate,
 }
 
-/// How a batch is run.
+/// Configuration of a batch.
 ///
 /// ```
 /// use aviary::tasks::Hover;
@@ -94,26 +99,26 @@ pub enum OnFault {
 pub struct VecConfig {
     /// Number of environments.
     pub environments: usize,
-    /// Threads, each with a MuJoCo simulation of its own, up to 1024 and never more than one for eight environments; 0, the
-    /// default, for as many as the machine has cores and the batch keeps busy.
+    /// Number of threads, each with its own MuJoCo simulation: at most 1024, and at most one per eight
+    /// environments. 0, the default, selects as many as the machine has cores and the batch keeps busy.
     pub threads: usize,
-    /// When environments that have ended begin anew.
+    /// Time of the reset after the end of an episode.
     pub autoreset: Autoreset,
-    /// What becomes of environments that fail.
+    /// Handling of environments that fail.
     pub on_fault: OnFault,
 }
 
 impl VecConfig {
-    /// Most environments in a batch.
+    /// Maximum number of environments in a batch.
     pub const MAX_ENVIRONMENTS: usize = 1 << 24;
 
-    /// So many environments, on all cores.
+    /// Creates a configuration with a number of environments on all cores and default options.
     pub fn new(environments: usize) -> Self {
         Self { environments, ..Self::default() }
     }
 }
 
-/// What a step of a batch writes, in the caller's buffers. Row i is environment i's.
+/// Output of a step of a batch, in buffers of the caller. Row i belongs to environment i.
 ///
 /// ```
 /// use aviary::tasks::Hover;
@@ -135,18 +140,18 @@ impl VecConfig {
 /// ```
 #[derive(Debug)]
 pub struct VecStep<'a> {
-    /// M × [`observation_size`](VecEnv::observation_size): see there.
+    /// Observations, M × [`observation_size`](VecEnv::observation_size), in the layout described there.
     pub observations: &'a mut [f32],
-    /// M: rewards of this step.
+    /// Rewards of this step, M.
     pub rewards: &'a mut [f32],
-    /// M: whether the episode came to an end of its own.
+    /// True where the task ended the episode, M.
     pub terminated: &'a mut [bool],
-    /// M: whether the episode was cut off.
+    /// True where the episode was cut off, M.
     pub truncated: &'a mut [bool],
 }
 
-/// Pictures of all environments, in the caller's buffers: M × what one [`Observation`](crate::observation::Observation) has. Those that
-/// the observation type does not have are empty.
+/// Camera images of all environments, in buffers of the caller. The shapes are M times those of an
+/// [`Observation`](crate::observation::Observation). Buffers of images outside the observation type are empty.
 ///
 /// ```
 /// use aviary::observation::ObservationType;
@@ -165,15 +170,15 @@ pub struct VecStep<'a> {
 /// ```
 #[derive(Debug, Default)]
 pub struct VecPictures<'a> {
-    /// M × N × height × width × 4: RGBA.
+    /// RGBA bytes, M × N × height × width × 4.
     pub rgb: &'a mut [u8],
-    /// M × N × height × width: m along the camera's axis.
+    /// Depth along the camera's axis, m, M × N × height × width.
     pub depth: &'a mut [f32],
-    /// M × N × height × width: `[type, index]` of objects.
+    /// Segmentation, `[type, index]` of the object, M × N × height × width.
     pub segmentation: &'a mut [[i32; 2]],
 }
 
-/// Buffers for a batch.
+/// Buffers for the observations, rewards and ends of a batch.
 ///
 /// ```
 /// use aviary::tasks::Hover;
@@ -191,18 +196,18 @@ pub struct VecPictures<'a> {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct VecBuffers {
-    /// M × [`observation_size`](VecEnv::observation_size).
+    /// Observations, M × [`observation_size`](VecEnv::observation_size).
     pub observations: Vec<f32>,
-    /// M.
+    /// Rewards, M.
     pub rewards: Vec<f32>,
-    /// M.
+    /// True where the task ended the episode, M.
     pub terminated: Vec<bool>,
-    /// M.
+    /// True where the episode was cut off, M.
     pub truncated: Vec<bool>,
 }
 
 impl VecBuffers {
-    /// For a batch.
+    /// Creates buffers for a batch.
     pub fn new(env: &(impl VecEnv + ?Sized)) -> Self {
         let count = env.num_envs();
         Self {
@@ -213,7 +218,7 @@ impl VecBuffers {
         }
     }
 
-    /// All of them, to be written by a step.
+    /// Returns all buffers as the output of a step.
     pub fn step(&mut self) -> VecStep<'_> {
         VecStep {
             observations: &mut self.observations,
@@ -224,7 +229,7 @@ impl VecBuffers {
     }
 }
 
-/// A batch that owns its buffers, for callers that need not decide where they lie.
+/// A batch with its buffers.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -240,7 +245,7 @@ impl VecBuffers {
 ///         action.fill(0.5 * (1.0 - seen[2]) - 0.4 * seen[8]);
 ///     }
 /// }
-/// // a batch whose task is chosen at run time
+/// // a batch of a task that is chosen by name
 /// let mut named = BufferedVecEnv::boxed(make_vec("hover", EnvConfig::default(), VecConfig::new(64))?);
 /// named.reset(Some(1))?;
 /// assert_ne!(named.buffers().observations, batch.buffers().observations);
@@ -270,25 +275,26 @@ impl<E: VecEnv + ?Sized> BufferedVecEnv<E> {
         Self { buffers: VecBuffers::new(&*env), env }
     }
 
-    /// Starts an episode in every environment, and returns the observations: see [`VecEnv::reset`].
+    /// Starts an episode in every environment and returns the observations. See [`VecEnv::reset`].
     ///
     /// # Errors
-    /// As for [`VecEnv::reset`].
+    /// Returns the errors of [`VecEnv::reset`].
     pub fn reset(&mut self, seed: Option<u64>) -> Result<&[f32], EnvError> {
         self.env.reset(seed, &mut self.buffers.observations)?;
         Ok(&self.buffers.observations)
     }
 
-    /// Advances every environment by one control step, and returns what the step wrote: see [`VecEnv::step`].
+    /// Advances every environment by one control step and returns the buffers that the step has written. See
+    /// [`VecEnv::step`].
     ///
     /// # Errors
-    /// As for [`VecEnv::step`].
+    /// Returns the errors of [`VecEnv::step`].
     pub fn step(&mut self, actions: &[f32]) -> Result<&VecBuffers, EnvError> {
         self.env.step(actions, self.buffers.step())?;
         Ok(&self.buffers)
     }
 
-    /// Returns what the last reset and the last step wrote.
+    /// Returns the buffers as the last reset and the last step left them.
     pub fn buffers(&self) -> &VecBuffers {
         &self.buffers
     }
@@ -298,13 +304,13 @@ impl<E: VecEnv + ?Sized> BufferedVecEnv<E> {
         &self.env
     }
 
-    /// Returns the batch, to be changed.
+    /// Returns the batch for changes.
     pub fn env_mut(&mut self) -> &mut E {
         &mut self.env
     }
 }
 
-/// Makes a batch of a task by name.
+/// Creates a batch of a task by name.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -316,19 +322,19 @@ impl<E: VecEnv + ?Sized> BufferedVecEnv<E> {
 /// ```
 ///
 /// # Errors
-/// [`EnvError::UnknownName`], and what making it finds.
+/// [`EnvError::UnknownName`] if no task has the name, and the errors of [`VecAviary::new`].
 pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
     let env = for_task!(name, |task| Box::new(VecAviary::new(options.with_task(task), config)?) as Box<dyn VecEnv>);
     env.map_err(EnvError::from)
 }
 
-/// A batch of environments of one task.
+/// A batch of environments of one task. M is the number of environments, N the number of drones in each.
 ///
 /// ```
 /// use aviary::env::{EnvConfig, EnvError};
 /// use aviary::vector::{VecBuffers, VecConfig, VecEnv, make_vec};
 ///
-/// /// The mean reward of doing nothing for ten steps.
+/// /// Returns the mean reward of ten steps with zero actions.
 /// fn idle(env: &mut dyn VecEnv) -> Result<f32, EnvError> {
 ///     let mut buffers = VecBuffers::new(&*env);
 ///     let actions = vec![0.0; env.num_envs() * env.action_size()];
@@ -346,90 +352,98 @@ pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box
 /// # Ok::<(), EnvError>(())
 /// ```
 pub trait VecEnv: Send {
-    /// Name of the task, in lower snake case.
+    /// Returns the name of the task, in lower snake case.
     fn name(&self) -> &'static str;
 
-    /// Number of environments, M.
+    /// Returns the number of environments, M.
     fn num_envs(&self) -> usize;
 
-    /// Number of threads.
+    /// Returns the number of threads.
     fn num_threads(&self) -> usize;
 
-    /// What one environment's observation looks like.
+    /// Returns the observation space of one environment.
     fn observation_space(&self) -> &ObservationSpace;
 
-    /// What one environment's action looks like. Steps clip to its bounds.
+    /// Returns the action space of one environment. A step clips actions to its bounds.
     fn action_space(&self) -> &BoxSpace;
 
-    /// Numbers in one environment's row of `observations`: the task's vector, then, where they are observed, the distances
-    /// from obstacles, the ranges of the rays and the adjacency as 0 and 1.
+    /// Returns the length of one environment's row of `observations`. The row holds the vector of the task,
+    /// followed by the observed distances from obstacles, the ranges of the rays and the adjacency as 0 and 1.
     fn observation_size(&self) -> usize;
 
-    /// Numbers in one environment's action.
+    /// Returns the length of one environment's action.
     fn action_size(&self) -> usize {
         self.action_space().size()
     }
 
-    /// Control steps after which an episode is cut off.
+    /// Returns the number of control steps after which an episode is truncated.
     fn episode_steps(&self) -> u64;
 
-    /// Length of a control step, s.
+    /// Returns the length of a control step, s.
     fn control_period(&self) -> f64;
 
-    /// Starts an episode in every environment. With a seed everything random starts anew from it, in a stream for each.
+    /// Starts an episode in every environment. A seed restarts every random stream; each environment has its own
+    /// stream.
     ///
     /// # Errors
-    /// [`EnvError::Buffer`], [`EnvError::InBatch`] where an environment cannot begin, and [`EnvError::Panicked`].
+    /// [`EnvError::Buffer`] for a buffer of the wrong length, [`EnvError::InBatch`] if an environment cannot start
+    /// its episode, and [`EnvError::Panicked`] after a panic in a task.
     fn reset(&mut self, seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
         let all = vec![true; self.num_envs()];
         self.reset_where(&all, seed, observations)
     }
 
-    /// Starts an episode where the mask says so, and writes the rows of those environments.
+    /// Starts an episode in every environment that `mask` selects, and writes the observations of those
+    /// environments.
     ///
     /// # Errors
-    /// As for [`reset`](Self::reset).
+    /// Returns the errors of [`reset`](Self::reset).
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError>;
 
-    /// Advances every environment by one control step under its row of `actions`, M × [`action_size`](Self::action_size).
+    /// Advances every environment by one control step. `actions` is M × [`action_size`](Self::action_size).
     ///
     /// # Errors
-    /// [`EnvError::Buffer`] for a buffer of the wrong length, and then nothing has moved; [`EnvError::InBatch`] with the first
-    /// environment that failed, see [`OnFault`]; [`EnvError::Panicked`] where a task has panicked before.
+    /// - [`EnvError::Buffer`] for a buffer of the wrong length. No environment has moved.
+    /// - [`EnvError::InBatch`] with the first environment that failed, see [`OnFault`].
+    /// - [`EnvError::Panicked`] after a panic in a task.
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError>;
 
-    /// Draws what the onboard cameras of every environment see now.
+    /// Renders the images of the onboard cameras of all environments in their current states.
     ///
     /// # Errors
-    /// [`EnvError::Buffer`], [`EnvError::InBatch`] around an [`EnvError::Vision`] where they cannot be drawn, and
-    /// [`EnvError::Panicked`].
+    /// [`EnvError::Buffer`] for a buffer of the wrong length, [`EnvError::InBatch`] around an [`EnvError::Vision`]
+    /// if an image cannot be rendered, and [`EnvError::Panicked`] after a panic in a task.
     fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError>;
 
-    /// The last observations of the episodes that ended in the last step, in the rows of their environments; M ×
-    /// [`observation_size`](Self::observation_size), empty but with [`Autoreset::SameStep`].
+    /// Returns the last observations of the episodes that ended in the last step, in the rows of their
+    /// environments, M × [`observation_size`](Self::observation_size). The slice is empty unless the batch uses
+    /// [`Autoreset::SameStep`].
     fn final_observations(&self) -> &[f32];
 
-    /// Returns the summary of the episode of an environment that ended in the last step, if one did; `None` for an environment that
-    /// is not there.
+    /// Returns the summary of the episode that ended in the last step of an environment. Returns `None` if no
+    /// episode ended, or if the environment does not exist.
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary>;
 
-    /// Environments that failed in the last step, and why; none where a bad action was an error before anything moved.
+    /// Returns the environments that failed in the last step, with their errors. The slice is empty if an action
+    /// was rejected before any environment moved.
     fn faults(&self) -> &[(usize, EnvError)];
 
-    /// Puts an environment where it can be looked at and changed as if it were alone: its information, its wind, its
-    /// randomization. Its observation is not that of the last step: those are in the caller's buffers.
+    /// Calls `look` with one environment as a single environment, for reading and for changes of its wind or
+    /// randomization. The environment does not hold the observation of the last step; the caller's buffers do.
     ///
     /// # Errors
-    /// [`EnvError::NoEnvironment`]; [`EnvError::InBatch`] where it cannot be put there; [`EnvError::Panicked`].
+    /// [`EnvError::NoEnvironment`] for an index outside the batch, and [`EnvError::Panicked`] after a panic in a
+    /// task or in `look`.
     fn with_env(&mut self, environment: usize, look: &mut dyn FnMut(&mut dyn DroneEnv)) -> Result<(), EnvError>;
 
-    /// Bytes that the batch takes for every environment, beside what the threads share and the caller's buffers.
+    /// Returns the memory per environment, bytes, without the memory of the threads and the caller's buffers.
     fn bytes_per_env(&self) -> usize;
 
-    /// How many physics steps of an environment each engine did, over all environments, since the batch was made.
+    /// Returns the number of physics steps that each engine has computed since the batch was created, summed over
+    /// all environments.
     fn engine_substeps(&self) -> Substeps;
 
-    /// Size of the onboard cameras' pictures.
+    /// Returns the size of the images of the onboard cameras.
     fn camera_size(&self) -> ImageSize {
         self.observation_space().camera_size
     }

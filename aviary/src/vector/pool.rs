@@ -1,4 +1,4 @@
-//! The threads of a batch, and how they share its environments.
+//! Threads of a batch and the division of its environments among them.
 
 use std::io;
 use std::sync::{Mutex, PoisonError};
@@ -11,28 +11,28 @@ use super::shard::{BatchModel, Shard};
 use super::worker::{Faults, Worker};
 use crate::env::{EnvError, Task};
 
-/// The workers of a batch, one per thread.
+/// Workers of a batch, one per thread.
 #[derive(Debug)]
 pub(super) struct WorkerPool<T> {
     pub workers: Vec<Mutex<Worker<T>>>,
-    /// `None` for a single worker, which works on the caller's thread.
+    /// `None` for a single worker, which runs on the caller's thread.
     threads: Option<Threads>,
     pub faults: Faults,
 }
 
 impl<T: Task + Send> WorkerPool<T> {
-    /// Starts a thread per worker, where there are several.
+    /// Creates a pool with a thread for every worker if there are several.
     pub fn new(workers: Vec<Worker<T>>) -> Result<Self, EnvError> {
         let count = workers.len();
         let threads = (count > 1).then(|| Threads::new(count)).transpose().map_err(|error| EnvError::Option {
             option: "threads",
             got: format!("{count} ({error})"),
-            expected: "no more than the machine gives",
+            expected: "a number of threads that the system can start",
         })?;
         Ok(Self { workers: workers.into_iter().map(Mutex::new).collect(), threads, faults: Faults::default() })
     }
 
-    /// Does something with every environment of a shard, on all threads.
+    /// Calls `work` for every environment of a shard, on all threads.
     pub fn run(
         &self,
         model: &BatchModel,
@@ -43,14 +43,14 @@ impl<T: Task + Send> WorkerPool<T> {
             return Err(EnvError::Panicked);
         }
         let Some(threads) = &self.threads else {
-            // a single worker needs no queue, which would be dear beside the step of one environment
+            // a single worker needs no queue, which would be slow compared with the step of one environment
             let mut worker = self.workers[0].lock().unwrap_or_else(PoisonError::into_inner);
             work(&mut worker, &mut shard, &self.faults);
             return Ok(());
         };
         let queue = WorkQueue::new(model, shard, self.workers.len());
-        // every worker is taken once, by whatever thread, and keeps at it until nothing is left: a task that uses the threads itself may
-        // find its thread with another worker, never with its own
+        // any thread takes each worker once and keeps it until the queue is empty, so that a task that uses the
+        // threads may meet another worker on its thread but never its own
         let take = |index: usize| {
             let mut worker = self.workers[index].lock().unwrap_or_else(PoisonError::into_inner);
             while let Some(mut shard) = queue.next(model, index) {
@@ -62,11 +62,11 @@ impl<T: Task + Send> WorkerPool<T> {
     }
 }
 
-/// Shards that wait for a worker. Every worker has one of its own, step after step the same one, which is still in its thread's cache; from
-/// those of others that are late it takes small pieces off the far end.
+/// Shards that wait for a worker. Every worker has the same shard in every step, which is still in the cache of its
+/// thread. A worker that finishes early takes small parts from the far end of other shards.
 struct WorkQueue<'a, T> {
     shards: SmallVec<[Mutex<Option<Shard<'a, T>>>; 16]>,
-    /// Blocks that a worker takes at once.
+    /// Number of blocks that a worker takes at a time.
     grain: usize,
 }
 
@@ -84,14 +84,14 @@ impl<'a, T> WorkQueue<'a, T> {
         Self { shards, grain }
     }
 
-    /// Returns what a worker does next: of its own shard, or else of another's.
+    /// Returns the next shard of a worker: from its own shard, then from those of other workers.
     fn next(&self, model: &BatchModel, worker: usize) -> Option<Shard<'a, T>> {
         let count = self.shards.len();
         let mut others = 1..count;
         self.take(model, worker, true).or_else(|| others.find_map(|by| self.take(model, (worker + by) % count, false)))
     }
 
-    /// Takes a piece off a worker's shard, from the front or the far end.
+    /// Takes `grain` blocks from the front or the far end of a worker's shard.
     fn take(&self, model: &BatchModel, worker: usize, front: bool) -> Option<Shard<'a, T>> {
         let mut waiting = self.shards[worker].lock().unwrap_or_else(PoisonError::into_inner);
         let shard = waiting.take()?;
@@ -104,7 +104,7 @@ impl<'a, T> WorkQueue<'a, T> {
     }
 }
 
-/// Does something with every index, on as many threads as there are.
+/// Calls `act` with every index, in parallel.
 fn for_each(range: std::ops::Range<usize>, act: &(impl Fn(usize) + Sync)) {
     match range.len() {
         0 => {}
@@ -116,19 +116,19 @@ fn for_each(range: std::ops::Range<usize>, act: &(impl Fn(usize) + Sync)) {
     }
 }
 
-/// Threads of a batch, which are gone once it has been dropped.
+/// Threads of a batch. Dropping them waits for the threads to end.
 ///
-/// A rayon pool only tells its threads to end. The program could end before they do, while exit handlers free what an OpenGL
-/// driver keeps for each of them.
+/// A rayon pool only tells its threads to end. Without the wait, exit handlers could free the thread-local memory
+/// of an OpenGL driver while a thread still uses it.
 #[derive(Debug)]
 struct Threads {
-    /// `None` only while it is dropped.
+    /// `None` only during the drop.
     pool: Option<ThreadPool>,
     handles: Vec<JoinHandle<()>>,
 }
 
 impl Threads {
-    /// Starts so many threads.
+    /// Starts `count` threads.
     fn new(count: usize) -> Result<Self, ThreadPoolBuildError> {
         let handles = Mutex::new(Vec::with_capacity(count));
         let spawn = |thread: ThreadBuilder| -> io::Result<()> {
@@ -141,14 +141,14 @@ impl Threads {
         match pool {
             Ok(pool) => Ok(Self { pool: Some(pool), handles }),
             Err(error) => {
-                // those that have started are told to end where the pool is given up
+                // the pool's builder has told the threads that did start to end
                 join(handles);
                 Err(error)
             }
         }
     }
 
-    /// Runs something on one of the threads, which may use the others.
+    /// Runs `work` on one of the threads. `work` may use the others.
     fn run<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         match &self.pool {
             Some(pool) => pool.install(work),
@@ -167,7 +167,7 @@ impl Drop for Threads {
 fn join(handles: Vec<JoinHandle<()>>) {
     let this = std::thread::current().id();
     for handle in handles.into_iter().filter(|handle| handle.thread().id() != this) {
-        // a panic of a task has already been passed on to whoever ran it
+        // rayon has already passed a panic of a task on to the caller
         let _ = handle.join();
     }
 }

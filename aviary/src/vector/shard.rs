@@ -1,4 +1,4 @@
-//! The environments of a batch, and the slices of them that a worker has.
+//! Environments of a batch and the slices of them that a worker processes.
 
 use super::{Autoreset, OnFault};
 use crate::action::ActionDecoder;
@@ -7,7 +7,7 @@ use crate::engine::flight::{Flow, LANES, LaneParams, Lanes};
 use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, Phase, Task};
 use crate::simulation::{SimData, Simulation};
 
-/// What is the same for all environments of a batch.
+/// Constants that all environments of a batch share.
 #[derive(Debug, Clone)]
 pub(super) struct BatchModel {
     pub drones: usize,
@@ -15,53 +15,54 @@ pub(super) struct BatchModel {
     pub observation_size: usize,
     pub autoreset: Autoreset,
     pub on_fault: OnFault,
-    /// How lanes fly; `None` where nothing flies in lanes.
+    /// Settings of the flight kernel; `None` if no environment flies in lanes.
     pub flow: Option<Flow>,
     pub downwash: bool,
     /// Physics steps of a control step.
     pub substeps: u32,
-    /// Parameters of all environments, one per drone, where they are the same.
+    /// Parameters of each drone if all environments share them.
     pub lane_params: Vec<LaneParams>,
-    /// Numbers of an environment's images: bytes of RGBA, and pixels of depth and of segmentation.
+    /// Entries in the images of one environment: bytes of RGBA, pixels of depth, pixels of segmentation.
     pub images: [usize; 3],
 }
 
-/// One environment of a batch, besides its states in the lanes.
+/// One environment of a batch, without the states in the lanes.
 #[derive(Debug)]
 pub(super) struct EnvSlot<T> {
     pub episode: Episode<T>,
-    /// Data of its own, where environments differ in parameters; otherwise the lanes hold all that it has.
+    /// Own data if environments differ in parameters. Otherwise the lanes hold the complete state.
     pub data: Option<Box<SimData>>,
-    /// Decoders of its own, where they have a memory.
+    /// Own decoders if decoders have memory.
     pub decoders: Vec<ActionDecoder>,
     pub control_steps: u64,
-    /// Whether it has ever begun an episode.
-    pub begun: bool,
-    /// True if its last attempt to start an episode failed.
+    /// True if the environment has ever started an episode.
+    pub started: bool,
+    /// True if the last attempt to start an episode failed.
     pub start_failed: bool,
-    /// Sum of the episode's rewards so far.
+    /// Sum of the rewards of the current episode.
     pub reward: f64,
     pub summary: Option<EpisodeSummary>,
-    /// Whether MuJoCo made its last physics step, so that there is a warm start of its solver to be kept.
+    /// True if MuJoCo computed the last physics step, so that the warm start of its solver is valid.
     pub in_mujoco: bool,
-    /// Whether it can be flown in a lane, when nothing is near.
+    /// True if a lane can represent the environment. Obstacles and contacts are checked separately.
     pub fits_lanes: bool,
 }
 
 impl<T> EnvSlot<T> {
-    /// Returns whether its next step begins an episode by itself: the last one has ended, or was cut off by a change of the task.
+    /// Returns true if the next step starts an episode because the last one ended or a change of the task cut it
+    /// off.
     pub fn awaits_episode(&self) -> bool {
         match self.episode.phase {
             Phase::Running => false,
             Phase::Over => true,
-            Phase::New => self.begun,
+            Phase::New => self.started,
         }
     }
 }
 
 impl<T: Task> EnvSlot<T> {
-    /// Returns everything that an episode needs: the environment's own, and a thread's workspaces. `shared` holds the data of an
-    /// environment that has none of its own.
+    /// Returns the parts of an environment that an episode needs: the own parts of the slot and the workspaces of a
+    /// thread. `shared` is the data of an environment without its own.
     pub fn parts<'a>(&'a mut self, env: &'a mut Aviary<T>, shared: Option<&'a mut SimData>) -> EnvParts<'a, T> {
         let Aviary { model, simulation, decoders, workspace, .. } = env;
         let Simulation { model: sim_model, data, workspace: sim_workspace } = simulation;
@@ -81,12 +82,12 @@ impl<T: Task> EnvSlot<T> {
     }
 }
 
-/// The environments of a batch.
+/// All environments of a batch.
 #[derive(Debug)]
 pub(super) struct Environments<T> {
     pub slots: Vec<EnvSlot<T>>,
     pub lanes: Vec<Lanes>,
-    /// Parameters of every environment's drones, where they differ; otherwise empty.
+    /// Parameters of every environment's drones if environments differ; otherwise empty.
     pub lane_params: Vec<LaneParams>,
     pub warm_starts: Vec<f64>,
     pub clearance_caches: Vec<ClearanceCache>,
@@ -95,7 +96,7 @@ pub(super) struct Environments<T> {
 }
 
 impl<T> Environments<T> {
-    /// Returns what they keep from step to step.
+    /// Returns slices of the environments.
     pub fn slices(&mut self) -> EnvSlices<'_, T> {
         EnvSlices {
             slots: &mut self.slots,
@@ -107,7 +108,7 @@ impl<T> Environments<T> {
         }
     }
 
-    /// Returns the bytes that each environment takes.
+    /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
         let Self { slots, lanes, lane_params, warm_starts, clearance_caches, finals } = self;
         let sum = size_of_val(&slots[..])
@@ -123,9 +124,9 @@ impl<T> Environments<T> {
     }
 }
 
-/// Neighbouring environments, whole blocks of lanes, with their rows of all buffers; a buffer that is not used is empty.
+/// Consecutive environments in whole blocks of lanes, with their rows of all buffers. Unused buffers are empty.
 pub(super) struct Shard<'a, T> {
-    /// Index of the first one.
+    /// Index of the first environment.
     pub first: usize,
     pub mask: &'a [bool],
     pub envs: EnvSlices<'a, T>,
@@ -133,7 +134,7 @@ pub(super) struct Shard<'a, T> {
     pub images: ImageSlices<'a>,
 }
 
-/// What environments keep from step to step.
+/// Slices of the state that environments keep between steps.
 pub(super) struct EnvSlices<'a, T> {
     pub slots: &'a mut [EnvSlot<T>],
     pub lanes: &'a mut [Lanes],
@@ -143,7 +144,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub finals: &'a mut [f32],
 }
 
-/// The buffers of a step.
+/// Slices of the buffers of a step.
 #[derive(Default)]
 pub(super) struct StepSlices<'a> {
     pub actions: &'a [f32],
@@ -153,7 +154,7 @@ pub(super) struct StepSlices<'a> {
     pub truncated: &'a mut [bool],
 }
 
-/// The buffers of images.
+/// Slices of the buffers of images.
 #[derive(Default)]
 pub(super) struct ImageSlices<'a> {
     pub rgb: &'a mut [u8],
@@ -161,7 +162,7 @@ pub(super) struct ImageSlices<'a> {
     pub segmentation: &'a mut [[i32; 2]],
 }
 
-/// Splits a slice in front of an entry; both parts of an empty one are empty.
+/// Splits a slice at an index. Both parts of an empty slice are empty.
 fn cut<X>(slice: &mut [X], at: usize) -> (&mut [X], &mut [X]) {
     let at = at.min(slice.len());
     slice.split_at_mut(at)
@@ -173,13 +174,13 @@ impl<'a, T> Shard<'a, T> {
         self.envs.slots.len().div_ceil(LANES)
     }
 
-    /// Keeps an environment's observation as the last one of its episode.
+    /// Copies an environment's observation to the final observations.
     pub fn keep_final(&mut self, model: &BatchModel, index: usize) {
         let row = model.observation_size * index..model.observation_size * (index + 1);
         self.envs.finals[row.clone()].copy_from_slice(&self.step.observations[row]);
     }
 
-    /// Splits so many blocks off the front.
+    /// Splits `blocks` blocks off the front.
     pub fn split(self, model: &BatchModel, blocks: usize) -> (Self, Self) {
         let count = (blocks * LANES).min(self.envs.slots.len());
         let (mask, mask2) = self.mask.split_at(count.min(self.mask.len()));
@@ -198,25 +199,25 @@ impl<'a, T> EnvSlices<'a, T> {
         let (drones, blocks) = (model.drones, count.div_ceil(LANES));
         let (slots, slots2) = cut(self.slots, count);
         let (lanes, lanes2) = cut(self.lanes, blocks * drones);
-        let (lane_params, frames2) = cut(self.lane_params, blocks * drones);
+        let (lane_params, lane_params2) = cut(self.lane_params, blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
-        let (clearance_caches, clearances2) = cut(self.clearance_caches, drones * count);
+        let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
         (
             Self { slots, lanes, lane_params, warm_starts, clearance_caches, finals },
             Self {
                 slots: slots2,
                 lanes: lanes2,
-                lane_params: frames2,
+                lane_params: lane_params2,
                 warm_starts: warm_starts2,
-                clearance_caches: clearances2,
+                clearance_caches: clearance_caches2,
                 finals: finals2,
             },
         )
     }
 
-    /// Writes data back to the lanes after MuJoCo, a reset or a change: states, motors, solver, and parameters where they differ
-    /// between environments.
+    /// Writes an environment's data to its lane after a MuJoCo step, a reset or a change. This covers the states,
+    /// the motors, the solver's warm start and, if environments differ, the parameters.
     pub fn store(&mut self, model: &BatchModel, index: usize, data: Option<&SimData>, parameters: Option<&Simulation>) {
         let (drones, lane) = (model.drones, index % LANES);
         let slot = &mut self.slots[index];
@@ -238,7 +239,7 @@ impl<'a, T> EnvSlices<'a, T> {
         }
     }
 
-    /// Reads the data of an environment that has none of its own from its lanes.
+    /// Reads the data of an environment without its own data from its lane.
     pub fn load(&self, model: &BatchModel, index: usize, data: &mut SimData) {
         let (drones, slot) = (model.drones, &self.slots[index]);
         let lanes = &self.lanes[index / LANES * drones..][..drones];
@@ -247,7 +248,7 @@ impl<'a, T> EnvSlices<'a, T> {
         data.update_rpys();
     }
 
-    /// Forgets how far obstacles were from an environment's drones.
+    /// Clears the cached obstacle distances of an environment's drones.
     pub fn forget_clearances(&mut self, model: &BatchModel, index: usize) {
         let clearance_caches = self.clearance_caches.iter_mut().skip(model.drones * index).take(model.drones);
         clearance_caches.for_each(|clearance| *clearance = ClearanceCache::default());
@@ -273,7 +274,7 @@ impl<'a> StepSlices<'a> {
         )
     }
 
-    /// Writes what a step brought to an environment besides its observation.
+    /// Writes the reward and the end of an environment's step.
     pub fn write(&mut self, index: usize, reward: f64, terminated: bool, truncated: bool) {
         (self.rewards[index], self.terminated[index], self.truncated[index]) = (reward as f32, terminated, truncated);
     }

@@ -1,4 +1,5 @@
-//! One thread's work: the four stages of a control step (decode, advance, evaluate, reset) over a shard, block by block of lanes.
+//! Work of one thread: the four stages of a control step (decode, advance, evaluate, reset) over the blocks of a
+//! shard.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -11,41 +12,41 @@ use crate::simulation::SimData;
 use crate::state::DroneState;
 use crate::wrappers::VelocityFilter;
 
-/// Environments that failed.
+/// Errors of the environments that failed, with their indices.
 pub(super) type Faults = Mutex<Vec<(usize, EnvError)>>;
 
-/// What an environment does in a step.
+/// Action of an environment in a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Turn {
-    /// Fly in its lane, or in MuJoCo.
+enum StepKind {
+    /// Advance the physics, in its lane or in MuJoCo.
     Fly,
-    /// Begin an episode.
+    /// Start an episode.
     Begin,
-    /// Fail, for the reason in [`Worker::errors`].
+    /// Fail with the error in [`Worker::errors`].
     Fail,
 }
 
-/// One thread's memory.
+/// Memory of one thread.
 #[derive(Debug)]
 pub(super) struct Worker<T> {
-    /// Workspaces, and the data of the environment at hand where it has none of its own.
+    /// Workspaces, and the data of the current environment if it has no own data.
     pub env: Aviary<T>,
-    /// Data of the environments of a block that fly in MuJoCo, where they have none of their own.
+    /// Data of the environments of a block that advance in MuJoCo and have no own data.
     grounded: Vec<SimData>,
     /// Motor speeds of every environment and drone of a block, rpm.
     commands: Vec<[f64; 4]>,
-    /// Lanes as they were, of environments that do not fly in lanes.
+    /// Saved lanes of environments that do not fly in lanes: state, rotor speeds and target speeds.
     saved: Vec<(DroneState, [f64; 4], [f64; 4])>,
-    turns: [Turn; LANES],
-    /// Why environments of a block fail, of those that do.
+    step_kinds: [StepKind; LANES],
+    /// Errors of the environments of a block that fail.
     errors: [Option<EnvError>; LANES],
-    /// States of the environment whose action is decoded.
+    /// Drone states of the environment whose action is decoded.
     states: Vec<DroneState>,
-    /// Makes velocities safe, where that is asked for.
-    pub guard: Option<VelocityFilter>,
-    /// An action on its way through the guard.
+    /// Filter of velocity commands, if the batch has one.
+    pub velocity_filter: Option<VelocityFilter>,
+    /// Scratch buffer for the filtered action.
     action: Vec<f64>,
-    /// Physics steps flown in lanes.
+    /// Number of physics steps computed in lanes.
     pub flown: u64,
 }
 
@@ -56,17 +57,17 @@ impl<T: Task> Worker<T> {
             grounded: vec![env.simulation.snapshot(); LANES],
             commands: vec![[0.0; 4]; LANES * drones],
             saved: vec![(DroneState::default(), [0.0; 4], [0.0; 4]); LANES * drones],
-            turns: [Turn::Fly; LANES],
+            step_kinds: [StepKind::Fly; LANES],
             errors: Default::default(),
             states: vec![DroneState::default(); drones],
-            guard: None,
+            velocity_filter: None,
             action: Vec::new(),
             flown: 0,
             env,
         }
     }
 
-    /// Makes a control step of every environment of a shard.
+    /// Computes a control step of every environment of a shard.
     pub fn step(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, faults: &Faults) {
         let count = shard.envs.slots.len();
         for block in 0..count.div_ceil(LANES) {
@@ -80,24 +81,24 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Stage 1: decides what every environment of a block does, and decodes the actions of those that fly to motor speeds. Returns which
-    /// of them may fly in lanes.
+    /// Stage 1: selects the action of every environment of a block and decodes the commands of flying environments
+    /// to motor speeds. Returns true for environments that a lane can represent.
     fn decode(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, range: Range<usize>) -> [bool; LANES] {
         let mut fits_lanes = [false; LANES];
         for index in range {
             let lane = index % LANES;
             let action = &shard.step.actions[model.action_size * index..][..model.action_size];
-            self.turns[lane] = self.turn(model, shard, index, action);
+            self.step_kinds[lane] = self.step_kind(model, shard, index, action);
             shard.envs.slots[index].summary = None;
-            if self.turns[lane] != Turn::Fly {
+            if self.step_kinds[lane] != StepKind::Fly {
                 continue;
             }
             if let Err(error) = self.decode_one(model, shard, index, action) {
-                (self.turns[lane], self.errors[lane]) = (Turn::Fail, Some(error));
+                (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
                 continue;
             }
             let (commands, slot) = (&self.env.workspace.commands, &mut shard.envs.slots[index]);
-            // commands that are not numbers are reported by the scalar path
+            // the scalar path reports commands that are not finite
             fits_lanes[lane] = slot.fits_lanes && commands.iter().flatten().all(|rpm| rpm.is_finite());
             let data = slot.data.as_deref_mut().unwrap_or(&mut self.env.simulation.data);
             let lanes = &mut shard.envs.lanes[index / LANES * model.drones..][..model.drones];
@@ -109,28 +110,28 @@ impl<T: Task> Worker<T> {
         fits_lanes
     }
 
-    /// Decides what an environment does.
-    fn turn(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> Turn {
+    /// Returns the action of an environment in this step.
+    fn step_kind(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> StepKind {
         let slot = &shard.envs.slots[index];
         let error = match slot.episode.phase {
-            // all have been looked at before anything moved
-            Phase::Running if model.on_fault == OnFault::Error => return Turn::Fly,
+            // `check_actions` has rejected actions that are not finite before the step
+            Phase::Running if model.on_fault == OnFault::Error => return StepKind::Fly,
             Phase::Running => match action.iter().position(|x| !x.is_finite()) {
-                None => return Turn::Fly,
+                None => return StepKind::Fly,
                 Some(entry) => {
                     let time = slot.control_steps as f64 * self.env.simulation.control_period();
                     EnvError::Action { index: entry, got: f64::from(action[entry]), time }
                 }
             },
-            _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => return Turn::Begin,
+            _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => return StepKind::Begin,
             Phase::Over => EnvError::NeedsReset { when: "after the end of the episode" },
             Phase::New => EnvError::NeedsReset { when: "on a new environment" },
         };
         self.errors[index % LANES] = Some(error);
-        Turn::Fail
+        StepKind::Fail
     }
 
-    /// Decodes an environment's action to the workspace's commands.
+    /// Decodes an environment's action to the commands of the workspace.
     fn decode_one(
         &mut self,
         model: &BatchModel,
@@ -142,7 +143,7 @@ impl<T: Task> Worker<T> {
         let (numbers, dt) = (action.iter().map(|&x| f64::from(x)), simulation.model.control_period());
         let slot = &mut shard.envs.slots[index];
         if slot.decoders.is_empty() {
-            // decoders without a memory do not look at states
+            // decoders without memory ignore the states
             workspace.decode(env_model, dt, &self.states, decoders, numbers);
             return Ok(());
         }
@@ -150,10 +151,10 @@ impl<T: Task> Worker<T> {
         for (state, lanes) in self.states.iter_mut().zip(lanes) {
             *state = lanes.state(index % LANES);
         }
-        if let Some(guard) = &mut self.guard {
+        if let Some(velocity_filter) = &mut self.velocity_filter {
             self.action.clear();
             self.action.extend(numbers);
-            let safe = guard.make_safe(&self.states, &env_model.action_space, &mut self.action);
+            let safe = velocity_filter.make_safe(&self.states, &env_model.action_space, &mut self.action);
             workspace.decode(env_model, dt, &self.states, &mut slot.decoders, self.action.iter().copied());
             safe.map(|_| ())
         } else {
@@ -162,7 +163,8 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Returns which environments of a block can touch nothing during the control step, so that they fly in lanes.
+    /// Returns true for the environments of a block that cannot touch anything during the control step and
+    /// therefore fly in lanes.
     fn find_clear(
         &mut self,
         model: &BatchModel,
@@ -172,7 +174,7 @@ impl<T: Task> Worker<T> {
     ) -> [bool; LANES] {
         let Some(flow) = model.flow.as_ref().filter(|_| fits_lanes.contains(&true)) else { return [false; LANES] };
         let drones = model.drones;
-        let (lanes, lane_params) = lanes_and_frames(model, shard, range.start);
+        let (lanes, lane_params) = lanes_and_params(model, shard, range.start);
         let mut clear = find_clear(flow, lanes, lane_params, range.len(), model.substeps);
         clear.iter_mut().zip(fits_lanes).for_each(|(clear, fits)| *clear &= fits);
         if shard.envs.clearance_caches.is_empty() {
@@ -192,14 +194,14 @@ impl<T: Task> Worker<T> {
         clear
     }
 
-    /// Stage 2: advances the physics of a block, of all clear environments at once, of the others in MuJoCo.
+    /// Stage 2: advances the physics of a block, of all clear environments in lanes and of the others in MuJoCo.
     fn advance(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, range: Range<usize>, clear: &[bool; LANES]) {
         if let Some(flow) = model.flow.as_ref().filter(|_| clear.contains(&true)) {
             self.advance_lanes(model, flow, shard, range.clone(), clear);
         }
         for index in range.filter(|index| !clear[index % LANES]) {
             let lane = index % LANES;
-            if self.turns[lane] != Turn::Fly {
+            if self.step_kinds[lane] != StepKind::Fly {
                 continue;
             }
             let shared = &mut self.grounded[lane];
@@ -209,13 +211,13 @@ impl<T: Task> Worker<T> {
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
             parts.workspace.commands.copy_from_slice(&self.commands[lane * model.drones..][..model.drones]);
             if let Err(error) = parts.advance() {
-                (self.turns[lane], self.errors[lane]) = (Turn::Fail, Some(error));
+                (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
             }
             shard.envs.store(model, index, Some(shared), None);
         }
     }
 
-    /// Flies the clear environments of a block.
+    /// Advances the clear environments of a block in lanes.
     fn advance_lanes(
         &mut self,
         model: &BatchModel,
@@ -227,8 +229,9 @@ impl<T: Task> Worker<T> {
         let drones = model.drones;
         let flying = clear.iter().filter(|clear| **clear).count();
         let count = range.len();
-        let (lanes, lane_params) = lanes_and_frames(model, shard, range.start);
-        // all of them fly; those that should not are put back
+        let (lanes, lane_params) = lanes_and_params(model, shard, range.start);
+        // the kernel advances all lanes, therefore the lanes of environments that are not clear are restored
+        // afterwards
         let grounded = range.map(|index| index % LANES).filter(|&lane| !clear[lane]);
         for lane in grounded.clone() {
             for (drone, lanes) in lanes.iter().enumerate() {
@@ -259,11 +262,11 @@ impl<T: Task> Worker<T> {
         self.flown += u64::from(model.substeps) * flying as u64;
     }
 
-    /// Stage 3: lets the task look at the step of an environment, and writes reward, end and observation.
+    /// Stage 3: updates the task of an environment and writes its reward, end and observation.
     fn evaluate(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool, faults: &Faults) {
         let lane = index % LANES;
-        match self.turns[lane] {
-            Turn::Fly => {
+        match self.step_kinds[lane] {
+            StepKind::Fly => {
                 let grounded = self.read(model, shard, index, clear);
                 let shared = grounded.then(|| &mut self.grounded[lane]);
                 let slot = &mut shard.envs.slots[index];
@@ -277,7 +280,7 @@ impl<T: Task> Worker<T> {
                 slot.reward += outcome.reward;
                 shard.step.write(index, outcome.reward, outcome.terminated, outcome.truncated);
                 if moved {
-                    // what was near is elsewhere now
+                    // moved obstacles invalidate the cached distances
                     shard.envs.forget_clearances(model, index);
                 }
                 match end {
@@ -285,16 +288,16 @@ impl<T: Task> Worker<T> {
                     None => self.observe(model, shard, index, grounded, faults),
                 }
             }
-            Turn::Begin => {
+            StepKind::Begin => {
                 shard.step.write(index, 0.0, false, false);
-                // with a reset in the same step, this step has ignored its action because the start in the step before failed
+                // under `SameStep`, a reset is pending here only after a failed start in the step before
                 let late = model.autoreset == Autoreset::SameStep && shard.envs.slots[index].start_failed;
                 self.reset(model, shard, index, None, faults);
                 if late || shard.envs.slots[index].start_failed {
                     self.end_without_start(model, shard, index);
                 }
             }
-            Turn::Fail => {
+            StepKind::Fail => {
                 let grounded = shard.envs.slots[index].data.is_none();
                 if grounded {
                     shard.envs.load(model, index, &mut self.grounded[lane]);
@@ -306,8 +309,8 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Reads an environment that has just flown in its lane to where the task looks. Returns whether it is, from a step in MuJoCo, in the
-    /// data of its lane.
+    /// Reads the state of an environment from its lane to the data that the task reads. Returns true if a MuJoCo
+    /// step has left that data in the worker's `grounded` data.
     fn read(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool) -> bool {
         let slot = &mut shard.envs.slots[index];
         if !clear {
@@ -346,7 +349,7 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Reports an episode that could not start, as a fault after zero steps.
+    /// Reports an episode that could not start as a fault after zero steps.
     fn end_without_start(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize) {
         shard.step.truncated[index] = true;
         let summary = EpisodeSummary { end: Some(EndReason::Fault), success: false, steps: 0, reward: 0.0 };
@@ -363,11 +366,11 @@ impl<T: Task> Worker<T> {
         let observed = parts.observe_numbers();
         parts.workspace.write_row(parts.model, shard.step.observation(model, index));
         if let Err(error) = observed {
-            note(faults, shard.first + index, error);
+            report(faults, shard.first + index, error);
         }
     }
 
-    /// Ends the episode of an environment that has failed, if it was in one.
+    /// Ends the running episode of an environment that has failed.
     fn fail(
         &mut self,
         model: &BatchModel,
@@ -377,17 +380,17 @@ impl<T: Task> Worker<T> {
         error: EnvError,
         faults: &Faults,
     ) {
-        note(faults, shard.first + index, error);
-        // what had ended already is not cut off once more
+        report(faults, shard.first + index, error);
+        // an episode that has already ended is not truncated again
         let slot = &shard.envs.slots[index];
-        let running = slot.begun && slot.episode.end.is_none() && slot.episode.phase != Phase::New;
+        let running = slot.started && slot.episode.end.is_none() && slot.episode.phase != Phase::New;
         shard.step.write(index, 0.0, false, running);
         if running {
             self.end(model, shard, index, grounded, EndReason::Fault, false, faults);
         }
     }
 
-    /// Stage 4: begins an episode of an environment, and writes its first observation.
+    /// Stage 4: starts an episode of an environment and writes its first observation.
     pub fn reset(
         &mut self,
         model: &BatchModel,
@@ -398,14 +401,14 @@ impl<T: Task> Worker<T> {
     ) {
         shard.envs.forget_clearances(model, index);
         let slot = &mut shard.envs.slots[index];
-        (slot.reward, slot.begun) = (0.0, true);
+        (slot.reward, slot.started) = (0.0, true);
         let started = slot.parts(&mut self.env, None).begin(seed);
         slot.start_failed = started.is_err();
         match started {
             Ok(()) => self.observe(model, shard, index, false, faults),
             Err(error) => {
                 slot.episode.phase = Phase::New;
-                note(faults, shard.first + index, error);
+                report(faults, shard.first + index, error);
             }
         }
         let simulation = &mut self.env.simulation;
@@ -416,7 +419,7 @@ impl<T: Task> Worker<T> {
         shard.envs.store(model, index, Some(&simulation.data), Some(simulation));
     }
 
-    /// Begins episodes where the mask says so.
+    /// Starts an episode in every environment that the mask selects.
     pub fn reset_where(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, seed: Option<u64>, faults: &Faults) {
         for index in 0..shard.envs.slots.len() {
             if shard.mask[index] {
@@ -426,7 +429,7 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Renders what the cameras of every environment see.
+    /// Renders the camera images of every environment.
     pub fn render(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, faults: &Faults) {
         let [rgb, depth, segmentation] = model.images;
         for index in 0..shard.envs.slots.len() {
@@ -436,7 +439,7 @@ impl<T: Task> Worker<T> {
             }
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
             if let Err(error) = parts.observe_images() {
-                note(faults, shard.first + index, error);
+                report(faults, shard.first + index, error);
                 continue;
             }
             let seen = &parts.workspace.observation;
@@ -448,12 +451,12 @@ impl<T: Task> Worker<T> {
     }
 }
 
-fn note(faults: &Faults, environment: usize, error: EnvError) {
+fn report(faults: &Faults, environment: usize, error: EnvError) {
     faults.lock().unwrap_or_else(PoisonError::into_inner).push((environment, error));
 }
 
-/// Returns the lanes of a block that begins with an environment, and the parameters that its drones have.
-fn lanes_and_frames<'a, T>(
+/// Returns the lanes of the block that starts at an environment, and the parameters of their drones.
+fn lanes_and_params<'a, T>(
     model: &'a BatchModel,
     shard: &'a mut Shard<'_, T>,
     start: usize,
