@@ -1,16 +1,16 @@
-//! Motors that do not do at once, or exactly, what they are told. All of it is off by default.
+//! Motor dynamics: lag, latency, gains and saturation. All of them are off by default.
 
 use crate::drone::DroneParams;
 use crate::error::OptionError;
 
-/// How the motors of a drone answer to commands.
+/// Parameters of the motors of a drone.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
 /// use aviary::physics::actuators::ActuatorParams;
 /// use aviary::simulation::Simulation;
 ///
-/// // motors that turn at hover speed and are told to go to full speed, after one time constant
+/// motors at hover speed that get the command of full speed, after one time constant
 /// let motors = ActuatorParams { lag: 0.05, ..ActuatorParams::default() };
 /// let mut simulation = Simulation::builder(DroneModel::Cf2x).actuators(motors).ctrl_freq(20).build()?;
 /// let (hover, full) = (simulation.params(0).hover_rpm(), simulation.params(0).max_rpm());
@@ -22,13 +22,13 @@ use crate::error::OptionError;
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ActuatorParams {
-    /// Time constant of the rotor speed's first-order lag, s; 0 for none.
+    /// Time constant τ of the first-order lag of the rotor speed, s; 0 for no lag.
     pub lag: f64,
-    /// Time until a command arrives, s, rounded to whole physics steps; 0 for none.
+    /// Delay of a command, s, rounded to whole physics steps; 0 for no delay.
     pub latency: f64,
     /// Factor on each motor's commanded speed.
     pub gains: [f64; 4],
-    /// Factor on `MAX_RPM`, at which speeds saturate.
+    /// Factor on `MAX_RPM`, the speed at which the rotors saturate.
     pub saturation: f64,
 }
 
@@ -45,7 +45,7 @@ impl ActuatorParams {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`OptionError`] naming one that is impossible.
+    /// [`OptionError`] that names the first setting out of range.
     pub fn validate(&self) -> Result<(), OptionError> {
         OptionError::check("actuators.lag", self.lag, 0.0..=1e3, "0 to 1000 s")?;
         OptionError::check("actuators.latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 1 s")?;
@@ -57,7 +57,7 @@ impl ActuatorParams {
     }
 }
 
-/// The motors of one drone.
+/// Motors of one drone.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -74,21 +74,21 @@ impl ActuatorParams {
 pub struct Actuators {
     gains: [f64; 4],
     max_rpm: f64,
-    /// Speed at which the rotors turn when an episode begins, rpm.
+    /// Rotor speed at the start of an episode, rpm.
     initial_rpm: f64,
-    /// Share of the way to the command that the speed goes in one physics step: 1 − exp(−dt/τ).
+    /// Fraction of the remaining speed difference that the lag closes in one physics step: 1 − exp(−dt/τ).
     share: f64,
-    /// Commands on their way, a ring of one per physics step of latency.
+    /// Ring buffer of delayed commands, one per physics step of latency.
     queue: Vec<[f64; 4]>,
     next: usize,
     rpm: [f64; 4],
 }
 
 impl Actuators {
-    /// The motors of an airframe at a physics step of `dt` seconds.
+    /// Creates the motors of a drone for physics steps of `dt` seconds.
     ///
-    /// Motors with lag or latency turn at hover speed when an episode begins: a drone that starts in the air was
-    /// flying before.
+    /// Motors with lag or latency turn at hover speed when an episode begins, because a drone that starts in the air
+    /// was already flying.
     pub fn new(params: &DroneParams, actuators: &ActuatorParams, dt: f64) -> Self {
         let steps = (actuators.latency / dt).round() as usize;
         let slow = actuators.lag > 0.0 || steps > 0;
@@ -105,7 +105,7 @@ impl Actuators {
         }
     }
 
-    /// Makes them those of other settings, in the memory that they have; they start anew.
+    /// Replaces the parameters and resets the motors; reuses the allocated queue.
     pub(crate) fn set(&mut self, params: &DroneParams, actuators: &ActuatorParams, dt: f64) {
         let mut queue = std::mem::take(&mut self.queue);
         let steps = (actuators.latency / dt).round() as usize;
@@ -119,49 +119,50 @@ impl Actuators {
         self.reset();
     }
 
-    /// Makes room for a latency of so many physics steps.
+    /// Reserves queue capacity for a latency of `steps` physics steps.
     pub(crate) fn reserve(&mut self, steps: usize) {
         self.queue.reserve(steps.saturating_sub(self.queue.len()));
     }
 
-    /// As at the start of an episode.
+    /// Resets the motors to the start of an episode.
     pub fn reset(&mut self) {
         self.queue.fill([self.initial_rpm; 4]);
         self.next = 0;
         self.rpm = [self.initial_rpm; 4];
     }
 
-    /// Returns whether the parts fit each other and every number is one that motors can have.
+    /// Returns true if the queue index is in range and every number is finite and not negative.
     pub(crate) fn is_valid(&self) -> bool {
         let numbers = [self.max_rpm, self.initial_rpm, self.share].into_iter();
         let mut numbers = numbers.chain(self.gains).chain(self.rpm).chain(self.queue.iter().flatten().copied());
         numbers.all(|x| x.is_finite() && x >= 0.0) && (self.next == 0 || self.next < self.queue.len())
     }
 
-    /// Rotor speeds, rpm.
+    /// Returns the rotor speeds, rpm.
     #[inline]
     pub fn rpm(&self) -> &[f64; 4] {
         &self.rpm
     }
 
-    /// Greatest rotor speed, rpm.
+    /// Returns the maximum rotor speed, rpm.
     #[inline]
     pub fn max_rpm(&self) -> f64 {
         self.max_rpm
     }
 
-    /// Share of the way to the command that speeds go in one physics step; 1 without lag.
+    /// Returns the fraction of the remaining speed difference that the lag closes in one physics step; 1 without lag.
     #[inline]
     pub fn share(&self) -> f64 {
         self.share
     }
 
-    /// Whether commands arrive at once.
+    /// Returns true if the motors have no latency.
     pub fn is_prompt(&self) -> bool {
         self.queue.is_empty()
     }
 
-    /// Speeds (rpm) that the rotors go to under a command that has arrived.
+    /// Returns the rotor speeds (rpm) that the motors approach under a command: the command times the gains, clamped
+    /// to 0 to [`max_rpm`](Self::max_rpm).
     #[inline]
     pub fn target(&self, command: &[f64; 4]) -> [f64; 4] {
         let mut target = *command;
@@ -171,12 +172,12 @@ impl Actuators {
         target
     }
 
-    /// Lets the rotors turn at these speeds, rpm.
+    /// Sets the rotor speeds, rpm.
     pub(crate) fn set_rpm(&mut self, rpm: &[f64; 4]) {
         self.rpm = *rpm;
     }
 
-    /// Goes through one physics step under these commanded speeds (rpm) and gives the rotor speeds that act in it:
+    /// Advances the motors by one physics step under a command (rpm) and returns the rotor speeds (rpm) of that step:
     /// n += (n_cmd − n)·(1 − exp(−dt/τ)).
     #[inline]
     pub fn advance(&mut self, command: &[f64; 4]) -> &[f64; 4] {
@@ -187,7 +188,7 @@ impl Actuators {
         }
         let targets = self.target(&arrived);
         for (rpm, target) in self.rpm.iter_mut().zip(targets) {
-            // without lag exactly the command, not a rounding error beside it
+            // without lag the speed is exactly the command; the formula would add a rounding error
             *rpm = if self.share < 1.0 { *rpm + (target - *rpm) * self.share } else { target };
         }
         &self.rpm
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn by_default_commands_are_speeds_at_once_to_the_last_bit() {
+    fn by_default_rotor_speeds_are_bit_identical_to_clamped_commands() {
         let mut motors = motors(ActuatorParams::default());
         for command in [[0.1, 1.0 / 3.0, 14_000.1, 21_000.0], [0.0; 4]] {
             assert_eq!(*motors.advance(&command), command);
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn after_one_time_constant_the_speed_is_63_percent_there() {
+    fn the_lag_is_exponential() {
         for lag in [0.005, 0.05, 0.0123] {
             let mut motors = motors(ActuatorParams { lag, ..ActuatorParams::default() });
             let start = motors.rpm()[0];
@@ -232,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_arrive_after_their_latency_in_whole_steps() {
+    fn commands_arrive_after_their_latency_in_whole_physics_steps() {
         for (latency, steps) in [(0.0, 0), (0.4 * DT, 0), (0.6 * DT, 1), (5.0 * DT, 5), (0.05, 12)] {
             let mut motors = motors(ActuatorParams { latency, ..ActuatorParams::default() });
             let before = motors.rpm()[0];
@@ -247,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn gains_and_saturation_are_the_motors_own() {
+    fn gains_and_saturation_apply_per_motor_and_out_of_range_settings_are_errors() {
         let mut motors =
             motors(ActuatorParams { gains: [1.0, 0.5, 2.0, 0.0], saturation: 0.5, ..ActuatorParams::default() });
         let max = 0.5 * DroneModel::Cf2x.params().max_rpm();
@@ -265,7 +266,8 @@ mod tests {
     proptest! {
         #[test]
         fn speeds_stay_within_the_motors_range(
-            lag in 0.0..0.1, latency in 0.0..0.1, saturation in 0.1..2.0, commands in prop::collection::vec(prop::array::uniform4(-1e6..1e6), 1..50),
+            lag in 0.0..0.1, latency in 0.0..0.1, saturation in 0.1..2.0,
+            commands in prop::collection::vec(prop::array::uniform4(-1e6..1e6), 1..50),
         ) {
             let mut motors = motors(ActuatorParams { lag, latency, saturation, ..ActuatorParams::default() });
             let max = DroneModel::Cf2x.params().max_rpm() * saturation;

@@ -1,32 +1,33 @@
-//! Downwash: a drone in another's wake is pushed down (paper, eq. 4, of the Dynamic Systems Lab).
+//! Downwash: the wake of a drone pushes the drones below it down (*MuJoCo-Drones-Gym*, Tayal, eq. 4, after the
+//! Dynamic Systems Lab).
 //!
-//! For a drone above another by Δz > 0, at a lateral distance Δxy < 10 m:
+//! For a lower drone at a height difference Δz > 0 and a lateral distance Δxy < 10 m:
 //!
 //! F_z = −α · exp(−½ (Δxy / β)²),  α = C1 · (r_p / 4Δz)²,  β = C2·Δz + C3
 //!
-//! with the coefficients and propellers of the upper drone. The published formula is singular at Δz → 0 and divides
-//! 0 by 0 where β vanishes (Δz = 0.6875 m for the Crazyflie). A wake carries no more momentum than the rotors above
-//! can put into it, so that the force is capped at the upper airframe's `MAX_THRUST`; and where β is zero, the wake is
-//! a line, outside of which there is nothing.
+//! The coefficients and the propeller radius r_p are those of the upper drone. The published formula is singular at
+//! Δz → 0 and evaluates 0/0 where β vanishes (Δz = 0.6875 m for the Crazyflie). This implementation caps the force at
+//! `MAX_THRUST` of the upper drone, because a wake carries at most the momentum that the rotors put into it. Where β
+//! is zero, the force acts only on the axis of the wake.
 
 use crate::drone::DroneParams;
 use crate::math::{Real, exp_of_negative};
 use crate::state::DroneState;
 
-/// Lateral distance beyond which there is no downwash, m.
+/// Lateral distance beyond which the downwash is zero, m.
 pub const REACH: f64 = 10.0;
 
-/// (Δxy / β)² beyond which the force of a drone that is lower by more than [`CLOSE`] is below 1e-20 N, and less than the
-/// last bit of any other: no exponential is computed for it.
+/// Value of (Δxy / β)² beyond which no exponential is computed. For height differences above [`CLOSE`] the force is
+/// then below 1e-20 N, less than the last bit of any other force.
 const NEGLIGIBLE: f64 = 120.0;
 
-/// Difference in height below which α is so large that the exponential counts as far as it is a number, m.
+/// Height difference below which α is so large that the exponential is computed until it underflows, m.
 const CLOSE: f64 = 0.01;
 
-/// (Δxy / β)² beyond which the exponential is zero.
+/// Value of (Δxy / β)² beyond which the exponential underflows to zero.
 const VANISHING: f64 = 1491.0;
 
-/// The wake of one airframe.
+/// Wake of one drone.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -52,48 +53,48 @@ pub struct Wake<R = f64> {
 }
 
 impl Wake {
-    /// Of an airframe.
+    /// Creates the wake of a drone.
     pub fn new(params: &DroneParams) -> Self {
         let [c1, spread, offset] = params.downwash_coefficients;
         let quarter = params.propeller_radius / 4.0;
         Self { strength: c1 * quarter * quarter, spread, offset, cap: params.max_thrust() }
     }
 
-    /// Force along world z (N, not positive) on a drone that is lower by `below` (m) at a squared lateral distance of
-    /// `sideways_squared` (m²).
+    /// Returns the force along world z (N, zero or negative) on a drone that is `below` (m) lower, at a squared
+    /// lateral distance of `sideways_squared` (m²).
     #[inline]
     pub fn force(&self, below: f64, sideways_squared: f64) -> f64 {
         self.push(below, sideways_squared)
     }
 }
 
-#[allow(private_bounds)] // for one number or for many
+#[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> Wake<R> {
-    /// Where there is a force worth computing on a drone that is lower by `below` (m) at a squared lateral distance of
-    /// `sideways_squared` (m²); of one pair or of many.
+    /// Returns true where the force is not negligible on a drone that is `below` (m) lower, at a squared lateral
+    /// distance of `sideways_squared` (m²). Scalar or SIMD.
     #[inline(always)]
     pub(crate) fn reaches(&self, below: R, sideways_squared: R) -> R::Mask {
         let beta = self.spread * below + self.offset;
         let limit = R::choose(below.all(CLOSE).less(below), below.all(NEGLIGIBLE), below.all(VANISHING));
-        // false for NaN, which is then no force; true on the axis of a wake that is a line
+        // false for NaN, so that its force is zero; true on the axis of a wake with β = 0
         let near = sideways_squared.less(limit * (beta * beta) + f64::MIN_POSITIVE);
         below.all(0.0).less(below) & sideways_squared.less(below.all(REACH * REACH)) & near
     }
 
-    /// [`force`](Self::force) of one pair or of many.
+    /// Computes [`force`](Self::force), scalar or SIMD.
     #[inline(always)]
     pub(crate) fn push(&self, below: R, sideways_squared: R) -> R {
         let inside = self.reaches(below, sideways_squared);
         let beta = self.spread * below + self.offset;
         let fallen = exp_of_negative(sideways_squared * -0.5 / (beta * beta));
-        // on the axis of a wake that is a line, 0 / 0
+        // 0/0 on the axis of a wake with β = 0
         let share = R::choose(sideways_squared.less(below.all(f64::MIN_POSITIVE)), below.all(1.0), fallen);
-        // the lesser after the product: the strength of a wake at no distance at all is infinite
+        // the cap follows the product, because the strength is infinite at zero distance
         let force = -(self.strength / (below * below) * share).lesser(self.cap);
         R::choose(inside, force, below.all(0.0))
     }
 
-    /// One wake where true, the other where not.
+    /// Selects `yes` where the mask is true and `no` elsewhere.
     #[inline(always)]
     pub(crate) fn choose(mask: R::Mask, yes: &Self, no: &Self) -> Self {
         Self {
@@ -105,10 +106,10 @@ impl<R: Real> Wake<R> {
     }
 }
 
-/// Adds every drone's wake to the forces (along world z, N) on those below it.
+/// Adds the wake of every drone to the forces (along world z, N) on the drones below it.
 ///
-/// `wakes`, `states` and `forces` have one entry per drone. Each pair is looked at once, and costs an exponential only
-/// where one drone is in reach of the other's wake.
+/// `wakes`, `states` and `forces` have one entry per drone. The function tests each pair once, and computes an
+/// exponential only if one drone is within reach of the other's wake.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -128,7 +129,7 @@ pub fn add_forces(wakes: &[Wake], states: &[DroneState], forces: &mut [f64]) {
             let apart = a - states[j].position;
             let sideways_squared = apart.x * apart.x + apart.y * apart.y;
             let (lower, wake) = if apart.z > 0.0 { (j, &wakes[i]) } else { (i, &wakes[j]) };
-            // most pairs are out of each other's reach
+            // most pairs are out of reach of each other
             if wake.reaches(apart.z.abs(), sideways_squared) {
                 forces[lower] += wake.push(apart.z.abs(), sideways_squared);
             }
@@ -143,7 +144,7 @@ mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;
 
-    /// The published formula, as it stands.
+    /// Returns the force by the published formula, without a cap.
     fn published(params: &DroneParams, below: f64, sideways: f64) -> f64 {
         let [c1, c2, c3] = params.downwash_coefficients;
         let alpha = c1 * (params.propeller_radius / (4.0 * below)).powi(2);
@@ -152,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn where_the_published_formula_is_sound_it_is_the_force() {
+    fn the_force_is_the_published_formula_where_that_is_finite() {
         let params = DroneModel::Cf2x.params();
         let wake = Wake::new(&params);
         for below in [0.4, 0.5, 0.9, 1.5, 4.0] {
@@ -164,13 +165,13 @@ mod tests {
     }
 
     #[test]
-    fn singular_places_are_finite() {
+    fn singular_positions_have_finite_forces() {
         let params = DroneModel::Cf2x.params();
         let wake = Wake::new(&params);
         for below in [f64::MIN_POSITIVE, 1e-300, 1e-9, 0.2] {
             assert_eq!(wake.force(below, 0.0), -params.max_thrust(), "{below}");
         }
-        // beside each other, but for a rounding error: the published formula still counts
+        // at equal height within rounding the published formula still applies
         for below in [1e-15, 1e-9, 1e-6, 1e-3, 0.009, 0.011] {
             for sideways in [0.24_f64, 0.5, 1.0, 1.5] {
                 let wanted = published(&params, below, sideways).max(-params.max_thrust());
@@ -186,7 +187,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_is_finite_for_every_pair_zero_above_and_symmetric_around_the_axis(
+        fn the_force_is_finite_zero_on_the_upper_drone_and_symmetric_about_the_axis(
             p in prop::array::uniform3(-12.0..12.0), q in prop::array::uniform3(-12.0..12.0), angle in -3.1..3.1f64,
         ) {
             let wakes = [Wake::new(&DroneModel::Cf2x.params()), Wake::new(&DroneModel::Race.params())];
@@ -208,7 +209,7 @@ mod tests {
         }
 
         #[test]
-        fn many_drones_feel_the_sum_of_all_pairs(
+        fn each_drone_gets_the_sum_over_all_pairs(
             at in prop::collection::vec(prop::array::uniform3(-2.0..2.0), 1..40),
         ) {
             let params = DroneModel::Cf2x.params();

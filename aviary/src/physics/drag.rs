@@ -1,7 +1,7 @@
-//! Blade drag: proportional to the velocity in the body frame and to the rotors' speed (paper, eq. 3, after
-//! Forster 2015).
+//! Blade drag: proportional to the body-frame velocity and to the rotor speeds (*MuJoCo-Drones-Gym*, Tayal, eq. 3,
+//! after Forster 2015).
 //!
-//! F_body = −diag(c_xy, c_xy, c_z) · (Σ 2π·nᵢ / 60) · v_body, turned into the world frame.
+//! F_body = −diag(c_xy, c_xy, c_z) · (Σ 2π·nᵢ / 60) · v_body, rotated into the world frame.
 
 use nalgebra::Vector3;
 
@@ -9,10 +9,10 @@ use crate::drone::DroneParams;
 use crate::math::{Real, Turn, V3};
 use crate::state::DroneState;
 
-/// Force of the blades on an airframe, world frame, N.
+/// Returns the drag of the blades on a drone, world frame, N.
 ///
-/// `rpm` are the rotor speeds being applied; `wind` is the velocity of the air, world frame, m/s: drag is against the
-/// air, not the ground.
+/// `rpm` are the actual rotor speeds. `wind` is the velocity of the air, world frame, m/s: the drag depends on the
+/// velocity relative to the air.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -24,7 +24,7 @@ use crate::state::DroneState;
 /// let state = DroneState { velocity: Vector3::new(2.0, 0.0, 0.0), ..DroneState::default() };
 /// let rpm = [params.hover_rpm(); 4];
 /// assert!(drag::force(&params, &state, &rpm, &Vector3::zeros()).x < 0.0);
-/// // carried along by the air it meets none
+/// a drone that moves with the air has no drag
 /// assert!(drag::force(&params, &state, &rpm, &state.velocity).norm() < 1e-15);
 /// ```
 #[inline]
@@ -33,7 +33,7 @@ pub fn force(params: &DroneParams, state: &DroneState, rpm: &[f64; 4], wind: &Ve
     push(coefficients, &Turn::from(&state.attitude), rpm, V3::from(&state.velocity) - V3::from(wind)).into()
 }
 
-/// The same of one drone or of many, at a velocity relative to the air (world frame).
+/// Computes [`force`] at a velocity relative to the air (world frame, m/s), scalar or SIMD.
 #[inline(always)]
 pub(crate) fn push<R: Real>(coefficients: V3<R>, attitude: &Turn<R>, rpm: &[R; 4], relative: V3<R>) -> V3<R> {
     let total = (rpm[0] + rpm[1] + rpm[2] + rpm[3]) * (std::f64::consts::TAU / 60.0);
@@ -48,7 +48,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn a_level_drone_flying_left_at_any_heading_is_held_back_by_hand_computed_newtons() {
+    fn the_drag_has_hand_computed_values_at_any_heading_and_pitch() {
         let params = DroneModel::Cf2x.params();
         let rpm = [10_000.0, 12_000.0, 14_000.0, 16_000.0];
         let total = 52_000.0 * 2.0 * std::f64::consts::PI / 60.0;
@@ -60,7 +60,7 @@ mod tests {
             let wanted = Vector3::new(0.0, -2.0 * 9.1785e-7 * total, 1.0311e-6 * total);
             assert!((force(&params, &state, &rpm, &Vector3::zeros()) - wanted).norm() < 1e-15);
         }
-        // pitched by 90°, body x points down: falling is flying along body x
+        // at a pitch of 90° body x points down, so a fall is motion along body x
         let state = DroneState {
             velocity: Vector3::new(0.0, 0.0, -1.0),
             ..DroneState::at_rest(Vector3::z(), Vector3::new(0.0, std::f64::consts::FRAC_PI_2, 0.4))

@@ -1,15 +1,16 @@
-//! Ground effect: near the floor every rotor gives more thrust (paper, eq. 2, after Shi et al. 2019).
+//! Ground effect: rotors near the floor produce more thrust (*MuJoCo-Drones-Gym*, Tayal, eq. 2, after Shi et al.
+//! 2019).
 //!
 //! ΔF_z = C_gnd · Σ k_f·nᵢ² · (r_p / 4h)²,  h = max(p_z, h_clip)
 //!
-//! along world z, and nothing for a drone whose belly points up. h_clip keeps the force of the faintest hover from
-//! growing without bound as h → 0: see [`DroneParams::ground_effect_clip`].
+//! The force acts along world z. It is zero for a drone that is upside down. h_clip keeps the force bounded as h → 0:
+//! see [`DroneParams::ground_effect_clip`].
 
 use crate::drone::DroneParams;
 use crate::math::Real;
 use crate::state::DroneState;
 
-/// The constants of the effect for one airframe.
+/// Ground-effect constants of one drone.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -17,7 +18,7 @@ use crate::state::DroneState;
 /// use aviary::state::DroneState;
 ///
 /// let params = DroneModel::Cf2x.params();
-/// // at its greatest, from the clip down to the floor, it is 4/15 of the thrust
+/// from the clip down to the floor the force is at its maximum, 4/15 of the thrust
 /// let lift = GroundEffect::new(&params).force(&DroneState::default(), params.weight());
 /// assert!((lift / params.weight() - 4.0 / 15.0).abs() < 1e-12);
 /// ```
@@ -25,33 +26,34 @@ use crate::state::DroneState;
 pub struct GroundEffect<R = f64> {
     /// C_gnd·(r_p / 4)², m².
     pub(crate) coefficient: R,
-    /// Least height that counts, m.
+    /// Height below which the force stays constant, m.
     pub(crate) clip: R,
 }
 
 impl GroundEffect {
-    /// Of an airframe.
+    /// Creates the ground effect of a drone.
     pub fn new(params: &DroneParams) -> Self {
         let quarter = params.propeller_radius / 4.0;
         Self { coefficient: params.ground_effect_coefficient * quarter * quarter, clip: params.ground_effect_clip() }
     }
 
-    /// Additional force along world z, N, for rotors that give this thrust (N) together.
+    /// Returns the additional force along world z, N, at a collective thrust in N.
     #[inline]
     pub fn force(&self, state: &DroneState, thrust: f64) -> f64 {
         self.push(state.position.z, state.up().z, thrust)
     }
 }
 
-#[allow(private_bounds)] // for one number or for many
+#[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> GroundEffect<R> {
-    /// The same at a height, with this much of body z upwards, of one drone or of many.
+    /// Computes [`force`](GroundEffect::force) from the height (m) and the world z component of body z, scalar or
+    /// SIMD.
     #[inline(always)]
     pub(crate) fn push(&self, height: R, up: R, thrust: R) -> R {
         let (zero, height) = (height.all(0.0), self.clip.greater(height));
         let force = thrust * self.coefficient / (height * height);
-        // |roll| and |pitch| below 90° are the same as body z pointing upwards
-        // (and an airframe without the effect has no clip either, so that its height may be zero)
+        // body z points upwards if |roll| and |pitch| are below 90°
+        // without the effect the clip is zero, so the height may be zero
         R::choose(zero.less(up) & zero.less(self.coefficient), force, zero)
     }
 }
@@ -68,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_the_papers_formula() {
+    fn the_force_is_the_papers_formula() {
         for model in DroneModel::ALL {
             let p = model.params();
             let rpm = [1.1, 0.9, 1.05, 0.8].map(|share| share * p.hover_rpm());
@@ -83,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn an_airframe_without_the_effect_has_none_at_any_height() {
+    fn a_drone_without_the_effect_has_no_force_at_any_height() {
         let params = DroneParams { ground_effect_coefficient: 0.0, ..DroneModel::Cf2x.params() };
         for z in [-1.0, 0.0, 1.0] {
             assert_eq!(GroundEffect::new(&params).force(&at(z, [0.0; 3]), 0.3), 0.0);
@@ -92,15 +94,16 @@ mod tests {
 
     proptest! {
         #[test]
-        fn it_falls_with_height_is_bounded_and_nothing_upside_down(
+        fn the_force_falls_with_height_is_bounded_and_zero_upside_down(
             low in -1.0..5.0, more in 0.0..5.0, roll in -3.1..3.1, pitch in -1.5..1.5, yaw in -3.1..3.1,
         ) {
             let params = DroneModel::Cf2x.params();
             let effect = GroundEffect::new(&params);
             let thrust = params.weight();
-            let (near, far) = (effect.force(&at(low, [0.0; 3]), thrust), effect.force(&at(low + more, [0.0; 3]), thrust));
+            let level = |height| effect.force(&at(height, [0.0; 3]), thrust);
+            let (near, far) = (level(low), level(low + more));
             prop_assert!(near >= far && far > 0.0);
-            // at the clip the force is C·r²/16 / (r²/16·15/4·C) = 4/15 of the thrust
+            // the force at the clip is C·r²/16 / (r²/16·15/4·C) = 4/15 of the thrust
             prop_assert!(near <= thrust * 4.0 / 15.0 * (1.0 + 1e-12));
             let turned = effect.force(&at(low, [roll, pitch, yaw]), thrust);
             prop_assert_eq!(turned > 0.0, roll.abs() < std::f64::consts::FRAC_PI_2);

@@ -1,4 +1,4 @@
-//! Forces on a drone: pure functions of parameters, state and rotor speeds. Nothing here knows MuJoCo or tasks.
+//! Forces on a drone: pure functions of parameters, state and rotor speeds, independent of MuJoCo and of tasks.
 
 pub mod actuators;
 pub mod downwash;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::names::{UnknownName, named_enum};
 
-/// Force and torque on one drone's centre of mass.
+/// Force and torque on the centre of mass of a drone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wrench {
     /// Force, world frame, N.
@@ -22,7 +22,7 @@ pub struct Wrench {
 }
 
 impl Wrench {
-    /// No force, no torque.
+    /// Zero force and torque.
     pub const ZERO: Self = Self { force_world: Vector3::new(0.0, 0.0, 0.0), torque_world: Vector3::new(0.0, 0.0, 0.0) };
 }
 
@@ -36,14 +36,14 @@ impl std::ops::Add for Wrench {
 
 /// Aerodynamic effects that act in addition to the rotors' thrust and torque.
 ///
-/// Their text form lists the effects that are switched on, as in `ground,drag`, or is `none`.
+/// The text form lists the enabled effects, for example `ground,drag`, or is `none`.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
 /// use aviary::physics::Effects;
 /// use aviary::simulation::Simulation;
 ///
-/// // a subset that no mode of the paper has
+/// a combination without a physics mode in the paper
 /// let effects = Effects { drag: true, downwash: true, ..Effects::NONE };
 /// let simulation = Simulation::builder(DroneModel::Cf2x).effects(effects).build()?;
 /// assert_eq!((simulation.effects(), simulation.physics()), (effects, None));
@@ -59,7 +59,7 @@ pub struct Effects {
     /// [Blade drag](drag).
     #[serde(default)]
     pub drag: bool,
-    /// [Downwash](downwash) of drones above.
+    /// [Downwash](downwash) from drones above.
     #[serde(default)]
     pub downwash: bool,
 }
@@ -99,7 +99,7 @@ impl std::str::FromStr for Effects {
                 "drag" => effects.drag = true,
                 "downwash" => effects.downwash = true,
                 name => {
-                    // `none` stands alone
+                    // `none` cannot be combined with other names
                     let names: &[&str] =
                         if text.contains(',') { Self::NAMES } else { &["none", "ground", "drag", "downwash"] };
                     return Err(UnknownName { noun: "aerodynamic effect", name: name.into(), names });
@@ -112,10 +112,12 @@ impl std::str::FromStr for Effects {
 
 named_enum! {
     "physics mode"
-    /// Physics modes of the paper (its table 1). Each is a shorthand for an engine and a set of aerodynamic [`Effects`].
+    /// Physics modes of *MuJoCo-Drones-Gym* (Tayal), table 1.
     ///
-    /// The modes `mjc…` are integrated by MuJoCo, alone or in the hybrid engine. The mode `dyn` is integrated by the explicit engine.
-    /// Other combinations are set by `effects` and `engine`. A mode next to effects or an engine that contradict it is an error.
+    /// Each mode is a shorthand for an engine and a set of aerodynamic [`Effects`]. MuJoCo integrates the modes
+    /// `mjc…`, alone or within the hybrid engine. The explicit engine integrates the mode `dyn`. The options
+    /// `effects` and `engine` set other combinations. A mode together with effects or an engine that contradict it is
+    /// an error.
     ///
     /// ```
     /// use aviary::drone::DroneModel;
@@ -144,20 +146,21 @@ named_enum! {
         MjcDrag = "mjc_drag",
         /// MuJoCo with downwash.
         MjcDw = "mjc_dw",
-        /// MuJoCo with all three.
+        /// MuJoCo with ground effect, blade drag and downwash.
         MjcGndDragDw = "mjc_gnd_drag_dw",
-        /// Explicit integration without aerodynamic effects, medium or contacts.
+        /// Explicit engine (semi-implicit Euler) without aerodynamic effects, medium or contacts.
         Dyn = "dyn",
     }
 }
 
 impl Physics {
-    /// Returns the mode of these effects under explicit integration or under MuJoCo, if the paper names one.
+    /// Returns the mode with these effects under the explicit engine or under MuJoCo, or `None` if the paper has no
+    /// such mode.
     pub fn of(effects: Effects, explicit: bool) -> Option<Self> {
         Self::ALL.into_iter().find(|mode| (mode.effects(), mode.is_explicit()) == (effects, explicit))
     }
 
-    /// Returns true if the explicit engine integrates, and false if MuJoCo does.
+    /// Returns true if the explicit engine integrates the mode, and false if MuJoCo does.
     pub fn is_explicit(self) -> bool {
         self == Self::Dyn
     }

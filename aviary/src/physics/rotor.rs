@@ -1,4 +1,5 @@
-//! The rotors: thrust and reaction torque are quadratic in speed (paper, eq. 1 and the torques below it).
+//! Rotors: thrust and reaction torque are quadratic in the rotor speed (*MuJoCo-Drones-Gym*, Tayal, eq. 1 and the
+//! torques below it).
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -6,7 +7,7 @@ use super::Wrench;
 use crate::drone::DroneParams;
 use crate::math::{Real, V3};
 
-/// The rotors of one airframe: its allocation matrix times k_f, so that a wrench is one product.
+/// Rotors of one drone: the allocation matrix times k_f, so that one matrix product gives the wrench.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -18,31 +19,31 @@ use crate::math::{Real, V3};
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct RotorModel<R = f64> {
-    /// Thrust of any rotor, N/rpm².
+    /// Thrust coefficient of each rotor, N/rpm².
     pub(crate) thrust: R,
-    /// Torque of each about body x, y and z, N·m/rpm².
+    /// Torque coefficients of the rotors about body x, y and z, N·m/rpm².
     pub(crate) torque: [[R; 4]; 3],
 }
 
 /// Collective thrust and torque of the four rotors, body frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RotorWrench {
-    /// Along body z, N.
+    /// Thrust along body z, N.
     pub thrust: f64,
-    /// N·m.
+    /// Torque, body frame, N·m.
     pub torque_body: Vector3<f64>,
 }
 
 impl RotorModel {
-    /// The rotors of an airframe.
+    /// Creates the rotors of a drone.
     pub fn new(params: &DroneParams) -> Self {
         let matrix = params.allocation() * params.thrust_coefficient;
         let row = |row: usize| [0, 1, 2, 3].map(|rotor| matrix[(row, rotor)]);
         Self { thrust: matrix[(0, 0)], torque: [row(1), row(2), row(3)] }
     }
 
-    /// What four rotors at these speeds (rpm) do to the airframe:
-    /// Fᵢ = k_f·nᵢ², τx and τy by the lever arms, τz = k_m·Σ ±nᵢ².
+    /// Returns the wrench of four rotors at these speeds, rpm:
+    /// Fᵢ = k_f·nᵢ², τx and τy from the lever arms, τz = k_m·Σ ±nᵢ².
     #[inline]
     pub fn wrench(&self, rpm: &[f64; 4]) -> RotorWrench {
         let (thrust, torque_body) = self.thrust_and_torque(rpm);
@@ -50,9 +51,9 @@ impl RotorModel {
     }
 }
 
-#[allow(private_bounds)] // for one number or for many
+#[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> RotorModel<R> {
-    /// The same of one drone or of many.
+    /// Computes [`wrench`](RotorModel::wrench), scalar or SIMD.
     #[inline(always)]
     pub(crate) fn thrust_and_torque(&self, rpm: &[R; 4]) -> (R, V3<R>) {
         let squared = [rpm[0] * rpm[0], rpm[1] * rpm[1], rpm[2] * rpm[2], rpm[3] * rpm[3]];
@@ -62,14 +63,14 @@ impl<R: Real> RotorModel<R> {
     }
 }
 
-// inlined for sure, unlike a closure: only so are the instructions those of the caller
+// a function, because a closure is not always inlined and then lacks the caller's instruction set
 #[inline(always)]
 fn product<R: Real>(row: &[R; 4], column: &[R; 4]) -> R {
     row[0] * column[0] + row[1] * column[1] + row[2] * column[2] + row[3] * column[3]
 }
 
 impl RotorWrench {
-    /// The same in the world frame, for a body of this attitude.
+    /// Returns the wrench in the world frame for a drone of this attitude.
     #[inline]
     pub fn in_world(&self, attitude: &UnitQuaternion<f64>) -> Wrench {
         Wrench { force_world: crate::state::body_z(attitude) * self.thrust, torque_world: attitude * self.torque_body }
@@ -84,7 +85,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn hover_speed_carries_the_weight_and_turns_nothing() {
+    fn hover_speed_carries_the_weight_without_torque() {
         for model in DroneModel::ALL {
             let params = model.params();
             let wrench = RotorModel::new(&params).wrench(&[params.hover_rpm(); 4]);
@@ -95,7 +96,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn force_points_along_body_z_and_torque_turns_with_the_body(
+        fn force_points_along_body_z_and_torque_rotates_with_the_body(
             rpm in prop::array::uniform4(0.0..20_000.0), roll in -3.0..3.0, pitch in -1.5..1.5, yaw in -3.0..3.0,
         ) {
             let model = RotorModel::new(&DroneModel::Cf2p.params());

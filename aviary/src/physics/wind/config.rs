@@ -1,4 +1,4 @@
-//! Models of the wind and their settings.
+//! Wind models and their settings.
 
 use crate::error::OptionError;
 use serde::{Deserialize, Serialize};
@@ -8,7 +8,7 @@ use crate::names::named_enum;
 
 named_enum! {
     "wind"
-    /// Which winds blow.
+    /// Wind models.
     #[derive(Default)]
     pub enum WindModel {
         /// Still air.
@@ -16,13 +16,14 @@ named_enum! {
         None = "none",
         /// Air that moves at a constant velocity.
         Constant = "constant",
-        /// Forces that start at random times.
+        /// Forces of random start times, directions and amplitudes.
         Gust = "gust",
-        /// Air that moves as Dryden turbulence does, through the filters of [`DrydenFilter`].
+        /// Air that moves at the velocity of Dryden turbulence, with the spectra of [`DrydenFilter`].
         Dryden = "dryden",
-        /// A force that turns at a constant rate.
+        /// Force that oscillates at a constant angular frequency.
         Sinusoidal = "sinusoidal",
-        /// All four: the air moves at the sum of the constant velocity and the turbulence; gusts and the sinusoidal force add.
+        /// All four: the air moves at the sum of the constant velocity and the turbulence; the forces of gusts and of
+        /// the sinusoidal wind are added.
         Combined = "combined",
     }
 }
@@ -34,7 +35,9 @@ impl WindModel {
     }
 }
 
-/// A wind. Every drone has its own gusts and its own turbulence; the steady and the sinusoidal wind are the same for all.
+/// Settings of the wind.
+///
+/// Each drone has independent gusts and turbulence. The constant and the sinusoidal wind are equal for all drones.
 ///
 /// ```
 /// use aviary::physics::wind::{WindConfig, WindModel};
@@ -45,30 +48,31 @@ impl WindModel {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct WindConfig {
-    /// Which winds blow.
+    /// Wind model.
     pub model: WindModel,
-    /// Velocity of the steady wind, world frame, m/s; 0.9 m/s along y by default, the paper's figure. Turbulence is along and
-    /// across it.
+    /// Velocity of the constant wind, world frame, m/s; default 0.9 m/s along y, as in the paper. Its horizontal
+    /// direction is the longitudinal axis of the turbulence.
     #[serde(deserialize_with = "crate::error::triple")]
     pub velocity: [f64; 3],
-    /// Largest force of a gust, N; each one's is uniform up to it, its direction uniform over all.
+    /// Maximum amplitude of a gust, N; amplitudes are uniform in 0 to this value, directions uniform on the sphere.
     pub gust_force: f64,
-    /// Length of a gust, s; its force follows sin(π·s), s from 0 to 1.
+    /// Duration of a gust, s; its force follows sin(π·s) for s from 0 to 1.
     pub gust_duration: f64,
-    /// Gusts per second on average while there is none: one begins in a physics step with this probability times its length.
+    /// Average number of gusts per second of calm: a gust starts in a physics step with probability `gust_rate`·dt.
     pub gust_rate: f64,
-    /// Mean wind 20 feet (6 m) above the ground that the turbulence belongs to, m/s: σ_w is a tenth of it ([`dryden`](super::dryden)).
+    /// Mean wind speed 20 feet (6 m) above the ground, which scales the turbulence, m/s: σ_w is a tenth of it (see
+    /// [`dryden`](super::dryden)).
     pub turbulence: f64,
     /// Spectra of the turbulence.
     pub filter: DrydenFilter,
     /// Amplitude A of the sinusoidal force, N.
     pub sinusoidal_force: f64,
-    /// Its angular frequency ω, rad/s.
+    /// Angular frequency ω of the sinusoidal force, rad/s.
     pub sinusoidal_frequency: f64,
     /// Density of the air, kg/m³.
     pub air_density: f64,
-    /// True if the drag law acts in still air, too: with model `none`, for gusts and the sinusoidal force alone, and for a
-    /// wind of zero velocity; off by default. The drag law always acts in air that moves.
+    /// True to apply the drag law in still air as well: with model `none`, with gusts or the sinusoidal force alone,
+    /// and with a constant wind of zero velocity; default false. The drag law always applies in moving air.
     pub still_air_drag: bool,
 }
 
@@ -91,7 +95,7 @@ impl Default for WindConfig {
 }
 
 impl WindConfig {
-    /// The defaults of a wind.
+    /// Creates the default settings of a wind model.
     pub fn new(model: WindModel) -> Self {
         Self { model, ..Self::default() }
     }
@@ -99,7 +103,7 @@ impl WindConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`OptionError`] naming one that is impossible.
+    /// [`OptionError`] that names the first setting out of range.
     pub fn validate(&self) -> Result<(), OptionError> {
         for got in self.velocity {
             OptionError::check("wind.velocity", got, -1e3..=1e3, "finite numbers up to 1000 m/s")?;
@@ -118,14 +122,15 @@ impl WindConfig {
         Ok(())
     }
 
-    /// Whether the drag law acts: in air that moves, and in still air where [`still_air_drag`](Self::still_air_drag) says so.
+    /// Returns true if the drag law applies: in moving air, or in still air if
+    /// [`still_air_drag`](Self::still_air_drag) is set.
     pub(crate) fn has_drag(&self) -> bool {
         self.still_air_drag
             || self.model.has(WindModel::Constant) && self.velocity != [0.0; 3]
             || self.model.has(WindModel::Dryden) && self.turbulence > 0.0
     }
 
-    /// Returns whether a flight under these settings is a flight without wind.
+    /// Returns true if a flight with these settings is equal to a flight without wind.
     ///
     /// ```
     /// use aviary::physics::wind::{WindConfig, WindModel};
@@ -146,7 +151,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn impossible_winds_are_refused_by_field() {
+    fn settings_out_of_range_are_errors_that_name_the_field() {
         let refused = |config: WindConfig, text: &str| {
             assert!(config.validate().unwrap_err().to_string().starts_with(text));
         };

@@ -1,17 +1,18 @@
-//! Dryden turbulence: its scales and filters.
+//! Dryden turbulence: standard deviations, length scales and filters.
 
 use crate::names::named_enum;
 
 named_enum! {
     "Dryden filter"
-    /// Spectra of the Dryden turbulence, all with the standard deviations σ and length scales L of [`dryden`].
+    /// Filter of the Dryden turbulence.
     ///
-    /// With T = L/V, V the airspeed, the autocorrelation at a lag τ is
+    /// Both filters use the standard deviations σ and the length scales L of [`dryden`]. With T = L/V and the
+    /// airspeed V, the autocorrelation at a lag τ is
     ///
     /// | component | `first_order` | `mil_f_8785c` |
     /// | --- | --- | --- |
-    /// | along the mean wind | σ²·exp(−τ/T) | σ²·exp(−τ/T) |
-    /// | across it, and upwards | σ²·exp(−τ/T) | σ²·exp(−τ/T)·(1 − τ/2T) |
+    /// | longitudinal (along the mean wind) | σ²·exp(−τ/T) | σ²·exp(−τ/T) |
+    /// | lateral and vertical | σ²·exp(−τ/T) | σ²·exp(−τ/T)·(1 − τ/2T) |
     ///
     /// ```
     /// use aviary::physics::wind::{DrydenFilter, WindConfig, WindModel};
@@ -21,23 +22,26 @@ named_enum! {
     /// ```
     #[derive(Default)]
     pub enum DrydenFilter {
-        /// First-order noise along every axis, x ← α·x + σ·√(1 − α²)·ξ with α = exp(−dt/T): the recursion of the paper.
+        /// First-order noise on every axis, the paper's recursion: x ← α·x + σ·√(1 − α²)·ξ with α = exp(−dt/T).
         #[default]
         FirstOrder = "first_order",
-        /// The spectra of MIL-F-8785C, §3.7.2.1: a first-order filter along the mean wind, the second-order filter
-        /// (1 + √3·T·s)/(1 + T·s)² across it and upwards.
+        /// Spectra of MIL-F-8785C, §3.7.2.1: a first-order filter for the longitudinal component, and the
+        /// second-order filter (1 + √3·T·s)/(1 + T·s)² for the lateral and the vertical component.
         MilF8785c = "mil_f_8785c",
     }
 }
 
-/// Scales of low-altitude turbulence by MIL-F-8785C (§3.7.2.5), which both [filters](DrydenFilter) have: standard deviations (m/s) and length scales (m) along the mean wind,
-/// across it and upwards, at a height (m) and for a mean wind at 20 feet (m/s). Heights below 10 and above 1,000 feet, where
-/// the model ends, count as those.
+/// Returns the standard deviations (m/s) and the length scales (m) of low-altitude turbulence by MIL-F-8785C,
+/// §3.7.2.5.
+///
+/// The order is longitudinal, lateral, vertical. `height` is in m; `turbulence` is the mean wind speed at 20 feet,
+/// m/s. The function clamps the height to the range of the model, 10 to 1,000 feet. Both [filters](DrydenFilter) use
+/// these scales.
 ///
 /// ```
 /// use aviary::physics::wind::dryden;
 ///
-/// // upwards: a tenth of the mean wind, and the height
+/// vertical: σ is a tenth of the mean wind speed, L is the height
 /// let ([_, _, sigma], [_, _, length]) = dryden(30.0, 4.0);
 /// assert!((sigma - 0.4).abs() < 1e-12 && (length - 30.0).abs() < 1e-9);
 /// ```
@@ -52,17 +56,17 @@ pub fn dryden(height: f64, turbulence: f64) -> ([f64; 3], [f64; 3]) {
 
 const FOOT: f64 = 0.3048;
 
-/// Height in feet, within the model's limits.
+/// Returns the height in feet, clamped to the range of the model.
 #[inline]
 pub(super) fn feet(height: f64) -> f64 {
     (height / FOOT).clamp(10.0, 1000.0)
 }
 
-/// The filter (1 + √3·T·s)/(1 + T·s)² under white noise, with an output of variance 1.
+/// State of the filter (1 + √3·T·s)/(1 + T·s)² under white noise, with an output of variance 1.
 ///
-/// With T·ṗ = −p + noise and T·ṙ = −r + p the output is √3·p + (1 − √3)·r. Over a step of s = dt/T both are multiplied by
-/// e⁻ˢ·[[1, 0], [s, 1]] and gain normal noise of covariance ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du: the discretization is exact for
-/// steps of any length.
+/// With T·ṗ = −p + noise and T·ṙ = −r + p the output is √3·p + (1 − √3)·r. A step of s = dt/T multiplies (p, r) by
+/// e⁻ˢ·[[1, 0], [s, 1]] and adds normal noise of covariance ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du. This discretization is
+/// exact for steps of any length.
 #[derive(Debug, Clone, Copy, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct SecondOrder {
     p: f64,
@@ -70,18 +74,19 @@ pub(super) struct SecondOrder {
 }
 
 impl SecondOrder {
-    /// From the stationary distribution, of covariance [[1/2, 1/4], [1/4, 1/4]], by two normal draws.
+    /// Samples a state from the stationary distribution, of covariance [[1/2, 1/4], [1/4, 1/4]], with two standard
+    /// normal samples.
     pub(super) fn stationary([a, b]: [f64; 2]) -> Self {
         let p = 0.5_f64.sqrt() * a;
         Self { p, r: 0.5 * p + 0.125_f64.sqrt() * b }
     }
 
-    /// Goes through a step of `s` time constants with two normal draws.
+    /// Advances the state by `s` time constants with two standard normal samples.
     #[inline]
     pub(super) fn advance(&mut self, s: f64, [a, b]: [f64; 2]) {
         let decay = (-s).exp();
         let [[pp, pr], [_, rr]] = Self::covariance(s);
-        // Cholesky's factor; no noise in a step of no length
+        // Cholesky factor of the covariance; zero for a step of length zero
         let first = pp.sqrt();
         let second = if first > 0.0 { pr / first } else { 0.0 };
         let third = (rr - second * second).max(0.0).sqrt();
@@ -90,11 +95,11 @@ impl SecondOrder {
         self.r = decay * (s * p + r) + second * a + third * b;
     }
 
-    /// ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du.
+    /// Returns ∫₀ˢ [[1, u], [u, u²]]·e⁻²ᵘ du.
     fn covariance(s: f64) -> [[f64; 2]; 2] {
         let pp = -0.5 * (-2.0 * s).exp_m1();
         let (pr, rr) = if s < 0.125 {
-            // the closed forms below cancel: integrals of the terms of the exponential series
+            // the closed forms below suffer from cancellation; this is the integrated exponential series
             let (mut term, mut pr, mut rr) = (1.0, 0.0, 0.0);
             for k in 0..12 {
                 let order = f64::from(k);
@@ -121,9 +126,9 @@ impl SecondOrder {
 mod tests {
     use super::*;
 
-    /// A step of a filter of second order keeps the stationary covariance, for steps of every length.
+    /// A step of the second-order filter preserves the stationary covariance for any step length.
     #[test]
-    fn the_second_order_filter_is_stationary_in_steps_of_every_length() {
+    fn the_second_order_filter_is_stationary_for_any_step_length() {
         for exponent in -40..=10 {
             let s = 2f64.powi(exponent);
             let [[pp, pr], [_, rr]] = SecondOrder::covariance(s);
@@ -132,13 +137,13 @@ mod tests {
             assert!((decay * 0.5 + pp - 0.5).abs() < 1e-15, "{s}");
             assert!((decay * (0.5 * s + 0.25) + pr - 0.25).abs() < 1e-15, "{s}");
             assert!((decay * (0.5 * s * s + 0.5 * s + 0.25) + rr - 0.25).abs() < 1e-15, "{s}");
-            // the noise of short steps is that of twice integrated white noise, s³/3 and s³/12 about the regression
+            // for short steps the noise is that of twice integrated white noise: s³/3, and s³/12 about the regression
             if s < 1e-3 {
                 assert!((rr / s.powi(3) * 3.0 - 1.0).abs() < 2.0 * s && rr * pp - pr * pr > 0.0, "{s}");
             }
         }
         assert_eq!(SecondOrder::covariance(0.0), [[0.0; 2]; 2]);
-        // two half steps are a whole one
+        // two half steps equal one whole step
         let (a, b) = (SecondOrder { p: 0.3, r: -0.8 }, SecondOrder { p: 0.3, r: -0.8 });
         let (mut whole, mut halves) = (a, b);
         whole.advance(0.2, [0.0; 2]);

@@ -1,8 +1,8 @@
-//! Wind: forces of moving air on the airframe, and the velocity of the air that blades meet
-//! (*MuJoCo-Drones-Gym*, Tayal, §3.5.1).
+//! Wind: forces on the airframe and the velocity of the air at the blades (*MuJoCo-Drones-Gym*, Tayal, §3.5.1).
 //!
-//! The steady wind and the turbulence are velocities of one air mass. They are added, and one drag law acts on the velocity of
-//! the drone relative to the sum. Gusts and the sinusoidal wind are forces and are added to that of the drag law.
+//! The constant wind and the turbulence are velocities of one air mass. The wind adds them and applies one drag law
+//! to the velocity of the air relative to the drone. Gusts and the sinusoidal wind are forces, which the wind adds to
+//! the drag.
 
 mod config;
 mod dryden;

@@ -11,7 +11,8 @@ fn field(config: WindConfig, drones: usize) -> WindField {
     field
 }
 
-/// Mean of products at a lag of a stationary Gaussian series, over its closed form, and the standard error of that mean.
+/// Returns the mean product of a stationary Gaussian series at a lag, and the standard error of that mean by the
+/// closed form of the autocovariance.
 fn covariance_at(x: &[f64], lag: usize, closed: impl Fn(usize) -> f64) -> (f64, f64) {
     let n = (x.len() - lag) as f64;
     let mean = x.iter().zip(&x[lag..]).map(|(a, b)| a * b).sum::<f64>() / n;
@@ -24,11 +25,11 @@ fn covariance_at(x: &[f64], lag: usize, closed: impl Fn(usize) -> f64) -> (f64, 
     (mean, (terms.sum::<f64>() / n).sqrt())
 }
 
-/// Variance and autocorrelation within three standard errors, for both filters and all components, at lags of zero to three time
-/// constants: long enough for the second-order filters to be anticorrelated.
+/// The variance and the autocorrelation of both filters and all components are within three standard errors of the
+/// closed form, at lags of zero to three time constants, where the second-order filters are anticorrelated.
 #[test]
-fn turbulence_has_the_variance_and_the_memory_of_its_closed_form() {
-    // long steps, so that 2·10⁵ of them are many lengths of the turbulence
+fn turbulence_has_the_variance_and_the_autocorrelation_of_its_closed_form() {
+    // long steps, so that 2·10⁵ of them cover many time constants of the turbulence
     let (dt, airspeed, count) = (0.5, 10.0, 200_000);
     let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
     let (sigma, length) = dryden(30.0, 4.0);
@@ -41,7 +42,7 @@ fn turbulence_has_the_variance_and_the_memory_of_its_closed_form() {
         let mut samples = [vec![], vec![], vec![]];
         for _ in 0..count {
             let (_, air) = field.advance(dt, 0, &state);
-            // along the mean wind (0.6, 0.8, 0), to its left, up
+            // longitudinal axis (0.6, 0.8, 0), lateral axis to its left, vertical axis
             let parts = [0.6 * air.x + 0.8 * air.y, 0.6 * air.y - 0.8 * air.x, air.z];
             samples.iter_mut().zip(parts).for_each(|(samples, x)| samples.push(x));
         }
@@ -58,7 +59,7 @@ fn turbulence_has_the_variance_and_the_memory_of_its_closed_form() {
                 let expected = closed(lag);
                 assert!((got - expected).abs() < 3.0 * error, "{filter:?} {axis} {lag}: {got}, {expected} ± {error}");
             }
-            // at three time constants the filters are apart by more than the test can miss
+            // at three time constants the two filters differ by more than the error of the test
             let lag = (3.0 * time / dt).round() as usize;
             let (got, error) = covariance_at(&samples[axis], lag, closed);
             let first_order = sigma[axis].powi(2) * (-dt * lag as f64 / time).exp();
@@ -67,9 +68,9 @@ fn turbulence_has_the_variance_and_the_memory_of_its_closed_form() {
     }
 }
 
-/// An episode starts from the stationary distribution: variances over many starts, before and after a step.
+/// An episode starts from the stationary distribution: variances over many seeds, before and after a step.
 #[test]
-fn second_order_turbulence_starts_as_if_it_had_always_been_there() {
+fn second_order_turbulence_starts_from_its_stationary_distribution() {
     let config = WindConfig { filter: DrydenFilter::MilF8785c, turbulence: 4.0, ..WindConfig::new(WindModel::Dryden) };
     let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
     let (sigma, _) = dryden(30.0, 4.0);
@@ -90,7 +91,7 @@ fn second_order_turbulence_starts_as_if_it_had_always_been_there() {
 }
 
 #[test]
-fn gusts_come_at_their_rate_rise_and_fall_as_a_half_sine_and_point_everywhere() {
+fn gusts_have_their_rate_a_half_sine_profile_and_uniform_directions() {
     let config = WindConfig { gust_rate: 2.0, gust_duration: 0.25, ..WindConfig::new(WindModel::Gust) };
     let mut field = field(config, 1);
     let state = DroneState::default();
@@ -100,7 +101,7 @@ fn gusts_come_at_their_rate_rise_and_fall_as_a_half_sine_and_point_everywhere() 
         let (force, air) = field.advance(DT, 0, &state);
         assert_eq!(air, Vector3::zeros());
         assert!(force.norm() <= config.gust_force);
-        // a gust begins with a force of zero
+        // the force at the start of a gust is zero
         if field.locals[0].gust.1 < 1.0 {
             current.push(force);
             continue;
@@ -118,7 +119,7 @@ fn gusts_come_at_their_rate_rise_and_fall_as_a_half_sine_and_point_everywhere() 
             current.clear();
         }
     }
-    // a geometric wait: one gust in 1/(rate·dt) idle steps
+    // the waiting time is geometric: one gust per 1/(rate·dt) idle steps
     let expected = f64::from(idle) * config.gust_rate * DT;
     assert!((f64::from(gusts) - expected).abs() < 4.0 * expected.sqrt(), "{gusts} for {expected}");
     // the mean of n random directions has components of standard deviation 1/√(3n)
@@ -126,7 +127,7 @@ fn gusts_come_at_their_rate_rise_and_fall_as_a_half_sine_and_point_everywhere() 
 }
 
 #[test]
-fn drones_have_winds_of_their_own_and_a_seed_brings_them_back() {
+fn drones_have_independent_winds_that_a_seed_reproduces() {
     let states = [DroneState::at_rest(Vector3::z(), Vector3::zeros()); 2];
     let record = |seed: u64| {
         let mut field = field(WindConfig::new(WindModel::Combined), 2);
@@ -137,14 +138,14 @@ fn drones_have_winds_of_their_own_and_a_seed_brings_them_back() {
     assert!(first.iter().all(|[a, b]| a != b));
     assert_eq!(first, record(3));
     assert_ne!(first, record(4));
-    // one drone more does not change the others' wind, nor run the clock faster
+    // another drone changes neither the wind of the first nor the rate of the clock
     let mut alone = field(WindConfig::new(WindModel::Combined), 1);
     alone.reset(3, &states[..1]);
     assert!(first.iter().all(|[a, _]| *a == alone.advance(DT, 0, &states[0]).0));
 }
 
 #[test]
-fn a_sinusoidal_force_is_the_papers() {
+fn the_sinusoidal_force_is_the_papers_formula() {
     let config =
         WindConfig { sinusoidal_force: 0.01, sinusoidal_frequency: 3.0, ..WindConfig::new(WindModel::Sinusoidal) };
     let mut field = field(config, 1);
@@ -156,9 +157,10 @@ fn a_sinusoidal_force_is_the_papers() {
 }
 
 proptest! {
-    /// The air moves at the constant velocity plus the turbulence; the forces of the gusts and the sinusoidal wind add.
+    /// The air moves at the constant velocity plus the turbulence; the forces of gusts and of the sinusoidal wind are
+    /// added.
     #[test]
-    fn a_combined_wind_is_one_air_mass_and_the_sum_of_its_forces(
+    fn the_combined_wind_adds_velocities_before_the_drag_law_and_forces_after_it(
         wind in prop::array::uniform3(-5.0..5.0), velocity in prop::array::uniform3(-5.0..5.0f64), seed in 0..1000u64,
     ) {
         let config = WindConfig { velocity: wind, gust_rate: 100.0, ..WindConfig::default() };
@@ -176,7 +178,7 @@ proptest! {
         let (turbulence_force, turbulence) = turbulent.advance(DT, 0, &state);
         prop_assert!((turbulence_force - law(turbulence)).norm() < 1e-15);
         prop_assert!((air - (Vector3::from(wind) + turbulence)).norm() < 1e-12);
-        // a gust starts with a force of zero
+        // the force at the start of a gust is zero
         prop_assert!((total - law(air) - turning.advance(DT, 0, &state).0).norm() < 1e-15);
         let (total, air) = all.advance(DT, 0, &state);
         let (peak, over) = all.locals[0].gust;
@@ -184,7 +186,8 @@ proptest! {
         prop_assert!((total - law(air) - gust - turning.advance(DT, 0, &state).0).norm() < 1e-15);
     }
 
-    /// A drone that moves with the air feels no drag; one that does not feels it along the relative velocity, squared.
+    /// A drone that moves with the air has no drag; otherwise the drag is parallel to the relative velocity and
+    /// quadratic in it.
     #[test]
     fn drag_is_along_the_velocity_relative_to_the_air(
         wind in prop::array::uniform3(-5.0..5.0), velocity in prop::array::uniform3(-5.0..5.0f64),
@@ -206,10 +209,10 @@ proptest! {
     }
 }
 
-/// Force along a mean wind of 3 m/s with turbulence on a drone that does not move: mean and standard deviation are those
-/// of ½·ρ·C_d·A·‖U + u‖·(U + u), u normal with the variances of [`dryden`], by quadrature.
+/// The force along a mean wind of 3 m/s with turbulence on a drone at rest has the mean and the standard deviation of
+/// ½·ρ·C_d·A·‖U + u‖·(U + u), with u normal with the variances of [`dryden`], computed by quadrature.
 #[test]
-fn turbulence_in_a_mean_wind_has_the_force_of_their_sum() {
+fn turbulence_in_a_mean_wind_has_the_force_of_the_total_velocity() {
     let config = WindConfig {
         velocity: [3.0, 0.0, 0.0],
         turbulence: 15.0,
@@ -217,7 +220,8 @@ fn turbulence_in_a_mean_wind_has_the_force_of_their_sum() {
         sinusoidal_force: 0.0,
         ..WindConfig::new(WindModel::Combined)
     };
-    // the first step after a reset is a draw from the stationary distribution: as many independent samples as resets
+    // the first step after a reset samples the stationary distribution, so that every reset gives an independent
+    // sample
     let mut field = field(config, 1);
     let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 30.0), Vector3::zeros());
     let count = 20_000_u32;
@@ -230,7 +234,7 @@ fn turbulence_in_a_mean_wind_has_the_force_of_their_sum() {
     let mean = samples.iter().sum::<f64>() / f64::from(count);
     let central = |power: i32| samples.iter().map(|x| (x - mean).powi(power)).sum::<f64>() / f64::from(count);
     let ([u, v, w], _) = dryden(30.0, 15.0);
-    // the trapezoidal rule over ±6 standard deviations is exact to rounding for what is smooth
+    // the trapezoidal rule over ±6 standard deviations is exact to rounding for smooth integrands
     let nodes: Vec<(f64, f64)> =
         (-24..=24).map(|i| f64::from(i) * 0.25).map(|x| (x, 0.25 * (-0.5 * x * x).exp() / TAU.sqrt())).collect();
     let k = 0.5 * 1.225 * DroneModel::Cf2x.params().drag_area();
@@ -249,13 +253,13 @@ fn turbulence_in_a_mean_wind_has_the_force_of_their_sum() {
     assert!((mean - first).abs() < 3.0 * (variance / n).sqrt(), "mean {mean}, expected {first}");
     let error = ((central(4) - variance * variance) / n).sqrt();
     assert!((central(2) - variance).abs() < 3.0 * error, "variance {}, expected {variance}", central(2));
-    // two laws, one for the mean wind and one for the turbulence, have less than half the deviation
+    // two separate drag laws, for the mean wind and for the turbulence, would give less than half the deviation
     assert!(variance.sqrt() > 0.03, "{}", variance.sqrt());
 }
 
-/// Settings under which nothing blows: no force on a drone that moves, unless still-air drag is on.
+/// Settings with zero wind: no force on a moving drone unless still-air drag is on.
 #[test]
-fn still_air_has_drag_only_where_that_is_asked_for() {
+fn still_air_has_drag_only_with_the_option() {
     let zero = WindConfig {
         velocity: [0.0; 3],
         turbulence: 0.0,
@@ -274,7 +278,7 @@ fn still_air_has_drag_only_where_that_is_asked_for() {
         let (force, air) = field(drag, 1).advance(DT, 0, &state);
         assert!((force + 0.5 * 1.225 * area * 3.0 * state.velocity).norm() < 1e-15, "{model}: {force}");
         assert_eq!(air, Vector3::zeros());
-        // where the air moves the option changes nothing
+        // in moving air the option changes nothing
         let windy = WindConfig { model, velocity: [0.1, 0.0, 0.0], turbulence: 1.0, ..zero };
         let dragged = WindConfig { still_air_drag: true, ..windy };
         if windy.has_drag() {
