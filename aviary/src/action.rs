@@ -132,7 +132,7 @@ impl ActionLimits {
     /// # Errors
     /// [`OptionError`] naming the field.
     pub fn validate(&self) -> Result<(), OptionError> {
-        let error = |option, got, expected| Err(OptionError { option, got: f64::to_string(&got), expected });
+        let error = |option, got, expected| Err(OptionError { option, got: crate::number(got), expected });
         for [low, high] in self.arena {
             if !(low.is_finite() && high.is_finite() && low <= high) {
                 return error("action_limits.arena", high - low, "finite bounds, the lower before the upper");

@@ -349,7 +349,7 @@ impl From<DroneModel> for DroneParams {
 #[non_exhaustive]
 pub enum DroneError {
     /// A parameter that no flying body has.
-    #[error("{field} is {got}, expected {expected}")]
+    #[error("{field} is {}, expected {expected}", crate::number(*got))]
     Parameter {
         /// The field.
         field: &'static str,
@@ -359,7 +359,7 @@ pub enum DroneError {
         expected: &'static str,
     },
     /// A parameter so large or small that its unit must be wrong.
-    #[error("{field} is {got}, expected {min:e} to {max:e} (SI units, rotor speeds in rpm)")]
+    #[error("{field} is {}, expected {min:e} to {max:e} (SI units, rotor speeds in rpm)", crate::number(*got))]
     Range {
         /// The field.
         field: &'static str,

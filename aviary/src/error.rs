@@ -26,7 +26,7 @@ impl OptionError {
         range: std::ops::RangeInclusive<f64>,
         expected: &'static str,
     ) -> Result<(), Self> {
-        if range.contains(&got) { Ok(()) } else { Err(Self { option, got: got.to_string(), expected }) }
+        if range.contains(&got) { Ok(()) } else { Err(Self { option, got: number(got), expected }) }
     }
 }
 
@@ -80,6 +80,7 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
         };
         message = format!("{found}, expected {expected}");
     }
+    message = with_short_numbers(message);
     if message.starts_with("unknown ") {
         // serde's list of what there is, all of it in backquotes after the name that was found
         let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
@@ -98,6 +99,18 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
 }
 
+/// Returns a message of serde with its floating-point number in exponent form if it has more digits than a reader can use.
+fn with_short_numbers(message: String) -> String {
+    const BEFORE: &str = "floating point `";
+    let number_text = || {
+        let (before, rest) = message.split_once(BEFORE)?;
+        let (digits, after) = rest.split_once('`')?;
+        let x = digits.parse().ok().filter(|_| digits.len() > 24)?;
+        Some(format!("{before}{BEFORE}{}`{after}", number(x)))
+    };
+    number_text().unwrap_or(message)
+}
+
 /// The name of a list that is most like another one, for messages: `; did you mean …?`, or nothing where none is like it.
 pub fn did_you_mean(name: &str, names: &[&str]) -> String {
     // the first of several that are equally near
@@ -109,6 +122,18 @@ pub fn did_you_mean(name: &str, names: &[&str]) -> String {
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
         .unwrap_or_default()
+}
+
+/// Returns a number as error messages print it: in exponent form if it is below 1e-4 or at least 1e15 in magnitude.
+///
+/// ```
+/// assert_eq!(aviary::number(-1.5), "-1.5");
+/// assert_eq!(aviary::number(1e300), "1e300");
+/// assert_eq!(aviary::number(f64::NAN), "NaN");
+/// ```
+pub fn number(x: f64) -> String {
+    let is_short = x == 0.0 || !x.is_finite() || (1e-4..1e15).contains(&x.abs());
+    if is_short { x.to_string() } else { format!("{x:e}") }
 }
 
 /// A count with its noun: `1 drone`, `2 drones`, `3 entries`.
@@ -181,6 +206,22 @@ mod tests {
         let error = read();
         assert_eq!(error.source().unwrap().to_string(), "mass is -1, expected a positive number");
         assert!(error.to_string().ends_with("airframe.toml: mass is -1, expected a positive number"), "{error}");
+    }
+
+    #[test]
+    fn numbers_in_messages_are_short() {
+        for (x, text) in
+            [(0.027, "0.027"), (-0.0, "-0"), (1e14, "100000000000000"), (5e15, "5e15"), (-1e-300, "-1e-300")]
+        {
+            assert_eq!(number(x), text);
+        }
+        for x in [f64::MAX, f64::MIN_POSITIVE, -f64::EPSILON, f64::NAN, f64::NEG_INFINITY, 2.0 / 3.0] {
+            assert!(number(x).len() < 25, "{x:e}");
+            assert!(x.is_nan() || number(x).parse() == Ok(x), "{x:e}");
+        }
+        let text = "name = 1e300\n";
+        let error = toml::from_str::<std::collections::BTreeMap<String, String>>(text).unwrap_err();
+        assert!(toml_message(text, &error).contains("floating point `1e300`, expected a string"), "{error}");
     }
 
     #[test]

@@ -45,5 +45,5 @@ pub mod record;
 
 mod error;
 
-pub use error::{OptionError, SystemError, count, did_you_mean, toml_message, without_byte_order_mark};
+pub use error::{OptionError, SystemError, count, did_you_mean, number, toml_message, without_byte_order_mark};
 pub use names::{NamedEnum, UnknownName};

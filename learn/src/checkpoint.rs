@@ -86,7 +86,7 @@ impl Checkpoint {
         }
         if !(state.rate > 0.0 && state.rate <= state.config.ppo.learning_rate) {
             let max = state.config.ppo.learning_rate;
-            return Err(format!("`rate` is {}, expected above 0 and up to {max}", state.rate));
+            return Err(format!("`rate` is {}, expected above 0 and up to {max}", aviary::number(state.rate)));
         }
         if !state.observations.is_of(run.shape.observation()) {
             return Err("`observations` are no means and sums of squares of the observations".into());

@@ -298,7 +298,7 @@ impl TrainConfig {
             ("initial_std", *initial_std, 1e-4, 10.0, "0.0001 to 10"),
         ] {
             if !(low..=high).contains(&got) {
-                return Err(TrainError::Option { option, got: got.to_string(), expected });
+                return Err(TrainError::Option { option, got: aviary::number(got), expected });
             }
         }
         for &width in &self.ppo.hidden {
@@ -313,7 +313,7 @@ impl TrainConfig {
         }
         let positive = |x: f64| x > 0.0 && x <= 1e6;
         if let Some(seconds) = self.training_starts.iter().filter_map(|start| start.seconds).find(|&x| !positive(x)) {
-            let got = format!("{seconds} s");
+            let got = format!("{} s", aviary::number(seconds));
             return Err(TrainError::Option {
                 option: "training_starts.seconds",
                 got,
@@ -321,7 +321,7 @@ impl TrainConfig {
             });
         }
         if !(0.0..=1e6).contains(&self.out_of_bounds) {
-            let got = self.out_of_bounds.to_string();
+            let got = aviary::number(self.out_of_bounds.into());
             return Err(TrainError::Option { option: "out_of_bounds", got, expected: "0 to 1,000,000" });
         }
         if self.course.is_some_and(|rewards| self.per_drone || WaypointProgress::of_task(&self.task, rewards).is_none())

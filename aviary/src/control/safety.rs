@@ -47,7 +47,7 @@ pub struct CollisionCone {
 #[non_exhaustive]
 pub enum SafetyError {
     /// An option that is impossible.
-    #[error("the safety filter's {option} is {got}, expected {expected}")]
+    #[error("the safety filter's {option} is {}, expected {expected}", crate::number(*got))]
     Option {
         /// Which.
         option: &'static str,

@@ -296,14 +296,14 @@ impl<T: Task> AviaryBuilder<T> {
         if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
             return Err(EnvError::Option {
                 option: "episode_seconds",
-                got: format!("{seconds} s"),
+                got: format!("{} s", crate::number(seconds)),
                 expected: "a positive number of seconds below 4e7",
             });
         }
         if self.neighbourhood_radius.is_nan() || self.neighbourhood_radius < 0.0 {
             return Err(EnvError::Option {
                 option: "neighbourhood_radius",
-                got: format!("{} m", self.neighbourhood_radius),
+                got: format!("{} m", crate::number(self.neighbourhood_radius)),
                 expected: "zero or a positive number of metres",
             });
         }

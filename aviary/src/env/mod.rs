@@ -188,7 +188,7 @@ pub enum EnvError {
         expected: usize,
     },
     /// An action that is not a number.
-    #[error("action[{index}] is {got} at t = {time} s, expected a finite number")]
+    #[error("action[{index}] is {} at t = {time} s, expected a finite number", crate::number(*got))]
     Action {
         /// Which entry.
         index: usize,

@@ -63,7 +63,7 @@ impl MovingMarkers {
         for (declared, pose) in self.declared.iter().zip(&self.poses) {
             let far = |x: &f64| x.is_nan() || x.abs() > 1e6;
             if let Some(x) = pose.position.iter().chain(&pose.rpy).find(|x| far(x)) {
-                let got = format!("{x} for the marker `{}`", declared.marker.name);
+                let got = format!("{} for the marker `{}`", crate::number(*x), declared.marker.name);
                 let expected = "finite numbers up to 1e6";
                 return Err(EnvError::Option { option: "move_markers", got, expected });
             }

@@ -74,7 +74,7 @@ pub enum RecordError {
     #[error("the animation cannot be written")]
     Animation(#[from] gif::EncodingError),
     /// A time from frame to frame that is none.
-    #[error("a frame takes {got} s, expected a positive number of seconds")]
+    #[error("a frame takes {} s, expected a positive number of seconds", crate::number(*got))]
     FrameTime {
         /// The time, s.
         got: f64,

@@ -25,7 +25,7 @@ pub enum SimulationError {
         message: String,
     },
     /// Gravity out of its range.
-    #[error("gravity is {got} m/s², expected a number within ±{}", World::MAX_GRAVITY)]
+    #[error("gravity is {} m/s², expected a number within ±{}", crate::number(*got), World::MAX_GRAVITY)]
     Gravity {
         /// What it is.
         got: f64,
@@ -44,7 +44,7 @@ pub enum SimulationError {
     },
     /// Rates that do not fit together.
     #[error(
-        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected positive frequencies up to {} Hz of which the first is a multiple of the second",
+        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected a positive multiple of ctrl_freq up to {} Hz",
         Simulation::MAX_SIM_FREQ
     )]
     Rates {

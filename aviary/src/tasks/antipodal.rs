@@ -124,12 +124,12 @@ impl Task for Antipodal {
         for (option, got) in [("radius", self.radius), ("height", self.height), ("safety_radius", self.safety_radius)] {
             if !(got > 0.0 && got <= 1e3) {
                 let expected = "a positive number of metres up to 1000";
-                return Err(EnvError::Option { option, got: format!("{got} m"), expected });
+                return Err(EnvError::Option { option, got: format!("{} m", crate::number(got)), expected });
             }
         }
         if !(0.0..=1e3).contains(&self.stagger) {
             let expected = "zero or a positive number of metres";
-            let got = format!("{} m", self.stagger);
+            let got = format!("{} m", crate::number(self.stagger));
             return Err(EnvError::Option { option: "stagger", got, expected });
         }
         let apart = 2.0 * self.radius * (TAU / (2.0 * drones.len() as f64)).sin();
@@ -138,7 +138,7 @@ impl Task for Antipodal {
                 option: "radius",
                 got: format!(
                     "{} m, {apart:.3} m between neighbours on the circle of {}",
-                    self.radius,
+                    crate::number(self.radius),
                     crate::count(drones.len(), "drone")
                 ),
                 expected: "more than safety_radius between them",

@@ -53,7 +53,8 @@ impl CrashConditions {
         if self.max_tilt > 0.0 {
             return Ok(());
         }
-        let (got, expected) = (format!("{} rad", self.max_tilt), "a positive angle (π or more for no limit)");
+        let (got, expected) =
+            (format!("{} rad", crate::number(self.max_tilt)), "a positive angle (π or more for no limit)");
         Err(EnvError::Option { option: "max_tilt", got, expected })
     }
 }

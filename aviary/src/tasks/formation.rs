@@ -141,17 +141,21 @@ impl Task for Formation {
             return wrong("path", format!("{:?}", self.path), "at least one corner, finite metres up to 10 km");
         }
         if !(0.0..=1e3).contains(&self.speed) {
-            return wrong("speed", format!("{} m/s", self.speed), "zero or a positive number");
+            return wrong("speed", format!("{} m/s", crate::number(self.speed)), "zero or a positive number");
         }
         if let Some(offsets) = &self.offsets {
             if offsets.len() != drones.len() {
                 return wrong("offsets", crate::count(offsets.len(), "place"), "one per drone");
             }
         } else if !(self.radius >= 0.0 && self.radius <= 1e3) {
-            return wrong("radius", format!("{} m", self.radius), "zero or a positive number of metres");
+            return wrong("radius", format!("{} m", crate::number(self.radius)), "zero or a positive number of metres");
         }
         if let Some(x) = self.offsets.iter().flatten().flatten().find(|x| !(-1e4..=1e4).contains(*x)) {
-            return wrong("offsets", format!("{x} m along an axis"), "finite numbers of metres up to 10 km");
+            return wrong(
+                "offsets",
+                format!("{} m along an axis", crate::number(*x)),
+                "finite numbers of metres up to 10 km",
+            );
         }
         let places: Vec<_> = (0..drones.len()).map(|drone| self.offset(drone, drones.len())).collect();
         for (i, (a, first)) in places.iter().zip(drones).enumerate() {
@@ -161,7 +165,7 @@ impl Task for Formation {
                 if apart.is_nan() || apart <= min {
                     let (option, value) = match &self.offsets {
                         Some(offsets) => ("offsets", format!("{offsets:?}")),
-                        None => ("radius", format!("{} m", self.radius)),
+                        None => ("radius", format!("{} m", crate::number(self.radius))),
                     };
                     let got =
                         format!("{value}, {apart:.3} m between two places in the formation for {min:.3} m of drones");

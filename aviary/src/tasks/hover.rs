@@ -100,7 +100,7 @@ impl Task for Hover {
         if !(target.is_finite() && target > 0.0 && target < max) {
             return Err(EnvError::Option {
                 option: "target_height",
-                got: format!("{target} m"),
+                got: format!("{} m", crate::number(target)),
                 expected: "a height above the floor and below max_height",
             });
         }

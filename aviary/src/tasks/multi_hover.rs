@@ -126,7 +126,7 @@ impl Task for MultiHover {
         match heights.into_iter().find(|&height| !(height > 0.0 && height < self.max_height)) {
             Some(height) => Err(EnvError::Option {
                 option: "target_heights",
-                got: format!("{height} m with a max_height of {} m", self.max_height),
+                got: format!("{} m with a max_height of {} m", crate::number(height), crate::number(self.max_height)),
                 expected: "heights above the floor and below max_height",
             }),
             None => Ok(()),

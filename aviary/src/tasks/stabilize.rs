@@ -105,7 +105,7 @@ impl Task for Stabilize {
         ] {
             if !(0.0..=max).contains(&got) {
                 let expected = "zero or a positive number, angles up to π/2";
-                return Err(EnvError::Option { option, got: got.to_string(), expected });
+                return Err(EnvError::Option { option, got: crate::number(got), expected });
             }
         }
         Ok(())

@@ -141,7 +141,7 @@ impl Task for Track {
             ("max_distance", self.max_distance, 1e-3, "1 mm to 1000 m"),
         ] {
             if !(min..=1e3).contains(&got) {
-                return Err(EnvError::Option { option, got: got.to_string(), expected });
+                return Err(EnvError::Option { option, got: crate::number(got), expected });
             }
         }
         Ok(())

@@ -113,7 +113,7 @@ impl Task for Velocity {
         for (option, got) in [("max_speed", self.max_speed), ("max_yaw_rate", self.max_yaw_rate)] {
             if !(0.0..=1e3).contains(&got) {
                 let expected = "zero or a positive number up to 1000";
-                return Err(EnvError::Option { option, got: got.to_string(), expected });
+                return Err(EnvError::Option { option, got: crate::number(got), expected });
             }
         }
         Ok(())

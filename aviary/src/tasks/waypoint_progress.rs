@@ -258,10 +258,10 @@ pub(super) fn validate(option: &'static str, points: &[[f64; 3]], laps: usize, r
         return wrong(option, got, "1 to 198 over all laps");
     }
     if let Some(x) = points.iter().flatten().find(|x| !(-1e4..=1e4).contains(*x)) {
-        return wrong(option, format!("{x} m along an axis"), "finite numbers of metres up to 10 km");
+        return wrong(option, format!("{} m along an axis", crate::number(*x)), "finite numbers of metres up to 10 km");
     }
     if !(radius > 0.0 && radius <= 1e3) {
-        return wrong("radius", format!("{radius} m"), "a positive number of metres");
+        return wrong("radius", format!("{} m", crate::number(radius)), "a positive number of metres");
     }
     Ok(())
 }
@@ -269,7 +269,7 @@ pub(super) fn validate(option: &'static str, points: &[[f64; 3]], laps: usize, r
 /// Checks what a course pays.
 pub(super) fn check_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -> Result<(), EnvError> {
     match rewards.into_iter().find(|(_, got)| !got.is_finite()) {
-        Some((option, got)) => Err(EnvError::Option { option, got: got.to_string(), expected: "a finite number" }),
+        Some((option, got)) => Err(EnvError::Option { option, got: crate::number(got), expected: "a finite number" }),
         None => Ok(()),
     }
 }

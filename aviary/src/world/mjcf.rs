@@ -17,7 +17,7 @@ use xml::{Xml, numbers};
 #[non_exhaustive]
 pub enum SceneError {
     /// A number that is not one.
-    #[error("{what} is {got}, expected {expected}")]
+    #[error("{what} is {}, expected {expected}", crate::number(*got))]
     Value {
         /// Of what.
         what: String,

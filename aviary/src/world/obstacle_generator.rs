@@ -139,7 +139,9 @@ pub enum ObstacleGeneratorError {
     Custom(#[from] SceneError),
     /// There is no room for so many.
     #[error(
-        "{placed} of {asked} obstacles fit into {arena:?} m with {spacing} m between them and {safe_zone} m around every drone"
+        "{placed} of {asked} obstacles fit into {arena:?} m with {} m between them and {} m around every drone",
+        crate::number(*spacing),
+        crate::number(*safe_zone)
     )]
     Full {
         /// How many were placed at best.

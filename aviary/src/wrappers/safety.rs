@@ -113,7 +113,7 @@ impl VelocityFilter {
         if !(response > 0.0 && response <= 1e6) {
             return Err(EnvError::Option {
                 option: "response",
-                got: format!("{response} 1/s"),
+                got: format!("{} 1/s", crate::number(response)),
                 expected: "a positive number",
             });
         }

@@ -64,7 +64,7 @@ pub trait Trajectory: fmt::Debug + Send + Sync {
 #[non_exhaustive]
 pub enum TrajectoryError {
     /// A number that no trajectory has.
-    #[error("{what} is {got}, expected {expected}")]
+    #[error("{what} is {}, expected {expected}", crate::number(*got))]
     Value {
         /// What it is.
         what: &'static str,

@@ -233,7 +233,7 @@ impl Randomization {
             ("the randomized actuators.max_rpm", m.max_rpm),
         ] {
             if !(low >= 1e-2 && high >= low && high <= 1e2) {
-                return wrong(option, format!("[{low}, {high}]"), "a range of factors from 0.01 to 100");
+                return wrong(option, range_text([low, high]), "a range of factors from 0.01 to 100");
             }
         }
         let s = self.sensors.unwrap_or_default();
@@ -249,11 +249,7 @@ impl Randomization {
             ("the randomized environment.wind", e.wind, 1e2),
         ] {
             if !(low >= 0.0 && high >= low && high <= max) {
-                return wrong(
-                    option,
-                    format!("[{low}, {high}]"),
-                    "a range that starts at 0 or above and is not too wide",
-                );
+                return wrong(option, range_text([low, high]), "a range that starts at 0 or above and is not too wide");
             }
         }
         let i = self.initial.unwrap_or_default();
@@ -268,12 +264,17 @@ impl Randomization {
             ("the randomized initial.velocity", i.velocity),
         ] {
             if !(0.0..=1e3).contains(&got) {
-                return wrong(option, got.to_string(), "zero or a positive number up to 1000");
+                return wrong(option, crate::number(got), "zero or a positive number up to 1000");
             }
         }
         match i.offset.iter().find(|x| !(-1e3..=1e3).contains(*x)) {
-            Some(x) => wrong("the randomized initial.offset", x.to_string(), "three numbers from −1000 to 1000"),
+            Some(x) => wrong("the randomized initial.offset", crate::number(*x), "three numbers from −1000 to 1000"),
             None => Ok(()),
         }
     }
+}
+
+/// Returns a range as error messages print it.
+fn range_text([low, high]: Range) -> String {
+    format!("[{}, {}]", crate::number(low), crate::number(high))
 }

@@ -53,6 +53,7 @@ impl Scenario {
         for (field, list, max) in vectors {
             let Some(list) = list else { continue };
             if let Some(got) = list.iter().flatten().find(|x| !(-max..=max).contains(*x)) {
+                let got = crate::number(*got);
                 return Err(self.wrong(field, format!("{got}, expected finite numbers within ±{max:e}")));
             }
         }
@@ -69,6 +70,7 @@ impl Scenario {
         if let Some(medium) = self.medium {
             for (what, got) in [("density", medium.density), ("viscosity", medium.viscosity)] {
                 if !(0.0..=1e5).contains(&got) {
+                    let got = crate::number(got);
                     return Err(self.wrong("medium", format!("{what} is {got}, expected 0 to 1e5")));
                 }
             }
@@ -151,6 +153,7 @@ impl Scenario {
         let with = |((state, &q), &rpy): ((&DroneState, &[f64; 4]), &[f64; 3])| {
             let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
             if !(1.0 - 1e-9..=1.0 + 1e-9).contains(&length) {
+                let length = crate::number(length);
                 return Err(self.wrong("initial_quaternions", format!("{q:?} has length {length}, expected 1")));
             }
             let attitude = attitude_from_wxyz(q);
