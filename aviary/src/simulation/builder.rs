@@ -10,7 +10,7 @@ use crate::serial::Fingerprint;
 use crate::state::DroneState;
 use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, World};
 
-/// The options of a [`Simulation`]; what is not said is the paper's default.
+/// Options of a [`Simulation`]. The defaults are the paper's.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -20,7 +20,7 @@ use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, Wor
 /// let builder = Simulation::builder(DroneModel::Race).num_drones(2).physics(Physics::MjcDrag);
 /// let simulation = builder.clone().sim_freq(500).ctrl_freq(100).build()?;
 /// assert_eq!((simulation.num_drones(), simulation.substeps()), (2, 5));
-/// // what cannot be is an error that names it
+/// an invalid option is an error that names it
 /// let error = builder.ctrl_freq(7).build().unwrap_err();
 /// assert!(error.to_string().contains("ctrl_freq 7 Hz"));
 /// # Ok::<(), aviary::simulation::SimulationError>(())
@@ -28,8 +28,8 @@ use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, Wor
 #[derive(Debug, Clone)]
 pub struct SimulationBuilder {
     drones: Vec<DroneParams>,
-    /// Number of drones that was asked for.
-    asked: usize,
+    /// Number of drones before it was limited for allocation.
+    requested: usize,
     positions: Option<Vec<[f64; 3]>>,
     rpys: Option<Vec<[f64; 3]>>,
     sim_freq: u32,
@@ -46,16 +46,16 @@ pub struct SimulationBuilder {
     medium: Option<Medium>,
     wind: Option<WindConfig>,
     engine: Option<EngineKind>,
-    /// The engine where none is asked for.
+    /// Engine without a call of `engine` or a physics mode that implies one.
     default_engine: EngineKind,
 }
 
 impl SimulationBuilder {
-    /// The defaults, for one drone of an airframe.
+    /// Creates the default options for one drone of an airframe.
     pub fn new(drone: DroneParams) -> Self {
         Self {
             drones: vec![drone],
-            asked: 1,
+            requested: 1,
             positions: None,
             rpys: None,
             sim_freq: 240,
@@ -76,172 +76,173 @@ impl SimulationBuilder {
         }
     }
 
-    /// How many drones of the same airframe; 1 by default.
+    /// Sets the number of drones of the same airframe; default 1.
     #[must_use]
     pub fn num_drones(mut self, count: usize) -> Self {
         let first = self.drones.first().cloned();
-        self.asked = count;
-        // one more than there can be is enough for `build` to say so
+        self.requested = count;
+        // one more than the maximum is enough for `build` to return its error
         self.drones = first.into_iter().cycle().take(count.min(Simulation::MAX_DRONES + 1)).collect();
         self
     }
 
-    /// Airframes of all drones, where they differ.
+    /// Sets the airframe of each drone.
     #[must_use]
     pub fn drones(mut self, drones: impl IntoIterator<Item = DroneParams>) -> Self {
         self.drones = drones.into_iter().collect();
-        self.asked = self.drones.len();
+        self.requested = self.drones.len();
         self
     }
 
-    /// Initial positions, world frame, m; by default in a row along x at z = 0.1 m, four times the largest arm or
-    /// collision radius apart.
+    /// Sets the initial positions, world frame, m. By default, drones stand in a row along x at z = 0.1 m, four
+    /// times the largest arm or collision radius apart.
     #[must_use]
     pub fn initial_positions(mut self, positions: impl IntoIterator<Item = [f64; 3]>) -> Self {
         self.positions = Some(positions.into_iter().collect());
         self
     }
 
-    /// Initial positions for callers that have their own idea of a default.
+    /// Sets the initial positions if they are not set yet.
     pub(crate) fn initial_positions_or(mut self, positions: Vec<[f64; 3]>) -> Self {
         self.positions.get_or_insert(positions);
         self
     }
 
-    /// Initial roll, pitch, yaw, rad; level and facing x by default.
+    /// Sets the initial roll, pitch and yaw, rad; default zero (level, facing x).
     #[must_use]
     pub fn initial_rpys(mut self, rpys: impl IntoIterator<Item = [f64; 3]>) -> Self {
         self.rpys = Some(rpys.into_iter().collect());
         self
     }
 
-    /// Initial velocities, world frame, m/s; at rest by default.
+    /// Sets the initial velocities, world frame, m/s; default zero.
     #[must_use]
     pub fn initial_velocities(mut self, velocities: impl IntoIterator<Item = [f64; 3]>) -> Self {
         self.velocities = Some(velocities.into_iter().collect());
         self
     }
 
-    /// Initial body rates, body frame, rad/s; none by default.
+    /// Sets the initial angular velocities, body frame, rad/s; default zero.
     #[must_use]
     pub fn initial_angular_velocities(mut self, rates: impl IntoIterator<Item = [f64; 3]>) -> Self {
         self.angular_velocities = Some(rates.into_iter().collect());
         self
     }
 
-    /// The physics mode, the paper's shorthand for [`effects`](Self::effects) and [`engine`](Self::engine); MuJoCo without
-    /// aerodynamic effects by default.
+    /// Sets the paper's physics mode, a shorthand for [`effects`](Self::effects) and [`engine`](Self::engine);
+    /// default MuJoCo without aerodynamic effects.
     #[must_use]
     pub fn physics(mut self, physics: Physics) -> Self {
         self.physics = Some(physics);
         self
     }
 
-    /// Any subset of the aerodynamic effects; those of the physics mode by default. Next to a physics mode with other effects they
-    /// are an error.
+    /// Sets the aerodynamic effects; default those of the physics mode. [`build`](Self::build) returns an error if
+    /// they differ from those of a physics mode that is also set.
     #[must_use]
     pub fn effects(mut self, effects: Effects) -> Self {
         self.effects = Some(effects);
         self
     }
 
-    /// The engine; by default the explicit engine in the physics mode `dyn`, and MuJoCo otherwise. The hybrid engine gives the same
-    /// flights as MuJoCo, many times faster. An engine that the physics mode does not stand for is an error.
+    /// Sets the engine; default the explicit engine for the physics mode `dyn`, otherwise MuJoCo. The hybrid engine
+    /// computes the same trajectories as MuJoCo, many times faster. [`build`](Self::build) returns an error if the
+    /// engine contradicts the physics mode.
     #[must_use]
     pub fn engine(mut self, engine: EngineKind) -> Self {
         self.engine = Some(engine);
         self
     }
 
-    /// The engine, for callers that have their own idea of a default.
+    /// Sets the default of [`engine`](Self::engine).
     pub(crate) fn engine_or(mut self, engine: EngineKind) -> Self {
         self.default_engine = engine;
         self
     }
 
-    /// How the rotors' wrench acts during a physics step; frozen by default.
+    /// Sets how the rotors' wrench acts during a physics step; default frozen.
     #[must_use]
     pub fn forcing(mut self, forcing: Forcing) -> Self {
         self.forcing = forcing;
         self
     }
 
-    /// How the motors answer to commands; at once and exactly by default.
+    /// Sets the motor parameters; default immediate and exact.
     #[must_use]
     pub fn actuators(mut self, actuators: ActuatorParams) -> Self {
         self.actuators = actuators;
         self
     }
 
-    /// Things that stand in the way; none by default.
+    /// Sets the obstacles; default none.
     #[must_use]
     pub fn obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
         self.obstacles = obstacles.into_iter().collect();
         self
     }
 
-    /// Further things that stand in the way, after those that are there already.
+    /// Adds obstacles after those already set.
     pub(crate) fn more_obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
         self.obstacles.extend(obstacles);
         self
     }
 
-    /// Things that are seen and not touched, beside those that are there already.
+    /// Adds markers, which are visible and do not collide.
     #[must_use]
     pub fn markers(mut self, markers: impl IntoIterator<Item = Marker>) -> Self {
         self.markers.extend(markers);
         self
     }
 
-    /// Initial positions so far.
+    /// Returns the initial positions set so far.
     pub(crate) fn starts(&self) -> &[[f64; 3]] {
         self.positions.as_deref().unwrap_or_default()
     }
 
-    /// Returns whether there are obstacles so far.
+    /// Returns true if obstacles are set.
     pub(crate) fn has_obstacles(&self) -> bool {
         !self.obstacles.is_empty()
     }
 
-    /// The wind so far.
+    /// Returns the wind set so far.
     pub(crate) fn wind_config(&self) -> Option<&WindConfig> {
         self.wind.as_ref()
     }
 
-    /// Airframes so far, in order.
+    /// Returns the airframes set so far, in order.
     pub(crate) fn airframes(&self) -> &[DroneParams] {
         &self.drones
     }
 
-    /// Physics rate, Hz; 240 by default.
+    /// Sets the physics rate, Hz; default 240.
     #[must_use]
     pub fn sim_freq(mut self, hertz: u32) -> Self {
         self.sim_freq = hertz;
         self
     }
 
-    /// Control rate, Hz, a divisor of the physics rate; 48 by default.
+    /// Sets the control rate, Hz, a divisor of the physics rate; default 48.
     #[must_use]
     pub fn ctrl_freq(mut self, hertz: u32) -> Self {
         self.ctrl_freq = hertz;
         self
     }
 
-    /// MuJoCo's integrator; RK4 by default.
+    /// Sets MuJoCo's integrator; default RK4.
     #[must_use]
     pub fn integrator(mut self, integrator: Integrator) -> Self {
         self.integrator = integrator;
         self
     }
 
-    /// MuJoCo's fluid forces; off by default.
+    /// Sets the medium of MuJoCo's fluid forces; default none.
     #[must_use]
     pub fn medium(mut self, medium: impl Into<Option<Medium>>) -> Self {
         self.medium = medium.into();
         self
     }
 
-    /// The wind; still air by default.
+    /// Sets the wind; default still air.
     #[must_use]
     pub fn wind(mut self, wind: impl Into<Option<WindConfig>>) -> Self {
         self.wind = wind.into();
@@ -264,10 +265,10 @@ impl SimulationBuilder {
         Ok((physics.effects(), engine))
     }
 
-    /// Compiles the world.
+    /// Compiles the scene and creates the simulation.
     ///
     /// # Errors
-    /// [`SimulationError`] naming the option that is impossible.
+    /// [`SimulationError`] naming the invalid option.
     pub fn build(self) -> Result<Simulation, SimulationError> {
         let (sim_freq, ctrl_freq) = (self.sim_freq, self.ctrl_freq);
         if sim_freq == 0 || sim_freq > Simulation::MAX_SIM_FREQ || ctrl_freq == 0 || !sim_freq.is_multiple_of(ctrl_freq)
@@ -277,7 +278,7 @@ impl SimulationBuilder {
         let (effects, engine) = self.effects_and_engine()?;
         let count = self.drones.len();
         if !(1..=Simulation::MAX_DRONES).contains(&count) {
-            return Err(SimulationError::NumDrones { got: self.asked.max(count) });
+            return Err(SimulationError::NumDrones { got: self.requested.max(count) });
         }
         for (drone, params) in self.drones.iter().enumerate() {
             params.validate().map_err(|error| SimulationError::Drone { drone, error })?;
@@ -326,7 +327,7 @@ impl SimulationBuilder {
         let model = SimModel { world, effects, engine, sim_freq, ctrl_freq, initial, actuators, fingerprint }
             .with_fingerprint();
         let workspace = model.workspace()?;
-        // positions and attitudes that are out of range have been named by the scene
+        // compiling the scene has already rejected positions and attitudes out of range
         if let Some(drone) = model.initial.iter().position(|state| out_of_range(state).is_some()) {
             return Err(SimulationError::State { drone });
         }
@@ -339,7 +340,7 @@ impl SimulationBuilder {
     }
 }
 
-/// Drones side by side on a line along x, far enough apart that their bodies do not meet.
+/// Returns positions in a row along x, far enough apart that the drones do not touch.
 fn row(drones: &[DroneParams]) -> Vec<[f64; 3]> {
     let spacing = drones.iter().map(|params| 4.0 * params.arm_length.max(params.collision_radius)).fold(0.0, f64::max);
     (0..drones.len()).map(|index| [index as f64 * spacing, 0.0, 0.1]).collect()

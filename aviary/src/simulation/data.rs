@@ -17,22 +17,22 @@ use crate::serial::Fingerprint;
 use crate::state::DroneState;
 use crate::world::{Marker, MarkerPose, Obstacle};
 
-/// Everything of one simulation that changes: states of drones, motors, wind and sensors, parameters, contacts, time.
+/// State of one simulation: drones, motors, wind, sensors, sampled parameters, contacts, time.
 ///
-/// A clone is a snapshot: [`step`](super::step) takes it to where it takes the original, bit-identically, in every
-/// [`Workspace`](super::Workspace) of the same [`SimModel`]. So it does with data that was serialized and deserialized again, also by
-/// another program, in a format that keeps doubles exactly.
+/// A clone is a snapshot. [`step`](super::step) advances a clone and the original bit-identically, in any
+/// [`Workspace`](super::Workspace) of the same [`SimModel`]. The same holds for data that was serialized and
+/// deserialized, also in another process, in a format that keeps doubles exactly.
 #[derive(Debug, Clone)]
 pub struct SimData {
-    /// Of the model that it is data of.
+    /// Fingerprint of the model that the data belongs to.
     pub(super) model: Fingerprint,
     pub(super) states: Vec<DroneState>,
-    /// Roll, pitch and yaw of the same, rad.
+    /// Roll, pitch and yaw of `states`, rad.
     pub(super) rpys: Vec<Vector3<f64>>,
-    /// What the episode started from.
+    /// States at the start of the episode.
     pub(super) started: Vec<DroneState>,
     pub(super) control_steps: u64,
-    /// One drone seldom touches more than the floor.
+    /// Contacts of the last control step; inline for the usual number.
     pub(super) contacts: SmallVec<[Contact; 2]>,
     pub(super) failed: Option<SimulationError>,
     pub(super) loads: Vec<Load>,
@@ -41,43 +41,43 @@ pub struct SimData {
     pub(super) wakes: Vec<Wake>,
     pub(super) bodies: Bodies,
     pub(super) wind: Option<WindField>,
-    /// Seed that the wind was started from.
+    /// Seed of the last start of the wind.
     pub(super) wind_seed: u64,
     pub(super) memory: Memory,
     /// Motor speeds commanded during the last control step, rpm.
     pub(super) motor_speeds: Vec<[f64; 4]>,
-    /// Whether something changed on which the bodies depend.
+    /// True if a parameter has changed from which `bodies` is derived.
     pub(super) changed: bool,
-    /// In place of the model's, once they have moved.
+    /// Obstacles that replace the model's; `None` before the first change.
     pub(super) obstacles: Option<Arc<[Obstacle]>>,
     /// Equal for equal obstacles; 0 for the model's.
     pub(super) obstacle_revision: u64,
-    /// Poses of markers that have moved, with their indices.
+    /// Indices and poses of the markers that have moved.
     pub(super) marker_poses: Vec<(usize, MarkerPose)>,
     /// Warm start of MuJoCo's solver.
     pub(super) warm_start: Vec<f64>,
-    /// Whether MuJoCo made the last physics step, so that there is a warm start.
+    /// True if MuJoCo made the last physics step, so that `warm_start` is valid.
     pub(super) in_mujoco: bool,
-    /// Unique mark of a state that a workspace has left; 0 where none has.
+    /// Unique mark of the state that a workspace left behind; 0 for none.
     pub(super) stamp: u64,
 }
 
-/// One drone's constants in the form the step wants them.
+/// Constants of one drone, precomputed for the step.
 #[derive(Debug, Clone)]
 pub(super) struct Drone {
     pub params: DroneParams,
     pub rotors: RotorModel,
     pub ground: GroundEffect,
-    /// Of the motors that it was built with, rpm.
+    /// Maximum motor speed of the airframe that the drone was built with, rpm.
     pub max_rpm: f64,
     pub actuators: ActuatorParams,
 }
 
-/// States of earlier physics steps, a ring of one list after the other.
+/// Ring buffer of the states of earlier physics steps.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Memory {
     pub states: Vec<DroneState>,
-    /// The oldest of them, by number of list.
+    /// Index of the oldest entry, in multiples of the number of drones.
     pub oldest: usize,
 }
 
@@ -88,7 +88,7 @@ pub(super) fn unique() -> u64 {
 }
 
 impl SimData {
-    /// Becomes a copy of other data, in the memory that it has.
+    /// Copies other data into this one and reuses its memory.
     pub(crate) fn copy_from(&mut self, other: &Self) {
         let Self {
             model,
@@ -185,16 +185,16 @@ impl SimData {
         data
     }
 
-    /// Goes back to the initial states, time 0, no command given; slow motors turn at hover speed.
+    /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
     pub(crate) fn reset(&mut self, model: &SimModel) {
         self.states.copy_from_slice(&model.initial);
         self.restart();
     }
 
-    /// Starts from these states.
+    /// Resets to the given states.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] and [`SimulationError::State`], and then nothing has changed.
+    /// [`SimulationError::Length`] and [`SimulationError::State`]; the data is unchanged.
     pub(crate) fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
         let expected = self.states.len();
         if states.len() != expected {
@@ -206,7 +206,7 @@ impl SimData {
         }
         self.states.copy_from_slice(states);
         for state in &mut self.states {
-            // of single precision, say; what is a rotation already keeps its bits
+            // quaternions from single precision need it; unit quaternions keep their bits
             if (state.attitude.norm_squared() - 1.0).abs() > 1e-12 {
                 state.attitude.renormalize();
             }
@@ -247,7 +247,7 @@ impl SimData {
         self.control_steps
     }
 
-    /// Returns the obstacles as they are now.
+    /// Returns the obstacles at their present poses.
     pub(crate) fn obstacles<'a>(&'a self, model: &'a SimModel) -> &'a [Obstacle] {
         self.obstacles.as_deref().unwrap_or(&model.world.obstacles)
     }
@@ -257,7 +257,7 @@ impl SimData {
         self.obstacle_revision
     }
 
-    /// Returns the markers as they are now.
+    /// Returns the markers at their present poses.
     pub(crate) fn markers(&self, model: &SimModel) -> Vec<Marker> {
         let mut markers = model.world.markers.clone();
         for &(index, pose) in &self.marker_poses {
@@ -267,12 +267,12 @@ impl SimData {
         markers
     }
 
-    /// Returns the number of markers that a model must have for the poses of those that have moved.
+    /// Returns the number of markers that a model must have to hold the marker poses.
     pub(super) fn markers_needed(&self) -> usize {
         self.marker_poses.iter().map(|(index, _)| index + 1).max().unwrap_or(0)
     }
 
-    /// Moves a marker, which is drawn there from now on.
+    /// Moves a marker, for all later images.
     pub(crate) fn set_marker_pose(&mut self, index: usize, pose: MarkerPose) {
         match self.marker_poses.iter_mut().find(|(known, _)| *known == index) {
             Some((_, known)) => *known = pose,
@@ -283,8 +283,8 @@ impl SimData {
     /// Replaces the obstacles by others of the same shapes in the same order, from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape,
-    /// [`SimulationError::Build`] for a number out of its range; and then nothing has changed.
+    /// [`SimulationError::Length`] if their number differs, [`SimulationError::Obstacle`] if a shape differs,
+    /// [`SimulationError::Build`] for a number out of range; the data is unchanged.
     pub(crate) fn set_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
         let old = self.obstacles(model);
         if obstacles.len() != old.len() {
@@ -305,30 +305,30 @@ impl SimData {
         Ok(())
     }
 
-    /// Returns the bytes of obstacles of its own.
+    /// Returns the size of the obstacles that replace the model's, in bytes.
     pub(super) fn own_obstacles_bytes(&self) -> usize {
         self.obstacles.as_deref().map_or(0, size_of_val)
     }
 
-    /// Sets how far an obstacle may move until the next control step, m.
+    /// Sets the maximum distance that an obstacle may move before the next control step, m.
     pub(crate) fn set_obstacle_drift(&mut self, metres: f64) {
         self.bodies.obstacle_drift = metres;
     }
 
-    /// Keeps the states of so many whole physics steps.
+    /// Sets the delay of the remembered states, rounded to whole physics steps.
     pub(crate) fn remember(&mut self, model: &SimModel, seconds: f64) {
         let steps = (seconds.clamp(0.0, super::Simulation::MAX_MEMORY) / model.world.timestep).round() as usize;
         self.memory.states.resize(steps * self.states.len(), DroneState::default());
         self.memory.forget(&self.states);
     }
 
-    /// Returns the states as they were the remembered time ago; those of the start while there was none.
+    /// Returns the states as they were one delay ago, or the oldest that the memory has.
     pub(crate) fn remembered(&self) -> &[DroneState] {
         let (count, memory) = (self.states.len(), &self.memory);
         memory.states.get(memory.oldest * count..(memory.oldest + 1) * count).unwrap_or(&self.states)
     }
 
-    /// Takes motor commands over, clipped, if all of them are numbers.
+    /// Clips the motor commands and stores them.
     pub(super) fn accept(&mut self, commands: &[[f64; 4]], time: f64) -> Result<(), SimulationError> {
         let expected = self.drones.len();
         if commands.len() != expected {
@@ -347,7 +347,7 @@ impl SimData {
 }
 
 impl Memory {
-    /// As if the drones had always been where they are.
+    /// Fills the buffer with the present states.
     pub fn forget(&mut self, states: &[DroneState]) {
         self.oldest = 0;
         for list in self.states.chunks_exact_mut(states.len()) {
@@ -355,7 +355,7 @@ impl Memory {
         }
     }
 
-    /// Keeps the states of a physics step.
+    /// Stores the states of a physics step.
     pub fn note(&mut self, states: &[DroneState]) {
         if !self.states.is_empty() {
             let count = states.len();

@@ -5,44 +5,44 @@ use crate::error::OptionError;
 use crate::physics::{Effects, Physics};
 use crate::world::World;
 
-/// What can go wrong with a simulation.
+/// Error of a simulation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SimulationError {
-    /// An obstacle that cannot take an earlier one's place.
-    #[error("obstacle {index} has another shape than the one before")]
+    /// An obstacle whose shape differs from the one that it replaces.
+    #[error("obstacle {index} has another shape than the obstacle that it replaces")]
     Obstacle {
-        /// Its index.
+        /// Index of the obstacle.
         index: usize,
     },
-    /// Data or a snapshot of another model.
-    #[error("the data is of a simulation with another scene, airframe, physics, engine, rate or start")]
+    /// Data or a snapshot that belongs to another model.
+    #[error("the data belongs to a model with another scene, airframe, physics, engine, rate or initial state")]
     Model,
-    /// The failure of a simulation that was read from a file.
+    /// A failed simulation that was read from a file.
     #[error("{message}")]
     Stored {
-        /// What it was.
+        /// Message of the original error.
         message: String,
     },
-    /// Gravity out of its range.
+    /// Gravity out of range.
     #[error("gravity is {} m/s², expected a number within ±{}", crate::number(*got), World::MAX_GRAVITY)]
     Gravity {
-        /// What it is.
+        /// Gravity that was set, m/s².
         got: f64,
     },
-    /// An option of the wind or of the motors that is impossible.
+    /// An invalid option of the wind or the motors.
     #[error(transparent)]
     Option(#[from] OptionError),
-    /// An airframe that cannot fly.
+    /// Invalid parameters of an airframe.
     #[error("drone {drone}: {error}")]
     Drone {
         /// Index of the drone.
         drone: usize,
-        /// What is wrong with it.
+        /// Error of the airframe.
         #[source]
         error: DroneError,
     },
-    /// Rates that do not fit together.
+    /// Invalid physics and control rates.
     #[error(
         "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected a positive multiple of ctrl_freq up to {} Hz",
         Simulation::MAX_SIM_FREQ
@@ -56,17 +56,20 @@ pub enum SimulationError {
     /// A list of the wrong length.
     #[error("{what} has {}, expected one for each of {}", crate::count(*got, "entry"), crate::count(*expected, of))]
     Length {
-        /// Which list.
+        /// Name of the list.
         what: &'static str,
         /// Its length.
         got: usize,
-        /// Number of things that need one entry each.
+        /// Expected length.
         expected: usize,
-        /// Noun for a thing: `drone`.
+        /// Noun for what the list has one entry for: `drone`.
         of: &'static str,
     },
     /// An engine that contradicts the physics mode.
-    #[error("engine is {engine} and physics {physics}, which stands for {}; expected one of the two alone", engines(*physics))]
+    #[error(
+        "engine is {engine} and physics {physics}, which implies {}; expected only one of the two",
+        engines(*physics)
+    )]
     EngineOfPhysics {
         /// The engine.
         engine: EngineKind,
@@ -74,52 +77,55 @@ pub enum SimulationError {
         physics: Physics,
     },
     /// Aerodynamic effects that contradict the physics mode.
-    #[error("effects is {effects} and physics {physics}, which stands for {}; expected one of the two alone", physics.effects())]
+    #[error(
+        "effects is {effects} and physics {physics}, which implies {}; expected only one of the two",
+        physics.effects()
+    )]
     EffectsOfPhysics {
         /// The effects.
         effects: Effects,
         /// The physics mode.
         physics: Physics,
     },
-    /// No drones at all, or too many.
+    /// A number of drones out of range.
     #[error("num_drones is {got}, expected 1 to {}", Simulation::MAX_DRONES)]
     NumDrones {
-        /// How many.
+        /// Number of drones that was set.
         got: usize,
     },
-    /// A state that is not finite or out of MuJoCo's range.
-    #[error("the state of drone {drone} has a number that is not finite or not below 1e10, or no attitude")]
+    /// A state that is NaN, beyond MuJoCo's limit, or without a valid attitude.
+    #[error("the state of drone {drone} is invalid, expected finite numbers below 1e10 and a nonzero quaternion")]
     State {
         /// Index of the drone.
         drone: usize,
     },
-    /// The scene does not compile.
+    /// A scene that does not compile.
     #[error(transparent)]
     Build(#[from] BuildError),
-    /// A motor command that is not a number.
+    /// A motor command that is not finite.
     #[error("the command for motor {motor} of drone {drone} is {got} at t = {time} s, expected a finite speed in rpm")]
     Command {
         /// Index of the drone.
         drone: usize,
         /// Index of the motor.
         motor: usize,
-        /// What was commanded.
+        /// Commanded speed, rpm.
         got: f64,
         /// Simulated time, s.
         time: f64,
     },
-    /// The state left the range of numbers MuJoCo works with. [`Simulation::states`] still gives the last good one;
-    /// the simulation must be reset.
+    /// A state beyond MuJoCo's limit. [`Simulation::states`] returns the last valid states. The simulation must be
+    /// reset.
     #[error("drone {drone} diverged at t = {time} s: its {quantity} is not finite or too large")]
     Diverged {
         /// Index of the drone.
         drone: usize,
         /// Simulated time at the start of the physics step, s.
         time: f64,
-        /// What diverged: position, velocity or acceleration.
+        /// Quantity that diverged: position, velocity or acceleration.
         quantity: &'static str,
     },
-    /// MuJoCo raised an error; the simulation must be reset.
+    /// An error of MuJoCo. The simulation must be reset.
     #[error("at t = {time} s: {error}")]
     Engine {
         /// Simulated time, s.
@@ -129,7 +135,7 @@ pub enum SimulationError {
     },
 }
 
-/// Engines that a physics mode stands for.
+/// Returns the engines that a physics mode allows.
 fn engines(physics: Physics) -> &'static str {
     if physics.is_explicit() { "the explicit engine" } else { "mujoco or hybrid" }
 }

@@ -8,17 +8,18 @@ use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::wind::WindField;
 
 impl SimData {
-    /// Returns whether its drones can be advanced in lanes, without looking at them between physics steps.
+    /// Returns true if lanes can advance these drones for a whole control step.
     pub(crate) fn fits_lanes(&self) -> bool {
         self.wind.is_none() && self.memory.states.is_empty() && self.actuators.iter().all(Actuators::is_prompt)
     }
 
-    /// Returns whether all environments may share its parameters: nothing of them changes during a flight, and motors are exact.
+    /// Returns true if all environments can share these parameters: they stay constant in flight, and the motors
+    /// are exact.
     pub(crate) fn is_nominal(&self) -> bool {
         self.fits_lanes() && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
     }
 
-    /// Returns whether an environment with the other parameters flies as one with these.
+    /// Returns true if both environments have the same parameters and obstacles.
     pub(crate) fn has_parameters_of(&self, other: &Self) -> bool {
         self.is_nominal()
             && other.is_nominal()
@@ -27,7 +28,7 @@ impl SimData {
             && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params)
     }
 
-    /// Sets what is commanded to a drone (rpm), clipped, and returns the speeds that its rotors go to.
+    /// Clips and stores the command of a drone (rpm) and returns the target speeds of its rotors.
     #[inline]
     pub(crate) fn command(&mut self, drone: usize, command: &[f64; 4]) -> [f64; 4] {
         let speeds = command.map(|rpm| rpm.clamp(0.0, self.drones[drone].max_rpm));
@@ -35,9 +36,9 @@ impl SimData {
         self.actuators[drone].target(&speeds)
     }
 
-    /// Takes over an environment from a lane, after so many control steps: states, motor speeds, loads, and the warm start of MuJoCo's
-    /// solver where MuJoCo made its last step. Commands of an environment with exact motors are the speeds that its rotors go to; those of
-    /// others are here already.
+    /// Copies an environment from a lane after `control_steps` steps: states, motor speeds, loads, and, if MuJoCo
+    /// made the last step, the warm start of its solver. With exact motors, the commands are the rotors' target
+    /// speeds; otherwise the data has them already.
     #[inline]
     pub(crate) fn read_lane(
         &mut self,
@@ -65,7 +66,7 @@ impl SimData {
         }
     }
 
-    /// Returns the warm start of MuJoCo's solver, where there is one.
+    /// Returns the warm start of MuJoCo's solver, if it is valid.
     pub(crate) fn warm_start(&self) -> Option<&[f64]> {
         self.in_mujoco.then_some(&self.warm_start[..])
     }
@@ -87,7 +88,7 @@ impl SimData {
         }
     }
 
-    /// Returns whether a drone has room for so many physics steps among the obstacles, whatever its motors do.
+    /// Returns true if no drone can reach an obstacle in a control step, whatever its motors do.
     pub(crate) fn is_clear_of_obstacles(
         &self,
         model: &SimModel,
@@ -104,7 +105,7 @@ impl SimData {
         })
     }
 
-    /// Returns the bytes that it takes.
+    /// Returns the size in bytes.
     pub(crate) fn bytes(&self) -> usize {
         let texts: usize =
             self.drones.iter().map(|drone| drone.params.name.len() + drone.params.provenance.len()).sum();

@@ -1,7 +1,7 @@
-//! N drones in one world, and the step that moves them.
+//! Simulation of N drones in one world.
 //!
-//! [`SimModel`] holds what does not change, [`SimData`] what does, [`Workspace`] a thread's scratch memory, and [`step`] advances data by one
-//! control step. [`Simulation`] owns one of each.
+//! [`SimModel`] holds the constants, [`SimData`] the state, and [`Workspace`] the scratch memory of one thread.
+//! [`step`] advances data by one control step. [`Simulation`] owns one of each.
 
 mod builder;
 mod data;
@@ -53,9 +53,9 @@ pub struct Simulation {
     pub(crate) workspace: Workspace,
 }
 
-/// What of a state is not a number or larger than MuJoCo works with.
+/// Returns the name of a quantity of a state that is NaN or beyond MuJoCo's limit, if there is one.
 fn out_of_range(state: &DroneState) -> Option<&'static str> {
-    // MuJoCo's limit
+    // mjMAXVAL, from which on MuJoCo resets a state
     let bad = |x: &f64| x.is_nan() || x.abs() >= 1e10;
     if state.position.iter().chain(state.attitude.coords.iter()).any(bad) {
         Some("position")
@@ -67,43 +67,44 @@ fn out_of_range(state: &DroneState) -> Option<&'static str> {
 }
 
 impl Simulation {
-    /// Most drones in one world: MuJoCo's contact solver takes memory with the square of their number.
+    /// Maximum number of drones in one world. The memory of MuJoCo's contact solver grows with its square.
     pub const MAX_DRONES: usize = 256;
 
-    /// Highest physics rate, Hz.
+    /// Maximum physics rate, Hz.
     pub const MAX_SIM_FREQ: u32 = 1_000_000;
 
-    /// Options for drones of one airframe.
+    /// Creates a builder for drones of one airframe.
     pub fn builder(drone: impl Into<DroneParams>) -> SimulationBuilder {
         SimulationBuilder::new(drone.into())
     }
 
-    /// Advances by one control step under motor speeds (rpm), four per drone, clipped to [0, `MAX_RPM`].
+    /// Advances the simulation by one control step with four motor speeds (rpm) per drone, which it clips to [0,
+    /// `MAX_RPM`].
     ///
     /// # Errors
-    /// [`SimulationError::Command`] and [`Length`](SimulationError::Length) before anything has moved;
-    /// [`Diverged`](SimulationError::Diverged) and [`Engine`](SimulationError::Engine), which every further step
-    /// returns again until the simulation is reset.
+    /// [`SimulationError::Command`] and [`Length`](SimulationError::Length): the simulation has not advanced.
+    /// [`Diverged`](SimulationError::Diverged) and [`Engine`](SimulationError::Engine): every further step returns
+    /// the same error until the simulation is reset.
     pub fn step(&mut self, commands: &[[f64; 4]]) -> Result<(), SimulationError> {
         step(&self.model, &mut self.workspace, &mut self.data, commands)
     }
 
-    /// Returns what the simulation is made of that does not change.
+    /// Returns the model, which holds the constants.
     pub fn model(&self) -> &Arc<SimModel> {
         &self.model
     }
 
-    /// Returns everything that changes. A clone of it is a [`snapshot`](Self::snapshot).
+    /// Returns the data, which holds the state. A clone of it is a [`snapshot`](Self::snapshot).
     pub fn data(&self) -> &SimData {
         &self.data
     }
 
-    /// Returns read access, as tasks have it.
+    /// Returns read access, in the form that tasks get.
     pub fn view(&self) -> SimView<'_> {
         SimView::new(&self.model, &self.data)
     }
 
-    /// Returns a copy of everything that changes: states, motors, wind, memory of sensors, parameters, obstacles, time.
+    /// Returns a copy of the data: states, motors, wind, sensor delays, parameters, obstacles, time.
     ///
     /// ```
     /// use aviary::drone::DroneModel;
@@ -123,13 +124,14 @@ impl Simulation {
         self.data.clone()
     }
 
-    /// Goes back to a snapshot of this simulation, or of another one of an equal model: the same scene, airframes, physics, engine,
-    /// rates and starts. The flight from there on is bit-identical to that from the snapshot.
+    /// Restores a snapshot of this simulation, or of one with an equal model: the same scene, airframes, physics,
+    /// engine, rates and initial states. The trajectory from there on is bit-identical to the trajectory after the
+    /// snapshot.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] for a snapshot of another number of drones or obstacles or of more markers,
-    /// [`SimulationError::Obstacle`] for one with another shape, [`SimulationError::Model`] for one of another model otherwise; and
-    /// then nothing has changed.
+    /// [`SimulationError::Length`] if the number of drones or obstacles differs, or if the snapshot has more
+    /// markers. [`SimulationError::Obstacle`] if the shape of an obstacle differs. [`SimulationError::Model`] for
+    /// any other difference between the models. The simulation is unchanged after an error.
     pub fn restore(&mut self, snapshot: &SimData) -> Result<(), SimulationError> {
         let (got, expected) = (snapshot.states.len(), self.data.states.len());
         if got != expected {
@@ -161,282 +163,287 @@ impl Simulation {
             return Err(SimulationError::Model);
         }
         self.data.copy_from(snapshot);
-        // what was read from a file has nothing that follows from parameters
+        // deserialized data lacks the quantities that are derived from parameters
         self.data.refresh(&self.model);
         Ok(())
     }
 
-    /// Back to the initial states, time 0, no command given; slow motors turn at hover speed.
+    /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
     ///
     /// # Errors
-    /// [`SimulationError::Engine`] where MuJoCo cannot recover from an earlier error.
+    /// [`SimulationError::Engine`] if MuJoCo cannot recover from an earlier error.
     pub fn reset(&mut self) -> Result<(), SimulationError> {
         self.data.reset(&self.model);
         self.workspace.load(&self.model, &self.data)
     }
 
-    /// Starts anew from these states.
+    /// Resets to the given states; otherwise like [`reset`](Self::reset).
     ///
     /// # Errors
-    /// [`SimulationError::Length`] and [`SimulationError::State`], and then nothing has changed; what
-    /// [`reset`](Self::reset) has.
+    /// [`SimulationError::Length`] and [`SimulationError::State`]: the simulation is unchanged.
+    /// [`SimulationError::Engine`] as for [`reset`](Self::reset).
     pub fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
         self.data.reset_to(states)?;
         self.workspace.load(&self.model, &self.data)
     }
 
-    /// Changes the airframe of a drone, from the next step on: the simulated body, its rotors and what the air does to it.
-    /// Motors stay as fast as those of the airframe it was built with, and the size that it collides with stays, too.
+    /// Replaces the airframe of a drone, from the next step on: mass, inertia, rotors and aerodynamic coefficients.
+    /// The maximum motor speed and the collision cylinder stay those of the airframe that the drone was built with.
     ///
     /// # Errors
-    /// [`SimulationError::Drone`] for parameters that no body has, and then nothing has changed.
+    /// [`SimulationError::Drone`] for invalid parameters; the simulation is unchanged.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn set_airframe(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
         self.data.set_params(drone, params)
     }
 
-    /// Changes how the motors of a drone answer; they start anew.
+    /// Replaces the motor parameters of a drone and resets its motors.
     ///
     /// # Errors
-    /// [`SimulationError::Actuators`] naming a setting that is impossible.
+    /// [`SimulationError::Option`] naming an invalid setting.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn set_actuators(&mut self, drone: usize, actuators: &ActuatorParams) -> Result<(), SimulationError> {
         self.data.set_actuators(&self.model, drone, actuators)
     }
 
-    /// Other obstacles in place of those there are, of the same shapes in the same order (in other places, of other sizes),
-    /// from the next step on.
+    /// Replaces the obstacles by others of the same shapes in the same order, from the next step on. Positions,
+    /// orientations and sizes may differ.
     ///
     /// # Errors
-    /// [`SimulationError::Length`] for another number of them, [`SimulationError::Obstacle`] for another shape,
-    /// [`SimulationError::Build`] for a number out of its range; and then nothing has changed. [`SimulationError::Engine`] where
-    /// MuJoCo cannot copy the scene.
+    /// [`SimulationError::Length`] if their number differs, [`SimulationError::Obstacle`] if a shape differs,
+    /// [`SimulationError::Build`] for a number out of range; the simulation is unchanged. If MuJoCo cannot copy the
+    /// scene, the next step returns [`SimulationError::Engine`].
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
         self.data.set_obstacles(&self.model, obstacles)
     }
 
-    /// Changes gravity (m/s², downwards), from the next step on.
+    /// Sets gravity (m/s², downwards), from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Gravity`] for what is not a number.
+    /// [`SimulationError::Gravity`] for NaN or a value out of range.
     pub fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
         self.data.set_gravity(gravity)
     }
 
-    /// Longest time that states are remembered, s.
+    /// Maximum delay of the [`remembered`](Self::remembered) states, s.
     pub const MAX_MEMORY: f64 = 1.0;
 
-    /// Remembers the states of so many seconds, in whole physics steps and up to [`MAX_MEMORY`](Self::MAX_MEMORY), for [`remembered`](Self::remembered).
+    /// Sets the delay of the [`remembered`](Self::remembered) states, s, rounded to whole physics steps and clipped
+    /// to [`MAX_MEMORY`](Self::MAX_MEMORY).
     pub fn remember(&mut self, seconds: f64) {
         self.data.remember(&self.model, seconds);
     }
 
-    /// The states as they were the [remembered](Self::remember) time ago; those of the start while there was none.
+    /// Returns the states as they were one [delay](Self::remember) ago. Until that much time has passed, returns
+    /// the states of the last reset or of the last call of [`remember`](Self::remember).
     pub fn remembered(&self) -> &[DroneState] {
         self.data.remembered()
     }
 
-    /// Changes the wind, from now on; `None` for still air, which [calm](WindConfig::is_calm) settings are as well. The wind
-    /// starts again from this seed.
+    /// Sets the wind from now on and restarts it from a seed. `None` and [calm](WindConfig::is_calm) settings are
+    /// still air.
     ///
     /// # Errors
-    /// [`SimulationError::Wind`], and then nothing has changed.
+    /// [`SimulationError::Option`] naming an invalid setting; the simulation is unchanged.
     pub fn set_wind(&mut self, wind: impl Into<Option<WindConfig>>, seed: u64) -> Result<(), SimulationError> {
         self.data.set_wind(wind.into(), seed)
     }
 
-    /// Restarts the wind from a seed, which a reset by itself does not.
+    /// Restarts the wind from a seed. [`reset`](Self::reset) does not restart it.
     pub fn reset_wind(&mut self, seed: u64) {
         self.data.reset_wind(seed);
     }
 
-    /// Distance of a drone's middle from the nearest obstacle's surface, m; negative inside, infinite where there is none.
+    /// Returns the distance from a drone's centre to the nearest obstacle's surface, m: negative inside, infinite
+    /// without obstacles.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn obstacle_distance(&self, drone: usize) -> f64 {
         self.view().obstacle_distance(drone)
     }
 
-    /// How the motors of a drone answer.
+    /// Returns the motor parameters of a drone.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn actuator_params(&self, drone: usize) -> &ActuatorParams {
         self.view().actuator_params(drone)
     }
 
-    /// The wind; `None` in still air.
+    /// Returns the wind; `None` in still air.
     pub fn wind(&self) -> Option<&WindConfig> {
         self.view().wind()
     }
 
-    /// Gravity, downwards, m/s².
+    /// Returns gravity, downwards, m/s².
     pub fn gravity(&self) -> f64 {
         self.view().gravity()
     }
 
-    /// The seed that the wind started from last.
+    /// Returns the seed of the last start of the wind.
     pub fn wind_seed(&self) -> u64 {
         self.view().wind_seed()
     }
 
-    /// How many drones there are.
+    /// Returns the number of drones.
     pub fn num_drones(&self) -> usize {
         self.view().num_drones()
     }
 
-    /// The airframe of a drone.
+    /// Returns the parameters of a drone's airframe.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn params(&self, drone: usize) -> &DroneParams {
         self.view().params(drone)
     }
 
-    /// States of all drones, in order.
+    /// Returns the states of all drones, in order.
     pub fn states(&self) -> &[DroneState] {
         self.view().states()
     }
 
-    /// Roll, pitch and yaw of a drone, rad: intrinsic z-y'-x''.
+    /// Returns roll, pitch and yaw of a drone, rad: intrinsic z-y'-x''.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     #[inline]
     pub fn rpy(&self, drone: usize) -> &Vector3<f64> {
         self.view().rpy(drone)
     }
 
-    /// A drone's state as tasks show it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units and frames as in
-    /// [`DroneState`].
+    /// Returns a drone's state as tasks observe it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units
+    /// and frames as in [`DroneState`].
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     #[inline]
     pub fn state_vector(&self, drone: usize) -> [f64; 12] {
         self.view().state_vector(drone)
     }
 
-    /// States that a reset goes back to.
+    /// Returns the states that [`reset`](Self::reset) restores.
     pub fn initial_states(&self) -> &[DroneState] {
         self.view().initial_states()
     }
 
-    /// Speeds at which the rotors of a drone turn, rpm: the commanded ones, unless the motors are slow or inexact.
+    /// Returns the rotor speeds of a drone, rpm: the commanded ones, unless the motors have lag, latency, gains or
+    /// saturation.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn rotor_speeds(&self, drone: usize) -> &[f64; 4] {
         self.view().rotor_speeds(drone)
     }
 
-    /// Motor speeds commanded to all drones during the last control step, rpm.
+    /// Returns the motor speeds commanded to all drones during the last control step, rpm.
     pub fn motor_speeds(&self) -> &[[f64; 4]] {
         self.view().motor_speeds()
     }
 
-    /// What was touched during the last control step: each pair of drone and thing once.
+    /// Returns the contacts of the last control step. Each pair of a drone and a touched object occurs once.
     pub fn contacts(&self) -> &[Contact] {
         self.view().contacts()
     }
 
-    /// Simulated time, s.
+    /// Returns the simulated time, s.
     pub fn time(&self) -> f64 {
         self.view().time()
     }
 
-    /// Control steps since the last reset.
+    /// Returns the number of control steps since the last reset.
     pub fn control_steps(&self) -> u64 {
         self.view().control_steps()
     }
 
-    /// Physics rate, Hz.
+    /// Returns the physics rate, Hz.
     pub fn sim_freq(&self) -> u32 {
         self.view().sim_freq()
     }
 
-    /// Control rate, Hz.
+    /// Returns the control rate, Hz.
     pub fn ctrl_freq(&self) -> u32 {
         self.view().ctrl_freq()
     }
 
-    /// Length of a control step, s.
+    /// Returns the length of a control step, s.
     pub fn control_period(&self) -> f64 {
         self.view().control_period()
     }
 
-    /// Physics steps in a control step.
+    /// Returns the number of physics steps in a control step.
     pub fn substeps(&self) -> u32 {
         self.view().substeps()
     }
 
-    /// Returns the scene as it was built; [`obstacles`](Self::obstacles) and [`markers`](Self::markers) are where they are now.
+    /// Returns the scene as it was built. [`obstacles`](Self::obstacles) and [`markers`](Self::markers) return
+    /// present poses.
     pub fn world(&self) -> &World {
         self.model.world()
     }
 
-    /// Returns the obstacles as they are now.
+    /// Returns the obstacles at their present poses.
     pub fn obstacles(&self) -> &[Obstacle] {
         self.view().obstacles()
     }
 
-    /// Returns the markers as they are now.
+    /// Returns the markers at their present poses.
     pub fn markers(&self) -> Vec<Marker> {
         self.view().markers()
     }
 
-    /// Returns the scene as it is now.
+    /// Returns the scene with obstacles and markers at their present poses.
     pub fn scene(&self) -> World {
         self.view().scene()
     }
 
-    /// Returns the physics mode of the engine and the effects, if the paper names one.
+    /// Returns the paper's physics mode with this engine and these effects, if there is one.
     pub fn physics(&self) -> Option<Physics> {
         self.view().physics()
     }
 
-    /// The aerodynamic effects that act.
+    /// Returns the aerodynamic effects that are on.
     pub fn effects(&self) -> Effects {
         self.view().effects()
     }
 
-    /// What acted on every drone during the last physics step.
+    /// Returns the forces and torques on every drone during the last physics step.
     pub fn loads(&self) -> &[Load] {
         self.view().loads()
     }
 
-    /// Returns what the last reset started from, which a task or a randomization may have changed.
+    /// Returns the states that the last reset started from, after changes by the task and by randomization.
     pub(crate) fn started_from(&self) -> &[DroneState] {
         self.view().started_from()
     }
 
-    /// How many physics steps of this world each engine did.
+    /// Returns the number of physics steps that each engine has made in this world.
     pub fn engine_substeps(&self) -> Substeps {
         self.workspace.engine().substeps()
     }
 
-    /// The engine, for experts.
+    /// Returns the engine, for diagnostics.
     pub fn engine(&self) -> &Engine {
         self.workspace.engine()
     }
 
-    /// MuJoCo's data, with `qpos` and `qvel` as the drones are now. What `mj_step` derives from them (`xpos`, contacts) is
-    /// that of its last stage; where it was not MuJoCo that moved the drones (the `dyn` mode, the hybrid engine in flight), they are
-    /// written there first and everything is computed forward.
+    /// Returns MuJoCo's data, with the present states in `qpos` and `qvel`. Quantities that `mj_step` derives from
+    /// them (`xpos`, contacts) are those of its last stage. If MuJoCo did not make the last step (in the `dyn`
+    /// mode, and in free flight of the hybrid engine), this function writes the states and calls `mj_forward`.
     ///
     /// # Errors
-    /// MuJoCo's own, where it cannot copy a shared model or compute forward.
+    /// MuJoCo's error if it cannot copy a shared model or compute forward.
     pub fn mujoco(&mut self) -> Result<&mujoco_rs::Data, mujoco_rs::Error> {
         self.workspace.mujoco(&self.model, &mut self.data)
     }
 
-    /// Which drones are within a neighbourhood: row i, column j of an N × N matrix is whether drones i and j are at
-    /// most `radius` metres apart. No drone is its own neighbour.
+    /// Writes the N × N adjacency matrix: row i, column j is true if drones i and j are at most `radius` metres
+    /// apart. The diagonal is false.
     ///
     /// # Panics
     /// If `out` does not have N² entries.
@@ -444,10 +451,10 @@ impl Simulation {
         self.view().adjacency(radius, out);
     }
 
-    /// Distance of a drone from a point (world frame, m).
+    /// Returns the distance of a drone from a point (world frame), m.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn distance(&self, drone: usize, point: &Vector3<f64>) -> f64 {
         self.view().distance(drone, point)
     }

@@ -8,9 +8,9 @@ use crate::state::DroneState;
 use crate::world::placement::{self, CollisionCylinder};
 use crate::world::{Obstacle, World};
 
-/// Everything of a simulation that does not change: scene, nominal airframes, effects, rates, initial states.
+/// Constants of a simulation: scene, nominal airframes, effects, rates, initial states.
 ///
-/// All environments of a batch share one. What changes is in [`SimData`]; [`step`](super::step) advances it.
+/// All environments of a batch share one model. [`SimData`] holds the state, and [`step`](super::step) advances it.
 #[derive(Debug)]
 pub struct SimModel {
     pub(super) world: World,
@@ -20,35 +20,35 @@ pub struct SimModel {
     pub(super) ctrl_freq: u32,
     pub(super) initial: Vec<DroneState>,
     pub(super) actuators: ActuatorParams,
-    /// Of all of the above: snapshots are of models with the same one.
+    /// Hash of all other fields; a snapshot fits models with the same hash.
     pub(super) fingerprint: Fingerprint,
 }
 
 impl SimModel {
-    /// Returns the model with the fingerprint of what it is made of. Models of equal configurations have equal ones.
+    /// Returns the model with the fingerprint of its fields. Equal configurations have equal fingerprints.
     pub(super) fn with_fingerprint(self) -> Self {
-        // doubles as text are the shortest that read back to the same bits
+        // `{:?}` writes the shortest decimal that reads back as the same double
         let Self { world, effects, engine, sim_freq, ctrl_freq, initial, actuators, .. } = &self;
         let parts = (world, effects, engine, sim_freq, ctrl_freq, initial, actuators);
         Self { fingerprint: Fingerprint::of(format_args!("{parts:?}")), ..self }
     }
 
-    /// Returns the scene as it was built. Obstacles and markers that have moved since are in [`SimData`].
+    /// Returns the scene as it was built. [`SimData`] holds the present poses of obstacles and markers.
     pub fn world(&self) -> &World {
         &self.world
     }
 
-    /// Returns the physics mode of the engine and the effects, if the paper names one.
+    /// Returns the paper's physics mode with this engine and these effects, if there is one.
     pub fn physics(&self) -> Option<Physics> {
         Physics::of(self.effects, self.engine == EngineKind::Explicit)
     }
 
-    /// Returns the kind of the engine.
+    /// Returns the kind of engine.
     pub fn engine_kind(&self) -> EngineKind {
         self.engine
     }
 
-    /// Returns the aerodynamic effects.
+    /// Returns the aerodynamic effects that are on.
     pub fn effects(&self) -> Effects {
         self.effects
     }
@@ -73,7 +73,7 @@ impl SimModel {
         self.sim_freq / self.ctrl_freq
     }
 
-    /// Returns the states that a reset goes back to.
+    /// Returns the states that a reset restores.
     pub fn initial_states(&self) -> &[DroneState] {
         &self.initial
     }
@@ -83,12 +83,12 @@ impl SimModel {
         self.initial.len()
     }
 
-    /// Returns the parameters of an airframe before randomization.
+    /// Returns the parameters of a drone's airframe before randomization.
     pub(crate) fn nominal_params(&self, drone: usize) -> &DroneParams {
         &self.world.drones[drone].params
     }
 
-    /// Returns the data of a simulation at its initial states, in still air.
+    /// Creates the data of a simulation at its initial states, in still air.
     pub fn data(&self) -> SimData {
         SimData::new(self)
     }
@@ -96,7 +96,7 @@ impl SimModel {
     /// Compiles the scene into the scratch memory of one thread.
     ///
     /// # Errors
-    /// [`BuildError`] with what the scene or MuJoCo objects to.
+    /// [`BuildError`] if the scene is invalid or MuJoCo cannot compile it.
     pub fn workspace(&self) -> Result<Workspace, BuildError> {
         let engine = match self.engine {
             EngineKind::Mujoco => Engine::Mujoco(MujocoEngine::new(&self.world)?),
@@ -106,7 +106,7 @@ impl SimModel {
         Ok(Workspace::new(self, engine))
     }
 
-    /// Returns whether drones in these states are neither in the floor nor in each other nor in one of the obstacles.
+    /// Returns true if drones in these states overlap neither the floor, nor each other, nor one of the obstacles.
     pub(crate) fn has_room(&self, states: &[DroneState], obstacles: &[Obstacle]) -> bool {
         placement::have_room(|drone| CollisionCylinder::from(self.nominal_params(drone)), states, obstacles)
     }

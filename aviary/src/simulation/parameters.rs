@@ -1,4 +1,4 @@
-//! Parameters of one environment's data: what may change, and what engines derive from it.
+//! Parameters of one environment, and the quantities that engines derive from them.
 
 use super::data::Drone;
 use super::{SimData, SimModel, SimulationError};
@@ -15,7 +15,7 @@ use crate::world::World;
 use crate::world::placement::CollisionCylinder;
 
 impl SimData {
-    /// Updates what the engines derive from parameters, where parameters have changed: bodies, and how far they can come.
+    /// Updates bodies and reach bounds if parameters have changed.
     pub(crate) fn refresh(&mut self, model: &SimModel) {
         if !std::mem::take(&mut self.changed) {
             return;
@@ -42,7 +42,7 @@ impl SimData {
                 force += wakes;
             }
             if self.wind.is_some() {
-                // gusts have no bound that is worth anything
+                // the force of a gust has no useful bound
                 force = f64::INFINITY;
             }
             let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
@@ -57,21 +57,21 @@ impl SimData {
         self.bodies.drones.clear();
         self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
         for (body, drone) in self.bodies.drones.iter_mut().zip(&world.drones) {
-            // the size that it collides with is always that of the scene
+            // collision cylinders always keep the size that the scene was built with
             let reach = CollisionCylinder::from(&drone.params).bounding_radius();
             body.reach_bound = body.reach_bound.reaching(reach);
         }
     }
 
-    /// Changes the parameters of a drone's airframe. What is not one is an error, and there all the same.
+    /// Changes the parameters of a drone's airframe. Invalid parameters are an error and stay in place.
     pub(super) fn change(&mut self, drone: usize, change: impl FnOnce(&mut DroneParams)) -> Result<(), DroneError> {
         let own = &mut self.drones[drone];
         change(&mut own.params);
         let params = &mut own.params;
-        // one that can no longer hover is still a body
+        // randomized parameters may have a thrust-to-weight ratio below 1
         let ratio = params.thrust_to_weight;
         params.thrust_to_weight = ratio.max(1.0);
-        let sound = params.validate();
+        let result = params.validate();
         params.thrust_to_weight = ratio;
         (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
         self.wakes[drone] = Wake::new(&own.params);
@@ -79,13 +79,13 @@ impl SimData {
             wind.set_area(drone, own.params.drag_area());
         }
         self.changed = true;
-        sound
+        result
     }
 
     /// Changes the parameters of a drone's airframe, from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Drone`] for parameters that no body has; they are there then.
+    /// [`SimulationError::Drone`] for invalid parameters, which stay in place.
     pub(crate) fn change_params(
         &mut self,
         drone: usize,
@@ -97,21 +97,21 @@ impl SimData {
     /// Replaces the parameters of a drone's airframe, from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Drone`] for parameters that no body has, and then nothing has changed.
+    /// [`SimulationError::Drone`] for invalid parameters; the data is unchanged.
     pub(crate) fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
         let before = self.drones[drone].params.clone();
         if let Err(error) = self.change(drone, |own| *own = params) {
-            // it was valid before
+            // the previous parameters were valid
             let _ = self.change(drone, |own| *own = before);
             return Err(SimulationError::Drone { drone, error });
         }
         Ok(())
     }
 
-    /// Changes how the motors of a drone answer; they start at rest.
+    /// Replaces the motor parameters of a drone and resets its motors.
     ///
     /// # Errors
-    /// [`SimulationError::Actuators`] naming a setting that is impossible.
+    /// [`SimulationError::Option`] naming an invalid setting.
     pub(crate) fn set_actuators(
         &mut self,
         model: &SimModel,
@@ -120,13 +120,14 @@ impl SimData {
     ) -> Result<(), SimulationError> {
         actuators.validate()?;
         self.drones[drone].actuators = *actuators;
-        // motors are those of the airframe it was built with
+        // the motors stay those of the airframe that the drone was built with
         self.actuators[drone].set(model.nominal_params(drone), actuators, model.world.timestep);
         self.changed = true;
         Ok(())
     }
 
-    /// Allocates for motors of this latency (s) and sensors of that one, so that later changes up to them need no memory.
+    /// Reserves memory for these latencies (s) of motors and sensors, so that later changes up to them do not
+    /// allocate.
     pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
         let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
         let (motors, states) = (steps(motors), self.states.len() * steps(sensors));
@@ -134,10 +135,10 @@ impl SimData {
         self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
     }
 
-    /// Changes gravity (m/s², downwards), from the next step on.
+    /// Sets gravity (m/s², downwards), from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Gravity`] for what is not a number in range.
+    /// [`SimulationError::Gravity`] for NaN or a value out of range.
     pub(crate) fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
         if !(-World::MAX_GRAVITY..=World::MAX_GRAVITY).contains(&gravity) {
             return Err(SimulationError::Gravity { got: gravity });
@@ -147,10 +148,10 @@ impl SimData {
         Ok(())
     }
 
-    /// Changes the wind, which starts again from this seed; `None` for still air.
+    /// Sets the wind and restarts it from a seed; `None` for still air.
     ///
     /// # Errors
-    /// [`SimulationError::Wind`], and then nothing has changed.
+    /// [`SimulationError::Option`] naming an invalid setting; the data is unchanged.
     pub(crate) fn set_wind(&mut self, wind: Option<WindConfig>, seed: u64) -> Result<(), SimulationError> {
         let areas = self.drones.iter().map(|drone| drone.params.drag_area());
         if let Some(wind) = &wind {
@@ -166,7 +167,7 @@ impl SimData {
         Ok(())
     }
 
-    /// Starts the wind again from a seed.
+    /// Restarts the wind from a seed.
     pub(crate) fn reset_wind(&mut self, seed: u64) {
         self.wind_seed = seed;
         if let Some(wind) = &mut self.wind {
@@ -174,7 +175,7 @@ impl SimData {
         }
     }
 
-    /// A drone for the flight kernel's lanes.
+    /// Returns the parameters of a drone for the lanes of the flight kernel.
     pub(crate) fn airframe(&self, drone: usize, effects: Effects) -> Airframe {
         let Drone { params, rotors, ground, .. } = &self.drones[drone];
         Airframe {

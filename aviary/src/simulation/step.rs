@@ -8,7 +8,8 @@ use crate::state::DroneState;
 
 /// Scratch memory of one thread: the engine with MuJoCo's `mjData`, and buffers.
 ///
-/// It keeps nothing of an environment that [`SimData`] has not: any data of the same model can be stepped in it, in any order.
+/// A workspace keeps no state of an environment that [`SimData`] lacks. It can step any data of its model, in any
+/// order.
 #[derive(Debug)]
 pub struct Workspace {
     pub(super) engine: Engine,
@@ -39,7 +40,7 @@ impl Workspace {
         &self.engine
     }
 
-    /// Puts data into the engine, unless it is there already from the step before.
+    /// Loads data into the engine, unless the engine still has it from the last step.
     pub(super) fn load(&mut self, model: &SimModel, data: &SimData) -> Result<(), SimulationError> {
         let time = || data.control_steps as f64 / f64::from(model.ctrl_freq);
         let failure = |error| SimulationError::Engine { time: time(), error };
@@ -57,21 +58,21 @@ impl Workspace {
         self.engine.resume(&data.states, data.warm_start()).map_err(failure)
     }
 
-    /// Keeps in the data what the engine has of its state.
+    /// Saves the engine's part of the state in the data.
     fn leave(&mut self, data: &mut SimData) {
         data.in_mujoco = self.engine.leave(&mut data.warm_start);
         data.stamp = unique();
         self.stamp = data.stamp;
     }
 
-    /// Returns MuJoCo's data with the drones where they are, see [`Simulation::mujoco`](super::Simulation::mujoco).
+    /// Returns MuJoCo's data with the present states, see [`Simulation::mujoco`](super::Simulation::mujoco).
     pub(super) fn mujoco(
         &mut self,
         model: &SimModel,
         data: &mut SimData,
     ) -> Result<&mujoco_rs::Data, mujoco_rs::Error> {
         data.refresh(model);
-        // loading has no other errors
+        // `load` returns no other error
         if let Err(SimulationError::Engine { error, .. }) = self.load(model, data) {
             return Err(error);
         }
@@ -79,16 +80,15 @@ impl Workspace {
     }
 }
 
-/// Advances a simulation by one control step under motor speeds (rpm), four per drone, clipped to [0, `MAX_RPM`].
+/// Advances data by one control step with four motor speeds (rpm) per drone, which it clips to [0, `MAX_RPM`].
 ///
-/// In every physics step the motors advance, the air moves, forces and torques are computed from the states at its start, and the engine
-/// integrates.
+/// Every physics step advances the motors and the wind, computes forces and torques from the states at its start,
+/// and lets the engine integrate.
 ///
 /// # Errors
 /// [`SimulationError::Model`] for data of another model, [`Command`](SimulationError::Command) and
-/// [`Length`](SimulationError::Length) before anything has moved;
-/// [`Diverged`](SimulationError::Diverged) and [`Engine`](SimulationError::Engine), which every further step returns again until the
-/// data is reset.
+/// [`Length`](SimulationError::Length): the data has not advanced. [`Diverged`](SimulationError::Diverged) and
+/// [`Engine`](SimulationError::Engine): every further step returns the same error until the data is reset.
 pub fn step(
     model: &SimModel,
     workspace: &mut Workspace,
@@ -132,10 +132,10 @@ pub fn step(
     Ok(())
 }
 
-/// Advances the motors by one physics step and computes what acts on every drone, from the states at its start.
+/// Advances the motors by one physics step and computes the load of every drone from the states at its start.
 fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData) {
     let (effects, dt) = (model.effects, model.world.timestep);
-    // the engine's medium is still
+    // MuJoCo's fluid forces assume that the medium is at rest
     let medium = model.world.medium.is_some() && model.engine != EngineKind::Explicit;
     let SimData { states, loads, drones, actuators, wakes, bodies, wind, motor_speeds, .. } = data;
     if effects.downwash {
@@ -165,7 +165,7 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
     }
 }
 
-/// Checks the states after a physics step. On an error they become those before it.
+/// Checks the states after a physics step, and restores the previous ones on an error.
 fn check_states(
     model: &SimModel,
     workspace: &mut Workspace,
@@ -173,9 +173,9 @@ fn check_states(
     substep: u32,
     advanced: Result<(), mujoco_rs::Error>,
 ) -> Result<(), SimulationError> {
-    // MuJoCo itself would say only at the next step that a state has left the range of numbers
-    let lost = data.states.iter().enumerate().find_map(|(drone, state)| Some((drone, out_of_range(state)?)));
-    let error = match (advanced, lost) {
+    // MuJoCo would notice a state beyond its limit only in the next step
+    let diverged = data.states.iter().enumerate().find_map(|(drone, state)| Some((drone, out_of_range(state)?)));
+    let error = match (advanced, diverged) {
         (Err(error), _) => {
             data.states.copy_from_slice(&workspace.previous);
             fail(model, workspace, data, substep, error)
@@ -200,7 +200,7 @@ fn note_contacts(workspace: &Workspace, data: &mut SimData) {
     });
 }
 
-/// Marks the data as failed, and the engine's state as none of a sound flight.
+/// Marks the data as failed and invalidates the state in the engine.
 fn keep_failure(workspace: &mut Workspace, data: &mut SimData, error: SimulationError) -> SimulationError {
     (workspace.stamp, data.stamp, data.in_mujoco) = (0, 0, false);
     data.failed = Some(error.clone());

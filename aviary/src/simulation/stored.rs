@@ -1,4 +1,4 @@
-//! [`SimData`] in files: what cannot be derived from it again, validated when it is read.
+//! Serialization of [`SimData`]: stores what cannot be derived, and validates it on reading.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -16,7 +16,8 @@ use crate::serial::{Extended, Fingerprint};
 use crate::state::DroneState;
 use crate::world::{MarkerPose, Obstacle, World};
 
-/// [`SimData`] as it is serialized. Rotors, wakes, bodies and angles follow from the rest; marks of workspaces are given anew.
+/// Serialized form of [`SimData`]. Reading recomputes rotors, wakes, bodies and angles, and assigns new workspace
+/// marks.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -26,15 +27,15 @@ struct Stored {
     started: Vec<DroneState>,
     drones: Vec<StoredDrone>,
     motor_speeds: Vec<[f64; 4]>,
-    /// Thrust, torque of the rotors in the body frame, other forces and torques in the world frame. They overflow where a flight
-    /// diverges.
+    /// Thrust and torque of the rotors in the body frame, other forces and torques in the world frame. They
+    /// overflow if a simulation diverges.
     loads: Vec<[Extended; 10]>,
     contacts: Vec<Contact>,
     failed: Option<String>,
     gravity: f64,
     wind: Option<WindField>,
     wind_seed: u64,
-    /// States of earlier physics steps, oldest first, those of each step together.
+    /// States of earlier physics steps, oldest first, grouped by step.
     memory: Vec<DroneState>,
     obstacles: Option<Vec<Obstacle>>,
     obstacle_drift: f64,
@@ -142,7 +143,7 @@ impl TryFrom<Stored> for SimData {
             memory: Memory { states: stored.memory, oldest: 0 },
             motor_speeds: stored.motor_speeds,
             changed: true,
-            // no workspace has these
+            // no workspace has loaded these obstacles
             obstacle_revision: if stored.obstacles.is_some() { unique() } else { 0 },
             stamp: 0,
             obstacles: stored.obstacles.map(Into::into),
@@ -156,7 +157,7 @@ impl TryFrom<Stored> for SimData {
 }
 
 impl Stored {
-    /// Returns an error unless the parts fit each other and every number is one that a simulation can have.
+    /// Returns an error unless the fields are consistent and every number is in its range.
     fn validate(&self) -> Result<(), String> {
         let count = self.states.len();
         if !(1..=Simulation::MAX_DRONES).contains(&count) {
@@ -182,19 +183,19 @@ impl Stored {
         let is_invalid =
             |state: &DroneState| out_of_range(state).is_some() || state.attitude.coords.norm_squared() <= 1e-6;
         if self.states.iter().chain(&self.started).chain(&self.memory).any(is_invalid) {
-            return Err("a state has a number that is not finite or not below 1e10, or no attitude".into());
+            return Err("a state is invalid, expected finite numbers below 1e10 and a nonzero quaternion".into());
         }
         for (index, drone) in self.drones.iter().enumerate() {
             drone.validate().map_err(|error| format!("drone {index}: {error}"))?;
         }
         let numbers = self.motor_speeds.iter().flatten().chain(self.warm_start.iter().flatten());
         if let Some(x) = numbers.chain([&self.gravity, &self.obstacle_drift]).find(|x| !x.is_finite()) {
-            return Err(format!("a number is {x}, expected finite ones"));
+            return Err(format!("a number is {x}, expected finite numbers"));
         }
         if self.gravity.abs() > World::MAX_GRAVITY {
             return Err(SimulationError::Gravity { got: self.gravity }.to_string());
         }
-        // a simulated age of the universe in microseconds
+        // later steps cannot overflow the counter
         if self.control_steps > 1 << 60 {
             return Err(format!("`control_steps` is {}, expected fewer than 2^60", self.control_steps));
         }
@@ -203,7 +204,7 @@ impl Stored {
             contact.drone.max(other) >= count
         };
         if let Some(contact) = self.contacts.iter().find(|contact| is_unknown(contact)) {
-            return Err(format!("the contact {contact:?} is of a drone that is not there"));
+            return Err(format!("the contact {contact:?} refers to a missing drone, expected indices below {count}"));
         }
         for (index, obstacle) in self.obstacles.iter().flatten().enumerate() {
             obstacle.validate(&format!("obstacle {index}")).map_err(|error| error.to_string())?;
@@ -211,7 +212,7 @@ impl Stored {
         for (index, pose) in &self.markers {
             if *index > u32::MAX as usize || pose.position.iter().chain(&pose.rpy).any(|x| x.is_nan() || x.abs() > 1e6)
             {
-                return Err(format!("marker {index} has a pose that is not finite or not within 1e6"));
+                return Err(format!("marker {index} is out of range, expected a pose of finite numbers up to 1e6"));
             }
         }
         Ok(())
@@ -220,12 +221,12 @@ impl Stored {
 
 impl StoredDrone {
     fn validate(&self) -> Result<(), String> {
-        // a randomized one may not be able to hover
+        // randomized parameters may have a thrust-to-weight ratio below 1
         let params = DroneParams { thrust_to_weight: self.params.thrust_to_weight.max(1.0), ..self.params.clone() };
         params.validate().map_err(|error| error.to_string())?;
         self.actuators.validate().map_err(|error| error.to_string())?;
         if !(self.max_rpm.is_finite() && self.max_rpm >= 0.0 && self.motors.is_valid()) {
-            return Err("the motors have a number that is negative or not finite, or a broken queue".into());
+            return Err("the motors have a negative or non-finite number, or an invalid queue index".into());
         }
         Ok(())
     }

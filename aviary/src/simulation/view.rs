@@ -9,9 +9,10 @@ use crate::physics::{Effects, Physics};
 use crate::state::DroneState;
 use crate::world::{Marker, Obstacle, World};
 
-/// Read access to a simulation: what tasks, observations and renderers look at.
+/// Read access to a simulation for tasks, observations and renderers.
 ///
-/// States are the drones' own, or what sensors measure of them: a task that computes an observation gets the measured ones.
+/// The states are the true ones, except in [`Task::observe`](crate::env::Task::observe), which gets the states that
+/// the sensors measure.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -34,23 +35,23 @@ pub struct SimView<'a> {
 }
 
 impl<'a> SimView<'a> {
-    /// Returns the view of a simulation's true states.
+    /// Creates a view of a simulation's true states.
     pub fn new(model: &'a SimModel, data: &'a SimData) -> Self {
         Self { model, data, states: &data.states, rpys: &data.rpys }
     }
 
-    /// Returns the same view with measured states, and their roll, pitch and yaw, in place of the true ones.
+    /// Replaces the true states, and their roll, pitch and yaw, by measured ones.
     #[must_use]
     pub(crate) fn measured(self, states: &'a [DroneState], rpys: &'a [Vector3<f64>]) -> Self {
         Self { states, rpys, ..self }
     }
 
-    /// Returns what does not change.
+    /// Returns the model, which holds the constants.
     pub fn model(self) -> &'a SimModel {
         self.model
     }
 
-    /// Returns what changes.
+    /// Returns the data, which holds the state.
     pub fn data(self) -> &'a SimData {
         self.data
     }
@@ -61,18 +62,18 @@ impl<'a> SimView<'a> {
         self.states.len()
     }
 
-    /// Returns the parameters of a drone's airframe, randomized ones where they are.
+    /// Returns the parameters of a drone's airframe, after randomization.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn params(self, drone: usize) -> &'a DroneParams {
         &self.data.drones[drone].params
     }
 
-    /// Returns how the motors of a drone answer.
+    /// Returns the motor parameters of a drone.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn actuator_params(self, drone: usize) -> &'a ActuatorParams {
         &self.data.drones[drone].actuators
     }
@@ -86,17 +87,17 @@ impl<'a> SimView<'a> {
     /// Returns roll, pitch and yaw of a drone, rad: intrinsic z-y'-x''.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     #[inline]
     pub fn rpy(self, drone: usize) -> &'a Vector3<f64> {
         &self.rpys[drone]
     }
 
-    /// Returns a drone's state as tasks observe it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units and frames as in
-    /// [`DroneState`].
+    /// Returns a drone's state as tasks observe it: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units
+    /// and frames as in [`DroneState`].
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     #[inline]
     pub fn state_vector(self, drone: usize) -> [f64; 12] {
         let (state, rpy) = (&self.states[drone], &self.rpys[drone]);
@@ -104,20 +105,21 @@ impl<'a> SimView<'a> {
         [p.x, p.y, p.z, rpy.x, rpy.y, rpy.z, v.x, v.y, v.z, w.x, w.y, w.z]
     }
 
-    /// Returns the states that a reset goes back to.
+    /// Returns the states that a reset restores.
     pub fn initial_states(self) -> &'a [DroneState] {
         &self.model.initial
     }
 
-    /// Returns the states that the last reset started from, which a task or a randomization may have changed.
+    /// Returns the states that the last reset started from, after changes by the task and by randomization.
     pub fn started_from(self) -> &'a [DroneState] {
         &self.data.started
     }
 
-    /// Returns the speeds at which the rotors of a drone turn, rpm: the commanded ones, unless the motors are slow or inexact.
+    /// Returns the rotor speeds of a drone, rpm: the commanded ones, unless the motors have lag, latency, gains or
+    /// saturation.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn rotor_speeds(self, drone: usize) -> &'a [f64; 4] {
         self.data.actuators[drone].rpm()
     }
@@ -128,7 +130,7 @@ impl<'a> SimView<'a> {
         &self.data.motor_speeds
     }
 
-    /// Returns what was touched during the last control step: each pair of drone and thing once.
+    /// Returns the contacts of the last control step. Each pair of a drone and a touched object occurs once.
     #[inline]
     pub fn contacts(self) -> &'a [Contact] {
         &self.data.contacts
@@ -167,37 +169,38 @@ impl<'a> SimView<'a> {
         self.model.substeps()
     }
 
-    /// Returns the scene as it was built; [`obstacles`](Self::obstacles) and [`markers`](Self::markers) are where they are now.
+    /// Returns the scene as it was built. [`obstacles`](Self::obstacles) and [`markers`](Self::markers) return
+    /// present poses.
     pub fn world(self) -> &'a World {
         &self.model.world
     }
 
-    /// Returns the obstacles as they are now.
+    /// Returns the obstacles at their present poses.
     pub fn obstacles(self) -> &'a [Obstacle] {
         self.data.obstacles(self.model)
     }
 
-    /// Returns the markers as they are now.
+    /// Returns the markers at their present poses.
     pub fn markers(self) -> Vec<Marker> {
         self.data.markers(self.model)
     }
 
-    /// Returns the scene as it is now.
+    /// Returns the scene with obstacles and markers at their present poses.
     pub fn scene(self) -> World {
         World { obstacles: self.obstacles().to_vec(), markers: self.markers(), ..self.model.world.clone() }
     }
 
-    /// Returns the physics mode of the engine and the effects, if the paper names one.
+    /// Returns the paper's physics mode with this engine and these effects, if there is one.
     pub fn physics(self) -> Option<Physics> {
         self.model.physics()
     }
 
-    /// Returns the aerodynamic effects that act.
+    /// Returns the aerodynamic effects that are on.
     pub fn effects(self) -> Effects {
         self.model.effects
     }
 
-    /// Returns what acted on every drone during the last physics step.
+    /// Returns the forces and torques on every drone during the last physics step.
     pub fn loads(self) -> &'a [Load] {
         &self.data.loads
     }
@@ -207,7 +210,7 @@ impl<'a> SimView<'a> {
         self.data.wind.as_ref().map(WindField::config)
     }
 
-    /// Returns the seed that the wind started from last.
+    /// Returns the seed of the last start of the wind.
     pub fn wind_seed(self) -> u64 {
         self.data.wind_seed
     }
@@ -217,17 +220,17 @@ impl<'a> SimView<'a> {
         self.data.bodies.gravity
     }
 
-    /// Returns the distance of a drone's centre from the surface of the nearest obstacle, m; negative inside, infinite where there is
-    /// none.
+    /// Returns the distance from a drone's centre to the nearest obstacle's surface, m: negative inside, infinite
+    /// without obstacles.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     pub fn obstacle_distance(self, drone: usize) -> f64 {
         crate::world::placement::obstacle_distance(self.obstacles(), &self.states[drone].position)
     }
 
-    /// Writes which drones are within a neighbourhood: row i, column j of an N × N matrix is whether drones i and j are at most
-    /// `radius` metres apart. No drone is its own neighbour.
+    /// Writes the N × N adjacency matrix: row i, column j is true if drones i and j are at most `radius` metres
+    /// apart. The diagonal is false.
     ///
     /// # Panics
     /// If `out` does not have N² entries.
@@ -242,10 +245,10 @@ impl<'a> SimView<'a> {
         }
     }
 
-    /// Returns the distance of a drone from a point (world frame, m).
+    /// Returns the distance of a drone from a point (world frame), m.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If `drone` is out of range.
     #[inline]
     pub fn distance(self, drone: usize, point: &Vector3<f64>) -> f64 {
         (self.states[drone].position - point).norm()

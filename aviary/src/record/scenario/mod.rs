@@ -305,7 +305,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         let hybrid = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"hybrid\"\n";
         let error = Scenario::from_toml(&hybrid).unwrap().simulation().unwrap_err().to_string();
         assert!(
-            error.starts_with("line 9: engine: engine is hybrid and physics dyn, which stands for the explicit engine"),
+            error.starts_with("line 9: engine: engine is hybrid and physics dyn, which implies the explicit engine"),
             "{error}"
         );
         let airframe = include_str!("../../../../assets/airframes/race.toml");
@@ -354,7 +354,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             "physics: missing, expected a physics mode, or effects"
         );
         let contradiction = message(&format!("{SCENARIO}effects = {{ drag = true }}\n"));
-        let expected = "line 9: effects: effects is drag and physics mjc, which stands for none";
+        let expected = "line 9: effects: effects is drag and physics mjc, which implies none";
         assert!(contradiction.starts_with(expected), "{contradiction}");
         let contradiction = message(&format!("{SCENARIO}engine = \"explicit\"\n"));
         assert!(contradiction.starts_with("line 9: engine: engine is explicit and physics mjc"), "{contradiction}");
