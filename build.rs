@@ -1,7 +1,7 @@
-//! Passes on the run path of a MuJoCo that lies outside the system's library path.
+//! Passes on the rpath of a MuJoCo outside the system's library path.
 //!
-//! Cargo hands link arguments to the package that asks for them only, so every package with a binary, test, example
-//! or benchmark of its own (this one, `aviary`, `cli`) runs this same script.
+//! Cargo applies link arguments only to the package whose build script prints them, so that every package with a
+//! binary, test, example or benchmark (this one, `aviary`, `cli`) runs this script.
 
 fn main() {
     println!("cargo::rerun-if-env-changed=DEP_MUJOCO_RS_RPATH");

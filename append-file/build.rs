@@ -1,4 +1,4 @@
-//! Compiles the store that survives a file that was cut off.
+//! Compiles the C function that stores into a mapped file and survives its truncation.
 
 fn main() {
     println!("cargo::rerun-if-changed=src/store.c");

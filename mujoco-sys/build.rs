@@ -1,17 +1,19 @@
-//! Finds MuJoCo 2.2, binds its headers, builds the error shim, and reads MuJoCo's own list of array fields.
+//! Finds MuJoCo 2.2, generates bindings from its headers, compiles the error shim, and lists MuJoCo's array fields.
 //!
-//! For dependants (`links = "mujoco"`): `DEP_MUJOCO_FIELDS` is a file with one line `struct|type|name|rows|columns`
-//! per array of mjModel and mjData, `DEP_MUJOCO_INCLUDE` the headers' directory, `DEP_MUJOCO_RPATH` the library's directory where the loader does not know it.
+//! Metadata for dependants (`links = "mujoco"`): `DEP_MUJOCO_FIELDS` is a file with one line
+//! `struct|type|name|rows|columns` per array of mjModel and mjData, `DEP_MUJOCO_INCLUDE` is the directory of the
+//! headers, and `DEP_MUJOCO_RPATH` is the directory of the library if it is outside the loader's search path.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::exit;
 use std::{env, fs};
 
-const MEND: &str = "run `./setup`, or `apt-get install libmujoco-dev libclang-dev` on Debian 12, or set MUJOCO_DIR to an unpacked MuJoCo 2.2 release";
+const FIX: &str = "run `./setup`, or `apt-get install libmujoco-dev libclang-dev` on Debian 12, \
+                   or set MUJOCO_DIR to an unpacked MuJoCo 2.2 release";
 
-/// Ends the build with one line: `cargo::error` is what fails it, and an exit status would make Cargo print everything
-/// else that this script has said as well.
+/// Ends the build with a one-line error. `cargo::error` fails the build; a non-zero exit status would make Cargo
+/// print the whole output of this script as well.
 fn fail(message: &str) -> ! {
     println!("cargo::error={message}");
     exit(0);
@@ -28,10 +30,10 @@ fn find() -> Mujoco {
     let triple = format!("{}-linux-gnu", env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default());
     let (includes, libraries, on_system_path) = match env::var_os("MUJOCO_DIR") {
         Some(dir) if !dir.is_empty() => {
-            // relative to the workspace, which is where people stand; this script runs one level below
+            // MUJOCO_DIR is relative to the workspace root, one level above the directory of this script
             let dir = Path::new("..").join(dir);
             let dir = dir.canonicalize().unwrap_or_else(|error| {
-                fail(&format!("MUJOCO_DIR is {} which cannot be read ({error}): unset it, or {MEND}", dir.display()))
+                fail(&format!("MUJOCO_DIR is {} which cannot be read ({error}): unset it, or {FIX}", dir.display()))
             });
             let libraries = vec![dir.join("lib"), dir.join("lib").join(&triple), dir.join("lib64")];
             (vec![dir.join("include")], libraries, false)
@@ -43,10 +45,10 @@ fn find() -> Mujoco {
         ),
     };
     let Some(include) = includes.iter().find(|dir| dir.join("mujoco/mujoco.h").is_file()) else {
-        fail(&format!("no mujoco/mujoco.h in {}: {MEND}", list(&includes)));
+        fail(&format!("no mujoco/mujoco.h in {}: {FIX}", list(&includes)));
     };
     let Some(library) = libraries.iter().find(|dir| dir.join("libmujoco.so").is_file()) else {
-        fail(&format!("no libmujoco.so in {}: {MEND}", list(&libraries)));
+        fail(&format!("no libmujoco.so in {}: {FIX}", list(&libraries)));
     };
     Mujoco { include: include.clone(), library: library.clone(), on_system_path }
 }
@@ -55,11 +57,12 @@ fn list(dirs: &[PathBuf]) -> String {
     dirs.iter().map(|dir| dir.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
-/// The bindings, the shim and the accessors are written against 2.2; structures differ in every other minor version.
+/// Fails unless the headers and the library are MuJoCo 2.2: the layout of structures differs in every other minor
+/// version.
 fn check_version(mujoco: &Mujoco) {
     let header = mujoco.include.join("mujoco/mujoco.h");
     let text = fs::read_to_string(&header)
-        .unwrap_or_else(|error| fail(&format!("{} cannot be read ({error}): {MEND}", header.display())));
+        .unwrap_or_else(|error| fail(&format!("{} cannot be read ({error}): {FIX}", header.display())));
     let version = text
         .lines()
         .find_map(|line| line.trim().strip_prefix("#define mjVERSION_HEADER"))
@@ -69,18 +72,18 @@ fn check_version(mujoco: &Mujoco) {
         Some(other) => {
             let (major, minor) =
                 if other < 1000 { (other / 100, other / 10 % 10) } else { (other / 1_000_000, other / 1000 % 1000) };
-            fail(&format!("{} is of MuJoCo {major}.{minor}, 2.2 is needed: {MEND}", header.display()))
+            fail(&format!("{} belongs to MuJoCo {major}.{minor}, expected 2.2: {FIX}", header.display()))
         }
-        None => fail(&format!("{} does not say its version (mjVERSION_HEADER): {MEND}", header.display())),
+        None => fail(&format!("{} does not define mjVERSION_HEADER: {FIX}", header.display())),
     }
 
-    // the shared object's name stands in its dynamic string table: reading it needs no tool and runs nothing
+    // the soname is part of the dynamic string table, so that a search of the bytes needs no external tool
     let library = mujoco.library.join("libmujoco.so");
     let bytes = fs::read(&library)
-        .unwrap_or_else(|error| fail(&format!("{} cannot be read ({error}): {MEND}", library.display())));
+        .unwrap_or_else(|error| fail(&format!("{} cannot be read ({error}): {FIX}", library.display())));
     let soname = b"libmujoco.so.2.2.";
     if !bytes.windows(soname.len()).any(|window| window == soname) {
-        fail(&format!("{} is not a MuJoCo 2.2 library: {MEND}", library.display()));
+        fail(&format!("{} is not a MuJoCo 2.2 library: {FIX}", library.display()));
     }
     println!("cargo::rerun-if-changed={}", header.display());
     println!("cargo::rerun-if-changed={}", library.display());
@@ -99,7 +102,7 @@ fn bind(mujoco: &Mujoco, out: &Path) {
             .generate_comments(false)
             .generate()
     };
-    // a missing libclang is a panic of the loader inside bindgen; its text is no use to the person at the build
+    // bindgen's loader panics if libclang is missing; the message below replaces the panic's
     std::panic::set_hook(Box::new(|_| {}));
     let result = std::panic::catch_unwind(build);
     let _ = std::panic::take_hook();
@@ -107,9 +110,9 @@ fn bind(mujoco: &Mujoco, out: &Path) {
         Ok(Ok(bindings)) => bindings,
         Ok(Err(error)) => {
             let error = error.to_string().replace('\n', "; ");
-            fail(&format!("bindgen could not read MuJoCo's headers in {} ({error}): {MEND}", mujoco.include.display()))
+            fail(&format!("bindgen could not read MuJoCo's headers in {} ({error}): {FIX}", mujoco.include.display()))
         }
-        Err(_) => fail(&format!("libclang, which reads MuJoCo's headers, was not found: {MEND}")),
+        Err(_) => fail(&format!("libclang, which reads MuJoCo's headers, was not found: {FIX}")),
     };
     let path = out.join("bindings.rs");
     bindings.write_to_file(&path).unwrap_or_else(|error| fail(&format!("{}: {error}", path.display())));
@@ -123,7 +126,7 @@ struct Field {
     columns: String,
 }
 
-/// MuJoCo's array fields, from the macros its own code is written with.
+/// Returns MuJoCo's array fields, read from MuJoCo's X macros (`mjxmacro.h`).
 fn fields(mujoco: &Mujoco) -> Vec<Field> {
     let expanded = cc::Build::new()
         .file("shim/fields.c")
@@ -143,12 +146,12 @@ fn fields(mujoco: &Mujoco) -> Vec<Field> {
         })
         .collect();
     if fields.len() < 300 {
-        fail(&format!("mjxmacro.h in {} lists only {} fields: {MEND}", mujoco.include.display(), fields.len()));
+        fail(&format!("mjxmacro.h in {} lists only {} fields: {FIX}", mujoco.include.display(), fields.len()));
     }
     fields
 }
 
-/// Structures that this workspace reads and writes field by field.
+/// Structures whose fields this workspace reads and writes.
 const STRUCTURES: [&str; 19] = [
     "mjModel",
     "mjData",
@@ -171,11 +174,12 @@ const STRUCTURES: [&str; 19] = [
     "mjSolverStat",
 ];
 
-/// Fields of a structure in the generated bindings, those of nested anonymous structures as `outer.inner`.
+/// Returns the fields of a structure in the generated bindings; fields of nested anonymous structures as
+/// `outer.inner`.
 fn members(bindings: &str, structure: &str) -> Vec<String> {
     let opening = format!("pub struct {structure} {{");
     let Some(body) = bindings.split_once(&opening).and_then(|(_, rest)| rest.split_once("\n}")) else {
-        fail(&format!("{structure} is not in the bindings to MuJoCo's headers: {MEND}"));
+        fail(&format!("{structure} is not in the bindings to MuJoCo's headers: {FIX}"));
     };
     let mut found = Vec::new();
     for line in body.0.lines() {
@@ -192,7 +196,7 @@ fn members(bindings: &str, structure: &str) -> Vec<String> {
     found
 }
 
-/// The same table twice, for the C compiler and for Rust; a test compares them entry by entry.
+/// Writes the layout table twice, for the C compiler and for Rust; a test compares them entry by entry.
 fn layout(out: &Path) {
     let path = out.join("bindings.rs");
     let bindings = fs::read_to_string(&path).unwrap_or_else(|error| fail(&format!("{}: {error}", path.display())));
@@ -202,7 +206,7 @@ fn layout(out: &Path) {
         let _ = writeln!(c, "sizeof({structure}),");
         let _ = writeln!(rust, "(\"sizeof {structure}\", std::mem::size_of::<super::{structure}>()),");
         for field in members(&bindings, &format!("{structure}_")) {
-            // bindgen's name of a field that is a keyword of Rust
+            // bindgen renames fields whose names are Rust keywords
             let c_field = if field == "type_" { "type" } else { &field };
             let _ = writeln!(c, "__builtin_offsetof({structure}, {c_field}),");
             let _ = writeln!(rust, "(\"{structure}.{field}\", std::mem::offset_of!(super::{structure}, {field})),");
@@ -233,7 +237,7 @@ fn main() {
 
     bind(&mujoco, &out);
     layout(&out);
-    // the handler throws through MuJoCo's frames and, on the way into the parser, through its own
+    // the error handler throws through MuJoCo's frames and, in the parser, through the shim's C frames
     let shim = || cc::Build::new().include(&mujoco.include).include(&out).warnings_into_errors(true).to_owned();
     let built = shim()
         .files(["shim/shim.c", "shim/environment.c"])

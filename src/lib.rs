@@ -1,6 +1,6 @@
 //! Quadrotor simulation on MuJoCo, for control research and reinforcement learning.
 //!
-//! This crate gathers the workspace: everything of [`aviary`] is here, and the safe MuJoCo beneath it is [`mujoco`].
+//! This crate re-exports the workspace: all items of [`aviary`], and the safe MuJoCo interface as [`mujoco`].
 //!
 //! ```
 //! use mujoco_drones_gym::prelude::*;
@@ -13,17 +13,17 @@
 //! ```
 
 pub use aviary::*;
-/// The safe MuJoCo beneath: models, simulations, errors.
+/// Safe interface to MuJoCo: models, simulations, rendering, errors.
 pub use mujoco_rs as mujoco;
 
-/// Vectors and rotations of the interface.
+/// Vectors and rotations of the public API.
 pub use nalgebra;
 
-/// The generator behind every random draw, what seeds it and what it draws.
+/// Random number generator of all sampling, with its seeding and sampling traits.
 pub use aviary::env::Rng;
 pub use rand::{RngExt, SeedableRng};
 
-/// What most programs use.
+/// Common imports.
 pub mod prelude {
     pub use aviary::action::ActionType;
     pub use aviary::control::{Controller, ControllerKind, PidControl, Reference};

@@ -1,7 +1,7 @@
-//! Files that grow line by line and keep every line, whatever ends the program.
+//! Crash-safe files of lines: every appended line stays in the file if the program ends in any manner.
 //!
-//! A line is stored into the pages of a mapped file. `store.c` turns the signal of a file that was cut off meanwhile into a return
-//! value.
+//! The crate stores lines into the pages of a mapped file. `store.c` turns the signal for a truncated file into a
+//! return value.
 #![allow(unsafe_code)]
 
 use std::ffi::{c_char, c_int};
@@ -14,23 +14,24 @@ use std::sync::OnceLock;
 use memmap2::{MmapMut, MmapOptions};
 
 unsafe extern "C" {
-    /// Stores a line into the pages of a mapped file, its first byte last; 1 where the file no longer reaches so far. Needs
-    /// `append_file_catch_bus_errors`.
+    /// Stores a line into the pages of a mapped file, its first byte last. Returns 1 if the file was truncated
+    /// before the end of the line. Requires `append_file_catch_bus_errors`.
     fn append_file_store(target: *mut c_char, line: *const c_char, length: usize) -> c_int;
 
-    /// Installs the handler of SIGBUS, once in the process; returns whether that failed.
+    /// Installs the process-wide SIGBUS handler; call it once. Returns non-zero if that fails.
     fn append_file_catch_bus_errors() -> c_int;
 }
 
-/// A file of lines that a program may be killed over without losing any that it has appended.
+/// File of lines that keeps every appended line, also if the program is killed.
 ///
-/// Lines are stored into the file's pages, which belong to the operating system, so that appending one takes no system call
-/// (a tenth of the time of one). What lies beyond the last line are empty lines, until the file is dropped: then it ends after its
-/// last line.
+/// Lines are stored into the file's pages, which belong to the operating system. Appending a line therefore takes
+/// no system call, which makes it ten times faster than a `write`. Until the file is dropped, empty lines follow
+/// the last line; the drop truncates them.
 ///
-/// Another program may make the file shorter meanwhile: lines that are appended after that, and up to 4 KiB of lines before it,
-/// stand behind what is left. The system reports a store beyond the end of a mapped file by the signal SIGBUS. The
-/// first file that is opened installs a handler for it, which passes on whatever is not its own to the handler that was there.
+/// If another program truncates the file, then later lines, and up to 4 KiB of lines before the truncation, are
+/// appended to the remaining content. The system reports a store beyond the end of a mapped file with the signal
+/// SIGBUS. The first `AppendFile` of the process installs a SIGBUS handler, which forwards signals from other
+/// causes to the previous handler.
 ///
 /// ```
 /// use append_file::AppendFile;
@@ -49,32 +50,33 @@ unsafe extern "C" {
 #[derive(Debug)]
 pub struct AppendFile {
     file: File,
-    /// The pages that are written to now; none where the file system has no mappings.
+    /// Pages that lines are stored into; `None` if the file system does not support mappings.
     window: Option<MmapMut>,
-    /// Where they begin in the file.
+    /// Offset of the window in the file, bytes.
     start: u64,
-    /// Where the next line goes in the file.
+    /// Offset of the next line in the file, bytes.
     end: u64,
-    /// Length of the file with the empty lines.
+    /// Length of the file including the empty lines, bytes.
     length: u64,
-    /// Lines that were appended since the file was last seen to be as long as it should be.
+    /// Lines appended since the last check of the file's length.
     recent: Vec<u8>,
 }
 
-/// What a file grows by.
+/// Block of empty lines that a growing file is extended by.
 static EMPTY: [u8; AppendFile::GROWTH as usize] = [b'\n'; AppendFile::GROWTH as usize];
 
 impl AppendFile {
-    /// Bytes by which the file grows.
+    /// Growth increment of the file, bytes.
     const GROWTH: u64 = 1 << 16;
-    /// Bytes after which the file's length is looked at again.
+    /// Number of appended bytes after which the file's length is checked again.
     const UNCHECKED: usize = 1 << 12;
 
-    /// Begins a file. A regular file that is there (behind a link too) loses its name and is otherwise left alone: somebody may be
-    /// writing to it.
+    /// Creates a file and replaces an existing regular file (also behind a symbolic link). The replaced file is
+    /// unlinked and not modified, because another program may still write to it.
     ///
     /// # Errors
-    /// The system's; [`InvalidInput`](io::ErrorKind::InvalidInput) for what is there and is no regular file.
+    /// The operating system's errors; [`InvalidInput`](io::ErrorKind::InvalidInput) if the path exists and is not a
+    /// regular file.
     pub fn create(path: impl AsRef<Path>) -> io::Result<Self> {
         let path = path.as_ref();
         let refused = |what| Err(io::Error::new(io::ErrorKind::InvalidInput, what));
@@ -94,10 +96,10 @@ impl AppendFile {
         }
     }
 
-    /// Begins a file where there is none.
+    /// Creates a file at a path that does not exist.
     ///
     /// # Errors
-    /// [`AlreadyExists`](io::ErrorKind::AlreadyExists) where there is one, else the system's.
+    /// [`AlreadyExists`](io::ErrorKind::AlreadyExists) if the path exists; otherwise the operating system's errors.
     pub fn create_new(path: impl AsRef<Path>) -> io::Result<Self> {
         let file = OpenOptions::new().read(true).write(true).create_new(true).open(path)?;
         let mut file = Self { file, window: None, start: 0, end: 0, length: 0, recent: Vec::new() };
@@ -105,10 +107,11 @@ impl AppendFile {
         Ok(file)
     }
 
-    /// Appends a line, with its end. If the program is killed while it does, an empty line stands before what there is of it.
+    /// Appends a line, including its line end. If the program is killed during the call, an empty line precedes the
+    /// incomplete line.
     ///
     /// # Errors
-    /// The system's, where there is no room for it, for example. Nothing of the line is in the file then.
+    /// The operating system's errors, for example a full disk. The file then contains no part of the line.
     pub fn append(&mut self, line: &[u8]) -> io::Result<()> {
         let has_room = |file: &Self| file.room().is_none_or(|room| room >= line.len());
         if self.window.is_none() || self.recent.len() + line.len() > Self::UNCHECKED || !has_room(self) {
@@ -120,24 +123,24 @@ impl AppendFile {
         if self.store(line)? {
             return Ok(());
         }
-        // the pages are gone
+        // the file was truncated below these pages
         if !self.check()? {
             return Err(io::Error::other("the system cannot write its pages"));
         }
         self.append(line)
     }
 
-    /// Stores a line where there is room for it; `false` where the file has been cut off before that.
+    /// Stores a line into the window; returns `false` if the file was truncated before the end of the line.
     fn store(&mut self, line: &[u8]) -> io::Result<bool> {
         let Some(window) = &mut self.window else {
             self.write(line)?;
             return Ok(true);
         };
         let cells = &mut window[(self.end - self.start) as usize..][..line.len()];
-        // The first byte is stored last: until then it is an empty line that stands there, which is how a line is known that a
-        // killed program has not finished.
-        // SAFETY: as many bytes as are borrowed mutably here, and as there are in the line; the handler has been installed
-        // before the window was made.
+        // The first byte is stored last: until then the line starts as an empty line, which marks lines that a
+        // killed program did not complete.
+        // SAFETY: `cells` and `line` have the same length, and `cells` is borrowed mutably; the signal handler was
+        // installed before the window was mapped.
         let status = unsafe { append_file_store(cells.as_mut_ptr().cast(), line.as_ptr().cast(), line.len()) };
         if status != 0 {
             return Ok(false);
@@ -147,25 +150,25 @@ impl AppendFile {
         Ok(true)
     }
 
-    /// Writes a line with a system call, where there are no mappings.
+    /// Writes a line with a system call, for file systems without mappings.
     fn write(&mut self, line: &[u8]) -> io::Result<()> {
         let written = self.file.write_all_at(line, self.end);
         match &written {
             Ok(()) => self.end += line.len() as u64,
-            // a part of it may be there; where it cannot be cut off, the next line is written over it
+            // removes a partly written line; if that fails, the next line overwrites it
             Err(_) => drop(self.file.set_len(self.end)),
         }
         self.length = self.end;
         written
     }
 
-    /// Bytes that are left in the window, if there is one.
+    /// Returns the number of free bytes in the window; `None` without a window.
     fn room(&self) -> Option<usize> {
         self.window.as_ref().map(|window| window.len() - (self.end - self.start) as usize)
     }
 
-    /// Looks whether the file is as long as it should be. Where it has been cut off, it goes on behind what is left, with the lines
-    /// that were appended since the last look. Returns whether it had been cut off.
+    /// Checks the length of the file. If the file was truncated, appends the lines since the last check to the
+    /// remaining content. Returns true if the file was truncated.
     fn check(&mut self) -> io::Result<bool> {
         let length = self.file.metadata()?.len();
         if length >= self.length {
@@ -182,7 +185,7 @@ impl AppendFile {
             self.file.read_exact_at(&mut last, self.end - 1)?;
         }
         if last != [b'\n'] {
-            // somebody has cut through a line
+            // the truncation cut through a line
             recent.insert(0, b'\n');
         }
         self.grow()?;
@@ -192,10 +195,10 @@ impl AppendFile {
         Ok(true)
     }
 
-    /// Makes room for more lines.
+    /// Extends the file by empty lines and maps the new pages.
     fn grow(&mut self) -> io::Result<()> {
-        // written, not only reserved: a full disk is an error here and not a signal later (except on file systems that copy what is
-        // written to)
+        // written, not only reserved: a full disk is an error here instead of a later signal (except on
+        // copy-on-write file systems)
         if let Err(error) = self.file.write_all_at(&EMPTY, self.length) {
             let _ = self.file.set_len(self.length);
             return Err(error);
@@ -204,11 +207,11 @@ impl AppendFile {
         self.start = self.end;
         let mut options = MmapOptions::new();
         options.offset(self.start).len((self.length - self.start) as usize);
-        // SAFETY: the range lies within the file, which this value has made and has open for writing. Its bytes are only ever
-        // written, by `store`, which survives a file that has become shorter.
+        // SAFETY: the range lies within the file, which this value created and keeps open for writing. Only `store`
+        // writes the bytes, and it survives a truncated file.
         self.window = catches_bus_errors().then(|| unsafe { options.map_mut(&self.file) }.ok()).flatten();
         if self.window.is_none() {
-            // line by line then, with a call for each
+            // without mappings, every line takes a system call
             self.file.set_len(self.end)?;
             self.length = self.end;
         }
@@ -216,16 +219,16 @@ impl AppendFile {
     }
 }
 
-/// Returns whether the handler for stores beyond the end of a file is there; the first call installs it.
+/// Returns true if the SIGBUS handler is installed; the first call installs it.
 fn catches_bus_errors() -> bool {
     static INSTALLED: OnceLock<bool> = OnceLock::new();
-    // SAFETY: once in the process.
+    // SAFETY: called once in the process.
     *INSTALLED.get_or_init(|| unsafe { append_file_catch_bus_errors() } == 0)
 }
 
 impl Drop for AppendFile {
     fn drop(&mut self) {
-        // where it fails, empty lines stay at the end
+        // if this fails, empty lines stay at the end of the file
         let _ = self.check();
         self.window = None;
         let _ = self.file.set_len(self.end);
@@ -243,9 +246,12 @@ mod tests {
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(40))]
-        /// Whatever the lengths, also of lines that are longer than what the file grows by.
+        /// Includes lines that are longer than the growth increment.
         #[test]
-        fn lines_are_there_at_once_and_the_file_ends_after_them(lengths in prop::collection::vec(1usize..30_000, 1..12), huge in 0usize..200_000) {
+        fn appended_lines_are_readable_at_once_and_the_file_ends_after_them(
+            lengths in prop::collection::vec(1usize..30_000, 1..12),
+            huge in 0usize..200_000,
+        ) {
             let path = path("lengths");
             let mut file = AppendFile::create(&path).unwrap();
             let mut whole = Vec::new();
@@ -264,14 +270,14 @@ mod tests {
     }
 
     #[test]
-    fn a_place_that_cannot_be_written_is_an_error() {
+    fn unwritable_paths_are_errors() {
         assert!(AppendFile::create("/no/such/directory/file.csv").is_err());
         assert!(AppendFile::create(std::env::temp_dir()).is_err());
     }
 
-    /// It cut the file that the first one was writing to, which ended the program.
+    /// Regression: the second file truncated the one that the first writer used, which killed the program.
     #[test]
-    fn a_file_begun_again_is_another_one() {
+    fn recreating_a_file_does_not_affect_an_open_writer() {
         let path = path("again");
         let mut first = AppendFile::create(&path).unwrap();
         first.append(b"first\n").unwrap();
@@ -286,9 +292,10 @@ mod tests {
         std::fs::remove_file(&path).unwrap();
     }
 
-    /// The pages were gone, which ended the program; a store into what is left of a page was silently lost.
+    /// Regression: a store into a removed page killed the program, and a store into a partial page was dropped
+    /// silently.
     #[test]
-    fn a_file_that_is_cut_off_goes_on_behind_what_is_left() {
+    fn lines_after_a_truncation_follow_the_remaining_content() {
         let line = |index: usize| format!("{index:06}\n").into_bytes();
         for (cut, mapped) in
             [(0, true), (700, true), (703, true), (8400, true), (69_999, true), (0, false), (703, false)]
@@ -316,7 +323,7 @@ mod tests {
         }
     }
 
-    /// It removed devices, pipes and links, and wrote to a file of the same name.
+    /// Regression: creating a file removed devices, pipes and links.
     #[test]
     fn only_regular_files_are_replaced_and_links_stay() {
         let directory = path("kinds");
@@ -337,7 +344,7 @@ mod tests {
         std::fs::remove_dir_all(&directory).unwrap();
     }
 
-    /// Files are limited to 100 KiB in a child process: a part of a line stayed where a `write` for each was cut short.
+    /// Limits files to 100 KiB in a child process. Regression: a truncated `write` left a partial line.
     #[test]
     fn a_line_that_does_not_fit_leaves_nothing_behind() {
         const CHILD: &str = "APPEND_FILE_TEST_LIMIT";
@@ -360,7 +367,7 @@ mod tests {
         }
         let path = path("limit");
         let test = "tests::a_line_that_does_not_fit_leaves_nothing_behind";
-        // its output goes through pipes: a file that the tests write to may be beyond the limit already
+        // the child's output goes through pipes, because the test's own output file may already exceed the limit
         let output = std::process::Command::new("bash")
             .args(["-c", "trap '' XFSZ; ulimit -f 100; exec \"$0\" --exact \"$1\""])
             .arg(std::env::current_exe().unwrap())
@@ -372,15 +379,15 @@ mod tests {
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
     }
 
-    /// A fault that no store has caused goes where it went before.
+    /// The previous handler receives faults that no store caused.
     #[test]
-    fn other_bus_errors_still_end_the_program() {
+    fn unrelated_bus_errors_still_end_the_program() {
         const CHILD: &str = "APPEND_FILE_TEST_BUS";
         if let Some(path) = std::env::var_os(CHILD) {
             drop(AppendFile::create(&path).unwrap());
             let file = OpenOptions::new().read(true).write(true).open(&path).unwrap();
             file.set_len(4096).unwrap();
-            // SAFETY: the file is cut off below, which is what this is about.
+            // SAFETY: the test truncates the mapped file on purpose.
             let page = unsafe { MmapOptions::new().len(4096).map_mut(&file) }.unwrap();
             file.set_len(0).unwrap();
             std::hint::black_box(page.iter().map(|&byte| u32::from(byte)).sum::<u32>());
@@ -388,7 +395,7 @@ mod tests {
         }
         let path = path("bus");
         let status = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "tests::other_bus_errors_still_end_the_program"])
+            .args(["--exact", "tests::unrelated_bus_errors_still_end_the_program"])
             .env(CHILD, &path)
             .status()
             .unwrap();

@@ -1,6 +1,6 @@
-// Stores into the pages of a mapped file, whose owner may have cut it off. The system answers a store beyond the end of a
-// mapped file with SIGBUS; during `append_file_store` that becomes a return value, at any other time the handler that was there
-// before gets it.
+// Stores into the pages of a mapped file that another program may truncate. The system answers a store beyond the
+// end of a mapped file with SIGBUS. Inside `append_file_store` the handler turns the signal into a return value;
+// other SIGBUS signals go to the previous handler.
 #define _GNU_SOURCE  // siginfo_t, sigsetjmp
 
 #include <setjmp.h>
@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <string.h>
 
-// the store of this thread, NULL outside of one
+// active store of this thread, NULL outside of a store
 static _Thread_local sigjmp_buf* volatile storing = NULL;
 static _Thread_local const char* volatile first_byte = NULL;
 static _Thread_local const char* volatile last_byte = NULL;
@@ -18,7 +18,7 @@ static struct sigaction previous;
 
 static void on_bus_error(int signal, siginfo_t* info, void* context) {
   const char* const address = info->si_addr;
-  // only memory and the loop of `append_file_store` lie between
+  // the jump crosses only memcpy and `append_file_store`
   if (storing && info->si_code > 0 && address >= first_byte && address <= last_byte) {
     siglongjmp(*storing, 1);
   }
@@ -27,7 +27,7 @@ static void on_bus_error(int signal, siginfo_t* info, void* context) {
   } else if (previous.sa_handler != SIG_DFL && previous.sa_handler != SIG_IGN) {
     previous.sa_handler(signal);
   } else if (previous.sa_handler == SIG_DFL || info->si_code > 0) {
-    // the default action: at once for a signal that was sent, at the next attempt for a fault, which cannot be ignored
+    // default action: at once for a signal that was sent; at the next attempt for a fault, which cannot be ignored
     struct sigaction standard = {.sa_handler = SIG_DFL};
     sigemptyset(&standard.sa_mask);
     sigaction(SIGBUS, &standard, NULL);
@@ -40,7 +40,7 @@ static void on_bus_error(int signal, siginfo_t* info, void* context) {
 int append_file_catch_bus_errors(void) {
   struct sigaction action = {.sa_sigaction = on_bus_error, .sa_flags = SA_SIGINFO | SA_ONSTACK | SA_NODEFER};
   sigemptyset(&action.sa_mask);
-  // the handler may run before `sigaction` returns, so that what it refers to is read first
+  // the handler may run before `sigaction` returns, so that `previous` must be set first
   return sigaction(SIGBUS, NULL, &previous) || sigaction(SIGBUS, &action, NULL);
 }
 

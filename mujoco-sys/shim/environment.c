@@ -1,7 +1,8 @@
-// One variable of the environment for the time in which an OpenGL driver starts.
+// Sets one environment variable while an OpenGL driver starts.
 //
-// `setenv` frees the array that other threads may be reading (`getenv` takes no lock). Here nothing is ever freed or moved: a
-// copy of the array with one more entry at its end becomes the environment, and stays it after that entry has been cut off.
+// `setenv` frees the array that other threads may be reading (`getenv` takes no lock). This code frees and moves
+// nothing: a copy of the array with one more entry at its end becomes the environment, and stays the environment
+// after the entry is removed.
 #define _GNU_SOURCE  // environ
 
 #include "shim.h"
@@ -14,7 +15,7 @@
 
 static char entry[] = VARIABLE "=0";
 static char** copy = NULL;
-static size_t end = 0;  // where the entry stands in the copy
+static size_t end = 0;  // index of the entry in the copy
 
 void mjshim_without_rasteriser_threads(void) {
   if (getenv(VARIABLE)) {
@@ -34,7 +35,7 @@ void mjshim_without_rasteriser_threads(void) {
   }
   larger[count] = entry;
   larger[count + 1] = NULL;
-  // where another thread has just exchanged the array, its own stands, and the rasteriser starts its threads
+  // if another thread has just replaced the array, its array stays, and the rasteriser starts its threads
   if (!__atomic_compare_exchange_n(&environ, &old, larger, 0, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE)) {
     free(larger);
     return;
@@ -51,7 +52,7 @@ void mjshim_restore_environment(void) {
   if (now == copy && copy[end] == entry && !copy[end + 1]) {
     __atomic_store_n(&copy[end], NULL, __ATOMIC_RELEASE);
   } else {
-    // another thread has set a variable meanwhile, in an array of its own that has this entry in its middle
+    // another thread has called setenv since; its array contains this entry before its own
     for (char** variable = now; variable && *variable; variable++) {
       if (*variable == entry) {
         unsetenv(VARIABLE);

@@ -1,4 +1,5 @@
-// Preprocessed, never compiled: MuJoCo's own lists of array fields, one `@@` record each, for the build script.
+// Input of the preprocessor only: prints MuJoCo's lists of array fields, one `@@` record each, for the build
+// script.
 #include <mujoco/mjxmacro.h>
 
 #undef MJ_M

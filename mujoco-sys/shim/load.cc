@@ -1,5 +1,5 @@
-// MuJoCo's parser and compiler are C++. What they throw, and what the engine beneath them raises, becomes a message
-// here: an exception runs their destructors and releases their lock, where a jump would skip both.
+// Loads models. MuJoCo's parser and compiler are C++, so that errors leave them as exceptions: these run
+// destructors and release MuJoCo's lock, which a longjmp would skip.
 #include "shim.h"
 
 #include <cstdio>
@@ -19,13 +19,12 @@ void Say(char* error, int error_sz, const char* message) {
   }
 }
 
-// Stack that loading must find; a scene of 95 bodies inside each other, the most that the parser takes, was measured to
-// take 205 KiB.
+// Stack required for loading, bytes. Measured: 205 KiB for a scene of 95 nested bodies, the parser's limit.
 constexpr size_t kLoadStack = 512 * 1024;
 
-// MuJoCo seeds rand() to make its textures reproducible. Its numbers are drawn from a state of their own here, so that
-// those of the host program go on where they were. The state belongs to the process, so one thread at a time loads (MuJoCo
-// has a lock for that, which is taken later).
+// MuJoCo seeds rand() to make its textures reproducible. This class gives it a separate generator state, so that
+// the host program's sequence continues unchanged. The state belongs to the process, so that one thread at a time
+// loads (MuJoCo takes its own lock later).
 class OwnRandomState {
  public:
   OwnRandomState() : lock_(Mutex()) {
@@ -49,8 +48,8 @@ class OwnRandomState {
   char* host_;
 };
 
-// MuJoCo's compiler installs handlers of its own and puts the earlier ones back, but not when an exception that it does not
-// know passes through it.
+// MuJoCo's compiler installs its own handlers and restores the previous ones, but not if an unknown exception
+// passes through it.
 class Handlers {
  public:
   Handlers() : outer_(mjshim_enter()) { loading = true; }

@@ -8,24 +8,24 @@
 #include <stdlib.h>
 #include <string.h>
 
-// innermost guarded call of this thread, NULL outside of one
+// innermost guarded call of this thread, NULL outside of guarded calls
 static _Thread_local jmp_buf* guard = NULL;
 static _Thread_local char last_error[1000] = "";
 
 static void on_error(const char* message) {
   snprintf(last_error, sizeof(last_error), "%s", message ? message : "unknown error");
 
-  // inside a guarded call: back to it; only MuJoCo's C frames lie between
+  // inside a guarded call, jump back to it: only MuJoCo's C frames lie between
   if (guard) {
     longjmp(*guard, 1);
   }
 
-  // inside the parser: its own way out
+  // inside the parser, throw
   if (mjshim_is_loading()) {
     mjshim_throw();
   }
 
-  // elsewhere there may be Rust or C++ frames in between, which must not be jumped over
+  // elsewhere, Rust or C++ frames may lie between, which a jump must not skip
   fprintf(stderr, "mujoco: fatal error: %s\n", last_error);
   fflush(stderr);
   abort();
@@ -33,7 +33,7 @@ static void on_error(const char* message) {
 
 static mjshim_warning_fn warning_callback = NULL;
 
-// the callback is not MuJoCo's code: an error raised in it must not jump over its frames
+// the callback is foreign code: an error raised in it must not jump over its frames
 static void on_warning(const char* message) {
   jmp_buf* const outer = guard;
   guard = NULL;
@@ -45,7 +45,7 @@ static void on_warning(const char* message) {
 
 void mjshim_install(mjshim_warning_fn warning) {
   warning_callback = warning;
-  // the handlers of the process are for calls that are not guarded; those of a host program stay
+  // the process-wide handlers serve unguarded calls; handlers of a host program stay
   if (!mju_user_error) {
     mju_user_error = on_error;
   }
@@ -66,7 +66,7 @@ void mjshim_leave(mjshim_handlers outer) {
   _mjPRIVATE__set_tls_warning_fn(outer.warning);
 }
 
-// Lowest and highest address of this thread's stack, 0 and 0 before the first call that asks.
+// Lowest and highest address of this thread's stack; both 0 before the first query.
 static _Thread_local uintptr_t stack_low = 0;
 static _Thread_local uintptr_t stack_high = 0;
 
@@ -90,7 +90,7 @@ int mjshim_short_of_stack(size_t needed) {
   if (!stack_high) {
     find_stack();
   }
-  // a stack that the thread library does not know (a coroutine's) is not judged
+  // accept a stack that the thread library does not know (a coroutine's)
   if (here < stack_low || here >= stack_high || here - stack_low >= needed) {
     return 0;
   }
@@ -103,10 +103,10 @@ const char* mjshim_last_error(void) {
   return last_error;
 }
 
-// Stack that a call must find; the deepest step, of all geom types in contact, was measured to take 44 KiB.
+// Stack required for a call, bytes. Measured: 44 KiB for the deepest step, with all geom types in contact.
 #define SIMULATION_STACK (128 * 1024)
 
-// runs CALL under a guard of its own and returns whether it raised an error
+// runs CALL under its own guard and returns MJSHIM_DONE, or the reason why CALL did not complete
 #define GUARDED(CALL)                                 \
   if (mjshim_short_of_stack(SIMULATION_STACK)) {      \
     return MJSHIM_NOT_STARTED;                        \
@@ -133,7 +133,7 @@ int mjshim_forward(const mjModel* m, mjData* d) {
   GUARDED(mj_forward(m, d))
 }
 
-// positions, cameras and lights only: what drawing needs
+// computes positions, cameras and lights only, which is all that rendering needs
 static void kinematics(const mjModel* m, mjData* d) {
   mj_kinematics(m, d);
   mj_comPos(m, d);
