@@ -7,9 +7,9 @@ use crate::state::DroneState;
 use crate::tasks::MultiHover;
 use crate::vision::{ImageSize, View};
 
-/// A task whose drones are agents of their own: each sees its own block of the observation, commands its own motors, is paid
-/// its own share of the reward, and leaves when its own episode ends. A drone that has left stays in the world: with its motors
-/// off, or, where it has completed its part, hovering where it did, so as not to fall on the others.
+/// Parallel environment over a task, with one agent per drone. Every agent has its own observation, action, reward
+/// and termination. A drone stays in the simulation after its agent has left. Its motors are off; if it has
+/// completed its part of the task, it hovers at that place instead, so that it does not fall onto other drones.
 ///
 /// ```
 /// use aviary::multi_agent::{AgentMap, ParallelAviary, ParallelEnv};
@@ -17,7 +17,7 @@ use crate::vision::{ImageSize, View};
 ///
 /// let mut env = ParallelAviary::new(MultiHover::builder().build()?);
 /// env.reset(Some(1))?;
-/// // the first climbs, the second falls and leaves
+/// // drone0 climbs; drone1 falls and leaves
 /// let actions: AgentMap<_> = env.agents().iter().cloned().zip([vec![0.3; 4], vec![-1.0; 4]]).collect();
 /// while env.agents().len() == 2 {
 ///     env.step(&actions)?;
@@ -35,8 +35,8 @@ pub struct ParallelAviary<T> {
     observation_space: ObservationSpace,
     action_spaces: Vec<BoxSpace>,
     action: Vec<f64>,
-    /// What holds each drone that has completed its part, and where.
-    holders: Vec<Option<(DslPidControl, Reference)>>,
+    /// Controller and target of each drone that hovers after completing its part.
+    hover_controllers: Vec<Option<(DslPidControl, Reference)>>,
 }
 
 /// The paper's `MultiAgentAviary`.
@@ -53,7 +53,7 @@ pub struct ParallelAviary<T> {
 pub type MultiAgentAviary = ParallelAviary<MultiHover>;
 
 impl<T: Task + Clone + Send + Sync> ParallelAviary<T> {
-    /// The agents' view of an environment.
+    /// Creates a parallel environment over an environment.
     pub fn new(env: Aviary<T>) -> Self {
         let count = env.simulation().num_drones();
         let joint = env.observation_space();
@@ -70,17 +70,17 @@ impl<T: Task + Clone + Send + Sync> ParallelAviary<T> {
             observation_space: ObservationSpace { vector, cameras: 1, neighbours: count, ..joint.clone() },
             action_spaces: (0..count).map(bounds).collect(),
             action: vec![0.0; env.action_space().size()],
-            holders: vec![None; count],
+            hover_controllers: vec![None; count],
             env,
         }
     }
 
-    /// One agent's view of the same.
+    /// Returns the underlying environment.
     pub fn into_inner(self) -> Aviary<T> {
         self.env
     }
 
-    /// The task.
+    /// Returns the task.
     pub fn task(&self) -> &T {
         self.env.task()
     }
@@ -89,7 +89,7 @@ impl<T: Task + Clone + Send + Sync> ParallelAviary<T> {
         self.possible.iter().position(|name| **name == *agent)
     }
 
-    /// Something for every live agent.
+    /// Returns a map with a value for every live agent.
     fn each<V>(&self, value: impl Fn(usize) -> V) -> AgentMap<V> {
         self.drones.iter().map(|&drone| (self.possible[drone].clone(), value(drone))).collect()
     }
@@ -109,26 +109,26 @@ impl<T: Task + Clone + Send + Sync> ParallelAviary<T> {
         })
     }
 
-    /// Puts the agents' actions into one.
+    /// Joins the actions of the agents into one action of the underlying environment.
     fn gather(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<(), EnvError> {
         let wrong = |what, agent: &str| {
             let expected = self.live.iter().map(|agent| &**agent).collect::<Vec<_>>().join(", ");
             Err(EnvError::Agent { what, agent: agent.into(), expected })
         };
         if let Some(agent) = actions.agents().find(|agent| !self.live.contains(agent)) {
-            return wrong("there is an action for", agent);
+            return wrong("unexpected action for", agent);
         }
         let size = self.env.action_type().size();
-        // those who have left command what cannot be heard: something within the bounds
+        // the environment ignores the entries of agents that have left, but they must be within the bounds
         self.action.copy_from_slice(self.env.action_space().low());
         for (agent, &drone) in self.live.iter().zip(&self.drones) {
-            let Some(action) = actions.get(agent) else { return wrong("there is no action for", agent) };
-            let of_agent = |error| Err(EnvError::OfAgent { agent: agent.to_string(), error: Box::new(error) });
+            let Some(action) = actions.get(agent) else { return wrong("missing action for", agent) };
+            let invalid = |error| Err(EnvError::OfAgent { agent: agent.to_string(), error: Box::new(error) });
             if action.len() != size {
-                return of_agent(EnvError::ActionLength { got: action.len(), expected: size });
+                return invalid(EnvError::ActionLength { got: action.len(), expected: size });
             }
             if let Some((index, &got)) = action.iter().enumerate().find(|(_, x)| !x.is_finite()) {
-                return of_agent(EnvError::Action { index, got, time: self.env.simulation().time() });
+                return invalid(EnvError::Action { index, got, time: self.env.simulation().time() });
             }
             self.action[drone * size..][..size].copy_from_slice(action);
         }
@@ -160,7 +160,7 @@ impl<T: Task + Clone + Send + Sync> ParallelEnv for ParallelAviary<T> {
     fn reset(&mut self, seed: Option<u64>) -> Result<(AgentMap<Observation>, AgentMap<AgentInfo>), EnvError> {
         self.live.clear();
         self.drones.clear();
-        self.holders.fill(None);
+        self.hover_controllers.fill(None);
         self.env.reset(seed)?;
         self.live.extend_from_slice(&self.possible);
         self.drones.extend(0..self.possible.len());
@@ -172,18 +172,20 @@ impl<T: Task + Clone + Send + Sync> ParallelEnv for ParallelAviary<T> {
             return Err(EnvError::NeedsReset { when: "while no agent is live" });
         }
         self.gather(actions)?;
-        let (drones, holders, dt) = (&self.drones, &mut self.holders, self.env.simulation().control_period());
-        let instead = |drone: usize, state: &DroneState| {
-            let held = holders[drone].as_mut().map(|(control, place)| control.control(dt, state, place).rpm);
+        let (drones, hover_controllers, dt) =
+            (&self.drones, &mut self.hover_controllers, self.env.simulation().control_period());
+        let override_rpm = |drone: usize, state: &DroneState| {
+            let held =
+                hover_controllers[drone].as_mut().map(|(control, target)| control.control(dt, state, target).rpm);
             if drones.contains(&drone) { None } else { Some(held.unwrap_or([0.0; 4])) }
         };
-        let done = self.env.advance(&self.action, instead).and_then(|()| {
+        let done = self.env.advance(&self.action, override_rpm).and_then(|()| {
             let mut parts = self.env.parts();
             parts.observe_numbers()?;
             parts.observe_images()
         });
         if let Err(error) = done {
-            // the world may have moved: only a reset leads on
+            // the drones may have moved, so that only a reset can continue
             self.live.clear();
             self.drones.clear();
             return Err(error);
@@ -200,8 +202,8 @@ impl<T: Task + Clone + Send + Sync> ParallelEnv for ParallelAviary<T> {
         for &drone in &self.drones {
             if self.env.drone_end(drone) == Some(EndReason::Completed) {
                 let (simulation, state) = (self.env.simulation(), &self.env.simulation().states()[drone]);
-                let place = Reference::hover(state.position, state.yaw());
-                self.holders[drone] = Some((DslPidControl::new(simulation.params(drone)), place));
+                let target = Reference::hover(state.position, state.yaw());
+                self.hover_controllers[drone] = Some((DslPidControl::new(simulation.params(drone)), target));
             }
         }
         let last = self.drones.last().and_then(|&drone| self.env.drone_end(drone));

@@ -1,4 +1,4 @@
-//! Every drone an agent: PettingZoo's parallel contract.
+//! Multi-agent environments with one agent per drone, after PettingZoo's `ParallelEnv`.
 
 mod aviary;
 mod checker;
@@ -14,10 +14,10 @@ use crate::simulation::Simulation;
 use crate::tasks::for_task;
 use crate::vision::{ImageSize, View};
 
-/// The name of an agent: `drone0`, `drone1`, …
+/// Name of an agent: `drone0`, `drone1`, …
 pub type Agent = Arc<str>;
 
-/// Something for each of several agents, in the order of the agents.
+/// Map from agents to values, in the order of the agents.
 ///
 /// ```
 /// use aviary::multi_agent::{Agent, AgentMap};
@@ -30,27 +30,27 @@ pub type Agent = Arc<str>;
 pub struct AgentMap<V>(Vec<(Agent, V)>);
 
 impl<V> AgentMap<V> {
-    /// That of an agent.
+    /// Returns the value of an agent.
     pub fn get(&self, agent: &str) -> Option<&V> {
         self.0.iter().find(|(name, _)| **name == *agent).map(|(_, value)| value)
     }
 
-    /// How many agents there are in it.
+    /// Returns the number of agents.
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Whether there is none.
+    /// Returns true if the map is empty.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// Agents with what is theirs.
+    /// Returns an iterator over the agents and their values.
     pub fn iter(&self) -> impl Iterator<Item = (&Agent, &V)> {
         self.0.iter().map(|(agent, value)| (agent, value))
     }
 
-    /// The agents.
+    /// Returns an iterator over the agents.
     pub fn agents(&self) -> impl Iterator<Item = &Agent> {
         self.0.iter().map(|(agent, _)| agent)
     }
@@ -63,7 +63,7 @@ impl<V> Default for AgentMap<V> {
 }
 
 impl<V> FromIterator<(Agent, V)> for AgentMap<V> {
-    /// Of several entries of one agent the last one counts.
+    /// Collects entries. The last of several entries for the same agent wins.
     fn from_iter<I: IntoIterator<Item = (Agent, V)>>(entries: I) -> Self {
         let mut map: Vec<(Agent, V)> = Vec::new();
         for (agent, value) in entries {
@@ -76,38 +76,38 @@ impl<V> FromIterator<(Agent, V)> for AgentMap<V> {
     }
 }
 
-/// How an episode stands for one agent.
+/// State of an episode for one agent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub struct AgentInfo {
     /// Simulated time of the episode, s.
     pub time: f64,
-    /// Whether the agent fulfils its part of the task at this moment.
+    /// True if the agent currently fulfils its part of the task.
     pub success: bool,
-    /// How much of its part it has done, from 0 to 1.
+    /// Completed fraction of the agent's part, from 0 to 1.
     pub progress: f64,
-    /// Why the episode ended for it; `None` while it runs.
+    /// Reason why the episode ended for the agent; `None` while it runs.
     pub end: Option<EndReason>,
-    /// Distance from where the task wants it now, m.
+    /// Distance of the drone from its current reference position, m.
     pub position_error: f64,
 }
 
-/// What a step returns, for every agent that was live at its start.
+/// Result of a step, with a value for every agent that was live before it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ParallelStep {
-    /// What each agent sees now.
+    /// Observation after the step.
     pub observations: AgentMap<Observation>,
-    /// Reward of this step.
+    /// Reward of the step.
     pub rewards: AgentMap<f64>,
-    /// The episode has come to an end of its own for the agent.
+    /// True if the task ended the episode of the agent.
     pub terminated: AgentMap<bool>,
-    /// The episode was cut off by its time limit.
+    /// True if the time limit ended the episode.
     pub truncated: AgentMap<bool>,
-    /// How the episode stands.
+    /// State of the episode.
     pub infos: AgentMap<AgentInfo>,
 }
 
-/// Makes an environment of several agents for the task of a name.
+/// Creates a multi-agent environment of a task by name.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -119,7 +119,8 @@ pub struct ParallelStep {
 /// ```
 ///
 /// # Errors
-/// [`EnvError::UnknownName`], and what building it finds.
+/// [`EnvError::UnknownName`] if no task has the name, and the errors of
+/// [`AviaryBuilder::build`](crate::env::AviaryBuilder::build).
 pub fn make_parallel(name: &str, options: EnvConfig) -> Result<Box<dyn ParallelEnv + Send>, EnvError> {
     let env = for_task!(name, |task| {
         let env = options.with_task(task).build()?;
@@ -128,7 +129,7 @@ pub fn make_parallel(name: &str, options: EnvConfig) -> Result<Box<dyn ParallelE
     env.map_err(EnvError::from)
 }
 
-/// An environment of several agents that all act at once (PettingZoo's `ParallelEnv`).
+/// An environment of several agents that act at the same time, after PettingZoo's `ParallelEnv`.
 ///
 /// ```
 /// use aviary::multi_agent::{MultiAgentAviary, ParallelEnv};
@@ -145,49 +146,50 @@ pub fn make_parallel(name: &str, options: EnvConfig) -> Result<Box<dyn ParallelE
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 pub trait ParallelEnv {
-    /// Name of the task, in lower snake case.
+    /// Returns the name of the task, in lower snake case.
     fn name(&self) -> &'static str;
 
-    /// Every agent that there can be, in order.
+    /// Returns all agents of the environment, in order.
     fn possible_agents(&self) -> &[Agent];
 
-    /// The agents that are live: all after a reset, fewer as they leave, none when the episode is over.
+    /// Returns the live agents: all agents after a reset, and none after the end of the episode.
     fn agents(&self) -> &[Agent];
 
-    /// What an agent's observations look like; `None` for an agent that cannot be.
+    /// Returns the observation space of an agent; `None` for an unknown agent.
     fn observation_space(&self, agent: &str) -> Option<&ObservationSpace>;
 
-    /// What an agent's actions look like; `None` for an agent that cannot be.
+    /// Returns the action space of an agent; `None` for an unknown agent.
     fn action_space(&self, agent: &str) -> Option<&BoxSpace>;
 
-    /// Starts an episode. With a seed, everything random starts anew from it.
+    /// Starts an episode and returns the observations and infos of all agents. A seed restarts every random stream.
     ///
     /// # Errors
-    /// As for [`Env::reset`](crate::env::Env::reset).
+    /// Returns the errors of [`Env::reset`](crate::env::Env::reset).
     fn reset(&mut self, seed: Option<u64>) -> Result<(AgentMap<Observation>, AgentMap<AgentInfo>), EnvError>;
 
-    /// Advances by one control step, under one action for every live agent. An agent whose episode has ended is in this
-    /// step's maps for the last time.
+    /// Advances the environment by one control step, with one action for every live agent. The maps of the step
+    /// contain an agent for the last time when its episode ends.
     ///
     /// # Errors
-    /// [`EnvError::Agent`] where an action is missing or for nobody, and [`EnvError::OfAgent`] where it is of the wrong length or
-    /// not a number: nothing has moved then. And what [`Env::step`](crate::env::Env::step) has, after which only a reset leads
-    /// on.
+    /// - [`EnvError::Agent`] for a missing action or an action of an agent that is not live. Nothing has changed.
+    /// - [`EnvError::OfAgent`] for an action of the wrong length or an action that is not finite. Nothing has
+    ///   changed.
+    /// - The errors of [`Env::step`](crate::env::Env::step). The environment must be reset after them.
     fn step(&mut self, actions: &AgentMap<Vec<f64>>) -> Result<ParallelStep, EnvError>;
 
-    /// Control steps after which an episode is cut off.
+    /// Returns the number of control steps after which an episode is truncated.
     fn episode_steps(&self) -> u64;
 
-    /// The states of all drones, one after the other, each as a [`state_vector`](crate::observation::state_vector) (PettingZoo's
-    /// `state`, for critics that see everything).
+    /// Returns the states of all drones, N × [`STATE_SIZE`](crate::observation::STATE_SIZE), each as a
+    /// [`state_vector`](crate::observation::state_vector). This is PettingZoo's `state`, for centralized critics.
     fn state(&self) -> Vec<f64>;
 
-    /// Draws a picture for people, as [`Env::render`](crate::env::Env::render).
+    /// Renders an RGB image, like [`Env::render`](crate::env::Env::render).
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`Env::render`](crate::env::Env::render).
     fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError>;
 
-    /// The simulation underneath.
+    /// Returns the underlying simulation.
     fn simulation(&self) -> &Simulation;
 }

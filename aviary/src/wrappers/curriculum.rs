@@ -6,20 +6,20 @@ use super::Wrapper;
 use crate::env::{DroneEnv, EnvError, EnvSnapshot, Step};
 use crate::observation::Observation;
 
-/// What a curriculum goes by: the mean of the last episodes of
+/// Metric of a curriculum. The curriculum follows its mean over the last episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CurriculumMetric {
-    /// one where the episode ended in success, zero where it did not.
+    /// 1 for an episode that ends in success, 0 otherwise.
     #[default]
     SuccessRate,
-    /// the sum of the rewards.
+    /// Sum of the rewards of an episode.
     Reward,
-    /// the length in control steps.
+    /// Length of an episode, control steps.
     EpisodeLength,
 }
 
-/// How a curriculum advances (paper, §3.5.3).
+/// Settings of a curriculum (paper, §3.5.3).
 ///
 /// ```
 /// use aviary::wrappers::{CurriculumConfig, CurriculumMetric};
@@ -38,13 +38,13 @@ pub enum CurriculumMetric {
 pub struct CurriculumConfig {
     /// Number of levels; 5 by default.
     pub levels: usize,
-    /// What it goes by.
+    /// Metric that selects the level; success rate by default.
     pub metric: CurriculumMetric,
-    /// Episodes in the mean; 20 by default. A level is left after so many episodes of its own at the earliest.
+    /// Number of episodes in the mean; 20 by default. The level changes only after this many episodes on it.
     pub window: usize,
-    /// Mean at which the next level begins; 0.8 by default.
+    /// Mean at or above which the level increases; 0.8 by default.
     pub advance: f64,
-    /// Mean below which the level before begins again; `None`, the default, for never.
+    /// Mean below which the level decreases; `None`, the default, never decreases it.
     pub retreat: Option<f64>,
 }
 
@@ -58,7 +58,7 @@ impl CurriculumConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming one that is impossible.
+    /// [`EnvError::Option`] with the first invalid setting.
     pub fn validate(&self) -> Result<(), EnvError> {
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         if !(1..=1_000_000).contains(&self.levels) {
@@ -79,7 +79,7 @@ impl CurriculumConfig {
     }
 }
 
-/// How a curriculum stands: what can be saved and restored.
+/// State of a curriculum, for saving and restoring.
 ///
 /// ```
 /// use aviary::wrappers::{Curriculum, CurriculumConfig};
@@ -94,22 +94,22 @@ impl CurriculumConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CurriculumState {
-    /// The level, from 0.
+    /// Level, from 0.
     pub level: usize,
-    /// The metric of the last episodes on this level, oldest first.
+    /// Metric of the last episodes on this level, oldest first.
     pub recent: VecDeque<f64>,
-    /// Episodes that ended, over all levels.
+    /// Number of episodes that ended, over all levels.
     pub episodes: u64,
-    /// Episodes that ended on each level.
+    /// Number of episodes that ended on each level.
     pub episodes_per_level: Vec<u64>,
-    /// How often the next level began.
+    /// Number of times that the level increased.
     pub advances: u64,
-    /// How often the level before began again.
+    /// Number of times that the level decreased.
     pub retreats: u64,
 }
 
-/// The level of difficulty, by itself: what a [`CurriculumWrapper`] goes by, and a batch's
-/// [`VecCurriculum`](crate::vector::VecCurriculum).
+/// Level of difficulty, without an environment. [`CurriculumWrapper`] and
+/// [`VecCurriculum`](crate::vector::VecCurriculum) each contain one.
 ///
 /// ```
 /// use aviary::wrappers::{Curriculum, CurriculumConfig};
@@ -129,10 +129,10 @@ pub struct Curriculum {
 }
 
 impl Curriculum {
-    /// On level 0.
+    /// Creates a curriculum at level 0.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming a setting that is impossible.
+    /// [`EnvError::Option`] if a setting is invalid.
     pub fn new(config: CurriculumConfig) -> Result<Self, EnvError> {
         config.validate()?;
         let state = CurriculumState {
@@ -146,20 +146,20 @@ impl Curriculum {
         Ok(Self { config, state })
     }
 
-    /// How it stands.
+    /// Returns the state.
     pub fn state(&self) -> &CurriculumState {
         &self.state
     }
 
-    /// The level, from 0.
+    /// Returns the level, from 0.
     pub fn level(&self) -> usize {
         self.state.level
     }
 
-    /// Goes on from an earlier state, from the next reset on.
+    /// Restores an earlier state. The restored level applies from the next reset.
     ///
     /// # Errors
-    /// [`EnvError::Option`] for a state of another curriculum, and then nothing has changed.
+    /// [`EnvError::Option`] for a state that does not fit the settings of this curriculum. Nothing has changed.
     pub fn restore_state(&mut self, state: CurriculumState) -> Result<(), EnvError> {
         self.validate_state(&state)?;
         self.state = state;
@@ -182,19 +182,19 @@ impl Curriculum {
                     state.episodes_per_level.len(),
                     state.recent.len()
                 ),
-                expected: "one of a curriculum with as many levels and as long a window",
+                expected: "the state of a curriculum with the same levels and window",
             });
         }
         Ok(())
     }
 
-    /// Mean of the metric over the last episodes on this level; `None` before the first.
+    /// Returns the mean of the metric over the last episodes on this level; `None` before the first episode.
     pub fn mean(&self) -> Option<f64> {
         let recent = &self.state.recent;
         (!recent.is_empty()).then(|| recent.iter().sum::<f64>() / recent.len() as f64)
     }
 
-    /// An episode has ended: in success or not, with this sum of rewards, after so many control steps.
+    /// Records the end of an episode, with its success, the sum of its rewards and its length in control steps.
     pub fn episode_ended(&mut self, success: bool, reward: f64, steps: u64) {
         let metric = match self.config.metric {
             CurriculumMetric::SuccessRate => f64::from(u8::from(success)),
@@ -224,11 +224,11 @@ impl Curriculum {
     }
 }
 
-/// Makes an environment harder as an agent gets better: after every episode the level follows a moving average, and at every
-/// reset a function of one's own sets the environment up for the level. It has all of the environment: its wind and
-/// randomization, and, where it is an [`Aviary`](crate::env::Aviary), its task.
+/// A wrapper that makes an environment harder as an agent improves. After every episode, the level follows the mean
+/// of a metric. At every reset, a function of the caller configures the environment for the level. The function
+/// receives the whole environment: its wind and randomization and, for an [`Aviary`](crate::env::Aviary), its task.
 ///
-/// An episode counts when it has ended by itself or by its time; one that is left in its middle does not.
+/// An episode counts when it is terminated or truncated. An episode that a reset interrupts does not count.
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -236,7 +236,7 @@ impl Curriculum {
 /// use aviary::tasks::Hover;
 /// use aviary::wrappers::{CurriculumConfig, CurriculumWrapper};
 ///
-/// // more wind on every level
+/// // wind increases with the level
 /// let blow = |env: &mut aviary::env::Aviary<Hover>, level: usize| {
 ///     let wind = WindConfig { velocity: [0.5 * level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
 ///     env.set_wind(Some(wind))
@@ -255,33 +255,34 @@ pub struct CurriculumWrapper<E, F> {
 }
 
 impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
-    /// Around an environment, on level 0; `difficulty` is called at every reset with the environment and the level.
+    /// Creates a curriculum around an environment, at level 0. Every reset calls `difficulty` with the environment
+    /// and the level.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming a setting that is impossible.
+    /// [`EnvError::Option`] if a setting is invalid.
     pub fn new(env: E, config: CurriculumConfig, difficulty: F) -> Result<Self, EnvError> {
         Ok(Self { env, curriculum: Curriculum::new(config)?, difficulty, running: (0.0, 0) })
     }
 
-    /// The environment within.
+    /// Returns the wrapped environment.
     pub fn inner(&self) -> &E {
         &self.env
     }
 
-    /// How it stands.
+    /// Returns the state of the curriculum.
     pub fn state(&self) -> &CurriculumState {
         self.curriculum.state()
     }
 
-    /// Goes on from an earlier state, from the next reset on.
+    /// Restores an earlier state of the curriculum. The restored level applies from the next reset.
     ///
     /// # Errors
-    /// [`EnvError::Option`] for a state of another curriculum, and then nothing has changed.
+    /// [`EnvError::Option`] for a state that does not fit the settings of this curriculum. Nothing has changed.
     pub fn restore_state(&mut self, state: CurriculumState) -> Result<(), EnvError> {
         self.curriculum.restore_state(state)
     }
 
-    /// Mean of the metric over the last episodes on this level; `None` before the first.
+    /// Returns the mean of the metric over the last episodes on this level; `None` before the first episode.
     pub fn mean(&self) -> Option<f64> {
         self.curriculum.mean()
     }

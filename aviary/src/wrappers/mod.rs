@@ -1,4 +1,4 @@
-//! Environments around environments: each changes one thing and forwards the rest ([`Wrapper`]).
+//! Wrappers: environments that modify another environment and forward everything else ([`Wrapper`]).
 
 mod curriculum;
 mod safety;

@@ -7,14 +7,16 @@ use crate::env::{BoxSpace, DroneEnv, EnvError, EnvSnapshot, Step};
 use crate::observation::Observation;
 use crate::state::DroneState;
 
-/// Keeps drones apart whatever the agent commands: a [`CollisionCone`] on the commanded velocities.
+/// A wrapper that keeps drones apart: a [`CollisionCone`] filter on the commanded velocities.
 ///
-/// A velocity command v\* stands for the acceleration `response`·(v\* − v) that the controller beneath will give. Those are
-/// filtered, and what comes out goes on as velocities. Commands that are safe pass unchanged, but for a yaw rate beyond
-/// [`MAX_YAW_RATE`](Self::MAX_YAW_RATE): a drone that spins gives accelerations late and askew.
+/// The wrapper converts a velocity command v\* to the acceleration `response`·(v\* − v) that the controller would
+/// produce. It filters the accelerations and converts them back to velocity commands. Safe commands pass unchanged,
+/// except that the wrapper clamps yaw rates to [`MAX_YAW_RATE`](Self::MAX_YAW_RATE): a spinning drone produces its
+/// acceleration late and in the wrong direction.
 ///
-/// The filter keeps its radius as far as the controller beneath gives what is asked of it: leave a margin (an eighth is
-/// enough for the geometric controller), and say how fast that controller is with [`response`](Self::response).
+/// The distance between drones stays above the radius of the filter as far as the controller produces the commanded
+/// acceleration. Add a margin to the radius (an eighth is enough for the geometric controller), and set the rate of
+/// the controller with [`response`](Self::response).
 ///
 /// ```
 /// use aviary::action::ActionType;
@@ -32,53 +34,53 @@ use crate::state::DroneState;
 #[derive(Debug)]
 pub struct SafetyWrapper<E> {
     env: E,
-    guard: VelocityFilter,
+    velocity_filter: VelocityFilter,
     action: Vec<f64>,
-    /// Control steps of this episode in which it had to change something.
+    /// Number of control steps of this episode in which the filter changed the action.
     interventions: u64,
-    /// True if it has been reset: before that there is no state to filter for.
+    /// True after a reset. Before it there are no states to filter with.
     started: bool,
 }
 
 impl<E> SafetyWrapper<E> {
-    /// Largest yaw rate that is passed on, rad/s.
+    /// Largest yaw rate that the wrapper passes on, rad/s.
     pub const MAX_YAW_RATE: f64 = 1.0;
 }
 
 impl<E: DroneEnv> SafetyWrapper<E> {
-    /// Around an environment whose actions are velocities ([`ActionType::Vel`]). It must be reset before its first step, also
-    /// where the environment has been.
+    /// Creates a wrapper around an environment with velocity actions ([`ActionType::Vel`]). The wrapper must be
+    /// reset before its first step, even if the environment has been reset.
     ///
     /// # Errors
-    /// [`EnvError::Option`] for other actions, [`EnvError::Safety`] for a filter that cannot be.
+    /// [`EnvError::Option`] for other action types, and [`EnvError::Safety`] for invalid options of the filter.
     pub fn new(env: E, filter: CollisionCone) -> Result<Self, EnvError> {
-        let guard = VelocityFilter::new(filter, 10.0, env.action_type(), env.simulation().num_drones())?;
+        let velocity_filter = VelocityFilter::new(filter, 10.0, env.action_type(), env.simulation().num_drones())?;
         let action = vec![0.0; env.action_space().size()];
-        Ok(Self { env, guard, action, interventions: 0, started: false })
+        Ok(Self { env, velocity_filter, action, interventions: 0, started: false })
     }
 
-    /// How fast the controller beneath takes up a velocity, 1/s: 10 (the default) for the geometric controller, 5 for the
-    /// DSL-PID, 0.9 for the paper's PID.
+    /// Sets the rate at which the controller tracks a velocity command, 1/s; default 10, which fits the geometric
+    /// controller. 5 fits the DSL-PID and 0.9 the paper's PID.
     ///
     /// # Errors
-    /// [`EnvError::Option`] for what is not a positive number.
+    /// [`EnvError::Option`] if the rate is not a positive number.
     pub fn response(mut self, response: f64) -> Result<Self, EnvError> {
-        self.guard = self.guard.response(response)?;
+        self.velocity_filter = self.velocity_filter.response(response)?;
         Ok(self)
     }
 
-    /// The environment within.
+    /// Returns the wrapped environment.
     pub fn inner(&self) -> &E {
         &self.env
     }
 
-    /// Control steps of this episode in which it had to change something.
+    /// Returns the number of control steps of this episode in which the filter changed the action.
     pub fn interventions(&self) -> u64 {
         self.interventions
     }
 }
 
-/// The filter of one environment's velocities.
+/// Filter of the velocity commands of one environment.
 #[derive(Debug, Clone)]
 pub(crate) struct VelocityFilter {
     filter: CollisionCone,
@@ -89,7 +91,7 @@ pub(crate) struct VelocityFilter {
 }
 
 impl VelocityFilter {
-    /// For actions of this type, which must be velocities, and so many drones.
+    /// Creates a filter for a number of drones. The action type must be [`ActionType::Vel`].
     pub(crate) fn new(
         filter: CollisionCone,
         response: f64,
@@ -101,7 +103,7 @@ impl VelocityFilter {
             return Err(EnvError::Option {
                 option: "action_type",
                 got: action_type.to_string(),
-                expected: "vel under a safety filter",
+                expected: "vel for a safety filter",
             });
         }
         let vectors = || vec![Vector3::zeros(); drones];
@@ -120,7 +122,7 @@ impl VelocityFilter {
         Ok(Self { response, ..self })
     }
 
-    /// Makes an action safe for drones in these states; whether it had to change it.
+    /// Makes an action safe for drones in the given states. Returns true if the filter changed the velocities.
     pub(crate) fn make_safe(
         &mut self,
         states: &[DroneState],
@@ -130,9 +132,9 @@ impl VelocityFilter {
         for ((x, low), high) in action.iter_mut().zip(bounds.low()).zip(bounds.high()) {
             *x = x.clamp(*low, *high);
         }
-        const MOST: f64 = SafetyWrapper::<()>::MAX_YAW_RATE;
+        const MAX: f64 = SafetyWrapper::<()>::MAX_YAW_RATE;
         for command in action.chunks_exact_mut(4) {
-            command[3] = command[3].clamp(-MOST, MOST);
+            command[3] = command[3].clamp(-MAX, MAX);
         }
         for (drone, (state, command)) in states.iter().zip(action.chunks_exact(4)).enumerate() {
             let (sin, cos) = state.yaw().sin_cos();
@@ -188,14 +190,14 @@ impl<E: DroneEnv> Wrapper for SafetyWrapper<E> {
         if !this.started {
             return Err(EnvError::NeedsReset { when: "on a new safety filter" });
         }
-        // what is wrong with an action the environment itself says best
-        let sound = action.len() == this.action.len() && action.iter().all(|x| x.is_finite());
-        if !sound || this.env.info().end.is_some() {
+        // the environment reports an invalid action
+        let valid = action.len() == this.action.len() && action.iter().all(|x| x.is_finite());
+        if !valid || this.env.info().end.is_some() {
             return this.env.step(action);
         }
         this.action.copy_from_slice(action);
         let (states, bounds) = (this.env.simulation().states(), this.env.action_space());
-        if this.guard.make_safe(states, bounds, &mut this.action)? {
+        if this.velocity_filter.make_safe(states, bounds, &mut this.action)? {
             this.interventions += 1;
         }
         this.env.step(&this.action)
@@ -210,7 +212,7 @@ mod tests {
     use crate::tasks::Antipodal;
 
     #[test]
-    fn nothing_is_filtered_before_the_first_reset() {
+    fn a_step_before_the_first_reset_is_an_error() {
         let env = Antipodal::builder().num_drones(2).action_type(ActionType::Vel).controller(ControllerKind::Geometric);
         let mut env = SafetyWrapper::new(env.build().unwrap(), CollisionCone::new(0.4)).unwrap();
         // towards each other

@@ -12,11 +12,11 @@ use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
 use crate::vision::{ImageSize, View};
 
-/// An environment around another one. Every function forwards to the environment inside; a wrapper overrides those that
-/// it changes.
+/// An environment around another environment. Every function forwards to the inner environment by default; a
+/// wrapper overrides the functions that it changes.
 ///
-/// Whatever implements it is an [`Env`] and a [`DroneEnv`]. The functions take `this` in place of `self`, so that
-/// `wrapper.step(..)` is always [`Env::step`].
+/// Every type that implements `Wrapper` is an [`Env`] and a [`DroneEnv`]. The functions take `this` instead of
+/// `self`, so that `wrapper.step(..)` always means [`Env::step`].
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env, EnvError, Step, check_env};
@@ -55,164 +55,164 @@ use crate::vision::{ImageSize, View};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub trait Wrapper {
-    /// Type of the environment inside.
+    /// Type of the inner environment.
     type Inner: DroneEnv + ?Sized;
 
-    /// Returns the environment inside.
+    /// Returns the inner environment.
     fn inner(this: &Self) -> &Self::Inner;
 
-    /// Returns the environment inside, to be changed.
+    /// Returns the inner environment for changes.
     fn inner_mut(this: &mut Self) -> &mut Self::Inner;
 
-    /// [`Env::name`].
+    /// Implements [`Env::name`].
     fn name(this: &Self) -> &'static str {
         Self::inner(this).name()
     }
 
-    /// [`Env::observation_space`].
+    /// Implements [`Env::observation_space`].
     fn observation_space(this: &Self) -> &ObservationSpace {
         Self::inner(this).observation_space()
     }
 
-    /// [`Env::action_space`].
+    /// Implements [`Env::action_space`].
     fn action_space(this: &Self) -> &BoxSpace {
         Self::inner(this).action_space()
     }
 
-    /// [`Env::reset`].
+    /// Implements [`Env::reset`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`Env::reset`].
     fn reset(this: &mut Self, seed: Option<u64>) -> Result<&Observation, EnvError> {
         Self::inner_mut(this).reset(seed)
     }
 
-    /// [`Env::step`].
+    /// Implements [`Env::step`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`Env::step`].
     fn step<'a>(this: &'a mut Self, action: &[f64]) -> Result<Step<'a>, EnvError> {
         Self::inner_mut(this).step(action)
     }
 
-    /// [`Env::snapshot`]. A wrapper with a state of its own puts it [around](EnvSnapshot::with_inner) the snapshot of the
-    /// environment inside.
+    /// Implements [`Env::snapshot`]. A wrapper with its own state stores that state
+    /// [around](EnvSnapshot::with_inner) the snapshot of the inner environment.
     fn snapshot(this: &Self) -> EnvSnapshot {
         Self::inner(this).snapshot()
     }
 
-    /// [`Env::restore`].
+    /// Implements [`Env::restore`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`Env::restore`].
     fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
         Self::inner_mut(this).restore(snapshot)
     }
 
-    /// [`Env::observation`].
+    /// Implements [`Env::observation`].
     fn observation(this: &Self) -> &Observation {
         Self::inner(this).observation()
     }
 
-    /// [`Env::info`].
+    /// Implements [`Env::info`].
     fn info(this: &Self) -> Info {
         Self::inner(this).info()
     }
 
-    /// [`Env::metrics`].
+    /// Implements [`Env::metrics`].
     fn metrics(this: &Self, report: &mut dyn FnMut(&'static str, f64)) {
         Self::inner(this).metrics(report);
     }
 
-    /// [`Env::render`].
+    /// Implements [`Env::render`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`Env::render`].
     fn render(this: &mut Self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
         Self::inner_mut(this).render(view, size, rgb)
     }
 
-    /// [`DroneEnv::simulation`].
+    /// Implements [`DroneEnv::simulation`].
     fn simulation(this: &Self) -> &Simulation {
         Self::inner(this).simulation()
     }
 
-    /// [`DroneEnv::action_type`].
+    /// Implements [`DroneEnv::action_type`].
     fn action_type(this: &Self) -> ActionType {
         Self::inner(this).action_type()
     }
 
-    /// [`DroneEnv::action_of_motor_speeds`].
+    /// Implements [`DroneEnv::action_of_motor_speeds`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`DroneEnv::action_of_motor_speeds`].
     fn action_of_motor_speeds(this: &Self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
         Self::inner(this).action_of_motor_speeds(speeds, action)
     }
 
-    /// [`DroneEnv::episode_steps`].
+    /// Implements [`DroneEnv::episode_steps`].
     fn episode_steps(this: &Self) -> u64 {
         Self::inner(this).episode_steps()
     }
 
-    /// [`DroneEnv::drone_end`].
+    /// Implements [`DroneEnv::drone_end`].
     ///
     /// # Panics
-    /// As there.
+    /// If no drone has the index.
     fn drone_end(this: &Self, drone: usize) -> Option<EndReason> {
         Self::inner(this).drone_end(drone)
     }
 
-    /// [`DroneEnv::drone_reward`].
+    /// Implements [`DroneEnv::drone_reward`].
     ///
     /// # Panics
-    /// As there.
+    /// If no drone has the index.
     fn drone_reward(this: &Self, drone: usize) -> f64 {
         Self::inner(this).drone_reward(drone)
     }
 
-    /// [`DroneEnv::reference`].
+    /// Implements [`DroneEnv::reference`].
     fn reference(this: &Self, drone: usize) -> Reference {
         Self::inner(this).reference(drone)
     }
 
-    /// [`DroneEnv::plan`].
+    /// Implements [`DroneEnv::plan`].
     fn plan(this: &Self, drone: usize) -> Option<Box<dyn Trajectory>> {
         Self::inner(this).plan(drone)
     }
 
-    /// [`DroneEnv::plans`].
+    /// Implements [`DroneEnv::plans`].
     fn plans(this: &Self) -> Vec<Option<Box<dyn Trajectory>>> {
         Self::inner(this).plans()
     }
 
-    /// [`DroneEnv::extent`].
+    /// Implements [`DroneEnv::extent`].
     fn extent(this: &Self) -> Vec<Vector3<f64>> {
         Self::inner(this).extent()
     }
 
-    /// [`DroneEnv::set_wind`].
+    /// Implements [`DroneEnv::set_wind`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`DroneEnv::set_wind`].
     fn set_wind(this: &mut Self, wind: Option<WindConfig>) -> Result<(), EnvError> {
         Self::inner_mut(this).set_wind(wind)
     }
 
-    /// [`DroneEnv::set_randomization`].
+    /// Implements [`DroneEnv::set_randomization`].
     ///
     /// # Errors
-    /// As there.
+    /// Returns the errors of [`DroneEnv::set_randomization`].
     fn set_randomization(this: &mut Self, randomization: Option<Randomization>) -> Result<(), EnvError> {
         Self::inner_mut(this).set_randomization(randomization)
     }
 
-    /// [`DroneEnv::sampled_params`].
+    /// Implements [`DroneEnv::sampled_params`].
     fn sampled_params(this: &Self) -> Option<&SampledParams> {
         Self::inner(this).sampled_params()
     }
 
-    /// [`DroneEnv::may_be_constant`].
+    /// Implements [`DroneEnv::may_be_constant`].
     fn may_be_constant(this: &Self, entry: usize) -> bool {
         Self::inner(this).may_be_constant(entry)
     }
@@ -322,7 +322,7 @@ impl<W: Wrapper> DroneEnv for W {
     }
 }
 
-/// A boxed environment is one: what [`make`](crate::tasks::make) returns can be wrapped.
+/// Boxed environments are environments, so that wrappers accept the result of [`make`](crate::tasks::make).
 impl<E: DroneEnv + ?Sized> Wrapper for Box<E> {
     type Inner = E;
 
@@ -335,7 +335,7 @@ impl<E: DroneEnv + ?Sized> Wrapper for Box<E> {
     }
 }
 
-/// A borrowed environment is one: wrappers and loops need not own it.
+/// Mutable references to environments are environments, so that wrappers and loops can borrow them.
 impl<E: DroneEnv + ?Sized> Wrapper for &mut E {
     type Inner = E;
 
