@@ -1,4 +1,4 @@
-//! Poses of the cameras that people look through: what they keep in the frame, and from where.
+//! Poses of the view cameras that keep a set of points in the frame.
 
 use mujoco_rs::{Camera, ImageSize};
 use nalgebra::Vector3;
@@ -6,8 +6,7 @@ use nalgebra::Vector3;
 use super::View;
 use crate::world::Obstacle;
 
-/// Pose of a camera that people look through, with square pixels and a vertical field of view of
-/// [`FOVY`](Self::FOVY) degrees.
+/// Pose of a view camera with square pixels and a vertical field of view of [`FOVY`](Self::FOVY) degrees.
 ///
 /// ```
 /// use aviary::vision::{CameraPose, ImageSize, View};
@@ -16,39 +15,41 @@ use crate::world::Obstacle;
 /// let size = ImageSize { width: 320, height: 240 };
 /// let path = [Vector3::new(0.0, 0.0, 1.0), Vector3::new(12.0, 0.0, 1.0)];
 /// let pose = CameraPose::framing(View::Top, &path, 0.1, &[], size).expect("no onboard camera");
-/// // x to the right, and as large as the frame allows
+/// // x points right, and the path fills the frame
 /// let [start, end] = path.map(|point| pose.project(&point, size).expect("in front of the camera"));
 /// assert!(start[0] < -0.7 && end[0] > 0.7 && end[0] < 1.0);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CameraPose {
-    /// Where the camera stands, world frame, m.
+    /// Position of the camera, world frame, m.
     pub eye: Vector3<f64>,
-    /// Direction of sight about world z, degrees: 0 looks along +x, 90 along +y.
+    /// Azimuth of the viewing direction about world z, degrees: 0 looks along +x, 90 along +y.
     pub azimuth: f64,
-    /// Direction of sight above the horizon, degrees: negative looks down.
+    /// Elevation of the viewing direction, degrees: negative looks down.
     pub elevation: f64,
-    /// Distance of the point that it looks at, m.
+    /// Distance from the camera to the point that it looks at, m.
     pub distance: f64,
 }
 
-/// Part of half the frame that holds everything to be seen.
+/// Fraction of the half frame that contains all framed points.
 const MARGIN: f64 = 0.9;
 
-/// Distance within which an obstacle counts as near a path, m.
+/// Distance below which an obstacle counts as near a path, m.
 const NEAR: f64 = 0.5;
 
-/// Smallest distance of a camera from an obstacle, m.
+/// Minimum distance of a camera from an obstacle, m.
 const CLEARANCE: f64 = 0.1;
 
 impl CameraPose {
     /// Vertical field of view, degrees.
     pub const FOVY: f64 = 45.0;
 
-    /// Returns the pose of a view that keeps these points (world frame, m) in the frame, each with a radius (m) around it, as
-    /// large as the frame allows, with the obstacles that are near them. The camera stands in no obstacle and where obstacles hide
-    /// least, as far as the view leaves a choice: `fixed` and `track` may be turned and raised, `front` turned a little and raised, `top` is
-    /// always straight above. `None` for `fpv`, which is an onboard camera, and without points.
+    /// Returns the pose of a view that keeps points (world frame, m) in the frame, as large as possible, together
+    /// with the obstacles near them. `radius` is the radius around each point that stays in the frame, m.
+    ///
+    /// The camera stands outside all obstacles, where they hide the fewest points. The `fixed` and `track` views
+    /// may turn and rise for this, and the `front` view may turn a little and rise. The `top` view always looks
+    /// straight down. Returns `None` for `fpv`, which is an onboard camera, and for an empty list of points.
     pub fn framing(
         view: View,
         points: &[Vector3<f64>],
@@ -59,24 +60,24 @@ impl CameraPose {
         if points.is_empty() {
             return None;
         }
-        // an obstacle hides the same parts of two paths that are nearly one
+        // a subset of the points is enough, because obstacles hide neighbouring points together
         const POINTS: usize = 240;
         let step = points.len().div_ceil(POINTS);
         let mut targets: Vec<_> = points.iter().copied().step_by(step).collect();
-        let seen = targets.len();
+        let sampled = targets.len();
         for obstacle in obstacles {
-            let near = targets[..seen].iter().map(|point| (obstacle.distance(point), point));
+            let near = targets[..sampled].iter().map(|point| (obstacle.distance(point), point));
             let near = near.min_by(|a, b| a.0.total_cmp(&b.0));
             if let Some((distance, point)) = near.filter(|(distance, _)| *distance < NEAR) {
                 targets.push(point - distance * outwards(obstacle, point));
             }
         }
-        // every point counts for the frame
+        // the frame must contain every point, not only the sampled ones
         targets.extend_from_slice(points);
         let mut best: Option<(f64, Self)> = None;
         for [azimuth, elevation] in directions(view)? {
             let pose = Self::fitting(&targets, radius, azimuth, elevation, size);
-            let share = pose.visible_share(&targets[..seen], obstacles);
+            let share = pose.visible_share(&targets[..sampled], obstacles);
             let all = share > 0.97;
             if all || best.is_none_or(|(max, _)| share > max + 0.02) {
                 best = Some((share, pose));
@@ -88,12 +89,13 @@ impl CameraPose {
         best.map(|(_, pose)| pose)
     }
 
-    /// The nearest pose with a direction of sight from which all points are in the frame.
+    /// Returns the nearest pose with the given viewing direction that keeps all points in the frame.
     pub(super) fn fitting(points: &[Vector3<f64>], radius: f64, azimuth: f64, elevation: f64, size: ImageSize) -> Self {
         let [right, up, forward] = axes(azimuth, elevation);
         let tangent = MARGIN * (0.5 * Self::FOVY).to_radians().tan();
         let aspect = f64::from(size.width) / f64::from(size.height.max(1));
-        // a point p is left of the right edge where p·right − a·p·forward is at most that of the eye, and likewise for the others
+        // a point p is left of the right edge if p·right − slope·p·forward is at most that of the eye, and likewise
+        // for the other edges
         let fit = |axis: &Vector3<f64>, slope: f64| {
             let room = radius * slope.hypot(1.0);
             let max = |side: f64| {
@@ -117,30 +119,30 @@ impl CameraPose {
         }
     }
 
-    /// Returns the radius around a single point that fills the frame from a distance, both in m.
+    /// Returns the radius around a single point that fills the frame at a distance, both in m.
     pub(super) fn radius_that_fills(distance: f64) -> f64 {
         let tangent = MARGIN * (0.5 * Self::FOVY).to_radians().tan();
         distance * tangent / tangent.hypot(1.0)
     }
 
-    /// Returns where a point (world frame, m) is in a picture: from −1 to 1 from left to right and from bottom to top; `None`
-    /// behind the camera.
+    /// Returns the image coordinates of a point (world frame, m), each from −1 to 1, from left to right and from
+    /// bottom to top. Returns `None` for a point behind the camera.
     pub fn project(&self, point: &Vector3<f64>, size: ImageSize) -> Option<[f64; 2]> {
         let [right, up, forward] = axes(self.azimuth, self.elevation);
-        let way = point - self.eye;
-        let depth = way.dot(&forward);
+        let offset = point - self.eye;
+        let depth = offset.dot(&forward);
         let tangent = (0.5 * Self::FOVY).to_radians().tan();
         let aspect = f64::from(size.width) / f64::from(size.height.max(1));
-        (depth > 0.0).then(|| [way.dot(&right) / (depth * tangent * aspect), way.dot(&up) / (depth * tangent)])
+        (depth > 0.0).then(|| [offset.dot(&right) / (depth * tangent * aspect), offset.dot(&up) / (depth * tangent)])
     }
 
-    /// Returns the point that it looks at, world frame, m.
+    /// Returns the point that the camera looks at, world frame, m.
     pub fn lookat(&self) -> Vector3<f64> {
         let [_, _, forward] = axes(self.azimuth, self.elevation);
         self.eye + self.distance * forward
     }
 
-    /// Share of points that no obstacle hides; 0 for a camera that stands in one or below the floor.
+    /// Returns the fraction of points that no obstacle hides; 0 for a camera inside an obstacle or below the floor.
     pub(super) fn visible_share(&self, points: &[Vector3<f64>], obstacles: &[Obstacle]) -> f64 {
         if self.eye.z < 0.02 || obstacles.iter().any(|obstacle| obstacle.distance(&self.eye) < CLEARANCE) {
             return 0.0;
@@ -157,7 +159,7 @@ impl CameraPose {
     }
 }
 
-/// Directions of sight (azimuth and elevation, degrees) that a view may have, the best first.
+/// Returns the possible viewing directions of a view, azimuth and elevation in degrees, best first.
 fn directions(view: View) -> Option<Vec<[f64; 2]>> {
     let around = |first: f64, elevations: &[f64]| {
         let turns = [0.0, -30.0, 30.0, -60.0, 60.0, 90.0, -90.0, 135.0, -135.0, 180.0];
@@ -177,7 +179,7 @@ fn directions(view: View) -> Option<Vec<[f64; 2]>> {
     }
 }
 
-/// Right, up and forward of a camera.
+/// Returns the right, up and forward axes of a camera, world frame.
 fn axes(azimuth: f64, elevation: f64) -> [Vector3<f64>; 3] {
     let ((sin, cos), (up, level)) = (azimuth.to_radians().sin_cos(), elevation.to_radians().sin_cos());
     let forward = Vector3::new(level * cos, level * sin, up);
@@ -185,7 +187,7 @@ fn axes(azimuth: f64, elevation: f64) -> [Vector3<f64>; 3] {
     [right, right.cross(&forward), forward]
 }
 
-/// Direction in which the distance from an obstacle grows.
+/// Returns the direction in which the distance from an obstacle increases.
 fn outwards(obstacle: &Obstacle, point: &Vector3<f64>) -> Vector3<f64> {
     const STEP: f64 = 1e-4;
     let slope = Vector3::from_fn(|axis, _| {
@@ -195,19 +197,19 @@ fn outwards(obstacle: &Obstacle, point: &Vector3<f64>) -> Vector3<f64> {
     slope.try_normalize(1e-12).unwrap_or_else(Vector3::z)
 }
 
-/// Returns whether an obstacle stands between an eye and a point.
+/// Returns true if an obstacle hides a point from the eye.
 fn hides(obstacle: &Obstacle, eye: &Vector3<f64>, point: &Vector3<f64>) -> bool {
-    let way = point - eye;
-    let length = way.norm();
-    // the ball around it first
-    let along = ((obstacle.position - eye).dot(&way) / (length * length)).clamp(0.0, 1.0);
-    if (eye + along * way - obstacle.position).norm() > obstacle.shape.reach() || length < 1e-9 {
+    let offset = point - eye;
+    let length = offset.norm();
+    // the bounding sphere rules out most obstacles
+    let along = ((obstacle.position - eye).dot(&offset) / (length * length)).clamp(0.0, 1.0);
+    if (eye + along * offset - obstacle.position).norm() > obstacle.shape.reach() || length < 1e-9 {
         return false;
     }
-    // as far at a time as there is room
+    // sphere tracing: each step advances by the distance from the obstacle
     let mut at = 0.0;
     while at < length {
-        let distance = obstacle.distance(&(eye + way * (at / length)));
+        let distance = obstacle.distance(&(eye + offset * (at / length)));
         if distance < 1e-3 {
             return true;
         }
@@ -225,16 +227,17 @@ mod tests {
     use proptest::prelude::*;
     use rand::SeedableRng as _;
 
-    const STANDING: [View; 3] = [View::Fixed, View::Front, View::Top];
+    const STATIC: [View; 3] = [View::Fixed, View::Front, View::Top];
 
     fn point() -> impl Strategy<Value = Vector3<f64>> {
         (-8.0..8.0, -8.0..8.0, 0.05..4.0).prop_map(|(x, y, z)| Vector3::new(x, y, z))
     }
 
     proptest! {
-        /// Whatever is to be seen is in the frame with a margin, and touches that margin: nothing nearer would do.
+        /// All points are in the frame with a margin, and the outermost ones touch the margin, so that no nearer
+        /// pose exists.
         #[test]
-        fn everything_is_in_the_frame_and_as_large_as_it_allows(
+        fn framing_fits_all_points_as_tightly_as_the_margin_allows(
             points in prop::collection::vec(point(), 1..30), wide in 0.5..2.0, radius in 0.01..0.5,
         ) {
             let size = ImageSize { width: (240.0 * wide) as u32, height: 240 };
@@ -243,18 +246,18 @@ mod tests {
                 let places = points.iter().map(|point| pose.project(point, size).unwrap());
                 let max = places.flatten().fold(0.0, |max: f64, x| max.max(x.abs()));
                 prop_assert!(max < MARGIN, "{view}: {max}");
-                // without a ball about each point the outermost ones touch the margin
+                // without a radius around the points, the outermost points touch the margin
                 let tight = CameraPose::framing(view, &points, 1e-6, &[], size).unwrap();
                 let places = points.iter().map(|point| tight.project(point, size).unwrap());
                 let max = places.flatten().fold(0.0, |max: f64, x| max.max(x.abs()));
-                // unless one is so far in front of the others that the camera stands before it
+                // except if one point is so close to the camera that the camera is at that point
                 let before_one = points.iter().any(|point| (point - tight.eye).norm() < 1e-3);
                 prop_assert!(before_one || max > MARGIN - 1e-3, "{view}: {max}");
             }
         }
 
         #[test]
-        fn cameras_stand_in_no_obstacle_and_see_the_path(
+        fn cameras_avoid_obstacles_and_see_the_path(
             seed in 0u64..500, at in (-0.8..0.8, -0.8..0.8),
         ) {
             let size = ImageSize { width: 320, height: 240 };
@@ -263,9 +266,9 @@ mod tests {
                 let config = ObstacleConfig { count: 8, ..ObstacleConfig::new(kind) };
                 let Ok(obstacles) = config.generate(&[start.into()], &mut Rng::seed_from_u64(seed)) else { continue };
                 let path: Vec<_> = (0..20).map(|i| start + Vector3::z() * 0.05 * f64::from(i)).collect();
-                for view in STANDING {
+                for view in STATIC {
                     let pose = CameraPose::framing(view, &path, 0.13, &obstacles, size).unwrap();
-                    // straight above there is no choice
+                    // the top view has only one direction
                     if view == View::Top {
                         continue;
                     }
@@ -278,9 +281,9 @@ mod tests {
         }
     }
 
-    /// A trunk before the standing camera: it goes round or above.
+    /// A trunk between the camera and the path: the camera moves around or above it.
     #[test]
-    fn a_camera_goes_out_of_the_way_of_an_obstacle() {
+    fn cameras_move_to_see_past_an_obstacle() {
         let size = ImageSize { width: 320, height: 240 };
         let path: Vec<_> = (0..10).map(|i| Vector3::z() * (0.1 + 0.1 * f64::from(i))).collect();
         for view in [View::Fixed, View::Front, View::Track] {
@@ -298,9 +301,10 @@ mod tests {
         }
     }
 
-    /// Every start, every reference of an episode and every plan of every task, for one drone and several.
+    /// The extent of a task covers every start, every reference of an episode and every plan, for one drone and
+    /// several.
     #[test]
-    fn standing_views_hold_the_extent_of_every_task() {
+    fn static_views_frame_the_extent_of_every_task() {
         let size = ImageSize { width: 320, height: 240 };
         for name in tasks::NAMES {
             for count in [None, Some(4)] {
@@ -313,24 +317,24 @@ mod tests {
                 let points = env.extent();
                 let drones = env.simulation().num_drones();
                 assert!(points.len() >= 2 * drones, "{name}");
-                for view in STANDING {
+                for view in STATIC {
                     let pose = CameraPose::framing(view, &points, 0.1, &[], size).unwrap();
                     let holds = |point: &Vector3<f64>| {
                         pose.project(point, size).is_some_and(|place| place.iter().all(|x| x.abs() < 0.95))
                     };
-                    for (drone, way) in env.plans().into_iter().enumerate() {
+                    for (drone, plan) in env.plans().into_iter().enumerate() {
                         assert!(holds(&env.simulation().states()[drone].position), "{name} {view}");
                         assert!(holds(&env.reference(drone).position), "{name} {view}");
-                        if let Some(way) = way {
-                            let times = (0..200).map(|i| way.duration() * f64::from(i) / 199.0);
-                            assert!(times.into_iter().all(|t| holds(&way.reference(t).position)), "{name} {view}");
+                        if let Some(plan) = plan {
+                            let times = (0..200).map(|i| plan.duration() * f64::from(i) / 199.0);
+                            assert!(times.into_iter().all(|t| holds(&plan.reference(t).position)), "{name} {view}");
                         }
                     }
-                    // where the reference is the drone itself, it goes where that goes
+                    // stabilize uses the drone's own position as its reference, which can leave the frame
                     if name == "stabilize" {
                         continue;
                     }
-                    // references that move are held until the end of the episode
+                    // moving references stay in the frame until the end of the episode
                     let mut env = tasks::make(name, EnvConfig::default()).unwrap();
                     let hover = vec![0.0; env.action_space().size()];
                     env.reset(Some(3)).unwrap();
@@ -348,12 +352,12 @@ mod tests {
     }
 
     #[test]
-    fn wrappers_and_boxes_pass_the_extent_on() {
+    fn boxed_environments_forward_the_extent() {
         let mut env = AviaryBuilder::new(tasks::Velocity::default()).build().unwrap();
         env.reset(Some(1)).unwrap();
         let wanted = env.extent();
         let boxed: Box<dyn DroneEnv> = Box::new(env);
         assert_eq!(boxed.extent(), wanted);
-        assert!(wanted.len() > 2, "where it goes, not only where it is: {wanted:?}");
+        assert!(wanted.len() > 2, "the extent covers the references as well as the start: {wanted:?}");
     }
 }

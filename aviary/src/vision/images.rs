@@ -1,81 +1,89 @@
-//! Images of a scene: colour, depth and objects, from views and from onboard cameras.
+//! Images of a scene from views and onboard cameras: colour, depth and segmentation.
 
 use mujoco_rs::{Data, Error, GeomId, ImageSize, ObjectId as _};
 
 use super::{SceneRenderer, View};
 use crate::world::World;
 
-/// What a camera saw of an object: a geom of the scene.
+/// A visible object of a scene: one geom.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct SeenObject {
-    /// The second number of a segmentation pixel.
+    /// Index in the second channel of a segmentation image.
     pub index: i32,
     /// Name in the scene: `floor`, `drone0_propellers`, …
     pub name: String,
-    /// The drone it belongs to.
+    /// Index of the drone that the object belongs to; `None` for other objects.
     pub drone: Option<usize>,
 }
 
 impl SceneRenderer {
-    /// A picture from a view: RGB, three bytes per pixel, top row first.
+    /// Renders a view as RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong length,
-    /// [`Error::Value`] for sides that are not 1 to 8192 pixels.
+    /// [`Error::NoCamera`] before the first [`update`](Self::update), [`Error::Buffer`] for a buffer of the wrong
+    /// length, and [`Error::Value`] for an image side outside 1 to 8192 pixels.
     pub fn rgb(&mut self, view: View, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
         self.look(view, size)?;
         self.renderer.rgb(&mut self.scene, size, out)
     }
 
-    /// Depth from a view, m along the camera's axis, top row first; the far plane's distance where there is nothing.
+    /// Renders the depth of a view, m along the camera's axis, top row first. The background has the distance of
+    /// the far clipping plane.
     ///
     /// # Errors
-    /// As for [`rgb`](Self::rgb).
+    /// Returns the errors of [`rgb`](Self::rgb).
     pub fn depth(&mut self, view: View, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
         self.look(view, size)?;
         self.renderer.depth(&mut self.scene, size, out)
     }
 
-    /// Objects from a view, `[type, index]` per pixel, −1 twice where there is nothing, top row first.
+    /// Renders the segmentation of a view, `[type, index]` per pixel, top row first. The background is `[-1, -1]`.
     ///
     /// # Errors
-    /// As for [`rgb`](Self::rgb), and [`Error::Multisampled`] for a renderer for people.
+    /// Returns the errors of [`rgb`](Self::rgb), and [`Error::Multisampled`] for a renderer with several samples
+    /// per pixel.
     pub fn segmentation(&mut self, view: View, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
         self.look(view, size)?;
         self.renderer.segmentation(&mut self.scene, size, out)
     }
 
-    /// What a drone's onboard camera sees: RGBA, four bytes per pixel, alpha 255, top row first.
+    /// Renders the onboard camera of a drone as RGBA, four bytes per pixel, alpha 255, top row first.
     ///
     /// # Errors
-    /// As for [`rgb`](Self::rgb).
+    /// Returns the errors of [`rgb`](Self::rgb).
     ///
     /// # Panics
-    /// If there is no drone of that index; likewise below.
+    /// If no drone has the index.
     pub fn onboard_rgba(&mut self, drone: usize, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
         self.look_from_board(drone)?;
         self.renderer.rgba(&mut self.scene, size, out)
     }
 
-    /// What a drone's onboard camera sees: depth, m along its axis, top row first.
+    /// Renders the depth of a drone's onboard camera, m along the camera's axis, top row first.
     ///
     /// # Errors
-    /// As for [`rgb`](Self::rgb).
+    /// Returns the errors of [`rgb`](Self::rgb).
+    ///
+    /// # Panics
+    /// If no drone has the index.
     pub fn onboard_depth(&mut self, drone: usize, size: ImageSize, out: &mut [f32]) -> Result<(), Error> {
         self.look_from_board(drone)?;
         self.renderer.depth(&mut self.scene, size, out)
     }
 
-    /// What a drone's onboard camera sees: objects, `[type, index]` per pixel, top row first.
+    /// Renders the segmentation of a drone's onboard camera, `[type, index]` per pixel, top row first.
     ///
     /// # Errors
-    /// As for [`segmentation`](Self::segmentation).
+    /// Returns the errors of [`segmentation`](Self::segmentation).
+    ///
+    /// # Panics
+    /// If no drone has the index.
     pub fn onboard_segmentation(&mut self, drone: usize, size: ImageSize, out: &mut [[i32; 2]]) -> Result<(), Error> {
         self.look_from_board(drone)?;
         self.renderer.segmentation(&mut self.scene, size, out)
     }
 
-    /// Every geom that can be seen, by the index that segmentation gives it.
+    /// Returns all visible geoms, with their indices in segmentation images.
     pub fn objects(&self) -> Vec<SeenObject> {
         let model = self.data.model();
         (0..model.ngeom())
@@ -91,19 +99,19 @@ impl SceneRenderer {
             .collect()
     }
 
-    /// The visible scene's simulation, for rays.
+    /// Returns the simulation of the visible scene, for ray casts.
     pub fn data(&self) -> &Data {
         &self.data
     }
 }
 
-/// Focal length and centre of a camera with square pixels, pixels: `[fx, fy, cx, cy]`; the centre is measured from the
-/// top left corner of the picture.
+/// Returns the intrinsics of an onboard camera with square pixels, `[fx, fy, cx, cy]`, pixels. The centre is
+/// relative to the top left corner of the image.
 ///
 /// ```
 /// use aviary::vision::{CAMERA_SIZE, intrinsics};
 ///
-/// // half of the picture's 48 rows are 30°
+/// // half of the image's 48 rows span 30°
 /// let [fx, fy, cx, cy] = intrinsics(CAMERA_SIZE);
 /// assert!((fy - 24.0 / 30_f64.to_radians().tan()).abs() < 1e-9 && fx == fy);
 /// assert_eq!([cx, cy], [32.0, 24.0]);

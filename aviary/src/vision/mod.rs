@@ -1,7 +1,7 @@
-//! Pictures of a world: onboard cameras for agents, views for people.
+//! Camera images: onboard cameras for agents, views for people.
 //!
-//! They are drawn from a second model of the same scene with the same `qpos`, brought up to date when somebody looks,
-//! so that meshes and cameras cost the physics nothing.
+//! A renderer uses a second model of the same scene, whose `qpos` [`SceneRenderer::update`] sets. The model
+//! that the physics steps therefore needs no visual meshes or cameras.
 
 mod decor;
 mod framing;
@@ -16,12 +16,12 @@ pub use scene_renderer::SceneRenderer;
 
 use crate::names::named_enum;
 
-/// Size of the onboard cameras' pictures unless another is asked for (paper, §3.4.4).
+/// Default size of the images of the onboard cameras (paper, §3.4.4).
 pub const CAMERA_SIZE: ImageSize = ImageSize { width: 64, height: 48 };
 
 named_enum! {
-    "kind of picture"
-    /// What a picture shows.
+    "image kind"
+    /// Channel of an image: colour, depth or segmentation.
     ///
     /// ```
     /// use aviary::vision::ImageKind;
@@ -31,18 +31,18 @@ named_enum! {
     /// # Ok::<(), aviary::UnknownName>(())
     /// ```
     pub enum ImageKind {
-        /// Colour.
+        /// RGB or RGBA colour.
         Rgb = "rgb",
-        /// Distance along the camera's axis.
+        /// Depth along the camera's axis, m.
         Depth = "depth",
-        /// Which object.
+        /// Type and index of the object.
         Segmentation = "segmentation",
     }
 }
 
 named_enum! {
     "camera"
-    /// From where people look.
+    /// Cameras for people.
     ///
     /// ```
     /// use aviary::vision::View;
@@ -53,17 +53,17 @@ named_enum! {
     /// ```
     #[derive(Default)]
     pub enum View {
-        /// Following the drones, from behind and above.
+        /// Camera behind and above the drones that follows them.
         #[default]
         Track = "track",
-        /// Through the onboard camera of the first drone.
+        /// Onboard camera of the first drone.
         Fpv = "fpv",
-        /// From the side and above, standing still, with all that is [kept in the frame](SceneRenderer::keep_in_frame).
+        /// Static camera from the side and above. [`SceneRenderer::keep_in_frame`] sets the points in its frame.
         Fixed = "fixed",
-        /// From the front, along −x, standing still: left and up in the picture are left and up in the world's yz plane
-        /// as seen from there.
+        /// Static camera from the front, looking along −x. The image shows the world's yz plane: +y points right
+        /// and +z up.
         Front = "front",
-        /// From straight above, standing still: x to the right, y up.
+        /// Static camera from straight above. +x points right and +y up.
         Top = "top",
     }
 }

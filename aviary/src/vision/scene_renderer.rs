@@ -1,4 +1,4 @@
-//! The renderer of a world: its scene, kept up to date, and the cameras that look at it.
+//! Renderer of a world, with its scene and cameras.
 
 use mujoco_rs::{
     BodyId, Camera, CameraId, Data, Error, GeomId, ImageSize, JointId, LightId, Model, Quality, Renderer, Scene,
@@ -11,7 +11,7 @@ use crate::engine::{BuildError, place_geom};
 use crate::state::{DroneState, wxyz};
 use crate::world::{Marker, Obstacle, SceneError, World};
 
-/// Draws one world.
+/// Renderer of a world.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -24,7 +24,7 @@ use crate::world::{Marker, Obstacle, SceneError, World};
 /// renderer.update(simulation.states())?;
 /// let mut depth = vec![0.0; CAMERA_SIZE.pixels()];
 /// renderer.onboard_depth(0, CAMERA_SIZE, &mut depth)?;
-/// // the middle of the lowest row sees the floor, 1 m below the camera
+/// // the middle of the bottom row sees the floor, 1 m below the camera
 /// let [_, focal, _, middle] = intrinsics(CAMERA_SIZE);
 /// let floor = focal / (47.5 - middle);
 /// assert!((f64::from(depth[depth.len() - 1]) - floor).abs() < 1e-3);
@@ -32,61 +32,61 @@ use crate::world::{Marker, Obstacle, SceneError, World};
 /// ```
 #[derive(Debug)]
 pub struct SceneRenderer {
-    // dropped before the data whose model it draws
+    // dropped before `data`, whose model it draws
     pub(super) renderer: Renderer,
     pub(super) scene: Scene,
     pub(super) data: Data,
     joints: Vec<usize>,
     pub(super) bodies: Vec<BodyId>,
     cameras: Vec<CameraId>,
-    /// A point and a distance around it that the standing views look at, where they are told to.
+    /// Point that the static views look at and the distance around it, if the caller has set them.
     stage: Option<(Vector3<f64>, f64)>,
-    /// Points that the standing views keep in the frame otherwise.
+    /// Points that the static views keep in the frame otherwise.
     kept: Vec<Vector3<f64>>,
     obstacles: Vec<Obstacle>,
-    /// Pose of the view and size that were asked for last, where it does not follow the drones: the direction of sight counts for
-    /// the one that does.
+    /// View, size and pose of the last image. The `track` view uses only the viewing direction of the pose.
     posed: Option<(View, ImageSize, CameraPose)>,
-    /// Where the drones are.
+    /// Positions of the drones, world frame, m.
     places: Vec<Vector3<f64>>,
-    /// Distance from which the largest drone fills a good part of the picture, m.
+    /// Distance at which the largest drone fills a good part of the image, m.
     size: f64,
     sun: usize,
     floor: GeomId,
-    /// Gates and the like, which the standing views keep in the frame, too.
+    /// Bodies of the markers, such as gates, which the static views also keep in the frame.
     markers: Vec<Obstacle>,
-    /// Box around the obstacles and markers, if there are any.
+    /// Bounding box of the obstacles and markers; `None` without any.
     standing: Option<[Vector3<f64>; 2]>,
     stale: bool,
 }
 
-/// Half of the side of the square, in m, beyond which shadows are left out: its texels are 12 mm wide then.
+/// Half side of the largest square that the shadow map covers, m. Its texels are 12 mm wide at this size.
 const SHADOW_REACH: f64 = 12.0;
-/// Distance of the sun's place from the middle of its square, m; whatever casts shadows is between it and the floor.
+/// Distance of the sun from the centre of the square, m. All bodies that cast shadows are between the sun and the
+/// floor.
 const SUN_DISTANCE: f64 = 40.0;
 
 impl SceneRenderer {
-    /// For onboard cameras: one sample per pixel, no shadows, no reflections, no sky (black).
+    /// Creates a renderer for onboard cameras: one sample per pixel, no shadows, no reflections, black sky.
     ///
     /// # Errors
-    /// [`BuildError`] where the scene does not compile or there is no OpenGL to draw with.
+    /// [`BuildError`] if the scene does not compile or OpenGL is not available.
     pub fn for_observations(world: &World) -> Result<Self, BuildError> {
         Self::new(world, Quality::FAST, VisualEffects::default())
     }
 
-    /// For people: shadows, reflections, sky and several samples per pixel. Propellers are a little transparent, so
-    /// that depth leaves them out.
+    /// Creates a renderer for people: shadows, reflections, sky and several samples per pixel. Propellers are
+    /// slightly transparent, so that depth images do not contain them.
     ///
     /// # Errors
-    /// As for [`for_observations`](Self::for_observations).
+    /// Returns the errors of [`for_observations`](Self::for_observations).
     pub fn for_people(world: &World) -> Result<Self, BuildError> {
         Self::new(world, Quality::PRETTY, VisualEffects::pretty())
     }
 
-    /// With any quality and effects.
+    /// Creates a renderer with any quality and effects.
     ///
     /// # Errors
-    /// As for [`for_observations`](Self::for_observations).
+    /// Returns the errors of [`for_observations`](Self::for_observations).
     pub fn new(world: &World, quality: Quality, effects: VisualEffects) -> Result<Self, BuildError> {
         if world.drones.is_empty() {
             let what = "the number of drones to draw".into();
@@ -144,10 +144,11 @@ impl SceneRenderer {
         })
     }
 
-    /// Brings the scene up to date. What was [added](Self::add) before is gone.
+    /// Updates the scene to the states of the drones and removes all [added](Self::add) shapes.
     ///
     /// # Errors
-    /// [`Error::Value`] for a state that is not finite, and MuJoCo's own.
+    /// [`Error::Buffer`] for a wrong number of states, [`Error::Value`] for a state that is not finite, and the
+    /// errors of MuJoCo.
     pub fn update(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.stale = true;
         if states.len() != self.joints.len() {
@@ -165,7 +166,7 @@ impl SceneRenderer {
         self.places.clear();
         self.places.extend(states.iter().map(|state| state.position));
         let centre = self.places.iter().sum::<Vector3<f64>>() / self.places.len().max(1) as f64;
-        // rays meet the floor where the drones are; cameras have it drawn below them
+        // rays need the floor at the drones; the scene draws it below the camera
         let [x, y] = [centre.x, centre.y].map(|at| (at / Scene::GRID).round() * Scene::GRID);
         self.data.set_geom_xpos(self.floor, [x, y, 0.0])?;
         self.cast_shadows(&centre)?;
@@ -175,10 +176,10 @@ impl SceneRenderer {
         Ok(())
     }
 
-    /// Puts the sun and its shadow map where they cover the drones and all that stands around them, or only the drones' surroundings
-    /// where texels would become too wide.
+    /// Places the sun and its shadow map so that they cover the drones and all bodies around them. If the texels
+    /// would become too wide, they cover only the surroundings of the drones.
     fn cast_shadows(&mut self, centre: &Vector3<f64>) -> Result<(), Error> {
-        // a shadow lies on the ray of light through what casts it, so that it is covered where that is
+        // a shadow lies on the ray of light through its body, so that a map that covers the body covers the shadow
         let around = Vector3::repeat(0.5 * self.size);
         let drones = self.places.iter().flat_map(|place| [place - around, place + around]);
         let all = drones.chain(self.standing.into_iter().flatten());
@@ -195,10 +196,11 @@ impl SceneRenderer {
         self.renderer.set_shadow_reach(reach)
     }
 
-    /// Other obstacles of the same shapes in the same order: what is drawn after the next update.
+    /// Replaces the obstacles by obstacles with the same shapes in the same order. The next update draws them.
     ///
     /// # Errors
-    /// MuJoCo's, where it cannot copy the model; [`Error::UnknownName`] for more obstacles than there are.
+    /// [`Error::UnknownName`] for more obstacles than the scene has, and the errors of MuJoCo if it cannot copy the
+    /// model.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.stale = true;
         self.posed = None;
@@ -207,7 +209,7 @@ impl SceneRenderer {
                 *own = *obstacle;
             }
             let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
-            // the renderer shares the model: it has only meshes and textures of it, which stay
+            // the copy is safe: the renderer uses only meshes and textures of the shared model, which do not change
             let mut model = self.data.patch_model()?;
             place_geom(&mut model, geom, obstacle)?;
             let colour = obstacle.rgba.map(|x| x as f32);
@@ -217,10 +219,11 @@ impl SceneRenderer {
         Ok(())
     }
 
-    /// Puts markers elsewhere, which must be those of the world in the same order: what is drawn after the next update.
+    /// Moves the markers of the world, which must be in the same order. The next update draws them.
     ///
     /// # Errors
-    /// MuJoCo's, where it cannot copy the model; [`Error::UnknownName`] for a marker that is not there.
+    /// [`Error::UnknownName`] for a marker that is not in the scene, and the errors of MuJoCo if it cannot copy the
+    /// model.
     pub fn set_markers(&mut self, markers: &[Marker]) -> Result<(), Error> {
         self.stale = true;
         for (index, marker) in markers.iter().enumerate() {
@@ -234,8 +237,8 @@ impl SceneRenderer {
         Ok(())
     }
 
-    /// Sets the points (world frame, m) that the standing views keep in the frame, with the markers and the obstacles near them;
-    /// where drones started, by default. See [`CameraPose::framing`].
+    /// Sets the points (world frame, m) that the static views keep in the frame, together with the markers and the
+    /// obstacles near them. The default is the start positions of the drones. See [`CameraPose::framing`].
     pub fn keep_in_frame(&mut self, points: &[Vector3<f64>]) {
         if self.stage.is_none() && self.kept == points {
             return;
@@ -245,13 +248,13 @@ impl SceneRenderer {
         self.kept.extend(points.iter().filter(|point| point.iter().all(|x| x.is_finite())));
     }
 
-    /// Sets a point (world frame, m) that the standing views look at, and a distance (m) around it, in place of what they would
-    /// [keep in the frame](Self::keep_in_frame).
+    /// Sets a point (world frame, m) that the static views look at and a distance (m) around it, instead of the
+    /// points that they [keep in the frame](Self::keep_in_frame).
     pub fn set_stage(&mut self, centre: [f64; 3], reach: f64) {
         self.stage = Some((centre.into(), reach));
     }
 
-    /// The camera of a view in pictures of a size.
+    /// Returns the camera of a view for an image size.
     fn camera(&mut self, view: View, size: ImageSize) -> Camera {
         if let (Some((stage, reach)), false) = (self.stage, view == View::Track) {
             let stage = Vector3::new(stage.x, stage.y, stage.z.max(0.75));
@@ -273,7 +276,7 @@ impl SceneRenderer {
         }
     }
 
-    /// Returns the pose of a view in pictures of a size, after an [`update`](Self::update); `None` for `fpv`.
+    /// Returns the pose of a view for an image size after an [`update`](Self::update); `None` for `fpv`.
     pub fn pose(&mut self, view: View, size: ImageSize) -> Option<CameraPose> {
         let radius = CameraPose::radius_that_fills(self.size);
         let posed = match self.posed {
@@ -287,13 +290,13 @@ impl SceneRenderer {
             }
         };
         Some(match view {
-            // it keeps its direction and goes where the drones go
+            // the view keeps its direction and follows the drones
             View::Track => CameraPose::fitting(&self.places, radius, posed.azimuth, posed.elevation, size),
             _ => posed,
         })
     }
 
-    /// Looks from a view for people.
+    /// Points the scene's camera at a view.
     pub(super) fn look(&mut self, view: View, size: ImageSize) -> Result<(), Error> {
         if view == View::Fpv {
             return self.look_from_board(0);
@@ -302,7 +305,8 @@ impl SceneRenderer {
         self.seen_from(&camera, None)
     }
 
-    /// Looks through a drone's camera, which does not see the drone that carries it: it sits inside the airframe.
+    /// Points the scene's camera along a drone's onboard camera. The camera sits inside the airframe, therefore the
+    /// image omits that drone.
     pub(super) fn look_from_board(&mut self, drone: usize) -> Result<(), Error> {
         self.seen_from(&Camera::Fixed(self.cameras[drone]), Some(self.bodies[drone]))
     }
@@ -317,8 +321,9 @@ impl SceneRenderer {
     }
 }
 
-/// Makes propellers a little transparent: a shadow map stripes their thin blades with their own shadows, and what is
-/// transparent receives none. (It has no depth either, which is why cameras for agents see them opaque.)
+/// Makes propellers slightly transparent. A shadow map would draw stripes of their own shadows on the thin blades,
+/// and transparent geoms receive no shadows. They have no depth either, therefore the onboard cameras of agents use
+/// opaque propellers.
 fn thin_blades(model: &mut Model, world: &World) -> Result<(), Error> {
     for index in 0..world.drones.len() {
         let blades: GeomId = model.find(&format!("{}_propellers", World::drone_name(index)))?;
@@ -329,7 +334,7 @@ fn thin_blades(model: &mut Model, world: &World) -> Result<(), Error> {
     Ok(())
 }
 
-/// Two corners of a box around obstacles; none around none.
+/// Returns two corners of a box around obstacles; `None` without obstacles.
 fn bounds<'a>(obstacles: impl Iterator<Item = &'a Obstacle>) -> Option<[Vector3<f64>; 2]> {
     obstacles
         .map(|obstacle| {
