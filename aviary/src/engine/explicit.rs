@@ -1,15 +1,16 @@
-//! The explicit engine of the `dyn` mode: one Euler step of the free rigid body per physics step.
+//! Explicit engine of the `dyn` mode: one semi-implicit Euler step of the free rigid body per physics step.
 //!
-//! With R the attitude at the start of the step, F the force and τ the torque:
+//! The step updates the velocities first, and then position and attitude with the new velocities. With R the attitude
+//! at the start of the step, F the force and τ the torque:
 //!
 //! ```text
 //! v += dt·(F/m − g·ẑ)                 F = R·T·ẑ + external
 //! ω += dt·J⁻¹·(τ − ω × Jω)            body frame
-//! p += dt·v                           the new v
-//! q ← q ⊗ exp(ω·dt)                   the new ω, closed form
+//! p += dt·v                           with the new v
+//! q ← q ⊗ exp(ω·dt)                   with the new ω, closed form
 //! ```
 //!
-//! There is no medium and no contact: a floor does not stop it, a task's termination does.
+//! There is no medium and no contact: drones pass through the floor until the task ends the episode.
 
 use mujoco_rs::{Data, Error};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -19,7 +20,7 @@ use super::{Bodies, Load};
 use crate::state::DroneState;
 use crate::world::{Obstacle, World};
 
-/// N free bodies, each by itself.
+/// Integrator of N independent free bodies.
 #[derive(Debug)]
 pub struct ExplicitEngine {
     dt: f64,
@@ -28,23 +29,23 @@ pub struct ExplicitEngine {
 }
 
 impl ExplicitEngine {
-    /// For a world, with a MuJoCo simulation of it to be looked at.
+    /// Creates the engine of a world, with a MuJoCo model of the same world for views of its state.
     ///
     /// # Errors
-    /// [`BuildError`] with what the scene or MuJoCo objects to.
+    /// [`BuildError`] if the scene is invalid or MuJoCo refuses it.
     pub fn new(world: &World) -> Result<Self, BuildError> {
         Ok(Self { dt: world.timestep, steps: 0, mirror: MujocoEngine::new(world)? })
     }
 
-    /// Puts every drone into a state.
+    /// Sets the state of every drone.
     ///
     /// # Errors
-    /// MuJoCo's, from the mirror.
+    /// MuJoCo's error from the mirrored model.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.mirror.reset(states)
     }
 
-    /// One step of these bodies.
+    /// Advances the states of these bodies by one physics step under these loads.
     pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) {
         let dt = self.dt;
         let gravity = Vector3::new(0.0, 0.0, -bodies.gravity);
@@ -61,15 +62,16 @@ impl ExplicitEngine {
         self.steps += 1;
     }
 
-    /// Other obstacles of the same shapes, to be looked at: nothing here touches them.
+    /// Replaces the obstacles of the mirrored model by others of the same shapes in the same order; this engine has
+    /// no contacts with them.
     ///
     /// # Errors
-    /// MuJoCo's, from the mirror.
+    /// MuJoCo's error from the mirrored model.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.mirror.set_obstacles(obstacles)
     }
 
-    /// How many steps were done since it was made.
+    /// Returns the number of physics steps since the engine was created.
     pub fn steps(&self) -> u64 {
         self.steps
     }
@@ -84,10 +86,10 @@ impl ExplicitEngine {
     }
 }
 
-/// An attitude after a rotation by this vector (rad, body frame): q ⊗ [cos(‖θ‖/2), sin(‖θ‖/2)·θ/‖θ‖].
+/// Returns an attitude rotated by a rotation vector (rad, body frame): q ⊗ [cos(‖θ‖/2), sin(‖θ‖/2)·θ/‖θ‖].
 fn turned(attitude: &UnitQuaternion<f64>, rotation: &Vector3<f64>) -> UnitQuaternion<f64> {
     let half = 0.5 * rotation.norm();
-    // sin(x)/x, whose series ends after two terms where the next is below the last bit
+    // sin(x)/x; below 1e-4 the third term of its series is less than the last bit
     let sinc = if half < 1e-4 { 1.0 - half * half / 6.0 } else { half.sin() / half };
     let vector = rotation * (0.5 * sinc);
     let step = Quaternion::new(half.cos(), vector.x, vector.y, vector.z);
@@ -101,7 +103,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn turning_is_the_exponential_map(
+        fn the_rotation_is_the_exponential_map(
             axis in prop::array::uniform3(-3.0..3.0), scale in -9.0..0.5f64, start in prop::array::uniform3(-3.0..3.0),
         ) {
             let rotation = Vector3::from(axis) * 10f64.powf(scale);

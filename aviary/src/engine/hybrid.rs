@@ -1,9 +1,10 @@
-//! The hybrid engine: the flight kernel while nothing can touch, MuJoCo otherwise. The two agree to rounding, so that a flight
-//! is that of MuJoCo alone.
+//! Hybrid engine: the flight kernel while no drone can touch anything, MuJoCo otherwise. The kernel agrees with
+//! MuJoCo to rounding.
 //!
-//! Whether something can touch is asked twice. At the start of a control step every drone is a ball that holds whatever its
-//! motors may do until the end of it; if these balls meet nothing, all of the step is flown. Otherwise the question is asked
-//! before every physics step, when the forces are known, with the little that can be travelled in it.
+//! The engine tests for possible contacts at two levels. At the start of a control step, a ball around every drone
+//! contains all its positions until the end of the step, whatever its motors do. If these balls meet nothing, the
+//! kernel integrates the whole control step. Otherwise the engine tests before every physics step, with the known
+//! forces and the short distance that a drone can travel in it.
 
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
@@ -16,40 +17,41 @@ use crate::state::DroneState;
 use crate::world::placement::{CollisionCylinder, obstacle_distance, sphere_clearance, sphere_floor_clearance};
 use crate::world::{Forcing, Integrator, Obstacle, World};
 
-/// N bodies that fly or are in touch, together.
+/// Integrator of N bodies that chooses between the flight kernel and MuJoCo, for all bodies together.
 #[derive(Debug)]
 pub struct HybridEngine {
     mujoco: MujocoEngine,
     dt: f64,
     forcing: Forcing,
     medium: bool,
-    /// Whether the kernel can do what MuJoCo would: it knows RK4 alone.
+    /// True if the kernel can replace MuJoCo: it implements RK4 only.
     able: bool,
     cylinders: Vec<CollisionCylinder>,
     obstacles: Vec<Obstacle>,
     clearance_caches: Vec<ClearanceCache>,
-    /// Whether the whole control step is in the open.
+    /// True if no drone can touch anything during the whole control step.
     clear: bool,
-    /// Whether MuJoCo has the bodies of this control step.
+    /// True if MuJoCo has the bodies of this control step.
     informed: bool,
-    /// Whether MuJoCo did the last physics step.
+    /// True if MuJoCo computed the last physics step.
     in_mujoco: bool,
     flown: u64,
 }
 
-/// How far the nearest obstacle was from a place: wherever one is since, it cannot be nearer than that less the way between.
+/// Cached distance from a position to the nearest obstacle. At another position the distance is smaller by at most
+/// the distance between the two positions.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ClearanceCache {
     place: Vector3<f64>,
-    /// m; less than nothing where nobody has looked.
+    /// Distance, m; zero if it was not computed.
     distance: f64,
 }
 
 impl ClearanceCache {
-    /// Whether there is more than this room (m) about a place.
+    /// Returns true if every obstacle is farther than `room` (m) from a position.
     #[inline]
     pub(crate) fn has_room(&mut self, obstacles: &[Obstacle], place: &Vector3<f64>, room: f64) -> bool {
-        /// Left for rounding, so that the answer does not hang on when somebody looked, m.
+        /// Margin for rounding, so that the result does not depend on the position of the cached distance, m.
         const SLACK: f64 = 1e-6;
         if obstacles.is_empty() || self.distance - (place - self.place).norm() > room + SLACK {
             return true;
@@ -61,10 +63,10 @@ impl ClearanceCache {
 }
 
 impl HybridEngine {
-    /// For a world.
+    /// Creates the engine of a world.
     ///
     /// # Errors
-    /// [`BuildError`] with what the scene or MuJoCo objects to.
+    /// [`BuildError`] if the scene is invalid or MuJoCo refuses it.
     pub fn new(world: &World) -> Result<Self, BuildError> {
         Ok(Self {
             mujoco: MujocoEngine::new(world)?,
@@ -82,7 +84,7 @@ impl HybridEngine {
         })
     }
 
-    /// Whether it ever flies: the kernel knows MuJoCo's RK4, not its other integrators.
+    /// Returns true if the engine can use the flight kernel: the integrator is RK4, the only one of the kernel.
     pub fn can_fly(&self) -> bool {
         self.able
     }
@@ -104,14 +106,14 @@ impl HybridEngine {
         self.clear = self.able && self.is_clear(bodies, states, steps);
     }
 
-    /// Whether no drone can touch anything for so many physics steps, whatever its motors do.
+    /// Returns true if no drone can touch anything for `steps` physics steps, whatever its motors do.
     fn is_clear(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> bool {
         let dt = self.dt;
         let radius = |drone: usize| bodies.drones[drone].reach_bound.radius(dt, steps, &states[drone]);
         self.has_room(states, bodies.obstacle_drift, radius, |_, _| false)
     }
 
-    /// Whether no drone can touch anything in the coming physics step.
+    /// Returns true if no drone can touch anything in the next physics step.
     fn is_free(&mut self, bodies: &Bodies, loads: &[Load], states: &[DroneState]) -> bool {
         let dt = self.dt;
         let motion = |drone: usize| {
@@ -125,7 +127,7 @@ impl HybridEngine {
             bodies.obstacle_drift,
             |drone| {
                 let (travel, turn) = motion(drone);
-                // NaN and infinity are no room
+                // false for NaN, so that the radius is infinite
                 if turn < FreeBody::MAX_TURN {
                     bodies.drones[drone].reach_bound.reach() + travel
                 } else {
@@ -143,8 +145,9 @@ impl HybridEngine {
         free
     }
 
-    /// Whether balls of these radii about the drones meet neither the floor nor each other nor an obstacle that may move so far; a drone may be known
-    /// to be off the floor by more than its ball says.
+    /// Returns true if the balls of these radii around the drones meet neither the floor, nor each other, nor an
+    /// obstacle that can move by `drift` (m). `off_floor` may prove that a drone cannot reach the floor although its
+    /// ball does.
     fn has_room(
         &mut self,
         states: &[DroneState],
@@ -164,12 +167,12 @@ impl HybridEngine {
         })
     }
 
-    /// Makes one physics step of these bodies under these loads from these states, which are replaced by the new ones.
+    /// Advances these bodies by one physics step under these loads; replaces the states by the new ones.
     ///
     /// # Errors
-    /// As for [`MujocoEngine::advance`].
+    /// The errors of [`MujocoEngine::advance`].
     pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
-        // the kernel's bodies are turned by their rotors alone
+        // in the kernel only the rotors exert torques
         let able = self.able && loads.iter().all(|load| load.external.torque_world == Vector3::zeros());
         if able && (self.clear || self.is_free(bodies, loads, states)) {
             self.fly(bodies, loads, states);
@@ -182,7 +185,7 @@ impl HybridEngine {
             self.informed = true;
         }
         if !self.in_mujoco {
-            // in the open there is nothing for the solver to be warm from
+            // without contacts there is no warm start of the solver
             self.mujoco.resume(states, None)?;
             self.in_mujoco = true;
         }

@@ -1,4 +1,4 @@
-//! Integrators. An engine takes loads and gives states; it never computes a force.
+//! Integrators. An engine integrates given loads to new states; it does not compute forces.
 
 mod explicit;
 pub mod flight;
@@ -21,16 +21,16 @@ use crate::physics::rotor::RotorWrench;
 use crate::state::DroneState;
 use crate::world::Obstacle;
 
-/// What acts on a drone during one physics step.
+/// Forces and torques on a drone during one physics step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Load {
-    /// The rotors, in the body frame.
+    /// Wrench of the rotors, body frame.
     pub rotors: RotorWrench,
-    /// Everything else, in the world frame.
+    /// All other forces and torques, world frame.
     pub external: Wrench,
 }
 
-/// What a drone touched.
+/// Object that a drone touches.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Touched {
@@ -42,37 +42,37 @@ pub enum Touched {
     Obstacle(usize),
 }
 
-/// A drone in touch with something.
+/// Contact of a drone with an object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
 pub struct Contact {
     /// Index of the drone.
     pub drone: usize,
-    /// What it touched.
+    /// Touched object.
     pub with: Touched,
 }
 
-/// One drone's body, as engines want it.
+/// Rigid-body parameters of one drone.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Body {
-    /// kg.
+    /// Mass, kg.
     pub mass: f64,
     /// Moments of inertia, body frame, kg·m².
     pub inertia: Vector3<f64>,
-    /// The same for the flight kernel, under gravity and in the medium.
+    /// Rigid body of the flight kernel, with gravity and the medium.
     pub free: FreeBody,
-    /// How far it can come.
+    /// Bound of the distance that the drone can travel.
     pub reach_bound: ReachBound,
 }
 
-/// What the engine moves: it does not change during a control step.
+/// Rigid bodies of a simulation; constant during a control step.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Bodies {
-    /// Every drone's.
+    /// Body of each drone.
     pub drones: Vec<Body>,
-    /// m/s², downwards.
+    /// Acceleration of gravity, downwards, m/s².
     pub gravity: f64,
-    /// How far an obstacle may move until the next control step, m: the hybrid engine hands over so much earlier, so that the solver
-    /// starts as warm as MuJoCo's alone.
+    /// Distance that an obstacle can move until the next control step, m. The hybrid engine hands over to MuJoCo
+    /// earlier by this distance, so that its solver has the same warm start as under MuJoCo alone.
     pub obstacle_drift: f64,
 }
 
@@ -88,37 +88,37 @@ named_enum! {
     /// let builder = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 2.0]]);
     /// let mut simulation = builder.engine(EngineKind::Hybrid).build()?;
     /// simulation.step(&[[14_000.0; 4]])?;
-    /// // 2 m above the floor there is nothing to touch
+    /// at a height of 2 m the drone cannot touch anything
     /// let substeps = simulation.engine_substeps();
     /// assert_eq!((substeps.flight, substeps.mujoco), (5, 0));
     /// # Ok::<(), aviary::simulation::SimulationError>(())
     /// ```
     #[derive(Default)]
     pub enum EngineKind {
-        /// MuJoCo's `mj_step`, always.
+        /// MuJoCo's `mj_step` for every physics step.
         #[default]
         Mujoco = "mujoco",
-        /// The flight kernel while nothing can touch, MuJoCo otherwise.
+        /// The flight kernel while no drone can touch anything, MuJoCo otherwise.
         Hybrid = "hybrid",
-        /// Explicit integration of free bodies: the engine of the physics mode `dyn`. It has no contacts. MuJoCo's medium, integrators
-        /// and body-fixed forcing have no effect in it.
+        /// Semi-implicit Euler steps of free bodies: the engine of the physics mode `dyn`. It has no contacts and
+        /// ignores MuJoCo's medium, integrators and body-fixed forcing.
         Explicit = "explicit",
     }
 }
 
 impl EngineKind {
-    /// The engines that fly as `mj_step` does, contacts included.
+    /// Engines with the dynamics of `mj_step`, contacts included.
     pub const WITH_CONTACTS: [Self; 2] = [Self::Mujoco, Self::Hybrid];
 }
 
-/// How many physics steps each engine did.
+/// Number of physics steps by integrator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Substeps {
-    /// The flight kernel.
+    /// Physics steps of the flight kernel.
     pub flight: u64,
-    /// MuJoCo.
+    /// Physics steps of MuJoCo.
     pub mujoco: u64,
-    /// The explicit engine.
+    /// Physics steps of the explicit engine.
     pub explicit: u64,
 }
 
@@ -130,19 +130,19 @@ impl std::ops::AddAssign for Substeps {
     }
 }
 
-/// One of the engines.
+/// Engine of a simulation.
 #[derive(Debug)]
 pub enum Engine {
-    /// MuJoCo's `mj_step`.
+    /// MuJoCo's `mj_step` for every physics step.
     Mujoco(MujocoEngine),
-    /// The flight kernel in the open, `mj_step` otherwise.
+    /// The flight kernel while no drone can touch anything, `mj_step` otherwise.
     Hybrid(HybridEngine),
-    /// Explicit Euler steps of the free body.
+    /// Semi-implicit Euler steps of free bodies.
     Explicit(ExplicitEngine),
 }
 
 impl Engine {
-    /// Its name in lower snake case.
+    /// Returns the name of the engine in lower snake case.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Mujoco(_) => EngineKind::Mujoco.name(),
@@ -151,10 +151,10 @@ impl Engine {
         }
     }
 
-    /// Puts every drone into a state and forgets everything else.
+    /// Sets the state of every drone and clears everything else.
     ///
     /// # Errors
-    /// Where MuJoCo cannot recover from an earlier error.
+    /// MuJoCo's error if it cannot recover from an earlier one.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.reset(states),
@@ -163,10 +163,10 @@ impl Engine {
         }
     }
 
-    /// Other obstacles of the same shapes in the same order, from the next step on.
+    /// Replaces the obstacles by others of the same shapes in the same order, from the next step on.
     ///
     /// # Errors
-    /// MuJoCo's, where it cannot copy a shared model.
+    /// MuJoCo's error if it cannot copy a shared model.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.set_obstacles(obstacles),
@@ -175,10 +175,10 @@ impl Engine {
         }
     }
 
-    /// Begins a control step of so many physics steps with these bodies, from these states.
+    /// Begins a control step of `steps` physics steps with these bodies, from these states.
     ///
     /// # Errors
-    /// MuJoCo's, where it cannot copy a shared model.
+    /// MuJoCo's error if it cannot copy a shared model.
     pub fn begin(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.begin(bodies),
@@ -190,10 +190,10 @@ impl Engine {
         }
     }
 
-    /// Takes over an environment that another engine of the same world, or this one, has [left](Self::leave).
+    /// Resumes an environment that this engine, or another one of the same world, has [left](Self::leave).
     ///
     /// # Errors
-    /// Where MuJoCo cannot recover from an earlier error.
+    /// MuJoCo's error if it cannot recover from an earlier one.
     pub(crate) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.resume(states, left),
@@ -202,8 +202,8 @@ impl Engine {
         }
     }
 
-    /// What must be kept of an environment besides its states until it is [taken over](Self::resume) again: the warm
-    /// start of MuJoCo's solver. Whether there is any.
+    /// Saves the warm start of MuJoCo's solver; returns false if there is none. With the warm start and the states an
+    /// engine can [resume](Self::resume) the environment.
     pub(crate) fn leave(&self, warm_start: &mut [f64]) -> bool {
         match self {
             Self::Mujoco(engine) => engine.leave(warm_start),
@@ -212,8 +212,8 @@ impl Engine {
         }
     }
 
-    /// Calls `found` for every drone in touch with something in the last step, once per point of contact and drone.
-    /// The explicit engine knows no contacts, and in flight there are none.
+    /// Calls `found` once for every contact point and touching drone of the last step. The explicit engine and the
+    /// flight kernel have no contacts.
     pub fn contacts(&self, found: impl FnMut(Contact)) {
         match self {
             Self::Mujoco(engine) => engine.contacts(found),
@@ -222,7 +222,7 @@ impl Engine {
         }
     }
 
-    /// How many physics steps each engine did since it was made.
+    /// Returns the number of physics steps by integrator since the engine was created.
     pub fn substeps(&self) -> Substeps {
         match self {
             Self::Mujoco(engine) => Substeps { mujoco: engine.steps(), ..Substeps::default() },
@@ -231,11 +231,11 @@ impl Engine {
         }
     }
 
-    /// MuJoCo's data with the drones in these states, where they are now. If it was not MuJoCo that brought them there, they are
-    /// written there and computed forward first.
+    /// Returns MuJoCo's data at the current states, which the caller passes in. If another integrator computed the
+    /// states, the engine first writes them into the data and calls `mj_forward`.
     ///
     /// # Errors
-    /// MuJoCo's.
+    /// MuJoCo's error.
     pub fn mujoco(&mut self, bodies: &Bodies, states: &[DroneState]) -> Result<&Data, Error> {
         match self {
             Self::Mujoco(engine) => {
@@ -247,7 +247,7 @@ impl Engine {
         }
     }
 
-    /// The MuJoCo simulation beneath.
+    /// Returns the MuJoCo engine that this engine contains.
     pub(crate) fn mujoco_engine(&self) -> &MujocoEngine {
         match self {
             Self::Mujoco(engine) => engine,

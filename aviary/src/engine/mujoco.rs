@@ -1,4 +1,4 @@
-//! The reference engine: MuJoCo's `mj_step`, forces through `xfrc_applied`.
+//! Reference engine: MuJoCo's `mj_step` with forces through `xfrc_applied`.
 
 use mujoco_rs::{
     ActuatorId, BodyId, Data, DivergedQuantity, Divergence, Error, GeomId, JointId, Model, ModelMut, ObjectId,
@@ -11,20 +11,20 @@ use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz, wxyz};
 use crate::world::placement::CollisionCylinder;
 use crate::world::{Forcing, Obstacle, SceneError, World};
 
-/// Where one drone's numbers lie in MuJoCo's arrays.
+/// Indices of one drone in MuJoCo's arrays.
 #[derive(Debug, Clone, Copy)]
 struct Slot {
     /// Row of `xfrc_applied`.
     body: usize,
-    /// First of seven numbers in `qpos`.
+    /// First of the seven entries in `qpos`.
     position: usize,
-    /// First of six numbers in `qvel`.
+    /// First of the six entries in `qvel`.
     velocity: usize,
-    /// First of four numbers in `ctrl`, where forcing is body-fixed.
+    /// First of the four entries in `ctrl`; `None` without body-fixed forcing.
     control: Option<usize>,
 }
 
-/// What a geom belongs to.
+/// Object to which a geom belongs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Owner {
     Drone(usize),
@@ -33,7 +33,7 @@ enum Owner {
     Nobody,
 }
 
-/// N free bodies in a MuJoCo scene.
+/// Integrator of N free bodies in a MuJoCo scene.
 #[derive(Debug)]
 pub struct MujocoEngine {
     data: Data,
@@ -44,38 +44,38 @@ pub struct MujocoEngine {
     steps: u64,
 }
 
-/// Obstacles, and the geoms of the scene that stand for those that are near.
+/// Obstacles, and the geoms of the scene that represent the nearest of them.
 #[derive(Debug, Default)]
 struct Obstacles {
     list: Vec<Obstacle>,
     slots: Vec<ObstacleSlot>,
-    /// Whether there are more obstacles than geoms.
+    /// True if there are more obstacles than geoms.
     crowded: bool,
-    /// How far each drone reaches from its middle, m.
+    /// Radius of the sphere around each drone, m.
     reaches: Vec<f64>,
-    /// Where the drones were when the geoms were last given out; empty where they have not been.
+    /// Positions of the drones at the last assignment of geoms; empty before the first.
     looked_from: Vec<Vector3<f64>>,
-    /// Obstacles that are near, with their distance; kept for its memory.
+    /// Obstacles in reach with their distance; a scratch buffer.
     near: Vec<(f64, usize)>,
 }
 
-/// A geom of the scene.
+/// Geom of the scene that represents an obstacle.
 #[derive(Debug, Clone, Copy)]
 struct ObstacleSlot {
     geom: usize,
     kind: usize,
-    /// The obstacle that it stands for.
+    /// Index of the represented obstacle.
     holds: Option<usize>,
 }
 
-/// What can go wrong when a scene is made into an engine.
+/// Error in the construction of an engine.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BuildError {
-    /// The scene cannot be written.
+    /// The scene is invalid.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// MuJoCo refuses it.
+    /// MuJoCo refuses the scene.
     #[error(transparent)]
     Mujoco(#[from] Error),
 }
@@ -84,10 +84,11 @@ impl MujocoEngine {
     /// Compiles a world.
     ///
     /// # Errors
-    /// [`BuildError`] with what the scene or MuJoCo objects to.
+    /// [`BuildError`] if the scene is invalid or MuJoCo refuses it.
     pub fn new(world: &World) -> Result<Self, BuildError> {
         let mut model = Model::from_xml(&world.to_mjcf()?)?;
-        // the text has the shortest decimals that read back to the same bits; this does not depend on the reader
+        // the text has the shortest decimals that parse to the same bits; the exact value does not depend on MuJoCo's
+        // parser
         model.patch().set_timestep(world.timestep)?;
         let mut owners = vec![Owner::Nobody; model.ngeom()];
         let floor: GeomId = model.find("floor")?;
@@ -124,23 +125,23 @@ impl MujocoEngine {
             world.drones.iter().map(|drone| CollisionCylinder::from(&drone.params).bounding_radius()).collect();
         obstacles.near.reserve(obstacles.list.len());
         let mut engine = Self { data: Data::new(model)?, slots, owners, obstacles, gravity: world.gravity, steps: 0 };
-        // exactly where they are, also where the scene's text has them a little off (see `World::to_mjcf`)
+        // sets the exact positions where the text of the scene has an offset (see `World::to_mjcf`)
         engine.set_obstacles(&world.obstacles)?;
         Ok(engine)
     }
 
-    /// The MuJoCo simulation, to be read.
+    /// Returns MuJoCo's data.
     pub fn data(&self) -> &Data {
         &self.data
     }
 
-    /// Puts every drone into a state, forgets forces, contacts and the solver's warm start, and sets time to zero.
+    /// Sets the state of every drone, clears forces, contacts and the solver's warm start, and sets time to zero.
     ///
-    /// Everything else in MuJoCo's data is computed afresh in the next step, so that clearing its buffers, which is
-    /// most of what `mj_resetData` does, would change nothing.
+    /// The next step computes everything else in MuJoCo's data. Clearing its buffers, which takes most of the time of
+    /// `mj_resetData`, would change nothing.
     ///
     /// # Errors
-    /// Where MuJoCo cannot recover from an earlier error.
+    /// MuJoCo's error if it cannot recover from an earlier one.
     pub fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
         self.data.rewind()?;
         self.obstacles.looked_from.clear();
@@ -148,12 +149,12 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// Gives the drones these bodies and the world this gravity, if they are others than before, with what MuJoCo derives
-    /// from them for free bodies (`mj_setConst`: the inverse weights are means of the diagonal of the inverse inertia). The
-    /// obstacles that are near are looked for anew.
+    /// Sets the bodies of the drones and the gravity of the world if they changed, and the constants that MuJoCo
+    /// derives from them for free bodies. (`mj_setConst`: the inverse weights are means of the diagonal of the
+    /// inverse inertia.) The next step searches the nearest obstacles again.
     ///
     /// # Errors
-    /// MuJoCo's, where it cannot copy a shared model.
+    /// MuJoCo's error if it cannot copy a shared model.
     pub fn begin(&mut self, bodies: &Bodies) -> Result<(), Error> {
         self.obstacles.looked_from.clear();
         for (drone, body) in bodies.drones.iter().enumerate() {
@@ -188,14 +189,14 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// How many steps were done since it was made.
+    /// Returns the number of physics steps since the engine was created.
     pub fn steps(&self) -> u64 {
         self.steps
     }
 
-    /// Goes on from these states, with a warm start of the solver or none.
+    /// Resumes from these states, with the given warm start of the solver or with zeros.
     pub(super) fn resume(&mut self, states: &[DroneState], warm_start: Option<&[f64]>) -> Result<(), Error> {
-        // what went wrong with another environment does not concern this one
+        // an error of another environment does not concern this one
         if self.data.is_broken() {
             self.data.rewind()?;
         }
@@ -207,16 +208,16 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// Keeps the solver's warm start; there always is one.
+    /// Saves the solver's warm start; always returns true.
     pub(super) fn leave(&self, warm_start: &mut [f64]) -> bool {
         warm_start.copy_from_slice(self.data.qacc_warmstart());
         true
     }
 
-    /// Other obstacles of the same shapes in the same order, from the next step on.
+    /// Replaces the obstacles by others of the same shapes in the same order, from the next step on.
     ///
     /// # Errors
-    /// MuJoCo's, where it cannot copy a shared model.
+    /// MuJoCo's error if it cannot copy a shared model.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         self.obstacles.list.clear();
         self.obstacles.list.extend_from_slice(obstacles);
@@ -228,14 +229,14 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// Puts an obstacle, or nothing, into a geom.
+    /// Assigns an obstacle, or none, to a geom.
     fn fill_slot(&mut self, index: usize, holds: Option<usize>) -> Result<(), Error> {
         let slot = &mut self.obstacles.slots[index];
         slot.holds = holds;
         let geom = slot.geom;
         let mut model = self.data.patch_model()?;
         let Some(obstacle) = holds else {
-            // so deep under the floor that nothing meets it
+            // no drone meets a geom this deep under the floor
             model.set_geom_pos(GeomId::new(geom), [0.0, 0.0, -1e6])?;
             self.owners[geom] = Owner::Nobody;
             return Ok(());
@@ -245,9 +246,10 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// Gives the geoms to the obstacles that drones can reach, once they have moved far enough for that to change.
+    /// Assigns the geoms to the obstacles that drones can reach, if a drone has moved far enough since the last
+    /// assignment.
     fn look_around(&mut self, states: &[DroneState]) -> Result<(), Error> {
-        /// How far a drone goes before the next look, and how far it looks beyond that, m.
+        /// Range of the search beyond a drone; a drone that has moved by half of it starts the next search, m.
         const STRIDE: f64 = 0.1;
         let ahead = (2.0 * self.data.model().timestep()).max(0.05);
         let field = &mut self.obstacles;
@@ -262,9 +264,9 @@ impl MujocoEngine {
             let reach = obstacle.shape.reach();
             let mut nearest = f64::INFINITY;
             for (state, own) in states.iter().zip(&field.reaches) {
-                // what a fast one travels until the next look counts, too
+                // a fast drone travels farther until the next search
                 let within = STRIDE + ahead * state.velocity.norm();
-                // the ball around a long one says little
+                // a cheap test first: the sphere around the obstacle
                 if (state.position - obstacle.position).norm() - reach - own < within {
                     let gap = obstacle.distance(&state.position) - own;
                     if gap < within {
@@ -277,7 +279,7 @@ impl MujocoEngine {
             }
         }
         field.near.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        // the nearest of each shape, as many as there are geoms of it
+        // the nearest obstacles of each shape, as many as the scene has geoms of it
         let mut room = [0_usize; 4];
         for slot in &field.slots {
             room[slot.kind] += 1;
@@ -290,9 +292,9 @@ impl MujocoEngine {
             fits
         });
         if field.near.len() < asked {
-            tracing::debug!("{} obstacles are about and only the nearest {} are met", asked, field.near.len());
+            tracing::debug!("only the nearest {} of {asked} obstacles in reach have a geom", field.near.len());
         }
-        // the same obstacles are always in the same geoms, whatever was near before
+        // equal obstacles are always in equal geoms, independent of earlier assignments
         field.near.sort_unstable_by_key(|&(_, index)| index);
         let mut next = [0_usize; 4];
         for slot in 0..self.obstacles.slots.len() {
@@ -319,8 +321,8 @@ impl MujocoEngine {
         }
     }
 
-    /// Reads every drone's state, from `qpos` and `qvel`: what MuJoCo derives from them (`xpos`, `xquat`) is one
-    /// step old after `mj_step`.
+    /// Reads every drone's state from `qpos` and `qvel`. The quantities that MuJoCo derives from them (`xpos`,
+    /// `xquat`) are one step old after `mj_step`.
     pub fn states(&self, states: &mut [DroneState]) {
         let (qpos, qvel) = (self.data.qpos(), self.data.qvel());
         for (slot, state) in self.slots.iter().zip(states) {
@@ -333,7 +335,7 @@ impl MujocoEngine {
         }
     }
 
-    /// Puts the drones into these states and computes everything that follows from them.
+    /// Sets the states of the drones and calls `mj_forward`.
     pub(super) fn show(&mut self, states: &[DroneState]) -> Result<&Data, Error> {
         self.write(states);
         if self.obstacles.crowded {
@@ -343,13 +345,14 @@ impl MujocoEngine {
         Ok(&self.data)
     }
 
-    /// Makes one `mj_step` under these loads from these states, which are replaced by the new ones. External loads are constant in the
-    /// world frame through the step. The rotors' wrench is constant in the world frame, or turns with the body where forcing is
-    /// body-fixed.
+    /// Computes one `mj_step` under these loads from these states; replaces the states by the new ones.
+    ///
+    /// External loads are constant in the world frame during the step. The rotors' wrench is constant in the world
+    /// frame, or rotates with the body if forcing is body-fixed.
     ///
     /// # Errors
-    /// [`Error::Diverged`], MuJoCo's own errors, and [`Error::Raised`] for more contacts than there is room for; the drones must
-    /// then be [reset](Self::reset).
+    /// [`Error::Diverged`], MuJoCo's own errors, and [`Error::Raised`] if the contacts exceed the capacity of the
+    /// scene. After an error the caller must [reset](Self::reset) the drones.
     pub fn advance(&mut self, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
         if self.obstacles.crowded {
             self.look_around(states)?;
@@ -376,7 +379,7 @@ impl MujocoEngine {
         if self.full_buffers() != before {
             let model = self.data.model();
             let message = format!(
-                "more contacts than the {} that the scene has room for: the drones and obstacles overlap too much",
+                "more than {} contacts, the capacity of the scene: the drones and obstacles overlap too much",
                 model.nconmax()
             );
             return Err(Error::Raised { call: "mj_step", message });
@@ -385,12 +388,12 @@ impl MujocoEngine {
         Ok(())
     }
 
-    /// Number of times MuJoCo has dropped contacts, which it only counts.
+    /// Returns how many times MuJoCo has dropped contacts; MuJoCo counts them without an error.
     fn full_buffers(&self) -> usize {
         self.data.warning(WarningKind::ContactFull).count + self.data.warning(WarningKind::ConstraintFull).count
     }
 
-    /// The drone a divergence is about.
+    /// Returns the drone whose state diverged.
     pub(crate) fn diverged_drone(&self, divergence: &Divergence) -> Option<usize> {
         self.slots.iter().position(|slot| match divergence.quantity {
             DivergedQuantity::Position => (slot.position..slot.position + 7).contains(&divergence.index),
@@ -400,12 +403,12 @@ impl MujocoEngine {
         })
     }
 
-    /// More contacts than a control step of any drones can report.
+    /// Returns an upper bound of the number of contacts in a control step, for any drones.
     pub(crate) fn max_contacts(&self) -> usize {
         4 * self.data.model().nconmax()
     }
 
-    /// Calls `found` for every drone in touch with something in the last step, once per point of contact and drone.
+    /// Calls `found` once for every contact point and touching drone of the last step.
     pub fn contacts(&self, mut found: impl FnMut(Contact)) {
         for contact in self.data.contacts().filter(|contact| contact.is_active()) {
             let [a, b] = contact.geoms().map(|geom| self.owners[geom.index()]);
@@ -423,7 +426,7 @@ impl MujocoEngine {
     }
 }
 
-/// Gives a geom of the world the pose and size of an obstacle of its shape.
+/// Sets the pose and the size of a geom to those of an obstacle of the same shape.
 pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: GeomId, obstacle: &Obstacle) -> Result<(), Error> {
     model.set_geom_pos(geom, obstacle.position.into())?;
     model.set_geom_quat(geom, wxyz(&attitude_from_rpy(obstacle.rpy)))?;
@@ -431,7 +434,7 @@ pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: GeomId, obstacle: &Obst
     model.set_geom_rbound(geom, obstacle.shape.reach())
 }
 
-/// MuJoCo's indices of things that exist are never negative.
+/// Converts an index of an existing object, which MuJoCo never makes negative.
 fn address(index: i32) -> usize {
     usize::try_from(index).expect("an address of something that exists")
 }
@@ -442,14 +445,14 @@ mod tests {
     use crate::drone::DroneModel;
     use crate::world::{DroneBody, Shape};
 
-    /// A drone of 0.6 m height reaches half of that upwards, not all of it.
+    /// A drone of 0.6 m height extends half of that upwards.
     #[test]
-    fn obstacles_get_geoms_once_the_sphere_around_a_drone_is_near_them() {
+    fn the_sphere_around_a_drone_decides_which_obstacles_get_geoms() {
         let mut params = DroneModel::Cf2x.params();
         params.collision_height = 0.6;
         let reach = 0.06_f64.hypot(0.3);
         let ball = |x: f64| Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(x, 0.0, 5.0));
-        // more than there are geoms for; a drone that stands still looks 0.1 m ahead
+        // more obstacles than geoms; the search of a drone at rest extends 0.1 m
         let far = (0..20).map(|i| ball(10.0 + f64::from(i)));
         let obstacles = far.chain([ball(0.2 + reach - 1e-3), ball(-0.2 - reach - 1e-3)]).collect();
         let body = DroneBody { params, position: Vector3::new(0.0, 0.0, 5.0), rpy: Vector3::zeros() };

@@ -5,36 +5,36 @@ use crate::physics::rotor::RotorWrench;
 use crate::state::DroneState;
 use crate::world::Medium;
 
-/// A free rigid body in the form that its equations of motion want it; one, or many at once.
+/// Free rigid body with the coefficients of its equations of motion, scalar or SIMD.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FreeBody<R = f64> {
-    /// 1/m, 1/kg.
+    /// Reciprocal of the mass, 1/kg.
     pub(super) inverse_mass: R,
-    /// Downwards, m/s².
+    /// Acceleration of gravity, downwards, m/s².
     pub(super) gravity: R,
-    /// 1/J, 1/(kg·m²).
+    /// Reciprocals of the moments of inertia, body frame, 1/(kg·m²).
     pub(super) inverse_inertia: [R; 3],
-    /// (Jy − Jz)/Jx and so on around: what a rotation about two axes does about the third.
+    /// Gyroscopic coefficients (Jy − Jz)/Jx, (Jz − Jx)/Jy and (Jx − Jy)/Jz.
     pub(super) gyration: [R; 3],
-    /// What the medium takes off velocities.
+    /// Coefficients of the medium's drag.
     pub(super) fluid: Fluid<R>,
 }
 
-/// MuJoCo's drag of the box that has a body's inertia, divided by its mass and inertia: −(viscous + quadratic·|x|)·x along each
-/// axis of the body.
+/// MuJoCo's fluid drag of the body's inertia box, divided by mass and inertia: −(viscous + quadratic·|x|)·x along
+/// each body axis.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Fluid<R = f64> {
-    /// On the velocity, 1/s.
+    /// Coefficient of the velocity, 1/s.
     pub viscous: R,
-    /// On the velocity, 1/m.
+    /// Coefficients of the squared velocity, 1/m.
     pub quadratic: [R; 3],
-    /// On the body rates, 1/s.
+    /// Coefficients of the body rates, 1/s.
     pub viscous_rate: [R; 3],
-    /// On the body rates.
+    /// Coefficients of the squared body rates.
     pub quadratic_rate: [R; 3],
 }
 
-/// [`DroneState`] of one or of many.
+/// [`DroneState`] of one drone or of a register of drones.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FlightState<R> {
     pub position: V3<R>,
@@ -43,8 +43,8 @@ pub(super) struct FlightState<R> {
     pub rate: V3<R>,
 }
 
-/// What acts on a body during a step: thrust along body z (N) and torque (body frame, N·m) of the rotors, and a force (world
-/// frame, N).
+/// Load on a body during a step: thrust along body z (N) and torque (body frame, N·m) of the rotors, and an external
+/// force (world frame, N).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Push<R> {
     pub thrust: R,
@@ -77,10 +77,11 @@ impl From<FlightState<f64>> for DroneState {
 }
 
 impl FreeBody {
-    /// Greatest angle that a body may turn in a step, rad, for [`step`](Self::step) to be exact.
+    /// Largest rotation angle of a body in one step for which [`step`](Self::step) is exact, rad.
     pub const MAX_TURN: f64 = 0.5;
 
-    /// Of a mass (kg) and moments of inertia (kg·m²), under gravity (m/s², downwards) in a medium, if there is one.
+    /// Creates a body of a mass (kg) and moments of inertia (kg·m²), with gravity (m/s², downwards) and an optional
+    /// medium.
     pub fn new(mass: f64, inertia: &Vector3<f64>, gravity: f64, medium: Option<Medium>) -> Self {
         const { assert!(Self::MAX_TURN * Self::MAX_TURN <= 4.0 * MAX_HALF_ANGLE_SQUARED) };
         let [x, y, z] = [inertia.x, inertia.y, inertia.z];
@@ -93,8 +94,10 @@ impl FreeBody {
         }
     }
 
-    /// Force of a medium that moves with the air (world frame, m/s) less that of a still medium, on a body of this attitude
-    /// and velocity (world frame, m/s): world frame, N. [`step`](Self::step) and MuJoCo compute the force of a still medium.
+    /// Returns the force of a medium that moves with the air, minus the force of a still medium, world frame, N.
+    /// [`step`](Self::step) and MuJoCo compute the force of the still medium.
+    ///
+    /// `velocity` of the body and `air`, the velocity of the medium, are in the world frame, m/s.
     pub fn moving_medium(
         &self,
         attitude: &UnitQuaternion<f64>,
@@ -104,11 +107,13 @@ impl FreeBody {
         self.medium_change(&Turn::from(attitude), V3::from(velocity), V3::from(air)).into()
     }
 
-    /// One step of MuJoCo's RK4 over `dt` seconds under the rotors and a force (world frame, N) that is constant
-    /// through it. The rotors' wrench is constant in the world frame as well, or, where it is `BODY_FIXED`, it turns with the
-    /// body inside the stages. A body without a medium may be told so, which saves work.
+    /// Computes one step of MuJoCo's RK4 over `dt` seconds under the rotors' wrench and a force that is constant in
+    /// the world frame, N.
     ///
-    /// It is exact while the body turns by less than [`MAX_TURN`](Self::MAX_TURN).
+    /// With `BODY_FIXED` the rotors' wrench rotates with the body in the stages; otherwise it is constant in the
+    /// world frame. `MEDIUM` may be false for a body without a medium, which is faster.
+    ///
+    /// The step is exact while the body rotates by less than [`MAX_TURN`](Self::MAX_TURN).
     #[inline]
     pub fn step<const BODY_FIXED: bool, const MEDIUM: bool>(
         &self,
@@ -123,12 +128,13 @@ impl FreeBody {
     }
 }
 
-#[allow(private_bounds)] // for one number or for many
+#[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> FreeBody<R> {
-    /// [`step`](FreeBody::step) of one or of many.
+    /// Computes [`step`](FreeBody::step), scalar or SIMD.
     ///
-    /// MuJoCo adds the stages' angular velocities as vectors and turns the attitude by the sum. All stages are therefore rotations
-    /// from the attitude at the start, in whose frame everything is computed here.
+    /// MuJoCo adds the angular velocities of the stages as vectors and rotates the attitude by the sum. All stages
+    /// are therefore rotations from the initial attitude, and this function computes in the body frame of that
+    /// attitude.
     #[inline(always)]
     pub(super) fn rk4<const BODY_FIXED: bool, const MEDIUM: bool>(
         &self,
@@ -152,7 +158,7 @@ impl<R: Real> FreeBody<R> {
         let new_rate = rate + (a1 + (a2 + a3) * 2.0 + a4) * sixth;
 
         let (gained, moved) = if BODY_FIXED || MEDIUM {
-            // in the frame of the body at the start
+            // in the body frame of the initial attitude
             let frame = &start.attitude;
             let mut constant = push.force * self.inverse_mass;
             constant.z = constant.z - self.gravity;
@@ -162,11 +168,11 @@ impl<R: Real> FreeBody<R> {
                 constant.z = constant.z + lift;
             }
             let velocity = frame.back(start.velocity);
-            let felt = Felt::<R, BODY_FIXED, MEDIUM> { constant, lift, fluid: &self.fluid };
-            let b1 = felt.acceleration_at_start(velocity);
-            let b2 = felt.acceleration(&turn2, velocity + b1 * half);
-            let b3 = felt.acceleration(&turn3, velocity + b2 * half);
-            let b4 = felt.acceleration(&turn4, velocity + b3 * dt);
+            let stage = StageAcceleration::<R, BODY_FIXED, MEDIUM> { constant, lift, fluid: &self.fluid };
+            let b1 = stage.acceleration_at_start(velocity);
+            let b2 = stage.acceleration(&turn2, velocity + b1 * half);
+            let b3 = stage.acceleration(&turn3, velocity + b2 * half);
+            let b4 = stage.acceleration(&turn4, velocity + b3 * dt);
             (frame.forth((b1 + (b2 + b3) * 2.0 + b4) * sixth), frame.forth((b1 + b2 + b3) * sixth))
         } else {
             let mut acceleration = (start.attitude.up() * push.thrust + push.force) * self.inverse_mass;
@@ -181,7 +187,7 @@ impl<R: Real> FreeBody<R> {
         }
     }
 
-    /// [`moving_medium`](FreeBody::moving_medium) of one body or of many.
+    /// Computes [`moving_medium`](FreeBody::moving_medium), scalar or SIMD.
     #[inline(always)]
     pub(super) fn medium_change(&self, attitude: &Turn<R>, velocity: V3<R>, air: V3<R>) -> V3<R> {
         let still = self.fluid.slowing(attitude.back(velocity));
@@ -189,7 +195,7 @@ impl<R: Real> FreeBody<R> {
         attitude.forth(moving - still) * (self.inverse_mass.all(1.0) / self.inverse_mass)
     }
 
-    /// Euler's equations, body frame, rad/s².
+    /// Returns the angular acceleration by Euler's equations, body frame, rad/s².
     #[inline(always)]
     fn angular_acceleration<const MEDIUM: bool>(&self, torque: V3<R>, rate: V3<R>) -> V3<R> {
         let ([jx, jy, jz], [gx, gy, gz]) = (self.inverse_inertia, self.gyration);
@@ -199,16 +205,16 @@ impl<R: Real> FreeBody<R> {
     }
 }
 
-/// What accelerates a body in the stages of a step, in the frame of its start.
-struct Felt<'a, R, const BODY_FIXED: bool, const MEDIUM: bool> {
-    /// What is constant.
+/// Accelerations of a body in the stages of a step, in the body frame of the initial attitude.
+struct StageAcceleration<'a, R, const BODY_FIXED: bool, const MEDIUM: bool> {
+    /// Constant part, m/s².
     constant: V3<R>,
-    /// Of the rotors, where it turns with the body.
+    /// Acceleration by the rotors along body z, m/s², used if it rotates with the body.
     lift: R,
     fluid: &'a Fluid<R>,
 }
 
-impl<R: Real, const BODY_FIXED: bool, const MEDIUM: bool> Felt<'_, R, BODY_FIXED, MEDIUM> {
+impl<R: Real, const BODY_FIXED: bool, const MEDIUM: bool> StageAcceleration<'_, R, BODY_FIXED, MEDIUM> {
     #[inline(always)]
     fn acceleration_at_start(&self, velocity: V3<R>) -> V3<R> {
         let mut total = self.constant;
@@ -231,20 +237,20 @@ impl<R: Real, const BODY_FIXED: bool, const MEDIUM: bool> Felt<'_, R, BODY_FIXED
     }
 }
 
-/// The rotors' torque in the frame of a stage.
+/// Returns the rotors' torque in the body frame of a stage.
 #[inline(always)]
 fn torque_at<R: Real, const BODY_FIXED: bool>(torque: V3<R>, turn: &Turn<R>) -> V3<R> {
     if BODY_FIXED { torque } else { turn.back(torque) }
 }
 
-/// Drag along an axis.
+/// Returns the drag along one axis.
 #[inline(always)]
 fn against<R: Real>(viscous: R, quadratic: R, x: R) -> R {
     -((viscous + quadratic * x.abs()) * x)
 }
 
 impl Fluid {
-    /// As `mj_inertiaBoxFluidModel` has it.
+    /// Creates the coefficients of `mj_inertiaBoxFluidModel`.
     fn new(mass: f64, [x, y, z]: [f64; 3], medium: Medium) -> Self {
         use std::f64::consts::PI;
         let edge = |rest: f64| (rest.max(1e-15) / mass * 6.0).sqrt();
@@ -264,7 +270,7 @@ impl Fluid {
         }
     }
 
-    /// Most that it takes off a velocity (1/s and 1/m) and off a body rate (1/s and 1).
+    /// Returns the largest coefficients for a velocity (1/s and 1/m) and for a body rate (1/s and 1).
     pub(super) fn max_coefficients(&self) -> ([f64; 2], [f64; 2]) {
         let max = |values: [f64; 3]| values.into_iter().fold(0.0, f64::max);
         ([self.viscous, max(self.quadratic)], [max(self.viscous_rate), max(self.quadratic_rate)])
@@ -272,7 +278,7 @@ impl Fluid {
 }
 
 impl<R: Real> Fluid<R> {
-    /// Acceleration at a velocity, both body frame.
+    /// Returns the drag acceleration at a velocity, both body frame.
     #[inline(always)]
     fn slowing(&self, v: V3<R>) -> V3<R> {
         let [x, y, z] = self.quadratic;
@@ -280,7 +286,7 @@ impl<R: Real> Fluid<R> {
         V3::new(against(viscous, x, v.x), against(viscous, y, v.y), against(viscous, z, v.z))
     }
 
-    /// Angular acceleration at body rates.
+    /// Returns the angular drag acceleration at body rates.
     #[inline(always)]
     fn slowing_rate(&self, rate: V3<R>) -> V3<R> {
         let ([vx, vy, vz], [x, y, z]) = (self.viscous_rate, self.quadratic_rate);
@@ -288,14 +294,14 @@ impl<R: Real> Fluid<R> {
     }
 }
 
-/// The rotation by a vector, rad.
+/// Returns the rotation by a rotation vector, rad.
 #[inline(always)]
 fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
     let (cos, sinc) = half_angle(angle.dot(angle) * 0.25);
     Turn { w: cos, v: angle * (sinc * 0.5) }
 }
 
-/// An attitude that has turned.
+/// Returns an attitude after a rotation.
 #[inline(always)]
 fn after<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
     let (w, V3 { x, y, z }, c, s) = (attitude.w, attitude.v, turn.w, turn.v);
@@ -305,7 +311,7 @@ fn after<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
         w * s.y - x * s.z + y * c + z * s.x,
         w * s.z + x * s.y - y * s.x + z * c,
     ];
-    // its length is one but for rounding, of which one step of Newton's method leaves the square
+    // the norm is one up to rounding; one Newton step squares the error
     let scale = (q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]) * -0.5 + 1.5;
     Turn { w: q[0] * scale, v: V3::new(q[1], q[2], q[3]) * scale }
 }

@@ -12,32 +12,32 @@ use crate::physics::rotor::{RotorModel, RotorWrench};
 use crate::state::{DroneState, wxyz};
 use crate::world::placement::{sphere_clearance, sphere_floor_clearance};
 
-/// How many drones are advanced together.
+/// Number of drones in one set of lanes.
 pub const LANES: usize = 8;
 
-/// One number of each.
+/// One number per lane.
 type Row = [f64; LANES];
 
-/// One drone's part of [`LaneParams`]: what does not change during a step.
+/// Parameters of one drone in [`LaneParams`]; constant during a control step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Airframe {
-    /// The body.
+    /// Rigid body.
     pub body: FreeBody,
-    /// The rotors.
+    /// Rotors.
     pub rotors: RotorModel,
-    /// Ground effect; its default for none.
+    /// Ground effect; the default value for none.
     pub ground: GroundEffect,
-    /// Coefficients of the blade drag, body frame; zero for none.
+    /// Coefficients of the blade drag, body frame, N/(m/s)/(rad/s); zero for none.
     pub drag: Vector3<f64>,
-    /// Its wake; its default for none.
+    /// Wake; the default value for none.
     pub wake: Wake,
-    /// Share of the way to the command that rotor speeds go in one physics step; 1 without lag.
+    /// Fraction of the remaining speed difference that the rotors close in one physics step; 1 without lag.
     pub share: f64,
-    /// How far it can come.
+    /// Bound of the distance that the drone can travel.
     pub reach_bound: ReachBound,
 }
 
-/// LaneParams of so many drones, number by number.
+/// Parameters of [`LANES`] drones, as a structure of arrays.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(align(64))]
 pub struct LaneParams {
@@ -58,7 +58,7 @@ pub struct LaneParams {
     reach_bound: [Row; 8],
 }
 
-/// So many drones, number by number.
+/// States of [`LANES`] drones, as a structure of arrays.
 #[derive(Debug, Clone, Default)]
 #[repr(align(64))]
 pub struct Lanes {
@@ -66,7 +66,7 @@ pub struct Lanes {
     attitude: [Row; 4],
     velocity: [Row; 3],
     rate: [Row; 3],
-    /// Speeds that the rotors are going to, rpm.
+    /// Target speeds of the rotors, rpm.
     target: [Row; 4],
     /// Speeds of the rotors, rpm.
     rpm: [Row; 4],
@@ -74,10 +74,11 @@ pub struct Lanes {
     force: [Row; 3],
     /// Velocity of the air, world frame, m/s.
     air: [Row; 3],
-    /// Force of wakes along world z, N.
+    /// Force of the wakes along world z, N.
     downwash: Row,
     rpy: [Row; 3],
-    /// What acted in the last physics step: thrust (N), torque (body frame, N·m), everything else (world frame, N).
+    /// Load of the last physics step: thrust (N) and torque (body frame, N·m) of the rotors, external force (world
+    /// frame, N).
     push: [Row; 7],
 }
 
@@ -97,14 +98,14 @@ fn take<const N: usize>(rows: &[Row; N], lane: usize) -> [f64; N] {
 }
 
 impl LaneParams {
-    /// The same one in every lane.
+    /// Creates the parameters of one drone in every lane.
     pub fn all(airframe: &Airframe) -> Self {
         let mut all = Self::default();
         (0..LANES).for_each(|lane| all.set(lane, airframe));
         all
     }
 
-    /// Puts an airframe into a lane.
+    /// Sets the parameters of a lane.
     pub fn set(&mut self, lane: usize, airframe: &Airframe) {
         let Airframe { body, rotors, ground, drag, wake, share, reach_bound } = airframe;
         self.inverse_mass[lane] = body.inverse_mass;
@@ -128,7 +129,7 @@ impl LaneParams {
 }
 
 impl Lanes {
-    /// Puts a drone into a lane: its state, the speeds (rpm) that its rotors have and are going to.
+    /// Sets the state of a lane, and the current and target speeds of its rotors, rpm.
     #[inline]
     pub fn set(&mut self, lane: usize, state: &DroneState, rpm: &[f64; 4], target: &[f64; 4]) {
         put(&mut self.position, lane, state.position.into());
@@ -139,26 +140,26 @@ impl Lanes {
         put(&mut self.target, lane, *target);
     }
 
-    /// Sets the speeds that the rotors of a drone are going to, rpm.
+    /// Sets the target speeds of a lane's rotors, rpm.
     #[inline]
     pub fn set_target(&mut self, lane: usize, target: &[f64; 4]) {
         put(&mut self.target, lane, *target);
     }
 
-    /// Speeds that the rotors of a drone are going to, rpm.
+    /// Returns the target speeds of a lane's rotors, rpm.
     #[inline]
     pub fn target(&self, lane: usize) -> [f64; 4] {
         take(&self.target, lane)
     }
 
-    /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) at a drone: blades and the
-    /// medium move with that air.
+    /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) in a lane. The air
+    /// velocity applies to the blade drag and to the medium.
     pub fn set_wind(&mut self, lane: usize, force: &Vector3<f64>, air: &Vector3<f64>) {
         put(&mut self.force, lane, (*force).into());
         put(&mut self.air, lane, (*air).into());
     }
 
-    /// The state of a drone.
+    /// Returns the state of a lane.
     #[inline(always)]
     pub fn state(&self, lane: usize) -> DroneState {
         DroneState {
@@ -169,33 +170,34 @@ impl Lanes {
         }
     }
 
-    /// Roll, pitch and yaw of a drone, rad, once they have been [computed](compute_rpys).
+    /// Returns roll, pitch and yaw of a lane, rad, from the last call of [`compute_rpys`].
     #[inline(always)]
     pub fn rpy(&self, lane: usize) -> Vector3<f64> {
         take(&self.rpy, lane).into()
     }
 
-    /// What acted on a drone in the last physics step: the rotors, and everything else (world frame, N).
+    /// Returns the load of a lane in the last physics step: the rotors' wrench and the external force (world frame,
+    /// N).
     #[inline(always)]
     pub fn push(&self, lane: usize) -> (RotorWrench, Vector3<f64>) {
         let [thrust, a, b, c, x, y, z] = take(&self.push, lane);
         (RotorWrench { thrust, torque_body: Vector3::new(a, b, c) }, Vector3::new(x, y, z))
     }
 
-    /// Says what acted on a drone in the last physics step.
+    /// Sets the load of a lane in the last physics step.
     pub fn set_push(&mut self, lane: usize, rotors: &RotorWrench, force_world: &Vector3<f64>) {
         let (t, f) = (&rotors.torque_body, force_world);
         put(&mut self.push, lane, [rotors.thrust, t.x, t.y, t.z, f.x, f.y, f.z]);
     }
 
-    /// Speeds of a drone's rotors, rpm.
+    /// Returns the rotor speeds of a lane, rpm.
     #[inline(always)]
     pub fn rpm(&self, lane: usize) -> [f64; 4] {
         take(&self.rpm, lane)
     }
 }
 
-/// Access to a register's worth of every row.
+/// Accessor of one SIMD register in every row.
 #[derive(Clone, Copy)]
 struct Part<S: Simd> {
     simd: S,
@@ -203,7 +205,7 @@ struct Part<S: Simd> {
 }
 
 impl<S: Simd> Part<S> {
-    /// The parts that hold the first `count` lanes.
+    /// Returns the accessors of the registers that hold the first `count` lanes.
     #[inline(always)]
     fn first(simd: S, count: usize) -> impl Iterator<Item = Self> {
         (0..count.min(LANES).div_ceil(S::F64_LANES)).map(move |index| Self { simd, index })
@@ -315,22 +317,22 @@ impl<S: Simd> Part<S> {
     }
 }
 
-/// How lanes are advanced.
+/// Options of [`advance`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Flow {
     /// Length of a physics step, s.
     pub dt: f64,
-    /// Whether the rotors' wrench turns with the body inside a step.
+    /// True if the rotors' wrench rotates with the body inside a step.
     pub body_fixed: bool,
-    /// Whether the medium is on.
+    /// True if the medium is on.
     pub medium: bool,
-    /// Whether there is anything beside the rotors, or motors that are slow.
+    /// True if a force besides the rotors acts, or if the motors have lag.
     pub air: bool,
-    /// With which instructions.
+    /// Instruction set.
     pub width: Width,
 }
 
-/// Physics steps of lanes that do not feel each other.
+/// Physics steps of lanes that do not interact.
 struct Substeps<'a, const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> {
     lanes: &'a mut Lanes,
     lane_params: &'a LaneParams,
@@ -358,7 +360,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
                     let lag = share.less(share.all(1.0));
                     for motor in 0..4 {
                         let slow = rpm[motor] + (target[motor] - rpm[motor]) * share;
-                        // without lag exactly the command, not a rounding error beside it
+                        // without lag the speed is exactly the command; the formula would add a rounding error
                         rpm[motor] = Real::choose(lag, slow, target[motor]);
                     }
                     (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
@@ -396,14 +398,14 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
     }
 }
 
-/// Advances the first `count` lanes, which do not feel each other, by so many physics steps.
+/// Advances the first `count` lanes by `steps` physics steps; the lanes do not interact.
 pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, count: usize, steps: u32) {
     macro_rules! go {
         ($fixed:literal, $medium:literal, $air:literal) => {
             flow.width.run(count, Substeps::<$fixed, $medium, $air> { lanes, lane_params, count, dt: flow.dt, steps })
         };
     }
-    // a form of its own for what is flown most; the others have what they may not need switched off by zeros
+    // the most common flight has a specialized kernel; the others multiply unused effects by zero
     match (flow.body_fixed, flow.medium) {
         (false, false) if !flow.air => go!(false, false, false),
         (false, false) => go!(false, false, true),
@@ -439,7 +441,7 @@ impl WithSimd for Downwash<'_> {
                     let above = zero.less(apart.z);
                     let below = apart.z.abs();
                     let upper = Wake::choose(above, &wake, &part.wake(&lane_params[j]));
-                    // most pairs are out of each other's reach
+                    // most pairs are out of reach of each other
                     if !<Pack<S> as Real>::any(upper.reaches(below, sideways)) {
                         continue;
                     }
@@ -454,8 +456,8 @@ impl WithSimd for Downwash<'_> {
     }
 }
 
-/// Computes the wakes among the drones of the first `count` environments, one environment per lane: `drones` and `lane_params`
-/// have one entry per drone.
+/// Computes the wakes among the drones of the first `count` environments, one environment per lane. `drones` and
+/// `lane_params` have one entry per drone.
 pub fn compute_downwash(width: Width, drones: &mut [Lanes], lane_params: &[LaneParams], count: usize) {
     width.run(count, Downwash { drones, lane_params, count });
 }
@@ -500,7 +502,7 @@ impl WithSimd for Clear<'_> {
         for part in Part::first(simd, count) {
             let one = Pack::new(simd, simd.splat_f64s(1.0));
             let zero = one.all(0.0);
-            // a comparison with NaN is false, and what is once false stays so
+            // a comparison with NaN is false, and a false lane stays false
             let mut clear = zero.less(one);
             for i in 0..drones.len() {
                 let place = part.get3(&drones[i].position);
@@ -518,8 +520,9 @@ impl WithSimd for Clear<'_> {
     }
 }
 
-/// Which of the first `count` environments are in the open for so many physics steps, one per lane: no drone can touch the floor
-/// or another drone, and none turns too fast for the kernel. `drones` and `lane_params` have one entry per drone.
+/// Returns for each lane whether its environment is free of contacts for `steps` physics steps: no drone can touch
+/// the floor or another drone, and none rotates too fast for the kernel. The result covers the first `count`
+/// environments, one per lane. `drones` and `lane_params` have one entry per drone.
 pub fn find_clear(
     flow: &Flow,
     drones: &[Lanes],

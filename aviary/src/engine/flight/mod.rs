@@ -1,9 +1,10 @@
-//! The flight kernel: MuJoCo's RK4 over free bodies, restated without MuJoCo.
+//! Flight kernel: MuJoCo's RK4 for free bodies, implemented without MuJoCo.
 //!
-//! A drone that touches nothing is a free rigid body under a wrench that is constant through a physics step (or whose
-//! rotors turn with the body), and MuJoCo's fluid forces where the medium is on. Its equations are written once
-//! ([`FreeBody::step`]), in numbers that are one double or a register of them: [`Lanes`] hold many drones number by number,
-//! and are advanced as many at once as the machine can, to the same bits.
+//! A drone without contacts is a free rigid body under forces that are constant during a physics step; with
+//! body-fixed forcing the rotors' wrench rotates with the body. MuJoCo's fluid forces act if the medium is on. The
+//! equations of motion ([`FreeBody::step`]) are generic over scalars and SIMD registers. [`Lanes`] hold eight drones
+//! as a structure of arrays; the kernel advances as many of them at once as the instruction set allows. The results
+//! are bit-identical for all instruction sets.
 
 mod body;
 mod lanes;

@@ -5,29 +5,29 @@ use crate::names::named_enum;
 
 named_enum! {
     "instruction set"
-    /// The instructions that lanes are advanced with, narrowest first. The results are the same bits.
+    /// Instruction set of the flight kernel, narrowest first. The results are bit-identical for all of them.
     pub enum Width {
-        /// What every machine has: two numbers at once on x86-64.
+        /// Baseline of every machine: two numbers per instruction on x86-64.
         Portable = "portable",
-        /// AVX2: four numbers.
+        /// AVX2: four numbers per instruction.
         Avx2 = "avx2",
-        /// AVX-512: eight numbers.
+        /// AVX-512: eight numbers per instruction.
         Avx512 = "avx512",
     }
 }
 
 impl Width {
-    /// Those that this machine has, narrowest first.
+    /// Returns the instruction sets that this machine supports, narrowest first.
     pub fn available() -> impl Iterator<Item = Self> {
         Self::ALL.into_iter().filter(|width| width.is_available())
     }
 
-    /// The widest that this machine has.
+    /// Returns the widest instruction set that this machine supports.
     pub fn best() -> Self {
         Self::available().last().unwrap_or(Self::Portable)
     }
 
-    /// Whether this machine has them.
+    /// Returns true if this machine supports the instruction set.
     pub fn is_available(self) -> bool {
         match self {
             Self::Portable => true,
@@ -40,8 +40,9 @@ impl Width {
         }
     }
 
-    /// Runs work on the first `count` lanes with these instructions, or with what there is. Lanes that fit half a register are computed
-    /// in halves: the machine does twice as many of them at once.
+    /// Runs work on the first `count` lanes with this instruction set, or with the baseline if it is not available.
+    /// On AVX-512, half a register of lanes or fewer run in 256-bit registers, of which the machine computes twice as
+    /// many per cycle.
     #[inline]
     pub(super) fn run<W: WithSimd>(self, count: usize, work: W) -> W::Output {
         #[cfg(target_arch = "x86_64")]
@@ -65,7 +66,7 @@ impl Width {
     }
 }
 
-/// Work in the lower halves of AVX-512's 32 registers.
+/// Work on the lower halves of AVX-512's 32 registers.
 #[cfg(target_arch = "x86_64")]
 struct InHalves<W>(pulp::x86::V4, W);
 
