@@ -4,7 +4,7 @@ use super::Mixer;
 use crate::drone::{DroneModel, DroneParams};
 use crate::state::{DroneState, wrap_angle};
 
-/// Gains of the attitude loop: torques per rad, per rad·s and per rad/s, about the body axes.
+/// Gains of the attitude loop about the body axes: torques per rad, per rad·s and per rad/s.
 ///
 /// ```
 /// use aviary::control::AttitudeGains;
@@ -17,13 +17,13 @@ use crate::state::{DroneState, wrap_angle};
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AttitudeGains {
-    /// Proportional, N·m/rad.
+    /// Proportional gain, N·m/rad.
     #[serde(with = "crate::serial::vector")]
     pub proportional: Vector3<f64>,
-    /// Integral, N·m/(rad·s).
+    /// Integral gain, N·m/(rad·s).
     #[serde(with = "crate::serial::vector")]
     pub integral: Vector3<f64>,
-    /// Derivative, N·m/(rad/s).
+    /// Derivative gain, N·m/(rad/s).
     #[serde(with = "crate::serial::vector")]
     pub derivative: Vector3<f64>,
     /// Limit of each component of the integrated error, rad·s.
@@ -31,15 +31,15 @@ pub struct AttitudeGains {
 }
 
 impl AttitudeGains {
-    /// The paper's gains (its PID table) for an airframe.
+    /// Returns the gains of the paper's PID table for an airframe.
     ///
-    /// They belong to the Crazyflie; another airframe's are scaled by the ratio of the inertias, axis by axis, so that
-    /// its attitude answers with the same time constants.
+    /// The table belongs to the Crazyflie. For another airframe each gain is scaled by the ratio of the moments of
+    /// inertia about its axis, so that the time constants of the attitude stay the same.
     pub fn paper(params: &DroneParams) -> Self {
         Self::of_crazyflie(params, [2e-3, 2e-3, 1e-3], [0.0, 0.0, 1e-4], [5e-4, 5e-4, 2e-4], 0.5)
     }
 
-    /// From torque gains that suit the Crazyflie.
+    /// Scales gains of the Crazyflie to the inertia of an airframe.
     pub(super) fn of_crazyflie(
         params: &DroneParams,
         proportional: [f64; 3],
@@ -59,10 +59,10 @@ impl AttitudeGains {
     }
 }
 
-/// The attitude stage of the cascade: holds an attitude under a collective thrust.
+/// Attitude loop of the cascade: tracks an attitude at a given collective thrust.
 ///
-/// Torques come from the rotation that is left, as a rotation vector (the same as the small-angle roll, pitch and yaw
-/// errors near hover, and right at any attitude), from its integral and from the error of the body rates.
+/// The torque is a PID law on the rotation vector from the actual to the target attitude and on the body-rate error.
+/// Near hover the rotation vector equals the roll, pitch and yaw errors, and it is valid at any attitude.
 ///
 /// ```
 /// use aviary::control::AttitudeControl;
@@ -85,30 +85,30 @@ pub struct AttitudeControl {
 }
 
 impl AttitudeControl {
-    /// With the paper's gains.
+    /// Creates a controller with [the paper's gains](AttitudeGains::paper).
     pub fn new(params: &DroneParams) -> Self {
         Self::with_gains(params, AttitudeGains::paper(params))
     }
 
-    /// With gains of one's own.
+    /// Creates a controller with the given gains.
     pub fn with_gains(params: &DroneParams, gains: AttitudeGains) -> Self {
         Self { gains, mixer: Mixer::new(params), integral: Vector3::zeros() }
     }
 
-    /// The gains.
+    /// Returns the gains.
     pub fn gains(&self) -> &AttitudeGains {
         &self.gains
     }
 
-    /// Forgets the integral.
+    /// Sets the integral to zero.
     pub fn reset(&mut self) {
         self.integral = Vector3::zeros();
     }
 
-    /// Motor speeds (rpm) for the coming control step of `dt` seconds: a collective thrust (N) along body z, and torques
-    /// that turn the body to `attitude` (body to world) and to `body_rate` (body frame, rad/s).
+    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds.
     ///
-    /// What is not a number gives speeds that are not numbers, and leaves the controller as it was.
+    /// They produce the collective thrust (N) along body z and the torque that tracks `attitude` (body to world) and
+    /// `body_rate` (body frame, rad/s). Any non-finite input returns NaN speeds and leaves the integral unchanged.
     pub fn control(
         &mut self,
         dt: f64,
@@ -131,7 +131,7 @@ impl AttitudeControl {
     }
 }
 
-/// A yaw that is held, and turned at a commanded rate.
+/// Yaw setpoint that integrates a commanded yaw rate.
 ///
 /// ```
 /// use aviary::control::HeadingHold;
@@ -139,7 +139,7 @@ impl AttitudeControl {
 ///
 /// let (mut hold, facing_x) = (HeadingHold::default(), DroneState::default());
 /// assert!((hold.advance(0.1, &facing_x, 0.5) - 0.05).abs() < 1e-12);
-/// // a drone that does not turn is waited for
+/// // the setpoint waits for a drone that does not turn
 /// for _ in 0..100 {
 ///     hold.advance(0.1, &facing_x, 0.5);
 /// }
@@ -151,16 +151,16 @@ pub struct HeadingHold {
 }
 
 impl HeadingHold {
-    /// The held yaw never runs further ahead of the drone's than this, rad: a yaw that the motors cannot follow must not
-    /// wind up.
+    /// Largest difference between the yaw setpoint and the drone's yaw, rad. The limit prevents windup when the
+    /// motors cannot reach the commanded rate.
     pub const MAX_LEAD: f64 = std::f64::consts::FRAC_PI_4;
 
-    /// Forgets the yaw: the next one to be held is the drone's.
+    /// Clears the setpoint; the next call of [`advance`](Self::advance) starts from the drone's yaw.
     pub fn reset(&mut self) {
         self.yaw = None;
     }
 
-    /// The yaw to hold (rad) at the end of a control step of `dt` seconds in which it turns at `rate` rad/s.
+    /// Turns the setpoint at `rate` rad/s for a control step of `dt` seconds and returns it, rad.
     pub fn advance(&mut self, dt: f64, state: &DroneState, rate: f64) -> f64 {
         let actual = state.yaw();
         let lead = wrap_angle(self.yaw.unwrap_or(actual) + rate * dt - actual);
@@ -172,7 +172,7 @@ impl HeadingHold {
     }
 }
 
-/// Every component within ±`limit`; what is not a number stays that.
+/// Clamps every component to ±`limit`; NaN stays NaN.
 pub(super) fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
     vector.map(|x| {
         if x > limit {
@@ -185,10 +185,10 @@ pub(super) fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
     })
 }
 
-/// The attitude whose z axis points along `up`, which lies above the horizon, and whose yaw is `yaw`.
+/// Returns the attitude whose z axis points along `up`, a vector above the horizon, and whose yaw is `yaw`.
 pub(super) fn attitude_along(up: &Vector3<f64>, yaw: f64) -> UnitQuaternion<f64> {
     let z = up.normalize();
-    // body x has no part along the heading's left: only so is the yaw of roll-pitch-yaw the one asked for
+    // roll-pitch-yaw has this yaw only if body x is perpendicular to the left of the heading
     let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
     let x = left.cross(&z).normalize();
     let y = z.cross(&x);
@@ -202,7 +202,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn wanted_attitude_has_its_z_along_the_acceleration_and_its_yaw(x in -5.0..5.0, y in -5.0..5.0, yaw in -3.0..3.0) {
+        fn target_attitude_has_the_given_z_axis_and_yaw(x in -5.0..5.0, y in -5.0..5.0, yaw in -3.0..3.0) {
             let up = Vector3::new(x, y, 9.81);
             let attitude = attitude_along(&up, yaw);
             prop_assert!((attitude * Vector3::z() - up.normalize()).norm() < 1e-9);
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_held_heading_turns_at_its_rate_and_never_far_ahead() {
+    fn heading_setpoint_turns_at_the_commanded_rate_within_its_lead() {
         let mut hold = HeadingHold::default();
         let state = DroneState::at_rest(Vector3::zeros(), Vector3::new(0.1, 0.0, 3.1));
         assert!((hold.advance(0.1, &state, 0.5) - wrap_angle(3.15)).abs() < 1e-12, "across ±π");
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_never_enter_the_memory() {
+    fn non_finite_inputs_return_nan_and_keep_the_state() {
         let params = DroneModel::Cf2x.params();
         let mut control = AttitudeControl::new(&params);
         let before = control.clone();

@@ -6,12 +6,12 @@ use super::{AttitudeGains, ControlOutput, Controller, PidControl, PidGains, Posi
 use crate::drone::DroneParams;
 use crate::state::{DroneState, wrap_angle};
 
-/// The paper's `DSLPIDControl`: the cascade of [`PidControl`] with stiffer gains, halved clamps of the integrals, a
-/// setpoint that moves at a limited rate, and the reference's acceleration as feed-forward.
+/// The paper's `DSLPIDControl`: the cascade of [`PidControl`] with stiffer gains, integral clamps half as large, a
+/// rate-limited setpoint, and feed-forward of the reference acceleration.
 ///
-/// The setpoint starts where the drone is and goes to the reference's position at no more than
-/// [`MAX_SPEED`](Self::MAX_SPEED), and to its yaw at no more than [`MAX_YAW_RATE`](Self::MAX_YAW_RATE), so that a
-/// waypoint far away does not lay the drone on its side. A reference that moves faster than that is left behind.
+/// The setpoint starts at the position and yaw of the drone. It moves to the reference at no more than
+/// [`MAX_SPEED`](Self::MAX_SPEED) and [`MAX_YAW_RATE`](Self::MAX_YAW_RATE), so that a distant waypoint does not cause
+/// a large tilt. It cannot keep up with a reference that moves faster than these limits.
 ///
 /// ```
 /// use aviary::control::{Controller, DslPidControl, Reference};
@@ -22,7 +22,7 @@ use crate::state::{DroneState, wrap_angle};
 /// let params = DroneModel::Cf2x.params();
 /// let far = Reference::hover(Vector3::new(3.0, 0.0, 0.0), 0.0);
 /// let output = DslPidControl::new(&params).control(1.0 / 48.0, &DroneState::default(), &far);
-/// // the errors are those of the reference, the speeds those of a setpoint that is 4 cm away
+/// // the errors are relative to the reference, the motor speeds follow a setpoint 4 cm away
 /// assert_eq!(output.position_error.x, 3.0);
 /// assert!(output.rpm.iter().all(|rpm| (rpm / params.hover_rpm() - 1.0).abs() < 0.05));
 /// ```
@@ -40,21 +40,21 @@ struct Setpoint {
 }
 
 impl DslPidControl {
-    /// Limit of the setpoint's speed, m/s.
+    /// Maximum speed of the setpoint, m/s.
     pub const MAX_SPEED: f64 = 2.0;
 
-    /// Limit of the setpoint's yaw rate, rad/s.
+    /// Maximum yaw rate of the setpoint, rad/s.
     pub const MAX_YAW_RATE: f64 = PI;
 
-    /// Position errors beyond this are on their way home and do not enter the integral, m.
+    /// Largest position error that enters the integral, m. Larger errors are transients, which would wind it up.
     const INTEGRATED: f64 = 0.15;
 
-    /// With its own gains.
+    /// Creates a controller with [its gains](Self::gains) for an airframe.
     pub fn new(params: &DroneParams) -> Self {
         Self { cascade: PidControl::with_gains(params, Self::gains(params)), setpoint: None }
     }
 
-    /// Its gains for an airframe; torque gains follow the inertia as those of the paper's PID do.
+    /// Returns the gains for an airframe. Torque gains scale with the inertia as in [`PidGains::paper`].
     pub fn gains(params: &DroneParams) -> PidGains {
         PidGains {
             position: PositionGains {
@@ -76,11 +76,11 @@ impl DslPidControl {
     fn advance(&self, dt: f64, state: &DroneState, reference: &Reference) -> Setpoint {
         let here = Setpoint { position: state.position, yaw: state.yaw() };
         let last = self.setpoint.unwrap_or(here);
-        let way = reference.position - last.position;
-        let share = (Self::MAX_SPEED * dt / way.norm()).min(1.0);
+        let path = reference.position - last.position;
+        let share = (Self::MAX_SPEED * dt / path.norm()).min(1.0);
         let turn = wrap_angle(reference.yaw - last.yaw).clamp(-Self::MAX_YAW_RATE * dt, Self::MAX_YAW_RATE * dt);
         Setpoint {
-            position: if share < 1.0 { last.position + way * share } else { reference.position },
+            position: if share < 1.0 { last.position + path * share } else { reference.position },
             yaw: wrap_angle(last.yaw + turn),
         }
     }
@@ -99,7 +99,7 @@ impl Controller for DslPidControl {
         }
         let setpoint = self.advance(dt, state, reference);
         self.setpoint = Some(setpoint);
-        // nor may the drone be asked to move faster than its setpoint can
+        // the velocity command has the same limit as the speed of the setpoint
         let speed = reference.velocity.norm();
         let limited = Reference {
             position: setpoint.position,
@@ -108,13 +108,12 @@ impl Controller for DslPidControl {
             yaw_rate: reference.yaw_rate.clamp(-Self::MAX_YAW_RATE, Self::MAX_YAW_RATE),
             ..*reference
         };
-        // against the setpoint, not the reference: that is what the loops are to hold
         let feed_forward = &reference.acceleration;
         let output = self.cascade.follow(dt, state, &limited, feed_forward, Self::INTEGRATED);
         ControlOutput { rpm: output.rpm, ..errors }
     }
 
-    /// Without a setpoint for the position, whose limit of speed would be the velocity's.
+    /// Bypasses the position setpoint, whose speed limit would also limit the commanded velocity.
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         let here = Reference { position: state.position, ..*reference };
         let errors = ControlOutput::of_errors(state, &here);
@@ -158,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn clamps_are_half_of_the_papers_pid() {
+    fn integral_clamps_are_half_of_the_papers_pid() {
         let params = DroneModel::Race.params();
         let (dsl, pid) = (DslPidControl::gains(&params), PidGains::paper(&params));
         assert_eq!(2.0 * dsl.position.integral_clamp, pid.position.integral_clamp);
@@ -166,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn the_references_acceleration_leans_the_drone_at_once() {
+    fn reference_acceleration_tilts_the_drone_in_the_first_step() {
         let params = DroneModel::Cf2x.params();
         let moving = Reference { acceleration: Vector3::new(0.0, -3.0, 0.0), ..Reference::default() };
         let state = DroneState::default();

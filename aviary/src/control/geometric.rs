@@ -4,29 +4,30 @@ use super::{ControlOutput, Controller, Mixer, Reference};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::state::{DroneState, body_z};
 
-/// How fast the loops of a [`GeometricControl`] answer: natural frequencies, rad/s. Gains follow from them and from the
-/// airframe's mass and inertia.
+/// Natural frequencies of the loops of a [`GeometricControl`], rad/s.
+///
+/// The gains follow from these frequencies and from the mass and inertia of the airframe.
 ///
 /// ```
 /// use aviary::control::{Bandwidths, GeometricControl};
 /// use aviary::drone::DroneModel;
 ///
-/// // an integral, against steady wind
+/// // integral action against steady wind
 /// let bandwidths = Bandwidths { integral: 0.1, ..Bandwidths::default() };
 /// let control = GeometricControl::with_bandwidths(&DroneModel::Cf2x.params(), bandwidths);
 /// assert_eq!(control.bandwidths().integral, 0.1);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Bandwidths {
-    /// Position, world x and y.
+    /// Frequency of the position loop along world x and y, rad/s.
     pub horizontal: f64,
-    /// Position, world z.
+    /// Frequency of the position loop along world z, rad/s.
     pub vertical: f64,
-    /// Attitude about body x and y.
+    /// Frequency of the attitude loop about body x and y, rad/s.
     pub tilt: f64,
-    /// Attitude about body z.
+    /// Frequency of the attitude loop about body z, rad/s.
     pub yaw: f64,
-    /// Integral of the position error, as a share of the frequency of its axis; 0 for none.
+    /// Gain of the integral of the position error, relative to the cube of the frequency of its axis; 0 disables it.
     pub integral: f64,
 }
 
@@ -36,17 +37,18 @@ impl Default for Bandwidths {
     }
 }
 
-/// Tracking control on SE(3) (Lee, Leok and McClamroch 2010, *Geometric tracking control of a quadrotor UAV on SE(3)*),
-/// with feed-forward of the trajectory's jerk and snap through differential flatness.
+/// Geometric tracking control on SE(3) (Lee, Leok and McClamroch 2010, *Geometric tracking control of a quadrotor UAV
+/// on SE(3)*), with feed-forward of jerk and snap through differential flatness.
 ///
-/// The thrust is to produce A = a\* + g·ẑ + k_x·e_x + k_v·e_v, per unit of mass. Body z is to point along A, and A's first and
-/// second derivatives, with the accelerations that the present thrust gives, say at which body rates and angular
-/// accelerations it does so. The torque is that of the paper, with the whole rotation vector of the attitude
-/// error in place of its sine: the two agree for small errors, and this one does not fade for large ones.
+/// The target thrust per unit mass is A = a\* + g·ẑ + k_x·e_x + k_v·e_v, and the target body z axis points along A.
+/// The first and second time derivatives of A give the target body rates and angular accelerations. They are
+/// evaluated with the acceleration that the present thrust causes. The torque law is that of Lee et al., with the
+/// rotation vector of the attitude error instead of its sine: the two agree for small errors, and the rotation vector
+/// does not vanish for large ones.
 ///
-/// It flies any attitude: where body z comes near the heading's left or right, where yaw says nothing, a second chart of the
-/// attitude takes over, and back where it comes near the heading (the paper's desired heading must never be parallel to
-/// the thrust).
+/// The controller tracks any attitude. Yaw is undefined where body z points to the left or right of the heading, so
+/// the controller switches to a second chart of the attitude near these directions. It switches back where body z
+/// points along the heading, which is the singularity of the second chart (and of Lee et al.).
 ///
 /// ```
 /// use aviary::control::{Controller, GeometricControl, Reference};
@@ -65,11 +67,11 @@ pub struct GeometricControl {
     #[serde(with = "crate::serial::vector")]
     inertia: Vector3<f64>,
     mixer: Mixer,
-    /// Most acceleration that errors of position and velocity may ask for, m/s².
+    /// Largest acceleration from the feedback of position and velocity errors, m/s².
     max_feedback: f64,
     chart: Chart,
-    /// Whether its bandwidths are positive numbers.
-    sound: bool,
+    /// True if the bandwidths are in their ranges.
+    valid: bool,
     #[serde(with = "crate::serial::vector")]
     integral: Vector3<f64>,
 }
@@ -79,31 +81,35 @@ impl GeometricControl {
     const POSITION_DAMPING: f64 = 1.0;
     /// Damping ratio of the attitude loop.
     const ATTITUDE_DAMPING: f64 = 0.9;
-    /// Fastest attitude and position loop that a control rate carries, as natural frequency times control period.
+    /// Largest natural frequency of the attitude loop times the control period.
     const FASTEST_ATTITUDE: f64 = 0.55;
+    /// Largest natural frequency of the position loop times the control period.
     const FASTEST_POSITION: f64 = 0.25;
-    /// Position errors beyond this are on their way home and do not enter the integral, m.
+    /// Largest position error that enters the integral, m. Larger errors are transients, which would wind it up.
     const INTEGRATED: f64 = 0.15;
-    /// Below this thrust per mass, m/s², its direction says nothing.
+    /// Target thrust per unit mass below which its direction is undefined, m/s².
     const FREE_FALL: f64 = 0.3;
 
-    /// For an airframe.
+    /// Creates a controller with the default [`Bandwidths`].
     pub fn new(params: &DroneParams) -> Self {
         Self::with_bandwidths(params, Bandwidths::default())
     }
 
-    /// With loops that answer as fast as one wants them to, within what the control rate carries. Frequencies that are not
-    /// positive numbers, and shares of the integral outside 0 to 1, give speeds that are not numbers.
+    /// Creates a controller with the given bandwidths.
+    ///
+    /// The control rate limits them: the attitude loop to 0.55 and the position loop to 0.25 divided by the control
+    /// period. The controller returns NaN speeds if a frequency is not positive and finite, or if
+    /// [`integral`](Bandwidths::integral) is outside 0 to 1.
     pub fn with_bandwidths(params: &DroneParams, bandwidths: Bandwidths) -> Self {
         Self {
             bandwidths,
             mass: params.mass,
             inertia: params.inertia_vector(),
             mixer: Mixer::new(params),
-            // less than g, so that errors never turn a level drone over, and within what the motors have to spare
+            // less than g, so that feedback never turns a drone over, and within the thrust margin of the motors
             max_feedback: GRAVITY * (0.8 * (params.thrust_to_weight - 1.0)).clamp(0.1, 0.7),
             chart: Chart::Left(1.0),
-            sound: [bandwidths.horizontal, bandwidths.vertical, bandwidths.tilt, bandwidths.yaw]
+            valid: [bandwidths.horizontal, bandwidths.vertical, bandwidths.tilt, bandwidths.yaw]
                 .iter()
                 .all(|&frequency| frequency > 0.0 && frequency.is_finite())
                 && (0.0..=1.0).contains(&bandwidths.integral),
@@ -111,12 +117,12 @@ impl GeometricControl {
         }
     }
 
-    /// How fast its loops are.
+    /// Returns the bandwidths.
     pub fn bandwidths(&self) -> Bandwidths {
         self.bandwidths
     }
 
-    /// Natural frequency of the position loop, world axes, rad/s.
+    /// Returns the natural frequency of the position loop, world axes, rad/s.
     fn frequency(&self, dt: f64) -> Vector3<f64> {
         let max = Self::FASTEST_POSITION / dt;
         let (xy, z) = (self.bandwidths.horizontal.min(max), self.bandwidths.vertical.min(max));
@@ -134,7 +140,8 @@ impl GeometricControl {
         }
     }
 
-    /// The acceleration that errors ask for, within what is allowed, and whether it still changes with them.
+    /// Returns the acceleration from position and velocity errors, and true if it is below all limits, that is, if it
+    /// still depends on the errors.
     fn feedback(
         &self,
         gains: &[Vector3<f64>; 2],
@@ -142,7 +149,7 @@ impl GeometricControl {
         velocity: &Vector3<f64>,
     ) -> (Vector3<f64>, bool) {
         let [stiffness, damping] = gains;
-        // an error so large that its way home would need more than the most feedback to brake at its end counts as that
+        // limits the error so that the maximum feedback is sufficient to brake at the end of the approach
         let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.max_feedback / stiffness.max(1e-9));
         let sideways = position.xy().norm();
         let clipped = sideways > reach[0] || position.z.abs() > reach[1];
@@ -153,7 +160,7 @@ impl GeometricControl {
         if size > self.max_feedback { (value * (self.max_feedback / size), false) } else { (value, !clipped) }
     }
 
-    /// Torque about the body axes, N·m, for a wanted attitude and its body rates and their derivative.
+    /// Returns the torque about the body axes, N·m, that tracks a target attitude.
     fn torque(&self, dt: f64, state: &DroneState, wanted: &Attitude) -> Vector3<f64> {
         let max = Self::FASTEST_ATTITUDE / dt;
         let (tilt, yaw) = (self.bandwidths.tilt.min(max), self.bandwidths.yaw.min(max));
@@ -170,10 +177,10 @@ impl GeometricControl {
         self.inertia.component_mul(&angular_acceleration) + omega.cross(&self.inertia.component_mul(&omega))
     }
 
-    /// Follows a reference, or its velocity alone.
+    /// Tracks a reference, or only its velocity if `position_held` is false.
     fn follow(&mut self, dt: f64, state: &DroneState, reference: &Reference, position_held: bool) -> ControlOutput {
         let output = ControlOutput::of_errors(state, reference);
-        if !(self.sound && state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
+        if !(self.valid && state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
             return output;
         }
         let up = body_z(&state.attitude);
@@ -197,7 +204,7 @@ impl GeometricControl {
         }
         let thrust = wanted.value.dot(&up).max(0.0);
         if live {
-            // the acceleration and the jerk that the present thrust gives say how the errors change
+            // the acceleration and jerk of the drone under the present thrust give the derivatives of the errors
             let acceleration = reference.acceleration - (up * thrust - gravity);
             wanted.rate += stiffness.component_mul(&velocity) + damping.component_mul(&acceleration);
             let thrust_rate = wanted.rate.dot(&up) + wanted.value.dot(&up_rate);
@@ -249,7 +256,7 @@ impl MovingVector {
         }
     }
 
-    /// The direction: with u = v/‖v‖ and s = ‖v‖, s·u' = v' − s'·u and s·u'' = v'' − s''·u − 2·s'·u'.
+    /// Returns the unit vector u = v/‖v‖: with s = ‖v‖, s·u' = v' − s'·u and s·u'' = v'' − s''·u − 2·s'·u'.
     fn unit(&self) -> Self {
         let size = self.value.norm();
         let value = self.value / size;
@@ -261,34 +268,35 @@ impl MovingVector {
     }
 }
 
-/// An attitude, body to world, and how it turns.
+/// A target attitude, body to world, with its first two derivatives.
 struct Attitude {
     attitude: UnitQuaternion<f64>,
-    /// Body frame, rad/s.
+    /// Body rates, body frame, rad/s.
     body_rate: Vector3<f64>,
-    /// Body frame, rad/s².
+    /// Angular acceleration, body frame, rad/s².
     angular_acceleration: Vector3<f64>,
 }
 
-/// How a yaw and a direction of body z make an attitude. Neither way is good for every direction, and near a direction
-/// where one fails the other one is good.
+/// Chart that maps a yaw and a direction of body z to an attitude.
+///
+/// Each chart is singular for some directions of body z, where the other one is regular.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 enum Chart {
-    /// Body x is perpendicular to the heading's left (times the sign): the yaw of roll-pitch-yaw is the heading.
+    /// Body x is perpendicular to the left of the heading, with this sign: roll-pitch-yaw has the yaw of the heading.
     Left(f64),
-    /// Body y is perpendicular to the heading (times the sign): Lee's choice.
+    /// Body y is perpendicular to the heading, with this sign: the chart of Lee et al.
     Forward(f64),
 }
 
 impl Chart {
-    /// A chart is left where its sine of the angle to the failing direction falls below this.
-    const WORN: f64 = 0.35;
+    /// Sine of the angle to the singular direction below which the controller leaves a chart.
+    const SWITCH: f64 = 0.35;
 
     fn attitude(&mut self, z: &MovingVector, reference: &Reference) -> Attitude {
         let (sin, cos) = reference.yaw.sin_cos();
         let (forward, left) = (Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0));
         let (rate, acceleration) = (reference.yaw_rate, reference.yaw_acceleration);
-        // a unit vector that turns about z: r' = ψ'·n, r'' = ψ''·n − ψ'²·r, n a quarter turn ahead of r
+        // unit vector r that turns about z: r' = ψ'·n, r'' = ψ''·n − ψ'²·r, with n a quarter turn ahead of r
         let turning = |value: Vector3<f64>, ahead: Vector3<f64>| MovingVector {
             value,
             rate: rate * ahead,
@@ -320,19 +328,19 @@ impl Chart {
         }
     }
 
-    /// Keeps the chart while it is good, and otherwise goes on in the other one, to the nearer of its two attitudes.
+    /// Switches the chart near its singularity, to the closer of the two attitudes of the other chart.
     fn choose(&mut self, z: &Vector3<f64>, forward: &Vector3<f64>, left: &Vector3<f64>) {
         let turned = matches!(*self, Self::Left(sign) | Self::Forward(sign) if sign < 0.0);
         if z.z > 0.99 || (turned && z.z > 0.5) {
-            // nearly upright both agree, and this one is what yaw means; and upright none may point backwards
+            // both charts agree close to upright, and an upright drone must not keep a chart of reversed heading
             *self = Self::Left(1.0);
         }
         match *self {
-            Self::Left(sign) if z.cross(left).norm() < Self::WORN => {
+            Self::Left(sign) if z.cross(left).norm() < Self::SWITCH => {
                 let x = (sign * left).cross(z);
                 *self = Self::Forward(if x.dot(forward) >= 0.0 { 1.0 } else { -1.0 });
             }
-            Self::Forward(sign) if z.cross(forward).norm() < Self::WORN => {
+            Self::Forward(sign) if z.cross(forward).norm() < Self::SWITCH => {
                 let y = z.cross(&(sign * forward));
                 *self = Self::Left(if y.dot(left) >= 0.0 { 1.0 } else { -1.0 });
             }

@@ -5,7 +5,7 @@ use crate::state::DroneState;
 
 named_enum! {
     "controller"
-    /// The controllers that follow a [`Reference`](super::Reference), by name.
+    /// The built-in controllers that track a [`Reference`](super::Reference).
     ///
     /// ```
     /// use aviary::control::{Controller as _, ControllerKind, Reference};
@@ -14,25 +14,25 @@ named_enum! {
     ///
     /// let kind: ControllerKind = "dsl".parse()?;
     /// let params = DroneModel::Race.params();
-    /// // at rest where it should be: hover speed
+    /// // no error, so the motors turn at hover speed
     /// let output = kind.build(&params).control(0.02, &DroneState::default(), &Reference::default());
     /// assert!((output.rpm[0] - params.hover_rpm()).abs() < 1e-6);
     /// # Ok::<(), aviary::UnknownName>(())
     /// ```
     #[derive(Default)]
     pub enum ControllerKind {
-        /// [`PidControl`].
+        /// The paper's cascaded PID: [`PidControl`].
         #[default]
         Pid = "pid",
-        /// [`DslPidControl`].
+        /// The cascade with stiffer gains and a rate-limited setpoint: [`DslPidControl`].
         Dsl = "dsl",
-        /// [`GeometricControl`].
+        /// Geometric tracking control on SE(3): [`GeometricControl`].
         Geometric = "geometric",
     }
 }
 
 impl ControllerKind {
-    /// A controller of this kind for an airframe.
+    /// Creates a controller of this kind for an airframe.
     pub fn build(self, params: &DroneParams) -> AnyController {
         match self {
             Self::Pid => AnyController::Pid(PidControl::new(params)),
@@ -42,24 +42,24 @@ impl ControllerKind {
     }
 }
 
-/// A controller whose kind was chosen at run time.
+/// A built-in controller of a kind that is chosen at run time.
 ///
 /// ```
 /// use aviary::control::{AnyController, ControllerKind, GeometricControl};
 /// use aviary::drone::DroneModel;
 ///
-/// // one type for all, so that they fit into one list
+/// // one type, so that a list can mix kinds
 /// let params = DroneModel::Cf2x.params();
 /// let all: Vec<AnyController> = ControllerKind::ALL.iter().map(|kind| kind.build(&params)).collect();
 /// assert_eq!(all[2], AnyController::Geometric(GeometricControl::new(&params)));
 /// ```
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub enum AnyController {
-    /// [`PidControl`].
+    /// A [`PidControl`].
     Pid(PidControl),
-    /// [`DslPidControl`].
+    /// A [`DslPidControl`].
     Dsl(DslPidControl),
-    /// [`GeometricControl`].
+    /// A [`GeometricControl`].
     Geometric(GeometricControl),
 }
 

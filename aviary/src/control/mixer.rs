@@ -2,7 +2,9 @@ use nalgebra::{Matrix4, Vector3, Vector4};
 
 use crate::drone::DroneParams;
 
-/// From thrust and torques to motor speeds: the inverse of an airframe's allocation, within what its motors can do.
+/// Motor mixer: maps a collective thrust and body torques to motor speeds.
+///
+/// It inverts the [allocation matrix](DroneParams::allocation) of an airframe and saturates the result.
 ///
 /// ```
 /// use aviary::control::Mixer;
@@ -21,14 +23,14 @@ pub struct Mixer {
     #[serde(with = "crate::serial::matrix")]
     inverse: Matrix4<f64>,
     thrust_coefficient: f64,
-    /// Thrust of one rotor at full speed, N.
+    /// Maximum thrust of one rotor, N.
     max_rotor_thrust: f64,
     max_rpm: f64,
 }
 
 impl Mixer {
-    /// The mixer of an airframe. One that [`validate`](DroneParams::validate) refuses may have none, and then every
-    /// speed is not a number.
+    /// Creates the mixer of an airframe. Parameters that fail [`validate`](DroneParams::validate) can give NaN
+    /// speeds.
     pub fn new(params: &DroneParams) -> Self {
         let inverse = params.allocation().try_inverse().unwrap_or_else(|| Matrix4::repeat(f64::NAN));
         let max_rpm = params.max_rpm();
@@ -40,19 +42,19 @@ impl Mixer {
         }
     }
 
-    /// Motor speeds (rpm, within [0, `MAX_RPM`]) that give a collective thrust (N) and a torque (body frame, N·m).
+    /// Returns the motor speeds, rpm, within [0, `MAX_RPM`], for a collective thrust (N) and a torque (body frame,
+    /// N·m).
     ///
-    /// What the motors cannot do together is given up in this order: yaw torque, then thrust, and roll and pitch
-    /// torque last and in proportion. What is not a number gives speeds that are not numbers, which a simulation
-    /// refuses, and never a plausible speed.
+    /// If the motors saturate, the mixer reduces the yaw torque first, then changes the thrust, and finally scales
+    /// roll and pitch torque by a common factor. Any non-finite input returns NaN speeds, which a simulation rejects.
     pub fn rpm(&self, thrust: f64, torque_body: Vector3<f64>) -> [f64; 4] {
-        let sound = self.inverse[0].is_finite() && self.max_rotor_thrust.is_finite();
-        if !(sound && thrust.is_finite() && torque_body.iter().all(|x| x.is_finite())) {
+        let valid = self.inverse[0].is_finite() && self.max_rotor_thrust.is_finite();
+        if !(valid && thrust.is_finite() && torque_body.iter().all(|x| x.is_finite())) {
             return [f64::NAN; 4];
         }
         let forces = self.saturate(thrust, torque_body);
         if forces.iter().any(|force| force.is_nan()) {
-            // so large that it is beyond counting
+            // finite inputs can overflow
             return [f64::NAN; 4];
         }
         let rpm = |force: f64| (force.max(0.0) / self.thrust_coefficient).sqrt().min(self.max_rpm);
@@ -69,14 +71,14 @@ impl Mixer {
             return wanted;
         }
 
-        // thrust moves to where roll and pitch fit beside it; where they fit nowhere, they shrink together
+        // moves the thrust to leave room for roll and pitch, and scales these if no thrust leaves enough
         let (low, high) = (roll_pitch.min(), roll_pitch.max());
         let scale = if high - low > max { max / (high - low) } else { 1.0 };
         let roll_pitch = roll_pitch * scale;
         let (lowest, highest) = (-low * scale, max - high * scale);
         let collective = collective.min(highest).max(lowest);
 
-        // and as much of yaw as there is room for
+        // largest share of the yaw torque that fits
         let mut share: f64 = 1.0;
         for motor in 0..4 {
             let base = roll_pitch[motor] + collective;
@@ -102,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_no_speed() {
+    fn non_finite_inputs_and_invalid_airframes_return_nan() {
         let mixer = Mixer::new(&DroneModel::Cf2x.params());
         for (thrust, x) in [(f64::NAN, 0.0), (0.3, f64::NAN), (f64::INFINITY, 0.0), (0.3, f64::NEG_INFINITY)] {
             assert!(mixer.rpm(thrust, Vector3::new(x, 0.0, 0.0)).iter().all(|n| n.is_nan()));
@@ -120,17 +122,18 @@ mod tests {
 
     proptest! {
         #[test]
-        fn inside_the_envelope_the_rotors_give_what_was_asked(model in model(), speeds in prop::array::uniform4(0.0..1.0)) {
+        fn feasible_wrenches_are_reproduced(model in model(), speeds in prop::array::uniform4(0.0..1.0)) {
             let params = model.params();
             let rotors = RotorModel::new(&params);
             let asked = rotors.wrench(&speeds.map(|share: f64| share * params.max_rpm()));
             let given = rotors.wrench(&Mixer::new(&params).rpm(asked.thrust, asked.torque_body));
+            let lever = params.max_thrust() * params.arm_length;
             prop_assert!((given.thrust - asked.thrust).abs() < 1e-9 * params.max_thrust());
-            prop_assert!((given.torque_body - asked.torque_body).norm() < 1e-9 * params.max_thrust() * params.arm_length);
+            prop_assert!((given.torque_body - asked.torque_body).norm() < 1e-9 * lever);
         }
 
         #[test]
-        fn outside_it_yaw_goes_first_then_thrust_and_roll_and_pitch_last(
+        fn saturation_reduces_yaw_first_then_thrust_then_roll_and_pitch(
             model in model(), thrust in -1.0..3.0, x in -2.0..2.0, y in -2.0..2.0, z in -2.0..2.0,
         ) {
             let params = model.params();
@@ -144,20 +147,20 @@ mod tests {
             let tolerance = 1e-9 * lever;
             let kept = |a: f64, b: f64| (a - b).abs() < tolerance;
 
-            // yaw is never pushed beyond or against what was asked
+            // the yaw torque keeps its sign and never exceeds the command
             prop_assert!(given.torque_body.z * torque.z >= -1e-9 * reaction * reaction);
             prop_assert!(given.torque_body.z.abs() <= torque.z.abs() + 1e-9 * reaction);
             let roll_pitch_kept = kept(given.torque_body.x, torque.x) && kept(given.torque_body.y, torque.y);
             if roll_pitch_kept {
                 if !kept(given.thrust, thrust) {
-                    // thrust was moved, which only happens when yaw alone would not have made room
+                    // the thrust changes only if dropping the yaw torque is not enough
                     let without_yaw = params.allocation().try_inverse().unwrap()
                         * Vector4::new(thrust, torque.x, torque.y, 0.0);
                     let max = params.max_thrust() / 4.0;
                     prop_assert!(without_yaw.min() < 1e-12 || without_yaw.max() > max - 1e-12);
                 }
             } else {
-                // in proportion, and with one motor standing still and one at full speed
+                // roll and pitch keep their ratio, with one motor stopped and one at full speed
                 let cross = given.torque_body.x * torque.y - given.torque_body.y * torque.x;
                 prop_assert!(cross.abs() < 1e-9 * lever * lever);
                 let (low, high) = rpm.iter().fold((f64::MAX, 0.0_f64), |(l, h), &n| (l.min(n), h.max(n)));

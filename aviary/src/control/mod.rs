@@ -1,13 +1,16 @@
-//! Controllers: a state and a reference in, motor speeds out. They know an airframe, never an environment.
+//! Controllers: map a drone state and a reference to motor speeds.
 //!
-//! | controller | for |
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal). A controller depends on the parameters of an airframe and not on an
+//! environment.
+//!
+//! | controller | use |
 //! | --- | --- |
-//! | [`PidControl`] | the paper's cascade and gains: soft, hover-grade |
-//! | [`DslPidControl`] | the cascade, stiffer, with rate limits and feed-forward: waypoints |
-//! | [`GeometricControl`] | SE(3) with full feed-forward: trajectories of any attitude, flips |
-//! | [`AttitudeControl`], [`RateControl`] | the inner loops alone: attitude or body rates under a thrust |
+//! | [`PidControl`] | the paper's cascade and gains: hover and slow references |
+//! | [`DslPidControl`] | the cascade with stiffer gains, rate limits and feed-forward: waypoints |
+//! | [`GeometricControl`] | SE(3) control with full feed-forward: aggressive trajectories, flips |
+//! | [`AttitudeControl`], [`RateControl`] | inner loops: attitude or body rates at a given thrust |
 //!
-//! [`CollisionCone`] keeps drones apart; [`trajectory`] has what they follow: positions with exact derivatives.
+//! [`CollisionCone`] keeps drones apart. [`trajectory`] contains moving references with exact derivatives.
 
 mod attitude;
 mod dsl;
@@ -34,19 +37,19 @@ use nalgebra::Vector3;
 
 use crate::state::{DroneState, wrap_angle};
 
-/// What a controller answers.
+/// Output of a controller for one control step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ControlOutput {
     /// Motor speeds, rpm, within [0, `MAX_RPM`].
     pub rpm: [f64; 4],
-    /// Reference minus actual position, world frame, m.
+    /// Position error: reference minus actual, world frame, m.
     pub position_error: Vector3<f64>,
-    /// Reference minus actual yaw, rad, in (−π, π].
+    /// Yaw error: reference minus actual, rad, in (−π, π].
     pub yaw_error: f64,
 }
 
 impl ControlOutput {
-    /// The errors, with motor speeds that are not numbers.
+    /// Returns the tracking errors with NaN motor speeds.
     fn of_errors(state: &DroneState, reference: &Reference) -> Self {
         Self {
             rpm: [f64::NAN; 4],
@@ -56,7 +59,10 @@ impl ControlOutput {
     }
 }
 
-/// A controller of one drone. It has memory: keep one per drone for an episode, and reset it between episodes.
+/// A controller of one drone.
+///
+/// Controllers have internal state such as integrals: use one instance per drone, and call [`reset`](Self::reset)
+/// between episodes.
 ///
 /// ```
 /// use aviary::control::{Controller, GeometricControl, Reference};
@@ -75,14 +81,16 @@ impl ControlOutput {
 /// # Ok::<(), aviary::simulation::SimulationError>(())
 /// ```
 pub trait Controller: std::fmt::Debug + Send {
-    /// Forgets integrals and everything else that an earlier episode left.
+    /// Clears the internal state.
     fn reset(&mut self);
 
-    /// Motor speeds for the coming control step of `dt` seconds. A state or reference that is not finite gives speeds
-    /// that are not numbers, which a simulation refuses, and leaves the controller as it was.
+    /// Returns the motor speeds for the next control step of `dt` seconds.
+    ///
+    /// A non-finite state or reference returns NaN speeds, which a simulation rejects, and leaves the internal state
+    /// unchanged.
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput;
 
-    /// The same for a velocity wherever the drone may be: the reference's position is left out.
+    /// Returns the motor speeds that track the velocity of the reference and ignore its position.
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         self.control(dt, state, &Reference { position: state.position, ..*reference })
     }

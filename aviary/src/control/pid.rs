@@ -5,23 +5,23 @@ use super::{AttitudeControl, AttitudeGains, ControlOutput, Controller, Reference
 use crate::drone::{DroneParams, GRAVITY};
 use crate::state::DroneState;
 
-/// Gains of the position loop: accelerations per m, per m·s and per m/s.
+/// Gains of the position loop along the world axes: accelerations per m, per m·s and per m/s.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PositionGains {
-    /// Proportional, 1/s².
+    /// Proportional gain, 1/s².
     #[serde(with = "crate::serial::vector")]
     pub proportional: Vector3<f64>,
-    /// Integral, 1/s³.
+    /// Integral gain, 1/s³.
     #[serde(with = "crate::serial::vector")]
     pub integral: Vector3<f64>,
-    /// Derivative, 1/s.
+    /// Derivative gain, 1/s.
     #[serde(with = "crate::serial::vector")]
     pub derivative: Vector3<f64>,
     /// Limit of each component of the integrated error, m·s.
     pub integral_clamp: f64,
 }
 
-/// Gains of the cascade.
+/// Gains of the position and attitude loops of a [`PidControl`].
 ///
 /// ```
 /// use aviary::control::{PidControl, PidGains};
@@ -35,17 +35,16 @@ pub struct PositionGains {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PidGains {
-    /// Outer loop, world frame.
+    /// Gains of the position loop (outer loop, world frame).
     pub position: PositionGains,
-    /// Inner loop, body frame.
+    /// Gains of the attitude loop (inner loop, body frame).
     pub attitude: AttitudeGains,
 }
 
 impl PidGains {
-    /// The paper's gains (its PID table) for an airframe.
+    /// Returns the gains of the paper's PID table for an airframe.
     ///
-    /// The torque gains belong to the Crazyflie; another airframe's are scaled by the ratio of the inertias, axis by
-    /// axis, so that its attitude answers with the same time constants.
+    /// The torque gains belong to the Crazyflie and are scaled to other airframes as in [`AttitudeGains::paper`].
     pub fn paper(params: &DroneParams) -> Self {
         Self {
             position: PositionGains {
@@ -59,12 +58,11 @@ impl PidGains {
     }
 }
 
-/// The cascaded PID of the paper's §4.2: position loop, attitude loop, mixer.
+/// Cascaded PID of the paper's §4.2: position loop, attitude loop, mixer.
 ///
-/// The position loop asks for the acceleration a* = Kp·e + Ki·∫e + Kd·ė + g·ẑ. Thrust is m‖a*‖ along the direction of
-/// a*, which is held within [`MAX_TILT`](Self::MAX_TILT) of the vertical; the attitude loop turns the body there by
-/// torques from the rotation that is left (as a rotation vector, the same as the small-angle roll, pitch and yaw
-/// errors near hover and right at any attitude) and from the measured body rates.
+/// The position loop computes the target acceleration a\* = Kp·e + Ki·∫e + Kd·ė + g·ẑ and limits its direction to
+/// [`MAX_TILT`](Self::MAX_TILT) from the vertical. The collective thrust is m‖a\*‖. The attitude loop
+/// ([`AttitudeControl`]) turns body z to the direction of a\* and body x to the reference yaw.
 ///
 /// ```
 /// use aviary::control::{Controller, PidControl, Reference};
@@ -88,20 +86,19 @@ pub struct PidControl {
 }
 
 impl PidControl {
-    /// The thrust never points further from the vertical than this, rad: an error of any size leans the drone, it
-    /// does not lay it on its side.
+    /// Largest angle between the target thrust and the vertical, rad, for position errors of any size.
     pub const MAX_TILT: f64 = std::f64::consts::FRAC_PI_3;
 
-    /// Least vertical acceleration the position loop asks for, as a share of g: it never pushes downwards, where the
-    /// direction of the thrust would turn over.
+    /// Smallest vertical component of the target acceleration, as a fraction of g. A negative one would flip the
+    /// direction of the thrust.
     const MIN_LIFT: f64 = 0.2;
 
-    /// With the paper's gains.
+    /// Creates a controller with [the paper's gains](PidGains::paper).
     pub fn new(params: &DroneParams) -> Self {
         Self::with_gains(params, PidGains::paper(params))
     }
 
-    /// With gains of one's own.
+    /// Creates a controller with the given gains.
     pub fn with_gains(params: &DroneParams, gains: PidGains) -> Self {
         Self {
             gains: gains.position,
@@ -111,13 +108,13 @@ impl PidControl {
         }
     }
 
-    /// The gains.
+    /// Returns the gains.
     pub fn gains(&self) -> PidGains {
         PidGains { position: self.gains, attitude: *self.attitude.gains() }
     }
 
-    /// Follows a reference, with an acceleration (world, m/s²) added to what the position loop asks for; the position's
-    /// integral grows by the errors within `integrated` metres only.
+    /// Tracks a reference with a feed-forward acceleration (world frame, m/s²). Position errors above `integrated`
+    /// metres do not enter the integral.
     pub(super) fn follow(
         &mut self,
         dt: f64,
@@ -128,7 +125,7 @@ impl PidControl {
     ) -> ControlOutput {
         let output = ControlOutput::of_errors(state, reference);
         if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
-            // what is not a number must not enter the integrals, from which only a reset would remove it
+            // a NaN in an integral would stay there until the next reset
             return output;
         }
         let velocity_error = reference.velocity - state.velocity;
@@ -139,13 +136,13 @@ impl PidControl {
         }
         let acceleration = self.position_loop(&position_error, &velocity_error, feed_forward);
         let wanted = attitude_along(&acceleration, reference.yaw);
-        // yaw turns about world z, whatever the roll and pitch
+        // the yaw rate is a rotation about world z
         let body_rate = wanted.inverse_transform_vector(&Vector3::new(0.0, 0.0, reference.yaw_rate));
         let rpm = self.attitude.control(dt, state, self.mass * acceleration.norm(), &wanted, &body_rate);
         ControlOutput { rpm, ..output }
     }
 
-    /// Acceleration to be produced by the thrust, world frame, m/s².
+    /// Returns the target acceleration of the thrust, world frame, m/s².
     fn position_loop(
         &self,
         error: &Vector3<f64>,
@@ -192,7 +189,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn thrust_direction_stays_above_the_horizon_for_any_error(
+        fn thrust_direction_stays_within_the_maximum_tilt(
             x in -1e3..1e3, y in -1e3..1e3, z in -1e3..1e3, vx in -50.0..50.0, vz in -50.0..50.0,
         ) {
             let pid = PidControl::new(&DroneModel::Cf2x.params());
@@ -201,12 +198,12 @@ mod tests {
             prop_assert!(tilt <= PidControl::MAX_TILT + 1e-9, "{tilt}");
         }
 
-        /// From any attitude the torque turns the drone upright the shorter way.
         #[test]
-        fn torques_turn_the_body_towards_the_error(roll in -1.0..1.0, pitch in -1.0..1.0, yaw in -3.0..3.0) {
+        fn torques_reduce_the_attitude_error(roll in -1.0..1.0, pitch in -1.0..1.0, yaw in -3.0..3.0) {
             let params = DroneModel::Race.params();
             let mut pid = PidControl::new(&params);
-            let state = DroneState { attitude: attitude_from_rpy(Vector3::new(roll, pitch, yaw)), ..DroneState::default() };
+            let attitude = attitude_from_rpy(Vector3::new(roll, pitch, yaw));
+            let state = DroneState { attitude, ..DroneState::default() };
             let output = pid.control(0.02, &state, &Reference::hover(Vector3::zeros(), yaw));
             let torque = RotorModel::new(&params).wrench(&output.rpm).torque_body;
             let error = state.attitude.inverse() * attitude_from_rpy(Vector3::new(0.0, 0.0, yaw));
@@ -218,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn the_integral_is_clamped_and_a_reset_clears_it() {
+    fn integral_is_clamped_and_cleared_by_reset() {
         let params = DroneModel::Cf2x.params();
         let mut pid = PidControl::new(&params);
         let reference = Reference::hover(Vector3::new(0.0, 0.0, 10.0), 0.0);
@@ -232,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reference_or_state_that_is_not_a_number_gives_no_speed() {
+    fn nan_in_the_reference_returns_nan_speeds() {
         let mut pid = PidControl::new(&DroneModel::Cf2x.params());
         for axis in 0..3 {
             let mut target = Vector3::z();
@@ -247,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn torque_gains_follow_the_inertia() {
+    fn torque_gains_scale_with_the_inertia() {
         let race = DroneModel::Race.params();
         let gains = PidGains::paper(&race);
         assert!((gains.attitude.proportional.x - 2e-3 * 4.86e-4 / 1.4e-5).abs() < 1e-12);

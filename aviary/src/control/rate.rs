@@ -4,9 +4,10 @@ use super::Mixer;
 use crate::drone::DroneParams;
 use crate::state::DroneState;
 
-/// Holds body rates under a collective thrust: the inner loop of racing drones and of policies that go to hardware.
+/// Body-rate controller at a given collective thrust: the inner loop of racing drones, and of policies that are
+/// transferred to hardware.
 ///
-/// τ = k·J·(ω\* − ω) + ω × Jω, a first-order answer with the same time constant on every airframe.
+/// The torque is τ = k·J·(ω\* − ω) + ω × Jω, a first-order response with the same time constant on every airframe.
 ///
 /// ```
 /// use aviary::control::RateControl;
@@ -17,12 +18,12 @@ use crate::state::DroneState;
 /// let params = DroneModel::Cf2x.params();
 /// let turn_left = Vector3::new(0.0, 0.0, 1.0);
 /// let rpm = RateControl::new(&params).control(1.0 / 240.0, &DroneState::default(), params.weight(), &turn_left);
-/// // a Crazyflie's motors 1 and 3 push the nose to the left
+/// // the reaction torque of motors 1 and 3 of a Crazyflie is positive
 /// assert!(rpm[1] > params.hover_rpm() && rpm[0] < params.hover_rpm());
 /// ```
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct RateControl {
-    /// Inverse of the time constant of each axis, 1/s.
+    /// Inverse of the time constant about each body axis, 1/s.
     #[serde(with = "crate::serial::vector")]
     pub bandwidth: Vector3<f64>,
     #[serde(with = "crate::serial::vector")]
@@ -31,17 +32,19 @@ pub struct RateControl {
 }
 
 impl RateControl {
-    /// No axis answers faster than in this many control steps, whatever its bandwidth: a rate that is measured once a
-    /// step cannot be held any harder.
+    /// Smallest time constant in control steps. The loop measures the rates once per step, which limits its gain.
     const FASTEST: f64 = 1.5;
 
-    /// For an airframe: 1/30 s about roll and pitch, 1/15 s about yaw, where motors have less to push with.
+    /// Creates a controller with time constants of 1/30 s for roll and pitch, and of 1/15 s for yaw, where the motors
+    /// have less torque.
     pub fn new(params: &DroneParams) -> Self {
         Self { bandwidth: Vector3::new(30.0, 30.0, 15.0), inertia: params.inertia_vector(), mixer: Mixer::new(params) }
     }
 
-    /// Motor speeds (rpm) for the coming control step of `dt` seconds: a collective thrust (N) along body z, and torques
-    /// that bring the body to `body_rate` (body frame, rad/s). What is not a number gives speeds that are not numbers.
+    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds.
+    ///
+    /// They produce the collective thrust (N) along body z and the torque that tracks `body_rate` (body frame,
+    /// rad/s). Any non-finite input returns NaN speeds.
     pub fn control(&self, dt: f64, state: &DroneState, thrust: f64, body_rate: &Vector3<f64>) -> [f64; 4] {
         if !(dt > 0.0 && dt.is_finite()) {
             return [f64::NAN; 4];

@@ -1,6 +1,8 @@
 use nalgebra::Vector3;
 
-/// What a controller is to follow at one moment. Controllers use as much of it as they can.
+/// Target state of a drone at one time: position and yaw with their derivatives.
+///
+/// Each controller uses the derivatives that its feed-forward supports.
 ///
 /// ```
 /// use aviary::control::Reference;
@@ -17,9 +19,9 @@ pub struct Reference {
     pub velocity: Vector3<f64>,
     /// Acceleration, world frame, m/s².
     pub acceleration: Vector3<f64>,
-    /// Jerk, world frame, m/s³: what the body rates of a trajectory follow from.
+    /// Jerk, world frame, m/s³. It determines the body rates along a trajectory.
     pub jerk: Vector3<f64>,
-    /// Snap, world frame, m/s⁴: what the torques of a trajectory follow from.
+    /// Snap, world frame, m/s⁴. It determines the torques along a trajectory.
     pub snap: Vector3<f64>,
     /// Yaw, rad.
     pub yaw: f64,
@@ -30,12 +32,12 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Standing still at a position (world, m) with a yaw (rad).
+    /// Creates a reference at rest, from a position (world frame, m) and a yaw (rad).
     pub fn hover(position: Vector3<f64>, yaw: f64) -> Self {
         Self { position, yaw, ..Self::default() }
     }
 
-    /// Whether every number is finite.
+    /// Returns true if every value is finite.
     pub fn is_finite(&self) -> bool {
         [self.position, self.velocity, self.acceleration, self.jerk, self.snap].iter().flatten().all(|x| x.is_finite())
             && [self.yaw, self.yaw_rate, self.yaw_acceleration].iter().all(|x| x.is_finite())

@@ -2,19 +2,20 @@ use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettingsBuilder, DefaultSolver, IPSolver as _, NonnegativeConeT, SolverStatus};
 use nalgebra::{Vector2, Vector3};
 
-/// Keeps drones apart sideways by changing the accelerations that they are about to be commanded, as little as that takes.
+/// Safety filter that keeps drones apart in the horizontal plane by minimal changes of their commanded accelerations.
 ///
-/// For every pair the relative velocity is to stay out of the cone of directions that lead into a circle of `radius` about
-/// the other drone: a collision-cone control barrier function (Tayal et al. 2024), with p and v the relative position
-/// and velocity in the horizontal plane and r the radius,
+/// The filter applies two control barrier functions to every pair of drones, with p and v the relative position and
+/// velocity in the horizontal plane and r the `radius`:
 ///
-/// h = p·v + ‖v‖·√(‖p‖² − r²), ḣ + γ·h ≥ 0.
+/// - the collision cone (Tayal et al. 2024), h = p·v + ‖v‖·√(‖p‖² − r²), ḣ + γ·h ≥ 0, which keeps the relative velocity
+///   outside the cone of directions that lead into a circle of radius r about the other drone;
+/// - the distance, b = ‖p‖² − r², b̈ + 2·k·ḃ + k²·b ≥ 0, which also separates drones that are already too close.
 ///
-/// Beside it stands the plain distance barrier b = ‖p‖² − r², b̈ + 2·k·ḃ + k²·b ≥ 0, which also parts drones that are too near
-/// already. A quadratic program finds the nearest accelerations that satisfy all pairs at once, each within
-/// `max_acceleration`; where that is impossible, the barriers give way by as little as possible.
+/// A quadratic program computes the accelerations that satisfy the barriers of all pairs and are closest to the
+/// commanded ones, with components within `max_acceleration`. If the program is infeasible, slack variables relax the
+/// barriers by the smallest amount.
 ///
-/// Heights are left alone: in the wake of another drone there is no passing below it.
+/// The filter does not change vertical accelerations, because the downwash makes it unsafe to pass below a drone.
 ///
 /// ```
 /// use aviary::control::CollisionCone;
@@ -25,52 +26,52 @@ use nalgebra::{Vector2, Vector3};
 /// let velocities = [Vector3::new(1.0, 0.0, 0.0), Vector3::new(-1.0, 0.0, 0.0)];
 /// let mut accelerations = [Vector3::zeros(); 2];
 /// filter.filter(&positions, &velocities, &mut accelerations)?;
-/// assert!(accelerations[0].y < 0.0 && accelerations[1].y > 0.0, "each goes round the other");
+/// assert!(accelerations[0].y < 0.0 && accelerations[1].y > 0.0, "the drones pass each other");
 /// # Ok::<(), aviary::control::SafetyError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CollisionCone {
-    /// Least distance of two drones' centres, sideways, m.
+    /// Minimum horizontal distance r between the centres of two drones, m.
     pub radius: f64,
-    /// γ: how fast the cone's barrier may be approached, 1/s.
+    /// Gain γ of the collision-cone barrier, 1/s. A larger gain permits a faster approach.
     pub decay: f64,
-    /// k: how fast the distance's barrier may be approached, 1/s.
+    /// Gain k of the distance barrier, 1/s. A larger gain permits a faster approach.
     pub approach: f64,
-    /// Largest acceleration along x and along y, m/s².
+    /// Maximum acceleration along world x and along world y, m/s².
     pub max_acceleration: f64,
-    /// Pairs further apart than this, and than they need to stop, do not see each other, m.
+    /// Distance in excess of the braking distance beyond which the filter ignores a pair, m.
     pub sight: f64,
 }
 
-/// What can go wrong with a safety filter.
+/// Error of a safety filter.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SafetyError {
-    /// An option that is impossible.
+    /// An option outside its range.
     #[error("the safety filter's {option} is {}, expected {expected}", crate::number(*got))]
     Option {
-        /// Which.
+        /// Name of the option.
         option: &'static str,
-        /// What it is.
+        /// Value of the option.
         got: f64,
-        /// What is possible.
+        /// Valid values.
         expected: &'static str,
     },
-    /// Lists of different lengths, or numbers that are none.
+    /// Lists of different lengths, or values that are not finite or exceed 1e9.
     #[error("the safety filter was given {what}")]
     Input {
-        /// What.
+        /// Description of the invalid input.
         what: &'static str,
     },
-    /// The solver found nothing.
+    /// The solver found no solution.
     #[error("the safety filter's quadratic program was not solved ({status})")]
     Unsolved {
-        /// What the solver says.
+        /// Status of the solver.
         status: String,
     },
 }
 
-/// One linear condition on the relative acceleration u_j − u_i: g·(u_j − u_i) ≥ least.
+/// A linear constraint on the relative acceleration of the pair (i, j): gradient·(u_j − u_i) ≥ min.
 struct Condition {
     pair: (usize, usize),
     gradient: Vector2<f64>,
@@ -78,15 +79,15 @@ struct Condition {
 }
 
 impl CollisionCone {
-    /// With a safety radius (m), and other options that suit drones of a Crazyflie's size.
+    /// Creates a filter with a safety radius (m), and defaults for drones of the size of a Crazyflie.
     pub fn new(radius: f64) -> Self {
         Self { radius, decay: 2.0, approach: 4.0, max_acceleration: 5.0, sight: 4.0 }
     }
 
-    /// Checks the options.
+    /// Validates the options.
     ///
     /// # Errors
-    /// [`SafetyError::Option`].
+    /// [`SafetyError::Option`] unless every option is in (0, 1e6].
     pub fn validate(&self) -> Result<(), SafetyError> {
         for (option, got) in [
             ("radius", self.radius),
@@ -102,11 +103,13 @@ impl CollisionCone {
         Ok(())
     }
 
-    /// Changes accelerations (world frame, m/s²) so that the drones at these positions (m) and velocities (m/s) keep apart, and
-    /// says whether it had to. Accelerations that are safe already are left as they are.
+    /// Changes the commanded accelerations (world frame, m/s²) so that drones at the given positions (world frame, m)
+    /// and velocities (world frame, m/s) keep apart.
+    ///
+    /// Returns true if the accelerations changed. The filter does not change accelerations that are already safe.
     ///
     /// # Errors
-    /// [`SafetyError`], and then nothing has changed.
+    /// [`SafetyError`], with the accelerations unchanged.
     pub fn filter(
         &self,
         positions: &[Vector3<f64>],
@@ -120,13 +123,13 @@ impl CollisionCone {
         }
         let mut numbers = positions.iter().chain(velocities).chain(accelerations.iter()).flatten();
         if !numbers.all(|x| x.abs() < 1e9) {
-            return Err(SafetyError::Input { what: "what is not a number, or beyond 1e9" });
+            return Err(SafetyError::Input { what: "a value that is not finite or exceeds 1e9" });
         }
         let mut conditions = Vec::new();
         for j in 0..count {
             for i in 0..j {
                 let (p, v) = ((positions[j] - positions[i]).xy(), (velocities[j] - velocities[i]).xy());
-                // fast ones must see each other from further away: both braking stop in v²/4a
+                // fast drones need more distance: both braking stop in v²/4a
                 if p.norm() < self.sight + v.norm_squared() / (2.0 * self.max_acceleration) {
                     conditions.extend(self.conditions((i, j), p, v));
                 }
@@ -139,21 +142,21 @@ impl CollisionCone {
         if conditions.iter().all(holds) {
             return Ok(false);
         }
-        // what holds, and would whatever two drones did within their bounds, needs no place in the program
+        // drops constraints that hold for all accelerations within the bounds
         conditions.retain(|condition| condition.min > -3.0 * self.max_acceleration || !holds(condition));
         self.solve(&conditions, accelerations)?;
         Ok(true)
     }
 
-    /// What both barriers ask of a pair.
+    /// Returns the constraints of both barriers on a pair.
     fn conditions(&self, pair: (usize, usize), p: Vector2<f64>, v: Vector2<f64>) -> Vec<Condition> {
         let mut conditions = Vec::with_capacity(2);
         let (distance2, r2, k) = (p.norm_squared(), self.radius * self.radius, self.approach);
-        // drones at the very same place part along x
+        // drones at the same position separate along x
         let away = if distance2 > 1e-12 { p } else { Vector2::new(1e-6, 0.0) };
         let min = -v.norm_squared() - 2.0 * k * p.dot(&v) - 0.5 * k * k * (distance2 - r2);
         conditions.push(self.scaled(pair, away, min));
-        // outside the circle, on the way towards each other
+        // the cone exists outside the circle, for drones that approach each other
         let tangent2 = distance2 - r2;
         let speed = v.norm();
         if tangent2 > 0.02 * r2 && speed > 1e-3 && p.dot(&v) < 0.0 {
@@ -161,7 +164,7 @@ impl CollisionCone {
             let h = p.dot(&v) + speed * tangent;
             let gradient = p + v * (tangent / speed);
             let min = -v.norm_squared() - speed * p.dot(&v) / tangent - self.decay * h;
-            // straight at its middle the cone says nothing of the side to pass on
+            // at the axis of the cone the gradient vanishes, and neither side is preferred
             if gradient.norm() > 1e-6 {
                 conditions.push(self.scaled(pair, gradient, min));
             }
@@ -169,20 +172,20 @@ impl CollisionCone {
         conditions
     }
 
-    /// With a gradient of length one, so that slacks of all conditions weigh the same, and asking for no more than two drones
-    /// can give together.
+    /// Returns a constraint with a unit gradient, so that all slack variables have the same weight. The bound is
+    /// limited to what two drones can achieve together.
     fn scaled(&self, pair: (usize, usize), gradient: Vector2<f64>, min: f64) -> Condition {
         let size = gradient.norm();
         Condition { pair, gradient: gradient / size, min: (min / size).min(3.0 * self.max_acceleration) }
     }
 
-    /// minimise ½·Σ‖u − u*‖² + ½·penalty·Σ slack², under all conditions, over the drones that any of them is about.
+    /// Minimises ½·Σ‖u − u\*‖² + ½·penalty·Σ slack² subject to the constraints, over the drones that occur in them.
     fn solve(&self, conditions: &[Condition], accelerations: &mut [Vector3<f64>]) -> Result<(), SafetyError> {
         const PENALTY: f64 = 1e4;
         let mut involved: Vec<usize> = conditions.iter().flat_map(|c| [c.pair.0, c.pair.1]).collect();
         involved.sort_unstable();
         involved.dedup();
-        // every drone of a condition is in the list
+        // the list contains every drone of the constraints, so the search never fails
         let place = |drone: usize| involved.binary_search(&drone).unwrap_or_default();
         let (inputs, slacks) = (2 * involved.len(), conditions.len());
         let columns = inputs + slacks;
@@ -219,7 +222,7 @@ impl CollisionCone {
         for (pair, &drone) in q[..inputs].chunks_exact_mut(2).zip(&involved) {
             pair.copy_from_slice(&[-accelerations[drone].x, -accelerations[drone].y]);
         }
-        // micrometres per second squared are enough, and every problem must end
+        // a tolerance of about 1 µm/s² is sufficient, and the limit of iterations bounds the time
         let settings = DefaultSettingsBuilder::default()
             .verbose(false)
             .max_iter(200)
@@ -233,7 +236,7 @@ impl CollisionCone {
         let mut solver = DefaultSolver::new(&p, &q, &a, &right, &cones, settings).map_err(|error| unsolved(&error))?;
         solver.solve();
         let status = solver.solution.status;
-        // of what could not be solved to the last digit the best that was found is good enough to act on
+        // an approximate solution is accurate enough for a command
         let found = matches!(
             status,
             SolverStatus::Solved
@@ -257,7 +260,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Double integrators that go straight for the place opposite.
+    /// Flies double integrators to the opposite points of a circle, and returns the smallest distance between two of
+    /// them and the largest distance from a goal, m.
     fn swap(count: usize, turn: f64) -> (f64, f64) {
         let filter = CollisionCone::new(0.3);
         let place = |i: usize| {
@@ -271,10 +275,10 @@ mod tests {
             let mut accelerations: Vec<_> = (0..count)
                 .map(|i| {
                     let goal = Vector3::new(-place(i).x, -place(i).y, 1.0);
-                    let way: Vector3<f64> = goal - positions[i];
-                    // a little to the right, or nobody gives way first
-                    let way = Vector3::new(way.x + 0.2 * way.y, way.y - 0.2 * way.x, way.z);
-                    let wanted = way * (1.0 / way.norm().max(1.0));
+                    let path: Vector3<f64> = goal - positions[i];
+                    // a bias to the right breaks the symmetry
+                    let path = Vector3::new(path.x + 0.2 * path.y, path.y - 0.2 * path.x, path.z);
+                    let wanted = path * (1.0 / path.norm().max(1.0));
                     2.0 * (wanted - velocities[i])
                 })
                 .collect();
@@ -294,7 +298,7 @@ mod tests {
     }
 
     #[test]
-    fn drones_that_swap_places_arrive_and_keep_apart() {
+    fn drones_that_swap_positions_arrive_and_keep_apart() {
         for count in [2, 3, 7, 12] {
             let (nearest, off) = swap(count, 0.3);
             assert!(nearest > 0.3 - 0.005 && off < 0.1, "{count}: nearest {nearest} m, {off} m from the goal");
@@ -303,7 +307,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_answer_keeps_to_its_bounds_and_changes_nothing_that_is_safe(
+        fn filtered_accelerations_are_optimal_and_within_their_bounds(
             numbers in prop::collection::vec(-2.0..2.0f64, 24), wish in prop::collection::vec(-3.0..3.0f64, 12),
             nudges in prop::collection::vec(-0.3..0.3f64, 80),
         ) {
@@ -317,7 +321,7 @@ mod tests {
                 prop_assert_eq!(given.z, asked.z);
                 prop_assert!(given == asked || given.xy().amax() < filter.max_acceleration + 1e-4);
             }
-            // nothing near what is given costs less, where giving way costs as much as the program says
+            // no acceleration near the result has a lower cost, slack included
             let mut conditions = Vec::new();
             for j in 0..4 {
                 for i in 0..j {
@@ -349,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drone_far_from_all_others_is_left_alone_and_wild_wishes_are_seen() {
+    fn distant_drones_are_unchanged_and_large_accelerations_are_limited() {
         let positions = [Vector3::zeros(), Vector3::new(0.5, 0.01, 0.0), Vector3::new(1000.0, 0.0, 0.0)];
         let velocities = [Vector3::x(), -Vector3::x(), Vector3::zeros()];
         let mut wishes = [Vector3::zeros(), Vector3::zeros(), Vector3::new(10.0, 0.0, 0.0)];
@@ -362,14 +366,14 @@ mod tests {
     }
 
     #[test]
-    fn impossible_options_and_numbers_are_refused() {
+    fn invalid_options_and_inputs_are_rejected() {
         let mut none = [Vector3::zeros(); 2];
         let here = [Vector3::zeros(); 2];
         assert!(CollisionCone::new(-1.0).filter(&here, &here, &mut none).is_err());
         assert!(CollisionCone::new(0.3).filter(&here[..1], &here, &mut none).is_err());
         let mut nan = [Vector3::repeat(f64::NAN); 2];
         assert!(CollisionCone::new(0.3).filter(&here, &here, &mut nan).is_err());
-        // at the very same place: they part
+        // drones at the same position separate
         CollisionCone::new(0.3).filter(&here, &here, &mut none).unwrap();
         assert!((none[1] - none[0]).norm() > 1.0);
     }

@@ -6,12 +6,18 @@ use serde::de::IgnoredAny;
 use super::{Heading, PeriodicTrajectory, Plane, Steps, Trajectory, TrajectoryError, Waypoints};
 use crate::error::{SystemError, toml_message, triple, triples};
 
-/// Trajectories that have a name.
+/// Names of the built-in trajectories.
 pub const NAMES: [&str; 5] = ["circle", "lemniscate", "helix", "square", "loop"];
 
-/// A trajectory by name: the paper's vertical `circle` (0.3 m, 8 s, YZ plane, started at full speed), a `lemniscate` of 2 m by
-/// 1 m with 1.5 m/s at its middle, a `helix` of five turns from 0.5 m to 1.5 m, the paper's `square` of 1 m sides, and a
-/// `loop`, once around a vertical circle of 1 m radius, upside down at its top, which only a racer can fly.
+/// Returns a built-in trajectory, or `None` for an unknown name.
+///
+/// | name | trajectory |
+/// | --- | --- |
+/// | `circle` | the paper's vertical circle: radius 0.3 m, 8 s per turn, YZ plane, full speed from the start |
+/// | `lemniscate` | two turns of a figure eight of 2 m × 1 m with a peak speed of 1.5 m/s |
+/// | `helix` | five turns of radius 0.5 m, from 0.5 m to 1.5 m in height |
+/// | `square` | the paper's square: sides of 1 m, 4 s per corner |
+/// | `loop` | one turn of a vertical circle of radius 1 m, inverted at the top; requires the thrust of the racer |
 ///
 /// ```
 /// use aviary::control::trajectory::{NAMES, named};
@@ -29,7 +35,7 @@ pub fn named(name: &str) -> Option<Box<dyn Trajectory>> {
         "helix" => PeriodicTrajectory::helix(0.5, 4.0, 0.2)
             .map(|periodic| periodic.centre([0.0, 0.0, 0.5]))
             .and_then(|periodic| periodic.turns(5.0)?.ramp(2.0)),
-        // from the bottom: the ramps are the first and the last quarter
+        // starts at the bottom, so that the ramps are the first and the last quarter turn
         "loop" => PeriodicTrajectory::circle(1.0, 1.6)
             .map(|periodic| periodic.plane(Plane::YZ).centre([0.0, 0.0, 1.5]))
             .and_then(|periodic| periodic.phase(-std::f64::consts::FRAC_PI_2)?.turns(1.0)?.ramp(0.8)),
@@ -42,7 +48,7 @@ pub fn named(name: &str) -> Option<Box<dyn Trajectory>> {
 /// Reads a trajectory from a TOML file.
 ///
 /// # Errors
-/// [`TrajectoryError::File`] with the file, the line and what is expected.
+/// [`TrajectoryError::File`] with the path, around an error of [`from_toml`] or of the system.
 pub fn from_file(path: impl AsRef<Path>) -> Result<Box<dyn Trajectory>, TrajectoryError> {
     let path = path.as_ref();
     let in_file = |error| TrajectoryError::File { path: path.into(), error: Box::new(error) };
@@ -50,8 +56,10 @@ pub fn from_file(path: impl AsRef<Path>) -> Result<Box<dyn Trajectory>, Trajecto
     from_toml(&text).map_err(in_file)
 }
 
-/// Reads a trajectory from TOML text. `kind` is `circle`, `lemniscate`, `helix`, `steps` or `waypoints`; the other keys are
-/// those of its constructor, SI units, angles in rad.
+/// Reads a trajectory from TOML text.
+///
+/// `kind` is `circle`, `lemniscate`, `helix`, `steps` or `waypoints`. The other keys are the arguments of its
+/// constructor and builder methods, in SI units and rad.
 ///
 /// ```
 /// let circle = aviary::control::trajectory::from_toml(
@@ -69,7 +77,7 @@ pub fn from_file(path: impl AsRef<Path>) -> Result<Box<dyn Trajectory>, Trajecto
 /// ```
 ///
 /// # Errors
-/// [`TrajectoryError::Toml`] with line and column, or what the constructor finds.
+/// [`TrajectoryError::Toml`] with line and column, or an error of the constructor.
 pub fn from_toml(text: &str) -> Result<Box<dyn Trajectory>, TrajectoryError> {
     match read::<OnlyKind>(text)?.kind {
         Kind::Circle => {
@@ -89,7 +97,7 @@ pub fn from_toml(text: &str) -> Result<Box<dyn Trajectory>, TrajectoryError> {
             spec.placed(PeriodicTrajectory::helix(spec.radius, spec.period, spec.climb)?)
         }
         Kind::Steps => {
-            let Places { start, points, yaws, hold, .. } = read(text)?;
+            let StepKeys { start, points, yaws, hold, .. } = read(text)?;
             let yaws = yaws.unwrap_or_else(|| vec![0.0; points.len()]);
             let (count, expected) = (yaws.len() as f64, "one per point");
             TrajectoryError::validate("the number of yaws", count, yaws.len() == points.len(), expected)?;
@@ -97,7 +105,7 @@ pub fn from_toml(text: &str) -> Result<Box<dyn Trajectory>, TrajectoryError> {
             Ok(Box::new(Steps::new(start, &places, hold)?))
         }
         Kind::Waypoints => {
-            let Way { points, yaws, times, max_speed, max_acceleration, .. } = read(text)?;
+            let WaypointKeys { points, yaws, times, max_speed, max_acceleration, .. } = read(text)?;
             let mut path = Waypoints::through(&points);
             match (times, max_speed, max_acceleration) {
                 (Some(times), None, None) => path = path.times(times),
@@ -140,8 +148,8 @@ enum PlaneName {
     Xz,
 }
 
-/// The keys of a curve: its own, and those that all curves share. (Serde cannot flatten one struct into another and refuse
-/// unknown keys at once.)
+/// Defines the keys of a periodic trajectory: its own, and those that all of them share. A macro does it because
+/// serde cannot combine `flatten` with `deny_unknown_fields`.
 macro_rules! periodic {
     ($name:ident { $($field:ident: $kind:ty),* $(,)? }) => {
         #[derive(Deserialize)]
@@ -165,7 +173,7 @@ macro_rules! periodic {
         }
 
         impl $name {
-            /// The curve in its place and at its pace.
+            /// Applies the shared keys to a trajectory.
             fn placed(&self, mut periodic: PeriodicTrajectory) -> Result<Box<dyn Trajectory>, TrajectoryError> {
                 if let Some(centre) = self.centre {
                     for x in centre {
@@ -181,7 +189,7 @@ macro_rules! periodic {
                     (None, Some(normal)) => periodic.plane(Plane::normal(normal)?),
                     (Some(_), Some(_)) => return Err(message("expected either plane or normal")),
                 };
-                // turns before the ramp: it must fit into them
+                // the number of turns limits the ramp
                 if let Some(turns) = self.turns {
                     periodic = periodic.turns(turns)?;
                 }
@@ -211,7 +219,7 @@ periodic!(Helix { radius: f64, period: f64, climb: f64 });
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Places {
+struct StepKeys {
     #[serde(rename = "kind")]
     _kind: IgnoredAny,
     #[serde(deserialize_with = "triple")]
@@ -224,7 +232,7 @@ struct Places {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Way {
+struct WaypointKeys {
     #[serde(rename = "kind")]
     _kind: IgnoredAny,
     #[serde(deserialize_with = "triples")]
@@ -267,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_name_the_line_and_what_is_expected() {
+    fn errors_name_the_line_and_the_expected_value() {
         let error = |index: usize, from: &str, to: &str| {
             let text = from_toml(&FILES[index].replace(from, to)).unwrap_err().to_string();
             assert!(!text.contains('\n'), "{text}");
@@ -290,7 +298,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn damaged_files_are_errors_or_finite(file in 0usize..5, at in 0usize..90, letter in 32u8..127, t in -1.0..9.0) {
+        fn damaged_files_are_errors_or_finite(
+            file in 0usize..5, at in 0usize..90, letter in 32u8..127, t in -1.0..9.0,
+        ) {
             let mut bytes = FILES[file].as_bytes().to_vec();
             let at = at % bytes.len();
             bytes[at] = letter;

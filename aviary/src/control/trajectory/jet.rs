@@ -1,7 +1,9 @@
 use std::ops::{Add, Mul, Sub};
 
-/// A number that changes with time, with its first four derivatives: Taylor coefficients f⁽ᵏ⁾/k!, so that products, sines
-/// and compositions have exact derivatives (Griewank and Walther 2008, *Evaluating Derivatives*, §13.2).
+/// A function value with its first four time derivatives, as Taylor coefficients f⁽ᵏ⁾/k!.
+///
+/// Sums, products, sines and compositions of jets have exact derivatives (Griewank and Walther 2008, *Evaluating
+/// Derivatives*, §13.2).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Jet([f64; 5]);
 
@@ -10,7 +12,7 @@ impl Jet {
         Self([value, 0.0, 0.0, 0.0, 0.0])
     }
 
-    /// Time itself.
+    /// Creates the jet of the time.
     pub(super) const fn time(value: f64) -> Self {
         Self([value, 1.0, 0.0, 0.0, 0.0])
     }
@@ -19,13 +21,13 @@ impl Jet {
         self.0[0]
     }
 
-    /// The k-th derivative, k ≤ 4.
+    /// Returns the k-th derivative, k ≤ 4.
     pub(super) fn derivative(&self, k: usize) -> f64 {
         const FACTORIALS: [f64; 5] = [1.0, 1.0, 2.0, 6.0, 24.0];
         self.0[k] * FACTORIALS[k]
     }
 
-    /// Σ coefficients[k]·xᵏ.
+    /// Returns Σ coefficients\[k\]·xᵏ.
     pub(super) fn polynomial(self, coefficients: &[f64]) -> Self {
         coefficients.iter().rev().fold(Self::constant(0.0), |sum, &c| sum * self + Self::constant(c))
     }

@@ -1,4 +1,4 @@
-//! What controllers follow: positions as functions of time, with exact derivatives up to the snap, and yaw.
+//! Trajectories: position and yaw as functions of time, with exact derivatives of the position up to the snap.
 
 mod file;
 mod jet;
@@ -18,14 +18,14 @@ pub use periodic::{Heading, PeriodicTrajectory, Plane};
 pub use steps::Steps;
 pub use waypoints::{Waypoints, WaypointsBuilder};
 
-/// A reference that moves.
+/// A reference as a function of time.
 ///
 /// ```
 /// use aviary::control::Reference;
 /// use aviary::control::trajectory::Trajectory;
 /// use nalgebra::Vector3;
 ///
-/// /// Up by half a metre per second, for two seconds.
+/// /// Climb at 0.5 m/s for 2 s.
 /// #[derive(Debug)]
 /// struct Climb;
 ///
@@ -46,51 +46,53 @@ pub use waypoints::{Waypoints, WaypointsBuilder};
 /// assert!((Climb.reference(9.0).position.z - 1.1).abs() < 1e-12);
 /// ```
 pub trait Trajectory: fmt::Debug + Send + Sync {
-    /// What to follow at a time, s: before 0 the start, at rest, and after the end what was there.
+    /// Returns the reference at a time, s.
+    ///
+    /// Before time 0 it is the start of the trajectory, after the end it is the end, both at rest.
     fn reference(&self, time: f64) -> Reference;
 
-    /// When it is over, s; one turn (and its ramp) where it never is.
+    /// Returns the duration, s. For a trajectory without an end it is the duration of one turn, including the ramp.
     fn duration(&self) -> f64;
 
-    /// Where a drone should be that is about to follow it, at rest.
+    /// Returns the position and yaw at which the trajectory starts, at rest.
     fn start(&self) -> Reference {
         let first = self.reference(0.0);
         Reference::hover(first.position, first.yaw)
     }
 }
 
-/// What can be wrong with a trajectory.
+/// Error of a trajectory.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrajectoryError {
-    /// A number that no trajectory has.
+    /// A value outside its range.
     #[error("{what} is {}, expected {expected}", crate::number(*got))]
     Value {
-        /// What it is.
+        /// Name of the value.
         what: &'static str,
-        /// What was given.
+        /// Invalid value.
         got: f64,
-        /// What is possible.
+        /// Valid values.
         expected: &'static str,
     },
-    /// Waypoints whose times differ so much that the polynomials cannot be computed.
-    #[error("no polynomials go through these waypoints at these times, expected times of one order of magnitude")]
+    /// Gaps between waypoint times that differ too much to compute the polynomials.
+    #[error("the gaps between the waypoint times differ too much, expected gaps of one order of magnitude")]
     Unsolvable,
-    /// Text that is no trajectory in TOML.
+    /// Text that is not a trajectory in TOML.
     #[error("{message}")]
     Toml {
-        /// Line, column and what was expected.
+        /// Line, column and expected value.
         message: String,
     },
     /// A file that the system cannot read or write.
     #[error(transparent)]
     System(#[from] SystemError),
-    /// A file that holds no valid trajectory.
+    /// A file without a valid trajectory.
     #[error("{}: {error}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Error in the file.
         #[source]
         error: Box<Self>,
     },

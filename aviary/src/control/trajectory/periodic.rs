@@ -8,7 +8,7 @@ use super::{Trajectory, TrajectoryError};
 use crate::control::Reference;
 use crate::state::wrap_angle;
 
-/// Where the drone looks along a curve.
+/// Yaw along a periodic trajectory.
 ///
 /// ```
 /// use std::f64::consts::FRAC_PI_2;
@@ -16,32 +16,32 @@ use crate::state::wrap_angle;
 /// use aviary::control::trajectory::{PeriodicTrajectory, Heading, Trajectory};
 ///
 /// let circle = PeriodicTrajectory::circle(1.0, 10.0)?.heading(Heading::Forward)?;
-/// // from (1, 0, 1) it goes along y
+/// // the circle starts at (1, 0, 1) in direction of y
 /// assert!((circle.reference(0.0).yaw - FRAC_PI_2).abs() < 1e-12);
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Heading {
-    /// Always the same way: yaw, rad.
+    /// A constant yaw, rad.
     Fixed(f64),
-    /// Turning at a steady rate.
+    /// A constant yaw rate.
     Turning {
         /// Yaw at the start, rad.
         yaw: f64,
         /// Yaw rate, rad/s.
         rate: f64,
     },
-    /// Along the way; along x where it goes straight up or down.
+    /// The direction of the horizontal velocity; yaw 0 where the trajectory is vertical.
     Forward,
 }
 
-/// The plane of a curve, by the axes that its angle turns from and to.
+/// Plane of a periodic trajectory: the two axes between which its angle is measured.
 ///
 /// ```
 /// use aviary::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
 ///
 /// assert_eq!(Plane::normal([2.0, 0.0, 0.0])?, Plane::YZ);
-/// // slanted by 45°: after a quarter turn the circle is at its highest
+/// // the plane is inclined by 45°, and the circle is highest after a quarter turn
 /// let circle = PeriodicTrajectory::circle(0.5, 4.0)?.plane(Plane::normal([1.0, 0.0, 1.0])?);
 /// assert!((circle.reference(1.0).position.z - (1.0 + 0.5 * 0.5_f64.sqrt())).abs() < 1e-12);
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
@@ -53,17 +53,18 @@ pub struct Plane {
 }
 
 impl Plane {
-    /// Horizontal, from x to y.
+    /// Horizontal plane; the angle turns from x to y.
     pub const XY: Self = Self { first: Vector3::new(1.0, 0.0, 0.0), second: Vector3::new(0.0, 1.0, 0.0) };
-    /// Upright across x, from y to z.
+    /// Vertical plane perpendicular to x; the angle turns from y to z.
     pub const YZ: Self = Self { first: Vector3::new(0.0, 1.0, 0.0), second: Vector3::new(0.0, 0.0, 1.0) };
-    /// Upright along x, from x to z.
+    /// Vertical plane perpendicular to y; the angle turns from x to z.
     pub const XZ: Self = Self { first: Vector3::new(1.0, 0.0, 0.0), second: Vector3::new(0.0, 0.0, 1.0) };
 
-    /// With this normal (world frame, any length), about which the angle turns; it starts at the horizontal.
+    /// Creates the plane with a normal (world frame, any length). The angle turns about the normal and starts at a
+    /// horizontal axis.
     ///
     /// # Errors
-    /// [`TrajectoryError`] for a normal of no length.
+    /// [`TrajectoryError`] for a normal of zero length.
     pub fn normal(normal: [f64; 3]) -> Result<Self, TrajectoryError> {
         let normal = Vector3::from(normal);
         let size = normal.norm();
@@ -86,7 +87,7 @@ enum PathShape {
     Helix { radius: f64, climb: f64 },
 }
 
-/// A circle, a lemniscate (an eight) or a helix, at a steady pace or from rest to rest.
+/// A circle, a lemniscate (figure eight) or a helix, at a constant angular rate or from rest to rest.
 ///
 /// ```
 /// use aviary::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
@@ -108,41 +109,41 @@ pub struct PeriodicTrajectory {
 }
 
 impl PeriodicTrajectory {
-    /// A circle: radius in m, seconds per turn (negative to turn the other way).
+    /// Creates a circle from its radius (m) and period (s per turn; negative to reverse the direction).
     ///
     /// # Errors
-    /// [`TrajectoryError`] naming what is impossible; likewise below.
+    /// [`TrajectoryError::Value`] for a value outside its range.
     pub fn circle(radius: f64, period: f64) -> Result<Self, TrajectoryError> {
         length("radius", radius)?;
         Self::new(PathShape::Circle { radius }, period)
     }
 
-    /// An eight: `half_length`·sin θ along the plane's first axis and `half_width`·sin 2θ along its second, m; seconds per
-    /// turn. It starts in the middle, where it is fastest.
+    /// Creates a lemniscate: `half_length`·sin θ along the first axis of the plane and `half_width`·sin 2θ along the
+    /// second, m, with the period in s per turn. It starts at its centre, where the speed is highest.
     ///
     /// # Errors
-    /// As above.
+    /// [`TrajectoryError::Value`] for a value outside its range.
     pub fn lemniscate(half_length: f64, half_width: f64, period: f64) -> Result<Self, TrajectoryError> {
         length("half_length", half_length)?;
         length("half_width", half_width)?;
         Self::new(PathShape::Lemniscate { half_length, half_width }, period)
     }
 
-    /// An eight by its greatest speed, m/s, in place of its period.
+    /// Creates a lemniscate from its peak speed, m/s, instead of its period.
     ///
     /// # Errors
-    /// As above.
+    /// [`TrajectoryError::Value`] for a value outside its range.
     pub fn lemniscate_at(half_length: f64, half_width: f64, peak_speed: f64) -> Result<Self, TrajectoryError> {
         length("peak_speed", peak_speed)?;
-        // ‖(A·cos θ, 2B·cos 2θ)‖ is greatest in the middle
-        let way = half_length.hypot(2.0 * half_width);
-        Self::lemniscate(half_length, half_width, TAU * way / peak_speed)
+        // ‖(A·cos θ, 2B·cos 2θ)‖ is largest at the centre
+        let peak = half_length.hypot(2.0 * half_width);
+        Self::lemniscate(half_length, half_width, TAU * peak / peak_speed)
     }
 
-    /// A helix: radius in m, seconds per turn, and the way along the axis per turn, m.
+    /// Creates a helix from its radius (m), period (s per turn) and pitch (m along the normal per turn).
     ///
     /// # Errors
-    /// As above.
+    /// [`TrajectoryError::Value`] for a value outside its range.
     pub fn helix(radius: f64, period: f64, climb: f64) -> Result<Self, TrajectoryError> {
         length("radius", radius)?;
         TrajectoryError::validate("climb", climb, climb.abs() <= 1e6, "a finite number of metres up to 1e6")?;
@@ -156,32 +157,33 @@ impl PeriodicTrajectory {
         Ok(Self { shape, centre, plane: Plane::XY, heading: Heading::Fixed(0.0), time_law })
     }
 
-    /// The middle, world frame, m; (0, 0, 1) by default. A helix starts in the plane through it.
+    /// Sets the centre, world frame, m; default (0, 0, 1). A helix starts in the plane through its centre.
     #[must_use]
     pub fn centre(self, centre: [f64; 3]) -> Self {
         Self { centre: centre.into(), ..self }
     }
 
-    /// The plane; horizontal by default.
+    /// Sets the plane; default horizontal.
     #[must_use]
     pub fn plane(self, plane: Plane) -> Self {
         Self { plane, ..self }
     }
 
-    /// The angle at the start, rad; 0 by default.
+    /// Sets the angle at the start, rad; default 0.
     ///
     /// # Errors
-    /// As above.
+    /// [`TrajectoryError::Value`] for a value outside its range.
     pub fn phase(mut self, phase: f64) -> Result<Self, TrajectoryError> {
         self.time_law.phase = phase;
         self.time_law.validate()?;
         Ok(self)
     }
 
-    /// Where the drone looks; along x by default.
+    /// Sets the yaw; default a constant 0.
     ///
     /// # Errors
-    /// [`TrajectoryError`] for [`Heading::Forward`] along a curve that goes straight up somewhere.
+    /// [`TrajectoryError::Value`] for an angle or rate outside its range, and for [`Heading::Forward`] in a vertical
+    /// plane.
     pub fn heading(self, heading: Heading) -> Result<Self, TrajectoryError> {
         let (yaw, rate) = match heading {
             Heading::Fixed(yaw) => (yaw, 0.0),
@@ -189,37 +191,37 @@ impl PeriodicTrajectory {
             Heading::Forward => (0.0, 0.0),
         };
         TrajectoryError::validate("yaw", yaw, yaw.abs() <= 1e6, "a finite angle, rad")?;
-        TrajectoryError::validate("yaw_rate", rate, rate.abs() <= 1e3, "a finite rate, rad/s, up to 1000")?;
+        TrajectoryError::validate("yaw_rate", rate, rate.abs() <= 1e3, "a finite rate up to 1000 rad/s")?;
         let slope = self.plane.axis().z.abs();
         if heading == Heading::Forward {
-            let expected = "at least 0.1 for a forward heading: an upright curve goes straight up somewhere";
-            TrajectoryError::validate("the vertical part of normal", slope, slope >= 0.1, expected)?;
+            let expected = "at least 0.1 for a forward heading, which is undefined where a trajectory goes straight up";
+            TrajectoryError::validate("the vertical component of normal", slope, slope >= 0.1, expected)?;
         }
         Ok(Self { heading, ..self })
     }
 
-    /// From rest to full speed in so many seconds, and back to rest in as many before the end; at full speed from the first
-    /// moment by default.
+    /// Sets the time from rest to full speed at the start, and back to rest at the end, s; default 0 (constant
+    /// speed).
     ///
     /// # Errors
-    /// As above.
+    /// [`TrajectoryError::Value`] for a value outside its range, and for ramps that do not fit into the turns.
     pub fn ramp(mut self, seconds: f64) -> Result<Self, TrajectoryError> {
         self.time_law.ramp = seconds;
         self.time_law.validate()?;
         Ok(self)
     }
 
-    /// How many turns until the end; without end by default.
+    /// Sets the number of turns; default infinite.
     ///
     /// # Errors
-    /// As above.
+    /// [`TrajectoryError::Value`] for a value that is not positive, and for ramps that do not fit into the turns.
     pub fn turns(mut self, turns: f64) -> Result<Self, TrajectoryError> {
         self.time_law.turns = turns;
         self.time_law.validate()?;
         Ok(self)
     }
 
-    /// Coordinates along the plane's axes and its normal, and the tangent's.
+    /// Returns the coordinates of the position along the axes and the normal of the plane, and those of the tangent.
     fn local(&self, angle: Jet) -> ([Jet; 3], [Jet; 3]) {
         let (sin, cos) = angle.sin_cos();
         let zero = Jet::constant(0.0);
@@ -230,7 +232,7 @@ impl PeriodicTrajectory {
                 ([sin * half_length, sin2 * half_width, zero], [cos * half_length, cos2 * (2.0 * half_width), zero])
             }
             PathShape::Helix { radius, climb } => {
-                // up with every turn, whichever way round
+                // the climb is positive in both directions of rotation
                 let step = climb / TAU * self.time_law.rate.signum();
                 let rise = (angle - Jet::constant(self.time_law.phase)) * step;
                 let step = Jet::constant(step);
@@ -283,13 +285,13 @@ impl Trajectory for PeriodicTrajectory {
     }
 }
 
-/// atan2(y, x) with its first two derivatives.
+/// Returns atan2(y, x) and its first two derivatives.
 fn direction(x: Jet, y: Jet) -> [f64; 3] {
     let [x0, x1, x2] = [0, 1, 2].map(|k| x.derivative(k));
     let [y0, y1, y2] = [0, 1, 2].map(|k| y.derivative(k));
     let size = x0 * x0 + y0 * y0;
     if size < 1e-12 {
-        // straight up or down: no way to look
+        // vertical: the heading is undefined
         return [0.0; 3];
     }
     let rate = (x0 * y1 - y0 * x1) / size;

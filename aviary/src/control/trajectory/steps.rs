@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use super::{Trajectory, TrajectoryError};
 use crate::control::Reference;
 
-/// One place after the other, each held for a while: a reference that jumps.
+/// A sequence of positions and yaws that are held for a fixed time each.
 ///
 /// ```
 /// use aviary::control::trajectory::{Steps, Trajectory};
@@ -20,10 +20,11 @@ pub struct Steps {
 }
 
 impl Steps {
-    /// From a start to these places (world, m, and yaw, rad), to each at once and then holding it for `hold` seconds.
+    /// Creates a sequence of places (position in the world frame, m, and yaw, rad), each held for `hold` seconds.
+    /// `start` is the position before time 0.
     ///
     /// # Errors
-    /// [`TrajectoryError`] naming what is impossible.
+    /// [`TrajectoryError::Value`] for an empty list, or for a value outside its range.
     pub fn new(start: [f64; 3], places: &[([f64; 3], f64)], hold: f64) -> Result<Self, TrajectoryError> {
         let count = places.len();
         TrajectoryError::validate("the number of points", count as f64, count > 0, "at least 1")?;
@@ -37,7 +38,7 @@ impl Steps {
         Ok(Self { start: (start.into(), places[0].1), places, hold })
     }
 
-    /// From one place to another, at once.
+    /// Creates a step from one position to another (world frame, m) at time 0, with yaw 0.
     ///
     /// # Errors
     /// As for [`new`](Self::new).
@@ -45,8 +46,8 @@ impl Steps {
         Self::new(from, &[(to, 0.0)], hold)
     }
 
-    /// Once around a square (side in m) at a height of 1 m, from (0, 0) by way of (side, 0), holding every corner for `hold`
-    /// seconds.
+    /// Creates a square with sides of `side` metres at a height of 1 m. It starts at (0, 0), moves to (side, 0)
+    /// first, and holds every corner for `hold` seconds.
     ///
     /// # Errors
     /// As for [`new`](Self::new).

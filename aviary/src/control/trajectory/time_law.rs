@@ -2,24 +2,25 @@ use std::f64::consts::TAU;
 
 use super::{TrajectoryError, jet::Jet};
 
-/// How a closed curve is run through: the angle as a function of time.
+/// Time law of a periodic trajectory: the angle as a function of time.
 ///
-/// At full speed a turn takes one period. With a ramp the angle starts from rest and, where the number of turns is
-/// limited, comes to rest again, with continuous derivatives up to the fourth.
+/// At full speed a turn takes one period. With a ramp the angle starts at rest and, if the number of turns is finite,
+/// ends at rest. Its derivatives are continuous up to the fourth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct TimeLaw {
     /// Angle at the start, rad.
     pub phase: f64,
     /// Angular rate at full speed, rad/s.
     pub rate: f64,
-    /// Time to get there, s.
+    /// Time from rest to full speed, s.
     pub ramp: f64,
-    /// Turns until the end, infinite for none.
+    /// Number of turns; infinite without an end.
     pub turns: f64,
 }
 
 impl TimeLaw {
-    /// Integral of the seventh-order smoothstep 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷, whose first three derivatives vanish at 0 and 1.
+    /// Coefficients of the integral of the seventh-order smoothstep 35τ⁴ − 84τ⁵ + 70τ⁶ − 20τ⁷. The first three
+    /// derivatives of the smoothstep are zero at 0 and 1.
     const RAMP: [f64; 9] = [0.0, 0.0, 0.0, 0.0, 0.0, 7.0, -14.0, 10.0, -2.5];
 
     pub(super) fn validate(&self) -> Result<(), TrajectoryError> {
@@ -29,25 +30,25 @@ impl TimeLaw {
             "period",
             TAU / rate,
             rate.is_finite() && (1e-6..=1e6).contains(&rate.abs()),
-            "a number of seconds up to a few days, negative to turn the other way",
+            "a number of seconds from 1e-5 to 6e6, negative to reverse the direction",
         )?;
         TrajectoryError::validate("ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
         TrajectoryError::validate("turns", turns, turns > 0.0, "a positive number")?;
-        // ramping up and down takes half of the ramp's time at full speed each
+        // each ramp covers half of the angle that full speed covers in the same time
         TrajectoryError::validate(
             "turns",
             turns,
             turns * TAU >= ramp * rate.abs(),
-            "at least the ramp over the period, or full speed is never reached",
+            "at least ramp / period, or full speed is never reached",
         )
     }
 
-    /// When the last turn is over, s.
+    /// Returns the time at which the last turn ends, s.
     pub(super) fn end(&self) -> f64 {
         self.turns * TAU / self.rate.abs() + self.ramp
     }
 
-    /// The angle at a time, rad.
+    /// Returns the angle at a time (s), rad.
     pub(super) fn angle(&self, time: f64) -> Jet {
         let (rate, ramp, end) = (self.rate, self.ramp, self.end());
         let total = self.turns * TAU * rate.signum();

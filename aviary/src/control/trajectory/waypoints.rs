@@ -5,12 +5,13 @@ use super::{Trajectory, TrajectoryError};
 use crate::control::Reference;
 use crate::state::wrap_angle;
 
-/// Through waypoints from rest to rest along the polynomials of least snap (Mellinger and Kumar 2011, *Minimum snap
-/// trajectory generation and control for quadrotors*).
+/// A minimum-snap trajectory through waypoints, from rest to rest (Mellinger and Kumar 2011, *Minimum snap trajectory
+/// generation and control for quadrotors*).
 ///
-/// Between two waypoints each coordinate is a polynomial of the seventh order. Positions are met, speed, acceleration and
-/// jerk are zero at both ends, and derivatives up to the sixth are continuous at the waypoints between, which is what
-/// makes the integral of the squared snap the least. Yaw goes the same way, by the shorter turns.
+/// Between two waypoints each coordinate is a polynomial of degree seven. Velocity, acceleration and jerk are zero at
+/// both ends, and derivatives up to the sixth are continuous at the inner waypoints. These conditions minimise the
+/// integral of the squared snap. Yaw is interpolated with the same polynomials, along the shorter direction of
+/// rotation.
 ///
 /// ```
 /// use aviary::control::trajectory::{Trajectory, Waypoints};
@@ -18,25 +19,25 @@ use crate::state::wrap_angle;
 /// let path = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.5]])
 ///     .limits(1.5, 4.0)
 ///     .build()?;
-/// let end = way.reference(way.duration());
+/// let end = path.reference(path.duration());
 /// assert!((end.position - nalgebra::Vector3::new(1.0, 1.0, 1.5)).norm() < 1e-9);
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Waypoints {
-    /// When each segment begins, s, and when the last one ends.
+    /// Start time of each segment, s, followed by the end time of the last one.
     times: Vec<f64>,
     segments: Vec<Segment>,
 }
 
-/// Coefficients of x, y, z and yaw over the segment's share of time in [0, 1].
+/// Coefficients of x, y, z and yaw as polynomials in the normalized time of a segment, in [0, 1].
 #[derive(Debug, Clone, PartialEq)]
 struct Segment {
     coefficients: [[f64; 8]; 4],
 }
 
 impl Segment {
-    /// The k-th derivatives of x, y, z and yaw by the share of time, for k = 0 to 2.
+    /// Returns the derivatives of order 0 to 2 of x, y, z and yaw with respect to the normalized time.
     fn derivatives(&self, share: f64) -> [[f64; 4]; 3] {
         let mut derivatives = [[0.0; 4]; 3];
         for (axis, coefficients) in self.coefficients.iter().enumerate() {
@@ -55,27 +56,28 @@ impl Segment {
 /// Velocity, acceleration and jerk (rows) of x, y, z and yaw at a waypoint.
 type Derivatives = Matrix3x4<f64>;
 
-/// One coordinate over a segment, by what it has at both ends; derivatives are by the share of time.
+/// Boundary values of one coordinate of a segment. Derivatives are with respect to the normalized time.
 struct Hermite {
     from: f64,
     /// Change from start to end.
     step: f64,
     /// Velocity, acceleration and jerk at the start.
     start: Vector3<f64>,
+    /// Velocity, acceleration and jerk at the end.
     end: Vector3<f64>,
 }
 
 impl Hermite {
     fn coefficients(&self) -> [f64; 8] {
         let [c1, c2, c3] = [self.start.x, self.start.y / 2.0, self.start.z / 6.0];
-        // what the upper four coefficients have to add at the end
+        // contribution of the upper four coefficients at the end
         let missing = Vector4::new(
             self.step - c1 - c2 - c3,
             self.end.x - c1 - 2.0 * c2 - 3.0 * c3,
             self.end.y - 2.0 * c2 - 6.0 * c3,
             self.end.z - 6.0 * c3,
         );
-        // inverse of the rows j!/(j − k)! for j = 4 to 7, k = 0 to 3
+        // inverse of the matrix with the entries j!/(j − k)!, j = 4 to 7, k = 0 to 3
         #[rustfmt::skip]
         let inverse = Matrix4::new(
              35.0, -15.0,  2.5, -1.0 / 6.0,
@@ -87,9 +89,10 @@ impl Hermite {
         [self.from, c1, c2, c3, upper[0], upper[1], upper[2], upper[3]]
     }
 
-    /// Matrix of the integral of the squared snap, in the start's value, velocity, acceleration and jerk and those of the end.
+    /// Returns the matrix of the integral of the squared snap as a quadratic form in the value, velocity,
+    /// acceleration and jerk at the start, followed by those at the end.
     fn cost() -> SMatrix<f64, 8, 8> {
-        // snap of each unit vector: Σ j!/(j − 4)!·c(j)·τʲ⁻⁴
+        // snap for each unit boundary value: Σ j!/(j − 4)!·c(j)·τʲ⁻⁴
         let snaps: [[f64; 4]; 8] = std::array::from_fn(|entry| {
             let unit = |index: usize| if entry == index { 1.0 } else { 0.0 };
             let [from, to] = [unit(0), unit(4)];
@@ -105,21 +108,21 @@ impl Hermite {
     }
 }
 
-/// The options of [`Waypoints`].
+/// Builder of a [`Waypoints`] trajectory.
 ///
 /// ```
 /// use std::f64::consts::FRAC_PI_2;
 ///
 /// use aviary::control::trajectory::{Trajectory, Waypoints};
 ///
-/// // there and back, two seconds each
+/// // out and back, 2 s each
 /// let path = Waypoints::through(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
 ///     .times([0.0, 2.0, 4.0])
 ///     .yaws([0.0, FRAC_PI_2, 0.0])
 ///     .build()?;
-/// let far = way.reference(2.0);
+/// let far = path.reference(2.0);
 /// assert!((far.position.x - 1.0).abs() < 1e-6 && (far.yaw - FRAC_PI_2).abs() < 1e-6);
-/// assert!(far.velocity.norm() < 1e-6, "at rest, because the way back mirrors the way there");
+/// assert!(far.velocity.norm() < 1e-6, "at rest, because the two legs are symmetric");
 /// # Ok::<(), aviary::control::trajectory::TrajectoryError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
@@ -132,22 +135,23 @@ pub struct WaypointsBuilder {
 }
 
 impl WaypointsBuilder {
-    /// Yaw at every waypoint, rad; 0 by default.
+    /// Sets the yaw at every waypoint, rad; default 0.
     #[must_use]
     pub fn yaws(mut self, yaws: impl Into<Vec<f64>>) -> Self {
         self.yaws = Some(yaws.into());
         self
     }
 
-    /// When to be at every waypoint, s, the first at 0; allocated by distance and limits by default.
+    /// Sets the time of every waypoint, s, starting at 0; default times are allocated from distances and
+    /// [`limits`](Self::limits).
     #[must_use]
     pub fn times(mut self, times: impl Into<Vec<f64>>) -> Self {
         self.times = Some(times.into());
         self
     }
 
-    /// Speed (m/s) and acceleration (m/s²) that allocated times keep to; 1 and 2 by default. Yaw turns at no more than half
-    /// a turn a second.
+    /// Sets the maximum speed (m/s) and acceleration (m/s²) for the allocation of times; default 1 m/s and 2 m/s².
+    /// The maximum yaw rate is π rad/s.
     #[must_use]
     pub fn limits(mut self, max_speed: f64, max_acceleration: f64) -> Self {
         (self.max_speed, self.max_acceleration) = (max_speed, max_acceleration);
@@ -157,7 +161,8 @@ impl WaypointsBuilder {
     /// Computes the polynomials.
     ///
     /// # Errors
-    /// [`TrajectoryError`] naming what is impossible.
+    /// [`TrajectoryError::Value`] for a value or a number of values outside its range, and
+    /// [`TrajectoryError::Unsolvable`] if the gaps between the times differ too much.
     pub fn build(self) -> Result<Waypoints, TrajectoryError> {
         let count = self.points.len();
         let expected = "2 to 200";
@@ -176,7 +181,7 @@ impl WaypointsBuilder {
         for &yaw in &yaws {
             TrajectoryError::validate("a yaw in yaws", yaw, yaw.is_finite(), "a finite angle, rad")?;
         }
-        // by the shorter turns
+        // unwraps the yaws along the shorter direction of rotation
         let mut turned = vec![yaws[0]];
         for yaw in &yaws[1..] {
             let last = turned[turned.len() - 1];
@@ -201,18 +206,21 @@ impl WaypointsBuilder {
 }
 
 impl Waypoints {
-    /// Options for a way through points, world frame, m.
+    /// Returns a builder for a trajectory through points, world frame, m.
     pub fn through(points: &[[f64; 3]]) -> WaypointsBuilder {
         WaypointsBuilder { points: points.to_vec(), yaws: None, times: None, max_speed: 1.0, max_acceleration: 2.0 }
     }
 
-    /// When each waypoint is reached, s.
+    /// Returns the time of each waypoint, s.
     pub fn times(&self) -> &[f64] {
         &self.times
     }
 
-    /// Solves for the velocity, acceleration and jerk at every waypoint between the ends that make the integral of the squared snap
-    /// least. They are those of a linear system whose matrix is positive definite and links each waypoint with its neighbours only.
+    /// Solves for the velocity, acceleration and jerk at the inner waypoints that minimise the integral of the
+    /// squared snap.
+    ///
+    /// The linear system is positive definite and block tridiagonal, because each waypoint depends only on its
+    /// neighbours.
     fn solve(points: &[[f64; 3]], yaws: &[f64], times: Vec<f64>) -> Result<Self, TrajectoryError> {
         let count = points.len() - 1;
         let spans: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
@@ -222,20 +230,20 @@ impl Waypoints {
                 RowVector4::new(b[0] - a[0], b[1] - a[1], b[2] - a[2], yaws[i + 1] - yaws[i])
             })
             .collect();
-        // unknowns are in units of the geometric mean of the two spans at their waypoint, so that they are of one size
+        // unknowns are scaled by the geometric mean of the two spans at their waypoint, for a well-conditioned system
         let unit = |i: usize| match i {
             0 => spans[0],
             i if i == count => spans[count - 1],
             i => (spans[i - 1] * spans[i]).sqrt(),
         };
-        // factors from those units to shares of a segment's span
+        // factors from these units to the normalized time of a segment
         let factors = |segment: usize, waypoint: usize| {
             let ratio = spans[segment] / unit(waypoint);
             Matrix3::from_diagonal(&Vector3::new(ratio, ratio * ratio, ratio * ratio * ratio))
         };
         let cost = Hermite::cost();
         let weight = |segment: usize| spans[segment].powi(-7);
-        // elimination forwards: x(k) = value(k) − link(k)·x(k + 1)
+        // forward elimination: x(k) = value(k) − link(k)·x(k + 1)
         let mut values: Vec<Derivatives> = Vec::with_capacity(count);
         let mut links: Vec<Matrix3<f64>> = Vec::with_capacity(count);
         let mut coupling = Matrix3::zeros();
@@ -255,7 +263,7 @@ impl Waypoints {
             values.push(diagonal.solve(&right));
             links.push(diagonal.solve(&coupling));
         }
-        // and back; at both ends they are zero
+        // back substitution; the derivatives at both ends are zero
         let mut derivatives = vec![Derivatives::zeros(); count + 1];
         for k in (1..count).rev() {
             derivatives[k] = values[k - 1] - links[k - 1] * derivatives[k + 1];
@@ -271,7 +279,7 @@ impl Waypoints {
             }
         };
         let path = Self { segments: (0..count).map(segment).collect(), times };
-        // times that differ by orders of magnitude leave no digits
+        // spans that differ by orders of magnitude lead to cancellation
         let missed = points.iter().zip(&path.times).any(|(point, &time)| {
             let off = (path.reference(time).position - Vector3::from(*point)).norm();
             off.is_nan() || off > 1e-6 * (1.0 + Vector3::from(*point).norm())
@@ -279,16 +287,16 @@ impl Waypoints {
         if missed { Err(TrajectoryError::Unsolvable) } else { Ok(path) }
     }
 
-    /// Most yaw rate of allocated times, rad/s.
+    /// Maximum yaw rate for the allocation of times, rad/s.
     const MAX_YAW_RATE: f64 = std::f64::consts::PI;
 
-    /// Most segments whose times are sought one against the other: every trial solves for all of them.
-    const SOUGHT: usize = 24;
+    /// Maximum number of segments whose times are optimised: every trial solves for all segments.
+    const MAX_OPTIMISED: usize = 24;
 
-    /// Chooses times: such shares of the duration as make it short within the limits, and the way straight. A bad share makes
-    /// it swing out far.
+    /// Allocates times within the limits by coordinate descent on the duration and on the largest detour from the
+    /// straight legs. An unsuitable allocation causes large overshoots.
     fn allocate(points: &[[f64; 3]], yaws: &[f64], speed: f64, acceleration: f64) -> Result<Self, TrajectoryError> {
-        // as long as a trapezoid of speed would take from rest to rest, or the turn
+        // initial spans: the time of a trapezoidal speed profile from rest to rest, or that of the yaw
         let legs = points.windows(2).zip(yaws.windows(2)).map(|(pair, yaw)| {
             let path = (Vector3::from(pair[1]) - Vector3::from(pair[0])).norm();
             let seconds = if path * acceleration < speed * speed {
@@ -299,7 +307,7 @@ impl Waypoints {
             seconds.max(2.0 * (yaw[1] - yaw[0]).abs() / Self::MAX_YAW_RATE)
         });
         let mut spans: Vec<f64> = legs.collect();
-        // neighbours that differ much swing the way out, and make the equations ill to solve
+        // very different neighbouring spans cause overshoots and an ill-conditioned system
         let longest = spans.iter().copied().fold(0.0, f64::max);
         spans.iter_mut().for_each(|span| *span = span.max(1e-3 * longest).max(0.01));
         for _ in 0..spans.len() {
@@ -322,8 +330,8 @@ impl Waypoints {
             }
             Ok(path)
         };
-        if (2..=Self::SOUGHT).contains(&spans.len()) {
-            // a detour counts as the time to fly it there and back, and as much again
+        if (2..=Self::MAX_OPTIMISED).contains(&spans.len()) {
+            // a detour costs twice the time to fly it out and back
             let cost = |path: &Self| path.duration() + 4.0 * path.detour(points) / speed;
             let mut min = cost(&within(&spans, 24)?);
             for factor in [1.6, 1.25, 1.1] {
@@ -356,7 +364,7 @@ impl Waypoints {
         heights.fold((0, f64::INFINITY), |lowest, point| if point.1 < lowest.1 { point } else { lowest })
     }
 
-    /// Greatest distance from the straight way between two waypoints, m.
+    /// Returns the largest distance from the straight line between two waypoints, m.
     fn detour(&self, points: &[[f64; 3]]) -> f64 {
         let legs = self.segments.iter().zip(points.windows(2));
         let samples = legs.flat_map(|(segment, points)| {
@@ -371,7 +379,8 @@ impl Waypoints {
         samples.fold(0.0, f64::max)
     }
 
-    /// Greatest speed (m/s), acceleration (m/s²) and yaw rate (rad/s), from so many samples per segment.
+    /// Returns the largest speed (m/s), acceleration (m/s²) and yaw rate (rad/s), from a number of samples per
+    /// segment.
     fn peaks(&self, samples: u32) -> [f64; 3] {
         let mut peaks = [0.0_f64; 3];
         for (segment, pair) in self.segments.iter().zip(self.times.windows(2)) {
@@ -393,7 +402,7 @@ impl Trajectory for Waypoints {
     fn reference(&self, time: f64) -> Reference {
         let end = self.duration();
         let inside = time.clamp(0.0, end);
-        // the segment that has begun, the last one at its end
+        // the segment that contains the time, or the last one at the end
         let index = self.times.partition_point(|&start| start <= inside).clamp(1, self.segments.len()) - 1;
         let span = self.times[index + 1] - self.times[index];
         let share = if time.is_nan() {
@@ -428,7 +437,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn between_two_points_it_is_the_known_polynomial() {
+    fn two_waypoints_give_the_closed_form_polynomial() {
         let path = Waypoints::through(&[[0.0; 3], [1.0, -2.0, 0.5]]).times([0.0, 2.0]).build().unwrap();
         for i in 0..=20 {
             let tau = f64::from(i) / 20.0;
@@ -439,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn it_rests_before_its_start_and_after_its_end() {
+    fn reference_is_at_rest_before_the_start_and_after_the_end() {
         let path =
             Waypoints::through(&[[0.0; 3], [1.0, 0.0, 1.0], [2.0, 1.0, 0.0]]).yaws([3.0, -3.0, 0.0]).build().unwrap();
         let end = path.duration() + 1.0;
@@ -449,14 +458,14 @@ mod tests {
             assert_eq!((reference.velocity.norm(), reference.snap.norm(), reference.yaw_rate), (0.0, 0.0, 0.0));
         }
         let turn = Waypoints::through(&[[0.0; 3], [1.0; 3]]).yaws([3.0, -3.0]).build().unwrap();
-        assert!(turn.reference(turn.duration() / 2.0).yaw.abs() > 3.1, "by the shorter turn, across π");
+        assert!(turn.reference(turn.duration() / 2.0).yaw.abs() > 3.1, "the shorter direction, across π");
     }
 
     proptest! {
-        /// The integral of snap times the fourth derivative of any change of the way that keeps ends and waypoints is
-        /// zero: no neighbouring way has less snap.
+        /// First-order optimality: the integral of the snap times the fourth derivative of any variation that keeps
+        /// ends and waypoints is zero.
         #[test]
-        fn snap_is_least(seed in prop::array::uniform32(-1.0..1.0f64)) {
+        fn snap_is_minimal(seed in prop::array::uniform32(-1.0..1.0f64)) {
             let points: Vec<_> = seed.chunks_exact(3).take(4).map(|c| [c[0], c[1], c[2]]).collect();
             let mut times = vec![0.0];
             for i in 0..3 {
@@ -495,7 +504,7 @@ mod tests {
     }
 
     #[test]
-    fn impossible_waypoints_are_refused() {
+    fn invalid_waypoints_are_rejected() {
         let refused = |builder: WaypointsBuilder, what: &str| {
             let text = builder.build().unwrap_err().to_string();
             assert!(text.contains(what), "{text}");
@@ -511,7 +520,7 @@ mod tests {
     }
 
     #[test]
-    fn two_hundred_waypoints_and_equal_neighbours_are_solved() {
+    fn two_hundred_waypoints_and_repeated_points_are_solved() {
         let points: Vec<_> = (0..200).map(|i| [f64::from(i / 2 % 7), f64::from(i % 3), 1.0]).collect();
         let path = Waypoints::through(&points).build().unwrap();
         for (point, &time) in points.iter().zip(path.times()) {
