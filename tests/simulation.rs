@@ -177,7 +177,7 @@ fn contacts_beyond_the_buffer_are_an_error_of_the_step() {
     assert_eq!(few.contacts().len(), 8 * 7, "each pair, from both sides");
     let mut many = heap(40);
     let error = many.step(&[[0.0; 4]; 40]).unwrap_err();
-    assert!(error.to_string().contains("more contacts than the 320 that the scene has room for"), "{error}");
+    assert!(error.to_string().contains("more than 320 contacts, the capacity of the scene"), "{error}");
     assert_eq!(many.step(&[[0.0; 4]; 40]), Err(error));
     let apart: Vec<_> =
         (0..40).map(|i| DroneState::at_rest(Vector3::new(f64::from(i), 0.0, 1.0), Vector3::zeros())).collect();

@@ -5,7 +5,7 @@ use crate::state::DroneState;
 
 /// Upper bound of the distance that a drone can travel within a time, whatever its motors do; scalar or SIMD.
 ///
-/// The bound is the radius of a ball around the drone's center that grows with time. Every bound is conservative.
+/// The bound is the radius of a ball around the drone's centre that grows with time. Every bound is conservative.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ReachBound<R = f64> {
     /// Radius of the sphere around the drone, m.
