@@ -1,4 +1,4 @@
-//! A world as MJCF text.
+//! MJCF text of a world.
 
 mod xml;
 
@@ -12,84 +12,87 @@ use super::{Forcing, World};
 use crate::drone::DroneError;
 use xml::{Xml, numbers};
 
-/// What can be wrong with a scene before MuJoCo sees it.
+/// Error in a scene, found before MuJoCo compiles it.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SceneError {
-    /// A number that is not one.
+    /// A number out of range.
     #[error("{what} is {}, expected {expected}", crate::number(*got))]
     Value {
-        /// Of what.
+        /// Name of the quantity.
         what: String,
-        /// What it is.
+        /// Its value.
         got: f64,
-        /// What is possible.
+        /// Range of valid values.
         expected: &'static str,
     },
-    /// An airframe with impossible parameters.
+    /// A drone with invalid parameters.
     #[error("drone {index}: {error}")]
     Drone {
         /// Index of the drone.
         index: usize,
-        /// The parameter.
+        /// The invalid parameter.
         error: DroneError,
     },
     /// A mesh that cannot be read.
     #[error("{}: {message}", path.display())]
     Mesh {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Why not.
+        /// Reason.
         message: String,
     },
 }
 
-/// Sizes of MuJoCo's buffers. Its defaults take 13 MB per simulation, all of it cleared at every reset.
+/// Sizes of MuJoCo's buffers. MuJoCo's defaults take 13 MB per simulation, which every reset clears.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Sizes {
-    /// Contacts.
+    /// Number of contacts.
     contacts: usize,
-    /// Scalar constraints.
+    /// Number of scalar constraints.
     constraints: usize,
-    /// Stack, in numbers.
+    /// Size of the stack, in numbers.
     stack: usize,
 }
 
 impl Sizes {
-    /// Enough for the fullest scene: every drone lying on the floor, with neighbours touching it on all sides.
+    /// Returns sufficient sizes for the fullest scene: every drone on the floor, with neighbours in contact on all
+    /// sides.
     fn of(world: &World) -> Self {
         let drones = world.drones.len();
-        // a cylinder meets a plane in up to four points; in a pile each has about four more contacts of its own, and more
-        // than a few dozen do not pile up (memory grows with the square of this number)
-        // each obstacle touches a drone in one point
+        // A cylinder meets a plane in up to four points. In a pile each drone has about four more contacts, and only
+        // a few dozen drones pile up (the memory grows with the square of this number). An obstacle touches a drone
+        // in one point.
         let on_each = world.slots().len().min(if drones <= 4 { 24 } else { 12 });
         let on_obstacles = on_each * drones.min(64);
         let contacts = 4 * drones + 4 * drones.min(64) + on_obstacles;
         // a pyramidal friction cone has four edges
         let constraints = 4 * contacts;
         let freedoms = 6 * drones;
-        // the Newton solver's Hessian and its factor, and vectors; measured with the fullest scene (the test below)
+        // the Newton solver's Hessian with its factor, and vectors; measured with the fullest scene (see the test
+        // below)
         let stack = 1000 + 24 * (constraints + freedoms) + 5 * freedoms * freedoms;
         Self { contacts, constraints, stack }
     }
 }
 
 impl World {
-    /// The scene that physics is computed in: floor and collision geoms, nothing to be looked at.
+    /// Returns the MJCF text of the physical scene: the floor and the collision geoms.
     ///
-    /// An upright obstacle at the very origin is written 1 cm too high, because MuJoCo could not move one that is compiled in the
-    /// world's own frame; engines, rangefinders and painters put it back once they have compiled the text.
+    /// The text places an upright obstacle at the origin 1 cm too high, because MuJoCo cannot move a geom that
+    /// coincides with the world frame. Engines, rangefinders and renderers move it to its exact position after
+    /// compilation.
     ///
     /// # Errors
-    /// [`SceneError::Value`] for numbers that MuJoCo would take silently and fail on later.
+    /// [`SceneError::Value`] for numbers that MuJoCo accepts silently and fails on later.
     pub fn to_mjcf(&self) -> Result<String, SceneError> {
         self.physical(&self.slots())
     }
 
-    /// The same with a geom for every obstacle, however many there are.
+    /// Returns the MJCF text of the physical scene with a geom for every obstacle.
     ///
     /// # Errors
-    /// As for [`to_mjcf`](Self::to_mjcf).
+    /// The errors of [`to_mjcf`](Self::to_mjcf).
     pub fn to_whole_mjcf(&self) -> Result<String, SceneError> {
         self.physical(&(0..self.obstacles.len()).collect::<Vec<_>>())
     }
@@ -120,19 +123,21 @@ impl World {
         Ok(xml.finish())
     }
 
-    /// The scene that is looked at: the same bodies with the same `qpos`, with meshes, materials, light, sky and
-    /// cameras, and the files that it refers to.
+    /// Returns the MJCF text of the visible scene and the files that it refers to.
+    ///
+    /// The visible scene has the bodies and the `qpos` of the physical scene, with meshes, materials, light, sky and
+    /// cameras.
     ///
     /// # Errors
-    /// [`SceneError::Mesh`] where [`CF2_ASSETS`](super::CF2_ASSETS) names a directory without the meshes or with one that MuJoCo
-    /// would not survive, and what [`to_mjcf`](Self::to_mjcf) finds.
+    /// [`SceneError::Mesh`] if the directory in [`CF2_ASSETS`](super::CF2_ASSETS) lacks a mesh or has one that MuJoCo
+    /// would crash on, and the errors of [`to_mjcf`](Self::to_mjcf).
     pub fn to_visible_mjcf(&self) -> Result<(String, Assets), SceneError> {
         self.validate()?;
         let visual_models: Vec<_> = self.drones.iter().map(|drone| VisualModel::of(&drone.params)).collect();
         let mut xml = Xml::new();
         xml.open("mujoco", &[("model", "aviary".into())]);
         self.physics(&mut xml);
-        // cameras and fog are measured in extents: one metre
+        // MuJoCo measures clip planes and fog in extents, here one metre
         xml.leaf("statistic", &[("extent", "1".into()), ("center", "0 0 1".into())]);
         xml.open("visual", &[]);
         let [near, far] = World::CLIP_PLANES;
@@ -162,8 +167,8 @@ impl World {
                 ("specular", "0.3 0.3 0.3".into()),
             ],
         );
-        // The third size is the spacing of the grid that a plane is drawn with. Light comes from infinitely far away,
-        // so that one rectangle looks like ten thousand.
+        // The third size is the grid spacing with which MuJoCo draws a plane. The light is directional, so that one
+        // rectangle looks like ten thousand.
         xml.leaf(
             "geom",
             &[
@@ -220,7 +225,7 @@ impl World {
         Ok((xml.finish(), files))
     }
 
-    /// Options and buffer sizes.
+    /// Writes the options and the buffer sizes.
     fn physics(&self, xml: &mut Xml) {
         xml.leaf("compiler", &[("angle", "radian".into()), ("inertiafromgeom", "false".into())]);
         let medium = self.medium.map_or((0.0, 0.0), |medium| (medium.density, medium.viscosity));
@@ -250,11 +255,11 @@ impl World {
         );
     }
 
-    /// Checks every number that reaches MuJoCo. Its compiler takes any finite number, and its collision code does not end for
-    /// some of them.
+    /// Checks every number that reaches MuJoCo. MuJoCo's compiler accepts any finite number, and its collision code
+    /// does not terminate for some of them.
     fn validate(&self) -> Result<(), SceneError> {
         let value = |what: &str, got: f64, range: RangeInclusive<f64>, expected: &'static str| {
-            // NaN is in no range
+            // false for NaN
             if range.contains(&got) {
                 return Ok(());
             }
@@ -302,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn the_compiled_scene_has_the_parameters_to_the_last_bit() {
+    fn the_compiled_scene_has_bit_identical_parameters() {
         let mut params = DroneModel::Race.params();
         params.mass = 0.1 + 0.2;
         params.inertia = [1.0 / 3.0 * 1e-4, 2.0 / 7.0 * 1e-4, 1e-4 * std::f64::consts::FRAC_1_SQRT_2 * 0.7];
@@ -323,9 +328,9 @@ mod tests {
         assert_eq!(model.body_ipos()[3 * id.index()..][..3], [0.0; 3]);
     }
 
-    /// Every drone dropped onto the floor in a pile, neighbours on all sides and on top.
+    /// All drones fall onto the floor in a pile, with neighbours on all sides and on top.
     #[test]
-    fn buffers_hold_the_fullest_scene() {
+    fn buffers_suffice_for_the_fullest_scene() {
         for count in [1, 2, 7, 30, 64] {
             let side = (count as f64).sqrt().ceil() as usize;
             let drones = (0..count)
@@ -353,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn one_drone_takes_a_quarter_of_a_megabyte_at_most() {
+    fn one_drone_takes_at_most_a_quarter_of_a_megabyte() {
         let world = World::new(vec![body(DroneModel::Cf2x, Vector3::z())]);
         let data = Data::new(Model::from_xml(&world.to_mjcf().unwrap()).unwrap()).unwrap();
         assert!(data.bytes() < 250_000, "{}", data.bytes());
@@ -361,7 +366,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn bad_numbers_are_refused_by_name(at in 0usize..8, bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e15, -1e15, 1e300])) {
+        fn errors_name_the_number_out_of_range(
+            at in 0usize..8,
+            bad in prop::sample::select(vec![f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e15, -1e15, 1e300]),
+        ) {
             let mut world = World::new(vec![body(DroneModel::Cf2p, Vector3::z())]);
             match at {
                 0 => world.timestep = bad,
@@ -372,7 +380,7 @@ mod tests {
                 _ => world.drones[0].rpy[at - 6] = bad,
             }
             let text = world.to_mjcf().unwrap_err().to_string();
-            prop_assert!(text.contains(&bad.to_string()) && text.contains("expected"), "{}", text);
+            prop_assert!(text.contains(&crate::number(bad)) && text.contains("expected"), "{}", text);
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The scene as typed values, and as MJCF text.
+//! Scene of a simulation as typed values and as MJCF text.
 
 mod mjcf;
 mod obstacle;
@@ -16,11 +16,11 @@ pub use obstacle::{Marker, MarkerPose, MovingMarker, Obstacle, Shape};
 pub use obstacle_generator::{ObstacleConfig, ObstacleGeneratorError, ObstacleKind};
 pub use visual_model::{CF2_ASSETS, check_obj};
 
-/// The air, as MuJoCo's own fluid model sees it.
+/// Air of MuJoCo's fluid model.
 ///
-/// Off by default: the physics modes say which aerodynamic effects there are, and MuJoCo's drag on top of them would
-/// count it twice. In wind the medium moves with the air: the simulation adds the difference to MuJoCo's force of a still
-/// medium, from the state at the start of the physics step.
+/// The medium is off by default, because the physics modes select the aerodynamic effects and MuJoCo's drag would
+/// count them twice. In wind the medium moves with the air: the simulation adds the difference between the force of
+/// the moving and the still medium, from the state at the start of the physics step.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -41,11 +41,11 @@ pub struct Medium {
 }
 
 impl Medium {
-    /// Air at sea level, as MuJoCo Menagerie's Crazyflie has it.
+    /// Air at sea level, with the values of MuJoCo Menagerie's Crazyflie.
     pub const AIR: Self = Self { density: 1.225, viscosity: 1.8e-5 };
 }
 
-/// How the rotors' wrench acts during a physics step.
+/// Frame in which the rotors' wrench is constant during a physics step.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -60,18 +60,19 @@ impl Medium {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forcing {
-    /// Constant in the world frame, computed from the attitude at the start of the step: the paper's. While the body
-    /// turns, position is first order in the time step whatever the integrator.
+    /// Constant in the world frame, computed from the attitude at the start of the step, as in the paper
+    /// (*MuJoCo-Drones-Gym*, Tayal). While the drone rotates, the position is first order in the time step with any
+    /// integrator.
     #[default]
     Frozen,
-    /// Fixed to the body, which turns with it inside every stage of the integrator: RK4 keeps its fourth order.
+    /// Constant in the body frame, which rotates inside the stages of the integrator: RK4 keeps its fourth order.
     BodyFixed,
 }
 
-/// One drone in the scene.
+/// Drone of a scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DroneBody {
-    /// Airframe.
+    /// Parameters of the drone.
     pub params: DroneParams,
     /// Position in the compiled scene, world frame, m.
     pub position: Vector3<f64>,
@@ -79,7 +80,7 @@ pub struct DroneBody {
     pub rpy: Vector3<f64>,
 }
 
-/// A scene: a floor, things standing around, and drones.
+/// Scene with a floor, obstacles, markers and drones.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -100,24 +101,24 @@ pub struct DroneBody {
 pub struct World {
     /// Length of a physics step, s.
     pub timestep: f64,
-    /// MuJoCo's integrator; the paper's is RK4.
+    /// MuJoCo's integrator; RK4 in the paper.
     pub integrator: Integrator,
     /// Acceleration of gravity, downwards, m/s².
     pub gravity: f64,
-    /// The air; `None` for MuJoCo's vacuum.
+    /// Medium of MuJoCo's fluid model; `None` for a vacuum.
     pub medium: Option<Medium>,
-    /// How the rotors' wrench acts during a physics step.
+    /// Frame in which the rotors' wrench is constant during a physics step.
     pub forcing: Forcing,
-    /// Things that do not move, in order: obstacle i is the geom `obstacle{i}`.
+    /// Obstacles, in order: obstacle i is the geom `obstacle{i}`.
     pub obstacles: Vec<Obstacle>,
-    /// Things that are seen and not touched.
+    /// Markers, which are visible and have no contacts.
     pub markers: Vec<Marker>,
-    /// The drones, in order: drone i is the body `drone{i}`.
+    /// Drones, in order: drone i is the body `drone{i}`.
     pub drones: Vec<DroneBody>,
 }
 
 impl World {
-    /// A floor and these drones, at 240 Hz, RK4, without a medium.
+    /// Creates a world with a floor and these drones, at 240 Hz, with RK4 and without a medium.
     pub fn new(drones: Vec<DroneBody>) -> Self {
         Self {
             timestep: 1.0 / 240.0,
@@ -131,9 +132,9 @@ impl World {
         }
     }
 
-    /// Which obstacles the physical scene has a geom for: all of them, or of very many as many of each shape as drones can
-    /// touch at once. The engine puts those that are near into these geoms: MuJoCo would place and test every one of
-    /// them four times a step.
+    /// Returns the obstacles that have a geom in the physical scene: all obstacles, or, of a large number, as many of
+    /// each shape as the drones can touch at once. The engine assigns these geoms to the nearest obstacles, because
+    /// MuJoCo would place and test every geom four times per step.
     pub(crate) fn slots(&self) -> Vec<usize> {
         const ALL_UP_TO: usize = 12;
         let each = 6 * self.drones.len();
@@ -146,23 +147,23 @@ impl World {
         (0..self.obstacles.len()).filter(take).collect()
     }
 
-    /// Name of a drone's body in the scene, and of its collision geom.
+    /// Returns the name of a drone's body and of its collision geom in the scene.
     pub fn drone_name(index: usize) -> String {
         format!("drone{index}")
     }
 
-    /// Name of an obstacle's geom in the scene.
+    /// Returns the name of an obstacle's geom in the scene.
     pub fn obstacle_name(index: usize) -> String {
         format!("obstacle{index}")
     }
 
-    /// Names of the four actuators through which a drone's rotors act where forcing is body-fixed: thrust along body z
-    /// (N), and torques about body x, y and z (N·m).
+    /// Returns the names of the four actuators of a drone's rotors with body-fixed forcing: thrust along body z (N),
+    /// and torques about body x, y and z (N·m).
     pub fn actuator_names(index: usize) -> [String; 4] {
         ["thrust", "roll", "pitch", "yaw"].map(|what| format!("drone{index}_{what}"))
     }
 
-    /// Name of a drone's onboard camera in the visible scene.
+    /// Returns the name of a drone's onboard camera in the visible scene.
     pub fn camera_name(index: usize) -> String {
         format!("drone{index}_camera")
     }
@@ -173,28 +174,28 @@ impl World {
     /// Largest size of an obstacle or marker, m.
     pub const MAX_SIZE: f64 = 1e4;
 
-    /// Largest coordinate of an obstacle, a marker or an initial position, m, in both directions.
+    /// Largest magnitude of a coordinate of an obstacle, a marker or an initial position, m.
     pub const MAX_COORDINATE: f64 = 1e5;
 
-    /// Largest roll, pitch or yaw of an obstacle, a marker or an initial attitude, rad, in both directions.
+    /// Largest magnitude of roll, pitch or yaw of an obstacle, a marker or an initial attitude, rad.
     pub const MAX_ANGLE: f64 = 1e3;
 
-    /// Largest acceleration of gravity, m/s², in both directions.
+    /// Largest magnitude of the acceleration of gravity, m/s².
     pub const MAX_GRAVITY: f64 = 1e4;
 
     /// Vertical field of view of every onboard camera, degrees.
     pub const CAMERA_FOVY: f64 = 60.0;
 
-    /// Where the onboard camera sits, body frame, m. It looks along body x, with body z up.
+    /// Position of the onboard camera, body frame, m. The camera looks along body x, with body z up.
     pub const CAMERA_POSITION: [f64; 3] = [0.02, 0.0, 0.0];
 
-    /// Nearest and farthest distance that cameras see, m.
+    /// Distances of the near and the far clip plane of cameras, m.
     pub const CLIP_PLANES: [f64; 2] = [0.01, 100.0];
 
-    /// Geom group of what is only to be looked at; collision geoms of drones are in
+    /// Geom group of the visual geoms; the collision geoms of drones are in
     /// [`COLLISION_GROUP`](Self::COLLISION_GROUP).
     pub const VISUAL_GROUP: usize = 2;
 
-    /// Geom group of the drones' collision geoms in the visible scene, which is not drawn.
+    /// Geom group of the drones' collision geoms in the visible scene; renderers do not draw it.
     pub const COLLISION_GROUP: usize = 3;
 }

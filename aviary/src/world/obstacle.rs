@@ -5,7 +5,7 @@ use super::{SceneError, World};
 use crate::error::triple;
 use crate::state::attitude_from_rpy;
 
-/// Shape and size of an obstacle, in its own frame.
+/// Shape and size of an obstacle, in its local frame.
 ///
 /// ```
 /// use aviary::world::Shape;
@@ -14,34 +14,34 @@ use crate::state::attitude_from_rpy;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
-    /// A box.
+    /// Box.
     Box {
-        /// Half of its length along x, y and z, m.
+        /// Half of the lengths along x, y and z, m.
         half_size: [f64; 3],
     },
-    /// A ball.
+    /// Sphere.
     Sphere {
         /// Radius, m.
         radius: f64,
     },
-    /// A cylinder along z.
+    /// Cylinder along z.
     Cylinder {
         /// Radius, m.
         radius: f64,
-        /// Half of its height, m.
+        /// Half of the height, m.
         half_height: f64,
     },
-    /// A cylinder along z with round ends.
+    /// Cylinder along z with hemispherical ends.
     Capsule {
         /// Radius, m.
         radius: f64,
-        /// Half of its height without the ends, m.
+        /// Half of the height without the ends, m.
         half_height: f64,
     },
 }
 
 impl Shape {
-    /// Distance from its middle within which all of it lies, m.
+    /// Returns the radius of the bounding sphere, m.
     pub fn reach(&self) -> f64 {
         match *self {
             Self::Box { half_size: [x, y, z] } => Vector3::new(x, y, z).norm(),
@@ -51,9 +51,9 @@ impl Shape {
         }
     }
 
-    /// Distance of a point in its own frame from its surface, m; negative inside.
+    /// Returns the distance of a point in the local frame from the surface, m; negative inside.
     fn distance(&self, point: &Vector3<f64>) -> f64 {
-        // of a box in as many dimensions as there are numbers
+        // distance from a box in N dimensions
         fn boxed<const N: usize>(beyond: [f64; N]) -> f64 {
             let outside = beyond.map(|x| x.max(0.0)).iter().map(|x| x * x).sum::<f64>().sqrt();
             outside + beyond.iter().copied().fold(f64::MIN, f64::max).min(0.0)
@@ -69,7 +69,7 @@ impl Shape {
         }
     }
 
-    /// Which of the four it is.
+    /// Returns the index of the shape among the four shapes.
     pub(crate) fn kind(&self) -> usize {
         match self {
             Self::Box { .. } => 0,
@@ -79,7 +79,7 @@ impl Shape {
         }
     }
 
-    /// MuJoCo's three size numbers.
+    /// Returns MuJoCo's three `geom_size` numbers.
     pub(crate) fn sizes(&self) -> [f64; 3] {
         match *self {
             Self::Box { half_size } => half_size,
@@ -90,7 +90,7 @@ impl Shape {
         }
     }
 
-    /// MuJoCo's name of the geom type and its size parameters.
+    /// Returns MuJoCo's name of the geom type, and its size parameters.
     pub(crate) fn geom(&self) -> (&'static str, Vec<f64>) {
         match *self {
             Self::Box { half_size } => ("box", half_size.to_vec()),
@@ -101,7 +101,7 @@ impl Shape {
     }
 }
 
-/// Something that stands in the way and does not move.
+/// Static object with which drones collide.
 ///
 /// ```
 /// use aviary::world::{Obstacle, Shape};
@@ -118,13 +118,13 @@ pub struct Obstacle {
     pub shape: Shape,
     /// Centre, world frame, m.
     pub position: Vector3<f64>,
-    /// Roll, pitch, yaw from its own to the world frame, rad: intrinsic z-y'-x''.
+    /// Roll, pitch, yaw from the local to the world frame, rad: intrinsic z-y'-x''.
     pub rpy: Vector3<f64>,
     /// Red, green, blue and alpha, each from 0 to 1.
     pub rgba: [f64; 4],
 }
 
-/// An obstacle in files.
+/// Serialized form of an obstacle.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -175,7 +175,7 @@ impl TryFrom<Stored> for Obstacle {
             (_, sizes) => {
                 let count = sizes.len();
                 return Err(format!(
-                    "{count} sizes, expected 3 for a box, 1 for a sphere, 2 for a cylinder or capsule"
+                    "size has {count} numbers, expected 3 for a box, 1 for a sphere, 2 for a cylinder or capsule"
                 ));
             }
         };
@@ -185,16 +185,17 @@ impl TryFrom<Stored> for Obstacle {
 }
 
 impl Obstacle {
-    /// Distance of a point (world frame, m) from its surface, m; negative inside.
+    /// Returns the distance of a point (world frame, m) from the surface, m; negative inside.
     pub fn distance(&self, point: &Vector3<f64>) -> f64 {
         let own = attitude_from_rpy(self.rpy).inverse_transform_vector(&(point - self.position));
         self.shape.distance(&own)
     }
 
-    /// Checks sizes, pose and colour against the ranges of [`World`]: MuJoCo's collision code does not end for a body of 10¹⁵ m.
+    /// Checks sizes, pose and colour against the ranges of [`World`]. MuJoCo's collision code does not terminate for
+    /// a body of 10¹⁵ m.
     pub(crate) fn validate(&self, name: &str) -> Result<(), SceneError> {
         let value = |what: &str, got: f64, range: std::ops::RangeInclusive<f64>, expected| {
-            // NaN is in no range
+            // false for NaN
             if range.contains(&got) {
                 return Ok(());
             }
@@ -215,16 +216,17 @@ impl Obstacle {
         Ok(())
     }
 
-    /// An upright one in the colour of wood.
+    /// Creates an upright, wood-coloured obstacle.
     pub fn new(shape: Shape, position: Vector3<f64>) -> Self {
         Self { shape, position, rpy: Vector3::zeros(), rgba: [0.62, 0.48, 0.34, 1.0] }
     }
 }
 
-/// Marker of a task that moves, such as a platform, a ball or another vehicle. See [`Task::moving_markers`](crate::env::Task::moving_markers).
+/// Marker that a task moves, such as a platform, a ball or another vehicle.
 ///
-/// A solid one is among the scene's obstacles, after all others: drones collide with it, rangefinders and cameras see it, and
-/// distances of obstacles count it.
+/// A solid marker is an obstacle of the scene, listed after all other obstacles: drones collide with it, rangefinders
+/// and cameras detect it, and obstacle distances include it. See
+/// [`Task::moving_markers`](crate::env::Task::moving_markers).
 ///
 /// ```
 /// use aviary::world::{MovingMarker, Obstacle, Shape};
@@ -236,19 +238,19 @@ impl Obstacle {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct MovingMarker {
-    /// Name, size, shape, colour, and the pose at the start of every episode.
+    /// Name, shape, size, colour, and the pose at the start of every episode.
     pub marker: Marker,
     /// True if drones collide with it.
     pub solid: bool,
 }
 
 impl MovingMarker {
-    /// Returns one that drones collide with.
+    /// Creates a marker with which drones collide.
     pub fn solid(name: impl Into<String>, body: Obstacle) -> Self {
         Self { marker: Marker { name: name.into(), body }, solid: true }
     }
 
-    /// Returns one that is only seen.
+    /// Creates a marker without contacts.
     pub fn visible(name: impl Into<String>, body: Obstacle) -> Self {
         Self { marker: Marker { name: name.into(), body }, solid: false }
     }
@@ -260,12 +262,12 @@ pub struct MarkerPose {
     /// Centre, world frame, m.
     #[serde(with = "crate::serial::vector")]
     pub position: Vector3<f64>,
-    /// Roll, pitch, yaw from its own to the world frame, rad: intrinsic z-y'-x''.
+    /// Roll, pitch, yaw from the local to the world frame, rad: intrinsic z-y'-x''.
     #[serde(with = "crate::serial::vector")]
     pub rpy: Vector3<f64>,
 }
 
-/// Something that is seen and not touched: a gate, a waypoint.
+/// Visible object without contacts, such as a gate or a waypoint.
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -282,8 +284,8 @@ pub struct MarkerPose {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Marker {
-    /// Its name in the visible scene; letters, digits and `_`, unlike any other's.
+    /// Name in the visible scene, unique; letters, digits and `_`.
     pub name: String,
-    /// What it looks like and where it is.
+    /// Shape, pose and colour.
     pub body: Obstacle,
 }

@@ -10,26 +10,26 @@ use crate::random::Rng;
 
 named_enum! {
     "kind of obstacles"
-    /// What stands around (paper, §3.5.2).
+    /// Kinds of generated obstacles (*MuJoCo-Drones-Gym*, Tayal, §3.5.2).
     pub enum ObstacleKind {
         /// Tree trunks.
         Forest = "forest",
         /// Buildings of different heights.
         Urban = "urban",
-        /// A room: walls around the arena, partitions with doorways where there is room for them, and furniture.
+        /// Room with walls around the arena, furniture, and partitions with doorways where the arena is long enough.
         Indoor = "indoor",
-        /// Boxes, balls, cylinders and capsules in the air, turned any way.
+        /// Boxes, spheres, cylinders and capsules in the air, with random attitudes.
         Random = "random",
-        /// Square gates, four bars each.
+        /// Square gates of four bars each.
         Gates = "gates",
-        /// A list of one's own.
+        /// List of the user's obstacles.
         Custom = "custom",
     }
 }
 
 impl ObstacleKind {
-    /// Number of obstacles where none is given: 20 trees, 4 gates, 8 of the other kinds, which fit into the default arena; 0 for a
-    /// custom list.
+    /// Returns the default number of obstacles: 20 trees, 4 gates, 8 of the other kinds, which fit into the default
+    /// arena; 0 for a custom list.
     pub fn default_count(self) -> usize {
         match self {
             Self::Forest => 20,
@@ -40,9 +40,9 @@ impl ObstacleKind {
     }
 }
 
-/// Obstacles that are placed at random, about the origin.
+/// Configuration of obstacles that are placed at random around the origin.
 ///
-/// Every setting has a default of its kind, in Rust ([`new`](Self::new)) and in TOML, where a key that is not given takes it.
+/// Every setting has a default that depends on the kind, in Rust ([`new`](Self::new)) and for missing keys in TOML.
 ///
 /// ```
 /// use aviary::env::Rng;
@@ -57,27 +57,28 @@ impl ObstacleKind {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Fields")]
 pub struct ObstacleConfig {
-    /// The kind; a forest by default.
+    /// Kind of obstacles; default forest.
     pub kind: ObstacleKind,
-    /// How many: trees, buildings, pieces of furniture, things in the air, gates; [`ObstacleKind::default_count`] by default. A
-    /// list of custom obstacles has its own length: 0 or the same number.
+    /// Number of trees, buildings, pieces of furniture, floating objects or gates; default
+    /// [`ObstacleKind::default_count`]. For a custom list it must be 0 or the length of the list.
     pub count: usize,
-    /// Length along x, y and z of the space they stand in, centred on the origin, from the floor up, m; 3 × 3 × 2 by default.
+    /// Lengths along x, y and z of the arena, which is centred on the origin and stands on the floor, m; default 3 ×
+    /// 3 × 2.
     pub arena: [f64; 3],
-    /// Least room between two of them, m; 0.2 by default. (Walls of a room may meet.)
+    /// Smallest distance between two obstacles, m; default 0.2. The walls of a room may meet.
     pub spacing: f64,
-    /// Radius of the sphere around the start of every drone that they keep out of, m; 0.3 by default.
+    /// Radius of the sphere around the start of every drone that stays free of obstacles, m; default 0.3.
     pub safe_zone: f64,
-    /// Whether every episode has another layout; the same for all by default.
+    /// True to generate a new layout for every episode; default false.
     pub new_layout: bool,
-    /// Seed of the layout, and of the first one where every episode has another, which takes the place of one that has no room;
-    /// 0 by default. In the program, the default is `--seed`, except in `train` and `play`, where it is 0: every seed trains and flies
-    /// among the same obstacles.
+    /// Seed of the layout; default 0. With a new layout per episode it is the seed of the first layout, which
+    /// replaces a later layout that does not fit. On the command line the default is `--seed`, except in `train` and
+    /// `play`, where it is 0, so that every seed trains and flies among the same obstacles.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// What stands around where the kind is [`Custom`](ObstacleKind::Custom). In TOML `[[custom]]` with `shape` (`box`, `sphere`,
-    /// `cylinder`, `capsule`), `size` (half sizes; radius; radius and half height), `position`, `euler` (roll, pitch, yaw, rad)
-    /// and `rgba`.
+    /// Obstacles of the kind [`Custom`](ObstacleKind::Custom). In TOML `[[custom]]` with `shape` (`box`, `sphere`,
+    /// `cylinder`, `capsule`), `size` (half sizes; radius; radius and half height), `position`, `euler` (roll, pitch,
+    /// yaw, rad) and `rgba`.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub custom: Vec<Obstacle>,
 }
@@ -88,7 +89,7 @@ impl Default for ObstacleConfig {
     }
 }
 
-/// A configuration as TOML gives it, before the kind's defaults fill it up.
+/// Configuration in TOML before missing keys take the defaults of the kind.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Fields {
@@ -124,45 +125,45 @@ fn optional_triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<
     triple(deserializer).map(Some)
 }
 
-/// Obstacles that cannot be placed.
+/// Error of the obstacle generator.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ObstacleGeneratorError {
-    /// An option that is impossible.
+    /// An option out of range.
     #[error(transparent)]
     Option(#[from] OptionError),
-    /// Two settings of which one would be ignored.
+    /// Two settings that contradict each other.
     #[error("obstacles.{0}")]
     Contradiction(String),
-    /// An obstacle of the custom list that is impossible.
+    /// An invalid obstacle of the custom list.
     #[error(transparent)]
     Custom(#[from] SceneError),
-    /// There is no room for so many.
+    /// An arena that is too small for the number of obstacles.
     #[error(
         "{placed} of {asked} obstacles fit into {arena:?} m with {} m between them and {} m around every drone",
         crate::number(*spacing),
         crate::number(*safe_zone)
     )]
     Full {
-        /// How many were placed at best.
+        /// Largest number of obstacles placed in any attempt.
         placed: usize,
-        /// How many were to be placed.
+        /// Requested number of obstacles.
         asked: usize,
         /// Size of the arena, m.
         arena: [f64; 3],
-        /// Room between two, m.
+        /// Distance between two obstacles, m.
         spacing: f64,
-        /// Room around every drone, m.
+        /// Radius of the free sphere around every drone, m.
         safe_zone: f64,
     },
-    /// A wall stands where a drone starts.
-    #[error("a wall of the room is {got:.3} m from where drone {drone} starts, expected at least {expected} m")]
+    /// A wall too close to the start of a drone.
+    #[error("a wall of the room is {got:.3} m from the start of drone {drone}, expected at least {expected} m")]
     Wall {
-        /// Which drone.
+        /// Index of the drone.
         drone: usize,
-        /// How near the wall is, m.
+        /// Distance of the wall from the start, m.
         got: f64,
-        /// The radius of the safe zone, m.
+        /// Radius of the safe zone, m.
         expected: f64,
     },
 }
@@ -171,31 +172,31 @@ fn within(rng: &mut Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
-/// A place that is taken: middle, radius, and whether it reaches from the floor to the sky.
+/// Bounding sphere of a placed obstacle.
 struct Taken {
     middle: Vector3<f64>,
     radius: f64,
 }
 
-/// Walls, and what furniture keeps out of.
+/// Walls of an indoor arena, and the passages that furniture must leave free.
 #[derive(Debug, Default)]
 struct Room {
     walls: Vec<Obstacle>,
-    /// Boxes before and behind the doorways, as wide as these.
+    /// Boxes in front of and behind the doorways, of the width of a doorway.
     passages: Vec<Obstacle>,
 }
 
 impl ObstacleConfig {
-    /// Depth of the space before and behind a doorway that furniture keeps out of, m.
+    /// Depth of the passage in front of and behind a doorway, m.
     const PASSAGE: f64 = 0.4;
 
-    /// Largest [`count`](Self::count) of obstacles that are placed at random.
+    /// Largest [`count`](Self::count) of randomly placed obstacles.
     pub const MAX_COUNT: usize = 2000;
 
-    /// Largest length of a custom list: the largest field of any other kind, gates of four bars each, is such a list.
+    /// Largest length of a custom list; the most obstacles of any other kind, gates of four bars each, fit into it.
     pub const MAX_CUSTOM: usize = 4 * Self::MAX_COUNT;
 
-    /// The defaults of a kind.
+    /// Creates the default configuration of a kind.
     pub fn new(kind: ObstacleKind) -> Self {
         Self {
             kind,
@@ -212,7 +213,7 @@ impl ObstacleConfig {
     /// Checks every setting.
     ///
     /// # Errors
-    /// [`ObstacleGeneratorError::Option`].
+    /// [`ObstacleGeneratorError`] that names the first invalid setting.
     pub fn validate(&self) -> Result<(), ObstacleGeneratorError> {
         let custom = self.kind == ObstacleKind::Custom;
         let (max, range) = if custom { (Self::MAX_CUSTOM, "0 to 8000") } else { (Self::MAX_COUNT, "0 to 2000") };
@@ -240,25 +241,23 @@ impl ObstacleConfig {
                     return contradiction(format!("count is {}, but the custom list has {length} entries", self.count));
                 }
                 if self.new_layout {
-                    return contradiction("new_layout is true, but a custom list has one layout".into());
+                    return contradiction("new_layout is true, expected false for a custom list".into());
                 }
             }
             (_, 0) => {}
             (kind, _) => {
                 let kind = kind.name();
-                return contradiction(format!(
-                    "kind is {kind}, but there is a custom list, which goes with kind custom"
-                ));
+                return contradiction(format!("kind is {kind}, expected custom, because there is a custom list"));
             }
         }
         Ok(())
     }
 
-    /// Places them, around drones that start at these positions (world frame, m). The shapes are the same, in the same order,
-    /// whatever is drawn.
+    /// Generates obstacles around drones that start at these positions (world frame, m). The shapes and their order
+    /// do not depend on the random numbers.
     ///
     /// # Errors
-    /// [`ObstacleGeneratorError`].
+    /// [`ObstacleGeneratorError`] if a setting is invalid or the arena has too little room.
     pub fn generate(&self, starts: &[[f64; 3]], rng: &mut Rng) -> Result<Vec<Obstacle>, ObstacleGeneratorError> {
         self.validate()?;
         let starts: Vec<_> = starts.iter().map(|&start| Vector3::from(start)).collect();
@@ -270,7 +269,7 @@ impl ObstacleConfig {
             room = self.room(&starts, rng)?;
         }
         let mut best = 0;
-        // a full arena may need another beginning
+        // in a full arena another first obstacle may succeed
         for _ in 0..30 {
             match self.scatter(&starts, &room, rng) {
                 Ok(obstacles) => return Ok(room.walls.into_iter().chain(obstacles).collect()),
@@ -286,7 +285,7 @@ impl ObstacleConfig {
         })
     }
 
-    /// One after the other, each where there is room; how many were placed where there was none for the next.
+    /// Places the obstacles one after another; returns the number of placed obstacles if the next one has no room.
     fn scatter(&self, starts: &[Vector3<f64>], room: &Room, rng: &mut Rng) -> Result<Vec<Obstacle>, usize> {
         let mut taken: Vec<Taken> = Vec::with_capacity(self.count);
         let mut obstacles = Vec::new();
@@ -296,7 +295,7 @@ impl ObstacleConfig {
                 let (parts, middle, radius) = self.draw(index, rng);
                 let apart = |other: &Taken| {
                     let offset = middle - other.middle;
-                    // only what hangs in the air has others above and below it
+                    // only floating obstacles may stand above each other
                     let distance = if self.kind == ObstacleKind::Random { offset.norm() } else { offset.xy().norm() };
                     distance >= radius + other.radius + self.spacing
                 };
@@ -322,8 +321,8 @@ impl ObstacleConfig {
         Ok(obstacles)
     }
 
-    /// One more of its kind somewhere in the arena: its parts, its middle and how far it reaches from there (sideways, for
-    /// what stands on the floor).
+    /// Samples an obstacle of the kind in the arena: its parts, its centre and its radius (horizontal for obstacles
+    /// on the floor).
     fn draw(&self, index: usize, rng: &mut Rng) -> (Vec<Obstacle>, Vector3<f64>, f64) {
         let [length, width, height] = self.arena;
         let shade = within(rng, 0.85, 1.15);
@@ -359,7 +358,7 @@ impl ObstacleConfig {
                 (vec![solid(block, middle, Vector3::new(0.0, 0.0, yaw), colour)], middle, radius)
             }
             ObstacleKind::Gates => {
-                // an opening of half a metre
+                // half of the opening of half a metre, and half of the thickness of a bar, m
                 let (inside, bar) = (0.25, 0.02);
                 let outside = inside + 2.0 * bar;
                 let radius = outside + bar;
@@ -401,7 +400,7 @@ impl ObstacleConfig {
         }
     }
 
-    /// Walls around the arena, and across it wherever 1.5 m are left, with a doorway of 0.8 m.
+    /// Samples the walls around the arena, and partitions across it, one per 1.5 m of length, with doorways of 0.8 m.
     fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Room, ObstacleGeneratorError> {
         const THICKNESS: f64 = 0.03;
         const DOORWAY: f64 = 0.8;
@@ -435,7 +434,7 @@ impl ObstacleConfig {
             let mut pair = Vec::new();
             let mut passage = Vector3::zeros();
             for attempt in 0..200 {
-                // about its share of the length, further from it the longer there is no room
+                // the range around the even spacing grows with the number of failed attempts
                 let spread = 0.1 + 0.4 * f64::from(attempt) / 200.0;
                 let x = length * (partition as f64 / rooms as f64 - 0.5) + within(rng, -spread, spread);
                 let door = within(rng, -0.5 * width + 0.2, 0.5 * width - 0.2 - DOORWAY);

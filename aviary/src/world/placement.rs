@@ -1,4 +1,5 @@
-//! Room for drones: the extent of their collision cylinders, and their clearance from the floor, obstacles and each other.
+//! Free space around drones: collision cylinders and their clearance from the floor, from obstacles and from each
+//! other.
 
 use nalgebra::Vector3;
 
@@ -7,12 +8,12 @@ use crate::drone::DroneParams;
 use crate::math::{Real, V3};
 use crate::state::DroneState;
 
-/// Collision cylinder of an airframe, centred on the body, its axis along body z.
+/// Collision cylinder of a drone, centred on the body, with its axis along body z.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct CollisionCylinder {
-    /// m.
+    /// Radius, m.
     pub radius: f64,
-    /// m.
+    /// Height, m.
     pub height: f64,
 }
 
@@ -23,39 +24,39 @@ impl From<&DroneParams> for CollisionCylinder {
 }
 
 impl CollisionCylinder {
-    /// Returns the radius of the sphere around the cylinder, m.
+    /// Returns the radius of the bounding sphere of the cylinder, m.
     pub(crate) fn bounding_radius(&self) -> f64 {
         self.radius.hypot(0.5 * self.height)
     }
 
-    /// Returns how far the lowest point of the cylinder is below its middle, m, given the cosine and the sine of the angle between
-    /// its axis and the vertical.
+    /// Returns the depth of the lowest point of the cylinder below its centre, m, for the cosine and the sine of the
+    /// angle between its axis and the vertical.
     fn depth(&self, cos: f64, sin: f64) -> f64 {
         0.5 * self.height * cos.abs() + self.radius * sin
     }
 
-    /// Returns how far the lowest point of the cylinder is below its middle, m, at this tilt (rad).
+    /// Returns the depth of the lowest point of the cylinder below its centre at a tilt (rad), m.
     ///
-    /// [`floor_clearance`](Self::floor_clearance) takes the sine from a square root. The two differ in their last bits, and random
-    /// starts on the floor keep theirs.
+    /// [`floor_clearance`](Self::floor_clearance) computes the sine by a square root. The last bits of both differ;
+    /// random starts on the floor use this function, so that recorded starts stay bit-identical.
     pub(crate) fn depth_at_tilt(&self, tilt: f64) -> f64 {
         self.depth(tilt.cos(), tilt.sin())
     }
 
-    /// Returns the height of the lowest point of the cylinder above the floor, m; negative in the floor.
+    /// Returns the height of the lowest point of the cylinder above the floor, m; negative below the floor.
     pub(crate) fn floor_clearance(&self, state: &DroneState) -> f64 {
-        // without an angle: it is asked before physics steps
+        // without trigonometric functions, because the hybrid engine calls this before physics steps
         let cos = state.up().z;
         state.position.z - self.depth(cos, (1.0 - cos * cos).max(0.0).sqrt())
     }
 
-    /// Returns true if two upright cylinders overlap whose middles are `apart` (m) from each other.
+    /// Returns true if two upright cylinders overlap, at an offset of their centres of `apart`, m.
     pub(crate) fn overlaps_upright(&self, other: &Self, apart: &Vector3<f64>) -> bool {
         apart.xy().norm() < self.radius + other.radius && apart.z.abs() < 0.5 * (self.height + other.height)
     }
 
-    /// Returns true if the sphere around the cylinder at a position (world frame, m) meets no obstacle and no sphere around another
-    /// cylinder.
+    /// Returns true if the bounding sphere of the cylinder at a position (world frame, m) meets no obstacle and no
+    /// bounding sphere of another cylinder.
     pub(crate) fn has_room(
         &self,
         position: &Vector3<f64>,
@@ -75,25 +76,25 @@ pub(crate) fn max_collision_radius<'a>(drones: impl IntoIterator<Item = &'a Dron
     drones.into_iter().map(|params| params.collision_radius).fold(0.0, f64::max)
 }
 
-/// Returns the clearance of a sphere from another one, m; negative where they overlap. For one pair or for many.
+/// Returns the clearance between two spheres, m; negative if they overlap. Scalar or SIMD.
 #[inline(always)]
 pub(crate) fn sphere_clearance<R: Real>(position: V3<R>, radius: R, other: V3<R>, other_radius: R) -> R {
     (position - other).norm() - radius - other_radius
 }
 
-/// Returns the clearance of a sphere from the floor, m; negative in the floor. For one sphere or for many.
+/// Returns the clearance of a sphere from the floor, m; negative if it meets the floor. Scalar or SIMD.
 #[inline(always)]
 pub(crate) fn sphere_floor_clearance<R: Real>(position: V3<R>, radius: R) -> R {
     position.z - radius
 }
 
-/// Returns the distance of a point (world frame, m) from the surface of the nearest obstacle, m; negative inside one, infinite where
-/// there is none.
+/// Returns the distance of a point (world frame, m) from the surface of the nearest obstacle, m; negative inside an
+/// obstacle, infinite without obstacles.
 pub(crate) fn obstacle_distance(obstacles: &[Obstacle], point: &Vector3<f64>) -> f64 {
     obstacles.iter().map(|obstacle| obstacle.distance(point)).fold(f64::INFINITY, f64::min)
 }
 
-/// Returns true if drones in these states are neither in the floor nor in each other nor in an obstacle.
+/// Returns true if no drone in these states meets the floor, another drone or an obstacle.
 pub(crate) fn have_room(
     cylinder: impl Fn(usize) -> CollisionCylinder,
     states: &[DroneState],
@@ -120,19 +121,19 @@ mod tests {
     }
 
     #[test]
-    fn the_bounding_radius_reaches_from_the_middle_to_a_rim() {
+    fn the_bounding_radius_is_the_distance_from_the_centre_to_a_rim() {
         // 60 mm sideways and half of 30 mm upwards
         assert!((CYLINDER.bounding_radius() - 0.061_846_584).abs() < 1e-9);
     }
 
     #[test]
-    fn the_lowest_point_is_that_of_the_leaning_cylinder() {
+    fn the_lowest_point_is_that_of_the_tilted_cylinder() {
         let diagonal = (0.06 + 0.015) * FRAC_PI_4.sin();
         for (tilt, depth) in [(0.0, 0.015), (FRAC_PI_2, 0.06), (PI, 0.015), (FRAC_PI_4, diagonal)] {
             assert!((CYLINDER.depth_at_tilt(tilt) - depth).abs() < 1e-15, "{tilt}");
             assert!((CYLINDER.floor_clearance(&at(0.5, tilt)) - (0.5 - depth)).abs() < 1e-9, "{tilt}");
         }
-        // no point of the rims is lower, and one is as low
+        // no point of the rims is lower than the result, and one is at its height
         let state = DroneState::at_rest(Vector3::new(0.3, -0.2, 1.0), Vector3::new(0.7, -0.4, 2.0));
         let rim = |i: u32| {
             let (sin, cos) = (f64::from(i) * 1e-3).sin_cos();
@@ -143,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn room_is_a_sphere_around_each_drone() {
+    fn the_bounding_spheres_of_drones_and_obstacles_must_not_meet() {
         let sphere = CYLINDER.bounding_radius();
         let pair = |x: f64| [at(1.0, 0.0), DroneState { position: Vector3::new(x, 0.0, 1.0), ..at(1.0, 0.0) }];
         let wall = Obstacle::new(Shape::Box { half_size: [0.1, 1.0, 1.0] }, Vector3::new(-1.0, 0.0, 1.0));
@@ -156,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn upright_drones_may_hover_closely_above_each_other() {
+    fn upright_drones_may_start_close_above_each_other() {
         for (apart, overlap) in [([0.0, 0.0, 0.031], false), ([0.0, 0.0, 0.029], true), ([0.121, 0.0, 0.0], false)] {
             assert_eq!(CYLINDER.overlaps_upright(&CYLINDER, &apart.into()), overlap, "{apart:?}");
         }

@@ -1,4 +1,4 @@
-//! How airframes look: meshes, materials, and where they come from.
+//! Visual models of drones: meshes, materials and the source of their files.
 
 use std::path::PathBuf;
 
@@ -7,14 +7,15 @@ use mujoco_rs::Assets;
 use crate::drone::{Appearance, DroneParams, Layout};
 use crate::world::SceneError;
 
-/// Directory with another set of Crazyflie meshes, under the file names of MuJoCo Menagerie.
+/// Environment variable that names a directory with another set of Crazyflie meshes, with the file names of MuJoCo
+/// Menagerie.
 pub const CF2_ASSETS: &str = "MJ_DRONES_CF2_ASSETS";
 
-/// One visible part of an airframe.
+/// Visible part of a drone.
 pub(super) struct VisualPart {
-    /// What it is, as segmentation names it.
+    /// Name of the part in segmentation.
     pub name: &'static str,
-    /// File name of its mesh.
+    /// File name of the mesh.
     pub file: &'static str,
     embedded: &'static [u8],
     /// Colour.
@@ -38,7 +39,7 @@ macro_rules! part {
     };
 }
 
-/// The Crazyflie, part for part what the files of those names are in MuJoCo Menagerie.
+/// Parts of the Crazyflie, which correspond to the files of the same names in MuJoCo Menagerie.
 static CRAZYFLIE: [VisualPart; 7] = [
     part!("propellers", "cf2", "cf2_0.obj", [0.792, 0.820, 0.933, 1.0], 0.5, 0.5),
     part!("deck", "cf2", "cf2_1.obj", [0.109, 0.184, 0.0, 1.0], 0.5, 0.4),
@@ -59,14 +60,14 @@ static RACER: [VisualPart; 7] = [
     part!("accents", "race", "race_6.obj", [0.95, 0.32, 0.06, 1.0], 0.5, 0.4),
 ];
 
-/// The look of one airframe in a scene: parts, and how they are turned and scaled to its size.
+/// Visual model of a drone: its parts, with their rotation and scale.
 #[derive(Clone, Copy)]
 pub(super) struct VisualModel {
     pub parts: &'static [VisualPart],
     appearance: Appearance,
-    /// Size relative to the meshes.
+    /// Scale of the meshes.
     pub scale: f64,
-    /// Rotation about z of the meshes, whose motors are on the diagonals, rad.
+    /// Rotation of the meshes about z, rad; the motors of the meshes are on the diagonals.
     pub turn: f64,
 }
 
@@ -76,7 +77,7 @@ impl VisualModel {
             Appearance::Crazyflie => (&CRAZYFLIE, 0.0397),
             Appearance::Racer => (&RACER, 0.125),
         };
-        // motor 0 of the plus layout is in front, that of the X layout to the left of it
+        // motor 0 is in front in the plus layout, and to the front left in the X layout
         let turn = match params.layout {
             Layout::X => 0.0,
             Layout::Plus => -std::f64::consts::FRAC_PI_4,
@@ -84,17 +85,17 @@ impl VisualModel {
         Self { parts, appearance: params.appearance, scale: params.arm_length / arm, turn }
     }
 
-    /// Name of a part's mesh in the scene; airframes of equal look and size share it.
+    /// Returns the name of a part's mesh in the scene; drones of equal appearance and size share it.
     pub(super) fn mesh_name(&self, part: &VisualPart) -> String {
         format!("{}_x{}", part.file.trim_end_matches(".obj"), self.scale)
     }
 
-    /// Name of a part's material in the scene.
+    /// Returns the name of a part's material in the scene.
     pub(super) fn material_name(part: &VisualPart) -> String {
         format!("{}_material", part.file.trim_end_matches(".obj"))
     }
 
-    /// Adds the parts' files, from the directory that the environment names or from the program itself.
+    /// Adds the files of the parts, from the directory in [`CF2_ASSETS`] or from the executable.
     pub(super) fn add_files(&self, assets: &mut Assets) -> Result<(), SceneError> {
         let directory = match self.appearance {
             Appearance::Crazyflie => std::env::var_os(CF2_ASSETS).filter(|value| !value.is_empty()).map(PathBuf::from),
@@ -117,14 +118,14 @@ impl VisualModel {
     }
 }
 
-/// Largest mesh file, bytes: its indices and MuJoCo's copies of them then fit into 32 bits.
+/// Largest mesh file, bytes; its indices and MuJoCo's copies of them fit into 32 bits.
 const MAX_MESH_BYTES: usize = 64 << 20;
 
-/// Most corners of a face: the reader's triangulation takes time with the cube of them.
+/// Largest number of corners of a face; the reader's triangulation time is cubic in it.
 const MAX_CORNERS: usize = 64;
 
-/// A number as MuJoCo's OBJ reader and Rust read it alike. The reader has its own parser: it takes `0e999` for NaN and computes in
-/// single precision.
+/// Parses a number that MuJoCo's OBJ reader and Rust read alike. The reader has its own parser, which reads `0e999`
+/// as NaN and computes in single precision.
 fn coordinate(word: &str) -> Option<f64> {
     const LONGEST: usize = 40;
     let (digits, exponent) = word.split_once(['e', 'E']).unwrap_or((word, "0"));
@@ -136,7 +137,7 @@ fn coordinate(word: &str) -> Option<f64> {
     word.parse().ok().filter(|x| (-1e3..=1e3).contains(x))
 }
 
-/// Number of vertices, texture coordinates and normals, of a whole file or up to a line.
+/// Number of vertices, texture coordinates and normals in a file, or in a file up to a line.
 #[derive(Debug, Clone, Copy, Default)]
 struct ObjCounts {
     vertices: usize,
@@ -154,8 +155,9 @@ impl ObjCounts {
         }
     }
 
-    /// Checks a corner of a face, `v`, `v/vt`, `v//vn` or `v/vt/vn`, in a file with these counts, where so many are defined
-    /// before it. MuJoCo reads a texture coordinate and a normal for every corner as soon as the file has any.
+    /// Checks a corner of a face, `v`, `v/vt`, `v//vn` or `v/vt/vn`, in a file with the counts `self`, of which
+    /// `before` precede the face. MuJoCo reads a texture coordinate and a normal for every corner if the file has
+    /// any.
     fn check_corner(&self, before: &Self, corner: &str) -> Result<(), String> {
         let parts: Vec<_> = corner.split('/').collect();
         let (vertex, texture, normal) = match parts[..] {
@@ -172,26 +174,27 @@ impl ObjCounts {
         ] {
             match index.map(str::parse::<i64>) {
                 None if total == 0 => {}
-                None => return Err(format!("corner `{corner}` has no {what}, and the file has {total} of them")),
-                // negative indices count back from what is defined so far
+                None => {
+                    return Err(format!("corner `{corner}` has no {what}, expected one because the file has {total}"));
+                }
+                // negative indices count back from the last definition before the face
                 Some(Ok(index @ 1..)) if index.unsigned_abs() <= total as u64 => {}
                 Some(Ok(index @ ..=-1)) if index.unsigned_abs() <= so_far as u64 => {}
-                Some(_) => return Err(format!("corner `{corner}` has a {what} that is not in the file")),
+                Some(_) => return Err(format!("corner `{corner}` refers to a missing {what}; the file has {total}")),
             }
         }
         Ok(())
     }
 }
 
-/// Checks an OBJ mesh for what MuJoCo's reader (tinyobjloader) takes on trust.
+/// Checks an OBJ mesh for input on which MuJoCo's reader (tinyobjloader) fails without an error.
 ///
-/// The reader reads past the end of its vertices, normals and texture
-/// coordinates where a face names one that is not there or none where there are some, and crashes on a mesh without faces.
-/// Lines and words end where they end for that reader: a lone carriage return ends a line, and no other white space than space
-/// and tab parts words.
+/// The reader reads beyond the end of its arrays if a face refers to a missing vertex, normal or texture coordinate,
+/// or omits one that other faces have. It crashes on a mesh without faces. The check splits the text like the reader:
+/// a single carriage return ends a line, and only spaces and tabs separate words.
 ///
 /// # Errors
-/// A message with the line, what was found and what is expected.
+/// A message with the line, the value and the expected values.
 ///
 /// ```
 /// use aviary::world::check_obj;
@@ -204,7 +207,7 @@ pub fn check_obj(bytes: &[u8]) -> Result<(), String> {
     if bytes.len() > MAX_MESH_BYTES {
         return Err(format!("{} bytes, expected at most {MAX_MESH_BYTES}", bytes.len()));
     }
-    let text = std::str::from_utf8(bytes).map_err(|_| "it is no OBJ file (not text)".to_string())?;
+    let text = std::str::from_utf8(bytes).map_err(|_| "not text, expected an OBJ file".to_string())?;
     let text = text.replace("\r\n", "\n");
     let lines = || text.split(['\n', '\r']).enumerate();
     let words = |line| str::split(line, [' ', '\t']).filter(|word: &&str| !word.is_empty());
@@ -212,13 +215,13 @@ pub fn check_obj(bytes: &[u8]) -> Result<(), String> {
     for (_, line) in lines() {
         total.count(words(line).next().unwrap_or_default());
     }
-    // MuJoCo takes the first group that has faces
+    // MuJoCo uses the first group that has faces
     let (mut faces, mut in_first_group) = (0, true);
     let mut before = ObjCounts::default();
     for (number, line) in lines() {
         let wrong = |what: String| Err(format!("line {}: {what}", number + 1));
         if let Some(control) = line.chars().find(|c| c.is_control() && *c != '\t') {
-            return wrong(format!("the control character {control:?}, expected text"));
+            return wrong(format!("a control character, {control:?}, expected text"));
         }
         let mut words = words(line);
         let key = words.next().unwrap_or_default();
@@ -245,7 +248,7 @@ pub fn check_obj(bytes: &[u8]) -> Result<(), String> {
                 faces += usize::from(in_first_group);
             }
             "g" | "o" => in_first_group = faces == 0,
-            // the reader keeps them once per material, and MuJoCo draws none of them
+            // the reader keeps these elements once per material, and MuJoCo draws none of them
             "l" | "p" | "t" | "vw" => return wrong(format!("`{key}`, expected a mesh of faces only")),
             _ => {}
         }
@@ -267,7 +270,7 @@ mod tests {
     const SOLID: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
 
     #[test]
-    fn meshes_that_would_crash_the_reader_are_refused_by_line() {
+    fn errors_name_the_line_of_a_mesh_that_would_crash_the_reader() {
         for part in CRAZYFLIE.iter().chain(&RACER) {
             check_obj(part.embedded).unwrap_or_else(|message| panic!("{}: {message}", part.file));
         }
@@ -299,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_carriage_return_ends_a_line_of_a_mesh() {
-        // a comment and a face to those who end lines at line feeds only
+        // one comment line for a reader that ends lines at line feeds only
         let message = check_obj(SOLID.replace("f 2 3 4", "# note\rf 2 3 900000").as_bytes()).unwrap_err();
         assert!(message.starts_with("line 9: ") && message.contains("900000"), "{message}");
         assert!(check_obj(SOLID.replace('\n', "\r").as_bytes()).is_ok());
@@ -307,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_have_a_normal_and_a_texture_coordinate_as_soon_as_the_file_has_any() {
+    fn corners_need_a_normal_and_a_texture_coordinate_if_the_file_has_any() {
         let message = check_obj(format!("{SOLID}vn 0 0 1\n").as_bytes()).unwrap_err();
         assert!(message.contains("line 5: corner `1` has no normal"), "{message}");
         let message = check_obj(format!("vt 0 1\n{SOLID}").as_bytes()).unwrap_err();
@@ -315,16 +318,19 @@ mod tests {
         let full = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvn 0 0 1\n\
             f 1/1/1 3/1/1 2/1/1\nf 1/1/1 2/1/1 4/1/1\nf 1/1/1 4/1/1 3/1/1\nf -3/-1/-1 -2/-1/-1 -1/-1/-1\n";
         assert!(check_obj(full.as_bytes()).is_ok());
-        // counted back from vertices that are only defined further down
+        // a negative index to a vertex that is defined after the face
         let early = SOLID.replace("v 0 0 1\nf 1 3 2\n", "f 1 -4 2\nv 0 0 1\n");
         assert!(check_obj(early.as_bytes()).unwrap_err().starts_with("line 4: "), "{early}");
     }
 
     proptest! {
-        /// What passes the check compiles or is an error of MuJoCo's, and never a crash.
+        /// A mesh that passes the check compiles or is a MuJoCo error; it never crashes MuJoCo.
         #[test]
-        fn damaged_meshes_are_refused_or_read(
-            edits in prop::collection::vec((any::<prop::sample::Index>(), prop::sample::select(b"\r\n\t /-+.#0123456789evfntgo".to_vec())), 1..4),
+        fn damaged_meshes_are_errors_or_compile(
+            edits in prop::collection::vec(
+                (any::<prop::sample::Index>(), prop::sample::select(b"\r\n\t /-+.#0123456789evfntgo".to_vec())),
+                1..4,
+            ),
             plain in any::<bool>(),
         ) {
             let full = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 1\nvn 0 0 1\n# end\rf 1/1/1 3/1/1 2/1/1\n\

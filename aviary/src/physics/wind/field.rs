@@ -1,4 +1,4 @@
-//! The wind about drones: one step of every model.
+//! Wind at every drone, advanced by physics steps.
 
 use crate::error::OptionError;
 use nalgebra::Vector3;
@@ -10,7 +10,10 @@ use crate::drone::DroneParams;
 use crate::random::{Rng, normals};
 use crate::state::DroneState;
 
-/// Force of air that moves at `relative` (velocity of the air minus that of the drone, m/s): ½·ρ·C_d·A·‖v‖²·v̂, N.
+/// Returns the drag force ½·ρ·C_d·A·‖v‖²·v̂, world frame, N.
+///
+/// `air_density` is ρ, kg/m³. `drag_area` is C_d·A, m². `relative` is v, the velocity of the air minus that of the
+/// drone, world frame, m/s.
 ///
 /// ```
 /// use aviary::physics::wind::drag_law;
@@ -24,27 +27,27 @@ pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Ve
     0.5 * air_density * drag_area * relative.norm() * relative
 }
 
-/// One drone's gust and turbulence.
+/// Gust and turbulence of one drone.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 struct Local {
     rng: Rng,
     drag_area: f64,
-    /// Velocity of the turbulence along the mean wind, across it and upwards, m/s; of the latter two nothing by the filters
-    /// of second order.
+    /// Longitudinal, lateral and vertical velocity of the turbulence, m/s. The second-order filters replace the
+    /// lateral and the vertical component.
     turbulence: [f64; 3],
-    /// Filters of second order, across the mean wind and upwards.
+    /// Second-order filters of the lateral and the vertical component.
     filters: [SecondOrder; 2],
-    /// The turbulence's constants at a height within the model's limits.
+    /// Cached height in feet with the standard deviations and length scales at that height.
     #[serde(skip)]
     constants: (f64, [f64; 3], [f64; 3]),
-    /// A normal draw that is left over.
+    /// Unused second sample of the last pair of normal samples.
     spare: Option<f64>,
-    /// Force at its height (world frame, N) and how much of it is over, 0 to 1; 1 while there is none.
+    /// Amplitude of the gust (world frame, N) and its elapsed fraction, 0 to 1; the fraction is 1 between gusts.
     #[serde(with = "crate::serial::vector_and_number")]
     gust: (Vector3<f64>, f64),
 }
 
-/// The wind about the drones of a simulation.
+/// Wind at the drones of a simulation.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -66,14 +69,14 @@ struct Local {
 pub struct WindField {
     config: WindConfig,
     velocity: Vector3<f64>,
-    /// Axes of the turbulence: along the mean wind, to its left, up.
+    /// Longitudinal, lateral (to the left) and vertical axis of the turbulence.
     axes: [Vector3<f64>; 3],
     locals: Vec<Local>,
-    /// Steps since the episode began.
+    /// Physics steps since the start of the episode.
     steps: u64,
 }
 
-/// [`WindField`] as it is serialized; the rest follows from the settings.
+/// Serialized form of [`WindField`]; the settings determine all other fields.
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -94,7 +97,7 @@ impl TryFrom<Stored> for WindField {
     fn try_from(stored: Stored) -> Result<Self, String> {
         stored.config.validate().map_err(|error| error.to_string())?;
         if let Some(local) = stored.locals.iter().find(|local| !(0.0..=1e9).contains(&local.drag_area)) {
-            return Err(format!("a drag area is {}, expected 0 to 1e9 m²", local.drag_area));
+            return Err(format!("a drag area is {}, expected 0 to 1e9 m²", crate::number(local.drag_area)));
         }
         if stored.steps > 1 << 60 {
             return Err(format!("`steps` is {}, expected fewer than 2^60", stored.steps));
@@ -107,18 +110,18 @@ impl TryFrom<Stored> for WindField {
 }
 
 impl WindField {
-    /// Speed of a drone through the turbulence that is assumed at least, m/s: in still air it would otherwise stand.
+    /// Minimum airspeed of the turbulence filters, m/s: at zero airspeed the turbulence would stay constant.
     const MIN_AIRSPEED: f64 = 0.5;
 
-    /// About these drones.
+    /// Creates the wind at these drones.
     ///
     /// # Errors
-    /// [`OptionError`].
+    /// [`OptionError`] that names the first setting out of range.
     pub fn new(config: WindConfig, drones: &[DroneParams]) -> Result<Self, OptionError> {
         Self::of_areas(config, drones.iter().map(DroneParams::drag_area))
     }
 
-    /// About drones of these drag areas, m².
+    /// Creates the wind at drones of these drag areas, m².
     pub(crate) fn of_areas(config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<Self, OptionError> {
         config.validate()?;
         let local = |drag_area: f64| Local {
@@ -142,11 +145,11 @@ impl WindField {
         Ok(field)
     }
 
-    /// Another wind about drones of these drag areas (m²), as many as before.
+    /// Replaces the settings and the drag areas (m²) and restarts the wind; the number of drones stays the same.
     pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), OptionError> {
         config.validate()?;
         for (local, drag_area) in self.locals.iter_mut().zip(areas) {
-            // the turbulence's constants are those of the wind
+            // a height of 0 invalidates the cached constants, which depend on the settings
             (local.drag_area, local.constants.0) = (drag_area, 0.0);
         }
         self.take(config);
@@ -162,27 +165,28 @@ impl WindField {
         (self.config, self.velocity) = (config, velocity);
     }
 
-    /// Changes the drag area of a drone, m².
+    /// Sets the drag area of a drone, m².
     pub(crate) fn set_area(&mut self, drone: usize, drag_area: f64) {
         self.locals[drone].drag_area = drag_area;
     }
 
-    /// Number of drones.
+    /// Returns the number of drones.
     pub(crate) fn num_drones(&self) -> usize {
         self.locals.len()
     }
 
-    /// Bytes that it takes for its drones.
+    /// Returns the heap memory of the drones, bytes.
     pub(crate) fn bytes(&self) -> usize {
         size_of_val(&self.locals[..])
     }
 
-    /// The settings.
+    /// Returns the settings.
     pub fn config(&self) -> &WindConfig {
         &self.config
     }
 
-    /// Starts an episode: a random stream of its own for every drone, and turbulence that has always been there.
+    /// Starts an episode: seeds an independent random stream for each drone and samples the turbulence from its
+    /// stationary distribution.
     pub fn reset(&mut self, seed: u64, states: &[DroneState]) {
         self.steps = 0;
         for (drone, local) in self.locals.iter_mut().enumerate() {
@@ -201,8 +205,11 @@ impl WindField {
         }
     }
 
-    /// Goes through a physics step of `dt` seconds with a drone: the force on its airframe (world frame, N) and the
-    /// velocity of the air about it (world frame, m/s). Call it once per drone and step, the last drone last.
+    /// Advances the wind at one drone by a physics step of `dt` seconds; returns the force on the airframe (world
+    /// frame, N) and the velocity of the air (world frame, m/s).
+    ///
+    /// The caller calls this function once per drone and physics step, in the order of the drones: the last drone
+    /// advances the clock.
     pub fn advance(&mut self, dt: f64, drone: usize, state: &DroneState) -> (Vector3<f64>, Vector3<f64>) {
         let Self { config, velocity, axes, locals, steps } = self;
         let last = drone + 1 == locals.len();
@@ -213,7 +220,7 @@ impl WindField {
         }
         if config.model.has(WindModel::Dryden) {
             let airspeed = (*velocity - state.velocity).norm().max(Self::MIN_AIRSPEED);
-            // near the ground, where drones fly, the constants are always the same
+            // near the ground, where most drones fly, the clamped height and so the constants do not change
             let h = feet(state.position.z);
             if local.constants.0 != h {
                 let (sigma, length) = dryden(state.position.z, config.turbulence);
@@ -221,7 +228,7 @@ impl WindField {
             }
             let (_, sigma, length) = local.constants;
             let [a, b] = normals(&mut local.rng);
-            // α = exp(−dt·V/L); along and across the wind L is the same
+            // α = exp(−dt·V/L); the longitudinal and the lateral length scale are equal
             let level = (-dt * airspeed / length[0]).exp();
             let spread = (1.0 - level * level).sqrt();
             let [x, y, z] = &mut local.turbulence;
@@ -259,7 +266,7 @@ impl WindField {
             };
             air += axes[0] * parts[0] + axes[1] * parts[1] + axes[2] * parts[2];
         }
-        // velocities of one air mass are summed before the law, which is not linear
+        // the drag law is not linear, so that velocities are added before it
         if config.has_drag() {
             force += drag_law(config.air_density, local.drag_area, &(air - state.velocity));
         }
@@ -267,7 +274,7 @@ impl WindField {
             let (peak, over) = &mut local.gust;
             if *over >= 1.0 {
                 if local.rng.random::<f64>() < config.gust_rate * dt {
-                    // uniform over the sphere: height and azimuth are
+                    // height and azimuth are uniform for a uniform direction on the sphere
                     let (up, azimuth) = (2.0 * local.rng.random::<f64>() - 1.0, local.rng.random::<f64>());
                     let (sin, cos) = (std::f64::consts::TAU * azimuth).sin_cos();
                     let level = (1.0 - up * up).sqrt();

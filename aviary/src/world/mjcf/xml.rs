@@ -1,4 +1,4 @@
-//! Elements of MJCF text.
+//! Writer of MJCF elements.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -13,7 +13,7 @@ use crate::state::{attitude_from_rpy, wxyz};
 use crate::world::visual_model::VisualModel;
 use crate::world::{DroneBody, Obstacle, World};
 
-/// MJCF being written. Writing to memory cannot fail, so nothing here returns an error.
+/// Writer of MJCF text. Writing to memory cannot fail, so that no method returns an error.
 pub(super) struct Xml {
     writer: Writer<io::Cursor<Vec<u8>>>,
 }
@@ -69,7 +69,7 @@ impl Xml {
 
     pub(super) fn shape(&mut self, name: String, obstacle: &Obstacle, more: &[(&str, String)]) {
         let (kind, size) = obstacle.shape.geom();
-        // a geom that is compiled in the world's own frame could not be moved afterwards: MuJoCo remembers that it is there
+        // MuJoCo marks a geom that coincides with the world frame as such, and cannot move it after compilation
         let mut position = obstacle.position;
         if position.norm() < 1e-3 && obstacle.rpy.norm() < 1e-3 {
             position.z += 0.01;
@@ -106,7 +106,7 @@ impl Xml {
         self.leaf("geom", &[&cylinder, more].concat());
     }
 
-    /// Sky, floor, and every mesh and material of these looks once.
+    /// Writes the sky, the floor, and each mesh and material of these visual models once.
     pub(super) fn assets(&mut self, visual_models: &[VisualModel]) -> Result<Assets, SceneError> {
         self.open("asset", &[]);
         self.leaf(
@@ -134,7 +134,7 @@ impl Xml {
                 ("height", "256".into()),
             ],
         );
-        // two squares of half a metre per texture
+        // one texture has two squares of half a metre per side
         self.leaf(
             "material",
             &[
@@ -181,7 +181,7 @@ impl Xml {
     }
 }
 
-/// Numbers as MJCF reads them; Rust prints the shortest text that reads back to the same bits.
+/// Formats numbers for MJCF; Rust prints the shortest text that parses to the same bits.
 pub(super) fn numbers(values: &[f64]) -> String {
     values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
 }
