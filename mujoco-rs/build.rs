@@ -1,13 +1,13 @@
-//! Writes an accessor for every array of mjModel and mjData, from MuJoCo's own list of them, so that none is
-//! forgotten and every length is the one that MuJoCo allocates.
+//! Generates an accessor for every array of mjModel and mjData from MuJoCo's list of fields, so that no array is
+//! missing and every length equals MuJoCo's allocation.
 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 use std::{env, fs};
 
-/// Arrays of mjModel that a caller may write freely: MuJoCo's C code calculates with their values, whatever they are, and
-/// nothing else. Every other array of numbers decides somewhere which memory is read or written (sizes and orientations of
-/// geoms in collision detection, height fields in rays, vertices of meshes), so that its slice is `unsafe` to write.
+/// Arrays of mjModel that callers may write freely: MuJoCo's C code only computes with their values. Values of
+/// every other array decide which memory is accessed (sizes and orientations of geoms in collision detection,
+/// height fields in rays, vertices of meshes), so that its mutable slice is `unsafe`.
 const FREE_IN_MODEL: &[&str] = &[
     "qpos0",
     "qpos_spring",
@@ -75,8 +75,9 @@ const FREE_IN_MODEL: &[&str] = &[
     "key_ctrl",
 ];
 
-/// Arrays of mjData that a caller may write: MuJoCo's inputs, whose range every step and forward pass checks, and where
-/// lights stand, which only drawing reads. MuJoCo computes the others from these, so that writing them is `unsafe`.
+/// Arrays of mjData that callers may write freely: MuJoCo's inputs, whose range every step and forward pass checks,
+/// and the poses of lights, which only rendering reads. MuJoCo computes the others from these, so that their
+/// mutable slice is `unsafe`.
 const FREE_IN_DATA: &[&str] = &[
     "qpos",
     "qvel",
@@ -92,7 +93,7 @@ const FREE_IN_DATA: &[&str] = &[
     "light_xdir",
 ];
 
-/// The comment behind a field's declaration in MuJoCo's headers, which is its documentation there.
+/// Returns the comment behind a field's declaration in MuJoCo's headers, where MuJoCo documents it.
 fn comment(headers: &str, name: &str) -> String {
     let declaration = format!("{name};");
     headers
@@ -116,7 +117,7 @@ fn comment(headers: &str, name: &str) -> String {
         .unwrap_or_else(|| String::from("see MuJoCo's reference"))
 }
 
-/// A size in the macro's terms (`nq`, `mjNREF`, `nmocap*3`, `6`) as a Rust expression of usize, or text for people.
+/// Translates a size in the macro's terms (`nq`, `mjNREF`, `nmocap*3`, `6`) to a Rust expression of usize.
 fn size(expression: &str) -> String {
     expression
         .split('*')
@@ -158,7 +159,8 @@ fn main() {
         if owner == "size" {
             let _ = writeln!(
                 sizes,
-                "    /// `{name}` of mjModel.\n    #[inline]\n    pub fn {name}(&self) -> usize {{ self.raw().{name} as usize }}"
+                "    /// `{name}` of mjModel.\n    #[inline]\n    \
+                 pub fn {name}(&self) -> usize {{ self.raw().{name} as usize }}"
             );
             continue;
         }
@@ -171,7 +173,7 @@ fn main() {
             "mjContact" => "mujoco_sys::mjContact",
             other => panic!("element type {other} of {name} is not known"),
         };
-        // contacts have an accessor of their own that ends at the last one
+        // contacts have a separate accessor that ends at the last contact
         if element.starts_with("mujoco_sys") {
             continue;
         }
@@ -185,7 +187,8 @@ fn main() {
         let bind = if owner == "model" { "let model = self.raw();" } else { "let model = self.model().raw();" };
         let _ = writeln!(
             reader,
-            "    /// `{name}`, {shape}: {text}.\n    #[inline]\n    pub fn {name}(&self) -> &[{element}] {{\n        {bind}\n        \
+            "    /// `{name}`, {shape}: {text}.\n    #[inline]\n    \
+             pub fn {name}(&self) -> &[{element}] {{\n        {bind}\n        \
              // SAFETY: MuJoCo allocated this many elements here for as long as self lives.\n        \
              unsafe {{ view(self.raw().{name}, {length}) }}\n    }}"
         );
@@ -195,13 +198,15 @@ fn main() {
             } else {
                 (
                     "unsafe ",
-                    "    ///\n    /// # Safety\n    /// MuJoCo trusts these numbers where it finds memory by them: every value must be one that its compiler, \
-                     or its last\n    /// step, could have put here.\n",
+                    "    ///\n    /// # Safety\n    \
+                     /// MuJoCo derives memory addresses from these numbers: every value must be one that\n    \
+                     /// MuJoCo's compiler, or its last step, could have written here.\n",
                 )
             };
             let _ = writeln!(
                 writer.unwrap_or(reader),
-                "    /// `{name}` to be written, {shape}: {text}.\n{terms}    #[inline]\n    pub {keyword}fn {name}_mut(&mut self) -> &mut [{element}] {{\n        {bind}\n        \
+                "    /// Mutable `{name}`, {shape}: {text}.\n{terms}    #[inline]\n    \
+                 pub {keyword}fn {name}_mut(&mut self) -> &mut [{element}] {{\n        {bind}\n        \
                  // SAFETY: as above, and self is borrowed mutably.\n        \
                  unsafe {{ view_mut(self.raw().{name}, {length}) }}\n    }}"
             );
@@ -209,8 +214,9 @@ fn main() {
     }
 
     let text = format!(
-        "/// Sizes.\nimpl Model {{\n{sizes}}}\n\n/// Arrays, row by row.\nimpl Model {{\n{model}}}\n\n\
-         /// Arrays of numbers, row by row.\nimpl ModelMut<'_> {{\n{model_mut}}}\n\n/// Arrays, row by row.\nimpl Data {{\n{data}}}\n"
+        "/// Sizes.\nimpl Model {{\n{sizes}}}\n\n/// Arrays, row-major.\nimpl Model {{\n{model}}}\n\n\
+         /// Mutable arrays of numbers, row-major.\nimpl ModelMut<'_> {{\n{model_mut}}}\n\n\
+         /// Arrays, row-major.\nimpl Data {{\n{data}}}\n"
     );
     let out = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets OUT_DIR"));
     fs::write(out.join("arrays.rs"), text).expect("OUT_DIR is writable");

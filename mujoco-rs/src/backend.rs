@@ -1,19 +1,19 @@
 use std::fmt;
 
-/// A way to an OpenGL context.
+/// Library that provides OpenGL contexts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum GlBackend {
-    /// EGL: a GPU's driver, or Mesa's software rasteriser.
+    /// EGL: a GPU driver, or Mesa's software rasteriser.
     Egl,
-    /// Mesa's off-screen library, in software.
+    /// OSMesa: Mesa's off-screen software renderer.
     Osmesa,
 }
 
 impl GlBackend {
-    /// Both, in the order in which they are tried.
+    /// All backends, in the order of detection.
     pub const ALL: [Self; 2] = [Self::Egl, Self::Osmesa];
 
-    /// The name that `MUJOCO_GL` has for it.
+    /// Returns the value of `MUJOCO_GL` that selects this backend.
     pub fn name(self) -> &'static str {
         match self {
             Self::Egl => "egl",
@@ -21,7 +21,7 @@ impl GlBackend {
         }
     }
 
-    /// Debian's packages that bring it.
+    /// Returns the Debian packages that provide this backend.
     pub fn packages(self) -> &'static str {
         match self {
             Self::Egl => "libegl1 libgl1-mesa-dri",

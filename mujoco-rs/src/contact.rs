@@ -1,6 +1,6 @@
 use crate::id::{GeomId, ObjectId};
 
-/// One contact that collision detection found in the last step or forward pass.
+/// Contact that collision detection found in the last step or forward pass.
 ///
 /// ```
 /// use mujoco_rs::{Data, Model};
@@ -19,27 +19,27 @@ use crate::id::{GeomId, ObjectId};
 pub struct Contact<'a>(pub(crate) &'a mujoco_sys::mjContact);
 
 impl Contact<'_> {
-    /// The two geoms, in MuJoCo's order.
+    /// Returns the two geoms, in MuJoCo's order.
     pub fn geoms(&self) -> [GeomId; 2] {
         [GeomId::new(self.0.geom1 as usize), GeomId::new(self.0.geom2 as usize)]
     }
 
-    /// Distance between the nearest points, m; negative where the geoms penetrate.
+    /// Returns the distance between the nearest points, m; negative if the geoms penetrate.
     pub fn distance(&self) -> f64 {
         self.0.dist
     }
 
-    /// The point half way between the two nearest ones, world frame, m.
+    /// Returns the midpoint of the two nearest points, world frame, m.
     pub fn position(&self) -> [f64; 3] {
         self.0.pos
     }
 
-    /// Unit normal from the first geom to the second, world frame.
+    /// Returns the unit normal from the first geom to the second, world frame.
     pub fn normal(&self) -> [f64; 3] {
         [self.0.frame[0], self.0.frame[1], self.0.frame[2]]
     }
 
-    /// Whether the solver treats it as a contact: false where it is only inside the geoms' margin.
+    /// Returns true if the solver treats this as a contact; false if the geoms are only within their margin.
     pub fn is_active(&self) -> bool {
         self.0.exclude == 0
     }

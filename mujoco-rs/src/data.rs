@@ -8,7 +8,7 @@ use crate::id::{GeomId, ObjectId};
 use crate::model::{Model, ModelMut};
 use crate::runtime::{check_library, guarded, was_raised};
 
-/// One simulation of a [`Model`].
+/// State of one simulation of a [`Model`]; MuJoCo's `mjData`.
 ///
 /// ```
 /// use mujoco_rs::{Data, Model};
@@ -29,11 +29,11 @@ use crate::runtime::{check_library, guarded, was_raised};
 pub struct Data {
     pointer: NonNull<mujoco_sys::mjData>,
     model: Arc<Model>,
-    /// Set by an error that left MuJoCo's stack as it was; only a reset clears it.
+    /// Error that left MuJoCo's stack in an undefined state; only a reset clears it.
     broken: Option<Error>,
 }
 
-// SAFETY: an mjData is plain memory without thread affinity, owned by this value alone.
+// SAFETY: an mjData is plain memory without thread affinity, and only this value owns it.
 unsafe impl Send for Data {}
 
 /// MuJoCo's warnings (`mjtWarning`).
@@ -41,19 +41,19 @@ unsafe impl Send for Data {}
 pub enum WarningKind {
     /// The inertia matrix is nearly singular.
     Inertia,
-    /// There were more contacts than `nconmax`; some were dropped.
+    /// More contacts than `nconmax` were found; some were dropped.
     ContactFull,
-    /// There were more constraints than `njmax`; some were dropped.
+    /// More constraints than `njmax` were found; some were dropped.
     ConstraintFull,
     /// A visual buffer was too small.
     VisualFull,
-    /// A position was not finite or too large, and the simulation was reset.
+    /// A position was not finite or too large, and MuJoCo reset the simulation.
     BadPosition,
-    /// A velocity was not finite or too large, and the simulation was reset.
+    /// A velocity was not finite or too large, and MuJoCo reset the simulation.
     BadVelocity,
-    /// An acceleration was not finite or too large, and the simulation was reset.
+    /// An acceleration was not finite or too large, and MuJoCo reset the simulation.
     BadAcceleration,
-    /// A control was not finite, and all were set to zero.
+    /// A control was not finite, and MuJoCo set all controls to zero.
     BadControl,
 }
 
@@ -76,20 +76,20 @@ impl WarningKind {
 /// Largest position that MuJoCo steps from (`mjMAXVAL`).
 const MAX_POSITION: f64 = 1e10;
 
-/// How often a warning was raised since the last reset.
+/// Statistics of a warning since the last reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WarningStat {
-    /// How often.
+    /// Number of occurrences.
     pub count: usize,
-    /// What MuJoCo noted at the last one: an index for the `Bad…` warnings, a size for the `…Full` ones.
+    /// MuJoCo's detail of the last occurrence: an index for the `Bad…` warnings, a size for the `…Full` warnings.
     pub last_info: i32,
 }
 
 impl Data {
-    /// A simulation in the model's initial state.
+    /// Creates a simulation in the model's initial state.
     ///
     /// # Errors
-    /// [`Error::Raised`] where MuJoCo cannot allocate it.
+    /// [`Error::Raised`] if MuJoCo cannot allocate it.
     pub fn new(model: impl Into<Arc<Model>>) -> Result<Self, Error> {
         check_library()?;
         let model = model.into();
@@ -101,43 +101,44 @@ impl Data {
         Ok(Self { pointer, model, broken: None })
     }
 
-    /// The model that is simulated.
+    /// Returns the simulated model.
     #[inline]
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Access to the numbers of the model that is simulated; what is written acts from the next step on. A model that others
-    /// share is copied first.
+    /// Returns mutable access to the numbers of the simulated model; changes take effect from the next step. A
+    /// shared model is copied first.
     ///
     /// # Errors
-    /// [`Error::Raised`] where MuJoCo cannot allocate the copy.
+    /// [`Error::Raised`] if MuJoCo cannot allocate the copy.
     pub fn patch_model(&mut self) -> Result<ModelMut<'_>, Error> {
         if Arc::get_mut(&mut self.model).is_none() {
             self.model = Arc::new(self.model.try_clone()?);
         }
-        // a copy has the same structure, so that this simulation's memory fits it as well
+        // a copy has the same structure, so that this simulation's memory fits it
         Arc::get_mut(&mut self.model)
             .map(Model::patch)
             .ok_or_else(|| Error::Raised { call: "mj_copyModel", message: "the model is shared".into() })
     }
 
-    /// The model, to be shared with another simulation.
+    /// Returns the model, to be shared with another simulation.
     pub fn shared_model(&self) -> Arc<Model> {
         Arc::clone(&self.model)
     }
 
-    /// Advances by one time step.
+    /// Advances the simulation by one time step.
     ///
     /// # Errors
-    /// [`Error::Diverged`] where the state left the range of numbers: MuJoCo has then put the simulation back to the
-    /// model's initial state (and may have gone one step on from it). [`Error::Raised`] with MuJoCo's message for its other errors: the simulation must be
-    /// [reset](Self::reset). [`Error::Value`] for a mocap body that is not at finite coordinates.
+    /// - [`Error::Diverged`] if the state became non-finite or too large: MuJoCo has then reset the simulation to
+    ///   the model's initial state (and may have advanced it by one step since).
+    /// - [`Error::Raised`] with MuJoCo's message for its other errors: the simulation must be [reset](Self::reset).
+    /// - [`Error::Value`] if the pose of a mocap body is not finite.
     pub fn step(&mut self) -> Result<(), Error> {
         self.usable()?;
         self.mocap_bounded()?;
         let time = self.raw().time;
-        // SAFETY: model and data belong together and are valid; no Rust frame lies under the shim's guard.
+        // SAFETY: model and data belong together and are valid; no Rust frame lies below the shim's guard.
         let status = unsafe { mujoco_sys::mjshim_step(self.model.as_ptr(), self.pointer.as_ptr()) };
         if status != 0 {
             return Err(self.fault("mj_step", status));
@@ -145,11 +146,11 @@ impl Data {
         self.divergence(time)
     }
 
-    /// Computes everything that follows from the state, up to the accelerations, without advancing time.
+    /// Computes all quantities that follow from the state, up to the accelerations, without advancing time.
     ///
     /// # Errors
-    /// [`Error::Diverged`] for positions (`qpos`) that are not finite or exceed 1e10: nothing is computed and nothing is put
-    /// back. Bad velocities and forces show in the results. Otherwise as for [`step`](Self::step).
+    /// [`Error::Diverged`] if positions (`qpos`) are not finite or exceed 1e10: nothing is computed, and nothing is
+    /// reset. Non-finite velocities and forces propagate to the results. Otherwise as for [`step`](Self::step).
     pub fn forward(&mut self) -> Result<(), Error> {
         self.usable()?;
         self.mocap_bounded()?;
@@ -159,7 +160,7 @@ impl Data {
         if status != 0 { Err(self.fault("mj_forward", status)) } else { Ok(()) }
     }
 
-    /// Computes where bodies, geoms, sites, cameras and lights are, and nothing else.
+    /// Computes the poses of bodies, geoms, sites, cameras and lights only.
     ///
     /// # Errors
     /// As for [`forward`](Self::forward).
@@ -172,7 +173,7 @@ impl Data {
         if status != 0 { Err(self.fault("mj_kinematics", status)) } else { Ok(()) }
     }
 
-    /// Back to the model's initial state, time 0, no warnings, no applied forces.
+    /// Resets the simulation to the model's initial state, time 0, no warnings, no applied forces.
     ///
     /// # Errors
     /// [`Error::Raised`] with MuJoCo's message.
@@ -184,14 +185,14 @@ impl Data {
         Ok(())
     }
 
-    /// Time 0, no applied forces and controls, no warm start of the solver, no contacts and no warnings, with the state left to be
-    /// written by the caller.
+    /// Resets the simulation except for its state: time 0, no applied forces and controls, no warm start of the
+    /// solver, no contacts and no warnings.
     ///
-    /// Followed by writing `qpos`, `qvel` and whatever else the model takes as input, this is a reset without what
-    /// takes most of its time: clearing buffers that the next step or forward pass computes afresh.
+    /// The caller then writes `qpos`, `qvel` and the other inputs of the model. This is faster than
+    /// [`reset`](Self::reset), which also clears buffers that the next step or forward pass recomputes.
     ///
     /// # Errors
-    /// [`Error::Raised`] where a [`reset`](Self::reset), which this does after an error, fails.
+    /// [`Error::Raised`] if a [`reset`](Self::reset), which this does after an error, fails.
     pub fn rewind(&mut self) -> Result<(), Error> {
         if self.broken.is_some() {
             self.reset()?;
@@ -209,29 +210,29 @@ impl Data {
         Ok(())
     }
 
-    /// Whether an error has left the simulation unusable until it is [reset](Self::reset).
+    /// Returns true if an error has made the simulation unusable until a [reset](Self::reset).
     pub fn is_broken(&self) -> bool {
         self.broken.is_some()
     }
 
-    /// Simulated time, s.
+    /// Returns the simulated time, s.
     #[inline]
     pub fn time(&self) -> f64 {
         self.raw().time
     }
 
-    /// Moves a geom to a place in the world frame, m, until the next [`kinematics`](Self::kinematics) or step: for rays and
-    /// pictures.
+    /// Sets the position of a geom in the world frame, m, until the next [`kinematics`](Self::kinematics) or step;
+    /// for rays and images.
     ///
     /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a coordinate that is not finite or exceeds 1e10.
+    /// [`Error::NotOfModel`]; [`Error::Value`] if a coordinate is not finite or exceeds 1e10.
     pub fn set_geom_xpos(&mut self, geom: GeomId, position: [f64; 3]) -> Result<(), Error> {
         let count = self.model().ngeom();
         if geom.index() >= count {
             return Err(Error::NotOfModel { kind: GeomId::KIND, index: geom.index(), count });
         }
         crate::limits::position(&position)?;
-        // SAFETY: finite numbers within MuJoCo's range; as many places as the model has geoms.
+        // SAFETY: the numbers are finite and within MuJoCo's range; the index is below the model's number of geoms.
         let places = unsafe { self.geom_xpos_mut() };
         places[3 * geom.index()..][..3].copy_from_slice(&position);
         Ok(())
@@ -242,7 +243,7 @@ impl Data {
         self.raw_mut().time = time;
     }
 
-    /// Contacts found in the last step or forward pass.
+    /// Returns the contacts found in the last step or forward pass.
     pub fn contacts(&self) -> impl ExactSizeIterator<Item = Contact<'_>> {
         let raw = self.raw();
         let found = usize::try_from(raw.ncon).unwrap_or(0).min(self.model.nconmax());
@@ -255,42 +256,43 @@ impl Data {
         contacts.iter().map(Contact)
     }
 
-    /// How often a warning was raised since the last reset. Those of a diverging state are errors of the step that
-    /// raised them, and not counted here.
+    /// Returns the statistics of a warning since the last reset. Warnings of a diverged state are not counted: the
+    /// step that raised them returned them as errors.
     pub fn warning(&self, kind: WarningKind) -> WarningStat {
         let stat = &self.raw().warning[kind.index()];
         WarningStat { count: usize::try_from(stat.number).unwrap_or(0), last_info: stat.lastinfo }
     }
 
-    /// Largest use so far of MuJoCo's stack, in numbers, against the model's `nstack`.
+    /// Returns the largest use of MuJoCo's stack so far, in numbers; the model's `nstack` is the limit.
     pub fn max_stack_used(&self) -> usize {
         usize::try_from(self.raw().maxuse_stack).unwrap_or(0)
     }
 
-    /// Largest number of contacts so far, against the model's `nconmax`.
+    /// Returns the largest number of contacts so far; the model's `nconmax` is the limit.
     pub fn max_contacts_used(&self) -> usize {
         usize::try_from(self.raw().maxuse_con).unwrap_or(0)
     }
 
-    /// Largest number of scalar constraints so far, against the model's `njmax`.
+    /// Returns the largest number of scalar constraints so far; the model's `njmax` is the limit.
     pub fn max_constraints_used(&self) -> usize {
         usize::try_from(self.raw().maxuse_efc).unwrap_or(0)
     }
 
-    /// Bytes that this simulation's buffers take.
+    /// Returns the size of this simulation's buffers, bytes.
     pub fn bytes(&self) -> usize {
         let raw = self.raw();
         usize::try_from(raw.nbuffer).unwrap_or(0) + usize::try_from(raw.nstack).unwrap_or(0) * size_of::<f64>()
     }
 
-    /// The first geom that a ray hits and its distance in lengths of `direction`, by MuJoCo's `mj_ray`.
+    /// Returns the first geom that a ray hits and its distance in multiples of `direction`, by MuJoCo's `mj_ray`;
+    /// `None` if the ray hits nothing.
     ///
-    /// `origin` and `direction` are in the world frame; `groups` says which of the six geom groups are seen, and
-    /// geoms of body `exclude` are not. `None` where the ray meets nothing.
+    /// `origin` and `direction` are in the world frame. `groups` selects the visible geom groups, of six. Geoms of
+    /// body `exclude` are ignored.
     ///
     /// # Errors
-    /// [`Error::Raised`] with MuJoCo's message, [`Error::Value`] for a direction of length zero or numbers that are
-    /// not finite.
+    /// [`Error::Raised`] with MuJoCo's message; [`Error::Value`] for a direction of length zero or non-finite
+    /// numbers.
     pub fn ray(
         &self,
         origin: [f64; 3],
@@ -345,8 +347,8 @@ impl Data {
         error
     }
 
-    /// Refuses positions that MuJoCo's collision detection was not written for. `mj_step` checks `qpos` itself, and no call
-    /// checks the mocap bodies.
+    /// Rejects positions outside the range of MuJoCo's collision detection. `mj_step` checks `qpos` itself; no
+    /// MuJoCo function checks the mocap bodies.
     #[inline]
     fn bounded(&self, positions: &[f64]) -> Result<(), Error> {
         let within = |value: &f64| value.abs() <= MAX_POSITION;
@@ -375,7 +377,7 @@ impl Data {
         }
     }
 
-    /// MuJoCo resets a diverged simulation by itself and only counts a warning.
+    /// Returns an error if the step diverged: MuJoCo resets a diverged simulation and only counts a warning.
     #[inline]
     fn divergence(&mut self, time: f64) -> Result<(), Error> {
         let kinds = [

@@ -1,11 +1,11 @@
 use crate::backend::GlBackend;
 use crate::id::ObjectKind;
 
-/// What can go wrong between a caller and MuJoCo.
+/// Errors of this crate.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The library that is loaded is not the one that the headers describe.
+    /// The version of the loaded library differs from that of the headers.
     #[error("MuJoCo {} is loaded, but this program was built for {}", dotted(.found), dotted(.expected))]
     Version {
         /// Version of the library.
@@ -13,121 +13,122 @@ pub enum Error {
         /// Version of the headers.
         expected: [u32; 3],
     },
-    /// A scene did not parse or compile; the message is MuJoCo's own, with line and column where it gives them.
+    /// A scene did not parse or compile; the message has line and column if MuJoCo reports them.
     #[error("{source_name}: {message}")]
     Load {
-        /// The file, or a name for text in memory.
+        /// Path of the file, or a placeholder for text in memory.
         source_name: String,
         /// MuJoCo's message, on one line.
         message: String,
     },
-    /// An in-memory asset that MuJoCo cannot take.
+    /// An in-memory asset is invalid.
     #[error("asset `{name}`: {reason}")]
     Asset {
-        /// The asset's file name.
+        /// File name of the asset.
         name: String,
-        /// Why not.
+        /// Reason for the rejection.
         reason: String,
     },
-    /// MuJoCo raised an error (`mju_error`) inside a call. The [`Data`](crate::Data) must be reset before it is used
-    /// again; until then its calls return this error.
+    /// MuJoCo raised an error (`mju_error`) inside a call. Calls on the [`Data`](crate::Data) return this error
+    /// until it is reset.
     #[error("MuJoCo's {call}: {message}")]
     Raised {
-        /// The function that was called.
+        /// MuJoCo function that was called.
         call: &'static str,
         /// MuJoCo's message.
         message: String,
     },
-    /// The simulation diverged; MuJoCo has already put it back to its initial state, or one step on from it.
+    /// The simulation diverged; MuJoCo has reset it to its initial state (and may have advanced it by one step
+    /// since).
     #[error(transparent)]
     Diverged(Divergence),
-    /// No object of that kind has that name.
+    /// The model has no object of this kind and name.
     #[error("no {kind} named `{name}` in the model")]
     UnknownName {
         /// Kind of object.
         kind: ObjectKind,
-        /// The name looked for.
+        /// Requested name.
         name: String,
     },
-    /// A value that MuJoCo cannot work with.
+    /// A value is outside MuJoCo's range.
     #[error("{what} is {got}, expected {expected}")]
     Value {
-        /// What it is of.
+        /// Name of the quantity.
         what: &'static str,
-        /// What was given.
+        /// Given value.
         got: f64,
-        /// What is possible.
+        /// Accepted values.
         expected: &'static str,
     },
-    /// An id that is not of this model.
-    #[error("{kind} {index} is not of this model, which has {count}")]
+    /// An id belongs to another model.
+    #[error("{kind} {index} is not in this model, which has {count}")]
     NotOfModel {
         /// Kind of object.
         kind: ObjectKind,
-        /// The index.
+        /// Index of the id.
         index: usize,
-        /// How many there are.
+        /// Number of objects of this kind in the model.
         count: usize,
     },
-    /// A simulation, scene and renderer that are not of the same model.
-    #[error("the simulation, the scene and the renderer are not of the same model")]
+    /// Simulation, scene and renderer belong to different models.
+    #[error("the simulation, the scene and the renderer belong to different models")]
     OtherModel,
-    /// A scene that has not been looked at by a camera yet.
-    #[error("the scene has not been updated, so that there is no camera to draw it from")]
+    /// A scene has no camera yet.
+    #[error("the scene has no camera: call `update` first")]
     NoCamera,
-    /// Segmentation asked of a renderer that mixes colours.
+    /// Segmentation requires a renderer without multisampling.
     #[error("segmentation needs a renderer with one sample per pixel")]
     Multisampled,
-    /// A buffer of the wrong length.
+    /// A buffer has the wrong length.
     #[error("the {what} buffer has {got} entries, expected {expected}")]
     Buffer {
-        /// What it is for.
+        /// Content of the buffer.
         what: &'static str,
-        /// Its length.
+        /// Given length.
         got: usize,
-        /// The length for the size asked for.
+        /// Required length for the image size.
         expected: usize,
     },
-    /// No OpenGL context can be made on this machine.
-    #[error("no OpenGL to draw with: {}; install it with `apt-get install {}`", answers(.attempts), packages(.attempts))]
+    /// No OpenGL context can be created on this machine.
+    #[error("no OpenGL available: {}; install it with `apt-get install {}`", answers(.attempts), packages(.attempts))]
     NoGl {
-        /// What was tried and what it answered.
+        /// Attempted backends with their answers.
         attempts: Vec<GlAttempt>,
     },
-    /// `MUJOCO_GL` names nothing that is known.
+    /// `MUJOCO_GL` has an unknown value.
     #[error("MUJOCO_GL is `{got}`, expected egl or osmesa, or unset to try both")]
     GlName {
-        /// Its value.
+        /// Value of the variable.
         got: String,
     },
     /// `MUJOCO_EGL_DEVICE_ID` names no device.
     #[error("MUJOCO_EGL_DEVICE_ID is `{got}`, expected {expected}")]
     GlDevice {
-        /// Its value.
+        /// Value of the variable.
         got: String,
-        /// What is possible.
+        /// Accepted values.
         expected: String,
     },
-    /// OpenGL failed after it had worked.
+    /// OpenGL failed after successful initialisation.
     #[error("OpenGL: {message}")]
     Gl {
-        /// What it answered.
+        /// Message of OpenGL or its driver.
         message: String,
     },
-    /// A string with a zero byte, which C cannot read.
+    /// A string contains a zero byte, which terminates strings in C.
     #[error("the {what} holds a zero byte")]
     Nul {
-        /// What the string is.
+        /// Content of the string.
         what: &'static str,
     },
 }
 
-/// One way to OpenGL that was tried in vain.
+/// Failed attempt to load an OpenGL library.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GlAttempt {
-    /// The library.
+    /// Backend of the attempt.
     pub backend: GlBackend,
-    /// What it answered.
+    /// Error message of the library.
     pub answer: String,
 }
 
@@ -143,18 +144,18 @@ fn dotted(version: &[u32; 3]) -> String {
     format!("{}.{}.{}", version[0], version[1], version[2])
 }
 
-/// Which quantity stopped being a number, or grew past MuJoCo's limit of 1e10.
+/// Quantity that became non-finite or exceeded MuJoCo's limit of 1e10.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DivergedQuantity {
-    /// `qpos`.
+    /// Positions, `qpos`.
     Position,
-    /// `qvel`.
+    /// Velocities, `qvel`.
     Velocity,
-    /// `qacc`.
+    /// Accelerations, `qacc`.
     Acceleration,
 }
 
-/// A simulation that left the range of numbers MuJoCo works with.
+/// Simulation whose state became non-finite or too large.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("the simulation diverged at t = {time} s: {} {index} is not finite or exceeds 1e10", match .quantity {
     DivergedQuantity::Position => "position coordinate",
@@ -162,10 +163,10 @@ pub enum DivergedQuantity {
     DivergedQuantity::Acceleration => "acceleration of degree of freedom",
 })]
 pub struct Divergence {
-    /// The quantity.
+    /// Quantity that diverged.
     pub quantity: DivergedQuantity,
     /// Index into `qpos` for positions, otherwise into `qvel`.
     pub index: usize,
-    /// Time of the step's start, s.
+    /// Time at the start of the step, s.
     pub time: f64,
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// The kinds of object that have a typed id.
+/// Kind of object with a typed id.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ObjectKind {
@@ -31,7 +31,7 @@ pub enum ObjectKind {
 }
 
 impl ObjectKind {
-    /// MuJoCo's number of the kind (`mjtObj`).
+    /// Returns MuJoCo's number of the kind (`mjtObj`).
     pub(crate) fn code(self) -> u32 {
         use mujoco_sys::mjtObj_ as obj;
         match self {
@@ -72,15 +72,15 @@ mod sealed {
     pub trait Sealed {}
 }
 
-/// An index of one kind of object. Implemented by the id types of this crate only.
+/// Index of an object of one kind. Only the id types of this crate implement it.
 pub trait ObjectId: Copy + sealed::Sealed {
-    /// The kind of object.
+    /// Kind of object.
     const KIND: ObjectKind;
 
-    /// The id of the object at this position of the model's list.
+    /// Creates the id of the object at an index of the model's list.
     fn new(index: usize) -> Self;
 
-    /// The position in the model's list.
+    /// Returns the index in the model's list.
     fn get(self) -> usize;
 }
 
@@ -91,7 +91,7 @@ macro_rules! ids {
         pub struct $name(usize);
 
         impl $name {
-            /// The position in the model's list; row number of the arrays of that kind.
+            /// Returns the index in the model's list, which is also the row in the arrays of this kind.
             #[inline]
             pub fn index(self) -> usize {
                 self.0

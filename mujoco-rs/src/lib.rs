@@ -1,8 +1,8 @@
 //! Safe models and simulations of MuJoCo 2.2.
 //!
 //! A [`Model`] is compiled once from MJCF text and shared between threads; a [`Data`] holds one simulation of it.
-//! Every array of `mjModel` and `mjData` is a slice of the right length, whatever MuJoCo reports as an error is an
-//! [`Error`] that carries its own message, and no public type of this crate exposes a pointer.
+//! Every array of `mjModel` and `mjData` is a slice of the right length. MuJoCo's errors are values of [`Error`]
+//! with MuJoCo's message. No public type of this crate exposes a pointer.
 //!
 //! ```
 //! use mujoco_rs::{BodyId, Data, Model};
@@ -20,7 +20,7 @@
 //! # Ok::<(), mujoco_rs::Error>(())
 //! ```
 //!
-//! This crate holds all unsafe code about MuJoCo and OpenGL; it knows nothing of drones.
+//! This crate contains all unsafe code for MuJoCo and OpenGL, and no drone-specific code.
 #![allow(unsafe_code)]
 
 mod arrays;
@@ -54,7 +54,7 @@ pub use scene::{Camera, Decor, Scene, VisualEffects};
 
 #[doc(hidden)]
 pub mod testing {
-    //! For this crate's own tests.
+    //! Helpers for this crate's tests.
     pub use crate::model::load_unchecked;
     pub use crate::runtime::{assert_host_is_left_alone, raise};
 }

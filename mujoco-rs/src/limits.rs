@@ -1,30 +1,30 @@
-//! Numbers that MuJoCo's C code can work with: outside of them it reads and writes memory that is not its own.
+//! Limits of MuJoCo's C code: numbers outside of them would make it access memory out of bounds.
 
 use mujoco_sys::mjtGeom_ as geom;
 
 use crate::error::Error;
 
-/// Smallest length of a solid (`mjMINVAL`), m.
+/// Smallest length of a geom (`mjMINVAL`), m.
 pub(crate) const MIN_LENGTH: f64 = 1e-15;
 
 /// Largest coordinate (`mjMAXVAL`), m.
 pub(crate) const MAX_COORDINATE: f64 = 1e10;
 
-/// Largest length of a solid, m. Among sizes of 1e8 m and more the search of libccd for the depth of a contact can go on for
-/// ever: rounding is then larger than its tolerance, and it counts no iterations.
+/// Largest length of a geom, m. For sizes from 1e8 m on, libccd's search for a penetration depth may not terminate:
+/// rounding errors exceed its tolerance, and it does not count iterations.
 pub(crate) const MAX_LENGTH: f64 = 1e6;
 
-/// Largest number of points of a height field, texture or mesh: three times as many bytes for each of six faces of a cube still
-/// have a size that MuJoCo's integers can hold.
+/// Largest number of points of a height field, texture or mesh. A cube texture takes 18 times as many bytes, which
+/// MuJoCo's integers can still hold.
 pub(crate) const MAX_COUNT: i64 = 1 << 26;
 
-/// How many of a geom's three sizes its type has, and whether they may be 0.
+/// Returns how many of a geom's three sizes its type uses, and true if they may be 0.
 fn sizes(geom_type: i32) -> (usize, bool) {
     match u32::try_from(geom_type).unwrap_or(u32::MAX) {
         geom::mjGEOM_SPHERE => (1, false),
         geom::mjGEOM_CAPSULE | geom::mjGEOM_CYLINDER => (2, false),
         geom::mjGEOM_ELLIPSOID | geom::mjGEOM_BOX => (3, false),
-        // a plane of size 0 is infinite; meshes and height fields have boxes around them
+        // a plane of size 0 is infinite; meshes and height fields have bounding boxes
         _ => (3, true),
     }
 }

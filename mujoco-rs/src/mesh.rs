@@ -1,11 +1,12 @@
-//! Files that a scene refers to, checked before MuJoCo's readers see them: those trust the indices and sizes in them.
+//! Validation of a scene's files before MuJoCo reads them, because MuJoCo's readers trust the indices and sizes in
+//! files.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
 use crate::limits::{MAX_COORDINATE, MAX_COUNT};
 
-/// Use of a file in the scene.
+/// Role of a file in the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum FileKind {
     Mesh,
@@ -15,7 +16,7 @@ pub(crate) enum FileKind {
     Include,
 }
 
-/// Checks a file and returns what MuJoCo is to read in its place, with the largest coordinate of a mesh.
+/// Validates a file and returns the content for MuJoCo, with the largest coordinate of a mesh.
 pub(crate) fn check<'a>(kind: FileKind, name: &str, bytes: &'a [u8]) -> Result<(Cow<'a, [u8]>, f64), String> {
     let ends_with = |extension: &str| {
         let start = name.len().checked_sub(extension.len());
@@ -42,19 +43,20 @@ pub(crate) fn check<'a>(kind: FileKind, name: &str, bytes: &'a [u8]) -> Result<(
     }
 }
 
-/// Checks the dimensions of a height field. MuJoCo's rays address the sides of a field as if it had as many rows as columns.
+/// Validates the dimensions of a height field. MuJoCo's ray casting indexes the sides of a field as if it were
+/// square.
 pub(crate) fn height_field(rows: i64, columns: i64) -> Result<(), String> {
     if rows < 2 || columns < rows || rows.saturating_mul(columns) > MAX_COUNT {
         return Err(format!(
-            "the height field has {rows} rows and {columns} columns, expected at least 2 rows, at least as many columns as rows \
-             (MuJoCo's rays read outside of others), and at most {MAX_COUNT} points"
+            "the height field has {rows} rows and {columns} columns, expected at least 2 rows, at least as many \
+             columns as rows (a limit of MuJoCo's ray casting), and at most {MAX_COUNT} points"
         ));
     }
     Ok(())
 }
 
-/// The OBJ text that tinyobjloader is to read: vertices, texture coordinates, normals, faces with absolute indices and the
-/// starts of groups, line by line, and nothing else. Numbers are kept as they are written.
+/// Returns normalised OBJ text for tinyobjloader: vertices, texture coordinates, normals, faces with absolute
+/// indices and the starts of groups, one per line. Numbers are not reformatted.
 fn obj(bytes: &[u8]) -> Result<(String, f64), String> {
     let text = String::from_utf8_lossy(bytes).replace("\r\n", "\n").replace('\r', "\n");
     let mut all = [0_i64; 3];
@@ -97,7 +99,7 @@ fn obj(bytes: &[u8]) -> Result<(String, f64), String> {
                 faces += 1;
                 continue;
             }
-            // MuJoCo reads the first group only
+            // MuJoCo reads only the first group
             "g" | "o" => {
                 _ = writeln!(clean, "{key} part");
                 continue;
@@ -134,8 +136,8 @@ fn words(line: &str) -> impl Iterator<Item = &str> {
     line.split([' ', '\t']).filter(|word| !word.is_empty())
 }
 
-/// Absolute indices of a face's corner `v`, `v/vt`, `v//vn` or `v/vt/vn`, into what the whole file has. Where the file has texture
-/// coordinates or normals MuJoCo reads one for every corner, named or not.
+/// Parses a face's corner `v`, `v/vt`, `v//vn` or `v/vt/vn` into absolute indices. If the file has texture
+/// coordinates or normals, MuJoCo reads one for every corner, also if the corner names none.
 fn face_corner(corner: &str, seen: [i64; 3], all: [i64; 3]) -> Result<[Option<i64>; 3], String> {
     const NAMES: [&str; 3] = ["vertex", "texture coordinate", "normal"];
     let mut parts = corner.split('/');
@@ -168,7 +170,7 @@ fn face_corner(corner: &str, seen: [i64; 3], all: [i64; 3]) -> Result<[Option<i6
     }
 }
 
-/// Little-endian numbers of a binary file, in order.
+/// Reader of the little-endian numbers of a binary file.
 struct Binary<'a>(&'a [u8]);
 
 impl Binary<'_> {
@@ -182,7 +184,7 @@ impl Binary<'_> {
         self.take().map(|bytes| i64::from(i32::from_le_bytes(bytes)))
     }
 
-    /// A number of things between 0 and [`MAX_COUNT`].
+    /// Reads a count between 0 and [`MAX_COUNT`].
     fn count(&mut self, what: &str) -> Result<i64, String> {
         match self.int()? {
             count if (0..=MAX_COUNT).contains(&count) => Ok(count),
@@ -190,7 +192,7 @@ impl Binary<'_> {
         }
     }
 
-    /// Skips finite numbers and returns the largest of their absolute values.
+    /// Skips finite numbers and returns their largest absolute value.
     fn floats(&mut self, count: i64, what: &str) -> Result<f64, String> {
         let mut largest = 0.0_f64;
         for _ in 0..count {
@@ -203,7 +205,7 @@ impl Binary<'_> {
         Ok(largest)
     }
 
-    /// Skips indices of vertices.
+    /// Skips vertex indices and checks them.
     fn indices(&mut self, count: i64, vertices: i64, what: &str) -> Result<(), String> {
         for _ in 0..count {
             let index = self.int()?;
@@ -227,13 +229,13 @@ fn stl(bytes: &[u8]) -> Result<f64, String> {
     let faces = file.count("triangles")?;
     if !(1..=200_000).contains(&faces) || file.0.len() as i64 != 50 * faces {
         return Err(format!(
-            "{faces} triangles in {} bytes, expected 1 to 200000 of 50 bytes each: MuJoCo reads binary STL files only",
+            "{faces} triangles in {} bytes, expected 1 to 200000 of 50 bytes each: MuJoCo reads only binary STL files",
             file.0.len()
         ));
     }
     let mut reach = 0.0_f64;
     for _ in 0..faces {
-        file.take::<12>()?; // the normal, which MuJoCo computes itself
+        file.take::<12>()?; // the normal, which MuJoCo recomputes
         reach = reach.max(file.floats(9, "a triangle")?);
         file.take::<2>()?;
     }
@@ -247,8 +249,8 @@ fn msh(bytes: &[u8]) -> Result<f64, String> {
         [file.count("vertices")?, file.count("normals")?, file.count("texture coordinates")?, file.count("faces")?];
     if vertices < 4 || ![0, vertices].contains(&normals) || ![0, vertices].contains(&textures) {
         return Err(format!(
-            "{vertices} vertices, {normals} normals and {textures} texture coordinates, expected at least 4 vertices and as many \
-             of the others, or none"
+            "{vertices} vertices, {normals} normals and {textures} texture coordinates, expected at least 4 \
+             vertices, and as many of the others or none"
         ));
     }
     let reach = file.floats(3 * vertices, "a vertex")?;
@@ -268,7 +270,7 @@ fn skn(bytes: &[u8]) -> Result<(), String> {
     file.indices(3 * faces, vertices, "a face")?;
     for _ in 0..bones {
         if file.take::<40>()?.iter().all(|&byte| byte != 0) {
-            return Err("the name of a bone's body has no end".into());
+            return Err("the name of a bone's body is not terminated".into());
         }
         file.floats(7, "a bone")?;
         let held = file.count("a bone's vertices")?;
@@ -278,23 +280,24 @@ fn skn(bytes: &[u8]) -> Result<(), String> {
     file.end()
 }
 
-/// Width and height of a PNG file.
+/// Returns the width and height of a PNG file.
 fn png(bytes: &[u8]) -> Result<[i64; 2], String> {
     let header = bytes.strip_prefix(b"\x89PNG\r\n\x1a\n").and_then(|rest| rest.get(8..16));
     let Some(Ok(header)) = header.map(<[u8; 8]>::try_from) else {
-        return Err("the file is no PNG image".into());
+        return Err("the file is not a PNG image".into());
     };
     let number =
         |at: usize| i64::from(u32::from_be_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]));
     dimensions(number(0), number(4))
 }
 
-/// Width and height of MuJoCo's own format for height fields and textures, whose data must have just that many bytes.
+/// Returns the width and height of MuJoCo's own format for height fields and textures, whose data must match them
+/// exactly.
 fn custom(kind: FileKind, bytes: &[u8]) -> Result<[i64; 2], String> {
     let mut file = Binary(bytes);
     let (first, second) = (file.int()?, file.int()?);
     let (size, bytes_each) = match kind {
-        // rows and columns, of floats
+        // rows and columns of floats
         FileKind::HeightField => (dimensions(second, first)?, 4),
         _ => (dimensions(first, second)?, 3),
     };

@@ -1,8 +1,9 @@
-//! Scenes as text, checked before MuJoCo's parser and compiler see them.
+//! Validation of scenes before MuJoCo parses and compiles them.
 //!
-//! The compiler trusts sizes, counts and indices in a scene and in the files that it refers to: a field of 65,536 by 65,536 points
-//! or a face that names a vertex which is not there leads it outside its memory. Text is read here first, by a parser of its own.
-//! MuJoCo is given what was understood, element by element on its own line, so that both cannot disagree on what a text says.
+//! MuJoCo's compiler trusts sizes, counts and indices in a scene and in its files: a height field of 65,536 by
+//! 65,536 points or a face with an invalid vertex index makes it access memory out of bounds. This module therefore
+//! parses the text first and passes MuJoCo a normalised copy, one element per line, so that both parsers agree on
+//! its meaning.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -16,21 +17,21 @@ use crate::limits::{MAX_COORDINATE, MAX_COUNT, MAX_LENGTH, MIN_LENGTH};
 use crate::mesh::{self, FileKind};
 use crate::model::Assets;
 
-/// Where the files are that a scene refers to.
+/// Location of a scene's files.
 pub(crate) enum Source<'a> {
     Memory(&'a Assets),
-    /// Below the directory of the scene's own file.
+    /// Directory of the scene's file.
     Directory(&'a Path),
 }
 
-/// A scene that MuJoCo can be given.
+/// Validated scene for MuJoCo.
 pub(crate) struct Checked {
     pub(crate) text: String,
-    /// Content of the files that the text refers to, by their names without directories, in lower case as MuJoCo compares them.
+    /// Content of the scene's files, by their names without directories, in lower case as MuJoCo compares them.
     pub(crate) files: BTreeMap<String, Vec<u8>>,
 }
 
-/// Attributes whose values are names, not numbers.
+/// Attributes whose values are names.
 const NAMES: &[&str] = &[
     "name",
     "class",
@@ -70,10 +71,10 @@ const NAMES: &[&str] = &[
     "texturedir",
 ];
 
-/// Attributes that may be infinite.
+/// Attributes whose values may be infinite.
 const UNBOUNDED: &[&str] = &["range", "ctrlrange", "forcerange", "actrange", "lengthrange", "cutoff"];
 
-/// Attributes that are lengths, positions and directions.
+/// Attributes whose values are lengths, positions or directions.
 const LENGTHS: &[&str] = &[
     "size",
     "pos",
@@ -103,7 +104,7 @@ const LENGTHS: &[&str] = &[
     "scale",
 ];
 
-/// Whole numbers by which MuJoCo allocates, with what they may be.
+/// Integer attributes that determine MuJoCo's allocations: element, attribute, minimum, maximum.
 const COUNTS: &[(&str, &str, i64, i64)] = &[
     ("size", "njmax", -1, 100_000),
     ("size", "nconmax", -1, 1_000_000),
@@ -139,14 +140,14 @@ const COUNTS: &[(&str, &str, i64, i64)] = &[
     ("option", "mpr_iterations", 0, 1_000_000),
 ];
 
-/// How deep elements may be inside each other, those around an include counted: MuJoCo's recursion fits into the stack that loading asks
-/// for.
+/// Largest nesting depth of elements, including those around an include: bounds MuJoCo's recursion to the stack
+/// that loading requires.
 const MAX_DEPTH: usize = 200;
 
 /// Largest number of parts of a composite object.
 const MAX_COMPOSITE: i64 = 10_000;
 
-/// Most numbers of a custom field: MuJoCo reads them into an array of this length.
+/// Largest number of values of a custom field: the length of MuJoCo's buffer.
 const MAX_NUMERIC: usize = 500;
 
 #[derive(Default)]
@@ -156,15 +157,15 @@ struct Scan {
     texture_directory: String,
     strip_path: bool,
     meshes: Vec<MeshReach>,
-    /// Largest scale of a mesh that gives none itself.
+    /// Largest default scale of meshes.
     default_scale: f64,
-    /// Largest scale of a geom fitted to a mesh.
+    /// Largest scale of a geom that is fitted to a mesh.
     fit: f64,
 }
 
-/// How far a mesh reaches.
+/// Extent of a mesh.
 struct MeshReach {
-    /// Largest coordinate before scaling.
+    /// Largest absolute coordinate before scaling.
     reach: f64,
     /// Largest of the mesh's own scale factors.
     scale: Option<f64>,
@@ -174,22 +175,22 @@ struct Reference {
     kind: FileKind,
     file: String,
     line: usize,
-    /// How many elements are around the one that refers to it.
+    /// Nesting depth of the referring element.
     depth: usize,
     /// Largest scale factor of a mesh.
     scale: Option<f64>,
 }
 
-/// A file that the text refers to.
+/// File that the scene refers to.
 struct Found {
     kind: FileKind,
-    /// As the text names it.
+    /// Name of the file in the scene.
     file: String,
-    /// Largest coordinate of a mesh.
+    /// Largest absolute coordinate of a mesh.
     reach: f64,
 }
 
-/// Checks a scene, everything it includes and the files that it refers to.
+/// Validates a scene, its includes and its files.
 pub(crate) fn check(xml: &str, source: &Source<'_>, shown: &str) -> Result<Checked, Error> {
     let refuse = |message: String| Error::Load { source_name: shown.to_string(), message };
     let mut scan = Scan { default_scale: 1.0, fit: 1.0, ..Scan::default() };
@@ -197,7 +198,7 @@ pub(crate) fn check(xml: &str, source: &Source<'_>, shown: &str) -> Result<Check
     let mut files: BTreeMap<String, Vec<u8>> = BTreeMap::new();
     let mut found: BTreeMap<String, Found> = BTreeMap::new();
     let mut next = 0;
-    // includes add references while this goes on; the directories are known when all of them have been read
+    // includes add references during the loop; the directories are known only after all includes have been read
     for includes in [true, false] {
         while let Some(reference) = scan.references.get(next) {
             next += 1;
@@ -225,7 +226,7 @@ pub(crate) fn check(xml: &str, source: &Source<'_>, shown: &str) -> Result<Check
                 scan.meshes.push(MeshReach { reach, scale });
                 (checked.into_owned(), reach)
             };
-            // MuJoCo is given files by these names alone
+            // MuJoCo finds files by these names only
             if let Some(earlier) = earlier
                 && files.get(&bare) != Some(&bytes)
             {
@@ -253,7 +254,7 @@ impl Source<'_> {
             Self::Memory(assets) => {
                 let mut found = assets.iter().filter(|(name, _)| name.eq_ignore_ascii_case(bare));
                 found.next().map(|(_, bytes)| bytes.to_vec()).ok_or_else(|| {
-                    "the scene refers to it, and it is not among the assets (scenes in memory read no files from disk)".into()
+                    "the scene refers to it, but it is not among the assets (scenes in memory read no files)".into()
                 })
             }
             Self::Directory(directory) => {
@@ -274,7 +275,7 @@ impl Source<'_> {
 }
 
 impl Scan {
-    /// Reads one text, inside so many elements of others, and returns it as MuJoCo is to read it.
+    /// Parses one text at a nesting depth of `around` elements, and returns the normalised text for MuJoCo.
     fn read(&mut self, xml: &str, is_main: bool, around: usize) -> Result<String, String> {
         let mut reader = Reader::from_str(xml);
         let mut clean = String::with_capacity(xml.len() + xml.len() / 8);
@@ -304,7 +305,7 @@ impl Scan {
                     clean.push_str(if is_empty { "/>" } else { ">" });
                     depth += usize::from(!is_empty);
                     if around + depth > MAX_DEPTH {
-                        return Err(format!("line {line}: elements are more than {MAX_DEPTH} deep inside each other"));
+                        return Err(format!("line {line}: elements are nested more than {MAX_DEPTH} deep"));
                     }
                 }
                 Event::End(tag) => {
@@ -313,14 +314,14 @@ impl Scan {
                 }
                 Event::DocType(_) => return Err(syntax(&"a document type, expected none")),
                 Event::Eof => break,
-                // MuJoCo reads elements and attributes only
+                // MuJoCo reads only elements and attributes
                 _ => {}
             }
         }
         match (depth, roots) {
             (0, 1..) => Ok(clean),
-            (0, _) => Err("XML error: there is no element in the text".into()),
-            _ => Err(format!("XML error at line {line}: {depth} elements have no end")),
+            (0, _) => Err("XML error: the text has no element".into()),
+            _ => Err(format!("XML error at line {line}: {depth} elements are not closed")),
         }
     }
 
@@ -399,7 +400,7 @@ impl Scan {
         for (key, file) in element.attributes.iter().filter(|(key, _)| key.starts_with("file")) {
             let bare = file.rsplit(['/', '\\']).next().unwrap_or_default();
             if bare.is_empty() || bare.len() >= mujoco_sys::mjMAXVFSNAME as usize {
-                return Err(element.wrong(key, file, "the name of a file, not too long"));
+                return Err(element.wrong(key, file, "a file name of 1 to 999 bytes"));
             }
             self.references.push(Reference { kind, file: file.clone(), line: element.line, depth, scale });
         }
@@ -407,7 +408,7 @@ impl Scan {
     }
 }
 
-/// An element and its attributes.
+/// Element and its attributes.
 struct Element<'a> {
     name: &'a str,
     line: usize,
@@ -429,7 +430,7 @@ impl Element<'_> {
         value.split_ascii_whitespace().map(parse).collect()
     }
 
-    /// Finite numbers, and lengths that MuJoCo can work with.
+    /// Checks that numbers are finite, and that lengths are within MuJoCo's range.
     fn check_numbers(&self) -> Result<(), String> {
         for (key, value) in self.attributes {
             let key = key.as_str();
@@ -458,7 +459,7 @@ impl Element<'_> {
         Ok(())
     }
 
-    /// Whole numbers by which MuJoCo allocates.
+    /// Checks the integer attributes that determine MuJoCo's allocations.
     fn check_counts(&self) -> Result<(), String> {
         for &(element, key, min, max) in COUNTS {
             if element != self.name {
@@ -490,18 +491,19 @@ impl Element<'_> {
         }
     }
 
-    /// Returns the largest of a mesh's scale factors, where it has any.
+    /// Returns the largest of a mesh's scale factors; `None` if it has no scale.
     fn scale(&self) -> Result<Option<f64>, String> {
         let Some(scale) = self.get("scale").filter(|_| self.name == "mesh") else { return Ok(None) };
         Ok(Some(self.numbers::<f64>("scale", scale)?.into_iter().fold(0.0, |max: f64, x| max.max(x.abs()))))
     }
 
-    /// Vertices and faces in the text: every face names vertices that are there. Returns the largest coordinate.
+    /// Checks the vertices and faces in the text: faces must name existing vertices. Returns the largest absolute
+    /// coordinate.
     fn faces(&self) -> Result<f64, String> {
         if self.get("file").is_some()
             && ["vertex", "normal", "texcoord", "face"].iter().any(|key| self.get(key).is_some())
         {
-            return Err(self.wrong("vertex", "given with a file", "one of both"));
+            return Err(self.wrong("vertex", "given with a file", "either vertices or a file"));
         }
         let vertices = self.get("vertex").map_or(Ok(Vec::new()), |value| self.numbers::<f64>("vertex", value))?;
         let count = (vertices.len() / 3) as i64;

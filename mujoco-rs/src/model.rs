@@ -19,10 +19,10 @@ pub use assets::Assets;
 use assets::FileSystem;
 pub use patch::ModelMut;
 
-/// A compiled scene.
+/// Compiled scene; MuJoCo's `mjModel`.
 ///
-/// Sizes and structure never change after compilation; numbers may be patched through [`ModelMut`]. It is immutable
-/// while shared, so threads may step their own [`Data`](crate::Data) of one model at the same time.
+/// Sizes and structure are fixed at compilation; numbers may be changed through [`ModelMut`]. A shared model is
+/// immutable, so that several threads may step their own [`Data`](crate::Data) of one model at the same time.
 ///
 /// ```
 /// use mujoco_rs::{GeomId, Model, ObjectKind};
@@ -33,15 +33,15 @@ pub use patch::ModelMut;
 /// )?;
 /// let floor: GeomId = model.find("floor")?;
 /// assert_eq!(model.name(floor), Some("floor"));
-/// assert_eq!(model.count(ObjectKind::Body), 2, "the world is one, too");
-/// // MuJoCo says itself what is wrong
+/// assert_eq!(model.count(ObjectKind::Body), 2, "the world is a body, too");
+/// MuJoCo reports the cause of an error
 /// let error = Model::from_xml("<mujoco><worldbody><nonsense/></worldbody></mujoco>").unwrap_err();
 /// assert!(error.to_string().contains("nonsense"));
 /// # Ok::<(), mujoco_rs::Error>(())
 /// ```
 pub struct Model {
     pointer: NonNull<mujoco_sys::mjModel>,
-    /// Shared by all copies of one compiled model.
+    /// Identity of the compiled model, shared by all its copies.
     structure: Arc<()>,
 }
 
@@ -51,35 +51,37 @@ unsafe impl Send for Model {}
 // SAFETY: as above.
 unsafe impl Sync for Model {}
 
-/// The name under which text in memory is compiled; messages show `scene` instead.
+/// File name under which text in memory is compiled; messages show `scene` instead.
 const TEXT_NAME: &str = "__scene__.xml";
 
 impl Model {
     /// Compiles a scene from MJCF text.
     ///
-    /// MuJoCo's parser and compiler trust sizes, counts and indices in a scene, so this crate reads the text first and refuses
-    /// those that would lead them outside of their memory: numbers that are not finite, lengths above 1e6 m, faces that name
-    /// vertices which are not there, height fields with more rows than columns (MuJoCo's rays read outside of their data).
+    /// MuJoCo's parser and compiler trust sizes, counts and indices in a scene. This crate therefore validates the
+    /// text first and rejects values that would cause invalid memory accesses: non-finite numbers, lengths above
+    /// 1e6 m, faces with invalid vertex indices, and height fields with more rows than columns (MuJoCo's ray
+    /// casting reads outside of their data).
     ///
     /// # Errors
-    /// [`Error::Load`] with the line and what is expected there, or with MuJoCo's message; [`Error::Asset`] for a file, because
-    /// there are none; [`Error::Version`] for a library that is not the one of the headers.
+    /// - [`Error::Load`] with the line and the expected value, or with MuJoCo's message.
+    /// - [`Error::Asset`] if the scene refers to a file.
+    /// - [`Error::Version`] if the library's version differs from that of the headers.
     pub fn from_xml(xml: &str) -> Result<Self, Error> {
         Self::from_xml_with_assets(xml, &Assets::new())
     }
 
-    /// Compiles a scene from MJCF text that refers to files in memory, under names without directories. No file is read from
-    /// disk.
+    /// Compiles a scene from MJCF text that refers to files in memory, by names without directories. No file is
+    /// read from disk.
     ///
     /// # Errors
-    /// [`Error::Asset`] where a file is missing, damaged or cannot be taken, and as for [`from_xml`](Self::from_xml).
+    /// [`Error::Asset`] for a missing, damaged or unsupported file; otherwise as for [`from_xml`](Self::from_xml).
     pub fn from_xml_with_assets(xml: &str, assets: &Assets) -> Result<Self, Error> {
         check_library()?;
         if xml.trim().is_empty() {
             return Err(Error::Load { source_name: "scene".into(), message: "the text is empty".into() });
         }
         let mut files = FileSystem::new();
-        // names first: MuJoCo looks files up by them
+        // check names first, because MuJoCo finds files by name
         let mut names = BTreeSet::new();
         for (name, _) in assets.iter() {
             FileSystem::check_name(name)?;
@@ -98,12 +100,12 @@ impl Model {
         Self::load(TEXT_NAME, Some(&files), "scene")
     }
 
-    /// Compiles a scene from an MJCF file; what it refers to is found relative to it. Files of one name in several directories
-    /// are refused.
+    /// Compiles a scene from an MJCF file; the paths in it are relative to it. Files of the same name in different
+    /// directories are rejected.
     ///
     /// # Errors
-    /// [`Error::Load`] with the path; [`Error::Asset`] with that of a file that the scene refers to; otherwise as for
-    /// [`from_xml`](Self::from_xml).
+    /// [`Error::Load`] with the path of the scene; [`Error::Asset`] with the name of a file that the scene refers
+    /// to; otherwise as for [`from_xml`](Self::from_xml).
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self, Error> {
         check_library()?;
         let path = path.as_ref();
@@ -124,8 +126,8 @@ impl Model {
     fn load(name: &str, files: Option<&FileSystem>, shown: &str) -> Result<Self, Error> {
         let c_name = CString::new(name).map_err(|_| Error::Nul { what: "path" })?;
         let mut message = [0 as c_char; 1000];
-        // SAFETY: terminated strings, a VFS or null, a buffer of the size stated. Exceptions and errors end in the shim;
-        // the parser takes MuJoCo's own lock.
+        // SAFETY: the strings are terminated, the VFS is null or valid, the buffer has the given size. Exceptions
+        // and errors end in the shim; the parser takes MuJoCo's own lock.
         let pointer = unsafe {
             mujoco_sys::mjshim_load_xml(
                 c_name.as_ptr(),
@@ -136,7 +138,7 @@ impl Model {
         };
         let last = message.len() - 1;
         message[last] = 0;
-        // SAFETY: terminated just above at the latest.
+        // SAFETY: the line above terminates the buffer.
         let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
         let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
         match NonNull::new(pointer) {
@@ -155,7 +157,7 @@ impl Model {
         }
     }
 
-    /// Checks what the compiler made of the text: numbers by which MuJoCo finds memory in every step.
+    /// Validates the compiled numbers by which MuJoCo addresses memory in every step.
     fn check_compiled(&self) -> Result<(), String> {
         for geom in 0..self.ngeom() {
             let of_geom = |error: Error| format!("geom {geom}: {error}");
@@ -178,23 +180,23 @@ impl Model {
         for mesh in 0..self.nmesh() {
             let faces = self.mesh_face().get(part(self.mesh_faceadr(), self.mesh_facenum(), mesh, 3));
             if !faces.is_some_and(|faces| within(faces, self.mesh_vertnum()[mesh])) {
-                return Err(format!("mesh {mesh} has faces of vertices that it does not have"));
+                return Err(format!("mesh {mesh} has faces with invalid vertex indices"));
             }
         }
         for skin in 0..self.nskin() {
             let vertices = self.skin_vertnum()[skin];
             let faces = self.skin_face().get(part(self.skin_faceadr(), self.skin_facenum(), skin, 3));
             if !faces.is_some_and(|faces| within(faces, vertices)) {
-                return Err(format!("skin {skin} has faces of vertices that it does not have"));
+                return Err(format!("skin {skin} has faces with invalid vertex indices"));
             }
         }
         Ok(())
     }
 
-    /// A copy with memory of its own.
+    /// Returns a deep copy.
     ///
     /// # Errors
-    /// [`Error::Raised`] where MuJoCo cannot allocate it.
+    /// [`Error::Raised`] if MuJoCo cannot allocate it.
     pub fn try_clone(&self) -> Result<Self, Error> {
         let mut copy = ptr::null_mut();
         // SAFETY: reads a valid model and writes the pointer of a new one.
@@ -204,25 +206,25 @@ impl Model {
         Ok(Self { pointer, structure: Arc::clone(&self.structure) })
     }
 
-    /// Whether this is a copy of the other model, of the same structure if not of the same numbers.
+    /// Returns true if both models are copies of the same compiled model; their numbers may differ.
     pub fn is_copy_of(&self, other: &Self) -> bool {
         Arc::ptr_eq(&self.structure, &other.structure)
     }
 
-    /// Access to the numbers of the model.
+    /// Returns mutable access to the numbers of the model.
     pub fn patch(&mut self) -> ModelMut<'_> {
         ModelMut { model: self }
     }
 
-    /// The object of that name.
+    /// Returns the object with a name.
     ///
     /// # Errors
-    /// [`Error::UnknownName`] if there is none.
+    /// [`Error::UnknownName`] if the model has no such object.
     pub fn find<I: ObjectId>(&self, name: &str) -> Result<I, Error> {
         let unknown = || Error::UnknownName { kind: I::KIND, name: name.to_string() };
         let c_name = CString::new(name).map_err(|_| unknown())?;
         if name.is_empty() {
-            // MuJoCo gives the first object without a name
+            // MuJoCo would return the first unnamed object
             return Err(unknown());
         }
         // SAFETY: reads the model's table of names.
@@ -230,7 +232,7 @@ impl Model {
         usize::try_from(index).map(I::new).map_err(|_| unknown())
     }
 
-    /// The name of an object; `None` where it has none or is not of this model.
+    /// Returns the name of an object; `None` if the object is unnamed or not in this model.
     pub fn name<I: ObjectId>(&self, id: I) -> Option<&str> {
         let index = i32::try_from(id.get()).ok()?;
         // SAFETY: MuJoCo checks the index against the number of objects.
@@ -238,11 +240,11 @@ impl Model {
         if name.is_null() {
             return None;
         }
-        // SAFETY: points into the model's own table of terminated names.
+        // SAFETY: points into the model's table of terminated names.
         unsafe { CStr::from_ptr(name) }.to_str().ok()
     }
 
-    /// How many objects of a kind there are.
+    /// Returns the number of objects of a kind.
     pub fn count(&self, kind: ObjectKind) -> usize {
         match kind {
             ObjectKind::Body => self.nbody(),
@@ -259,27 +261,27 @@ impl Model {
         }
     }
 
-    /// Length of a step, s.
+    /// Returns the time step, s.
     pub fn timestep(&self) -> f64 {
         self.raw().opt.timestep
     }
 
-    /// Acceleration of gravity, world frame, m/s².
+    /// Returns the gravitational acceleration, world frame, m/s².
     pub fn gravity(&self) -> [f64; 3] {
         self.raw().opt.gravity
     }
 
-    /// Density of the medium, kg/m³; 0 where there is none.
+    /// Returns the density of the medium, kg/m³; 0 for a vacuum.
     pub fn density(&self) -> f64 {
         self.raw().opt.density
     }
 
-    /// Viscosity of the medium, Pa·s; 0 where there is none.
+    /// Returns the viscosity of the medium, Pa·s; 0 for a vacuum.
     pub fn viscosity(&self) -> f64 {
         self.raw().opt.viscosity
     }
 
-    /// The integrator.
+    /// Returns the integrator; `None` if it is unknown.
     pub fn integrator(&self) -> Option<Integrator> {
         [Integrator::Euler, Integrator::Rk4, Integrator::Implicit]
             .into_iter()
@@ -298,10 +300,10 @@ impl Model {
     }
 }
 
-/// Hands text to MuJoCo's compiler as it is, for tests of what becomes of its errors.
+/// Passes text to MuJoCo's compiler without validation, for tests of its errors.
 ///
 /// # Safety
-/// The text leads MuJoCo to an error, or to a model, and not outside its memory.
+/// The text must not make MuJoCo access invalid memory.
 #[doc(hidden)]
 pub unsafe fn load_unchecked(xml: &str) -> Result<(), Error> {
     check_library()?;

@@ -1,4 +1,4 @@
-//! Pictures of scenes, drawn off screen into the caller's buffers.
+//! Off-screen rendering of scenes into the caller's buffers.
 
 use std::mem::MaybeUninit;
 use std::sync::Arc;
@@ -9,29 +9,29 @@ use crate::model::Model;
 use crate::runtime::guarded;
 use crate::scene::Scene;
 
-/// Quality of a [`Renderer`], fixed when it is made.
+/// Quality settings of a [`Renderer`], fixed at its creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quality {
-    /// Samples per pixel, up to [`MAX_SAMPLES`](Self::MAX_SAMPLES); 0 draws each pixel once. A driver that can do fewer (Mesa's
-    /// software rasteriser does 4) takes its own maximum.
+    /// Samples per pixel, up to [`MAX_SAMPLES`](Self::MAX_SAMPLES); 0 disables multisampling. Clamped to the
+    /// driver's maximum (4 for Mesa's software rasteriser).
     pub samples: u32,
-    /// Side of the shadow map in texels, up to [`MAX_SHADOW_MAP`](Self::MAX_SHADOW_MAP) and the driver's limit for textures; 0
-    /// for no shadows at all.
+    /// Side of the shadow map in texels, up to [`MAX_SHADOW_MAP`](Self::MAX_SHADOW_MAP) and the driver's limit for
+    /// textures; 0 disables shadows.
     pub shadow_map: u32,
 }
 
 impl Quality {
-    /// Most samples per pixel that can be asked for.
+    /// Largest number of samples per pixel.
     pub const MAX_SAMPLES: u32 = 64;
-    /// Largest side of the shadow map that can be asked for, texels.
+    /// Largest side of the shadow map, texels.
     pub const MAX_SHADOW_MAP: u32 = 16_384;
-    /// For observations: one sample, no shadows.
+    /// Settings for observations: no multisampling, no shadows.
     pub const FAST: Self = Self { samples: 0, shadow_map: 0 };
-    /// For people: four samples, soft shadows.
+    /// Settings for videos and figures: four samples, soft shadows.
     pub const PRETTY: Self = Self { samples: 4, shadow_map: 2048 };
 }
 
-/// Width and height of a picture, pixels.
+/// Width and height of an image, pixels.
 ///
 /// ```
 /// use mujoco_rs::ImageSize;
@@ -41,17 +41,17 @@ impl Quality {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ImageSize {
-    /// Pixels in a row.
+    /// Number of columns.
     pub width: u32,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
 }
 
 impl ImageSize {
-    /// Largest side that can be asked for. Drivers may have less memory than such a picture takes.
+    /// Largest side. Drivers may have too little memory for an image of this size.
     pub const MAX_SIDE: u32 = 8192;
 
-    /// Pixels.
+    /// Returns the number of pixels.
     pub fn pixels(self) -> usize {
         self.width as usize * self.height as usize
     }
@@ -63,19 +63,19 @@ impl std::fmt::Display for ImageSize {
     }
 }
 
-/// An OpenGL context with the meshes and textures of one model.
+/// OpenGL context with the meshes and textures of one model.
 ///
-/// It may be made, used and dropped on any thread, and several may draw at the same time, each on its own.
+/// A renderer may be created, used and dropped on any thread, and several renderers may draw at the same time.
 ///
 /// ```
 /// use mujoco_rs::{Camera, Data, ImageSize, Model, Quality, Renderer, Scene};
 ///
-/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
+/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // no OpenGL on this machine
 /// let model = Model::from_xml("<mujoco><worldbody><geom type='box' size='.5 .5 .5'/></worldbody></mujoco>")?;
 /// let mut data = Data::new(model)?;
 /// data.forward()?;
 /// let mut scene = Scene::new(data.shared_model(), 0)?;
-/// // along y, from 2 m in front of the middle of the box
+/// view along y, from 2 m in front of the centre of the box
 /// let camera = Camera::Free { lookat: [0.0; 3], distance: 2.0, azimuth: 90.0, elevation: 0.0 };
 /// scene.update(&mut data, &camera)?;
 /// let mut renderer = Renderer::new(data.shared_model(), Quality::FAST)?;
@@ -86,15 +86,15 @@ impl std::fmt::Display for ImageSize {
 /// # Ok::<(), mujoco_rs::Error>(())
 /// ```
 pub struct Renderer {
-    // dropped in order: MuJoCo's objects need the context
+    // drop order: MuJoCo's objects need the context
     raw: Raw,
     gl: GlContext,
     model: Arc<Model>,
     quality: Quality,
     size: ImageSize,
-    /// Half of the side of what the shadow map covers, m, where it is not the model's.
+    /// Half of the side of the area that the shadow map covers, m; `None` for the model's value.
     shadow_reach: Option<f32>,
-    /// Bytes of the last picture before they are turned round, and colours of segments.
+    /// Scratch buffer: pixels before they are flipped, and colours of the segmentation.
     scratch: Vec<u8>,
 }
 
@@ -104,12 +104,13 @@ struct Raw(Box<mujoco_sys::mjrContext>);
 unsafe impl Send for Raw {}
 
 impl Renderer {
-    /// A renderer of a model's scenes. Its buffer grows to the largest picture asked for.
+    /// Creates a renderer of a model's scenes. Its buffer grows to the largest image drawn.
     ///
     /// # Errors
-    /// What [`gl_info`](crate::gl_info) has where there is nothing to draw with, [`Error::Value`] for a quality beyond its limits
-    /// and for a model whose own (`visual/quality`) are, [`Error::Gl`] where OpenGL fails or can do less, [`Error::Raised`] with
-    /// MuJoCo's message.
+    /// - The errors of [`gl_info`](crate::gl_info) if OpenGL is unavailable.
+    /// - [`Error::Value`] if the quality, or the model's `visual/quality`, is out of range.
+    /// - [`Error::Gl`] if OpenGL fails or its limits are too small.
+    /// - [`Error::Raised`] with MuJoCo's message.
     pub fn new(model: impl Into<Arc<Model>>, quality: Quality) -> Result<Self, Error> {
         crate::check_library()?;
         let model = model.into();
@@ -120,11 +121,11 @@ impl Renderer {
         Ok(Self { raw, gl, model, quality, size, shadow_reach: None, scratch: Vec::new() })
     }
 
-    /// Sets how far shadows reach from the axis of their light, m: the shadow map of a directional light covers a square with half
-    /// this side, in place of the model's `shadowclip`.
+    /// Sets the reach of shadows, m: half of the side of the square that the shadow map of a directional light
+    /// covers, around the light's axis. Replaces the model's `shadowclip`.
     ///
     /// # Errors
-    /// [`Error::Value`] for a number that is not positive and finite.
+    /// [`Error::Value`] unless the reach is positive and finite.
     pub fn set_shadow_reach(&mut self, metres: f64) -> Result<(), Error> {
         if !(metres.is_finite() && metres > 0.0) {
             let what = "the reach of shadows";
@@ -134,12 +135,14 @@ impl Renderer {
         Ok(())
     }
 
-    /// Draws a scene as RGB, three bytes per pixel, top row first.
+    /// Renders a scene as RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`Error::Value`] for sides that are not 1 to 8192 pixels, [`Error::Buffer`] for a buffer of the wrong length,
-    /// [`Error::OtherModel`] for a scene of another model, [`Error::NoCamera`] for one that has not been updated,
-    /// [`Error::Gl`] and [`Error::Raised`] where OpenGL or MuJoCo fails.
+    /// - [`Error::Value`] if a side is outside 1 to 8192 pixels.
+    /// - [`Error::Buffer`] if the buffer has the wrong length.
+    /// - [`Error::OtherModel`] if the scene belongs to another model.
+    /// - [`Error::NoCamera`] if the scene has not been updated.
+    /// - [`Error::Gl`] and [`Error::Raised`] if OpenGL or MuJoCo fails.
     pub fn rgb(&mut self, scene: &mut Scene, size: ImageSize, rgb: &mut [u8]) -> Result<(), Error> {
         check_size(size)?;
         check_length("RGB", rgb.len(), 3 * size.pixels())?;
@@ -148,7 +151,7 @@ impl Renderer {
         Ok(())
     }
 
-    /// Draws a scene as RGBA, four bytes per pixel, top row first; alpha is 255.
+    /// Renders a scene as RGBA, four bytes per pixel, top row first; alpha is 255.
     ///
     /// # Errors
     /// As for [`rgb`](Self::rgb).
@@ -170,11 +173,11 @@ impl Renderer {
         drawn
     }
 
-    /// Draws a scene as depth, m, top row first: the distance from the camera **along its axis** (not along the ray).
-    /// Where there is nothing it is the distance of the far plane; the sky is nothing.
+    /// Renders a scene as depth, m, top row first: the distance from the camera **along its axis** (not along the
+    /// ray). Pixels without a geom, including the sky, have the distance of the far plane.
     ///
-    /// The depth buffer has 24 bits over a perspective scale: a step of it is z²/near · 2⁻²⁴, 0.6 mm at 10 m and 15 mm
-    /// at 50 m for a near plane at 1 cm.
+    /// The depth buffer has 24 bits over a perspective scale: its resolution is z²/near · 2⁻²⁴, 0.6 mm at 10 m and
+    /// 15 mm at 50 m for a near plane at 1 cm.
     ///
     /// # Errors
     /// As for [`rgb`](Self::rgb).
@@ -182,7 +185,7 @@ impl Renderer {
         use mujoco_sys::mjtRndFlag_ as flag;
         check_size(size)?;
         check_length("depth", depth.len(), size.pixels())?;
-        // the sky is drawn as a thing some metres away, and is none
+        // MuJoCo would draw the sky as a box at a distance of some metres
         let effects = scene.raw.flags;
         for flag in [flag::mjRND_SKYBOX, flag::mjRND_HAZE, flag::mjRND_REFLECTION, flag::mjRND_SHADOW] {
             scene.raw.flags[flag as usize] = 0;
@@ -194,7 +197,7 @@ impl Renderer {
         // d = (1 − near/z) / (1 − near/far), the perspective projection's depth, solved for z
         let slope = 1.0 - near / far;
         for value in depth.iter_mut() {
-            // rounding does not reach beyond the far plane
+            // rounding must not exceed the far plane
             *value = (near / (1.0 - f64::from(*value) * slope)).min(far) as f32;
         }
         let width = size.width as usize;
@@ -206,12 +209,12 @@ impl Renderer {
         Ok(())
     }
 
-    /// Draws which object each pixel shows: `[type, index]` (`mjtObj`; a geom is 5), −1 twice for nothing, top row
-    /// first.
+    /// Renders a segmentation: `[type, index]` of each pixel's object (`mjtObj`; a geom is 5), `[-1, -1]` for the
+    /// background, top row first.
     ///
     /// # Errors
-    /// As for [`rgb`](Self::rgb); [`Error::Multisampled`] for a renderer with several samples per pixel, which would
-    /// mix the numbers of neighbouring objects.
+    /// As for [`rgb`](Self::rgb); [`Error::Multisampled`] if the renderer has several samples per pixel, which
+    /// would mix the ids of neighbouring objects.
     pub fn segmentation(&mut self, scene: &mut Scene, size: ImageSize, objects: &mut [[i32; 2]]) -> Result<(), Error> {
         use mujoco_sys::mjtRndFlag_ as flag;
         check_size(size)?;
@@ -252,11 +255,11 @@ impl Renderer {
         rgb: Option<&mut [u8]>,
         depth: Option<&mut [f32]>,
     ) -> Result<(), Error> {
-        // a copy has the same meshes and textures, and what has been patched in it is in the scene's shapes
+        // a copy has the same meshes and textures, and the scene contains the numbers changed in the copy
         if !self.model.is_copy_of(scene.model()) {
             return Err(Error::OtherModel);
         }
-        if !scene.is_seen() {
+        if !scene.has_camera() {
             return Err(Error::NoCamera);
         }
         self.grow(size)?;
@@ -269,8 +272,8 @@ impl Renderer {
         scene.scale_lines(1.0 / passes);
         let drawn = self.gl.current(|| {
             let _lock = drawing();
-            // SAFETY: the context is current, the scene is one of the context's model, and the buffers are null or
-            // have the length of the viewport, which their callers have checked.
+            // SAFETY: the context is current, the scene belongs to the context's model, and the buffers are null or
+            // have the length of the viewport, which the callers have checked.
             let status = unsafe { mujoco_sys::mjshim_draw(viewport, &mut *scene.raw, &mut **raw, rgb, depth) };
             guarded("mjr_render", status)
         });
@@ -278,16 +281,16 @@ impl Renderer {
         drawn?
     }
 
-    /// Makes room for a picture of this size.
+    /// Enlarges the buffer to an image of this size.
     fn grow(&mut self, size: ImageSize) -> Result<(), Error> {
         if size.width <= self.size.width && size.height <= self.size.height {
             return Ok(());
         }
         let size = ImageSize { width: size.width.max(self.size.width), height: size.height.max(self.size.height) };
-        let max = limits()?.picture;
+        let max = limits()?.image;
         if size.width.max(size.height) > max {
             return Err(Error::Gl {
-                message: format!("a picture of {size} is beyond this driver's limit of {max} pixels"),
+                message: format!("an image of {size} pixels exceeds this driver's limit of {max} per side"),
             });
         }
         let (raw, model, quality) = (&mut self.raw, &self.model, self.quality);
@@ -304,7 +307,7 @@ impl Renderer {
 impl Drop for Renderer {
     fn drop(&mut self) {
         let raw = &mut self.raw;
-        // a context that cannot be made current any more has taken its objects with it
+        // if the context cannot be made current, its objects are gone already
         let _ = self.gl.current(|| free(raw));
     }
 }
@@ -315,12 +318,12 @@ impl std::fmt::Debug for Renderer {
     }
 }
 
-/// MuJoCo's objects in the current context.
+/// Creates MuJoCo's objects in the current context.
 fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> {
     let max_samples = limits()?.samples;
     let _lock = loading();
-    // MuJoCo reads sizes and quality from the model. This copy of its header shares the arrays, is only read, and is
-    // forgotten without being freed.
+    // MuJoCo reads sizes and quality from the model. This copy of the model's header shares the arrays, is only
+    // read, and is never freed.
     // SAFETY: a bitwise copy of plain C data.
     let mut header = unsafe { MaybeUninit::new(std::ptr::read(model.as_ptr())).assume_init() };
     header.vis.global.offwidth = size.width as i32;
@@ -337,7 +340,7 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
     // SAFETY: reads the current context's error.
     let error = unsafe { mujoco_sys::mjr_getError() };
     if error != 0 {
-        // SAFETY: made just now in this context.
+        // SAFETY: created above in this context.
         unsafe { mujoco_sys::mjr_freeContext(&mut *raw.0) };
         return Err(Error::Gl { message: format!("OpenGL error {error:#06x} while the model was uploaded") });
     }
@@ -347,12 +350,12 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
 /// Frees MuJoCo's objects in the current context.
 fn free(raw: &mut Raw) {
     let _lock = drawing();
-    // SAFETY: made in this context; a second call finds nothing to free.
+    // SAFETY: created in this context; a second call frees nothing.
     unsafe { mujoco_sys::mjr_freeContext(&mut *raw.0) };
 }
 
-/// Refuses numbers that MuJoCo and drivers would take as they are: a shadow map whose size in bytes overflows, display lists
-/// without end.
+/// Rejects settings that MuJoCo and drivers do not check: a shadow map whose size in bytes overflows, or display
+/// lists without bound.
 fn check_quality(model: &Model, quality: Quality, limits: Limits) -> Result<(), Error> {
     let own = model.raw().vis.quality;
     for (what, got, range, expected) in [
@@ -374,7 +377,7 @@ fn check_quality(model: &Model, quality: Quality, limits: Limits) -> Result<(), 
     }
     if quality.shadow_map > limits.texture {
         let (side, max) = (quality.shadow_map, limits.texture);
-        let message = format!("a shadow map of {side} texels a side is beyond this driver's limit of {max}");
+        let message = format!("a shadow map of {side} texels per side exceeds this driver's limit of {max}");
         return Err(Error::Gl { message });
     }
     Ok(())
@@ -383,7 +386,7 @@ fn check_quality(model: &Model, quality: Quality, limits: Limits) -> Result<(), 
 fn check_size(size: ImageSize) -> Result<(), Error> {
     for side in [size.width, size.height] {
         if !(1..=ImageSize::MAX_SIDE).contains(&side) {
-            return Err(Error::Value { what: "the side of a picture", got: side.into(), expected: "1 to 8192 pixels" });
+            return Err(Error::Value { what: "the side of an image", got: side.into(), expected: "1 to 8192 pixels" });
         }
     }
     Ok(())
@@ -393,14 +396,14 @@ fn check_length(what: &'static str, got: usize, expected: usize) -> Result<(), E
     if got == expected { Ok(()) } else { Err(Error::Buffer { what, got, expected }) }
 }
 
-/// Turns a picture upside down: OpenGL's first row is the lowest.
-fn flip(picture: &mut [u8], row: usize, scratch: &mut Vec<u8>) {
+/// Flips an image vertically: OpenGL's first row is the bottom row.
+fn flip(image: &mut [u8], row: usize, scratch: &mut Vec<u8>) {
     if row == 0 {
         return;
     }
     scratch.clear();
-    scratch.extend_from_slice(picture);
-    for (from, to) in scratch.chunks_exact(row).rev().zip(picture.chunks_exact_mut(row)) {
+    scratch.extend_from_slice(image);
+    for (from, to) in scratch.chunks_exact(row).rev().zip(image.chunks_exact_mut(row)) {
         to.copy_from_slice(from);
     }
 }

@@ -1,4 +1,4 @@
-//! What is to be drawn: MuJoCo's abstract scene, seen by a camera.
+//! MuJoCo's abstract scene: the geoms, lights and camera to render.
 
 use std::mem::MaybeUninit;
 use std::sync::Arc;
@@ -9,32 +9,32 @@ use crate::id::{BodyId, CameraId, GeomId, ObjectId};
 use crate::model::Model;
 use crate::runtime::guarded;
 
-/// From where a scene is seen.
+/// View of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Camera {
-    /// Looking at a point from a distance.
+    /// Looks at a fixed point from a distance.
     Free {
-        /// The point looked at, world frame, m.
+        /// Point that the camera looks at, world frame, m.
         lookat: [f64; 3],
-        /// Distance from it, m.
+        /// Distance from the point, m.
         distance: f64,
-        /// Direction of sight about world z, degrees: 0 looks along +x, 90 along +y.
+        /// Azimuth of the viewing direction about world z, degrees: 0 looks along +x, 90 along +y.
         azimuth: f64,
-        /// Direction of sight above the horizon, degrees: negative looks down.
+        /// Elevation of the viewing direction above the horizon, degrees: negative looks down.
         elevation: f64,
     },
-    /// Following a body's centre of mass (that of its subtree).
+    /// Follows the centre of mass of a body's subtree.
     Tracking {
-        /// The body.
+        /// Body to follow.
         body: BodyId,
-        /// Distance from it, m.
+        /// Distance from the centre of mass, m.
         distance: f64,
-        /// As for `Free`, degrees.
+        /// Azimuth as for `Free`, degrees.
         azimuth: f64,
-        /// As for `Free`, degrees.
+        /// Elevation as for `Free`, degrees.
         elevation: f64,
     },
-    /// A camera of the model.
+    /// Uses a camera of the model.
     Fixed(CameraId),
 }
 
@@ -76,7 +76,7 @@ impl Camera {
                 orbit(distance, azimuth, elevation)?;
                 raw.type_ = mujoco_sys::mjtCamera_::mjCAMERA_TRACKING as i32;
                 raw.trackbodyid = index(body, model.nbody())?;
-                // MuJoCo goes only part of the way per update, for a person at a screen
+                // MuJoCo's interactive camera moves only a fraction of the distance per update
                 raw.lookat.copy_from_slice(&data.subtree_com()[3 * body.index()..][..3]);
             }
             Self::Fixed(camera) => {
@@ -95,67 +95,67 @@ fn index<I: ObjectId>(id: I, count: usize) -> Result<i32, Error> {
     }
 }
 
-/// What costs time beyond the geoms themselves. Everything off is what observations want, [`pretty`](Self::pretty)
-/// what people want.
+/// Effects that cost rendering time. The default (all off) suits observations, [`pretty`](Self::pretty) videos and
+/// figures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct VisualEffects {
     /// Shadows of lights that cast them (the renderer needs a shadow map).
     pub shadows: bool,
-    /// Mirror images in reflective geoms.
+    /// Reflections in reflective geoms.
     pub reflections: bool,
-    /// The sky's texture.
+    /// Texture of the sky.
     pub skybox: bool,
     /// Haze at the horizon.
     pub haze: bool,
 }
 
 impl VisualEffects {
-    /// All of them.
+    /// Returns settings with all effects on.
     pub fn pretty() -> Self {
         Self { shadows: true, reflections: true, skybox: true, haze: true }
     }
 }
 
-/// A shape drawn into a scene that is not in the model: trails, rings, arrows.
+/// Shape that is drawn into a scene without being part of the model: trails, rings, arrows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Decor {
-    /// A ball.
+    /// Sphere.
     Sphere {
         /// Centre, world frame, m.
         centre: [f64; 3],
         /// Radius, m.
         radius: f64,
     },
-    /// A straight rod with round ends.
+    /// Straight rod with round ends (a capsule).
     Rod {
-        /// One end, world frame, m.
+        /// First end, world frame, m.
         from: [f64; 3],
-        /// The other, world frame, m.
+        /// Second end, world frame, m.
         to: [f64; 3],
         /// Radius, m.
         radius: f64,
     },
-    /// A line of the same width however far away it is: it costs next to nothing, and has no light or shadow.
+    /// Line whose width in pixels does not depend on distance. It is cheap to draw and has no lighting or shadow.
     Line {
-        /// One end, world frame, m.
+        /// First end, world frame, m.
         from: [f64; 3],
-        /// The other, world frame, m.
+        /// Second end, world frame, m.
         to: [f64; 3],
         /// Width, pixels.
         width: f64,
     },
-    /// An arrow.
+    /// Arrow.
     Arrow {
-        /// Its tail, world frame, m.
+        /// Tail, world frame, m.
         from: [f64; 3],
-        /// Its tip, world frame, m.
+        /// Tip, world frame, m.
         to: [f64; 3],
         /// Radius of the shaft, m.
         radius: f64,
     },
 }
 
-/// MuJoCo's abstract scene of one model.
+/// MuJoCo's abstract scene (`mjvScene`) of one model.
 ///
 /// ```
 /// use mujoco_rs::{Camera, Data, Decor, Model, Scene};
@@ -167,7 +167,7 @@ pub enum Decor {
 /// scene.update(&mut data, &camera)?;
 /// let [near, far] = scene.clip_planes();
 /// assert!(near > 0.0 && near < far);
-/// // a dot that is not in the model, until the next update
+/// a dot outside the model, until the next update
 /// assert!(scene.add(Decor::Sphere { centre: [0.0, 0.0, 0.5], radius: 0.05 }, [1.0, 0.0, 0.0, 1.0]));
 /// # Ok::<(), mujoco_rs::Error>(())
 /// ```
@@ -176,11 +176,11 @@ pub struct Scene {
     options: mujoco_sys::mjvOption,
     model: Arc<Model>,
     camera_set: bool,
-    /// All geoms of the scene, hidden ones included.
+    /// Number of geoms in the scene, including hidden ones.
     full: i32,
     /// Type and index of the object of each segment.
     objects: Vec<[i32; 2]>,
-    /// Point of the world that is the origin of what OpenGL is given, m.
+    /// Origin of OpenGL's coordinates, world frame, m.
     origin: [f64; 3],
     ground: Option<GeomId>,
 }
@@ -189,30 +189,32 @@ pub struct Scene {
 unsafe impl Send for Scene {}
 
 impl Scene {
-    /// Spacing of the points, in m, that are the origin of what is drawn. OpenGL computes in single precision: 1 km away it would be
-    /// wrong by tenths of a millimetre at every vertex. So coordinates are counted from the point of this grid that is closest to
-    /// the camera; up to half the spacing from the world's origin that is the world's origin.
+    /// Spacing of the grid of rendering origins, m. OpenGL computes in single precision, which causes errors of
+    /// tenths of a millimetre 1 km from the origin. Coordinates are therefore relative to the grid point that is
+    /// closest to the camera; within half the spacing of the world's origin, that grid point is the world's origin.
     pub const GRID: f64 = 128.0;
-    /// Most shapes that can be added.
+    /// Largest number of additional shapes.
     pub const MAX_DECOR: usize = 1_000_000;
 
-    /// A scene with room for `decor` shapes beside the model's own.
+    /// Creates a scene with room for `decor` shapes in addition to the model's geoms.
     ///
     /// # Errors
-    /// [`Error::Value`] for more than [`MAX_DECOR`](Self::MAX_DECOR) shapes, [`Error::Raised`] where MuJoCo cannot allocate it.
+    /// [`Error::Value`] if `decor` exceeds [`MAX_DECOR`](Self::MAX_DECOR); [`Error::Raised`] if MuJoCo cannot
+    /// allocate the scene.
     pub fn new(model: impl Into<Arc<Model>>, decor: usize) -> Result<Self, Error> {
         crate::check_library()?;
         if decor > Self::MAX_DECOR {
-            let what = "the number of shapes that are not in the model";
+            let what = "the number of additional shapes";
             return Err(Error::Value { what, got: decor as f64, expected: "up to 1,000,000" });
         }
         let model = model.into();
         let mut raw: Box<MaybeUninit<mujoco_sys::mjvScene>> = Box::new_uninit();
         let mut options = MaybeUninit::uninit();
-        // every geom twice: planes and meshes have one entry, but selection and frames may add some
+        // twice the number of geoms: planes and meshes have one entry, but selection and frames may add some
         let room = 2 * model.ngeom() + 2 * model.nsite() + decor + 100;
         let room = i32::try_from(room).unwrap_or(i32::MAX);
-        // SAFETY: the first two initialise what they are given; the third allocates the scene's buffers for this model.
+        // SAFETY: the first two calls initialise the structures; the third allocates the scene's buffers for this
+        // model.
         let (raw, options) = unsafe {
             mujoco_sys::mjv_defaultScene(raw.as_mut_ptr());
             mujoco_sys::mjv_defaultOption(options.as_mut_ptr());
@@ -224,18 +226,18 @@ impl Scene {
         Ok(Self { raw, options, model, camera_set: false, full: 0, objects, origin, ground: None })
     }
 
-    /// Names a horizontal plane that has no end: it is drawn under the camera however far away that is, moved by whole multiples
-    /// of [`GRID`](Self::GRID) along x and y, which must be multiples of the period of its texture.
+    /// Declares a horizontal plane infinite: it is drawn below the camera at any distance, shifted by multiples of
+    /// [`GRID`](Self::GRID) along x and y. These must be multiples of the period of its texture.
     pub fn set_ground(&mut self, plane: Option<GeomId>) {
         self.ground = plane;
     }
 
-    /// Which of the six geom groups are drawn; MuJoCo's default is the first three.
+    /// Sets which of the six geom groups are drawn; MuJoCo's default is the first three.
     pub fn show_groups(&mut self, groups: [bool; 6]) {
         self.options.geomgroup = groups.map(u8::from);
     }
 
-    /// Switches effects on and off; before the first call they are MuJoCo's own defaults.
+    /// Sets the visual effects; before the first call, MuJoCo's defaults apply.
     pub fn set_effects(&mut self, effects: VisualEffects) {
         use mujoco_sys::mjtRndFlag_ as flag;
         let flags = &mut self.raw.flags;
@@ -251,11 +253,13 @@ impl Scene {
         }
     }
 
-    /// Takes everything over from a simulation whose [kinematics](Data::kinematics) are up to date, and looks at it.
+    /// Copies the state of a simulation whose [kinematics](Data::kinematics) are up to date, and sets the camera.
     ///
     /// # Errors
-    /// [`Error::OtherModel`] if the simulation is of another model, [`Error::Value`] for an impossible camera,
-    /// [`Error::NotOfModel`] for a camera or body that the model does not have, [`Error::Raised`] with MuJoCo's message.
+    /// - [`Error::OtherModel`] if the simulation has another model.
+    /// - [`Error::Value`] for invalid camera parameters.
+    /// - [`Error::NotOfModel`] if the model does not have the camera or body.
+    /// - [`Error::Raised`] with MuJoCo's message.
     pub fn update(&mut self, data: &mut Data, camera: &Camera) -> Result<(), Error> {
         self.same_model(data)?;
         let mut camera = camera.raw(data)?;
@@ -304,8 +308,8 @@ impl Scene {
         unsafe { std::slice::from_raw_parts_mut(self.raw.geoms, count) }
     }
 
-    /// Leaves the geoms of one body out of what is drawn (or none), until the next [`update`](Self::update): what a
-    /// camera on that body is to see.
+    /// Hides the geoms of one body (or of none) until the next [`update`](Self::update), for example for a camera
+    /// on that body.
     pub fn hide(&mut self, body: Option<BodyId>) {
         self.raw.ngeom = self.full;
         let count = usize::try_from(self.full).unwrap_or(0);
@@ -320,7 +324,7 @@ impl Scene {
                     .and_then(|id| bodies.get(id))
                     .is_some_and(|&b| b as usize == body.index())
         };
-        // hidden ones go to the end, where the renderer does not look; among the others, swapping keeps the order of those that are drawn
+        // hidden geoms move to the end, beyond the renderer's count; swapping keeps the order of the drawn geoms
         let mut drawn = 0;
         for slot in 0..count {
             if !is_hidden(&geoms[slot]) {
@@ -333,7 +337,7 @@ impl Scene {
         self.raw.ngeom = drawn as i32;
     }
 
-    /// Looks at the same things from another camera.
+    /// Sets another camera for the same state.
     ///
     /// # Errors
     /// As for [`update`](Self::update).
@@ -349,11 +353,11 @@ impl Scene {
         Ok(())
     }
 
-    /// Counts coordinates from the point of the grid that is closest to the camera. The camera and the lights have just been written,
-    /// in the world's coordinates.
+    /// Moves the rendering origin to the grid point that is closest to the camera. Camera and lights must have
+    /// world coordinates, as MuJoCo has just written them.
     fn recentre(&mut self, data: &Data) {
         let eye = self.raw.camera[0].pos.map(f64::from);
-        // skins have their vertices in the world's coordinates
+        // vertices of skins have world coordinates
         let origin = if self.raw.nskin > 0 { [0.0; 3] } else { eye.map(|x| (x / Self::GRID).round() * Self::GRID) };
         if !origin.iter().all(|x| x.is_finite()) {
             return;
@@ -375,7 +379,7 @@ impl Scene {
                         let at = at - origin[axis];
                         at - (at / Self::GRID).round() * Self::GRID
                     }
-                    // MuJoCo moves other planes by itself, where they have no end
+                    // MuJoCo re-centres other infinite planes itself
                     Some(&at) if geom.type_ != plane || is_ground => at - origin[axis],
                     _ => old - origin[axis],
                 } as f32;
@@ -391,7 +395,7 @@ impl Scene {
         }
     }
 
-    /// Takes the data's model over, where it is this one or a copy whose numbers have been patched.
+    /// Adopts the simulation's model if it is this one or a copy of it, so that changed numbers apply.
     fn same_model(&mut self, data: &Data) -> Result<(), Error> {
         if std::ptr::eq(self.model.as_ptr(), data.model().as_ptr()) {
             return Ok(());
@@ -403,11 +407,11 @@ impl Scene {
         Ok(())
     }
 
-    /// Adds a shape until the next [`update`](Self::update), in red, green, blue and alpha from 0 to 1; `false` where there was
-    /// no room for it.
+    /// Adds a shape until the next [`update`](Self::update); `rgba` is red, green, blue and alpha from 0 to 1.
+    /// Returns false if the scene is full.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
         use mujoco_sys::mjtGeom_ as geom;
-        // the end of the list is where hidden geoms are
+        // hidden geoms occupy the end of the list
         self.hide(None);
         let Some(slot) = usize::try_from(self.raw.ngeom).ok().filter(|_| self.raw.ngeom < self.raw.maxgeom) else {
             return false;
@@ -448,7 +452,7 @@ impl Scene {
                 }
             }
             (*target).category = mujoco_sys::mjtCatBit_::mjCAT_DECOR as i32;
-            // decoration is no object: segmentation shows what is behind it
+            // decoration has no object id: the segmentation shows the objects behind it
             (*target).segid = -1;
         }
         self.full += 1;
@@ -456,7 +460,8 @@ impl Scene {
         true
     }
 
-    /// How often a renderer with a shadow map draws everything, and adds it up: once more for every light that casts shadows.
+    /// Returns the number of passes of a renderer with a shadow map: one, and one for every light that casts
+    /// shadows. Their colours are added.
     pub(crate) fn passes(&self) -> f32 {
         let lights = &self.raw.lights[..usize::try_from(self.raw.nlight).unwrap_or(0).min(self.raw.lights.len())];
         match self.raw.flags[mujoco_sys::mjtRndFlag_::mjRND_SHADOW as usize] {
@@ -465,7 +470,7 @@ impl Scene {
         }
     }
 
-    /// Makes lines so many times as bright: they have no light, so that passes add up.
+    /// Scales the brightness of lines: they have no lighting, so that every pass adds their full colour.
     pub(crate) fn scale_lines(&mut self, factor: f32) {
         let count = usize::try_from(self.raw.ngeom).unwrap_or(0);
         if factor == 1.0 || count == 0 {
@@ -479,22 +484,23 @@ impl Scene {
         }
     }
 
-    /// Distances of the near and far plane from the camera, along its axis, m.
+    /// Returns the distances of the near and far plane from the camera, along its axis, m.
     pub fn clip_planes(&self) -> [f64; 2] {
         [f64::from(self.raw.camera[0].frustum_near), f64::from(self.raw.camera[0].frustum_far)]
     }
 
-    /// Whether a camera has been set, without which there is nothing to draw.
-    pub(crate) fn is_seen(&self) -> bool {
+    /// Returns true if a camera has been set, which rendering requires.
+    pub(crate) fn has_camera(&self) -> bool {
         self.camera_set
     }
 
-    /// The model that is drawn.
+    /// Returns the model of the scene.
     pub fn model(&self) -> &Arc<Model> {
         &self.model
     }
 
-    /// Type (`mjtObj`) and index of what a segmentation colour stands for; −1 twice for nothing.
+    /// Returns the type (`mjtObj`) and index of the object with a segmentation colour; `[-1, -1]` for the
+    /// background.
     pub(crate) fn object(&self, colour: u32) -> [i32; 2] {
         let segment = colour.checked_sub(1).and_then(|segment| self.objects.get(segment as usize));
         segment.copied().unwrap_or([-1, -1])

@@ -1,4 +1,4 @@
-//! Programs whose `main` returns while threads that have drawn still run, or are about to end themselves.
+//! Programs whose `main` returns while threads that have rendered still run, or end at the same time.
 
 use std::sync::mpsc;
 
@@ -9,7 +9,8 @@ mod exit;
 
 const THREADS: usize = 16;
 
-/// Starts threads that nobody joins, and returns when each has drawn. Then they end, or draw for as long as the program runs.
+/// Starts threads that are never joined, and returns when each has rendered. Then they end, or with `endless` keep
+/// rendering.
 fn draw_on_threads(endless: bool) {
     let model = Model::from_xml("<mujoco><worldbody><geom type='box' size='.5 .5 .5'/></worldbody></mujoco>").unwrap();
     let mut data = Data::new(model).unwrap();
@@ -36,10 +37,10 @@ fn draw_on_threads(endless: bool) {
             }
         });
     }
-    // a thread that fails sends nothing: the channel then ends early
+    // a failed thread sends nothing, so that the channel ends early
     drop(done);
     assert_eq!(all_done.iter().take(THREADS).count(), THREADS, "threads that have drawn");
-    // the sender of a thread that draws on must find its receiver
+    // keep the receiver for the threads that continue to send
     std::mem::forget(all_done);
 }
 
@@ -50,9 +51,9 @@ fn backend() -> Option<String> {
     gl_info().ok().map(|info| info.backend.to_string())
 }
 
-/// It was a double free in libEGL's exit handler, or a crash in the driver under a thread that draws.
+/// Regression: double free in libEGL's exit handler, or crash of the driver under a rendering thread.
 ///
 /// `EXIT_RUNS=500 cargo test -p mujoco-rs --test exit` takes half an hour.
 fn main() {
-    exit::main("a_program_ends_well_after_threads_that_it_does_not_join_have_drawn", backend, &PROGRAMS, 3);
+    exit::main("a_program_exits_cleanly_while_unjoined_threads_have_rendered", backend, &PROGRAMS, 3);
 }

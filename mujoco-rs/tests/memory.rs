@@ -1,7 +1,8 @@
-//! Numbers of every kind at the edge to MuJoCo's C code: an error, or a step and rays, and never memory that is not MuJoCo's.
+//! Property tests of MuJoCo's memory safety: arbitrary inputs are errors, or give a step and rays without invalid
+//! accesses.
 //!
-//! A crash ends the process. What does not crash is seen where AddressSanitizer watches MuJoCo (`.ci/asan`). `PROPTEST_CASES`
-//! sets how many cases there are.
+//! A crash ends the process. AddressSanitizer (`.ci/asan`) finds invalid accesses that do not crash.
+//! `PROPTEST_CASES` sets the number of cases.
 
 use std::fmt::Write as _;
 
@@ -9,19 +10,20 @@ use mujoco_rs::{Camera, CameraId, Data, Error, GeomId, Model, ObjectId, Scene};
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
 
-/// Numbers that a caller might write where a length, a coordinate or a part of a quaternion is expected.
+/// Generates lengths, coordinates and quaternion components, including invalid ones.
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![
         4 => -2.0..2.0_f64,
         4 => (-3.0..3.0_f64).prop_map(|power| 10_f64.powf(power)),
         2 => (-16.0..11.0_f64).prop_map(|power| 10_f64.powf(power)),
         1 => prop::sample::select(vec![
-            0.0, -0.0, 1.0, -1.0, 0.1, 1e-320, 1e-200, 1e-15, 1e10, -1e10, 1e15, 1e200, f64::MAX, f64::NAN, f64::INFINITY, f64::NEG_INFINITY,
+            0.0, -0.0, 1.0, -1.0, 0.1, 1e-320, 1e-200, 1e-15, 1e10, -1e10, 1e15, 1e200, f64::MAX, f64::NAN,
+            f64::INFINITY, f64::NEG_INFINITY,
         ]),
     ]
 }
 
-/// Lengths that are mostly possible.
+/// Generates lengths, most of them valid.
 fn length() -> impl Strategy<Value = f64> {
     prop_oneof![
         8 => (-2.0..1.0_f64).prop_map(|power| 10_f64.powf(power)),
@@ -31,7 +33,7 @@ fn length() -> impl Strategy<Value = f64> {
     ]
 }
 
-/// Coordinates close to where the other geom is, and some that are not.
+/// Generates coordinates, most of them close to the other geom.
 fn coordinate() -> impl Strategy<Value = f64> {
     prop_oneof![
         6 => -1.5..1.5_f64,
@@ -53,7 +55,7 @@ fn quaternion() -> impl Strategy<Value = [f64; 4]> {
     ]
 }
 
-/// Planes and height fields, which cannot move, first.
+/// Geom types; planes and height fields, which must be static, come first.
 const TYPES: [&str; 8] = ["plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh"];
 
 #[derive(Debug, Clone)]
@@ -112,7 +114,7 @@ fn words(numbers: &[f64]) -> String {
     text
 }
 
-/// Text of a scene with both shapes: the first fixed, the second on a free body.
+/// Returns the text of a scene with both shapes: the first static, the second on a free body.
 fn text(pair: &Pair, plain: bool) -> String {
     let geom = |shape: &Shape| {
         let kind = TYPES[shape.kind];
@@ -136,7 +138,8 @@ fn text(pair: &Pair, plain: bool) -> String {
         "<mujoco><option><flag multiccd='{}'/></option><size njmax='500' nconmax='100'/>
         <asset><mesh name='corner' vertex='0 0 0 .2 0 0 0 .3 0 0 0 .4 .1 .1 .1'/>
         <hfield name='field' nrow='{}' ncol='{}' size='{}'/></asset>
-        <worldbody>{first}<body><freejoint/><inertial mass='1' pos='0 0 0' diaginertia='.1 .1 .1'/>{second}</body></worldbody></mujoco>",
+        <worldbody>{first}<body><freejoint/><inertial mass='1' pos='0 0 0' diaginertia='.1 .1 .1'/>{second}</body>
+        </worldbody></mujoco>",
         if pair.multiccd { "enable" } else { "disable" },
         pair.grid[0],
         pair.grid[1],
@@ -144,7 +147,7 @@ fn text(pair: &Pair, plain: bool) -> String {
     )
 }
 
-/// A forward pass, rays and steps, whatever their results are.
+/// Runs a forward pass, rays and steps, and ignores their results.
 fn exercise(data: &mut Data, pair: &Pair) {
     let _ = data.forward();
     for direction in [pair.direction, [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.3, 0.2, -1.0]] {
@@ -157,7 +160,7 @@ fn exercise(data: &mut Data, pair: &Pair) {
 
 fn cases(default: u32) -> ProptestConfig {
     let asked = std::env::var("PROPTEST_CASES").ok().and_then(|cases| cases.parse().ok());
-    // a crash ends the process before the case is printed, so that the same cases must come again; more cases are other ones
+    // a crash ends the process before the case is printed, so that default runs repeat the same cases
     let rng_seed = if asked.is_some() { RngSeed::Random } else { RngSeed::Fixed(17) };
     let cases = asked.unwrap_or(default);
     ProptestConfig { cases, rng_seed, failure_persistence: None, ..ProptestConfig::default() }
@@ -167,7 +170,7 @@ proptest! {
     #![proptest_config(cases(300))]
 
     #[test]
-    fn geoms_of_any_numbers_in_a_text_collide_or_are_refused(pair in pair()) {
+    fn geoms_with_arbitrary_numbers_in_a_text_collide_or_are_rejected(pair in pair()) {
         match Model::from_xml(&text(&pair, false)) {
             Ok(model) => exercise(&mut Data::new(model).unwrap(), &pair),
             Err(error) => prop_assert!(matches!(error, Error::Load { .. }), "{error}"),
@@ -175,7 +178,7 @@ proptest! {
     }
 
     #[test]
-    fn geoms_of_any_numbers_in_a_patch_collide_or_are_refused(pair in pair()) {
+    fn geoms_with_arbitrary_patched_numbers_collide_or_are_rejected(pair in pair()) {
         let grid = [pair.grid[0].clamp(2, 8), pair.grid[1].clamp(8, 12)];
         let model = Model::from_xml(&text(&Pair { grid, ..pair.clone() }, true)).unwrap();
         let mut data = Data::new(model).unwrap();
@@ -191,9 +194,9 @@ proptest! {
         exercise(&mut data, &pair);
     }
 
-    /// The arrays that are written as slices: whatever stands in them, MuJoCo calculates with it.
+    /// Covers the arrays with safe mutable slices.
     #[test]
-    fn arrays_of_any_numbers_are_calculated_with(
+    fn arrays_with_arbitrary_numbers_cause_no_invalid_access(
         pair in pair(), numbers in prop::collection::vec(number(), 1..20), which in 0..24_usize,
     ) {
         let grid = [2, 3];
@@ -237,7 +240,7 @@ proptest! {
     }
 }
 
-/// A scene with one of everything that MuJoCo's compiler allocates for.
+/// Scene with every kind of element for which MuJoCo's compiler allocates memory.
 const RICH: &str = r#"<mujoco model="rich">
   <compiler angle="radian" meshdir="m" texturedir="t" fitaabb="false" settotalmass="3"/>
   <option timestep="0.002" integrator="RK4" iterations="20" mpr_iterations="50" mpr_tolerance="1e-6" wind="0 0 1" density="1.2" viscosity="1e-5"/>
@@ -277,7 +280,7 @@ const RICH: &str = r#"<mujoco model="rich">
   <keyframe><key time="1" ctrl="0 0 0 0"/></keyframe>
 </mujoco>"#;
 
-/// Numbers that replace one of the scene.
+/// Replacements for numbers of the scene.
 const NASTY: [&str; 22] = [
     "-1",
     "0",
@@ -303,7 +306,7 @@ const NASTY: [&str; 22] = [
     "-0.5",
 ];
 
-/// Places of the numbers in the text.
+/// Returns the byte ranges of the numbers in the text.
 fn numbers_of(text: &str) -> Vec<std::ops::Range<usize>> {
     let is_part = |byte: u8| byte.is_ascii_digit() || b".-".contains(&byte);
     let bytes = text.as_bytes();
@@ -322,9 +325,9 @@ fn numbers_of(text: &str) -> Vec<std::ops::Range<usize>> {
 proptest! {
     #![proptest_config(cases(60))]
 
-    /// A scene with everything in it, of which a few numbers or letters are wrong.
+    /// Replaces a few numbers or letters of the rich scene.
     #[test]
-    fn scenes_with_wrong_numbers_are_compiled_or_refused(
+    fn rich_scenes_with_wrong_numbers_compile_or_are_rejected(
         changes in prop::collection::vec((any::<prop::sample::Index>(), 0..NASTY.len()), 1..4),
         letter in prop::option::of((any::<prop::sample::Index>(), 32_u8..127)),
     ) {
@@ -352,7 +355,7 @@ proptest! {
 }
 
 #[test]
-fn the_scene_with_everything_in_it_is_compiled() {
+fn the_rich_scene_compiles() {
     let mut data = Data::new(Model::from_xml(RICH).unwrap()).unwrap();
     data.step().unwrap();
     assert_eq!((data.model().nskin(), data.model().nhfield(), data.model().nwrap()), (3, 1, 87));

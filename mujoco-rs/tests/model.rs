@@ -1,4 +1,4 @@
-//! Compiling, naming and patching models.
+//! Compilation, names and patches of models.
 
 use mujoco_rs::{Assets, BodyId, CameraId, Data, Error, GeomId, Integrator, JointId, Model, ObjectKind};
 use proptest::prelude::*;
@@ -14,7 +14,7 @@ const SCENE: &str = r#"<mujoco>
 </mujoco>"#;
 
 #[test]
-fn sizes_names_and_options_are_those_of_the_scene() {
+fn sizes_names_and_options_match_the_scene() {
     let model = Model::from_xml(SCENE).unwrap();
     assert_eq!((model.nbody(), model.nq(), model.nv()), (3, 8, 7));
     assert_eq!(model.timestep(), 0.005);
@@ -35,7 +35,7 @@ fn sizes_names_and_options_are_those_of_the_scene() {
 }
 
 #[test]
-fn an_unknown_name_is_an_error_that_says_kind_and_name() {
+fn an_unknown_name_is_an_error_with_kind_and_name() {
     let model = Model::from_xml(SCENE).unwrap();
     let error = model.find::<GeomId>("a").unwrap_err();
     assert_eq!(error, Error::UnknownName { kind: ObjectKind::Geom, name: "a".into() });
@@ -59,7 +59,7 @@ fn every_array_has_the_length_that_mujoco_allocates() {
 }
 
 #[test]
-fn malformed_scenes_are_errors_with_mujocos_own_message() {
+fn malformed_scenes_are_errors_with_mujocos_message() {
     let message = |xml: &str| Model::from_xml(xml).unwrap_err().to_string();
     assert!(message("<mujoco><worldbody>").contains("XML"), "{}", message("<mujoco><worldbody>"));
     assert!(message("").contains("empty"));
@@ -74,7 +74,7 @@ fn malformed_scenes_are_errors_with_mujocos_own_message() {
 }
 
 #[test]
-fn assets_in_memory_are_used_and_bad_ones_refused() {
+fn assets_in_memory_are_used_and_bad_ones_rejected() {
     let xml = r#"<mujoco><asset><mesh name="m" file="tetra.obj"/></asset>
         <worldbody><geom type="mesh" mesh="m"/></worldbody></mujoco>"#;
     let tetra = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
@@ -102,10 +102,10 @@ fn assets_in_memory_are_used_and_bad_ones_refused() {
 }
 
 #[test]
-fn errors_of_the_engine_beneath_the_parser_are_errors_and_leave_it_usable() {
+fn engine_errors_inside_the_parser_are_errors_and_release_its_lock() {
     let long = format!("<mujoco><include file='{}'/></mujoco>", "x".repeat(1200));
     let error = Model::from_xml(&long).unwrap_err().to_string();
-    assert!(error.contains("too long"), "{error}");
+    assert!(error.contains("1 to 999 bytes"), "{error}");
     let path = "d/".repeat(3000) + "scene.xml";
     assert!(matches!(Model::from_file(path), Err(Error::Load { .. })));
     let huge = "<mujoco><asset><hfield name='h' nrow='50000' ncol='50000' size='1 1 1 1'/></asset></mujoco>";
@@ -114,7 +114,7 @@ fn errors_of_the_engine_beneath_the_parser_are_errors_and_leave_it_usable() {
 }
 
 #[test]
-fn files_are_loaded_by_path_and_missing_ones_named() {
+fn files_are_loaded_by_path_and_missing_files_are_named() {
     let path = std::env::temp_dir().join(format!("mujoco-rs-model-{}.xml", std::process::id()));
     std::fs::write(&path, SCENE).unwrap();
     assert_eq!(Model::from_file(&path).unwrap().nbody(), 3);
@@ -124,7 +124,7 @@ fn files_are_loaded_by_path_and_missing_ones_named() {
 }
 
 #[test]
-fn patching_a_copy_leaves_the_original_as_it_was() {
+fn patching_a_copy_does_not_change_the_original() {
     let model = Model::from_xml(SCENE).unwrap();
     let mut copy = model.try_clone().unwrap();
     copy.patch().body_mass_mut()[1] = 5.0;
@@ -140,7 +140,7 @@ fn patching_a_copy_leaves_the_original_as_it_was() {
 }
 
 #[test]
-fn numbers_by_which_mujoco_finds_memory_are_checked_when_they_are_written() {
+fn setters_validate_numbers_that_mujoco_addresses_memory_with() {
     let xml = "<mujoco><asset><hfield name='h' nrow='2' ncol='3' size='1 1 1 1'/></asset><worldbody>
         <geom name='box' type='box' size='.1 .1 .1'/><geom name='plane' type='plane' size='1 1 1'/>
         <geom type='hfield' hfield='h'/></worldbody></mujoco>";
@@ -179,9 +179,9 @@ fn numbers_by_which_mujoco_finds_memory_are_checked_when_they_are_written() {
     assert_eq!((model.geom_rbound()[row], model.hfield_size()), (0.6, &[1.0, 2.0, 3.0, 4.0][..]));
 }
 
-/// Texts that lead MuJoCo's parser or compiler outside of its memory, or into a loop, each of which a process would not survive.
+/// Scenes for which MuJoCo's parser or compiler would access invalid memory or loop forever.
 #[test]
-fn scenes_that_the_compiler_must_not_see_are_errors_with_their_line() {
+fn scenes_that_would_crash_the_compiler_are_errors_with_their_line() {
     let asset = |inner: &str| format!("<mujoco>\n<asset>\n{inner}</asset></mujoco>");
     let geom = |inner: &str| format!("<mujoco><worldbody>\n\n<geom {inner}/></worldbody></mujoco>");
     let square = "0 0 0 1 0 0 0 1 0 0 0 1";
@@ -225,7 +225,7 @@ fn scenes_that_the_compiler_must_not_see_are_errors_with_their_line() {
 }
 
 #[test]
-fn files_that_the_compiler_must_not_see_are_errors_with_their_name() {
+fn files_that_would_crash_the_compiler_are_errors_with_their_name() {
     fn with(name: &str, element: &str, bytes: impl Into<Vec<u8>>) -> Result<Model, Error> {
         let xml = format!("<mujoco><asset><{element} file='{name}'/></asset></mujoco>");
         Model::from_xml_with_assets(&xml, &Assets::new().with(name, bytes))
@@ -239,7 +239,8 @@ fn files_that_the_compiler_must_not_see_are_errors_with_their_name() {
         file.extend([width.to_be_bytes(), height.to_be_bytes()].concat());
         file
     };
-    let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\nf 1//1 3//1 2//1\nf 1//1 2//1 4//1\nf 1//1 4//1 3//1\nf 2//1 3//1 4//1\n";
+    let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvn 0 0 1\n\
+               f 1//1 3//1 2//1\nf 1//1 2//1 4//1\nf 1//1 4//1 3//1\nf 2//1 3//1 4//1\n";
     with("m.obj", "mesh", obj).unwrap();
     with("m.msh", "mesh", msh(3)).unwrap();
     let cases: [(&str, &str, Vec<u8>, &str); 14] = [
@@ -272,10 +273,11 @@ fn files_that_the_compiler_must_not_see_are_errors_with_their_name() {
     }
 }
 
-/// What MuJoCo is given is written again from what was read: names, texts and line numbers come through.
+/// Validation rewrites the text; names, texts and line numbers are preserved.
 #[test]
-fn a_scene_means_the_same_after_it_has_been_checked() {
-    let xml = "<?xml version='1.0'?>\n<!-- a <comment> -->\n<mujoco model=\"a&amp;b &lt;c&gt;\">\n<worldbody>\n<body name='x &quot;y&quot; \u{e4}'>
+fn validation_preserves_the_meaning_of_a_scene() {
+    let xml = "<?xml version='1.0'?>\n<!-- a <comment> -->\n<mujoco model=\"a&amp;b &lt;c&gt;\">\n<worldbody>\n\
+        <body name='x &quot;y&quot; \u{e4}'>
         <freejoint/><geom size='\n.1\n'/></body></worldbody>text<![CDATA[more]]></mujoco>\n";
     let model = Model::from_xml(xml).unwrap();
     assert!(model.find::<BodyId>("x \"y\" \u{e4}").is_ok());
@@ -291,7 +293,7 @@ fn a_scene_means_the_same_after_it_has_been_checked() {
 }
 
 #[test]
-fn a_scene_file_brings_what_it_refers_to() {
+fn a_scene_file_loads_the_files_that_it_refers_to() {
     let directory = std::env::temp_dir().join(format!("mujoco-rs-scene-{}", std::process::id()));
     std::fs::create_dir_all(directory.join("meshes")).unwrap();
     let write = |name: &str, text: &str| std::fs::write(directory.join(name), text).unwrap();
@@ -316,7 +318,7 @@ fn a_scene_file_brings_what_it_refers_to() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
-    /// Whatever bytes stand in a scene, the answer is a model or an error, never the end of the process.
+    /// Arbitrary bytes in a scene give a model or an error, and never end the process.
     #[test]
     fn damaged_scenes_are_models_or_errors(cut in 0usize..SCENE.len(), at in 0usize..SCENE.len(), letter in 32u8..127) {
         let mut bytes = SCENE.as_bytes().to_vec();
@@ -339,10 +341,10 @@ proptest! {
     }
 }
 
-/// Limits are on what is nested, on one mesh and on the content of a file, not on sums over a scene.
+/// Limits apply to nesting, to each mesh and to each file, not to sums over a scene.
 #[test]
-fn what_stands_side_by_side_in_a_scene_does_not_add_up() {
-    // 15 texts next to each other, each 25 deep
+fn limits_apply_to_each_part_and_not_to_sums_over_a_scene() {
+    // 15 includes side by side, each 25 deep
     let deep = format!("<mujocoinclude>{}{}</mujocoinclude>", "<body>".repeat(24), "</body>".repeat(24));
     let include = |name: &str| format!("<include file='{name}'/>");
     let scene = |inside: &str| format!("<mujoco><worldbody>{inside}</worldbody></mujoco>");
@@ -350,7 +352,7 @@ fn what_stands_side_by_side_in_a_scene_does_not_add_up() {
     let assets = names.iter().fold(Assets::new(), |assets, name| assets.with(name, deep.clone()));
     let xml = scene(&names.iter().map(|name| include(name)).collect::<String>());
     assert_eq!(Model::from_xml_with_assets(&xml, &assets).unwrap().nbody(), 1 + 15 * 24);
-    // the same texts inside each other
+    // the same includes nested
     let nested = |i: usize| {
         let inner = if i < 14 { include(&format!("part{}.xml", i + 1)) } else { String::new() };
         format!("<mujocoinclude>{}{inner}{}</mujocoinclude>", "<body>".repeat(24), "</body>".repeat(24))
@@ -359,7 +361,7 @@ fn what_stands_side_by_side_in_a_scene_does_not_add_up() {
     let error = Model::from_xml_with_assets(&scene(&include("part0.xml")), &assets).unwrap_err().to_string();
     assert!(error.contains("more than 200 deep"), "{error}");
 
-    // a mesh in km scaled to m next to one in mm scaled up
+    // a mesh in km scaled to m, and one in mm scaled up
     let tetra =
         |size: f64| format!("v 0 0 0\nv {size} 0 0\nv 0 {size} 0\nv 0 0 {size}\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n");
     let assets = Assets::new().with("large.obj", tetra(1e5)).with("small.obj", tetra(1e-2));
@@ -384,11 +386,11 @@ fn what_stands_side_by_side_in_a_scene_does_not_add_up() {
 }
 
 #[test]
-fn one_picture_is_a_height_field_and_a_texture() {
+fn one_image_serves_as_height_field_and_as_texture() {
     let png = |columns: u32, rows: u32| {
         let mut bytes = std::io::Cursor::new(Vec::new());
-        let picture = image::GrayImage::from_fn(columns, rows, |x, y| image::Luma([(40 * x + 3 * y) as u8]));
-        picture.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        let image = image::GrayImage::from_fn(columns, rows, |x, y| image::Luma([(40 * x + 3 * y) as u8]));
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
         bytes.into_inner()
     };
     let xml = "<mujoco><asset><hfield name='h' file='ground.png' size='1 1 1 1'/>
@@ -397,7 +399,7 @@ fn one_picture_is_a_height_field_and_a_texture() {
     let model = Model::from_xml_with_assets(xml, &Assets::new().with("ground.png", png(6, 4))).unwrap();
     assert_eq!((model.nhfield(), model.ntex()), (1, 1));
 
-    // two files of one name
+    // two files of the same name
     let directory = std::env::temp_dir().join(format!("mujoco-rs-two-{}", std::process::id()));
     for (name, size) in [("a", 5), ("b", 6)] {
         std::fs::create_dir_all(directory.join(name)).unwrap();

@@ -1,4 +1,4 @@
-//! Stepping, diverging, sharing, and MuJoCo's own errors.
+//! Steps, divergence, shared models, and MuJoCo's errors.
 
 use std::process::Command;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ const BALL: &str = r#"<mujoco><option timestep="0.002" integrator="RK4"/>
   <body name="ball" pos="0 0 2"><freejoint/><geom name="ball" size=".1" mass="1"/></body></worldbody></mujoco>"#;
 
 #[test]
-fn a_ball_falls_as_the_closed_form_says_and_comes_to_rest_on_the_floor() {
+fn a_ball_falls_as_in_the_closed_form_and_comes_to_rest_on_the_floor() {
     let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
     for _ in 0..250 {
         data.step().unwrap();
@@ -43,7 +43,7 @@ fn a_force_written_to_xfrc_applied_accelerates_the_body() {
 }
 
 #[test]
-fn a_diverging_simulation_is_an_error_that_says_what_and_when() {
+fn divergence_is_an_error_with_quantity_and_time() {
     let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
     for _ in 0..10 {
         data.step().unwrap();
@@ -57,7 +57,7 @@ fn a_diverging_simulation_is_an_error_that_says_what_and_when() {
             }
             other => panic!("{other}"),
         }
-        data.step().expect("MuJoCo has put the state back");
+        data.step().expect("MuJoCo has reset the state");
     }
     data.qvel_mut()[4] = f64::INFINITY;
     assert!(matches!(data.step(), Err(Error::Diverged(d)) if d.quantity == DivergedQuantity::Velocity && d.index == 4));
@@ -68,7 +68,7 @@ fn a_diverging_simulation_is_an_error_that_says_what_and_when() {
 }
 
 #[test]
-fn a_stack_too_small_is_an_error_and_a_reset_mends_it() {
+fn a_stack_overflow_is_an_error_until_a_reset() {
     // enough for free flight, too little for the contact solver
     let xml = BALL.replace("<worldbody>", "<size nstack='250' njmax='40' nconmax='10'/><worldbody>");
     let mut data = Data::new(Model::from_xml(&xml).unwrap()).unwrap();
@@ -82,7 +82,7 @@ fn a_stack_too_small_is_an_error_and_a_reset_mends_it() {
         matches!(&error, Error::Raised { call: "mj_step", message } if message.contains("Stack overflow")),
         "{error}"
     );
-    assert_eq!(data.step().unwrap_err(), error, "unusable until it is reset");
+    assert_eq!(data.step().unwrap_err(), error, "unusable until a reset");
     assert_eq!(data.forward().unwrap_err(), error);
     data.reset().unwrap();
     data.step().unwrap();
@@ -90,13 +90,13 @@ fn a_stack_too_small_is_an_error_and_a_reset_mends_it() {
 }
 
 #[test]
-fn a_guarded_error_is_a_rust_error_with_its_message() {
+fn a_guarded_error_is_a_rust_error_with_mujocos_message() {
     let error = mujoco_rs::testing::raise("raised on purpose", true).unwrap_err();
     assert_eq!(error, Error::Raised { call: "mju_error", message: "raised on purpose".into() });
 }
 
-/// Where Rust or C++ frames may lie in between, nothing can be jumped over: the process ends at once, with the
-/// message, and without waiting for a key.
+/// An unguarded call may have Rust or C++ frames below it, which must not be skipped: the process ends at once,
+/// with the message and without waiting for a key.
 #[test]
 fn an_unguarded_error_ends_the_process_with_its_message() {
     const CHILD: &str = "MUJOCO_RS_TEST_RAISE";
@@ -116,7 +116,7 @@ fn an_unguarded_error_ends_the_process_with_its_message() {
 }
 
 #[test]
-fn two_threads_step_one_shared_model_to_the_same_bits() {
+fn threads_that_share_a_model_compute_bit_identical_trajectories() {
     let model = Arc::new(Model::from_xml(BALL).unwrap());
     let fly = |model: Arc<Model>| {
         let mut data = Data::new(model).unwrap();
@@ -139,7 +139,7 @@ fn two_threads_step_one_shared_model_to_the_same_bits() {
 }
 
 #[test]
-fn rays_hit_what_is_in_their_way() {
+fn rays_hit_the_nearest_visible_geom() {
     let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
     data.forward().unwrap();
     let (ball, floor): (GeomId, GeomId) = (data.model().find("ball").unwrap(), data.model().find("floor").unwrap());
@@ -154,17 +154,18 @@ fn rays_hit_what_is_in_their_way() {
     assert!(data.ray([f64::NAN, 0.0, 0.0], [1.0, 0.0, 0.0], [true; 6], None).is_err());
 }
 
-/// MuJoCo's compiler leaves its own handler behind when an exception passes through it, with a jump into a frame that is gone.
+/// Regression: MuJoCo's compiler does not restore its error handler when an exception passes through it; the
+/// handler then jumps into a frame that no longer exists.
 #[test]
-fn an_error_after_a_scene_that_threw_inside_the_compiler_is_an_error() {
-    // file names of two letters: std::out_of_range
+fn errors_after_an_exception_in_the_compiler_are_errors() {
+    // a file name of two letters makes MuJoCo throw std::out_of_range
     for asset in [
         "<mesh name='m' file='ab'/>",
         "<texture name='t' type='2d' file='ab'/>",
         "<hfield name='h' file='ab' size='1 1 1 1'/>",
     ] {
         let xml = format!("<mujoco><asset>{asset}</asset></mujoco>");
-        // SAFETY: MuJoCo throws before it looks at a file.
+        // SAFETY: MuJoCo throws before it opens a file.
         #[allow(unsafe_code)]
         let loaded = unsafe { mujoco_rs::testing::load_unchecked(&xml) };
         assert!(loaded.is_err(), "{xml}");
@@ -178,7 +179,7 @@ fn an_error_after_a_scene_that_threw_inside_the_compiler_is_an_error() {
 }
 
 #[test]
-fn positions_that_are_no_positions_are_errors_of_a_forward_pass() {
+fn invalid_positions_are_errors_of_a_forward_pass() {
     let mut data = Data::new(Model::from_xml(BALL).unwrap()).unwrap();
     for bad in [f64::NAN, f64::INFINITY, -2e10] {
         data.qpos_mut()[1] = bad;
@@ -198,7 +199,7 @@ fn positions_that_are_no_positions_are_errors_of_a_forward_pass() {
 }
 
 #[test]
-fn a_thread_without_stack_for_mujoco_gets_an_error() {
+fn a_thread_with_too_little_stack_for_mujoco_gets_an_error() {
     let model = Arc::new(Model::from_xml(BALL).unwrap());
     let step = |kib: usize| {
         let model = Arc::clone(&model);
@@ -222,9 +223,9 @@ fn a_thread_without_stack_for_mujoco_gets_an_error() {
     assert_eq!(load(2048).unwrap(), 2);
 }
 
-/// A child process, because `rand()` and the handlers belong to the process.
+/// Runs in a child process, because `rand()` and the handlers belong to the process.
 #[test]
-fn a_host_programs_random_numbers_and_handlers_are_left_alone() {
+fn random_numbers_and_handlers_of_a_host_program_are_preserved() {
     const CHILD: &str = "MUJOCO_RS_TEST_HOST";
     if std::env::var_os(CHILD).is_some() {
         mujoco_rs::testing::assert_host_is_left_alone(|| {
@@ -235,7 +236,7 @@ fn a_host_programs_random_numbers_and_handlers_are_left_alone() {
         return;
     }
     let output = Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "a_host_programs_random_numbers_and_handlers_are_left_alone", "--nocapture"])
+        .args(["--exact", "random_numbers_and_handlers_of_a_host_program_are_preserved", "--nocapture"])
         .env(CHILD, "1")
         .output()
         .unwrap();

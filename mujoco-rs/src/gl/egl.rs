@@ -1,4 +1,4 @@
-//! EGL without a window system: device displays in turn, then Mesa's surfaceless platform.
+//! EGL without a window system: tries device displays in turn, then Mesa's surfaceless platform.
 
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr;
@@ -37,7 +37,7 @@ type GetProcAddress = unsafe extern "C" fn(*const c_char) -> Pointer;
 type QueryDevices = unsafe extern "C" fn(Int, *mut Pointer, *mut Int) -> Bool;
 type GetPlatformDisplay = unsafe extern "C" fn(u32, Pointer, *const Int) -> Pointer;
 
-/// EGL's functions, and the displays that contexts are made on.
+/// EGL's functions, and the displays on which contexts are created.
 pub(super) struct Egl {
     functions: Functions,
     displays: Vec<Display>,
@@ -69,12 +69,12 @@ struct Display {
     limits: Limits,
 }
 
-// SAFETY: EGL's displays and functions may be used from any thread; it locks inside.
+// SAFETY: EGL's displays and functions may be used from any thread; EGL locks internally.
 unsafe impl Send for Egl {}
 // SAFETY: as above.
 unsafe impl Sync for Egl {}
 
-/// A context and the tiny surface it is bound with; MuJoCo draws into a framebuffer of its own.
+/// Context and the small surface that it is bound to; MuJoCo renders into its own framebuffer.
 pub(super) struct Context {
     functions: Functions,
     display: Pointer,
@@ -85,11 +85,11 @@ pub(super) struct Context {
 // SAFETY: current on no thread except inside a call on it.
 unsafe impl Send for Context {}
 
-/// Why there is no EGL to draw with.
+/// Reason why EGL is unavailable.
 pub(super) enum Refusal {
-    /// What was tried, and what it answered.
+    /// Attempts and their answers.
     Answer(String),
-    /// The device asked for is not there, among so many.
+    /// The requested device does not exist.
     Device { count: usize },
 }
 
@@ -100,17 +100,17 @@ impl From<String> for Refusal {
 }
 
 impl Egl {
-    /// Loads EGL and finds a display that a context can be made on; the answers of all that were tried otherwise.
+    /// Loads EGL and finds a display that supports a context; otherwise returns the answers of all attempts.
     ///
-    /// `device` is the only one that is tried, if there is one.
+    /// If `device` is set, only that device is tried.
     pub(super) fn load(device: Option<usize>) -> Result<Self, Refusal> {
         let (name, library) = open(RTLD_LOCAL)?;
         let functions = Functions::load(&library)?;
         let displays = displays(functions, device);
-        // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
+        // Some drivers crash when they are unloaded, and a library without global symbols does no harm.
         std::mem::forget(library);
         let displays = displays?;
-        // from here on it is the one that MuJoCo sees
+        // from here on MuJoCo uses this library
         // SAFETY: already loaded; this only makes its symbols global.
         let library = unsafe { Library::open(Some(name), RTLD_NOW | RTLD_GLOBAL) }.map_err(|error| reason(&error))?;
         Ok(Self { functions, displays, next: AtomicUsize::new(0), _library: library })
@@ -121,19 +121,19 @@ impl Egl {
     }
 
     pub(super) fn limits(&self) -> Limits {
-        // there is one at least, and all are drawn on by the same kind of driver
+        // at least one display exists, and all displays have the same kind of driver
         self.displays[0].limits
     }
 
-    /// Frees what EGL keeps for the calling thread, which has no current context. Otherwise the thread's end frees it, and the
-    /// exit handler of the vendor-neutral library frees it for all threads there are, and the two may meet.
+    /// Frees EGL's state of the calling thread, which has no current context. Otherwise the thread's end and the
+    /// exit handler of the vendor-neutral library, which frees all threads' state, could free it concurrently.
     pub(super) fn release_thread(&self) {
         // SAFETY: may be called at any time.
         unsafe { (self.functions.release_thread)() };
     }
 
-    /// A new context. Mesa's software rasteriser works for one context of a display at a time, so that they take
-    /// turns among the displays there are.
+    /// Creates a context. Mesa's software rasteriser works for one context of a display at a time, so that contexts
+    /// are distributed over the displays.
     pub(super) fn context(&self) -> Result<Context, String> {
         let turn = self.next.fetch_add(1, Ordering::Relaxed) % self.displays.len();
         let Display { handle, config, .. } = self.displays[turn];
@@ -175,17 +175,18 @@ impl Functions {
     }
 
     fn string(&self, display: Pointer, name: Int) -> String {
-        // SAFETY: null or a display; the answer is null or a terminated string that lives as long as the display.
+        // SAFETY: `display` is null or valid; the answer is null or a terminated string that lives as long as the
+        // display.
         let text = unsafe { (self.query_string)(display, name) };
         if text.is_null() {
             return String::new();
         }
-        // SAFETY: just so.
+        // SAFETY: not null, and terminated.
         unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
     }
 }
 
-/// Every display that a context can be made on and that is of the kind of the first one.
+/// Returns every display that supports a context and is of the same kind as the first one.
 fn displays(functions: Functions, wanted: Option<usize>) -> Result<Vec<Display>, Refusal> {
     // SAFETY: the types are those of EGL's registry; extensions may be missing, which is a null pointer.
     let (query_devices, platform_display) = unsafe {
@@ -227,12 +228,12 @@ fn displays(functions: Functions, wanted: Option<usize>) -> Result<Vec<Display>,
         // SAFETY: a device that EGL listed, or the surfaceless platform's null.
         let handle = unsafe { platform_display(platform, native, ptr::null()) };
         match Display::open(functions, handle, &name) {
-            // a second display serves only where it is software like the first: a GPU draws for all its contexts
+            // additional displays serve software rendering only: a GPU renders for all its contexts
             Ok(display) if found.is_empty() || (display.is_software && found_software(&found)) => {
                 found.push(display.display);
             }
             Ok(_) => {}
-            // several displays mostly fail for the same reason, which is said once
+            // several displays mostly fail for the same reason, which is reported once
             Err(answer) => match answers.iter_mut().find(|(_, same)| *same == answer) {
                 Some((names, _)) => *names += &format!(", {name}"),
                 None => answers.push((name, answer)),
@@ -256,12 +257,12 @@ struct Opened {
 }
 
 impl Display {
-    /// Initialises a display and tries a context on it.
+    /// Initialises a display and creates a context on it as a test.
     fn open(functions: Functions, handle: Pointer, name: &str) -> Result<Opened, String> {
         if handle.is_null() {
             return Err(functions.failure("eglGetPlatformDisplayEXT"));
         }
-        // SAFETY: a display; versions are not asked for.
+        // SAFETY: a valid display; the version outputs may be null.
         if unsafe { (functions.initialize)(handle, ptr::null_mut(), ptr::null_mut()) } == 0 {
             return Err(functions.failure("eglInitialize"));
         }
@@ -295,9 +296,9 @@ impl Display {
     }
 }
 
-/// A context and its surface on an initialised display, with one of its configurations.
+/// Creates a context and its surface on an initialised display, with one of its configurations.
 fn context(functions: Functions, display: Pointer, config: Pointer) -> Result<Context, String> {
-    // SAFETY: as the callers have them from EGL; the API is chosen per thread.
+    // SAFETY: display and configuration come from EGL; the API is chosen per thread.
     unsafe {
         if (functions.bind_api)(OPENGL_API) == 0 {
             return Err(functions.failure("eglBindAPI(EGL_OPENGL_API)"));
@@ -316,7 +317,7 @@ fn context(functions: Functions, display: Pointer, config: Pointer) -> Result<Co
     }
 }
 
-/// The name of what draws in the current context.
+/// Returns the name of the current context's renderer.
 fn renderer(functions: Functions) -> String {
     const GL_RENDERER: u32 = 0x1F01;
     // SAFETY: the type is the one of OpenGL's registry; a context is current, whose strings live as long as it does.
@@ -347,14 +348,14 @@ impl Context {
         }
     }
 
-    /// The address of one of OpenGL's functions.
+    /// Returns the address of an OpenGL function.
     pub(super) fn address(&self, name: &CStr) -> *mut c_void {
         // SAFETY: a terminated name.
         unsafe { (self.functions.get_proc_address)(name.as_ptr()) }
     }
 
     pub(super) fn release(&self) {
-        // SAFETY: leaves this thread without a context.
+        // SAFETY: unbinds the context from this thread.
         unsafe { (self.functions.make_current)(self.display, ptr::null_mut(), ptr::null_mut(), ptr::null_mut()) };
     }
 }

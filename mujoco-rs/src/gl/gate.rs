@@ -1,13 +1,13 @@
-//! The end of the process: exit handlers of drivers, and of the compiler inside them, take down what other threads may be drawing
-//! with.
+//! Synchronisation with the end of the process: exit handlers of drivers, and of the compiler inside them, destroy
+//! objects that other threads may still render with.
 //!
-//! Every use of OpenGL passes this gate. Before those handlers run, the thread that ends the process waits until nobody is inside,
-//! and leaves the gate closed: a thread that comes later stays there until the process is gone.
+//! Every use of OpenGL passes this gate. Before those handlers run, the thread that ends the process waits until no
+//! thread is inside, and keeps the gate closed: later threads block until the process has ended.
 //!
-//! `exit` first destroys the calling thread's thread-local values, then runs exit handlers in the reverse order of their
-//! registration. The main thread therefore closes the gate from a thread-local value of its own, which precedes every handler.
-//! A handler does it for other threads; since drivers register handlers when they first compile something, it is
-//! registered again from time to time.
+//! `exit` first destroys the calling thread's thread-local values, then runs exit handlers in reverse order of
+//! their registration. The main thread therefore closes the gate in the destructor of a thread-local value, which
+//! precedes every handler. Other threads close it in an exit handler. Drivers register handlers when they first
+//! compile something, so that this handler is registered repeatedly.
 
 use std::cell::Cell;
 use std::mem;
@@ -16,12 +16,12 @@ use std::sync::{PoisonError, RwLock, RwLockReadGuard};
 
 static GATE: RwLock<()> = RwLock::new(());
 static CLOSED: AtomicBool = AtomicBool::new(false);
-/// The process that draws.
+/// Id of the process that renders.
 static PROCESS: AtomicU32 = AtomicU32::new(0);
 
 thread_local! {
     static INSIDE: Cell<bool> = const { Cell::new(false) };
-    /// True if this thread has closed the gate: the one that ends the process.
+    /// True on the thread that closed the gate and ends the process.
     static ENDS: Cell<bool> = const { Cell::new(false) };
     static MAIN: EndOfMain = const { EndOfMain };
 }
@@ -39,7 +39,7 @@ unsafe extern "C" {
     fn gettid() -> i32;
 }
 
-/// A thread that uses OpenGL. Not to be nested.
+/// Permission of a thread to use OpenGL. Must not be nested.
 pub(super) struct Inside(#[expect(dead_code, reason = "held, not read")] RwLockReadGuard<'static, ()>);
 
 impl Drop for Inside {
@@ -48,7 +48,7 @@ impl Drop for Inside {
     }
 }
 
-/// Enters; `None` on the thread that ends the process, where there is nothing to draw with any more.
+/// Enters the gate; returns `None` on the thread that ends the process, because OpenGL is unusable from then on.
 pub(super) fn enter() -> Option<Inside> {
     if ENDS.get() {
         return None;
@@ -58,17 +58,17 @@ pub(super) fn enter() -> Option<Inside> {
     Some(Inside(guard))
 }
 
-/// Makes the main thread close the gate when it ends, if this is it.
+/// Registers closing the gate at the end of the main thread, if the calling thread is the main thread.
 pub(crate) fn know_main() {
     // SAFETY: returns a number.
     if u32::try_from(unsafe { gettid() }) == Ok(std::process::id()) {
-        // its first use registers the destructor
+        // the first access registers the destructor
         let _ = MAIN.try_with(|_| ());
     }
 }
 
-/// Counts a use of a context. Parts of a driver start in the first uses, or when something new is drawn: the handler is registered
-/// again after 1, 2, 4, 8, … uses in the whole process, at most 64 times.
+/// Counts a use of a context. Parts of a driver start at the first uses, or when it draws something new: the exit
+/// handler is registered again after 1, 2, 4, 8, … uses in the process, at most 64 times.
 pub(super) fn used() {
     static USES: AtomicU64 = AtomicU64::new(0);
     if (USES.fetch_add(1, Ordering::Relaxed) + 1).is_power_of_two() {
@@ -76,10 +76,10 @@ pub(super) fn used() {
     }
 }
 
-/// Makes the process close the gate before the exit handlers that drivers have registered so far.
+/// Registers an exit handler that closes the gate before the handlers that drivers have registered so far.
 pub(super) fn close_at_exit() {
     PROCESS.store(std::process::id(), Ordering::Relaxed);
-    // SAFETY: the handler does not unwind; where there is no room for it the process ends as it would without one.
+    // SAFETY: the handler does not unwind; if registration fails, the process ends as without it.
     unsafe { atexit(handler) };
 }
 
@@ -88,8 +88,8 @@ extern "C" fn handler() {
 }
 
 fn close() {
-    // a fork of the process has none of its other threads, which may have been inside; a thread that ends the process from inside
-    // would wait for itself
+    // a forked process lacks the other threads, one of which may hold the gate; a thread that ends the process from
+    // inside the gate would wait for itself
     if PROCESS.load(Ordering::Relaxed) != std::process::id() || INSIDE.get() || CLOSED.swap(true, Ordering::Relaxed) {
         return;
     }

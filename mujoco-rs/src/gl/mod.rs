@@ -1,7 +1,7 @@
-//! An OpenGL context without a window, by EGL or OSMesa.
+//! Off-screen OpenGL contexts, by EGL or OSMesa.
 //!
-//! MuJoCo looks OpenGL's functions up among the libraries that the process has made global, EGL's before OSMesa's. So
-//! exactly one of the two is made global, once it has shown that it can make a context; the other stays invisible.
+//! MuJoCo looks OpenGL's functions up among the process's global symbols, EGL's before OSMesa's. Therefore exactly
+//! one library is loaded globally, after a test has created a context with it.
 
 mod egl;
 pub(crate) mod gate;
@@ -16,25 +16,25 @@ use libloading::os::unix::Library as SystemLibrary;
 use crate::backend::GlBackend;
 use crate::error::{Error, GlAttempt};
 
-/// The library that this process draws with.
+/// OpenGL library of this process.
 enum Library {
     Egl(egl::Egl),
     Osmesa(osmesa::Osmesa),
 }
 
-/// Largest sizes that the library can draw.
+/// Size limits of the driver.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Limits {
-    /// Side of a texture, pixels.
+    /// Largest side of a texture, pixels.
     pub texture: u32,
-    /// Side of a picture, pixels.
-    pub picture: u32,
-    /// Samples per pixel.
+    /// Largest side of an image, pixels.
+    pub image: u32,
+    /// Largest number of samples per pixel.
     pub samples: u32,
 }
 
 impl Limits {
-    /// Those of the current context, whose functions `address` finds.
+    /// Reads the limits of the current context, whose functions `address` finds.
     fn of(address: impl Fn(&CStr) -> *mut c_void) -> Self {
         const MAX_TEXTURE_SIZE: u32 = 0x0D33;
         const MAX_RENDERBUFFER_SIZE: u32 = 0x84E8;
@@ -42,22 +42,22 @@ impl Limits {
         let get_integer = address(c"glGetIntegerv");
         let limit = |name: u32| {
             let mut value = 0_i32;
-            // SAFETY: null or OpenGL's function of that name, of the type in its registry; a context is current, and each of
-            // these limits is one number.
+            // SAFETY: null or the OpenGL function of that name, with its registered type; a context is current, and
+            // each limit is one number.
             unsafe {
                 let get = std::mem::transmute::<*mut c_void, Option<unsafe extern "C" fn(u32, *mut i32)>>(get_integer);
                 if let Some(get) = get {
                     get(name, &mut value);
                 }
             }
-            // a driver that does not say has no limit of its own
+            // a driver that reports no limit is treated as unlimited
             u32::try_from(value).ok().filter(|&limit| limit > 0).unwrap_or(u32::MAX)
         };
-        Self { texture: limit(MAX_TEXTURE_SIZE), picture: limit(MAX_RENDERBUFFER_SIZE), samples: limit(MAX_SAMPLES) }
+        Self { texture: limit(MAX_TEXTURE_SIZE), image: limit(MAX_RENDERBUFFER_SIZE), samples: limit(MAX_SAMPLES) }
     }
 }
 
-/// Returns the largest sizes that can be drawn.
+/// Returns the driver's size limits.
 pub(crate) fn limits() -> Result<Limits, Error> {
     Ok(match library()? {
         Library::Egl(egl) => egl.limits(),
@@ -65,7 +65,7 @@ pub(crate) fn limits() -> Result<Limits, Error> {
     })
 }
 
-/// A context of its own, current on no thread between calls of [`current`](Self::current), so that it can be moved.
+/// OpenGL context. It is current on no thread between calls of [`current`](Self::current), so that it can be moved.
 pub(crate) struct GlContext {
     context: ManuallyDrop<Context>,
 }
@@ -75,8 +75,8 @@ enum Context {
     Osmesa(osmesa::Context),
 }
 
-/// MuJoCo keeps OpenGL's functions in process-wide variables that it sets whenever a context is made: then nobody may
-/// draw.
+/// Lock around MuJoCo's process-wide table of OpenGL functions: creating a context writes the table, rendering
+/// reads it.
 static FUNCTIONS: RwLock<()> = RwLock::new(());
 
 pub(crate) fn drawing() -> RwLockReadGuard<'static, ()> {
@@ -87,14 +87,15 @@ pub(crate) fn loading() -> RwLockWriteGuard<'static, ()> {
     FUNCTIONS.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The library, found at the first call. A failure is final for the process, as a success is.
+/// Returns the library; the first call loads it. A failure is final for the process, as is a success.
 fn library() -> Result<&'static Library, Error> {
     static LIBRARY: OnceLock<Result<Library, Error>> = OnceLock::new();
     let find = || {
         let _inside = gate::enter().ok_or_else(ending)?;
-        // the first use is one that the end of the process waits for, too
+        // register the handler before the first use, so that the process's end waits for that use
         gate::close_at_exit();
-        // SAFETY: one thread at a time, which the lock around it sees to; between the two calls drivers start and read it.
+        // SAFETY: `OnceLock` runs this on one thread at a time; drivers start between the two calls and read the
+        // environment.
         unsafe { mujoco_sys::mjshim_without_rasteriser_threads() };
         let found = find();
         // SAFETY: as above.
@@ -108,8 +109,8 @@ fn library() -> Result<&'static Library, Error> {
     LIBRARY.get_or_init(find).as_ref().map_err(Clone::clone)
 }
 
-/// A use of OpenGL by the calling thread, which leaves nothing of it behind: no context and no state that the thread's end would
-/// have to free.
+/// Use of OpenGL by the calling thread. Its end releases the context and EGL's thread state, so that the thread's
+/// end has nothing to free.
 struct Session {
     library: &'static Library,
     _inside: gate::Inside,
@@ -153,7 +154,7 @@ fn find() -> Result<Library, Error> {
     for backend in wanted {
         let found = match backend {
             GlBackend::Egl => match egl::Egl::load(device) {
-                // who names a device does not want another one
+                // do not fall back to another device than the requested one
                 Err(egl::Refusal::Device { count }) => {
                     let got = device.map_or_else(String::new, |index| index.to_string());
                     return Err(Error::GlDevice {
@@ -174,20 +175,20 @@ fn find() -> Result<Library, Error> {
     Err(Error::NoGl { attempts })
 }
 
-/// What draws in this process, and on what.
+/// OpenGL backend and device of this process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GlInfo {
-    /// The library.
+    /// Loaded backend.
     pub backend: GlBackend,
-    /// The device, where the library says which.
+    /// Device, if the library names it.
     pub device: String,
 }
 
-/// Finds out what draws in this process, loading it if nothing has been drawn yet.
+/// Returns the OpenGL backend and device of this process; loads the library at the first call.
 ///
-/// `MUJOCO_GL` (`egl` or `osmesa`) chooses the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; without them each is
-/// tried in turn. While the library starts, `LP_NUM_THREADS=0` is in the environment unless the variable is there: it keeps
-/// Mesa's software rasteriser from starting threads of its own, which small pictures have no use for.
+/// `MUJOCO_GL` (`egl` or `osmesa`) selects the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; if unset, each is
+/// tried in turn. While the library starts, `LP_NUM_THREADS=0` is in the environment unless the variable is set: it
+/// stops Mesa's software rasteriser from starting worker threads, which do not speed up small images.
 ///
 /// ```
 /// use mujoco_rs::{GlBackend, gl_info};
@@ -199,8 +200,8 @@ pub struct GlInfo {
 /// ```
 ///
 /// # Errors
-/// [`Error::NoGl`] with what was tried and what each answered; [`Error::GlName`] and [`Error::GlDevice`] for variables that name
-/// nothing.
+/// [`Error::NoGl`] with all attempts and their answers; [`Error::GlName`] and [`Error::GlDevice`] for invalid
+/// variables.
 pub fn gl_info() -> Result<GlInfo, Error> {
     Ok(match library()? {
         Library::Egl(egl) => GlInfo { backend: GlBackend::Egl, device: egl.description() },
@@ -219,7 +220,8 @@ impl GlContext {
         Ok(Self { context: ManuallyDrop::new(context) })
     }
 
-    /// Runs `draw` with this context current on the calling thread, and on none afterwards. Not to be nested.
+    /// Runs `draw` with this context current on the calling thread; afterwards it is current on no thread. Must not
+    /// be nested.
     pub(crate) fn current<T>(&mut self, draw: impl FnOnce() -> T) -> Result<T, Error> {
         struct Release<'a>(&'a Context);
         impl Drop for Release<'_> {
@@ -245,16 +247,16 @@ impl GlContext {
 
 impl Drop for GlContext {
     fn drop(&mut self) {
-        // where the process is ending, the context ends with it
+        // at the end of the process, the context ends with it
         if let Ok(_session) = Session::begin() {
-            // SAFETY: nobody uses it afterwards.
+            // SAFETY: nothing uses it afterwards.
             unsafe { ManuallyDrop::drop(&mut self.context) };
         }
     }
 }
 
-/// Opens the first of these libraries that is there. The error is one short reason: of a library that is there and cannot be
-/// loaded, if there is one, or else that the first one is missing.
+/// Opens the first available library of the list. The error is the reason why an existing library cannot be loaded,
+/// or that the first one is missing.
 fn open(names: &[&'static str], flags: i32) -> Result<(&'static str, SystemLibrary), String> {
     let mut damaged = None;
     for &name in names {
@@ -263,7 +265,7 @@ fn open(names: &[&'static str], flags: i32) -> Result<(&'static str, SystemLibra
             Ok(library) => return Ok((name, library)),
             Err(error) => {
                 let reason = reason(&error);
-                // a library that it needs may be missing, too: that is another name
+                // the loader may report a missing dependency, under another file name
                 if !(reason.starts_with(name) && reason.contains("No such file")) {
                     damaged.get_or_insert(reason);
                 }
@@ -273,7 +275,7 @@ fn open(names: &[&'static str], flags: i32) -> Result<(&'static str, SystemLibra
     Err(damaged.unwrap_or_else(|| format!("{} is not installed", names.first().copied().unwrap_or_default())))
 }
 
-/// What the loader says, down to the system's own words.
+/// Returns the loader's message without libloading's prefix.
 fn reason(error: &libloading::Error) -> String {
     use std::error::Error as _;
     error.source().map_or_else(|| error.to_string(), |source| source.to_string())

@@ -1,4 +1,4 @@
-//! Mesa's off-screen library.
+//! OSMesa, Mesa's off-screen library.
 
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr;
@@ -12,7 +12,7 @@ type Pointer = *mut c_void;
 const NAMES: [&str; 3] = ["libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"];
 const RGBA: u32 = 0x1908;
 const UNSIGNED_BYTE: u32 = 0x1401;
-/// Side of the buffer that a context is bound with; MuJoCo draws into a framebuffer of its own.
+/// Side of the buffer that a context is bound to, pixels; MuJoCo renders into its own framebuffer.
 const SIDE: i32 = 8;
 
 pub(super) struct Osmesa {
@@ -30,7 +30,7 @@ struct Functions {
     get_proc_address: unsafe extern "C" fn(*const c_char) -> Pointer,
 }
 
-// SAFETY: Mesa's contexts may be made on any thread; it locks inside.
+// SAFETY: Mesa's contexts may be created on any thread; Mesa locks internally.
 unsafe impl Send for Osmesa {}
 // SAFETY: as above.
 unsafe impl Sync for Osmesa {}
@@ -58,7 +58,7 @@ impl Osmesa {
             context.release();
             Ok(limits)
         });
-        // Drivers do not always survive being unloaded, and a library that is not global is in nobody's way.
+        // Some drivers crash when they are unloaded, and a library without global symbols does no harm.
         std::mem::forget(library);
         let limits = tried?;
         // SAFETY: already loaded before; this makes its symbols global.
@@ -92,7 +92,7 @@ impl Functions {
     }
 
     fn context(self) -> Result<Context, String> {
-        // SAFETY: depth 24, stencil 8, no accumulation buffer, nothing shared.
+        // SAFETY: depth 24, stencil 8, no accumulation buffer, no shared context.
         let context = unsafe { (self.create)(RGBA, 24, 8, 0, ptr::null_mut()) };
         if context.is_null() {
             return Err("OSMesaCreateContextExt failed".into());
@@ -111,14 +111,14 @@ impl Context {
         }
     }
 
-    /// The address of one of OpenGL's functions.
+    /// Returns the address of an OpenGL function.
     pub(super) fn address(&self, name: &CStr) -> *mut c_void {
         // SAFETY: a terminated name.
         unsafe { (self.functions.get_proc_address)(name.as_ptr()) }
     }
 
     pub(super) fn release(&self) {
-        // SAFETY: leaves this thread without a context.
+        // SAFETY: unbinds the context from this thread.
         unsafe { (self.functions.make_current)(ptr::null_mut(), ptr::null_mut(), UNSIGNED_BYTE, 0, 0) };
     }
 }

@@ -3,7 +3,7 @@ use std::ptr;
 
 use crate::error::Error;
 
-/// Files that a scene refers to, kept in memory.
+/// In-memory files that a scene refers to.
 ///
 /// ```
 /// use mujoco_rs::{Assets, Model};
@@ -23,29 +23,29 @@ pub struct Assets {
 }
 
 impl Assets {
-    /// No files.
+    /// Creates an empty set of files.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Adds a file under the name that the scene uses for it (without directories).
+    /// Adds a file under the name in the scene (without directories).
     #[must_use]
     pub fn with(mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) -> Self {
         self.insert(name, bytes);
         self
     }
 
-    /// Adds a file under the name that the scene uses for it (without directories).
+    /// Adds a file under the name in the scene (without directories).
     pub fn insert(&mut self, name: impl Into<String>, bytes: impl Into<Vec<u8>>) {
         self.files.push((name.into(), bytes.into()));
     }
 
-    /// How many files there are.
+    /// Returns the number of files.
     pub fn len(&self) -> usize {
         self.files.len()
     }
 
-    /// Whether there are none.
+    /// Returns true if there are no files.
     pub fn is_empty(&self) -> bool {
         self.files.is_empty()
     }
@@ -61,14 +61,15 @@ pub(super) struct FileSystem(pub(super) Box<mujoco_sys::mjVFS>);
 impl FileSystem {
     pub(super) fn new() -> Self {
         let mut vfs: Box<std::mem::MaybeUninit<mujoco_sys::mjVFS>> = Box::new_zeroed();
-        // SAFETY: a structure of integers and pointers for which all zeros is a value; the call makes it an empty one.
+        // SAFETY: all zeros is a valid value of this structure of integers and pointers; the call makes it an empty
+        // file system.
         unsafe {
             mujoco_sys::mj_defaultVFS(vfs.as_mut_ptr());
             Self(vfs.assume_init())
         }
     }
 
-    /// Files in addition to the scene's text; MuJoCo leaves one place empty.
+    /// Number of files in addition to the scene's text; MuJoCo leaves one slot empty.
     pub(super) const ROOM: usize = mujoco_sys::mjMAXVFS as usize - 2;
 
     pub(super) fn full(name: &str) -> Error {
@@ -78,7 +79,7 @@ impl FileSystem {
     pub(super) fn repeated(name: &str) -> Error {
         Error::Asset {
             name: name.to_string(),
-            reason: "a file of that name is there already (names are compared without regard to case)".into(),
+            reason: "a file of this name already exists (names are case-insensitive)".into(),
         }
     }
 
@@ -89,7 +90,7 @@ impl FileSystem {
             return Err(refuse(format!("the name has {} bytes, expected 1 to {longest}", name.len())));
         }
         if name.contains(['/', '\\']) {
-            return Err(refuse("the name holds a directory, expected a bare file name".into()));
+            return Err(refuse("the name contains a directory, expected a bare file name".into()));
         }
         Ok(())
     }
@@ -117,11 +118,11 @@ impl FileSystem {
         let target = usize::try_from(slot).ok().and_then(|slot| self.0.filedata.get(slot)).copied();
         match target {
             Some(target) if !target.is_null() => {
-                // SAFETY: the slot holds `size` bytes of MuJoCo's own, apart from ours.
+                // SAFETY: the slot has `size` bytes allocated by MuJoCo, which do not overlap `bytes`.
                 unsafe { ptr::copy_nonoverlapping(bytes.as_ptr(), target.cast::<u8>(), bytes.len()) };
                 Ok(())
             }
-            _ => Err(refuse("MuJoCo's file system lost it".into())),
+            _ => Err(refuse("MuJoCo's file system does not contain the file after adding it".into())),
         }
     }
 }

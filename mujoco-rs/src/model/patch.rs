@@ -3,13 +3,13 @@ use crate::error::Error;
 use crate::id::{GeomId, ObjectKind};
 use crate::limits;
 
-/// The numbers of a model to be written; its structure cannot change.
+/// Mutable access to the numbers of a model; its structure is fixed.
 ///
-/// Arrays that MuJoCo only calculates with are slices. Numbers by which it finds memory (sizes and orientations of geoms,
-/// height fields) have setters that check them, and slices that are `unsafe` to write.
+/// Arrays that MuJoCo only computes with are mutable slices. Numbers by which MuJoCo addresses memory (sizes and
+/// orientations of geoms, height fields) have setters that validate them, and mutable slices that are `unsafe`.
 ///
-/// MuJoCo derives some numbers from others when it compiles (`body_subtreemass`, `dof_M0`, `body_invweight0`, …):
-/// whoever patches a mass writes those as well.
+/// MuJoCo's compiler derives some numbers from others (`body_subtreemass`, `dof_M0`, `body_invweight0`, …): a
+/// caller that changes a mass must update those as well.
 ///
 /// ```
 /// use mujoco_rs::Model;
@@ -34,7 +34,7 @@ impl ModelMut<'_> {
         unsafe { &mut self.model.pointer.as_mut().opt }
     }
 
-    /// Sets the length of a step, s.
+    /// Sets the time step, s.
     ///
     /// # Errors
     /// [`Error::Value`] unless positive and finite.
@@ -50,7 +50,7 @@ impl ModelMut<'_> {
         Ok(())
     }
 
-    /// Sets the acceleration of gravity, world frame, m/s².
+    /// Sets the gravitational acceleration, world frame, m/s².
     ///
     /// # Errors
     /// [`Error::Value`] unless finite.
@@ -62,18 +62,18 @@ impl ModelMut<'_> {
         Ok(())
     }
 
-    /// Sets the sizes of a geom, in MuJoCo's order for its type, m: radius of a sphere; radius and half length of a capsule or
-    /// cylinder; half sizes of an ellipsoid or box; half sizes (0 for infinite) and grid spacing of a plane. Numbers that the
-    /// type does not have are 0.
+    /// Sets the sizes of a geom in MuJoCo's order for its type, m: radius of a sphere; radius and half length of a
+    /// capsule or cylinder; half sizes of an ellipsoid or box; half sizes (0 for infinite) and grid spacing of a
+    /// plane. Entries that the type does not use are 0.
     ///
     /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a size that is not finite, negative, or outside 1e-15 m to 1e6 m where
-    /// the type has it.
+    /// [`Error::NotOfModel`]; [`Error::Value`] if a size is negative, non-finite, or outside 1e-15 m to 1e6 m for
+    /// an entry that the type uses.
     #[inline]
     pub fn set_geom_size(&mut self, geom: GeomId, size: [f64; 3]) -> Result<(), Error> {
         let row = self.geom_row(geom)?;
         limits::geom_size(self.raw_geom_type(row), &size)?;
-        // SAFETY: the sizes are ones that the compiler would take.
+        // SAFETY: the compiler accepts these sizes.
         let values = unsafe { self.geom_size_mut() };
         values[3 * row..][..3].copy_from_slice(&size);
         Ok(())
@@ -82,12 +82,12 @@ impl ModelMut<'_> {
     /// Sets the position of a geom in its body's frame, m.
     ///
     /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a coordinate that is not finite or exceeds 1e10.
+    /// [`Error::NotOfModel`]; [`Error::Value`] if a coordinate is not finite or exceeds 1e10.
     #[inline]
     pub fn set_geom_pos(&mut self, geom: GeomId, position: [f64; 3]) -> Result<(), Error> {
         let row = self.geom_row(geom)?;
         limits::position(&position)?;
-        // SAFETY: the coordinates are ones that the compiler would take.
+        // SAFETY: the compiler accepts these coordinates.
         let values = unsafe { self.geom_pos_mut() };
         values[3 * row..][..3].copy_from_slice(&position);
         Ok(())
@@ -101,31 +101,32 @@ impl ModelMut<'_> {
     pub fn set_geom_quat(&mut self, geom: GeomId, quaternion: [f64; 4]) -> Result<(), Error> {
         let row = self.geom_row(geom)?;
         limits::unit_quaternion(&quaternion)?;
-        // SAFETY: the quaternion has length 1, as the compiler's have.
+        // SAFETY: the quaternion has length 1, as the compiler's quaternions.
         let values = unsafe { self.geom_quat_mut() };
         values[4 * row..][..4].copy_from_slice(&quaternion);
         Ok(())
     }
 
-    /// Sets the radius of the ball around a geom outside of which MuJoCo looks for no contacts, m; 0 for a plane.
+    /// Sets the radius of a geom's bounding sphere, which MuJoCo uses in broad-phase collision detection, m; 0 for
+    /// a plane.
     ///
     /// # Errors
-    /// [`Error::NotOfModel`]; [`Error::Value`] for a radius that is not finite, negative or above 1e7.
+    /// [`Error::NotOfModel`]; [`Error::Value`] if the radius is negative, non-finite or above 1e7.
     #[inline]
     pub fn set_geom_rbound(&mut self, geom: GeomId, radius: f64) -> Result<(), Error> {
         let row = self.geom_row(geom)?;
         limits::bounding_radius(radius)?;
-        // SAFETY: the radius is one that the compiler would compute.
+        // SAFETY: the compiler can compute this radius.
         let values = unsafe { self.geom_rbound_mut() };
         values[row] = radius;
         Ok(())
     }
 
-    /// Sets the sizes of a height field, by its position in the model's list, m: half sizes along x and y, height of its
-    /// highest point, thickness of its base.
+    /// Sets the sizes of a height field, given by its index in the model's list, m: half sizes along x and y,
+    /// maximum height, thickness of the base.
     ///
     /// # Errors
-    /// [`Error::Value`] unless there is such a field and all sizes lie between 1e-15 m and 1e6 m.
+    /// [`Error::Value`] if the index is out of range or a size is outside 1e-15 m to 1e6 m.
     pub fn set_hfield_size(&mut self, hfield: usize, size: [f64; 4]) -> Result<(), Error> {
         if hfield >= self.model.nhfield() {
             return Err(Error::Value {
@@ -135,7 +136,7 @@ impl ModelMut<'_> {
             });
         }
         limits::hfield_size(&size)?;
-        // SAFETY: the sizes are ones that the compiler would take.
+        // SAFETY: the compiler accepts these sizes.
         let values = unsafe { self.hfield_size_mut() };
         values[4 * hfield..][..4].copy_from_slice(&size);
         Ok(())

@@ -1,5 +1,6 @@
-//! Child processes that end in a given way: this program again, with a library (`slow_thread_exit.c`) that delays the destructors
-//! of thread-specific data. Also a module of the workspace's `tests/exit.rs`.
+//! Child processes that end in a given state. Each child is this program, with a preloaded library
+//! (`slow_thread_exit.c`) that delays the destructors of thread-specific data. The workspace's `tests/exit.rs` also
+//! includes this module.
 #![allow(clippy::print_stdout)]
 
 use std::path::PathBuf;
@@ -8,8 +9,8 @@ use std::process::Command;
 /// Environment variable with the name of the program that a child runs.
 const CHILD: &str = "MJ_DRONES_TEST_EXIT";
 
-/// The whole of a test program: as a child it runs one of `programs` and returns, otherwise it runs each of them in children, so
-/// many times (or `EXIT_RUNS` times) with each library that can draw here.
+/// Main function of a test program. A child runs one of `programs` and returns. The parent runs each of them `runs`
+/// times (or `EXIT_RUNS` times) with each OpenGL library of this machine.
 pub fn main(name: &str, backend: impl Fn() -> Option<String>, programs: &[(&str, fn())], runs: usize) {
     if let Ok(what) = std::env::var(CHILD) {
         match programs.iter().find(|(name, _)| *name == what) {
@@ -18,7 +19,7 @@ pub fn main(name: &str, backend: impl Fn() -> Option<String>, programs: &[(&str,
         }
         return;
     }
-    // arguments as the standard harness takes them: a filter, a list
+    // supports the arguments of the standard harness: a filter, `--list`
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     if arguments.iter().any(|argument| argument == "--list") {
         println!("{name}: test");
@@ -34,22 +35,22 @@ pub fn main(name: &str, backend: impl Fn() -> Option<String>, programs: &[(&str,
     println!("test {name} ... ok");
 }
 
-/// Runs that did not end well.
+/// Returns a description of every child that did not exit successfully.
 fn failures(backend: &impl Fn() -> Option<String>, programs: &[(&str, fn())], runs: usize) -> Vec<String> {
     let library = delays();
-    // behind what is loaded first already, a sanitizer for example
+    // keep libraries that are preloaded already, for example a sanitizer
     let mut preloaded = std::env::var_os("LD_PRELOAD").unwrap_or_default();
     preloaded.push(if preloaded.is_empty() { "" } else { ":" });
     preloaded.push(&library);
     let child = |library: &str, what: &str| {
-        // a child that never ends is a failure, too
+        // a child that never ends counts as a failure
         let mut command = Command::new("timeout");
         command.arg("120").arg(std::env::current_exe().unwrap());
         command.env(CHILD, what).env("MUJOCO_GL", library);
         command
     };
     let mut failures = Vec::new();
-    // a machine without any passes, as all tests that draw do
+    // a machine without OpenGL passes, as in all rendering tests
     for library_name in ["egl", "osmesa"].into_iter().filter(|_| backend().is_some()) {
         let output = child(library_name, "nothing").output().unwrap();
         if String::from_utf8_lossy(&output.stdout).trim() != library_name {
@@ -72,10 +73,10 @@ fn failures(backend: &impl Fn() -> Option<String>, programs: &[(&str, fn())], ru
     failures
 }
 
-/// Library that delays destructors.
+/// Compiles the library that delays destructors.
 fn delays() -> PathBuf {
     let library = std::env::temp_dir().join(format!("slow_thread_exit_{}.so", std::process::id()));
-    // relative to the package or to the workspace
+    // source path relative to the package or to the workspace
     let source = ["tests/exit/slow_thread_exit.c", "mujoco-rs/tests/exit/slow_thread_exit.c"].map(PathBuf::from);
     let source = source.iter().find(|path| path.is_file()).unwrap();
     let arguments = ["-O1", "-shared", "-fPIC", "-ldl", "-o"];
