@@ -166,7 +166,7 @@ fn the_checker_finds_what_is_wrong() {
         ("nan", "a reward is NaN"),
         ("bounds", "observation[0]"),
         ("constant", "observation[1] is always 0.3"),
-        ("reason", "the end in its info"),
+        ("reason", "the end in info"),
         ("progress", "progress is 1.5"),
     ] {
         let task = Faulty { fault, ..Faulty::default() };

@@ -353,7 +353,7 @@ fn settings_of_obstacles_that_exclude_each_other_are_refused() {
         assert!(error.contains(expected), "{error}");
     };
     let custom = "[[obstacles.custom]]\nshape = \"sphere\"\nsize = [0.1]\nposition = [1.0, 0.0, 1.0]\n";
-    refused(custom, "kind is forest, but there is a custom list");
+    refused(custom, "kind is forest, expected custom, because there is a custom list");
     refused(&format!("kind = \"custom\"\ncount = 3\n{custom}"), "count is 3, but the custom list has 1 entries");
     refused(&format!("kind = \"custom\"\nnew_layout = true\n{custom}"), "new_layout is true");
     let huge = custom.replace("0.1", "1e15");
@@ -361,7 +361,7 @@ fn settings_of_obstacles_that_exclude_each_other_are_refused() {
     let both = Hover::builder()
         .obstacle_generator(ObstacleConfig::default())
         .obstacles([Obstacle::new(Shape::Sphere { radius: 0.1 }, Vector3::new(1.0, 0.0, 1.0))]);
-    assert!(both.build().unwrap_err().to_string().contains("obstacles is a list, with an obstacle_generator as well"));
+    assert!(both.build().unwrap_err().to_string().contains("obstacles is a list next to an obstacle_generator"));
 }
 
 #[test]
@@ -376,7 +376,7 @@ fn a_wind_beside_one_that_is_drawn_and_a_kind_beside_another_are_refused() {
     assert!(built.unwrap_err().to_string().contains("wind is gust"));
 
     let error = Conditions::from_toml_with("[wind]\nmodel = \"dryden\"\n", &choice).unwrap_err().to_string();
-    assert!(error.contains("[wind] has model = \"dryden\", but `constant` is chosen"), "{error}");
+    assert!(error.contains("[wind] has model = \"dryden\" next to the option `constant`"), "{error}");
     let chosen = Conditions::from_toml_with("[wind]\nvelocity = [3.0, 0.0, 0.0]\n", &choice).unwrap().wind.unwrap();
     assert_eq!((chosen.model, chosen.velocity), (WindModel::Constant, [3.0, 0.0, 0.0]));
     let error = Conditions::from_toml("[wind]\nvelocity = [3.0, 0.0, 0.0]\n").unwrap_err().to_string();

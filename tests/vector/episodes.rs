@@ -54,7 +54,7 @@ fn an_environment_can_be_changed_as_if_it_were_alone() {
     let mut seen = 0;
     batch.with_env(7, &mut |env| seen = env.episode_steps()).unwrap();
     let error = batch.with(10, |_| ()).unwrap_err().to_string();
-    assert_eq!(error, "there is no environment 10, expected one of 0 to 9");
+    assert_eq!(error, "environment 10 does not exist, expected an index from 0 to 9");
     assert_eq!(seen, 480);
     for _ in 0..48 {
         batch.step(&[0.0; 40], buffers.step()).unwrap();

@@ -20,7 +20,7 @@ use crate::simulation::{self, SimData, SimModel, SimView, Simulation};
 use crate::state::DroneState;
 use crate::vision::{ImageSize, SceneRenderer, View};
 
-/// A task made into an environment.
+/// Environment made from a [`Task`].
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -39,35 +39,35 @@ pub struct Aviary<T> {
     pub(crate) model: Arc<EnvModel>,
     pub(crate) simulation: Simulation,
     pub(crate) episode: Episode<T>,
-    /// Decode actions to motor speeds, one per drone.
+    /// Decoders from actions to motor speeds, one per drone.
     pub(crate) decoders: Vec<ActionDecoder>,
     pub(crate) workspace: EnvWorkspace,
-    /// Renders for people, once they ask.
+    /// Renderer of [`Env::render`], created by its first call.
     pub(super) renderer: Option<Synced<SceneRenderer>>,
 }
 
 impl<T: Task> Aviary<T> {
-    /// The task.
+    /// Returns the task.
     pub fn task(&self) -> &T {
         &self.episode.task
     }
 
-    /// The task, to be changed between episodes. What only building an environment looks at (the number of drones, initial
-    /// positions, markers) stays as it is. The episode is over with it, and the next
-    /// reset checks what was changed.
+    /// Returns the task, to change its options between episodes. The current episode ends, and the next reset
+    /// validates the options. Options that only the builder reads (number of drones, initial positions, markers)
+    /// have no effect.
     pub fn task_mut(&mut self) -> &mut T {
         (self.episode.task_changed, self.episode.phase) = (true, Phase::New);
         &mut self.episode.task
     }
 
-    /// A drone's own part of the observation's vector; empty where the observation type has none, and for a drone that is not
-    /// there.
+    /// Returns one drone's block of the observation vector; empty if the observation type has no vector or `drone`
+    /// is out of range.
     pub fn observation_of(&self, drone: usize) -> &[f64] {
         let block = self.model.block;
         self.workspace.observation.vector.get(drone * block..(drone + 1) * block).unwrap_or_default()
     }
 
-    /// Returns everything that an episode needs, borrowed apart.
+    /// Borrows the parts that the stages of a control step need.
     pub(crate) fn parts(&mut self) -> EnvParts<'_, T> {
         let Self { model, simulation, episode, decoders, workspace, .. } = self;
         EnvParts {
@@ -81,8 +81,8 @@ impl<T: Task> Aviary<T> {
         }
     }
 
-    /// Makes a control step up to the task's update, without observing. `instead` may give motor speeds (rpm) for a drone in place of
-    /// what the action says.
+    /// Makes a control step up to the update of the task, without an observation. `instead` may return motor speeds
+    /// (rpm) that replace the decoded action of a drone.
     pub(crate) fn advance(
         &mut self,
         action: &[f64],
@@ -118,7 +118,7 @@ impl<T: Task> Aviary<T> {
         }
     }
 
-    /// Returns whether the time of the episode is over.
+    /// Returns true if the time limit of the episode is reached.
     pub(crate) fn is_out_of_time(&self) -> bool {
         self.simulation.control_steps() >= self.model.episode_steps
     }
@@ -129,8 +129,8 @@ impl<T: Task> Aviary<T> {
     }
 }
 
-/// Borrowed parts of one environment, on which the stages of a control step work: an [`Aviary`] owns them all, a batch has the model
-/// and the workspaces of a thread and the data of each environment.
+/// Borrowed parts of one environment, on which the stages of a control step work. An [`Aviary`] owns all parts. A
+/// batch has the model once, the workspaces once per thread, and the rest once per environment.
 pub(crate) struct EnvParts<'a, T> {
     pub model: &'a EnvModel,
     pub sim_model: &'a SimModel,
@@ -146,7 +146,7 @@ impl<T: Task> EnvParts<'_, T> {
         SimView::new(self.sim_model, self.data)
     }
 
-    /// Advances the simulation by one control step under the workspace's commands.
+    /// Advances the simulation by one control step with the workspace's commands.
     pub(crate) fn advance(&mut self) -> Result<(), EnvError> {
         let Self { sim_model, data, workspace, sim_workspace, .. } = self;
         if let Err(error) = simulation::step(sim_model, sim_workspace, data, &workspace.commands) {
@@ -156,7 +156,7 @@ impl<T: Task> EnvParts<'_, T> {
         Ok(())
     }
 
-    /// Updates the task after a control step, moves its markers, and asks how the step ended for each drone.
+    /// Updates the task after a control step, moves its markers, and evaluates the end for each drone.
     pub(crate) fn update_task(&mut self) -> Result<(), EnvError> {
         self.episode.task.update(SimView::new(self.sim_model, self.data));
         self.move_markers()?;
@@ -172,12 +172,12 @@ impl<T: Task> EnvParts<'_, T> {
         self.episode.outcome(self.view(), self.model.episode_steps)
     }
 
-    /// Writes everything of the observation but its images.
+    /// Writes the observation except its images.
     pub(crate) fn observe_numbers(&mut self) -> Result<(), EnvError> {
         let truth = SimView::new(self.sim_model, self.data);
         let Episode { task, randomizer, .. } = &mut *self.episode;
         let EnvWorkspace { observation, rangefinder, .. } = &mut *self.workspace;
-        // a task observes what the sensors measure
+        // a task observes the measured states, not the true ones
         let measured = randomizer.as_mut().and_then(|randomizer| randomizer.measure(self.data));
         let view = measured.map_or(truth, |(states, rpys)| truth.measured(states, rpys));
         if self.model.observation_space.kind.kinematic {
@@ -214,7 +214,7 @@ impl<T: Task> EnvParts<'_, T> {
 }
 
 impl EnvWorkspace {
-    /// Decodes an action to motor speeds in `commands`, after clipping it to its bounds.
+    /// Clips an action to its bounds and decodes it into `commands`.
     pub(crate) fn decode(
         &mut self,
         model: &EnvModel,
@@ -309,7 +309,7 @@ impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
 
     fn info(&self) -> Info {
         let (simulation, count) = (self.simulation.view(), self.simulation.num_drones());
-        // options that nobody has checked are not asked for anything
+        // the task must not be evaluated with options that have not been validated
         let asked = if self.episode.task_changed { 0 } else { count };
         let position_error =
             (0..asked).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
@@ -350,7 +350,7 @@ impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
     }
 
     fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError> {
-        // what is asked of the task does not change with the state, once the episode has begun
+        // within an episode, the extent does not depend on the state
         let begins = self.renderer.is_none() || self.simulation.control_steps() == 0;
         let extent = if begins { self.extent() } else { Vec::new() };
         let (model, data) = (&self.simulation.model, &self.simulation.data);
@@ -394,7 +394,7 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
 
     fn extent(&self) -> Vec<Vector3<f64>> {
         let mut points: Vec<_> = self.simulation.started_from().iter().map(|state| state.position).collect();
-        // options that nobody has checked are not asked for anything
+        // the task must not be evaluated with options that have not been validated
         if !self.episode.task_changed {
             let seconds = self.model.episode_steps as f64 * self.simulation.control_period();
             for drone in 0..self.simulation.num_drones() {
@@ -444,7 +444,7 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
 
     fn reference(&self, drone: usize) -> Reference {
         if self.episode.task_changed {
-            // options that nobody has checked are not asked for anything
+            // the task must not be evaluated with options that have not been validated
             let start = &self.simulation.initial_states()[drone];
             return Reference::hover(start.position, start.yaw());
         }

@@ -22,7 +22,7 @@ use crate::vision::{CAMERA_SIZE, ImageSize, SceneRenderer};
 use crate::world::placement::CollisionCylinder;
 use crate::world::{Forcing, Integrator, Marker, Medium, Obstacle, ObstacleConfig};
 
-/// The options of an [`Aviary`]; what is not said is the task's or the paper's default.
+/// Options of an [`Aviary`]. The defaults are those of the task and of the paper.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -57,7 +57,7 @@ pub struct AviaryBuilder<T> {
     stream: u64,
 }
 
-/// Options that are the simulation's.
+/// Options that set the same option of the simulation.
 macro_rules! forward {
     ($($(#[$doc:meta])* $name:ident($argument:ident: $kind:ty);)*) => {$(
         $(#[$doc])*
@@ -91,7 +91,7 @@ impl Default for EnvConfig {
 }
 
 impl<T> AviaryBuilder<T> {
-    /// Options for a task.
+    /// Creates the default options for a task.
     pub fn new(task: T) -> Self {
         Self {
             task,
@@ -111,7 +111,7 @@ impl<T> AviaryBuilder<T> {
         }
     }
 
-    /// The same options for another task.
+    /// Returns the same options for another task.
     pub fn with_task<U>(self, task: U) -> AviaryBuilder<U> {
         AviaryBuilder {
             task,
@@ -131,35 +131,35 @@ impl<T> AviaryBuilder<T> {
         }
     }
 
-    /// Changes the task's own options.
+    /// Changes the options of the task.
     #[must_use]
     pub fn task(mut self, change: impl FnOnce(&mut T)) -> Self {
         change(&mut self.task);
         self
     }
 
-    /// Airframe of every drone; the Crazyflie (X) by default.
+    /// Sets the airframe of every drone; default the Crazyflie (X).
     #[must_use]
     pub fn drone(mut self, drone: impl Into<DroneParams>) -> Self {
         self.simulation = self.simulation.drones([drone.into()]);
         self
     }
 
-    /// Number of drones; the task's by default.
+    /// Sets the number of drones; default the task's.
     #[must_use]
     pub fn num_drones(mut self, count: usize) -> Self {
         self.num_drones = Some(count);
         self
     }
 
-    /// Length of an episode, s; the task's by default.
+    /// Sets the length of an episode, s; default the task's.
     #[must_use]
     pub fn episode_seconds(mut self, seconds: f64) -> Self {
         self.episode_seconds = Some(seconds);
         self
     }
 
-    /// Distance within which drones are neighbours in [`Observation::adjacency`], m; any by default.
+    /// Sets the distance within which drones are neighbours in [`Observation::adjacency`], m; default infinite.
     #[must_use]
     pub fn neighbourhood_radius(mut self, metres: f64) -> Self {
         self.neighbourhood_radius = metres;
@@ -167,107 +167,108 @@ impl<T> AviaryBuilder<T> {
     }
 
     forward! {
-        /// The physics mode; MuJoCo without aerodynamic effects by default.
+        /// Sets the physics mode; default MuJoCo without aerodynamic effects.
         physics(physics: Physics);
-        /// Any subset of the aerodynamic effects; those of the physics mode by default. Next to a physics mode with other effects they
-        /// are an error.
+        /// Sets the aerodynamic effects; default those of the physics mode. [`build`](Self::build) returns an error
+        /// if they differ from those of a physics mode that is also set.
         effects(effects: Effects);
-        /// Physics rate, Hz; 240 by default.
+        /// Sets the physics rate, Hz; default 240.
         sim_freq(hertz: u32);
-        /// Control rate, Hz, a divisor of the physics rate; 48 by default.
+        /// Sets the control rate, Hz, a divisor of the physics rate; default 48.
         ctrl_freq(hertz: u32);
-        /// Initial positions, world frame, m; the task's by default.
+        /// Sets the initial positions, world frame, m; default the task's.
         initial_positions(positions: impl IntoIterator<Item = [f64; 3]>);
-        /// Initial roll, pitch, yaw, rad; level and facing x by default.
+        /// Sets the initial roll, pitch and yaw, rad; default zero (level, facing x).
         initial_rpys(rpys: impl IntoIterator<Item = [f64; 3]>);
-        /// Initial velocities, world frame, m/s; at rest by default.
+        /// Sets the initial velocities, world frame, m/s; default zero.
         initial_velocities(velocities: impl IntoIterator<Item = [f64; 3]>);
-        /// Initial body rates, body frame, rad/s; none by default.
+        /// Sets the initial angular velocities, body frame, rad/s; default zero.
         initial_angular_velocities(rates: impl IntoIterator<Item = [f64; 3]>);
-        /// The engine; by default the explicit engine in the physics mode `dyn`, and otherwise MuJoCo (in batches the hybrid engine).
-        /// The hybrid engine gives the same flights as MuJoCo, many times faster. An engine that the physics mode does not stand for
-        /// is an error.
+        /// Sets the engine; default the explicit engine for the physics mode `dyn`, otherwise MuJoCo (in batches
+        /// the hybrid engine). The hybrid engine computes the same trajectories as MuJoCo, many times faster.
+        /// [`build`](Self::build) returns an error if the engine contradicts the physics mode.
         engine(engine: EngineKind);
-        /// How the rotors' wrench acts during a physics step; frozen by default.
+        /// Sets how the rotors' wrench acts during a physics step; default frozen.
         forcing(forcing: Forcing);
-        /// How the motors answer to commands; at once and exactly by default.
+        /// Sets the motor parameters; default immediate and exact.
         actuators(actuators: ActuatorParams);
-        /// Things that are seen and not touched, beside the task's own.
+        /// Adds markers to those of the task. Markers are visible and do not collide.
         markers(markers: impl IntoIterator<Item = Marker>);
-        /// Things that stand in the way; none by default.
+        /// Sets the obstacles; default none.
         obstacles(obstacles: impl IntoIterator<Item = Obstacle>);
-        /// MuJoCo's integrator; RK4 by default.
+        /// Sets MuJoCo's integrator; default RK4.
         integrator(integrator: Integrator);
-        /// The wind; still air by default. Every episode has its own, drawn from the environment's seed.
+        /// Sets the wind; default still air. Every episode restarts it with a seed from the environment's random
+        /// stream.
         wind(wind: impl Into<Option<WindConfig>>);
-        /// MuJoCo's fluid forces; off by default.
+        /// Sets the medium of MuJoCo's fluid forces; default none.
         medium(medium: impl Into<Option<Medium>>);
     }
 
-    /// How the agent commands the drones; normalized motor speeds by default.
+    /// Sets the action type; default normalized motor speeds.
     #[must_use]
     pub fn action_type(mut self, action_type: ActionType) -> Self {
         self.action_type = action_type;
         self
     }
 
-    /// How far actions reach that are not motor speeds.
+    /// Sets the bounds of actions other than motor speeds.
     #[must_use]
     pub fn action_limits(mut self, limits: ActionLimits) -> Self {
         self.action_limits = limits;
         self
     }
 
-    /// The controller beneath actions that are velocities or waypoints; the paper's PID by default.
+    /// Sets the controller that turns velocities and waypoints into motor speeds; default the paper's PID.
     #[must_use]
     pub fn controller(mut self, controller: ControllerKind) -> Self {
         self.controller = controller;
         self
     }
 
-    /// What is drawn anew for every episode; nothing by default.
+    /// Sets the parameters that are sampled for every episode; default none.
     #[must_use]
     pub fn randomization(mut self, randomization: impl Into<Option<Randomization>>) -> Self {
         self.randomization = randomization.into();
         self
     }
 
-    /// Obstacles that are placed at random; none by default. They exclude a list of [`obstacles`](Self::obstacles).
+    /// Sets the generator of random obstacles; default none. It excludes a list of [`obstacles`](Self::obstacles).
     #[must_use]
     pub fn obstacle_generator(mut self, generator: impl Into<Option<ObstacleConfig>>) -> Self {
         self.obstacle_generator = generator.into();
         self
     }
 
-    /// The rays of the drones' rangefinders, where they are observed; eight around, one up, one down by default.
+    /// Sets the rays of the rangefinders; default eight in the body's x-y plane, one up and one down.
     #[must_use]
     pub fn rays(mut self, rays: RangeConfig) -> Self {
         self.rays = rays;
         self
     }
 
-    /// The engine, for callers that have their own idea of a default.
+    /// Sets the default of [`engine`](Self::engine).
     #[must_use]
     pub(crate) fn engine_or(mut self, engine: EngineKind) -> Self {
         self.simulation = self.simulation.engine_or(engine);
         self
     }
 
-    /// Which of a seed's random streams it draws from; 0 by default. Environment i of a batch has stream i.
+    /// Sets the index of the seed's random stream; default 0. Environment i of a batch uses stream i.
     #[must_use]
     pub fn stream(mut self, stream: u64) -> Self {
         self.stream = stream;
         self
     }
 
-    /// What the agent sees; the task's vector by default.
+    /// Sets the observation type; default the task's vector.
     #[must_use]
     pub fn observation_type(mut self, observation_type: ObservationType) -> Self {
         self.observation_type = observation_type;
         self
     }
 
-    /// Size of the onboard cameras' pictures; 64 × 48 by default.
+    /// Sets the image size of the onboard cameras; default 64 × 48.
     #[must_use]
     pub fn camera_size(mut self, size: ImageSize) -> Self {
         self.camera_size = size;
@@ -276,13 +277,13 @@ impl<T> AviaryBuilder<T> {
 }
 
 impl<T: Task> AviaryBuilder<T> {
-    /// Most pixels of all onboard cameras together: about 1.5 GB of images.
+    /// Maximum number of pixels of all onboard cameras together: about 1.5 GB of images.
     const MAX_CAMERA_PIXELS: usize = 1 << 27;
 
-    /// Compiles the world. The environment must be [reset](super::Env::reset) before its first step.
+    /// Compiles the scene and creates the environment. It must be [reset](super::Env::reset) before its first step.
     ///
     /// # Errors
-    /// [`EnvError`] naming the option that is impossible.
+    /// [`EnvError`] naming the invalid option.
     pub fn build(self) -> Result<Aviary<T>, EnvError> {
         let defaults = self.task.defaults();
         let count = self.num_drones.unwrap_or(defaults.num_drones);
@@ -292,7 +293,7 @@ impl<T: Task> AviaryBuilder<T> {
         let simulation = self.simulation.num_drones(count);
         self.task.validate(simulation.airframes())?;
         let seconds = self.episode_seconds.unwrap_or(defaults.episode_seconds);
-        // the shortest episode is one control step; a year of them still counts exactly
+        // the step count of an episode below 4e7 s is exact
         if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
             return Err(EnvError::Option {
                 option: "episode_seconds",
@@ -314,8 +315,8 @@ impl<T: Task> AviaryBuilder<T> {
         if self.obstacle_generator.is_some() && simulation.has_obstacles() {
             return Err(EnvError::Option {
                 option: "obstacles",
-                got: "a list, with an obstacle_generator as well".into(),
-                expected: "one of the two",
+                got: "a list next to an obstacle_generator".into(),
+                expected: "only one of the two",
             });
         }
         let positions = self.task.initial_positions(simulation.airframes());
@@ -407,22 +408,22 @@ impl<T: Task> AviaryBuilder<T> {
     }
 }
 
-/// An episode that begins inside the floor or another drone is over before it began.
+/// Returns an error if a drone starts inside the floor or another drone, which would end every episode at once.
 fn check_starts(simulation: &Simulation) -> Result<(), EnvError> {
     let wrong = |got, expected| Err(EnvError::Option { option: "initial_positions", got, expected });
     for (drone, state) in simulation.initial_states().iter().enumerate() {
         let cylinder = CollisionCylinder::from(simulation.params(drone));
         let lowest = cylinder.floor_clearance(state);
         if lowest < -1e-3 {
-            let got =
-                format!("{:.3} m high for drone {drone}, whose lowest point is {lowest:.3} m high", state.position.z);
-            return wrong(got, "one above the floor");
+            let z = state.position.z;
+            let got = format!("z = {z:.3} m for drone {drone}, whose lowest point is at {lowest:.3} m");
+            return wrong(got, "a start above the floor");
         }
         for (other, place) in simulation.initial_states()[..drone].iter().enumerate() {
             let apart = state.position - place.position;
             if cylinder.overlaps_upright(&CollisionCylinder::from(simulation.params(other)), &apart) {
                 let got = format!("{:.3} m apart for drones {other} and {drone}", apart.norm());
-                return wrong(got, "room for both");
+                return wrong(got, "starts that do not overlap");
             }
         }
     }

@@ -4,42 +4,42 @@ use super::{BoxSpace, DroneEnv, EnvError, Rng};
 use crate::action::ActionType;
 use crate::observation::Observation;
 
-/// What an environment does that it must not.
+/// Failure of [`check_env`] or [`check_independence`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CheckFailure {
-    /// A promise that was not kept.
+    /// A violated rule of the interface.
     #[error("{task}: {what}")]
     Broken {
-        /// The task.
+        /// Name of the task.
         task: &'static str,
-        /// What happened and what was expected.
+        /// Observed and expected behaviour.
         what: String,
     },
     /// An error where none was expected.
     #[error("{task}: {during}: {error}")]
     Error {
-        /// The task.
+        /// Name of the task.
         task: &'static str,
-        /// What was being done.
+        /// Part of the check in which the error occurred.
         during: &'static str,
         /// The error.
         error: EnvError,
     },
 }
 
-/// What a check looked at.
+/// Statistics of a passed check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CheckReport {
     /// Control steps taken.
     pub steps: u64,
     /// Episodes that ended.
     pub episodes: u64,
-    /// Entries of the observation's vector that never changed, which they may.
+    /// Entries of the observation vector that never changed and may be constant.
     pub constant: Vec<usize>,
 }
 
-/// What one episode under random actions looked like.
+/// Record of one episode with random actions.
 #[derive(Debug, PartialEq)]
 struct EpisodeTrace {
     observations: Vec<Observation>,
@@ -53,19 +53,21 @@ struct Checker<'a> {
     report: CheckReport,
 }
 
-/// Most control steps that an episode of the checker takes before it starts another.
+/// Maximum number of control steps in an episode of the checker.
 const LONGEST: usize = 400;
 
-/// Checks that an environment, of this crate or your own, keeps the contract of [`Env`](super::Env), in the spirit of Gymnasium's
-/// `check_env`: it flies a few episodes under random actions.
+/// Checks that an environment follows the interface of [`Env`](super::Env), like Gymnasium's `check_env`. It flies
+/// a few episodes with random actions and checks these rules:
 ///
-/// - observations are of their space, in single precision too, rewards are numbers, and so is everything in
-///   [`info`](super::Env::info)
-/// - the same seed gives the same episode to the bit, and an episode leaves nothing behind
-/// - after a reset time is zero, nothing has ended and the drones are where the simulation says they start
-/// - what should move moves: no entry of the observation stays the same, unless it may
-/// - an episode that ends says why, the right way (terminated or truncated), and takes no further step
-/// - actions of the wrong length or that are not numbers are errors that change nothing; those out of bounds are clipped
+/// - Observations lie in the observation space, also in single precision. Rewards and all values of
+///   [`info`](super::Env::info) are finite.
+/// - Episodes with the same seed are bit-identical, and no episode depends on an earlier one.
+/// - A reset sets the time to zero, clears the end and puts the drones into the initial states of the simulation.
+/// - Every entry of the observation changes, unless it [may be constant](DroneEnv::may_be_constant).
+/// - The end of an episode has a reason that agrees with `terminated` and `truncated`, and the next step is an
+///   error.
+/// - Actions of the wrong length and actions with non-finite entries are errors that change nothing. Actions out of
+///   bounds are clipped.
 ///
 /// ```
 /// use aviary::env::check_env;
@@ -77,7 +79,7 @@ const LONGEST: usize = 400;
 /// ```
 ///
 /// # Errors
-/// The first promise that was not kept.
+/// [`CheckFailure`] for the first violated rule.
 pub fn check_env(env: &mut dyn DroneEnv) -> Result<CheckReport, CheckFailure> {
     let task = env.name();
     let mut checker = Checker { env, task, report: CheckReport { steps: 0, episodes: 0, constant: Vec::new() } };
@@ -98,8 +100,8 @@ pub fn check_env(env: &mut dyn DroneEnv) -> Result<CheckReport, CheckFailure> {
     Ok(checker.report)
 }
 
-/// Checks that two environments that were made alike do not touch each other: one is flown while the other stands still,
-/// and both in turns.
+/// Checks that two environments with the same options do not affect each other. It flies the first alone, then both
+/// in alternating steps.
 ///
 /// ```
 /// use aviary::env::check_independence;
@@ -110,10 +112,10 @@ pub fn check_env(env: &mut dyn DroneEnv) -> Result<CheckReport, CheckFailure> {
 /// ```
 ///
 /// # Errors
-/// [`CheckFailure`], naming where they differ.
+/// [`CheckFailure`] with the first step that differs.
 pub fn check_independence(first: &mut dyn DroneEnv, second: &mut dyn DroneEnv) -> Result<(), CheckFailure> {
     let task = first.name();
-    let failed = |error| CheckFailure::Error { task, during: "two instances in turns", error };
+    let failed = |error| CheckFailure::Error { task, during: "alternating steps of two instances", error };
     let alone = Checker::of(first).episode(7, 3, 60)?;
     let mut agent = RandomAgent::new(first.action_space(), 3);
     first.reset(Some(7)).map_err(failed)?;
@@ -123,7 +125,7 @@ pub fn check_independence(first: &mut dyn DroneEnv, second: &mut dyn DroneEnv) -
         let step_now = first.step(&agent.action()).map_err(failed)?;
         let same = *step_now.observation == *observation && step_now.reward == alone.rewards[step];
         if !same {
-            let what = format!("a second instance beside it changes what happens at step {step}");
+            let what = format!("a second instance changes the observation or the reward of step {step}");
             return Err(CheckFailure::Broken { task, what });
         }
         if over {
@@ -136,7 +138,7 @@ pub fn check_independence(first: &mut dyn DroneEnv, second: &mut dyn DroneEnv) -
     Ok(())
 }
 
-/// Noise about a command of its own for every number: white noise alone would hardly lift or turn anything.
+/// Random agent: noise around a constant random action, since white noise alone would hardly lift or turn a drone.
 struct RandomAgent {
     space: BoxSpace,
     drift: Vec<f64>,
@@ -174,7 +176,8 @@ impl<'a> Checker<'a> {
         let (actions, kind) = (self.env.action_space(), self.env.action_type());
         let drones = self.env.simulation().num_drones();
         if actions.size() != kind.size() * drones {
-            return self.broken(format!("{} numbers in an action of {drones} drones by {kind}", actions.size()));
+            let (got, expected) = (actions.size(), kind.size() * drones);
+            return self.broken(format!("the action space has {got} entries, expected {expected} for {kind}"));
         }
         if actions.low().iter().chain(actions.high()).any(|x| !x.is_finite()) {
             return self.broken("the action space has an infinite bound".into());
@@ -190,9 +193,9 @@ impl<'a> Checker<'a> {
         Ok(())
     }
 
-    /// Flies one episode under random actions, at most so many steps.
+    /// Flies one episode with random actions, for at most `steps` steps.
     fn episode(&mut self, seed: u64, actions: u64, steps: usize) -> Result<EpisodeTrace, CheckFailure> {
-        let failed = self.error("an episode under random actions");
+        let failed = self.error("an episode with random actions");
         let initial = self.env.reset(Some(seed)).map_err(&failed)?.clone();
         self.started()?;
         let mut episode = EpisodeTrace { observations: Vec::new(), rewards: Vec::new(), initial };
@@ -204,24 +207,24 @@ impl<'a> Checker<'a> {
             episode.observations.push(step.observation.clone());
             episode.rewards.push(reward);
             self.report.steps += 1;
-            self.looks_right(reward)?;
+            self.check_values(reward)?;
             let info = self.env.info();
             let at_limit = self.env.simulation().control_steps() >= self.env.episode_steps();
             if truncated != at_limit {
                 return self.broken(format!("truncated is {truncated} at t = {} s", info.time));
             }
-            let said = info.end.map(|end| end == super::EndReason::TimeLimit);
+            let is_time_limit = info.end.map(|end| end == super::EndReason::TimeLimit);
             let expected = if terminated { Some(false) } else { truncated.then_some(true) };
-            if said != expected {
+            if is_time_limit != expected {
                 return self.broken(format!(
-                    "terminated is {terminated} and truncated {truncated}, but the end in its info is {:?}",
+                    "terminated is {terminated} and truncated {truncated}, but the end in info is {:?}",
                     info.end
                 ));
             }
             if terminated || truncated {
                 self.report.episodes += 1;
                 if !matches!(self.env.step(&action), Err(EnvError::NeedsReset { .. })) {
-                    return self.broken("it takes a step after the end of the episode".into());
+                    return self.broken("step succeeds after the end of the episode, expected an error".into());
                 }
                 break;
             }
@@ -229,55 +232,55 @@ impl<'a> Checker<'a> {
         Ok(episode)
     }
 
-    /// What must hold right after a reset.
+    /// Checks the state after a reset.
     fn started(&self) -> Result<(), CheckFailure> {
         let (info, simulation) = (self.env.info(), self.env.simulation());
         if info.end.is_some() || info.time != 0.0 || simulation.control_steps() != 0 {
-            return self.broken(format!("a reset leaves {info:?}"));
+            return self.broken(format!("info after a reset is {info:?}, expected time 0 and no end"));
         }
         if simulation.states() != simulation.started_from() {
-            return self.broken("after a reset the drones are not where the simulation says they start".into());
+            return self.broken("the states after a reset differ from the states that the episode started from".into());
         }
-        self.looks_right(0.0)
+        self.check_values(0.0)
     }
 
-    /// What must hold at any time.
-    fn looks_right(&self, reward: f64) -> Result<(), CheckFailure> {
+    /// Checks observation, reward and info.
+    fn check_values(&self, reward: f64) -> Result<(), CheckFailure> {
         let observation = self.env.observation();
         if !self.env.observation_space().contains(observation) {
             let space = &self.env.observation_space().vector;
             let bounds = space.low().iter().zip(space.high());
             let out = observation.vector.iter().zip(bounds).position(|(x, (low, high))| !(low <= x && x <= high));
             return self.broken(match out {
-                Some(entry) => format!("observation[{entry}] is {}, out of its space", observation.vector[entry]),
-                None => "an observation is not of its space".into(),
+                Some(entry) => format!("observation[{entry}] is {}, outside its bounds", observation.vector[entry]),
+                None => "an observation is outside the observation space".into(),
             });
         }
         let space = &self.env.observation_space().vector;
         let mut row = vec![0.0; space.size()];
         space.write_f32(&observation.vector, &mut row);
         if !space.contains(&row) {
-            return self.broken(format!("in single precision an observation is not of its space: {row:?}"));
+            return self.broken(format!("an observation in single precision is outside its space: {row:?}"));
         }
         if !reward.is_finite() {
-            return self.broken(format!("a reward is {reward}"));
+            return self.broken(format!("a reward is {reward}, expected a finite number"));
         }
         if let Some((name, value)) = self.env.info_map().into_iter().find(|(_, value)| !value.is_finite()) {
-            return self.broken(format!("`{name}` in its info is {value}"));
+            return self.broken(format!("`{name}` in info is {value}, expected a finite number"));
         }
         let progress = self.env.info().progress;
         if !(0.0..=1.0).contains(&progress) {
-            return self.broken(format!("its progress is {progress}, expected 0 to 1"));
+            return self.broken(format!("progress is {progress}, expected 0 to 1"));
         }
         Ok(())
     }
 
-    /// Whether everything moves that should.
+    /// Checks that every entry of the observation changes, unless it may be constant.
     fn movement(&mut self, episodes: &[EpisodeTrace]) -> Result<(), CheckFailure> {
         if !self.env.observation_space().kind.kinematic {
             return Ok(());
         }
-        // one speed for all motors turns and tilts nothing
+        // equal speeds of all motors neither turn nor tilt a drone
         let straight = self.env.action_type() == ActionType::OneDRpm;
         for entry in 0..self.env.observation_space().vector.size() {
             let start = episodes[0].initial.vector[entry];
@@ -289,10 +292,10 @@ impl<'a> Checker<'a> {
             }
         }
         let moved = episodes.iter().any(|episode| episode.observations.iter().any(|o| *o != episode.initial));
-        if moved { Ok(()) } else { self.broken("nothing in the observation ever changes".into()) }
+        if moved { Ok(()) } else { self.broken("the observation never changes".into()) }
     }
 
-    /// Bad actions and those out of bounds.
+    /// Checks invalid actions and actions out of bounds.
     fn actions(&mut self) -> Result<(), CheckFailure> {
         let failed = self.error("an action out of bounds");
         let space = self.env.action_space().clone();
@@ -304,13 +307,13 @@ impl<'a> Checker<'a> {
                 let mut bad = space.high().to_vec();
                 bad[0] = f64::NAN;
                 if !matches!(self.env.step(&bad), Err(EnvError::Action { index: 0, .. })) {
-                    return self.broken("it takes an action that is not a number".into());
+                    return self.broken("step accepts an action that is not finite, expected an error".into());
                 }
                 if !matches!(self.env.step(&space.high()[1..]), Err(EnvError::ActionLength { .. })) {
-                    return self.broken("it takes an action of the wrong length".into());
+                    return self.broken("step accepts an action of the wrong length, expected an error".into());
                 }
                 if before.0 != self.env.simulation().states() || before.1 != self.env.simulation().control_steps() {
-                    return self.broken("an action that is an error moves something".into());
+                    return self.broken("step moves the drones although it returns an error".into());
                 }
                 let widths = space.high().iter().zip(space.low()).map(|(high, low)| high - low);
                 let far: Vec<_> = bound.iter().zip(widths).map(|(x, width)| x + beyond * factor * width).collect();
@@ -318,20 +321,20 @@ impl<'a> Checker<'a> {
                 outcomes.push((step.observation.clone(), step.reward));
             }
             if outcomes[0] != outcomes[1] {
-                return self.broken("an action out of bounds is not clipped to them".into());
+                return self.broken("step does not clip actions to their bounds".into());
             }
         }
         Ok(())
     }
 
-    /// An episode that is left in its middle leaves nothing behind.
+    /// Checks that an unfinished episode does not affect the next one.
     fn end(&mut self) -> Result<(), CheckFailure> {
         let one = self.episode(9, 9, 20)?;
         self.episode(10, 10, 7)?;
         if one == self.episode(9, 9, 20)? {
             Ok(())
         } else {
-            self.broken("an episode depends on the one before it".into())
+            self.broken("an episode depends on the previous one".into())
         }
     }
 }

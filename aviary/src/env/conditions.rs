@@ -7,8 +7,8 @@ use crate::SystemError;
 use crate::physics::wind::{WindConfig, WindModel};
 use crate::world::{ObstacleConfig, ObstacleKind};
 
-/// What an episode is flown under, as a configuration file says it: wind, obstacles, randomization. A section that is not
-/// there is left alone.
+/// Conditions of an episode from a configuration file: wind, obstacles, randomization. A missing section changes
+/// nothing.
 ///
 /// ```
 /// use aviary::env::{Conditions, EnvConfig};
@@ -40,13 +40,13 @@ pub struct Conditions {
     pub wind: Option<WindConfig>,
     /// Obstacles.
     pub obstacles: Option<ObstacleConfig>,
-    /// What is drawn anew for every episode.
+    /// Parameters that are sampled for every episode.
     pub randomization: Option<Randomization>,
 }
 
-/// Kinds that are chosen outside the configuration file, by a command line for example.
+/// Kinds selected outside the configuration file, for example on a command line.
 ///
-/// The file's sections give the numbers; a section with another kind of its own is an error.
+/// The sections of the file give the numbers. A section that names a different kind is an error.
 ///
 /// ```
 /// use aviary::env::{ConditionChoice, Conditions};
@@ -60,14 +60,14 @@ pub struct Conditions {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ConditionChoice {
-    /// Wind model; the file's own where there is none.
+    /// Wind model; `None` for the file's.
     pub wind: Option<WindModel>,
-    /// Kind of the obstacles; the file's own where there is none.
+    /// Kind of obstacles; `None` for the file's.
     pub obstacles: Option<ObstacleKind>,
 }
 
 impl ConditionChoice {
-    /// Writes the chosen kinds into the sections of a file.
+    /// Writes the selected kinds into the sections of a file.
     fn apply(&self, table: &mut toml::Table) -> Result<(), EnvError> {
         let choices = [
             ("wind", "model", self.wind.map(WindModel::name)),
@@ -76,13 +76,13 @@ impl ConditionChoice {
         for (section, key, chosen) in choices {
             let Some(chosen) = chosen else { continue };
             let entry = table.entry(section).or_insert_with(|| toml::Table::new().into());
-            // a section that is no table has been refused before
+            // an entry that is not a table has already been rejected
             let Some(section_table) = entry.as_table_mut() else { continue };
             if let Some(own) = section_table.insert(key.into(), chosen.into())
                 && own.as_str() != Some(chosen)
             {
                 let message =
-                    format!("[{section}] has {key} = {own}, but `{chosen}` is chosen as well; leave one of them out");
+                    format!("[{section}] has {key} = {own} next to the option `{chosen}`, expected one of the two");
                 return Err(EnvError::Toml { message });
             }
         }
@@ -91,36 +91,36 @@ impl ConditionChoice {
 }
 
 impl Conditions {
-    /// Reads and checks conditions from TOML text.
+    /// Reads and validates conditions from TOML text.
     ///
     /// # Errors
-    /// [`EnvError::Toml`] with line and column, or what is impossible in a section.
+    /// [`EnvError::Toml`] with line and column, or the error of an invalid section.
     pub fn from_toml(text: &str) -> Result<Self, EnvError> {
         Self::from_toml_with(text, &ConditionChoice::default())
     }
 
-    /// Reads and checks conditions from TOML text, of the kinds that are chosen.
+    /// Reads and validates conditions from TOML text with the selected kinds.
     ///
     /// # Errors
-    /// [`EnvError::Toml`] with line and column or with a kind that is not the chosen one, or what is impossible in a section.
+    /// [`EnvError::Toml`] with line and column, or for a kind that differs from the selected one; otherwise the
+    /// error of an invalid section.
     pub fn from_toml_with(text: &str, choice: &ConditionChoice) -> Result<Self, EnvError> {
         let wrong = |error: toml::de::Error| EnvError::Toml { message: crate::error::toml_message(text, &error) };
         let mut conditions: Self = toml::from_str(text).map_err(wrong)?;
         let mut table: toml::Table = text.parse().map_err(wrong)?;
         let wind = table.get("wind").and_then(toml::Value::as_table);
-        // these have an effect where nothing blows, or on a wind that is drawn
+        // these also act in still air or on a sampled wind
         let independent = ["still_air_drag", "filter", "air_density"];
         let needs_model = |wind: &toml::Table| {
             !wind.contains_key("model") && wind.keys().any(|key| !independent.contains(&key.as_str()))
         };
         if choice.wind.is_none() && wind.is_some_and(needs_model) {
-            let message = "[wind] has no model, without which nothing blows; expected constant, gust, dryden, sinusoidal, combined \
-                or none"
-                .into();
+            let message =
+                "[wind] has no model, expected one of constant, gust, dryden, sinusoidal, combined and none".into();
             return Err(EnvError::Toml { message });
         }
         if *choice != ConditionChoice::default() {
-            // defaults depend on the kind: it must be there when the rest is read
+            // defaults depend on the kind, so the table must contain it
             choice.apply(&mut table)?;
             conditions =
                 table.try_into().map_err(|error: toml::de::Error| EnvError::Toml { message: error.to_string() })?;
@@ -129,10 +129,11 @@ impl Conditions {
         Ok(conditions)
     }
 
-    /// Checks all of them.
+    /// Validates all sections.
     ///
     /// # Errors
-    /// [`EnvError`] for an impossible number in a section, and for a wind next to one that the randomization draws.
+    /// [`EnvError`] for an invalid number in a section, or for a wind together with a randomization that samples
+    /// the wind.
     pub fn validate(&self) -> Result<(), EnvError> {
         if let Some(wind) = &self.wind {
             wind.validate().map_err(|error| EnvError::Simulation(error.into()))?;
@@ -149,18 +150,18 @@ impl Conditions {
         Ok(())
     }
 
-    /// Reads and checks a file.
+    /// Reads and validates a file.
     ///
     /// # Errors
-    /// [`EnvError::Toml`] with the file, the line and what is expected.
+    /// [`EnvError::File`] with the path and the error of the file or of [`from_toml`](Self::from_toml).
     pub fn from_file(path: impl AsRef<Path>) -> Result<Self, EnvError> {
         Self::from_file_with(path, &ConditionChoice::default())
     }
 
-    /// Reads and checks a file, of the kinds that are chosen.
+    /// Reads and validates a file with the selected kinds.
     ///
     /// # Errors
-    /// [`EnvError::File`] around what [`from_toml_with`](Self::from_toml_with) finds.
+    /// [`EnvError::File`] with the path and the error of the file or of [`from_toml_with`](Self::from_toml_with).
     pub fn from_file_with(path: impl AsRef<Path>, choice: &ConditionChoice) -> Result<Self, EnvError> {
         let path = path.as_ref();
         let in_file = |error| EnvError::File { path: path.into(), error: Box::new(error) };
@@ -170,7 +171,7 @@ impl Conditions {
 }
 
 impl<T> AviaryBuilder<T> {
-    /// Flown under these conditions, as far as they say something.
+    /// Sets the wind, the obstacle generator and the randomization, if the conditions have them.
     #[must_use]
     pub fn conditions(mut self, conditions: &Conditions) -> Self {
         if let Some(wind) = conditions.wind {

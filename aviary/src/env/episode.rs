@@ -5,22 +5,23 @@ use super::randomization::Randomizer;
 use super::{EndReason, EnvError, Randomization, Rng, Task};
 use crate::simulation::SimView;
 
-/// What an environment has in addition to its simulation: the task with its memory, the random stream, what was sampled, how the episode ends.
+/// State of an environment in addition to its [`SimData`](crate::simulation::SimData): task, random stream, sampled
+/// parameters, end of the episode.
 #[derive(Debug, Clone)]
 pub(crate) struct Episode<T> {
     pub task: T,
     pub rng: Rng,
-    /// Which of a seed's streams it draws from.
+    /// Index of the seed's random stream that the environment uses.
     pub stream: u64,
-    /// Whether the task's options may have changed since they were validated.
+    /// True if the task's options may have changed since they were validated.
     pub task_changed: bool,
     pub(super) randomizer: Option<Box<Randomizer>>,
-    /// The randomization from the next reset on, where it was changed.
+    /// The randomization from the next reset on, if it was changed.
     pub(super) next_randomization: Option<Option<Box<Randomization>>>,
     pub phase: Phase,
-    /// Why the episode ended.
+    /// Reason of the end of the episode.
     pub end: Option<EndReason>,
-    /// How the last step ended for each drone.
+    /// Reason of the end for each drone, from the last step.
     pub ends: SmallVec<[Option<EndReason>; 8]>,
 }
 
@@ -37,7 +38,7 @@ pub(crate) struct StepOutcome {
     pub reward: f64,
     pub terminated: bool,
     pub truncated: bool,
-    /// Why the episode is over, if it is.
+    /// Reason of the end, if the episode is over.
     pub end: Option<EndReason>,
 }
 
@@ -58,23 +59,23 @@ impl<T> Episode<T> {
         }
     }
 
-    /// Draws from another of the seed's streams from now on.
+    /// Uses another of the seed's random streams from now on.
     pub(crate) fn set_stream(&mut self, stream: u64) {
         self.stream = stream;
         self.rng.set_stream(stream);
     }
 
-    /// Returns the bytes that it takes on the heap, without the task's own.
+    /// Returns the size on the heap in bytes, without the task's.
     pub(crate) fn bytes(&self) -> usize {
         self.randomizer.as_ref().map_or(0, |randomizer| randomizer.bytes())
     }
 
-    /// Returns whether something is sampled for every episode.
+    /// Returns true if parameters are sampled for every episode.
     pub(crate) fn is_randomized(&self) -> bool {
         self.randomizer.is_some() || self.next_randomization.is_some()
     }
 
-    /// Returns an error unless a step may be made.
+    /// Returns an error unless an episode is running.
     pub(crate) fn check_running(&self) -> Result<(), EnvError> {
         match self.phase {
             Phase::Running => Ok(()),
@@ -96,22 +97,22 @@ impl<T: Task> Episode<T> {
         self.task.reward(simulation, drone, self.ends[drone])
     }
 
-    /// Returns whether all drones fulfil the task in this state.
+    /// Returns true if no drone has crashed and all fulfil the task in this state.
     pub(crate) fn is_success(&self, simulation: SimView<'_>, end: Option<EndReason>) -> bool {
         let crashed = end.is_some_and(EndReason::is_crash);
         !crashed && (0..self.ends.len()).all(|drone| self.task.success(simulation, drone))
     }
 
-    /// Returns the outcome of the last control step, in an episode of so many steps at most.
+    /// Returns the outcome of the last control step in an episode of at most `episode_steps` steps.
     pub(crate) fn outcome(&self, simulation: SimView<'_>, episode_steps: u64) -> StepOutcome {
-        // one crashed drone ends the episode, and so do all that have completed their part
-        let (mut crash, mut lost, mut completed) = (None, None, true);
+        // one crash ends the episode; completion ends it once all drones have completed
+        let (mut crash, mut early, mut completed) = (None, None, true);
         for &end in &self.ends {
             completed &= end == Some(EndReason::Completed);
-            lost = lost.or(end.filter(|&end| end != EndReason::Completed));
+            early = early.or(end.filter(|&end| end != EndReason::Completed));
             crash = crash.or(end.filter(|end| end.is_crash()));
         }
-        let end = crash.or(lost).or(completed.then_some(EndReason::Completed));
+        let end = crash.or(early).or(completed.then_some(EndReason::Completed));
         let (terminated, truncated) = (end.is_some(), simulation.control_steps() >= episode_steps);
         let reward = (0..self.ends.len()).map(|drone| self.reward_of(simulation, drone)).sum();
         StepOutcome { reward, terminated, truncated, end: end.or(truncated.then_some(EndReason::TimeLimit)) }

@@ -1,5 +1,5 @@
-//! Environments: Gymnasium's contract ([`Env`]), what drones add to it ([`DroneEnv`]), and tasks made into environments
-//! ([`Aviary`]).
+//! Environments: Gymnasium's interface ([`Env`]), its extension for drones ([`DroneEnv`]), and the environment of a
+//! task ([`Aviary`]).
 
 mod aviary;
 mod builder;
@@ -50,22 +50,22 @@ use crate::{SystemError, UnknownName};
 
 pub use crate::random::Rng;
 
-/// What a step returns, beside the information that [`Env::info`] gives on demand.
+/// Result of a step. [`Env::info`] returns further information on demand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step<'a> {
-    /// What the agent sees now.
+    /// Observation after the step.
     pub observation: &'a Observation,
     /// Reward of this step.
     pub reward: f64,
-    /// The episode has come to an end of its own: no more reward can follow.
+    /// True if the task ended the episode: no more reward can follow.
     pub terminated: bool,
-    /// The episode was cut off by its time limit: reward could have followed.
+    /// True if the time limit ended the episode: more reward could have followed.
     pub truncated: bool,
 }
 
 named_enum! {
     "reason of an end"
-    /// Why an episode ended.
+    /// Reason why an episode ended.
     ///
     /// ```
     /// use aviary::env::{EndReason, Env};
@@ -83,7 +83,7 @@ named_enum! {
     /// ```
     #[non_exhaustive]
     pub enum EndReason {
-        /// The time of the episode is over.
+        /// The time limit of the episode was reached.
         TimeLimit = "time_limit",
         /// A drone fell below the floor's height.
         BelowFloor = "below_floor",
@@ -93,25 +93,26 @@ named_enum! {
         ObstacleContact = "obstacle_contact",
         /// Two drones touched.
         DroneContact = "drone_contact",
-        /// A drone leaned past the task's limit.
+        /// The tilt of a drone exceeded the task's limit.
         Tilt = "tilt",
-        /// A drone left the space of the task.
+        /// A drone left the bounds of the task.
         OutOfBounds = "out_of_bounds",
-        /// Everything that the task asks for is done.
+        /// All drones completed the task.
         Completed = "completed",
-        /// The environment failed: in a batch that goes on without it.
+        /// The environment failed; its batch continues without it.
         Fault = "fault",
     }
 }
 
 impl EndReason {
-    /// Whether the drone is lost: everything but the time limit, leaving the space, completion and a fault.
+    /// Returns true if the drone crashed: for every reason except the time limit, leaving the bounds, completion
+    /// and a fault.
     pub fn is_crash(self) -> bool {
         !matches!(self, Self::TimeLimit | Self::OutOfBounds | Self::Completed | Self::Fault)
     }
 }
 
-/// How an episode stands.
+/// State of an episode.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -130,25 +131,25 @@ impl EndReason {
 pub struct Info {
     /// Simulated time of the episode, s.
     pub time: f64,
-    /// Whether the task is fulfilled at this moment, by every drone.
+    /// True if every drone fulfils the task at this moment.
     pub success: bool,
-    /// How much of the task is done, from 0 to 1, on average over the drones.
+    /// Completed share of the task, from 0 to 1, averaged over the drones.
     pub progress: f64,
-    /// Why the episode ended; `None` while it runs.
+    /// Reason of the end; `None` while the episode runs.
     pub end: Option<EndReason>,
-    /// Largest distance of a drone from where the task wants it now, m.
+    /// Largest distance of a drone from its [reference](DroneEnv::reference) position, m.
     pub position_error: f64,
-    /// Contacts during the last step: pairs of a drone and what it touched.
+    /// Number of contacts during the last step: pairs of a drone and a touched object.
     pub contacts: usize,
 }
 
 impl Info {
-    /// Whether a drone crashed.
+    /// Returns true if a drone crashed.
     pub fn crashed(&self) -> bool {
         self.end.is_some_and(EndReason::is_crash)
     }
 
-    /// The same by name, truth values as 0 and 1.
+    /// Returns the fields by name, truth values as 0 and 1.
     pub fn values(&self) -> impl Iterator<Item = (&'static str, f64)> {
         [
             ("time", self.time),
@@ -175,24 +176,24 @@ pub struct EpisodeSummary {
     pub success: bool,
 }
 
-/// What can go wrong with an environment.
+/// Error of an environment.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum EnvError {
     /// An action of the wrong length.
     #[error("the action has {got} numbers, expected {expected}")]
     ActionLength {
-        /// Its length.
+        /// Length of the action.
         got: usize,
-        /// What the action space has.
+        /// Size of the action space.
         expected: usize,
     },
-    /// An action that is not a number.
+    /// An action that is not finite.
     #[error("action[{index}] is {} at t = {time} s, expected a finite number", crate::number(*got))]
     Action {
-        /// Which entry.
+        /// Index of the entry.
         index: usize,
-        /// What it is.
+        /// Value of the entry.
         got: f64,
         /// Simulated time, s.
         time: f64,
@@ -200,34 +201,32 @@ pub enum EnvError {
     /// A step outside an episode.
     #[error("step was called {when}, expected a call of reset first")]
     NeedsReset {
-        /// When it was called.
+        /// Occasion of the call: a new environment, or the end of an episode.
         when: &'static str,
     },
     /// A snapshot of another kind of environment.
-    #[error(
-        "the snapshot is of another kind of environment, expected one of this environment or of one with the same options"
-    )]
+    #[error("the snapshot is of another kind of environment, expected one of an environment with the same options")]
     Snapshot,
     /// A snapshot from a file whose content does not fit.
     #[error("the snapshot cannot be read: {message}")]
     SavedSnapshot {
-        /// What is wrong.
+        /// Reason.
         message: String,
     },
-    /// A name that no task has.
+    /// An unknown name of a task.
     #[error(transparent)]
     UnknownName(#[from] UnknownName),
-    /// An option that is impossible.
+    /// An invalid option.
     #[error("{option} is {got}, expected {expected}")]
     Option {
         /// Name of the field, or of the builder's method, that sets it.
         option: &'static str,
-        /// What it is.
+        /// Value that was set.
         got: String,
-        /// What is possible.
+        /// Valid values.
         expected: &'static str,
     },
-    /// Text that is no configuration in TOML.
+    /// A configuration that is not valid TOML.
     #[error("{message}")]
     Toml {
         /// Line, column and what was expected.
@@ -236,74 +235,74 @@ pub enum EnvError {
     /// A file that the system cannot read or write.
     #[error(transparent)]
     System(#[from] SystemError),
-    /// A file that holds no valid conditions.
+    /// A file without valid conditions.
     #[error("{}: {error}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Error of the content, or of reading the file.
         #[source]
         error: Box<EnvError>,
     },
     /// Obstacles that cannot be placed.
     #[error(transparent)]
     Field(#[from] ObstacleGeneratorError),
-    /// The simulation underneath.
+    /// An error of the simulation.
     #[error(transparent)]
     Simulation(#[from] SimulationError),
-    /// The safety filter.
+    /// An error of the safety filter.
     #[error(transparent)]
     Safety(#[from] SafetyError),
-    /// An action for an agent that is not there, or none for one that is.
+    /// An action for an unknown agent, or a missing action of a live one.
     #[error("{what} the agent `{agent}`, expected one for each of: {expected}")]
     Agent {
-        /// What was done.
+        /// Description of the error.
         what: &'static str,
-        /// Its name.
+        /// Name of the agent.
         agent: String,
         /// The live agents.
         expected: String,
     },
-    /// A buffer of a batch that has the wrong length.
+    /// A buffer of a batch with a wrong length.
     #[error("{what} has {got} entries, expected {expected}")]
     Buffer {
-        /// Which one.
+        /// Name of the buffer.
         what: &'static str,
-        /// Its length.
+        /// Length of the buffer.
         got: usize,
-        /// What the batch needs.
+        /// Length that the batch needs.
         expected: usize,
     },
-    /// An index that no environment of a batch has.
-    #[error("there is no environment {got}, expected one of 0 to {}", environments - 1)]
+    /// An index of an environment that is out of range.
+    #[error("environment {got} does not exist, expected an index from 0 to {}", environments - 1)]
     NoEnvironment {
-        /// The index.
+        /// Index of the environment.
         got: usize,
-        /// How many there are.
+        /// Number of environments.
         environments: usize,
     },
-    /// A task of a batch panicked earlier.
-    #[error("a task has panicked in an earlier step of this batch, expected a new batch")]
+    /// A task of a batch that panicked in an earlier step.
+    #[error("a task panicked in an earlier step of this batch, expected a new batch")]
     Panicked,
-    /// Something that concerns one environment of a batch.
+    /// An error of one environment of a batch.
     #[error("environment {environment}: {error}")]
     InBatch {
-        /// Its index.
+        /// Index of the environment.
         environment: usize,
-        /// What is wrong.
+        /// Error of the environment.
         #[source]
         error: Box<EnvError>,
     },
-    /// Something that concerns one of several agents.
+    /// An error of one of several agents.
     #[error("the agent `{agent}`: {error}")]
     OfAgent {
-        /// Its name.
+        /// Name of the agent.
         agent: String,
-        /// What is wrong.
+        /// Error of the agent.
         #[source]
         error: Box<EnvError>,
     },
-    /// Pictures cannot be drawn.
+    /// Images that cannot be rendered.
     #[error(transparent)]
     Vision(#[from] BuildError),
 }
@@ -321,7 +320,7 @@ impl From<mujoco_rs::Error> for EnvError {
     }
 }
 
-/// The contract of Gymnasium: an agent resets an environment and steps it through an episode.
+/// Gymnasium's interface: an agent resets an environment and steps it through an episode.
 ///
 /// The environments of this crate are [`DroneEnv`]s.
 ///
@@ -351,32 +350,32 @@ pub trait Env {
     /// Returns the space of actions. A step clips actions to its bounds.
     fn action_space(&self) -> &BoxSpace;
 
-    /// Starts an episode. A seed restarts every random stream; without a seed, random streams go on from where they
-    /// are.
+    /// Starts an episode. A seed restarts every random stream; without one, the random streams continue.
     ///
     /// # Errors
-    /// [`EnvError::Simulation`] where the engine cannot recover from an earlier error, [`EnvError::Option`] where the
-    /// task or its options were changed to what is impossible, [`EnvError::Vision`] where observed pictures cannot be
-    /// drawn.
+    /// [`EnvError::Simulation`] if the engine cannot recover from an earlier error, [`EnvError::Option`] if the
+    /// options of the task were changed to invalid ones, [`EnvError::Vision`] if the observed images cannot be
+    /// rendered.
     fn reset(&mut self, seed: Option<u64>) -> Result<&Observation, EnvError>;
 
     /// Advances the environment by one control step.
     ///
     /// # Errors
-    /// [`EnvError::ActionLength`] and [`EnvError::Action`], and then nothing has moved; [`EnvError::NeedsReset`];
-    /// [`EnvError::Simulation`] where the state diverged; [`EnvError::Vision`] where observed pictures cannot be drawn.
+    /// [`EnvError::ActionLength`] and [`EnvError::Action`]: the environment has not advanced.
+    /// [`EnvError::NeedsReset`] outside an episode. [`EnvError::Simulation`] if the state diverged.
+    /// [`EnvError::Vision`] if the observed images cannot be rendered.
     fn step(&mut self, action: &[f64]) -> Result<Step<'_>, EnvError>;
 
-    /// Returns everything that changes, for [`restore`](Self::restore): to plan with, or to branch.
+    /// Returns a copy of the state for [`restore`](Self::restore), to plan ahead or to branch.
     fn snapshot(&self) -> EnvSnapshot;
 
-    /// Goes back to a snapshot of this environment, or of one with the same options. Steps and resets from there on are
+    /// Restores a snapshot of this environment, or of one with the same options. Later steps and resets are
     /// bit-identical to those after the snapshot.
     ///
     /// # Errors
-    /// [`EnvError::Snapshot`] for one of another kind of environment, [`EnvError::SavedSnapshot`] for one from a file whose
-    /// content is of another kind, and [`EnvError::Simulation`] for one of another [model](Simulation::restore), such as another
-    /// number of drones, another mass or another rate; then nothing has changed.
+    /// [`EnvError::Snapshot`] for another kind of environment, [`EnvError::SavedSnapshot`] for a file with content
+    /// of another kind, and [`EnvError::Simulation`] for another [model](Simulation::restore), such as another
+    /// number of drones, mass or rate. The environment is unchanged after an error.
     fn restore(&mut self, snapshot: &EnvSnapshot) -> Result<(), EnvError>;
 
     /// Returns the observation of the last reset or step; zeros before the first reset.
@@ -390,8 +389,8 @@ pub trait Env {
         let _ = report;
     }
 
-    /// Returns the values of [`info`](Self::info) and [`metrics`](Self::metrics) by name. Truth values are 0 and 1. Wrappers make the map
-    /// of these two functions: override them and not this one.
+    /// Returns the values of [`info`](Self::info) and [`metrics`](Self::metrics) by name, truth values as 0 and 1.
+    /// Wrappers compute the map from these two functions: override them instead of this one.
     fn info_map(&self) -> BTreeMap<&'static str, f64> {
         let mut map: BTreeMap<_, _> = self.info().values().collect();
         self.metrics(&mut |name, value| {
@@ -400,15 +399,15 @@ pub trait Env {
         map
     }
 
-    /// Renders an image for people: RGB, three bytes per pixel, top row first. The first call loads the renderer and is
-    /// slow.
+    /// Renders an image for people: RGB, three bytes per pixel, top row first. The first call loads the renderer
+    /// and is slow.
     ///
     /// # Errors
-    /// [`EnvError::Vision`] where there is no OpenGL to draw with or the buffer has the wrong length.
+    /// [`EnvError::Vision`] if OpenGL is not available or the buffer has the wrong length.
     fn render(&mut self, view: View, size: ImageSize, rgb: &mut [u8]) -> Result<(), EnvError>;
 }
 
-/// An [`Env`] of drones: one agent commands all drones of a task.
+/// An [`Env`] in which one agent commands all drones of a task.
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -426,14 +425,15 @@ pub trait DroneEnv: Env {
     /// Returns the simulation.
     fn simulation(&self) -> &Simulation;
 
-    /// Returns the meaning of the numbers of an action.
+    /// Returns the meaning of the entries of an action.
     fn action_type(&self) -> ActionType;
 
-    /// Writes the action that commands these motor speeds (rpm), for controllers, which command motor speeds. The
+    /// Writes the action that commands these motor speeds (rpm), for controllers, which compute motor speeds. The
     /// action is normalized or raw, according to the [action type](Self::action_type).
     ///
     /// # Errors
-    /// [`EnvError::Option`] where the action type does not command single motors, [`EnvError::ActionLength`].
+    /// [`EnvError::Option`] if the action type does not command single motors, [`EnvError::ActionLength`] for a
+    /// wrong length.
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError>;
 
     /// Returns the number of control steps after which an episode is truncated.
@@ -442,16 +442,16 @@ pub trait DroneEnv: Env {
     /// Returns the reason why the last step ended the episode for a drone, if it did.
     ///
     /// # Panics
-    /// If there is no drone of that index; likewise below.
+    /// If `drone` is out of range; likewise below.
     fn drone_end(&self, drone: usize) -> Option<EndReason>;
 
-    /// Returns the share of a drone in the reward of the last step; 0 before the first step of an episode.
+    /// Returns the reward of a drone in the last step; 0 before the first step of an episode.
     fn drone_reward(&self, drone: usize) -> f64;
 
-    /// Returns the reference that fulfils the task when a controller follows it with a drone now.
+    /// Returns the present reference. A controller that follows it fulfils the task.
     fn reference(&self, drone: usize) -> Reference;
 
-    /// Returns a trajectory that fulfils the task from the present state of a drone, for controllers; `None` where
+    /// Returns a trajectory that fulfils the task from the present state of a drone, for controllers; `None` if
     /// following [`reference`](Self::reference) fulfils the task.
     fn plan(&self, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = drone;
@@ -463,7 +463,8 @@ pub trait DroneEnv: Env {
         (0..self.simulation().num_drones()).map(|drone| self.plan(drone)).collect()
     }
 
-    /// Returns points (world frame, m) that drones pass in an episode, for fixed cameras: starts, references, plans.
+    /// Returns points (world frame, m) that drones pass in an episode, for fixed cameras: starts, references,
+    /// plans.
     fn extent(&self) -> Vec<Vector3<f64>> {
         let states = self.simulation().initial_states();
         states.iter().enumerate().flat_map(|(drone, state)| [state.position, self.reference(drone).position]).collect()
@@ -472,20 +473,20 @@ pub trait DroneEnv: Env {
     /// Sets the wind from now on, also for later episodes; `None` for still air.
     ///
     /// # Errors
-    /// [`EnvError::Simulation`] naming a setting that is impossible, [`EnvError::Option`] next to a randomization that
-    /// draws the wind.
+    /// [`EnvError::Simulation`] naming an invalid setting, [`EnvError::Option`] if the randomization samples the
+    /// wind.
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
 
-    /// Samples the body, the sensors, the start, … for every episode from the next reset on; `None` for nominal values.
+    /// Sets the parameters that are sampled for every episode from the next reset on; `None` for nominal values.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming an impossible range, or next to a wind that the samples would replace.
+    /// [`EnvError::Option`] naming an invalid range, or for a wind that the samples would replace.
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
 
     /// Returns the sampled parameters of this episode; `None` without randomization.
     fn sampled_params(&self) -> Option<&SampledParams>;
 
-    /// Returns true if an entry of the observation's vector may be constant during an episode, like a target.
+    /// Returns true if an entry of the observation vector may be constant during an episode, like a target.
     fn may_be_constant(&self, entry: usize) -> bool {
         let _ = entry;
         false

@@ -2,21 +2,21 @@ use super::{EnvError, Task};
 use crate::simulation::{SimData, SimModel, SimView};
 use crate::world::{MarkerPose, MovingMarker, Obstacle, World};
 
-/// The markers of a task that move. Solid ones are the last obstacles of the scene, the others its last markers.
+/// Moving markers of a task. Solid ones are the last obstacles of the scene, the others its last markers.
 #[derive(Debug, Default)]
 pub(crate) struct MovingMarkers {
     declared: Vec<MovingMarker>,
-    /// Index of the first solid one among the obstacles.
+    /// Index of the first solid marker among the obstacles.
     first_obstacle: usize,
-    /// Index of the first of the others among the markers.
+    /// Index of the first non-solid marker among the markers.
     first_marker: usize,
     poses: Vec<MarkerPose>,
-    /// Obstacles with the solid ones in their new poses.
+    /// Obstacles with the solid markers in their new poses.
     obstacles: Vec<Obstacle>,
 }
 
 impl MovingMarkers {
-    /// Moving markers of a world that was built with them.
+    /// Finds the moving markers in a world that was built with them.
     pub(super) fn new(declared: Vec<MovingMarker>, world: &World) -> Self {
         let solid = declared.iter().filter(|marker| marker.solid).count();
         Self {
@@ -28,22 +28,22 @@ impl MovingMarkers {
         }
     }
 
-    /// Number of obstacles that are none of them.
+    /// Returns the number of obstacles that are not moving markers.
     pub(super) fn first_obstacle(&self) -> usize {
         self.first_obstacle
     }
 
-    /// Returns whether there are any.
+    /// Returns true if the task has no moving markers.
     pub(crate) fn is_empty(&self) -> bool {
         self.declared.is_empty()
     }
 
-    /// Returns whether drones collide with some of them.
+    /// Returns true if drones collide with a moving marker.
     pub(crate) fn has_solid(&self) -> bool {
         self.declared.iter().any(|marker| marker.solid)
     }
 
-    /// Moves them to where the task says, or to where they start.
+    /// Moves the markers to the poses that the task computes, or, without a task, to their initial poses.
     pub(super) fn place<T: Task>(
         &mut self,
         task: Option<&T>,
@@ -83,7 +83,7 @@ impl MovingMarkers {
         };
         let drift = if task.is_some() { solid.map(travel).fold(0.0, f64::max) } else { 0.0 };
         let have_moved = self.obstacles != old;
-        // one that gathers speed comes farther in the next step than in the last one
+        // an accelerating marker moves farther in the next step than in the last one
         data.set_obstacle_drift(2.0 * drift);
         if have_moved {
             data.set_obstacles(model, &self.obstacles)?;

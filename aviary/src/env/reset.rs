@@ -8,10 +8,10 @@ use super::{EnvError, EnvParts, Rng, Task};
 use crate::simulation::SimView;
 
 impl<T: Task> EnvParts<'_, T> {
-    /// Starts an episode, without observing it.
+    /// Starts an episode, without an observation.
     pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
         let Self { sim_model, data, episode, .. } = self;
-        // until all of it has gone well
+        // a failed reset leaves the environment in this phase
         episode.phase = Phase::New;
         if let Some(seed) = seed {
             episode.rng = Rng::seed_from_u64(seed);
@@ -20,7 +20,7 @@ impl<T: Task> EnvParts<'_, T> {
         if std::mem::take(&mut episode.task_changed) {
             let drones: Vec<_> = sim_model.world().drones.iter().map(|drone| drone.params.clone()).collect();
             if let Err(error) = episode.task.validate(&drones) {
-                // until it is one that can be flown
+                // keeps the task unusable until a reset accepts its options
                 episode.task_changed = true;
                 return Err(error);
             }
@@ -34,7 +34,7 @@ impl<T: Task> EnvParts<'_, T> {
             episode.randomizer = next.map(Box::new);
         }
         if !self.workspace.moving.is_empty() {
-            // starts do not depend on where the last episode left them
+            // starts must not depend on the marker poses of the last episode
             self.workspace.moving.place(None::<&T>, self.sim_model, self.data)?;
         }
         let moves_obstacles = self.model.moves_obstacles();
@@ -44,7 +44,7 @@ impl<T: Task> EnvParts<'_, T> {
             }
             None => self.data.reset(self.sim_model),
         }
-        self.start_as_the_task_says()?;
+        self.apply_task_start()?;
         if moves_obstacles {
             self.move_obstacles()?;
         }
@@ -63,13 +63,13 @@ impl<T: Task> EnvParts<'_, T> {
         Ok(())
     }
 
-    /// Lets the task change what the episode starts from. A start in the floor, in an obstacle or in another drone is drawn again, up to
-    /// twenty times.
-    fn start_as_the_task_says(&mut self) -> Result<(), EnvError> {
+    /// Lets the task change the initial states. Repeats this up to 20 times while a drone overlaps the floor, an
+    /// obstacle or another drone.
+    fn apply_task_start(&mut self) -> Result<(), EnvError> {
         let moves_obstacles = self.model.moves_obstacles();
         let Episode { task, rng, .. } = &mut *self.episode;
         let (view, starts) = (SimView::new(self.sim_model, self.data), &mut self.workspace.starts);
-        // those that move make room for the drones
+        // the new layout of obstacles leaves room for the drones
         let obstacles = if moves_obstacles { &[] } else { view.obstacles() };
         for _ in 0..20 {
             starts.copy_from_slice(view.states());
@@ -83,22 +83,22 @@ impl<T: Task> EnvParts<'_, T> {
         Ok(self.data.reset_to(starts)?)
     }
 
-    /// Draws another layout of the obstacles. Where none can be found about these starts, it is the first one.
+    /// Generates a new layout of the obstacles. If none fits around these starts, uses the first layout.
     fn move_obstacles(&mut self) -> Result<(), EnvError> {
         let starts: Vec<_> = self.data.states().iter().map(|state| state.position.into()).collect();
         let generator = self.model.obstacle_generator.as_ref();
         let mut obstacles = match generator.map(|generator| generator.generate(&starts, &mut self.episode.rng)) {
             Some(Ok(obstacles)) => obstacles,
-            // the same for every history
+            // independent of earlier episodes
             _ => self.model.first_layout.clone(),
         };
-        // those that move come after the others
+        // moving obstacles follow the others in the list
         let first_moving = self.workspace.moving.first_obstacle();
         obstacles.extend_from_slice(&self.data.obstacles(self.sim_model)[first_moving..]);
         Ok(self.data.set_obstacles(self.sim_model, &obstacles)?)
     }
 
-    /// Moves the markers that move to where the task says.
+    /// Moves the task's markers to their present poses.
     pub(super) fn move_markers(&mut self) -> Result<(), EnvError> {
         if self.workspace.moving.is_empty() {
             return Ok(());

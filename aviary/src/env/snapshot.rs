@@ -10,12 +10,13 @@ use serde_json::Value;
 use super::EnvError;
 use crate::serial::Fingerprint;
 
-/// Everything of an environment that changes, at one moment: states, motors, wind, sensors, random streams, task, controllers, and what
-/// wrappers keep.
+/// Copy of an environment's state: drones, motors, wind, sensors, random streams, task, controllers, and the state
+/// of wrappers.
 ///
 /// Threads can share a snapshot. A clone of a snapshot shares its contents.
 ///
-/// After [`Env::restore`](super::Env::restore), an environment goes on bit-identically to after [`Env::snapshot`](super::Env::snapshot).
+/// After [`Env::restore`](super::Env::restore), an environment continues bit-identically to how it continued after
+/// [`Env::snapshot`](super::Env::snapshot).
 ///
 /// ```
 /// use aviary::env::Env;
@@ -30,25 +31,26 @@ use crate::serial::Fingerprint;
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 ///
-/// A snapshot can be serialized, and restored in another program, in an environment with the same options. Tasks of this crate can be
-/// saved; a task of your own implements [`Task::save`](super::Task::save) and [`Task::load`](super::Task::load), a wrapper makes its
-/// snapshot with [`serializable`](Self::serializable). In any other case serializing is an error. Every number survives exactly in
-/// JSON that is read with serde_json's feature `float_roundtrip`.
+/// A snapshot can be serialized, and restored in another process in an environment with the same options. Tasks of
+/// this crate support this. Your own task implements [`Task::save`](super::Task::save) and
+/// [`Task::load`](super::Task::load), and your own wrapper creates its snapshot with
+/// [`serializable`](Self::serializable); otherwise serializing returns an error. JSON keeps every number exactly if
+/// serde_json's feature `float_roundtrip` is on when it is read.
 #[derive(Clone)]
 pub struct EnvSnapshot {
     own: Own,
-    /// Of the environment within a wrapper.
+    /// Snapshot of the environment inside a wrapper.
     inner: Option<Box<EnvSnapshot>>,
 }
 
-/// What an environment or a wrapper has kept.
+/// State of an environment or a wrapper: a value of this process, or a deserialized one.
 #[derive(Clone)]
 enum Own {
     Live { value: Arc<dyn Any + Send + Sync>, save: fn(&dyn Any) -> Result<Saved, String> },
     Saved(Saved),
 }
 
-/// A value as a snapshot in a file has it.
+/// Serialized value inside a snapshot.
 ///
 /// ```
 /// use aviary::env::Saved;
@@ -62,53 +64,54 @@ enum Own {
 pub struct Saved(Value);
 
 impl Saved {
-    /// Saves a value; `None` for one that has no form in JSON, such as a map whose keys are not text. Numbers that are not finite are
-    /// lost: [`read`](Self::read) refuses what is saved of them.
+    /// Serializes a value; `None` if JSON cannot represent it, such as a map whose keys are not text. JSON turns
+    /// non-finite numbers into `null`, which [`read`](Self::read) rejects.
     pub fn new(value: &impl Serialize) -> Option<Self> {
         serde_json::to_value(value).ok().map(Self)
     }
 
-    /// Reads the value.
+    /// Deserializes the value.
     ///
     /// # Errors
-    /// [`EnvError::SavedSnapshot`] where it is of another type.
+    /// [`EnvError::SavedSnapshot`] for a value of another type.
     pub fn read<V: DeserializeOwned>(&self) -> Result<V, EnvError> {
         V::deserialize(&self.0).map_err(|error| EnvError::SavedSnapshot { message: error.to_string() })
     }
 }
 
 impl EnvSnapshot {
-    /// Makes a snapshot of what an environment keeps, which cannot be serialized.
+    /// Creates a snapshot of an environment's state that cannot be serialized.
     pub fn new(own: impl Any + Send + Sync) -> Self {
-        let save = |_: &dyn Any| Err("the environment or wrapper keeps something that cannot be serialized".into());
+        let save = |_: &dyn Any| Err("the environment or wrapper has a state that cannot be serialized".into());
         Self { own: Own::Live { value: Arc::new(own), save }, inner: None }
     }
 
-    /// Makes a snapshot of what an environment keeps, which can be serialized.
+    /// Creates a snapshot of an environment's state that can be serialized.
     pub fn serializable<V: Any + Send + Sync + Serialize>(own: V) -> Self {
         fn save<V: Any + Serialize>(value: &dyn Any) -> Result<Saved, String> {
-            let value: &V = value.downcast_ref().ok_or("a snapshot has changed its type")?;
+            let value: &V = value.downcast_ref().ok_or("the type of the snapshot has changed")?;
             serde_json::to_value(value).map(Saved).map_err(|error| error.to_string())
         }
         Self { own: Own::Live { value: Arc::new(own), save: save::<V> }, inner: None }
     }
 
-    /// Puts what a wrapper keeps around the snapshot of the environment within.
+    /// Adds the snapshot of the environment inside a wrapper.
     #[must_use]
     pub fn with_inner(self, inner: Self) -> Self {
         Self { inner: Some(Box::new(inner)), ..self }
     }
 
-    /// Makes a snapshot of what a wrapper keeps besides the environment within, which cannot be serialized.
+    /// Creates a snapshot of a wrapper's state that cannot be serialized, around the snapshot of the environment
+    /// inside.
     pub fn around(inner: Self, own: impl Any + Send + Sync) -> Self {
         Self::new(own).with_inner(inner)
     }
 
-    /// Returns what the environment or the outermost wrapper has kept.
+    /// Returns the state of the environment or of the outermost wrapper.
     ///
     /// # Errors
-    /// [`EnvError::Snapshot`] where that is of another type, because the snapshot is of another environment, and where the snapshot
-    /// was deserialized: [`read`](Self::read) takes both kinds.
+    /// [`EnvError::Snapshot`] if the state has another type, because the snapshot is of another environment, or if
+    /// the snapshot was deserialized. [`read`](Self::read) supports both cases.
     pub fn own<V: Any>(&self) -> Result<&V, EnvError> {
         match &self.own {
             Own::Live { value, .. } => value.downcast_ref().ok_or(EnvError::Snapshot),
@@ -116,10 +119,11 @@ impl EnvSnapshot {
         }
     }
 
-    /// Returns a copy of what the environment or the outermost wrapper has kept, also where the snapshot was deserialized.
+    /// Returns a copy of the state of the environment or of the outermost wrapper, also of a deserialized snapshot.
     ///
     /// # Errors
-    /// [`EnvError::Snapshot`] and [`EnvError::SavedSnapshot`] where that is of another type: the snapshot is of another environment.
+    /// [`EnvError::Snapshot`] and [`EnvError::SavedSnapshot`] if the state has another type, because the snapshot
+    /// is of another environment.
     pub fn read<V: Any + Clone + DeserializeOwned>(&self) -> Result<V, EnvError> {
         match &self.own {
             Own::Live { .. } => self.own().cloned(),
@@ -127,7 +131,7 @@ impl EnvSnapshot {
         }
     }
 
-    /// Returns what was deserialized; `None` for a snapshot of this program.
+    /// Returns the deserialized state; `None` for a snapshot made in this process.
     pub fn saved(&self) -> Option<&Saved> {
         match &self.own {
             Own::Live { .. } => None,
@@ -135,10 +139,10 @@ impl EnvSnapshot {
         }
     }
 
-    /// Returns the snapshot of the environment within a wrapper.
+    /// Returns the snapshot of the environment inside a wrapper.
     ///
     /// # Errors
-    /// [`EnvError::Snapshot`] where it is not one of a wrapper.
+    /// [`EnvError::Snapshot`] if the snapshot is not of a wrapper.
     pub fn inner(&self) -> Result<&Self, EnvError> {
         self.inner.as_deref().ok_or(EnvError::Snapshot)
     }
@@ -150,12 +154,12 @@ impl fmt::Debug for EnvSnapshot {
     }
 }
 
-/// A snapshot in a file.
+/// Serialized form of a snapshot.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored<V> {
     own: V,
-    /// Of `own` as compact JSON: a task trusts its numbers to fit each other.
+    /// Hash of `own` as compact JSON, since tasks do not check that their numbers are consistent.
     checksum: Fingerprint,
     inner: Option<Box<EnvSnapshot>>,
 }
@@ -177,7 +181,7 @@ impl Serialize for EnvSnapshot {
         if serializer.is_human_readable() {
             StoredRef { own: value, checksum, inner }.serialize(serializer)
         } else {
-            // formats that do not say what a value is cannot read any value
+            // formats that are not self-describing cannot deserialize a `Value`
             StoredRef { own: value.to_string(), checksum, inner }.serialize(serializer)
         }
     }
@@ -192,7 +196,7 @@ impl<'de> Deserialize<'de> for EnvSnapshot {
             Stored { own: serde_json::from_str(&own).map_err(D::Error::custom)?, checksum, inner }
         };
         if Fingerprint::of(&own) != checksum {
-            return Err(D::Error::custom("the checksum of the snapshot is wrong: it was changed or read inexactly"));
+            return Err(D::Error::custom("the checksum of the snapshot is wrong: it was edited or read inexactly"));
         }
         Ok(Self { own: Own::Saved(Saved(own)), inner })
     }

@@ -5,7 +5,7 @@ use crate::random::normal;
 use crate::vision::ImageSize;
 use crate::world::World;
 
-/// Vectors within bounds, one pair per entry; infinite where there is no bound.
+/// Space of vectors with one pair of bounds per entry; infinite for an unbounded entry.
 ///
 /// ```
 /// use aviary::env::{BoxSpace, Rng};
@@ -22,7 +22,7 @@ pub struct BoxSpace {
     outward: Vec<Outward>,
 }
 
-/// A bound that single precision rounds out of the space, and the nearest number of single precision within it.
+/// A bound that single precision rounds to a value outside the space, and the nearest value inside.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Outward {
     entry: usize,
@@ -30,25 +30,25 @@ struct Outward {
     inside: f32,
 }
 
-/// The largest number of single precision that is not above a bound.
+/// Returns the largest number of single precision that does not exceed a bound.
 fn largest_below(bound: f64) -> f32 {
     let rounded = bound as f32;
     if f64::from(rounded) > bound { rounded.next_down() } else { rounded }
 }
 
-/// The least number of single precision that is not below a bound.
+/// Returns the smallest number of single precision that is not below a bound.
 fn smallest_above(bound: f64) -> f32 {
     -largest_below(-bound)
 }
 
 impl BoxSpace {
-    /// From one pair `[low, high]` per entry.
+    /// Creates a space from one pair `[low, high]` per entry.
     ///
     /// # Panics
-    /// If a bound is NaN or a pair is the wrong way round: spaces are made by tasks, not from input.
+    /// If a bound is NaN or `low` exceeds `high`. Bounds come from tasks, not from user input.
     pub fn new(bounds: impl IntoIterator<Item = [f64; 2]>) -> Self {
         let (low, high): (Vec<_>, Vec<_>) = bounds.into_iter().map(|[low, high]| (low, high)).unzip();
-        assert!(low.iter().zip(&high).all(|(low, high)| low <= high), "a space whose bounds are the wrong way round");
+        assert!(low.iter().zip(&high).all(|(low, high)| low <= high), "a lower bound exceeds its upper bound");
         Self::of(low, high)
     }
 
@@ -56,7 +56,7 @@ impl BoxSpace {
         let mut outward = Vec::new();
         for (entry, (&low, &high)) in low.iter().zip(&high).enumerate() {
             let inside = [smallest_above(low), largest_below(high)];
-            // bounds that are nearly one number have none of single precision between them
+            // bounds that are almost equal have no number of single precision between them
             if inside[0] <= inside[1] {
                 let rounded = [low as f32, high as f32].into_iter().zip(inside);
                 outward.extend(
@@ -71,19 +71,19 @@ impl BoxSpace {
         Self { low, high, outward }
     }
 
-    /// The same bounds so many times, one after the other.
+    /// Returns the space of `times` concatenated vectors.
     #[must_use]
     pub fn repeated(&self, times: usize) -> Self {
         Self::of(self.low.repeat(times), self.high.repeat(times))
     }
 
-    /// The bounds in single precision, rounded into the space.
+    /// Returns the bounds in single precision, rounded into the space.
     pub fn bounds_f32(&self) -> (Vec<f32>, Vec<f32>) {
         (self.low.iter().map(|&x| smallest_above(x)).collect(), self.high.iter().map(|&x| largest_below(x)).collect())
     }
 
-    /// Copies a vector into a buffer of single precision. A number within its bounds stays within them: where the nearest number
-    /// of single precision is outside, the next one inside is written.
+    /// Copies a vector into a buffer of single precision. A number within its bounds stays within them: if the
+    /// nearest number of single precision is outside, the next one inside is written.
     ///
     /// ```
     /// use std::f64::consts::PI;
@@ -106,7 +106,7 @@ impl BoxSpace {
         self.round_inside(out);
     }
 
-    /// Moves numbers that were rounded to single precision, and thereby out of the space, back into it.
+    /// Moves numbers that rounding to single precision has put outside the space back into it.
     #[inline]
     pub(crate) fn round_inside(&self, row: &mut [f32]) {
         for bound in &self.outward {
@@ -117,30 +117,30 @@ impl BoxSpace {
         }
     }
 
-    /// How many entries a vector has.
+    /// Returns the number of entries.
     pub fn size(&self) -> usize {
         self.low.len()
     }
 
-    /// Least values.
+    /// Returns the lower bounds.
     pub fn low(&self) -> &[f64] {
         &self.low
     }
 
-    /// Greatest values.
+    /// Returns the upper bounds.
     pub fn high(&self) -> &[f64] {
         &self.high
     }
 
-    /// Whether a vector, of double or of single precision, is of this space: right length, every entry a number within its
+    /// Returns true if a vector of double or single precision has the right length and every entry is within its
     /// bounds.
     pub fn contains<X: Copy + Into<f64>>(&self, vector: &[X]) -> bool {
         vector.len() == self.size()
             && vector.iter().zip(&self.low).zip(&self.high).all(|((&x, &low), &high)| (low..=high).contains(&x.into()))
     }
 
-    /// A random vector: uniform where both bounds are finite, standard normal beyond them (shifted to a single
-    /// bound where there is one).
+    /// Returns a random vector, like Gymnasium's `Box.sample` with normal tails: entries with two finite bounds are
+    /// uniform, with none standard normal, and with one half-normal from that bound.
     pub fn sample(&self, rng: &mut super::Rng) -> Vec<f64> {
         (self.low.iter().zip(&self.high))
             .map(|(&low, &high)| match (low.is_finite(), high.is_finite()) {
@@ -153,7 +153,7 @@ impl BoxSpace {
     }
 }
 
-/// What observations look like: the vector's space, and the shapes of the pictures that there are.
+/// Space of observations: the space of the vector, and the shapes of the images.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -169,44 +169,44 @@ impl BoxSpace {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct ObservationSpace {
-    /// The task's vector; of size 0 where the observation type has none.
+    /// Space of the task's vector; size 0 if the observation type has no vector.
     pub vector: BoxSpace,
-    /// Which parts there are.
+    /// Parts of the observation.
     pub kind: ObservationType,
-    /// Onboard cameras, one for each drone that it is about.
+    /// Number of onboard cameras: one per observed drone.
     pub cameras: usize,
-    /// Columns of the adjacency: all drones.
+    /// Number of columns of the adjacency matrix: all drones.
     pub neighbours: usize,
-    /// Rays of a drone, and how far they see, m.
+    /// Number of rays per drone, and their maximum range, m.
     pub rays: (usize, f64),
-    /// Size of their pictures.
+    /// Size of the images.
     pub camera_size: ImageSize,
 }
 
 impl ObservationSpace {
-    /// Shape of the colour pictures, `[cameras, height, width, 4]`, each number in 0 to 255.
+    /// Returns the shape of the colour images, `[cameras, height, width, 4]`, each number in 0 to 255.
     pub fn rgb_shape(&self) -> Option<[usize; 4]> {
-        let [cameras, height, width] = self.picture_shape();
+        let [cameras, height, width] = self.image_shape();
         self.kind.rgb.then_some([cameras, height, width, 4])
     }
 
-    /// Shape of the depth pictures, `[cameras, height, width]`, each number in 0 to 100 m.
+    /// Returns the shape of the depth images, `[cameras, height, width]`, each number in 0 to 100 m.
     pub fn depth_shape(&self) -> Option<[usize; 3]> {
-        self.kind.depth.then_some(self.picture_shape())
+        self.kind.depth.then_some(self.image_shape())
     }
 
-    /// Shape of the object pictures, `[cameras, height, width, 2]`.
+    /// Returns the shape of the segmentation images, `[cameras, height, width, 2]`.
     pub fn segmentation_shape(&self) -> Option<[usize; 4]> {
-        let [cameras, height, width] = self.picture_shape();
+        let [cameras, height, width] = self.image_shape();
         self.kind.segmentation.then_some([cameras, height, width, 2])
     }
 
-    /// Shape of the adjacency matrix, `[drones it is about, all drones]`, each entry true or false.
+    /// Returns the shape of the adjacency matrix, `[observed drones, all drones]`, each entry true or false.
     pub fn adjacency_shape(&self) -> Option<[usize; 2]> {
         self.kind.adjacency.then_some([self.cameras, self.neighbours])
     }
 
-    /// Every part by name, with its shape, type and bounds: the dictionary that Gymnasium would have.
+    /// Returns the parts with name, shape, type and bounds, like the items of Gymnasium's `Dict` space.
     pub fn parts(&self) -> Vec<Part> {
         let far = World::CLIP_PLANES[1];
         let mut parts = Vec::new();
@@ -227,8 +227,8 @@ impl ObservationSpace {
         parts
     }
 
-    /// Bounds of an environment's row in a [batch](crate::vector::VecEnv): the vector's, then, where they are observed, those of the
-    /// distances of obstacles, the ranges and the adjacency.
+    /// Returns the space of an environment's row in a [batch](crate::vector::VecEnv): the vector, then the observed
+    /// ones of obstacle distances, ranges and adjacency.
     ///
     /// ```
     /// use aviary::env::Env;
@@ -254,7 +254,7 @@ impl ObservationSpace {
         BoxSpace::new(vector.chain(obstacle).chain(ranges).chain(adjacency))
     }
 
-    /// A random observation of this space.
+    /// Returns a random observation.
     pub fn sample(&self, rng: &mut super::Rng) -> Observation {
         let (rays, range) = self.rays;
         let mut sample = Observation::with_sizes(self.kind, self.vector.size(), self.cameras, self.camera_size, rays);
@@ -269,11 +269,11 @@ impl ObservationSpace {
         sample
     }
 
-    fn picture_shape(&self) -> [usize; 3] {
+    fn image_shape(&self) -> [usize; 3] {
         [self.cameras, self.camera_size.height as usize, self.camera_size.width as usize]
     }
 
-    /// Whether an observation is of this space.
+    /// Returns true if all parts of an observation have the right length and lie within their bounds.
     pub fn contains(&self, observation: &Observation) -> bool {
         let far = largest_below(World::CLIP_PLANES[1]);
         let pixels = |on: bool| if on { self.cameras * self.camera_size.pixels() } else { 0 };
@@ -291,7 +291,7 @@ impl ObservationSpace {
     }
 }
 
-/// The type of the numbers in a part of an observation.
+/// Type of the numbers in a part of an observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Dtype {
     /// Double precision.
@@ -300,22 +300,22 @@ pub enum Dtype {
     F32,
     /// Bytes.
     U8,
-    /// Whole numbers.
+    /// 32-bit signed integers.
     I32,
     /// True or false.
     Bool,
 }
 
-/// A part of an observation, by name.
+/// A named part of an observation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
-    /// The field of [`Observation`].
+    /// Field of [`Observation`].
     pub name: &'static str,
-    /// Lengths of its dimensions.
+    /// Length of each dimension.
     pub shape: Vec<usize>,
-    /// The type of its numbers.
+    /// Type of the numbers.
     pub dtype: Dtype,
-    /// The least and the greatest number of all; a vector's entries have bounds of their own.
+    /// Smallest and largest number of the whole part. Entries of the vector have individual bounds.
     pub bounds: [f64; 2],
 }
 
@@ -340,7 +340,7 @@ mod tests {
         assert!(seen[0][0] < -0.9 && seen[0][1] > 0.9 && seen[3][0] < -2.0 && seen[3][1] > 2.0);
     }
 
-    /// Every number within its bounds is written within them, the nearest number of single precision where that is inside.
+    /// Numbers within their bounds stay within them, and are rounded to nearest if the nearest number is inside.
     #[test]
     fn numbers_of_single_precision_stay_within_their_bounds() {
         use std::f64::consts::{FRAC_PI_2, PI};
@@ -353,7 +353,7 @@ mod tests {
             let vector = bounds.map(|[low, high]: [f64; 2]| match share {
                 0 => low,
                 1 => high.min(1e300),
-                // near one bound or the other
+                // near one of the two bounds
                 _ => {
                     let off = rng.random::<f64>() * 10f64.powi(-rng.random_range(0..17));
                     if rng.random() { (low + off).min(high) } else { (high.min(1e300) - off).max(low) }
@@ -361,7 +361,7 @@ mod tests {
             });
             space.write_f32(&vector, &mut row);
             for (entry, ((&x, &y), [low, high])) in vector.iter().zip(&row).zip(bounds).enumerate() {
-                // 0.3 alone is no number of single precision
+                // no number of single precision equals 0.3
                 assert!(entry == 5 || (low..=high).contains(&f64::from(y)), "{x:?} in {low} to {high} becomes {y:?}");
                 let nearest = f64::from(x as f32);
                 assert!(entry == 5 || !(low..=high).contains(&nearest) || f64::from(y) == nearest, "{x:?} {y:?}");
@@ -369,7 +369,7 @@ mod tests {
         }
         let (low, high) = space.bounds_f32();
         assert!((0..5).all(|i| bounds[i][0] <= f64::from(low[i]) && f64::from(high[i]) <= bounds[i][1]));
-        // what is outside, or no number, is not hidden
+        // NaN and numbers outside their bounds stay so
         space.write_f32(&[3.2, -1.6, f64::NAN, 1.0, 0.0, 0.3], &mut row);
         assert!(!space.contains(&row) && row[0] == 3.2 && row[1] == -1.6 && row[2].is_nan());
     }

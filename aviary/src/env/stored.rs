@@ -1,4 +1,4 @@
-//! What an [`Aviary`](super::Aviary) keeps in a snapshot, and how it is serialized.
+//! Serialization of the state that an [`Aviary`](super::Aviary) keeps in a snapshot.
 
 use serde::ser::Error as _;
 use serde::{Deserialize, Serialize, Serializer};
@@ -10,7 +10,7 @@ use crate::action::{ActionDecoder, ActionType};
 use crate::observation::Observation;
 use crate::simulation::SimData;
 
-/// What an [`Aviary`](super::Aviary) keeps in a snapshot.
+/// State that an [`Aviary`](super::Aviary) keeps in a snapshot.
 #[derive(Debug, Serialize)]
 #[serde(bound = "T: Task")]
 pub(super) struct Snapshot<T> {
@@ -22,7 +22,7 @@ pub(super) struct Snapshot<T> {
     pub action_type: ActionType,
 }
 
-/// A [`Snapshot`] before its task is known.
+/// Deserialized [`Snapshot`], before the task is restored.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Stored {
@@ -33,7 +33,7 @@ struct Stored {
     action_type: ActionType,
 }
 
-/// An [`Episode`] before its task is known.
+/// Deserialized [`Episode`], before the task is restored.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct StoredEpisode {
@@ -43,7 +43,7 @@ struct StoredEpisode {
     stream: u64,
     task_changed: bool,
     randomizer: Option<Box<Randomizer>>,
-    /// A list of one where there is a next one, which may be none.
+    /// One entry if the randomization was changed; the entry is `None` if it was switched off.
     next_randomization: Option<[Option<Box<Randomization>>; 1]>,
     phase: Phase,
     end: Option<EndReason>,
@@ -73,7 +73,7 @@ fn save_episode<T: Task, S: Serializer>(episode: &Episode<T>, serializer: S) -> 
 }
 
 impl<T: Task + Clone> Snapshot<T> {
-    /// Reads a snapshot for an environment of this task.
+    /// Reads a snapshot for an environment with this task.
     pub(super) fn read(saved: &Saved, task: &T) -> Result<Self, EnvError> {
         let Stored { data, episode, decoders, observation, action_type } = saved.read()?;
         let mut task = task.clone();

@@ -9,28 +9,31 @@ use crate::simulation::SimView;
 use crate::state::DroneState;
 use crate::world::{Marker, MarkerPose, MovingMarker};
 
-/// What a task starts from unless the caller says otherwise.
+/// Default options of a task's environment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaskDefaults {
     /// Number of drones.
     pub num_drones: usize,
     /// Length of an episode, s.
     pub episode_seconds: f64,
-    /// The built-in controller that flies it.
+    /// Built-in controller that flies the task.
     pub controller: ControllerKind,
 }
 
-/// A task: what is seen, what is rewarded and when it ends, drone by drone. [`Aviary`](super::Aviary) makes an environment
-/// of it, in which one agent commands all drones, sees their blocks of numbers one after the other and is paid the
-/// sum of their rewards; [`ParallelAviary`](crate::multi_agent::ParallelAviary) one in which every drone is an agent.
+/// Task of an environment: observation, reward and end of each drone.
 ///
-/// The order of calls is `start`, `reset`, `observe` at the start of an episode, and after every control step `update`,
-/// `end`, `reward`, `observe`: what `update` changes (a waypoint that was reached) is seen by all that follow.
+/// [`Aviary`](super::Aviary) makes an environment from a task: one agent commands all drones, its observation is
+/// the concatenation of theirs, and its reward is the sum of theirs.
+/// [`ParallelAviary`](crate::multi_agent::ParallelAviary) makes an environment with one agent per drone.
 ///
-/// A task is `Clone`: batches and snapshots copy it with everything that it remembers. Snapshots in files need
-/// [`save`](Self::save) and [`load`](Self::load) as well.
+/// The order of calls is `start`, `reset`, `observe` at the start of an episode, and `update`, `end`, `reward`,
+/// `observe` after every control step. A change in `update`, such as a reached waypoint, is visible in all later
+/// calls.
 ///
-/// A worked example is `examples/custom_task.rs`.
+/// A task is `Clone`: batches and snapshots copy it with its state. Snapshots in files also need
+/// [`save`](Self::save) and [`load`](Self::load).
+///
+/// `examples/custom_task.rs` is a worked example.
 ///
 /// ```
 /// use aviary::control::{ControllerKind, Reference};
@@ -39,7 +42,7 @@ pub struct TaskDefaults {
 /// use aviary::simulation::SimView;
 /// use nalgebra::Vector3;
 ///
-/// /// Climb to 2 m, the sooner the better.
+/// /// Climb to 2 m as fast as possible.
 /// #[derive(Debug, Clone)]
 /// struct Climb;
 ///
@@ -81,95 +84,100 @@ pub struct TaskDefaults {
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 pub trait Task: std::fmt::Debug + 'static {
-    /// Name, in lower snake case.
+    /// Returns the name, in lower snake case.
     fn name(&self) -> &'static str;
 
-    /// Where it starts from.
+    /// Returns the default options of the environment.
     fn defaults(&self) -> TaskDefaults;
 
-    /// Initial positions for these drones, world frame, m.
+    /// Returns initial positions for these drones, world frame, m.
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]>;
 
-    /// What the observation of one drone looks like. Entries 0 to 11 are those of
-    /// [`state_vector`](crate::observation::state_vector) in every task that comes with this crate.
+    /// Returns the space of one drone's observation. In every task of this crate, entries 0 to 11 are those of
+    /// [`state_vector`](crate::observation::state_vector).
     fn observation_space(&self) -> BoxSpace;
 
-    /// Checks the task's own options against the drones.
+    /// Validates the options of the task for these drones.
     ///
     /// # Errors
-    /// [`EnvError::Option`] naming one that is impossible.
+    /// [`EnvError::Option`] naming an invalid option.
     fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         let _ = drones;
         Ok(())
     }
 
-    /// What is to be seen of it: gates, waypoints.
+    /// Returns the visible markers, such as gates and waypoints. They do not collide.
     fn markers(&self) -> Vec<Marker> {
         Vec::new()
     }
 
-    /// Returns the markers that move, with their poses at the start of an episode; they are asked for once, when the environment is
-    /// built. See [`move_markers`](Self::move_markers).
+    /// Returns the moving markers, with their poses at the start of an episode. The builder calls this function
+    /// once. See [`move_markers`](Self::move_markers).
     fn moving_markers(&self) -> Vec<MovingMarker> {
         Vec::new()
     }
 
-    /// Sets the poses of the [moving markers](Self::moving_markers) at this moment, in their order; `poses` holds those of the start.
-    /// It is called after [`reset`](Self::reset) and after every [`update`](Self::update), and must depend on nothing but the task and
-    /// the simulation. Markers stand still during a control step, also those that drones collide with.
+    /// Sets the present poses of the [moving markers](Self::moving_markers), in their order. `poses` contains the
+    /// poses at the start of an episode. The environment calls this function after [`reset`](Self::reset) and after
+    /// every [`update`](Self::update). The poses must depend only on the task and the simulation. During a control
+    /// step all markers stand still, including those that drones collide with.
     fn move_markers(&self, simulation: SimView<'_>, poses: &mut [MarkerPose]) {
         let _ = (simulation, poses);
     }
 
-    /// Changes the states that an episode starts from, if the task has an idea of its own; whether it did. It is called before
-    /// [`reset`](Self::reset); every random draw comes from `rng`.
+    /// Changes the initial states of an episode and returns true, or returns false to keep them. The environment
+    /// calls this function before [`reset`](Self::reset). All random numbers must come from `rng`.
     fn start(&mut self, simulation: SimView<'_>, rng: &mut Rng, states: &mut [DroneState]) -> bool {
         let _ = (simulation, rng, states);
         false
     }
 
-    /// Starts an episode; every random draw comes from `rng`.
+    /// Starts an episode. All random numbers must come from `rng`.
     fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng);
 
-    /// Looks at the new state after a control step.
+    /// Updates the state of the task after a control step.
     fn update(&mut self, simulation: SimView<'_>);
 
-    /// Why the episode is over for a drone, if it is (the time limit is not the task's). An episode ends with the first drone that
-    /// is lost, or in `Completed` once all drones report that in the same step: one that is done goes on reporting it.
+    /// Returns the reason of the end for a drone, if the episode is over for it. The environment handles the time
+    /// limit. An episode ends when any drone ends with another reason than `Completed`, or when all drones report
+    /// `Completed` in the same step; a drone that has completed its part must keep reporting it.
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason>;
 
-    /// A drone's share of the last control step's reward; `end` is how that step ended for it.
+    /// Returns a drone's reward for the last control step. `end` is the result of [`end`](Self::end) for the same
+    /// step.
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64;
 
     /// Writes a drone's observation.
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]);
 
-    /// Whether a drone fulfils its part of the task at this moment.
+    /// Returns true if a drone fulfils its part of the task at this moment.
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool;
 
-    /// How much of its part a drone has done, from 0 to 1.
+    /// Returns the completed share of a drone's part, from 0 to 1.
     fn progress(&self, simulation: SimView<'_>, drone: usize) -> f64 {
         f64::from(u8::from(self.success(simulation, drone)))
     }
 
-    /// Where the task wants a drone to be now. It may be asked for before the first [`reset`](Self::reset).
+    /// Returns the reference that a drone should follow now. It may be called before the first
+    /// [`reset`](Self::reset).
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference;
 
-    /// A way that fulfils the task from the drone's present state, at whose time 0 it is, for controllers that follow trajectories; `None` where
-    /// following [`reference`](Self::reference) does.
+    /// Returns a trajectory from the drone's present state (at time 0) that fulfils the task, for controllers;
+    /// `None` if following [`reference`](Self::reference) fulfils the task.
     fn plan(&self, simulation: SimView<'_>, drone: usize) -> Option<Box<dyn Trajectory>> {
         let _ = (simulation, drone);
         None
     }
 
-    /// Returns the [`plan`](Self::plan) of every drone. A task whose plans depend on each other computes them here at once.
+    /// Returns the [`plan`](Self::plan) of every drone. Tasks whose plans depend on each other override this
+    /// function.
     fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
         (0..simulation.num_drones()).map(|drone| self.plan(simulation, drone)).collect()
     }
 
-    /// Returns points (world frame, m) that a drone comes by in an episode of so many seconds, for cameras that stand still: by
-    /// default the present [`reference`](Self::reference) and points along the [`plan`](Self::plan). A task whose reference moves
-    /// returns points along its path.
+    /// Returns points (world frame, m) that a drone passes in an episode of `seconds`, for fixed cameras: by
+    /// default the present [`reference`](Self::reference) and points along the [`plan`](Self::plan). Tasks with a
+    /// moving reference return points along its path.
     fn extent(&self, simulation: SimView<'_>, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
         let _ = seconds;
         let plan = self.plan(simulation, drone);
@@ -177,34 +185,35 @@ pub trait Task: std::fmt::Debug + 'static {
         std::iter::once(self.reference(simulation, drone).position).chain(planned).collect()
     }
 
-    /// Reports further numbers by name: gates passed, formation error.
+    /// Reports scalar metrics by name: gates passed, formation error.
     fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = (simulation, report);
     }
 
-    /// Saves its options and everything that it remembers, for snapshots in files; `None`, the default, for a task that cannot be
-    /// saved. A task that implements serde's traits returns `Saved::new(self)`.
+    /// Serializes the options and the state of the task, for snapshots in files; `None`, the default, if the task
+    /// does not support it. A task that implements serde's traits returns `Saved::new(self)`.
     fn save(&self) -> Option<Saved> {
         None
     }
 
-    /// Takes over what [`save`](Self::save) has returned; a task that implements serde's traits does `*self = saved.read()?`.
+    /// Restores the result of [`save`](Self::save). A task that implements serde's traits does
+    /// `*self = saved.read()?`.
     ///
     /// # Errors
-    /// [`EnvError::SavedSnapshot`] for a value of another kind, and then nothing has changed.
+    /// [`EnvError::SavedSnapshot`] for a value of another type; the task is unchanged.
     fn load(&mut self, saved: &Saved) -> Result<(), EnvError> {
         let _ = saved;
         Err(EnvError::SavedSnapshot { message: format!("the task `{}` cannot be loaded", self.name()) })
     }
 
-    /// Whether an entry of a drone's observation may stay the same for a whole episode, as a target does. The checker
-    /// complains of every other one that does.
+    /// Returns true if an entry of a drone's observation may stay constant during an episode, as a target does.
+    /// [`check_env`](super::check_env) fails for any other entry that stays constant.
     fn may_be_constant(&self, entry: usize) -> bool {
         entry >= STATE_SIZE
     }
 }
 
-/// Points of a path that takes so many seconds, close enough together for a picture.
+/// Returns points on a path of `seconds`, dense enough for images.
 pub(crate) fn path_points(seconds: f64, at: impl Fn(f64) -> Vector3<f64>) -> impl Iterator<Item = Vector3<f64>> {
     const POINTS: u32 = 120;
     (0..=POINTS).map(move |i| at(seconds * f64::from(i) / f64::from(POINTS)))

@@ -1,4 +1,4 @@
-//! Constants that environments share, and the scratch memory of a thread.
+//! Constants that environments share, and the scratch memory of one thread.
 
 use super::moving::MovingMarkers;
 use super::{BoxSpace, ObservationSpace};
@@ -16,20 +16,20 @@ pub(crate) struct EnvModel {
     pub action_type: ActionType,
     pub action_space: BoxSpace,
     pub observation_space: ObservationSpace,
-    /// Bounds of a row of [`EnvWorkspace::write_row`].
+    /// Bounds of the rows that [`EnvWorkspace::write_row`] writes.
     pub row_space: BoxSpace,
     pub episode_steps: u64,
-    /// Obstacles that are placed at random.
+    /// Generator of random obstacles.
     pub obstacle_generator: Option<ObstacleConfig>,
-    /// Where they were when the scene was compiled.
+    /// Obstacles of the generator when the scene was compiled.
     pub first_layout: Vec<Obstacle>,
-    /// Numbers in one drone's part of the observation.
+    /// Number of entries in one drone's block of the observation.
     pub block: usize,
     pub neighbourhood_radius: f64,
 }
 
 impl EnvModel {
-    /// Returns whether every episode has its obstacles elsewhere.
+    /// Returns true if every episode has a new layout of obstacles.
     pub(crate) fn moves_obstacles(&self) -> bool {
         self.obstacle_generator.as_ref().is_some_and(|generator| generator.new_layout)
     }
@@ -38,22 +38,22 @@ impl EnvModel {
 /// Scratch memory of one thread, in addition to the simulation's.
 #[derive(Debug)]
 pub(crate) struct EnvWorkspace {
-    /// Markers of the task that move.
+    /// Moving markers of the task.
     pub moving: MovingMarkers,
     pub rangefinder: Option<Synced<Rangefinder>>,
-    /// Renders the onboard cameras, where they are observed.
+    /// Renderer of the onboard cameras, if images are observed.
     pub cameras: Option<Synced<SceneRenderer>>,
-    /// What was observed last.
+    /// The last observation.
     pub observation: Observation,
-    /// The action within its bounds.
+    /// The action, clipped to its bounds.
     pub clipped: Vec<f64>,
-    /// Motor speeds, rpm.
+    /// Commanded motor speeds, rpm.
     pub commands: Vec<[f64; 4]>,
-    /// Where an episode starts.
+    /// Initial states of an episode.
     pub starts: Vec<DroneState>,
 }
 
-/// Something with obstacles of its own, and the revision of those it has.
+/// A value with its own copy of the obstacles, and the revision of that copy.
 #[derive(Debug)]
 pub(crate) struct Synced<V> {
     pub value: V,
@@ -61,12 +61,12 @@ pub(crate) struct Synced<V> {
 }
 
 impl<V> Synced<V> {
-    /// Made from the scene of the model.
+    /// Wraps a value that was created from the scene of the model.
     pub(crate) fn new(value: V) -> Self {
         Self { value, revision: 0 }
     }
 
-    /// Returns it after `set` has given it the present obstacles, where they are others than its own.
+    /// Returns the value, after `set` has updated its obstacles if their revision differs.
     pub(crate) fn sync<E>(
         &mut self,
         model: &SimModel,
@@ -82,7 +82,7 @@ impl<V> Synced<V> {
 }
 
 impl EnvWorkspace {
-    /// Copies everything observed that is no image into a row of single precision, within its bounds.
+    /// Writes the observation without images into a row in single precision, rounded to stay within its bounds.
     pub(crate) fn write_row(&self, model: &EnvModel, row: &mut [f32]) {
         let Observation { vector, obstacle, ranges, adjacency, .. } = &self.observation;
         let (first, rest) = row.split_at_mut(vector.len());

@@ -1,4 +1,4 @@
-//! Randomization: what is drawn for every episode.
+//! Randomization: parameters that are sampled for every episode.
 
 mod ranges;
 mod sampling;

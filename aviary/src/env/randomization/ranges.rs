@@ -4,16 +4,17 @@ use crate::env::EnvError;
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::{WindConfig, WindModel};
 
-/// Least and greatest value of a uniform draw.
+/// Lower and upper bound of a uniform distribution.
 pub type Range = [f64; 2];
 
-/// What is drawn anew for every episode (paper, §3.5.4 and its table of ranges). A group that is `None` is left alone.
+/// Ranges of the parameters that are sampled for every episode (paper, §3.5.4 and its table of ranges). A group
+/// that is `None` stays nominal.
 ///
-/// Drawn parameters change the simulated body, not only somebody's copy: MuJoCo's mass, inertia and gravity, the rotors,
-/// the aerodynamic effects, the motors. What an agent's action means stays that of the nominal airframe, and so do the
-/// controllers beneath velocities and attitudes. Every drone has draws of its own; gravity and wind are one for all.
+/// Sampled parameters change the simulated body: MuJoCo's mass, inertia and gravity, the rotors, the aerodynamic
+/// effects, the motors. The mapping from actions to motor speeds stays that of the nominal airframe, and so do the
+/// controllers of velocities and attitudes. Every drone has its own samples, except for gravity and wind.
 ///
-/// In TOML a group that is not there is off, and an empty one has the paper's ranges:
+/// In TOML, a missing group is off, and an empty one has the paper's ranges:
 ///
 /// ```
 /// use aviary::env::Randomization;
@@ -26,29 +27,29 @@ pub type Range = [f64; 2];
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Randomization {
-    /// The body.
+    /// Mass, inertia and arm length.
     pub body: Option<BodyRanges>,
     /// Rotors and aerodynamic effects.
     pub aerodynamics: Option<AerodynamicRanges>,
     /// Motors.
     pub actuators: Option<ActuatorRanges>,
-    /// What is seen.
+    /// Sensors.
     pub sensors: Option<SensorRanges>,
     /// Gravity and wind.
     pub environment: Option<EnvironmentRanges>,
-    /// Where an episode starts.
+    /// Initial states.
     pub initial: Option<InitialRanges>,
 }
 
-/// Factors on the body's parameters.
+/// Factors on mass, inertia and arm length.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct BodyRanges {
-    /// On the mass.
+    /// Factor on the mass.
     pub mass: Range,
-    /// On all moments of inertia at once.
+    /// Common factor on all moments of inertia.
     pub inertia: Range,
-    /// On the arm length.
+    /// Factor on the arm length.
     pub arm_length: Range,
 }
 
@@ -56,48 +57,47 @@ pub struct BodyRanges {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AerodynamicRanges {
-    /// On the thrust coefficient.
+    /// Factor on the thrust coefficient.
     pub thrust: Range,
-    /// On the torque coefficient.
+    /// Factor on the torque coefficient.
     pub torque: Range,
-    /// On the blade drag, once for x and y and once for z.
+    /// Factors on the blade drag: one sample for x and y, one for z.
     pub drag: Range,
-    /// On the ground-effect coefficient.
+    /// Factor on the ground-effect coefficient.
     pub ground: Range,
-    /// On the strength of the wake.
+    /// Factor on the strength of the wake.
     pub downwash: Range,
 }
 
-/// How the motors answer.
+/// Ranges of the motor parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ActuatorRanges {
-    /// Factor on the speed of every motor, four draws.
+    /// Factor on the speed of each motor, four samples.
     pub gain: Range,
     /// Time constant of the lag, s.
     pub lag: Range,
-    /// Latency of actions, s.
+    /// Latency of commands, s.
     pub latency: Range,
-    /// Factor on the greatest motor speed.
+    /// Factor on the maximum motor speed.
     pub max_rpm: Range,
 }
 
-/// What is seen of the state (pictures and rays are exact): standard deviations of noise that is drawn at every step, and of a bias that stays for the
-/// episode, as a share of them.
+/// Noise, bias and latency of the observed states. Images and rangefinders are exact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SensorRanges {
-    /// Of each coordinate, m.
+    /// Standard deviation of the noise on each coordinate, sampled at every step, m.
     pub position: f64,
-    /// Of each component, m/s.
+    /// Standard deviation of the noise on each component of the velocity, m/s.
     pub velocity: f64,
-    /// Of roll, pitch and yaw, rad.
+    /// Standard deviation of the noise on roll, pitch and yaw, rad.
     pub attitude: f64,
-    /// Of each body rate, rad/s.
+    /// Standard deviation of the noise on each component of the angular velocity, rad/s.
     pub angular_velocity: f64,
-    /// Standard deviation of the episode's bias over that of the noise.
+    /// Ratio of the standard deviation of the bias, sampled once per episode, to that of the noise.
     pub bias: f64,
-    /// Age of what is seen, s, rounded to physics steps.
+    /// Delay of the observed states, s, rounded to whole physics steps.
     pub latency: Range,
 }
 
@@ -107,22 +107,24 @@ pub struct SensorRanges {
 pub struct EnvironmentRanges {
     /// Factor on gravity.
     pub gravity: Range,
-    /// Speed of a [combined](WindModel::Combined) wind from any side, m/s, in place of any other wind, of which only
-    /// [`filter`](WindConfig::filter) and [`still_air_drag`](WindConfig::still_air_drag) are kept; `[0, 0]` leaves the wind alone.
+    /// Speed of a horizontal [combined](WindModel::Combined) wind with a random direction, m/s. It replaces the
+    /// environment's wind except for [`filter`](WindConfig::filter) and
+    /// [`still_air_drag`](WindConfig::still_air_drag). `[0, 0]` keeps the environment's wind.
     pub wind: Range,
 }
 
-/// Where an episode starts: largest change of each component, uniform both ways, about the environment's own start or a place beside it.
+/// Ranges of the initial states: maximum change of each component, uniform in both directions, around the shifted
+/// nominal start.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct InitialRanges {
-    /// Of the position, m. (No drone starts in the floor or in another one.)
+    /// Maximum change of each coordinate, m. The sampler rejects positions inside the floor, obstacles and drones.
     pub position: f64,
-    /// Of roll, pitch and yaw, rad.
+    /// Maximum change of roll, pitch and yaw, rad.
     pub attitude: f64,
-    /// Of the velocity, m/s.
+    /// Maximum change of each component of the velocity, m/s.
     pub velocity: f64,
-    /// From the environment's own start to the middle of them, world frame, m; none by default.
+    /// Shift of the nominal start, world frame, m; default zero.
     #[serde(deserialize_with = "crate::error::triple")]
     pub offset: [f64; 3],
 }
@@ -171,7 +173,7 @@ impl Default for InitialRanges {
     }
 }
 
-/// Every group with the paper's ranges.
+/// Enables every group with the paper's ranges.
 impl Default for Randomization {
     fn default() -> Self {
         Self {
@@ -186,14 +188,14 @@ impl Default for Randomization {
 }
 
 impl Randomization {
-    /// No group at all, to switch on those that one wants.
+    /// No groups; a base for struct update syntax.
     pub const NONE: Self =
         Self { body: None, aerodynamics: None, actuators: None, sensors: None, environment: None, initial: None };
 
-    /// Reads and checks a randomization from TOML text.
+    /// Reads and validates a randomization from TOML text.
     ///
     /// # Errors
-    /// [`EnvError::Toml`] with line and column, or what [`validate`](Self::validate) finds.
+    /// [`EnvError::Toml`] with line and column, or the error of [`validate`](Self::validate).
     pub fn from_toml(text: &str) -> Result<Self, EnvError> {
         let config: Self = toml::from_str(text)
             .map_err(|error| EnvError::Toml { message: crate::error::toml_message(text, &error) })?;
@@ -201,22 +203,21 @@ impl Randomization {
         Ok(config)
     }
 
-    /// Returns whether the wind of an episode is drawn, in place of the environment's own.
+    /// Returns true if the wind of an episode is sampled and replaces the environment's.
     pub fn draws_wind(&self) -> bool {
         self.environment.is_some_and(|ranges| ranges.wind[1] > 0.0)
     }
 
-    /// Refuses a wind of the environment that the draws would replace in every episode.
+    /// Returns an error for a wind of the environment that the samples would replace in every episode.
     pub(in crate::env) fn validate_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
         if !self.draws_wind() || wind.model == WindModel::None {
             return Ok(());
         }
-        let expected =
-            "none next to a randomization that draws the wind; environment.wind = [0, 0] there leaves the wind alone";
+        let expected = "none next to a randomization of the wind, which environment.wind = [0, 0] switches off";
         Err(EnvError::Option { option: "wind", got: wind.model.to_string(), expected })
     }
 
-    /// Checks that every range is one, and that nothing in it is impossible.
+    /// Validates every range.
     ///
     /// # Errors
     /// [`EnvError::Option`] naming the field.

@@ -14,7 +14,7 @@ use crate::state::{DroneState, attitude_from_rpy};
 use crate::world::Obstacle;
 use crate::world::placement::CollisionCylinder;
 
-/// What was drawn for one drone.
+/// Parameters of one drone, sampled for an episode.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SampledDroneParams {
     /// Factor on the mass.
@@ -33,22 +33,22 @@ pub struct SampledDroneParams {
     pub ground: f64,
     /// Factor on the strength of the wake.
     pub downwash: f64,
-    /// The motors.
+    /// Motor parameters.
     pub actuators: ActuatorParams,
-    /// Bias of what is seen: position (m), velocity (m/s), roll-pitch-yaw (rad), body rates (rad/s).
+    /// Bias of the observed position (m), velocity (m/s), roll-pitch-yaw (rad) and angular velocity (rad/s).
     #[serde(with = "crate::serial::vector_array")]
     pub bias: [Vector3<f64>; 4],
-    /// The state that the episode started from, but for what the task made of it.
+    /// Initial state, before changes by the task.
     pub initial: DroneState,
 }
 
-/// What was drawn for an episode.
+/// Parameters sampled for an episode.
 ///
 /// ```
 /// use aviary::env::{BodyRanges, DroneEnv, Env, Randomization};
 /// use aviary::tasks::Hover;
 ///
-/// // always a tenth heavier, and nothing else
+/// mass factor 1.1 in every episode, all other parameters nominal
 /// let body = BodyRanges { mass: [1.1, 1.1], inertia: [1.0, 1.0], arm_length: [1.0, 1.0] };
 /// let heavier = Randomization { body: Some(body), ..Randomization::NONE };
 /// let mut env = Hover::builder().randomization(heavier).build()?;
@@ -61,26 +61,26 @@ pub struct SampledDroneParams {
 pub struct SampledParams {
     /// Factor on gravity.
     pub gravity: f64,
-    /// The wind; `None` where none was drawn.
+    /// The wind; `None` if it is not sampled.
     pub wind: Option<WindConfig>,
-    /// Age of what is seen, s.
+    /// Delay of the observed states, s.
     pub sensor_latency: f64,
-    /// Every drone's.
+    /// Parameters of each drone.
     pub drones: Vec<SampledDroneParams>,
 }
 
-/// Draws and applies what a [`Randomization`] says.
+/// Samples the parameters of a [`Randomization`] and applies them.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(in crate::env) struct Randomizer {
-    // what environments of a batch have in common is there once
+    // the environments of a batch share these
     #[serde(with = "crate::serial::shared")]
     pub(in crate::env) config: Arc<Randomization>,
     pub(in crate::env) draw: SampledParams,
-    /// Whence the noise of the sensors comes.
+    /// Random stream of the sensor noise.
     noise: Rng,
     #[serde(with = "crate::serial::shared")]
     nominal: Arc<[DroneParams]>,
-    /// How the motors and the wind were before.
+    /// Motor parameters and wind without randomization.
     #[serde(with = "crate::serial::shared")]
     motors: Arc<[ActuatorParams]>,
     wind: Option<WindConfig>,
@@ -93,20 +93,20 @@ fn within(rng: &mut Rng, [low, high]: Range) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
-/// Three uniform draws in ± `most`.
+/// Returns three uniform samples from [−max, max].
 fn around(rng: &mut Rng, max: f64) -> Vector3<f64> {
     Vector3::from_fn(|_, _| within(rng, [-max, max]))
 }
 
-/// Three normal draws.
+/// Returns three normal samples.
 fn gaussian(rng: &mut Rng, sigma: f64) -> Vector3<f64> {
     let ([a, b], [c, _]) = (normals(rng), normals(rng));
     sigma * Vector3::new(a, b, c)
 }
 
 impl Randomizer {
-    /// Starts from a simulation that nothing has been drawn for, and from the settings of its wind, of which a drawn wind keeps
-    /// a part even where they are calm.
+    /// Creates a randomizer from a simulation with nominal parameters and from its wind settings. A sampled wind
+    /// keeps some of these settings even if they are calm.
     pub(in crate::env) fn new(
         config: Randomization,
         simulation: SimView<'_>,
@@ -148,17 +148,17 @@ impl Randomizer {
         })
     }
 
-    /// Settings of the environment's own wind.
+    /// Returns the settings of the environment's own wind.
     pub(in crate::env) fn own_wind(&self) -> Option<&WindConfig> {
         self.wind.as_ref()
     }
 
-    /// Refuses a wind of the environment that the draws would replace in every episode.
+    /// Returns an error for a wind of the environment that the samples would replace in every episode.
     pub(in crate::env) fn validate_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
         self.config.validate_wind(wind)
     }
 
-    /// Bytes that it takes, beside what others have, too.
+    /// Returns the size in bytes, without shared memory.
     pub(in crate::env) fn bytes(&self) -> usize {
         size_of::<Self>()
             + size_of_val(&self.draw.drones[..])
@@ -166,7 +166,8 @@ impl Randomizer {
             + size_of_val(&self.measured_rpys[..])
     }
 
-    /// Draws an episode. Every group has the same number of draws whatever the others are.
+    /// Samples an episode. Each group has its own random stream, so that its samples do not depend on the other
+    /// groups.
     fn draw(&mut self, simulation: SimView<'_>, rng: &mut Rng, obstacles_move: bool) {
         let mut streams = [(); 6].map(|()| stream(rng));
         let [body, aerodynamics, actuators, sensors, environment, initial] = &mut streams;
@@ -206,7 +207,7 @@ impl Randomizer {
             let (sin, cos) = (std::f64::consts::TAU * environment.random::<f64>()).sin_cos();
             let speed = within(environment, ranges.wind);
             let velocity = [speed * cos, speed * sin, 0.0];
-            // gusts and turbulence grow with the wind
+            // gusts and turbulence scale with the wind speed
             let WindConfig { filter, still_air_drag, .. } = self.wind.unwrap_or_default();
             let full = WindConfig { filter, still_air_drag, ..WindConfig::new(WindModel::Combined) };
             let wind = WindConfig {
@@ -221,7 +222,7 @@ impl Randomizer {
         if let Some(ranges) = &config.initial {
             for drone in 0..self.draw.drones.len() {
                 let start = simulation.initial_states()[drone];
-                // those that will be elsewhere make room for the drones
+                // a new layout of obstacles will leave room for the drones
                 let there: &[Obstacle] = if obstacles_move { &[] } else { simulation.obstacles() };
                 let state = self.start(ranges, drone, &start, there, initial);
                 self.draw.drones[drone].initial = state;
@@ -230,8 +231,8 @@ impl Randomizer {
         self.noise = streams[3].clone();
     }
 
-    /// A start about this one, not in the floor, not in an obstacle and not in a drone that has its place already; where
-    /// twenty draws find none, this one.
+    /// Samples an initial state around `start` outside the floor, the obstacles and the drones already placed.
+    /// After 20 failed samples, uses the shifted nominal position.
     fn start(
         &self,
         ranges: &InitialRanges,
@@ -261,7 +262,7 @@ impl Randomizer {
         DroneState { position, attitude, velocity, angular_velocity: start.angular_velocity }
     }
 
-    /// Draws an episode and puts the data into it: afterwards it is reset.
+    /// Samples an episode, applies it to the data, and resets the data.
     pub(in crate::env) fn begin(
         &mut self,
         model: &SimModel,
@@ -304,7 +305,7 @@ impl Randomizer {
         }
     }
 
-    /// Puts everything back to the nominal airframes.
+    /// Restores the nominal parameters.
     pub(in crate::env) fn undo(&self, model: &SimModel, data: &mut SimData) -> Result<(), SimulationError> {
         for (drone, (nominal, motors)) in self.nominal.iter().zip(&*self.motors).enumerate() {
             data.set_params(drone, nominal.clone())?;
@@ -322,12 +323,13 @@ impl Randomizer {
         Ok(())
     }
 
-    /// Measures the states: old, biased and noisy. Returns them with their roll, pitch and yaw; `None` where the sensors are exact.
+    /// Computes the measured states (delayed, biased, noisy) and returns them with their roll, pitch and yaw;
+    /// `None` if the sensors are exact.
     pub(in crate::env) fn measure(&mut self, data: &SimData) -> Option<(&[DroneState], &[Vector3<f64>])> {
         let ranges = self.config.sensors.as_ref()?;
         let draws = &self.draw.drones;
         for ((measured, truth), draw) in self.measured.iter_mut().zip(data.remembered()).zip(draws) {
-            // twelve draws, two at a time
+            // twelve normal samples, in pairs
             let n: [[f64; 2]; 6] = std::array::from_fn(|_| normals(&mut self.noise));
             let position = ranges.position * Vector3::new(n[0][0], n[0][1], n[1][0]);
             let velocity = ranges.velocity * Vector3::new(n[1][1], n[2][0], n[2][1]);
@@ -347,13 +349,13 @@ impl Randomizer {
     }
 }
 
-/// A generator of its own for a group.
+/// Returns an independent random stream for a group.
 fn stream(rng: &mut Rng) -> Rng {
     use rand::SeedableRng as _;
     Rng::seed_from_u64(rng.random())
 }
 
-/// Makes an airframe one with these factors, whose motors are as fast as before.
+/// Applies the sampled factors to the nominal parameters. The maximum motor speed stays the same.
 fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &SampledDroneParams) {
     let [sideways, upwards] = draw.drag;
     let [x, y, z] = nominal.drag_coefficients;
