@@ -1,4 +1,4 @@
-//! What an agent says, and the motor speeds that follow.
+//! Action types, and the decoder that converts actions into motor speeds.
 
 use crate::error::OptionError;
 use std::f64::consts::{FRAC_PI_6, PI};
@@ -14,26 +14,29 @@ use crate::state::{DroneState, attitude_from_rpy};
 
 named_enum! {
     "action type"
-    /// How an agent commands a drone (paper, action table), as so many numbers per drone.
+    /// Action types of a drone (*MuJoCo-Drones-Gym*, Tayal, action table).
     ///
-    /// | | numbers | bounds |
+    /// | type | numbers per drone | bounds |
     /// | --- | --- | --- |
-    /// | `rpm` | four motor speeds, normalized, see [`MotorScale`] | −1 to 1 |
+    /// | `rpm` | four normalized motor speeds, see [`MotorScale`] | −1 to 1 |
     /// | `raw_rpm` | four motor speeds, rpm | 0 to `MAX_RPM` |
-    /// | `one_d_rpm` | one normalized motor speed for all four | −1 to 1 |
-    /// | `vel` | velocity x, y, z in the heading frame (the body frame without its roll and pitch), m/s; yaw rate, rad/s | ± [`max_speed`](crate::drone::DroneParams::max_speed); ± [`yaw_rate`](ActionLimits::yaw_rate) |
-    /// | `pid` | a waypoint: position x, y, z in the world frame, m; yaw, rad | [`arena`](ActionLimits::arena); ± π |
-    /// | `attitude` | collective thrust, as a normalized motor speed; roll, pitch; yaw rate | −1 to 1, which is ± [`tilt`](ActionLimits::tilt) and ± [`yaw_rate`](ActionLimits::yaw_rate) |
-    /// | `ctbr` | collective thrust, as a normalized motor speed; body rates x, y, z | −1 to 1, which is ± [`body_rate`](ActionLimits::body_rate) |
+    /// | `one_d_rpm` | one normalized motor speed for all four motors | −1 to 1 |
+    /// | `vel` | velocity x, y, z in the heading frame, m/s; yaw rate, rad/s | ± `max_speed`; ± `yaw_rate` |
+    /// | `pid` | waypoint: position x, y, z in the world frame, m; yaw, rad | `arena`; ± π |
+    /// | `attitude` | collective thrust as a normalized motor speed; roll, pitch; yaw rate | −1 to 1 |
+    /// | `ctbr` | collective thrust as a normalized motor speed; body rates x, y, z | −1 to 1 |
     ///
-    /// What is out of bounds is clipped to them.
+    /// The heading frame is the body frame without roll and pitch. `max_speed` is [`DroneParams::max_speed`];
+    /// `yaw_rate` and `arena` are fields of [`ActionLimits`]. The limits also scale the angles and rates of
+    /// `attitude` and `ctbr`: an action of 1 is [`tilt`](ActionLimits::tilt), [`yaw_rate`](ActionLimits::yaw_rate) or
+    /// [`body_rate`](ActionLimits::body_rate). The environment clips actions to their bounds.
     ///
     /// ```
     /// use aviary::action::ActionType;
     /// use aviary::env::Env;
     /// use aviary::tasks::Hover;
     ///
-    /// // the paper's PID flies to a waypoint, which is all that the agent says
+    /// // the agent sets a waypoint, and the paper's PID controller flies to it
     /// let mut env = Hover::builder().action_type(ActionType::Pid).build()?;
     /// env.reset(Some(1))?;
     /// while env.info().end.is_none() {
@@ -54,9 +57,9 @@ named_enum! {
         OneDRpm = "one_d_rpm",
         /// Velocity in the heading frame and yaw rate, through a controller.
         Vel = "vel",
-        /// A waypoint and yaw, through a controller.
+        /// Waypoint and yaw, through a controller.
         Pid = "pid",
-        /// Thrust, roll, pitch and yaw rate, through the paper's attitude loop.
+        /// Collective thrust, roll, pitch and yaw rate, through the paper's attitude loop.
         Attitude = "attitude",
         /// Collective thrust and body rates, through a rate loop.
         Ctbr = "ctbr",
@@ -64,7 +67,7 @@ named_enum! {
 }
 
 impl ActionType {
-    /// Numbers per drone.
+    /// Returns the number of numbers per drone.
     pub fn size(self) -> usize {
         match self {
             Self::OneDRpm => 1,
@@ -72,7 +75,7 @@ impl ActionType {
         }
     }
 
-    /// Least and greatest value of every number, for one drone.
+    /// Returns the lower and the upper bound of every number, for one drone.
     pub fn bounds(self, params: &DroneParams, limits: &ActionLimits) -> Vec<[f64; 2]> {
         let around_zero = |max: f64| [-max, max];
         match self {
@@ -90,14 +93,14 @@ impl ActionType {
     }
 }
 
-/// How far actions reach that are not motor speeds.
+/// Limits of the actions that are not motor speeds.
 ///
 /// ```
 /// use aviary::action::{ActionLimits, ActionType};
 /// use aviary::env::Env;
 /// use aviary::tasks::Hover;
 ///
-/// // waypoints in a room of 4 m by 4 m, 2 m high
+/// // waypoints in a room of 4 m × 4 m × 2 m
 /// let limits = ActionLimits { arena: [[-2.0, 2.0], [-2.0, 2.0], [0.0, 2.0]], ..ActionLimits::default() };
 /// let env = Hover::builder().action_type(ActionType::Pid).action_limits(limits).build()?;
 /// assert_eq!(env.action_space().high()[..3], [2.0, 2.0, 2.0]);
@@ -105,13 +108,14 @@ impl ActionType {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct ActionLimits {
-    /// Least and greatest x, y and z of a waypoint, world frame, m; ±10 m sideways and 0 to 10 m up by default.
+    /// Lower and upper bound of a waypoint's x, y and z, world frame, m; default ±10 m horizontally and 0 to 10 m
+    /// vertically.
     pub arena: [[f64; 2]; 3],
-    /// Roll and pitch at 1, rad; 30° by default.
+    /// Roll or pitch of an action of 1, rad; default 30°.
     pub tilt: f64,
-    /// Yaw rate at its bound, rad/s; π by default.
+    /// Yaw rate of the upper bound, rad/s; default π.
     pub yaw_rate: f64,
-    /// Body rates at 1, body frame, rad/s; 10, 10 and 5 by default.
+    /// Body rates of an action of 1, body frame, rad/s; default 10, 10 and 5.
     pub body_rate: [f64; 3],
 }
 
@@ -127,15 +131,16 @@ impl Default for ActionLimits {
 }
 
 impl ActionLimits {
-    /// Checks that they are numbers, the right way round, and attitudes that can be held.
+    /// Checks that the bounds are finite and ordered, and that the angle and the rates are positive and below their
+    /// maximum.
     ///
     /// # Errors
-    /// [`OptionError`] naming the field.
+    /// [`OptionError`] that names the first invalid field.
     pub fn validate(&self) -> Result<(), OptionError> {
         let error = |option, got, expected| Err(OptionError { option, got: crate::number(got), expected });
         for [low, high] in self.arena {
             if !(low.is_finite() && high.is_finite() && low <= high) {
-                return error("action_limits.arena", high - low, "finite bounds, the lower before the upper");
+                return error("action_limits.arena", high - low, "finite bounds in ascending order");
             }
         }
         if !(self.tilt > 0.0 && self.tilt < 1.5) {
@@ -151,11 +156,11 @@ impl ActionLimits {
     }
 }
 
-/// Turns one drone's actions into motor speeds. Its controllers live as long as an episode: they remember from step to
-/// step, and a reset clears them.
+/// Converts the actions of one drone into motor speeds.
 ///
-/// It is made from the nominal airframe, whatever is flown: an agent that trims for the true mass would have nothing
-/// to learn from a randomized one.
+/// The controllers of the decoder keep state during an episode; a reset clears it. The decoder uses the nominal
+/// parameters of the drone even if the simulated ones are randomized. An agent with the true mass in its trim would
+/// have nothing to learn from the randomization.
 ///
 /// ```
 /// use aviary::action::{ActionDecoder, ActionLimits, ActionType};
@@ -166,7 +171,7 @@ impl ActionLimits {
 /// let params = DroneModel::Cf2x.params();
 /// let limits = ActionLimits::default();
 /// let mut decoder = ActionDecoder::new(ActionType::Ctbr, ControllerKind::Pid, &params, &limits)?;
-/// // thrust as at hover, and no body rates, of a drone that has none
+/// // the action of zeros is hover thrust and body rates of zero
 /// let rpm = decoder.motor_speeds(1.0 / 48.0, &DroneState::default(), &[0.0; 4]);
 /// assert!(rpm.iter().all(|n| (n - params.hover_rpm()).abs() < 1e-6));
 /// # Ok::<(), aviary::OptionError>(())
@@ -179,7 +184,7 @@ pub struct ActionDecoder {
     loops: Loops,
 }
 
-/// What stands between an action and the motors.
+/// Control loops between an action and the motors.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 enum Loops {
     None,
@@ -190,10 +195,10 @@ enum Loops {
 }
 
 impl ActionDecoder {
-    /// For actions of a kind, with this controller beneath velocities and waypoints.
+    /// Creates the decoder of an action type. `controller` follows velocities and waypoints.
     ///
     /// # Errors
-    /// [`OptionError`].
+    /// [`OptionError`] that names the first invalid limit.
     pub fn new(
         kind: ActionType,
         controller: ControllerKind,
@@ -218,8 +223,8 @@ impl ActionDecoder {
         Ok(Self { kind, limits: *limits, scale: MotorScale::new(params), loops })
     }
 
-    /// Returns true if another decoder turns the same actions into the same commands from the same memory: action type, controller,
-    /// limits and airframe are equal.
+    /// Returns true if both decoders convert equal actions into equal commands, given equal controller states: action
+    /// type, controller, limits and motor scale are equal.
     pub(crate) fn is_like(&self, other: &Self) -> bool {
         let controller = |decoder: &Self| match &decoder.loops {
             Loops::Velocity { controller, .. } | Loops::Waypoint { controller } => {
@@ -231,17 +236,17 @@ impl ActionDecoder {
             && self.scale == other.scale
     }
 
-    /// The scale of normalized motor speeds.
+    /// Returns the scale of normalized motor speeds.
     pub fn scale(&self) -> &MotorScale {
         &self.scale
     }
 
-    /// Whether it remembers anything from step to step, or looks at the state.
+    /// Returns true if the decoder has control loops, which use the state of the drone and keep state of their own.
     pub fn has_memory(&self) -> bool {
         !matches!(self.loops, Loops::None)
     }
 
-    /// Forgets everything that an earlier episode left.
+    /// Clears the state of the controllers.
     pub fn reset(&mut self) {
         match &mut self.loops {
             Loops::None | Loops::Rates { .. } => {}
@@ -257,10 +262,10 @@ impl ActionDecoder {
         }
     }
 
-    /// Motor speeds (rpm) for the coming control step of `dt` seconds, from an action within its bounds.
+    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from an action within its bounds.
     ///
     /// # Panics
-    /// If the action does not have [`size`](ActionType::size) numbers.
+    /// If the length of the action is not [`size`](ActionType::size).
     pub fn motor_speeds(&mut self, dt: f64, state: &DroneState, action: &[f64]) -> [f64; 4] {
         let [a, b, c, d] = match (self.kind, action) {
             (ActionType::OneDRpm, &[x]) => return [self.scale.rpm(x); 4],
@@ -276,7 +281,7 @@ impl ActionDecoder {
                 let (sin, cos) = state.yaw().sin_cos();
                 let velocity = Vector3::new(cos * a - sin * b, sin * a + cos * b, c);
                 let yaw = heading.advance(dt, state, d);
-                // the heading frame turns, and the velocity with it
+                // the velocity rotates with the heading frame
                 let acceleration = Vector3::new(-d * velocity.y, d * velocity.x, 0.0);
                 let reference = Reference { velocity, acceleration, yaw, yaw_rate: d, ..Reference::default() };
                 controller.control_velocity(dt, state, &reference).rpm
@@ -288,7 +293,7 @@ impl ActionDecoder {
                 let rate = d * limits.yaw_rate;
                 let rpy = Vector3::new(b * limits.tilt, c * limits.tilt, heading.advance(dt, state, rate));
                 let wanted = attitude_from_rpy(rpy);
-                // yaw turns about world z, whatever the roll and pitch
+                // the yaw rate is about world z for any roll and pitch
                 let body_rate = wanted.inverse_transform_vector(&Vector3::new(0.0, 0.0, rate));
                 control.control(dt, state, collective(a, *thrust_coefficient), &wanted, &body_rate)
             }
@@ -300,11 +305,12 @@ impl ActionDecoder {
     }
 }
 
-/// The mapping between normalized commands and motor speeds:
-/// `a ≤ 0: (a + 1)·HOVER_RPM`, otherwise `HOVER_RPM + a·(MAX_RPM − HOVER_RPM)`.
+/// Scale between normalized commands and motor speeds: `a ≤ 0: (a + 1)·HOVER_RPM`, otherwise `HOVER_RPM + a·(MAX_RPM
+/// − HOVER_RPM)`.
 ///
-/// −1 is standing still, 0 is hovering, 1 is full speed. It keeps the constants of the nominal airframe even where
-/// the flown one is randomized: otherwise 0 would be the perfect trim and there would be nothing to learn.
+/// −1 is zero speed, 0 is hover speed and 1 is full speed. The scale keeps the constants of the nominal drone even if
+/// the simulated one is randomized. Otherwise 0 would always be the exact trim, and an agent would have nothing to
+/// learn.
 ///
 /// ```
 /// use aviary::action::MotorScale;
@@ -323,22 +329,22 @@ pub struct MotorScale {
 }
 
 impl MotorScale {
-    /// Of an airframe.
+    /// Creates the scale of a drone.
     pub fn new(params: &DroneParams) -> Self {
         Self { hover_rpm: params.hover_rpm(), max_rpm: params.max_rpm() }
     }
 
-    /// Motor speed (rpm) of a normalized command, which is clipped to [−1, 1].
+    /// Returns the motor speed (rpm) of a normalized command, which the function clamps to [−1, 1].
     #[inline]
     pub fn rpm(&self, command: f64) -> f64 {
         let command = command.clamp(-1.0, 1.0);
-        // both are computed: nobody could guess which one of them an agent will want
+        // computes both branches, because a branch on the command would be unpredictable
         let (below, above) =
             ((command + 1.0) * self.hover_rpm, self.hover_rpm + command * (self.max_rpm - self.hover_rpm));
         if command <= 0.0 { below } else { above }
     }
 
-    /// The normalized command of a motor speed (rpm), which is clipped to what the motor can do.
+    /// Returns the normalized command of a motor speed (rpm), which the function clamps to 0 to the maximum speed.
     #[inline]
     pub fn command(&self, rpm: f64) -> f64 {
         let rpm = rpm.clamp(0.0, self.max_rpm);
@@ -357,7 +363,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn the_ends_and_the_middle_are_still_hover_and_full_speed() {
+    fn minus_one_zero_and_one_are_zero_hover_and_full_speed() {
         for model in DroneModel::ALL {
             let params = model.params();
             let scale = MotorScale::new(&params);
@@ -370,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drone_that_can_only_just_hover_has_a_scale_too() {
+    fn the_scale_is_defined_for_a_thrust_to_weight_ratio_of_one() {
         let params = DroneParams { thrust_to_weight: 1.0, ..DroneModel::Cf2x.params() };
         let scale = MotorScale::new(&params);
         assert_eq!(scale.rpm(1.0), params.hover_rpm());
@@ -379,7 +385,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn commands_and_speeds_are_inverse(command in -1.0..1.0) {
+        fn rpm_and_command_are_inverse(command in -1.0..1.0) {
             let scale = MotorScale::new(&DroneModel::Race.params());
             prop_assert!((scale.command(scale.rpm(command)) - command).abs() < 1e-12);
         }

@@ -1,4 +1,4 @@
-//! What an agent sees: vectors made of a drone's state, and its cameras' pictures.
+//! Observations: vectors computed from the state of a drone, camera images and rangefinder distances.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use mujoco_rs::Error;
 use crate::state::DroneState;
 use crate::vision::{ImageSize, SceneRenderer};
 
-/// Indices of a drone's state in the vectors of all built-in tasks, which begin with it.
+/// Indices of the state of a drone in the observation vectors of all built-in tasks, which begin with it.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -37,8 +37,8 @@ pub mod obs {
     pub const ANGULAR_VELOCITY: Range<usize> = 9..12;
 }
 
-/// What an observation is made of: the paper's `KIN`, `RGB` and `KIN_RGB`, and any other combination with depth and
-/// segmentation.
+/// Parts of an observation: `KIN`, `RGB` and `KIN_RGB` of *MuJoCo-Drones-Gym* (Tayal), and any combination with the
+/// other parts.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -54,19 +54,19 @@ pub mod obs {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ObservationType {
-    /// The task's vector.
+    /// Observation vector of the task.
     pub kinematic: bool,
-    /// Colour of every onboard camera.
+    /// Colour image of every onboard camera.
     pub rgb: bool,
-    /// Depth of every onboard camera.
+    /// Depth image of every onboard camera.
     pub depth: bool,
-    /// Objects in every onboard camera.
+    /// Segmentation image of every onboard camera.
     pub segmentation: bool,
-    /// Which drones are within the neighbourhood's radius of each other.
+    /// Adjacency matrix of the drones within the neighbourhood radius of each other.
     pub adjacency: bool,
-    /// How far each drone is from the nearest obstacle.
+    /// Distance of each drone to the nearest obstacle.
     pub obstacle: bool,
-    /// How far each drone sees along its rays.
+    /// Distance of each drone along its rays.
     pub ranges: bool,
 }
 
@@ -80,28 +80,28 @@ impl ObservationType {
         obstacle: false,
         ranges: false,
     };
-    /// The task's vector alone.
+    /// Vector of the task.
     pub const KIN: Self = Self { kinematic: true, ..Self::NONE };
-    /// Colour alone.
+    /// Colour images.
     pub const RGB: Self = Self { rgb: true, ..Self::NONE };
-    /// Vector and colour.
+    /// Vector and colour images.
     pub const KIN_RGB: Self = Self { kinematic: true, rgb: true, ..Self::NONE };
-    /// Depth alone.
+    /// Depth images.
     pub const DEPTH: Self = Self { depth: true, ..Self::NONE };
-    /// Objects alone.
+    /// Segmentation images.
     pub const SEGMENTATION: Self = Self { segmentation: true, ..Self::NONE };
-    /// Vector and adjacency.
+    /// Vector and adjacency matrix.
     pub const KIN_ADJACENCY: Self = Self { kinematic: true, adjacency: true, ..Self::NONE };
 
-    /// Vector, distance of the nearest obstacle and rangefinder.
+    /// Vector, distance to the nearest obstacle and rangefinder distances.
     pub const KIN_RANGES: Self = Self { kinematic: true, obstacle: true, ranges: true, ..Self::NONE };
 
-    /// Whether there is nothing in it.
+    /// Returns true if the observation has no parts.
     pub fn is_empty(self) -> bool {
         self == Self::NONE
     }
 
-    /// Whether it has pictures.
+    /// Returns true if the observation has images.
     pub fn has_images(self) -> bool {
         self.rgb || self.depth || self.segmentation
     }
@@ -132,10 +132,11 @@ impl fmt::Display for ObservationType {
     }
 }
 
-/// A name that is no observation type's.
+/// Error of an unknown observation type.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "no observation type `{0}`, expected kin, rgb, depth, segmentation, adjacency, obstacle, ranges or several of them joined by `_`, each once"
+    "no observation type `{0}`, expected parts joined by `_`: \
+     kin, rgb, depth, segmentation, adjacency, obstacle, ranges"
 )]
 pub struct UnknownObservationType(pub String);
 
@@ -164,9 +165,10 @@ impl FromStr for ObservationType {
     }
 }
 
-/// What an agent sees. Parts that the observation type does not have are empty.
+/// Observation of an agent. Parts outside the observation type are empty.
 ///
-/// Pictures are drone after drone, row after row from the top, pixel after pixel from the left.
+/// Images are stored drone by drone, row by row from the top, pixel by pixel from the left. N is the number of
+/// drones.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -184,25 +186,27 @@ impl FromStr for ObservationType {
 /// ```
 #[derive(Debug, Clone, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct Observation {
-    /// The task's vector.
+    /// Observation vector of the task.
     pub vector: Vec<f64>,
-    /// Colour, N × height × width × 4 (RGBA, alpha 255).
+    /// Colour images, N × height × width × 4: red, green, blue and an alpha of 255.
     pub rgb: Vec<u8>,
-    /// Depth, N × height × width, m along the camera's axis; the far plane's distance (100 m) where there is nothing.
+    /// Depth images, N × height × width, m along the camera's axis; the distance of the far plane (100 m) for the
+    /// background.
     pub depth: Vec<f32>,
-    /// Objects, N × height × width, `[type, index]`; −1 twice where there is nothing.
+    /// Segmentation images, N × height × width, `[type, index]`; `[−1, −1]` for the background.
     pub segmentation: Vec<[i32; 2]>,
-    /// N × N: whether drones i and j are within the neighbourhood's radius of each other; no drone is its own neighbour.
+    /// Adjacency matrix, N × N: true if drones i and j are within the neighbourhood radius of each other; false on
+    /// the diagonal.
     pub adjacency: Vec<bool>,
-    /// N: distance of each drone's middle from the nearest obstacle's surface, m; negative inside, at most
+    /// Distance of each drone's centre to the surface of the nearest obstacle, N, m; negative inside, at most
     /// [`FAR`](Self::FAR).
     pub obstacle: Vec<f64>,
-    /// N × rays: distance along each ray, m.
+    /// Distance along each ray, N × rays, m.
     pub ranges: Vec<f64>,
 }
 
 impl Observation {
-    /// Returns whether every part has the size that it has in another observation.
+    /// Returns true if every part has the length of the part in another observation.
     pub(crate) fn has_sizes_of(&self, other: &Self) -> bool {
         let sizes = |of: &Self| {
             let numbers = [of.vector.len(), of.obstacle.len(), of.ranges.len(), of.adjacency.len()];
@@ -211,10 +215,10 @@ impl Observation {
         sizes(self) == sizes(other)
     }
 
-    /// What counts as no obstacle near, m.
+    /// Obstacle distance without an obstacle in range, m.
     pub const FAR: f64 = 100.0;
 
-    /// Buffers for a vector of this length, and for the pictures and so many rays of so many drones.
+    /// Creates buffers for a vector of length `vector`, and for the images and `rays` rays of `cameras` drones.
     pub fn with_sizes(kind: ObservationType, vector: usize, cameras: usize, size: ImageSize, rays: usize) -> Self {
         let pixels = |on: bool| if on { cameras * size.pixels() } else { 0 };
         Self {
@@ -228,10 +232,11 @@ impl Observation {
         }
     }
 
-    /// One drone's part, where the vector is made of equal blocks: its block, its pictures, its row of the adjacency.
+    /// Returns the part of one drone, if the vector consists of equal blocks: its block, its images, and its row of
+    /// the adjacency matrix.
     ///
     /// # Panics
-    /// If there are not so many drones.
+    /// If `drone` is not less than `drones`.
     pub fn of_drone(&self, drone: usize, drones: usize) -> Self {
         fn part<T: Clone>(all: &[T], drone: usize, drones: usize) -> Vec<T> {
             let size = all.len() / drones;
@@ -248,15 +253,15 @@ impl Observation {
         }
     }
 
-    /// Fills the pictures from a renderer that is up to date.
+    /// Reads the images from an updated renderer.
     ///
     /// # Errors
-    /// The renderer's.
+    /// The errors of the renderer.
     ///
     /// # Panics
-    /// If there are pictures of more drones than the renderer has.
+    /// If the buffers have images of more drones than the renderer.
     pub fn take_pictures(&mut self, renderer: &mut SceneRenderer, size: ImageSize) -> Result<(), Error> {
-        // a size of nothing has no pictures
+        // a size of zero has no images
         let pixels = size.pixels().max(1);
         for (drone, rgb) in self.rgb.chunks_exact_mut(4 * pixels).enumerate() {
             renderer.onboard_rgba(drone, size, rgb)?;
@@ -271,15 +276,17 @@ impl Observation {
     }
 }
 
-/// Length of the kinematic vector per drone.
+/// Length of [`kinematic`] per drone.
 pub const KIN_SIZE: usize = 20;
 
-/// Length of the state vector per drone.
+/// Length of [`state_vector`] per drone.
 pub const STATE_SIZE: usize = 12;
 
-/// The paper's `KIN`: `[position 3, quaternion wxyz 4, rpy 3, velocity 3, angular velocity 3, motor speeds rpm 4]`;
-/// position (m) and velocity (m/s) in the world frame, angular velocity (rad/s) in the body frame, the quaternion from body to
-/// world, roll, pitch and yaw in rad.
+/// Returns the paper's `KIN` vector: `[position 3, quaternion wxyz 4, rpy 3, velocity 3, angular velocity 3, motor
+/// speeds 4]`.
+///
+/// Position (m) and velocity (m/s) are in the world frame, the angular velocity (rad/s) is in the body frame. The
+/// quaternion rotates from the body to the world frame. Roll, pitch and yaw are in rad, motor speeds in rpm.
 ///
 /// ```
 /// use aviary::observation::kinematic;
@@ -288,7 +295,7 @@ pub const STATE_SIZE: usize = 12;
 ///
 /// let state = DroneState::at_rest(Vector3::new(1.0, 2.0, 3.0), Vector3::zeros());
 /// let kin = kinematic(&state, &[14_000.0; 4]);
-/// assert_eq!((kin[2], kin[3], kin[19]), (3.0, 1.0, 14_000.0), "z, the quaternion's w, the last motor");
+/// assert_eq!((kin[2], kin[3], kin[19]), (3.0, 1.0, 14_000.0), "z, w of the quaternion, motor 3");
 /// ```
 pub fn kinematic(state: &DroneState, motor_speeds: &[f64; 4]) -> [f64; KIN_SIZE] {
     let mut out = [0.0; KIN_SIZE];
@@ -301,7 +308,8 @@ pub fn kinematic(state: &DroneState, motor_speeds: &[f64; 4]) -> [f64; KIN_SIZE]
     out
 }
 
-/// The tasks' state vector: `[position 3, rpy 3, velocity 3, angular velocity 3]`, units and frames as in [`kinematic`].
+/// Returns the state vector of the tasks: `[position 3, rpy 3, velocity 3, angular velocity 3]`, with the units and
+/// frames of [`kinematic`].
 ///
 /// ```
 /// use aviary::observation::state_vector;
@@ -326,7 +334,7 @@ mod tests {
     use nalgebra::Vector3;
 
     #[test]
-    fn names_are_parts_joined_in_any_order_each_once() {
+    fn names_are_unique_parts_joined_in_any_order() {
         for kind in [ObservationType::KIN, ObservationType::RGB, ObservationType::KIN_RGB, ObservationType::DEPTH] {
             assert_eq!(kind.to_string().parse::<ObservationType>().unwrap(), kind);
         }
@@ -337,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn both_vectors_have_their_parts_in_the_papers_order() {
+    fn both_vectors_have_the_parts_in_the_papers_order() {
         let state = DroneState {
             velocity: Vector3::new(7.0, 8.0, 9.0),
             angular_velocity: Vector3::new(10.0, 11.0, 12.0),

@@ -1,4 +1,4 @@
-//! What a drone measures besides its own state: distances along rays.
+//! Rangefinders: distances from drones along rays.
 
 use mujoco_rs::{BodyId, Data, Error, GeomId, JointId, Model};
 use nalgebra::Vector3;
@@ -7,7 +7,7 @@ use crate::engine::{BuildError, place_geom};
 use crate::state::{DroneState, wxyz};
 use crate::world::{Obstacle, SceneError, World};
 
-/// Which rays a drone measures along.
+/// Rays of a rangefinder.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -15,22 +15,22 @@ use crate::world::{Obstacle, SceneError, World};
 /// use aviary::sensing::RangeConfig;
 /// use aviary::tasks::Hover;
 ///
-/// // to the four sides, as far as 2 m
+/// // to the four sides, with a range of 2 m
 /// let directions = vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]];
 /// let rays = RangeConfig { directions, max_range: 2.0 };
 /// let mut env = Hover::builder().observation_type(ObservationType::KIN_RANGES).rays(rays).build()?;
-/// assert_eq!(env.reset(Some(1))?.ranges, [2.0; 4], "nothing stands there");
+/// assert_eq!(env.reset(Some(1))?.ranges, [2.0; 4], "no obstacle in range");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct RangeConfig {
-    /// Directions in the body frame, of any length.
+    /// Directions, body frame; the lengths are arbitrary.
     pub directions: Vec<[f64; 3]>,
-    /// Distance beyond which nothing is seen, m.
+    /// Largest measured distance, m.
     pub max_range: f64,
 }
 
-/// Eight rays around, one up and one down, 5 m far.
+/// Eight horizontal rays, one up and one down, with a range of 5 m.
 impl Default for RangeConfig {
     fn default() -> Self {
         let around = (0..8).map(|i| {
@@ -41,8 +41,10 @@ impl Default for RangeConfig {
     }
 }
 
-/// Rangefinders of all drones of a world: `mj_ray` in a scene that has every obstacle, the floor and the drones. Transparent
-/// obstacles are as solid for rays as they are for drones.
+/// Rangefinders of all drones of a world.
+///
+/// The rangefinders call `mj_ray` in a scene with every obstacle, the floor and the drones. They also detect
+/// transparent obstacles.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -67,16 +69,16 @@ pub struct Rangefinder {
 }
 
 impl Rangefinder {
-    /// For the drones of a world.
+    /// Creates the rangefinders of the drones of a world.
     ///
     /// # Errors
-    /// [`BuildError`] for directions without length or a range that is not positive.
+    /// [`BuildError`] for directions of length zero or a range that is not positive, and if the scene is invalid.
     pub fn new(world: &World, config: &RangeConfig) -> Result<Self, BuildError> {
         let wrong = |what: &str, got: f64, expected| {
             Err(BuildError::Scene(SceneError::Value { what: what.into(), got, expected }))
         };
         if !(config.max_range > 0.0 && config.max_range <= 1e6) {
-            return wrong("the range of the rays", config.max_range, "a positive number of metres");
+            return wrong("the range of the rays", config.max_range, "a positive number up to 1e6 m");
         }
         let mut directions = Vec::new();
         for &direction in &config.directions {
@@ -88,7 +90,7 @@ impl Rangefinder {
             directions.push(direction / length);
         }
         let mut model = Model::from_xml(&world.to_whole_mjcf()?)?;
-        // MuJoCo's rays pass through what cannot be seen; drones do not
+        // MuJoCo's rays pass through transparent geoms; drones do not
         model.patch().geom_rgba_mut().chunks_exact_mut(4).for_each(|rgba| rgba[3] = 1.0);
         let (mut joints, mut bodies) = (Vec::new(), Vec::new());
         for index in 0..world.drones.len() {
@@ -102,20 +104,20 @@ impl Rangefinder {
         Ok(finder)
     }
 
-    /// Rays per drone.
+    /// Returns the number of rays per drone.
     pub fn rays(&self) -> usize {
         self.directions.len()
     }
 
-    /// Distance beyond which nothing is seen, m.
+    /// Returns the largest measured distance, m.
     pub fn max_range(&self) -> f64 {
         self.max_range
     }
 
-    /// Other obstacles of the same shapes in the same order.
+    /// Replaces the obstacles by others of the same shapes in the same order.
     ///
     /// # Errors
-    /// MuJoCo's; [`Error::UnknownName`] for more obstacles than there are.
+    /// [`Error::UnknownName`] if there are more obstacles than in the scene, and MuJoCo's other errors.
     pub fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), Error> {
         for (index, obstacle) in obstacles.iter().enumerate() {
             let geom: GeomId = self.data.model().find(&World::obstacle_name(index))?;
@@ -124,14 +126,14 @@ impl Rangefinder {
         Ok(())
     }
 
-    /// Writes the distance to whatever each ray meets first, from the drones' middles, drone after drone, m; the range where
-    /// it meets nothing. A drone does not see itself.
+    /// Writes the distances along the rays from the centre of each drone, drone by drone, m. The distance of a ray
+    /// that meets nothing is the range. The rays of a drone pass through the drone itself.
     ///
     /// # Errors
-    /// MuJoCo's.
+    /// MuJoCo's errors.
     ///
     /// # Panics
-    /// If `out` has another length than drones times rays.
+    /// If the length of `out` is not the number of drones times the number of rays.
     pub fn measure(&mut self, states: &[DroneState], out: &mut [f64]) -> Result<(), Error> {
         assert_eq!(out.len(), self.bodies.len() * self.directions.len(), "a buffer for all rays");
         for (&address, state) in self.joints.iter().zip(states) {

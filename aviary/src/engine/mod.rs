@@ -88,7 +88,7 @@ named_enum! {
     /// let builder = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 2.0]]);
     /// let mut simulation = builder.engine(EngineKind::Hybrid).build()?;
     /// simulation.step(&[[14_000.0; 4]])?;
-    /// at a height of 2 m the drone cannot touch anything
+    /// // at a height of 2 m the drone cannot touch anything
     /// let substeps = simulation.engine_substeps();
     /// assert_eq!((substeps.flight, substeps.mujoco), (5, 0));
     /// # Ok::<(), aviary::simulation::SimulationError>(())

@@ -10,7 +10,7 @@ use crate::error::OptionError;
 /// use aviary::physics::actuators::ActuatorParams;
 /// use aviary::simulation::Simulation;
 ///
-/// motors at hover speed that get the command of full speed, after one time constant
+/// // a step from hover speed to full speed, after one time constant
 /// let motors = ActuatorParams { lag: 0.05, ..ActuatorParams::default() };
 /// let mut simulation = Simulation::builder(DroneModel::Cf2x).actuators(motors).ctrl_freq(20).build()?;
 /// let (hover, full) = (simulation.params(0).hover_rpm(), simulation.params(0).max_rpm());

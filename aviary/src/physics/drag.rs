@@ -24,7 +24,7 @@ use crate::state::DroneState;
 /// let state = DroneState { velocity: Vector3::new(2.0, 0.0, 0.0), ..DroneState::default() };
 /// let rpm = [params.hover_rpm(); 4];
 /// assert!(drag::force(&params, &state, &rpm, &Vector3::zeros()).x < 0.0);
-/// a drone that moves with the air has no drag
+/// // a drone that moves with the air has no drag
 /// assert!(drag::force(&params, &state, &rpm, &state.velocity).norm() < 1e-15);
 /// ```
 #[inline]

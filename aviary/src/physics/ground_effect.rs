@@ -18,7 +18,7 @@ use crate::state::DroneState;
 /// use aviary::state::DroneState;
 ///
 /// let params = DroneModel::Cf2x.params();
-/// from the clip down to the floor the force is at its maximum, 4/15 of the thrust
+/// // from the clip down to the floor the force is at its maximum, 4/15 of the thrust
 /// let lift = GroundEffect::new(&params).force(&DroneState::default(), params.weight());
 /// assert!((lift / params.weight() - 4.0 / 15.0).abs() < 1e-12);
 /// ```

@@ -43,7 +43,7 @@ impl std::ops::Add for Wrench {
 /// use aviary::physics::Effects;
 /// use aviary::simulation::Simulation;
 ///
-/// a combination without a physics mode in the paper
+/// // a combination without a physics mode in the paper
 /// let effects = Effects { drag: true, downwash: true, ..Effects::NONE };
 /// let simulation = Simulation::builder(DroneModel::Cf2x).effects(effects).build()?;
 /// assert_eq!((simulation.effects(), simulation.physics()), (effects, None));

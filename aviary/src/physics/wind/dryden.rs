@@ -41,7 +41,7 @@ named_enum! {
 /// ```
 /// use aviary::physics::wind::dryden;
 ///
-/// vertical: σ is a tenth of the mean wind speed, L is the height
+/// // vertical: σ is a tenth of the mean wind speed, L is the height
 /// let ([_, _, sigma], [_, _, length]) = dryden(30.0, 4.0);
 /// assert!((sigma - 0.4).abs() < 1e-12 && (length - 30.0).abs() < 1e-9);
 /// ```
