@@ -318,7 +318,7 @@ fn a_file_that_is_no_flight_is_refused_by_line_and_column() {
     let other = format!("{header}\n{}\n", ["0", "1"].join(",") + &",0".repeat(28));
     assert!(refused(&other).contains("line 2: drone is 1, expected 0"));
     let part = format!("{header}\n{},1,,,\n", vec!["0"; 26].join(","));
-    assert!(refused(&part).contains("a part of the reference is empty"));
+    assert!(refused(&part).contains("the reference is incomplete"));
     let recorder = Recorder::create(directory.path(), 2).unwrap();
     drop(recorder);
     let mut wrong = Recorder::create(directory.path(), 1).unwrap();

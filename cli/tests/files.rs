@@ -178,7 +178,7 @@ fn logs_that_do_not_fit_a_scenario_are_refused_by_file_and_line() {
     let two = good.replace("num_drones = 1", "num_drones = 2");
     let two = two.replace("initial_xyzs = [[0.0, 0.0, 0.1]]", "initial_xyzs = [[0.0, 0.0, 0.1], [1.0, 0.0, 0.1]]");
     let two = two.replace("initial_rpys = [[0.0, 0.0, 0.0]]", "initial_rpys = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]");
-    refuse(&write(&dir.join("two.toml"), &two), &out, &["a log of 1 drone", "expected one of 2 drones"]);
+    refuse(&write(&dir.join("two.toml"), &two), &out, &["the log has 1 drone", "expected 2 drones"]);
     let states = write(&dir.join("states.csv"), &format!("{}\n0.5{}\n", STATE_COLUMNS.join(","), ",0".repeat(14)));
     refuse(&out.join("scenario.toml"), &states, &["states.csv: line 2", "t is 0.5"]);
     let states =

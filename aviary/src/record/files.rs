@@ -1,13 +1,13 @@
-//! Names of the files of a flight.
+//! File names of a flight.
 
 use std::path::{Path, PathBuf};
 
-/// The file of a drone in a directory, in which `prefix` tells one flight from another.
+/// Returns the file of a drone in a directory. `prefix` distinguishes the flights in the directory.
 pub(super) fn file_of(directory: &Path, prefix: &str, drone: usize) -> PathBuf {
     directory.join(format!("{prefix}drone{drone}.csv"))
 }
 
-/// The files of a flight that are there.
+/// Returns the existing files of a flight, `drone0.csv` and following.
 pub fn files(directory: impl AsRef<Path>) -> Vec<PathBuf> {
     (0..).map(|drone| file_of(directory.as_ref(), "", drone)).take_while(|path| path.exists()).collect()
 }

@@ -1,4 +1,4 @@
-//! A flight drone by drone, moment by moment: what is logged, plotted and read back.
+//! Flights as samples per drone and time, for logs, plots and files.
 
 use std::path::Path;
 
@@ -12,29 +12,30 @@ use crate::env::DroneEnv;
 use crate::simulation::Simulation;
 use crate::state::DroneState;
 
-/// One drone at one moment.
+/// State of one drone at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sample {
     /// Simulated time, s.
     pub time: f64,
     /// Position, attitude and motion; frames as in [`DroneState`].
     pub state: DroneState,
-    /// Mean acceleration since the sample before, world frame, m/s²: what its velocity changed by over the time that went
-    /// by. Zero for the first one.
+    /// Mean acceleration since the previous sample, world frame, m/s²: the change of velocity divided by the
+    /// elapsed time. Zero for the first sample.
     pub acceleration: Vector3<f64>,
     /// Motor speeds commanded during the last control step, rpm.
     pub motor_speeds: [f64; 4],
-    /// The drone's reward for the last control step.
+    /// Reward of the drone for the last control step.
     pub reward: f64,
-    /// Position (world frame, m) and yaw (rad) that it is asked to be at; `None` where nobody says.
+    /// Reference position (world frame, m) and yaw (rad); `None` without a reference.
     pub reference: Option<([f64; 3], f64)>,
 }
 
 impl Sample {
-    /// A drone of a simulation now, after `before`, the sample of the same drone that was taken last.
+    /// Creates a sample of a drone from the current state of a simulation. `before` is the previous sample of the
+    /// same drone.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If no drone has the index.
     pub fn of(
         simulation: &Simulation,
         drone: usize,
@@ -77,17 +78,17 @@ impl Sample {
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Flight {
-    /// One list of samples for each drone.
+    /// Samples of each drone.
     pub drones: Vec<Vec<Sample>>,
 }
 
 impl Flight {
-    /// Notes every drone of an environment as it is now.
+    /// Adds a sample of every drone of an environment.
     pub fn note(&mut self, env: &dyn DroneEnv) {
         self.note_with(env.simulation(), |drone| (env.drone_reward(drone), Some(env.reference(drone))));
     }
 
-    /// The same with another reward and reference for each drone.
+    /// Adds a sample of every drone of a simulation. `of` returns the reward and the reference of a drone.
     pub fn note_with(&mut self, simulation: &Simulation, of: impl Fn(usize) -> (f64, Option<Reference>)) {
         self.drones.resize_with(simulation.num_drones(), Vec::new);
         for (drone, samples) in self.drones.iter_mut().enumerate() {
@@ -96,33 +97,35 @@ impl Flight {
         }
     }
 
-    /// Positions of a drone, world frame, m.
+    /// Returns the positions of a drone, world frame, m.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If no drone has the index.
     pub fn positions(&self, drone: usize) -> Vec<Vector3<f64>> {
         self.drones[drone].iter().map(|sample| sample.state.position).collect()
     }
 
-    /// Reads a flight: a directory in which a [`Recorder`](super::Recorder) has written `drone0.csv` and on, also while it
-    /// does, or one [table](super::COLUMNS) with the rows of every drone, as a replay writes it. A row that a program which
-    /// was killed has left unfinished is left out.
+    /// Reads a flight. `path` is a directory with the files `drone0.csv`, `drone1.csv`, … of a
+    /// [`Recorder`](super::Recorder), which may still be writing them, or one [table](super::COLUMNS) with the rows
+    /// of all drones, such as the table of a replay. The reader skips an unfinished row of a program that was
+    /// killed.
     ///
-    /// The table needs the columns of the state and of the motor speeds, in any order. Without columns for it, the
-    /// acceleration is computed from the velocities and the reward is 0. Logs of earlier versions, with units in the names of
-    /// their columns, are read as well.
+    /// The columns of the state and of the motor speeds are required, in any order. If the table has no
+    /// acceleration, the reader computes it from the velocities; a missing reward is 0. The reader also accepts
+    /// logs of earlier versions, whose column names contain units.
     ///
     /// # Errors
-    /// [`RecordError::Read`] naming the file, the line and the column.
+    /// [`RecordError::Read`] with the file, the line and the column.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, RecordError> {
         let path = path.as_ref();
         if path.is_file() { read_table(path) } else { Self::read_named(path, "") }
     }
 
-    /// Reads files of a directory with a prefix before their names, as [`Recorded`](super::Recorded) writes them.
+    /// Reads the files of a directory whose names start with a prefix, as [`Recorded`](super::Recorded) writes
+    /// them.
     ///
     /// # Errors
-    /// As for [`read`](Self::read).
+    /// Returns the errors of [`read`](Self::read).
     pub fn read_named(directory: impl AsRef<Path>, prefix: &str) -> Result<Self, RecordError> {
         let file = |drone| file_of(directory.as_ref(), prefix, drone);
         let mut drones = vec![read_drone(&file(0), 0)?];
@@ -133,7 +136,7 @@ impl Flight {
     }
 }
 
-/// Rows of a file.
+/// Reads the rows of a file.
 pub(super) fn rows(path: &Path) -> Result<Vec<Row>, RecordError> {
     let bytes = std::fs::read(path).map_err(|error| wrong(path, 0, error.to_string()))?;
     table::read(&bytes).map_err(|(line, message)| wrong(path, line, message))
@@ -156,7 +159,7 @@ fn read_drone(path: &Path, drone: usize) -> Result<Vec<Sample>, RecordError> {
     Ok(samples)
 }
 
-/// Reads one file with rows of every drone.
+/// Reads one file with the rows of all drones.
 fn read_table(path: &Path) -> Result<Flight, RecordError> {
     let mut drones: Vec<Vec<Sample>> = Vec::new();
     for row in rows(path)? {
@@ -174,7 +177,7 @@ fn read_table(path: &Path) -> Result<Flight, RecordError> {
     Ok(Flight { drones: if drones.is_empty() { vec![Vec::new()] } else { drones } })
 }
 
-/// A row as a sample, after `before`, that of the same drone.
+/// Converts a row to a sample. `before` is the previous sample of the same drone.
 fn sample(row: &Row, before: Option<&Sample>) -> Result<Sample, String> {
     let motor_speeds = row.motor_speeds.ok_or("no columns `rpm0` to `rpm3`, expected the motor speeds of a flight")?;
     let acceleration = row.acceleration.unwrap_or_else(|| acceleration(row.time, &row.state, before));
@@ -188,7 +191,8 @@ fn sample(row: &Row, before: Option<&Sample>) -> Result<Sample, String> {
     })
 }
 
-/// Mean acceleration of a drone since the sample before. Time goes backwards where another episode starts.
+/// Returns the mean acceleration of a drone since the previous sample; zero for the first sample of an episode,
+/// whose time is not later than that of the previous sample.
 fn acceleration(time: f64, state: &DroneState, before: Option<&Sample>) -> Vector3<f64> {
     match before.filter(|before| before.time < time) {
         Some(before) => (state.velocity - before.state.velocity) / (time - before.time),
@@ -196,7 +200,7 @@ fn acceleration(time: f64, state: &DroneState, before: Option<&Sample>) -> Vecto
     }
 }
 
-/// Where a flight's error lies: for messages.
+/// Returns the place of an error in a file, for messages.
 pub(super) fn at(path: &Path, line: usize) -> String {
     match line {
         0 => path.display().to_string(),

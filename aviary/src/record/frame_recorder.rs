@@ -11,17 +11,17 @@ use crate::simulation::Simulation;
 use crate::vision::{Decor, ImageSize, SceneRenderer, View, ring};
 use crate::world::{Marker, Obstacle};
 
-/// What is drawn into pictures of a flight beside what is there. Drones have the colours that they have in plots.
+/// Overlays that a frame shows in addition to the scene. Each drone has the colour that it has in plots.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Overlays {
-    /// The way that every drone has come.
+    /// Flown path of every drone.
     pub trails: bool,
-    /// White dots along the way that a drone is to fly, or, where it has none, at the point that it is asked to be at.
+    /// White dots along the planned path of a drone or, without a plan, at its reference position.
     pub references: bool,
-    /// A cyan arrow along the steady part of the wind, where it has one, as long as the way that it goes in a quarter of a
-    /// second.
+    /// Cyan arrow along the steady part of the wind, if it has one. Its length is the distance that the wind
+    /// travels in 0.25 s.
     pub wind: bool,
-    /// A level ring of this radius (m) around every drone.
+    /// Horizontal ring of this radius (m) around every drone.
     pub rings: Option<f64>,
 }
 
@@ -29,14 +29,14 @@ impl Overlays {
     /// Names of the overlays, for [`FromStr`].
     pub const NAMES: [&'static str; 4] = ["trails", "references", "wind", "rings"];
 
-    /// Radius of rings that nobody says one for, m: they touch where drones are 0.3 m apart, the paper's safety radius.
+    /// Default radius of rings, m. Two rings touch if the drones are 0.3 m apart, the paper's safety radius.
     pub const RING: f64 = 0.15;
 
-    /// All of them.
+    /// All overlays.
     pub const ALL: Self = Self { trails: true, references: true, wind: true, rings: Some(Self::RING) };
 }
 
-/// Names of overlays with commas between them.
+/// Parses names of overlays separated by commas.
 impl FromStr for Overlays {
     type Err = String;
 
@@ -58,7 +58,7 @@ impl FromStr for Overlays {
     }
 }
 
-/// Pictures of a flight, taken while it is flown, at a steady rate.
+/// Recorder of the frames of a running flight at a constant rate.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -73,11 +73,11 @@ impl FromStr for Overlays {
 /// let size = ImageSize { width: 64, height: 48 };
 /// let mut env = Hover::builder().build()?;
 /// env.reset(Some(1))?;
-/// let mut film = FrameRecorder::new(&env, View::Track, size, Overlays { trails: true, ..Overlays::default() })?;
-/// let mut gif = GifAnimation::new(Vec::new(), size, film.seconds_per_frame())?;
+/// let mut recorder = FrameRecorder::new(&env, View::Track, size, Overlays { trails: true, ..Overlays::default() })?;
+/// let mut gif = GifAnimation::new(Vec::new(), size, recorder.seconds_per_frame())?;
 /// for _ in 0..12 {
 ///     env.step(&[0.1; 4])?;
-///     if let Some(rgb) = film.look(&env)? {
+///     if let Some(rgb) = recorder.look(&env)? {
 ///         gif.frame(rgb)?;
 ///     }
 /// }
@@ -90,54 +90,54 @@ pub struct FrameRecorder {
     view: View,
     size: ImageSize,
     overlays: Overlays,
-    /// Control steps from frame to frame.
+    /// Number of control steps between frames.
     every: u64,
     next: u64,
-    /// The control step that was looked at last.
-    seen: u64,
+    /// Control step of the last call.
+    last_step: u64,
     seconds: f64,
-    /// Where the drones have been.
+    /// Flown path of every drone.
     trails: Vec<Trail>,
-    /// Points of the way that each drone is to fly.
-    ways: Vec<Vec<Vector3<f64>>>,
+    /// Points of the planned path of every drone.
+    paths: Vec<Vec<Vector3<f64>>>,
     obstacles: Vec<Obstacle>,
     markers: Vec<Marker>,
     rgb: Vec<u8>,
 }
 
-/// Frames per second, as near as control steps come to it.
+/// Target frame rate, Hz. The actual rate is a divisor of the control rate.
 const RATE: f64 = 24.0;
 
 impl FrameRecorder {
-    /// Of an environment as it is now: reset it before. What drones [plan](DroneEnv::plan) to fly is looked up here, for
-    /// [`Overlays::references`].
+    /// Creates a recorder for an environment, which must have been reset. [`Overlays::references`] shows the
+    /// trajectories that drones [plan](DroneEnv::plan) now.
     ///
     /// # Errors
-    /// [`EnvError::Vision`] where there is nothing to draw with.
+    /// [`EnvError::Vision`] if OpenGL is not available.
     pub fn new(env: &dyn DroneEnv, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
-        let mut film = Self::of(env.simulation(), view, size, overlays)?;
-        film.renderer.keep_in_frame(&env.extent());
-        film.plan(env);
-        Ok(film)
+        let mut recorder = Self::of(env.simulation(), view, size, overlays)?;
+        recorder.renderer.keep_in_frame(&env.extent());
+        recorder.plan(env);
+        Ok(recorder)
     }
 
-    /// Looks up what drones plan to fly, where that is to be seen.
+    /// Updates the planned paths if the overlays show them.
     fn plan(&mut self, env: &dyn DroneEnv) {
         if !self.overlays.references {
             return;
         }
-        for (drone, way) in env.plans().into_iter().enumerate() {
-            self.ways[drone].clear();
-            if let Some(way) = way {
-                self.set_way(drone, &*way);
+        for (drone, plan) in env.plans().into_iter().enumerate() {
+            self.paths[drone].clear();
+            if let Some(plan) = plan {
+                self.set_way(drone, &*plan);
             }
         }
     }
 
-    /// Of a simulation without an environment, whose drones plan nothing.
+    /// Creates a recorder for a simulation without an environment, whose drones have no plans.
     ///
     /// # Errors
-    /// As for [`new`](Self::new).
+    /// Returns the errors of [`new`](Self::new).
     pub fn of(simulation: &Simulation, view: View, size: ImageSize, overlays: Overlays) -> Result<Self, EnvError> {
         let every = (f64::from(simulation.ctrl_freq()) / RATE).round().max(1.0) as u32;
         let drones = simulation.num_drones();
@@ -148,73 +148,75 @@ impl FrameRecorder {
             overlays,
             every: every.into(),
             next: simulation.control_steps(),
-            seen: simulation.control_steps(),
+            last_step: simulation.control_steps(),
             seconds: f64::from(every) * simulation.control_period(),
             trails: vec![Trail::default(); drones],
-            ways: vec![Vec::new(); drones],
+            paths: vec![Vec::new(); drones],
             obstacles: simulation.world().obstacles.clone(),
             markers: simulation.world().markers.clone(),
             rgb: vec![0; 3 * size.pixels()],
         })
     }
 
-    /// What a drone is to fly, for [`Overlays::references`].
+    /// Sets the planned path of a drone for [`Overlays::references`].
     ///
     /// # Panics
-    /// If there is no drone of that index.
-    pub fn set_way(&mut self, drone: usize, way: &dyn Trajectory) {
+    /// If no drone has the index.
+    pub fn set_way(&mut self, drone: usize, path: &dyn Trajectory) {
         const POINTS: u32 = 479;
-        let at = |i: u32| way.reference(way.duration() * f64::from(i) / f64::from(POINTS)).position;
-        self.ways[drone] = (0..=POINTS).map(at).collect();
+        let at = |i: u32| path.reference(path.duration() * f64::from(i) / f64::from(POINTS)).position;
+        self.paths[drone] = (0..=POINTS).map(at).collect();
     }
 
-    /// What draws it: to set the [stage](SceneRenderer::set_stage), for example.
+    /// Returns the renderer, for example to set the points that the static views [keep in the
+    /// frame](SceneRenderer::keep_in_frame).
     pub fn renderer(&mut self) -> &mut SceneRenderer {
         &mut self.renderer
     }
 
-    /// Time from frame to frame, s.
+    /// Returns the time between frames, s.
     pub fn seconds_per_frame(&self) -> f64 {
         self.seconds
     }
 
-    /// Size of the frames.
+    /// Returns the size of the frames.
     pub fn size(&self) -> ImageSize {
         self.size
     }
 
-    /// Looks at the flight, after every reset and every step: a frame (RGB, top row first) where it is time for one. Where time
-    /// has gone backwards another episode has begun, with trails and plans of its own.
+    /// Updates the recorder; call it after every reset and every step. Returns a frame (RGB, top row first) if one
+    /// is due. An earlier time than in the last call starts a new episode, which clears the trails and updates the
+    /// plans.
     ///
     /// # Errors
-    /// [`EnvError::Vision`].
+    /// [`EnvError::Vision`] if the frame cannot be rendered.
     pub fn look(&mut self, env: &dyn DroneEnv) -> Result<Option<&[u8]>, EnvError> {
-        if env.simulation().control_steps() < self.seen {
+        if env.simulation().control_steps() < self.last_step {
             self.renderer.keep_in_frame(&env.extent());
             self.plan(env);
         }
         self.look_at(env.simulation(), |drone| Some(env.reference(drone)))
     }
 
-    /// The same with other references, or without an environment.
+    /// Updates the recorder like [`look`](Self::look), with references of the caller instead of those of an
+    /// environment.
     ///
     /// # Errors
-    /// As for [`look`](Self::look).
+    /// Returns the errors of [`look`](Self::look).
     pub fn look_at(
         &mut self,
         simulation: &Simulation,
         reference: impl Fn(usize) -> Option<Reference>,
     ) -> Result<Option<&[u8]>, EnvError> {
         let now = simulation.control_steps();
-        if now < self.seen {
-            // another episode
+        if now < self.last_step {
             self.next = now;
             self.trails.fill(Trail::default());
         }
-        self.seen = now;
-        let max = (Trail::ALL / self.trails.len().max(1)).clamp(40, Trail::MOST);
+        self.last_step = now;
+        let max = (Trail::MAX_TOTAL / self.trails.len().max(1)).clamp(40, Trail::MAX_POINTS);
         for (trail, state) in self.trails.iter_mut().zip(simulation.states()) {
-            trail.note(state.position, max);
+            trail.push(state.position, max);
         }
         if now < self.next {
             return Ok(None);
@@ -223,10 +225,10 @@ impl FrameRecorder {
         self.frame(simulation, reference).map(Some)
     }
 
-    /// A frame of this moment, whatever the time.
+    /// Renders a frame of the current state, independent of the frame rate.
     ///
     /// # Errors
-    /// As for [`look`](Self::look).
+    /// Returns the errors of [`look`](Self::look).
     pub fn frame(
         &mut self,
         simulation: &Simulation,
@@ -250,20 +252,20 @@ impl FrameRecorder {
     }
 
     fn draw_overlays(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Option<Reference>) {
-        let Self { renderer, overlays, trails, ways, .. } = self;
+        let Self { renderer, overlays, trails, paths, .. } = self;
         let count = trails.len();
-        // as wide in a small picture as in a large one
+        // lines have the same width relative to the image at any size
         let thread = (f64::from(self.size.height) / 140.0).max(1.5);
         let size = simulation.world().drones.iter().map(|drone| drone.params.arm_length).fold(0.02, f64::max);
         if overlays.references {
             const WHITE: [f32; 4] = [1.0, 1.0, 1.0, 1.0];
-            for (drone, way) in ways.iter().enumerate() {
-                if way.is_empty() {
+            for (drone, path) in paths.iter().enumerate() {
+                if path.is_empty() {
                     let point = reference(drone).map(|reference| reference.position);
                     renderer.add_dots(point.as_slice(), 0.25 * size, WHITE);
                 } else {
-                    // short pieces with gaps between: dots that cost little
-                    for piece in way.chunks(4) {
+                    // short lines with gaps look like dots and are much faster than spheres
+                    for piece in path.chunks(4) {
                         renderer.add_thread(&piece[..piece.len().min(2)], thread, WHITE);
                     }
                 }
@@ -280,10 +282,10 @@ impl FrameRecorder {
         }
         if overlays.wind
             && let Some(wind) = simulation.wind()
-            // the other kinds have no steady part
+            // the other wind models have no steady part
             && matches!(wind.model, WindModel::Constant | WindModel::Combined)
         {
-            // beside the first drone, so that it is seen wherever that goes
+            // above the first drone, so that the arrow stays in view
             let from = simulation.states()[0].position + Vector3::z() * 4.0 * size;
             let along = Vector3::from(wind.velocity) * 0.25;
             if along.norm() > 1e-3 {
@@ -294,11 +296,11 @@ impl FrameRecorder {
     }
 }
 
-/// The way that a drone has come, in points that are so far apart that there are never many.
+/// Flown path of a drone. The spacing of the points grows so that their number stays limited.
 #[derive(Debug, Clone, PartialEq)]
 struct Trail {
     points: Vec<Vector3<f64>>,
-    /// Least distance from point to point, m.
+    /// Minimum distance between points, m.
     spacing: f64,
 }
 
@@ -309,12 +311,13 @@ impl Default for Trail {
 }
 
 impl Trail {
-    const MOST: usize = 600;
-    /// Most points of all trails together: a scene has room for so many lines and some more.
-    const ALL: usize = 12_000;
+    /// Maximum number of points of one trail.
+    const MAX_POINTS: usize = 600;
+    /// Maximum number of points of all trails, which leaves room in the scene for other shapes.
+    const MAX_TOTAL: usize = 12_000;
 
-    fn note(&mut self, position: Vector3<f64>, max: usize) {
-        // the last point follows the drone until it is far enough from the one before
+    fn push(&mut self, position: Vector3<f64>, max: usize) {
+        // // the last point follows the drone until it is far enough from the point before it
         if let [.., before, last] = &mut self.points[..]
             && (*last - *before).norm() < self.spacing
         {
@@ -343,22 +346,22 @@ mod tests {
         let mut trail = Trail::default();
         for i in 0..100_000 {
             let turn = f64::from(i) * 1e-3;
-            trail.note(Vector3::new(turn.cos(), turn.sin(), turn * 0.1), Trail::MOST);
+            trail.push(Vector3::new(turn.cos(), turn.sin(), turn * 0.1), Trail::MAX_POINTS);
         }
-        assert!(trail.points.len() <= Trail::MOST + 1, "{}", trail.points.len());
+        assert!(trail.points.len() <= Trail::MAX_POINTS + 1, "{}", trail.points.len());
         assert_eq!(trail.points[0], Vector3::x());
         assert!(
             (trail.points.last().unwrap() - Vector3::new(99.999_f64.cos(), 99.999_f64.sin(), 9.9999)).norm() < 1e-9
         );
-        // a drone that stands still adds nothing
+        // a hovering drone adds no points
         let points = trail.points.len();
         let here = *trail.points.last().unwrap();
-        (0..1000).for_each(|_| trail.note(here, Trail::MOST));
+        (0..1000).for_each(|_| trail.push(here, Trail::MAX_POINTS));
         assert!(trail.points.len() <= points + 1);
     }
 
     #[test]
-    fn overlays_are_named_and_unknown_ones_suggest_the_nearest() {
+    fn overlays_are_parsed_by_name_and_unknown_names_suggest_the_nearest() {
         let some: Overlays = "trails, rings".parse().unwrap();
         assert_eq!(some, Overlays { trails: true, rings: Some(0.15), ..Overlays::default() });
         let wrong = "trail".parse::<Overlays>().unwrap_err();

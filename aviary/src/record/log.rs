@@ -4,28 +4,28 @@ use super::table::{FLOWN_COLUMNS, state_numbers, written};
 use super::{COLUMNS, RecordError};
 use crate::simulation::Simulation;
 
-/// A flight as CSV: one row per control step and drone, with the [`COLUMNS`] up to the motor speeds.
+/// CSV log of a flight with one row per control step and drone. It has the [`COLUMNS`] up to the motor speeds.
 ///
-/// Numbers read back to the same bits; a negative zero is written as zero.
+/// Numbers read back bit-exactly, except that negative zero is written as zero.
 pub struct CsvLog<W: Write> {
     writer: csv::Writer<W>,
 }
 
 impl<W: Write> CsvLog<W> {
-    /// Begins a log with its header.
+    /// Creates a log and writes its header.
     ///
     /// # Errors
-    /// [`RecordError::Write`].
+    /// [`RecordError::Write`] if the target cannot be written.
     pub fn new(target: W) -> Result<Self, RecordError> {
         let mut writer = csv::Writer::from_writer(target);
         writer.write_record(&COLUMNS[..FLOWN_COLUMNS])?;
         Ok(Self { writer })
     }
 
-    /// Writes a row for every drone as it is now.
+    /// Writes a row with the current state of every drone.
     ///
     /// # Errors
-    /// [`RecordError::Write`].
+    /// [`RecordError::Write`] if the target cannot be written.
     pub fn record(&mut self, simulation: &Simulation) -> Result<(), RecordError> {
         let time = simulation.time();
         for (drone, (state, rpm)) in simulation.states().iter().zip(simulation.motor_speeds()).enumerate() {
@@ -38,10 +38,10 @@ impl<W: Write> CsvLog<W> {
         Ok(())
     }
 
-    /// Ends the log and gives the target back.
+    /// Completes the log and returns the target.
     ///
     /// # Errors
-    /// [`RecordError::Flush`].
+    /// [`RecordError::Flush`] if the target cannot be written.
     pub fn finish(self) -> Result<W, RecordError> {
         self.writer.into_inner().map_err(|error| RecordError::Flush(error.into_error()))
     }
@@ -54,7 +54,7 @@ mod tests {
     use crate::state::wxyz;
 
     #[test]
-    fn a_log_reads_back_to_the_same_bits() {
+    fn a_log_reads_back_bit_exactly() {
         let mut simulation = Simulation::builder(DroneModel::Cf2x)
             .num_drones(2)
             .initial_rpys([[0.1, 0.2, 0.3], [-0.3, 0.2, 3.0]])

@@ -1,7 +1,8 @@
-//! Flights and pictures as files.
+//! Recording of flights and images to files.
 //!
-//! [`Recorder`] and [`Recorded`] write a flight while it is flown, [`Flight`] keeps one in memory or reads it back,
-//! [`plot`] draws it, [`FrameRecorder`] makes pictures of it that [`animation`] puts into files.
+//! [`Recorder`] and [`Recorded`] write a flight to files while it runs. [`Flight`] holds a flight in memory and
+//! reads it from files. [`plot`] draws flights. [`FrameRecorder`] renders frames, which [`animation`] writes to
+//! files.
 
 pub mod animation;
 mod files;
@@ -30,69 +31,69 @@ pub use table::{COLUMNS, STATE_COLUMNS, state_numbers};
 
 use crate::vision::ImageSize;
 
-/// What can go wrong with a record.
+/// Error of a recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordError {
-    /// A file that cannot be made or written.
+    /// A file that cannot be created or written.
     #[error("{}: {error}", path.display())]
     File {
-        /// Its path.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// Error of the system.
         #[source]
         error: std::io::Error,
     },
-    /// A file that is no record of a flight.
+    /// A file that is not a valid recording.
     #[error("{}: {message}", flight::at(path, *line))]
     Read {
-        /// Its path.
+        /// Path of the file.
         path: PathBuf,
-        /// Line, from 1; 0 for the whole.
+        /// Line, from 1; 0 for the whole file.
         line: usize,
-        /// What is wrong there, and what is expected.
+        /// Description of the error and the expected content.
         message: String,
     },
     /// A recorder for another number of drones.
-    #[error("a flight of {}, expected {expected}", crate::count(*got, "drone"))]
+    #[error("the simulation has {}, expected {expected}", crate::count(*got, "drone"))]
     Drones {
-        /// How many there are.
+        /// Number of drones of the simulation.
         got: usize,
-        /// How many the files are for.
+        /// Number of drones of the recorder.
         expected: usize,
     },
-    /// A log cannot be written.
+    /// A log that cannot be written.
     #[error("the log cannot be written")]
     Write(#[from] csv::Error),
-    /// What was written cannot be brought to where it belongs.
+    /// A log whose last rows cannot be written.
     #[error("the log cannot be written")]
     Flush(#[from] std::io::Error),
-    /// A picture cannot be encoded or written.
-    #[error("the picture cannot be written")]
+    /// An image that cannot be encoded or written.
+    #[error("the image cannot be written")]
     Encode(#[from] image::ImageError),
-    /// An animation cannot be written.
+    /// An animation that cannot be written.
     #[error("the animation cannot be written")]
     Animation(#[from] gif::EncodingError),
-    /// A time from frame to frame that is none.
-    #[error("a frame takes {} s, expected a positive number of seconds", crate::number(*got))]
+    /// An invalid time per frame.
+    #[error("the time per frame is {} s, expected a positive number", crate::number(*got))]
     FrameTime {
-        /// The time, s.
+        /// Time per frame, s.
         got: f64,
     },
-    /// `ffmpeg`, which makes videos, is missing or refuses.
+    /// An error of `ffmpeg`, which encodes videos.
     #[error("{0}")]
     Video(String),
-    /// A plot cannot be drawn.
+    /// A plot that cannot be drawn.
     #[error("the plot cannot be drawn: {0}")]
     Plot(String),
-    /// A buffer that is not a picture of this size.
-    #[error("a picture of {size} has {got} numbers, expected {expected}")]
+    /// A buffer whose length does not match the size of the image.
+    #[error("an image of {size} has {got} values, expected {expected}")]
     Picture {
-        /// The size.
+        /// Size of the image.
         size: ImageSize,
         /// Length of the buffer.
         got: usize,
-        /// What the size needs.
+        /// Length for the size.
         expected: usize,
     },
 }

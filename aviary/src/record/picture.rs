@@ -1,4 +1,4 @@
-//! Pictures as files: PNG in colour, 16-bit PNG for depth and object numbers.
+//! Image files: PNG for colour, 16-bit PNG for depth and segmentation.
 
 use std::io::Cursor;
 
@@ -8,26 +8,26 @@ use image::{ExtendedColorType, ImageEncoder as _};
 use super::RecordError;
 use crate::vision::ImageSize;
 
-/// RGB (three bytes per pixel, top row first) as PNG.
+/// Encodes RGB (three bytes per pixel, top row first) as PNG.
 ///
 /// # Errors
-/// [`RecordError::Picture`] for a buffer that does not have the size's length.
+/// [`RecordError::Picture`] for a buffer of the wrong length.
 pub fn png_rgb(size: ImageSize, rgb: &[u8]) -> Result<Vec<u8>, RecordError> {
     encode(size, rgb, ExtendedColorType::Rgb8, 3)
 }
 
-/// RGBA (four bytes per pixel, top row first) as PNG.
+/// Encodes RGBA (four bytes per pixel, top row first) as PNG.
 ///
 /// # Errors
-/// As for [`png_rgb`].
+/// Returns the errors of [`png_rgb`].
 pub fn png_rgba(size: ImageSize, rgba: &[u8]) -> Result<Vec<u8>, RecordError> {
     encode(size, rgba, ExtendedColorType::Rgba8, 4)
 }
 
-/// Depth (m) as 16-bit PNG in millimetres; 0 where there is nothing within 65.535 m.
+/// Encodes depth (m) as 16-bit PNG in millimetres. Depths beyond 65.535 m are 0.
 ///
 /// # Errors
-/// As for [`png_rgb`].
+/// Returns the errors of [`png_rgb`].
 pub fn png_depth(size: ImageSize, depth: &[f32]) -> Result<Vec<u8>, RecordError> {
     let millimetres = depth.iter().map(|&metres| {
         let rounded = (f64::from(metres) * 1000.0).round();
@@ -36,16 +36,17 @@ pub fn png_depth(size: ImageSize, depth: &[f32]) -> Result<Vec<u8>, RecordError>
     png_u16(size, millimetres)
 }
 
-/// Object numbers (as [`SceneRenderer`](crate::vision::SceneRenderer) gives them) as 16-bit PNG: index plus one, 0 for nothing.
+/// Encodes a segmentation image of a [`SceneRenderer`](crate::vision::SceneRenderer) as 16-bit PNG. The value is
+/// the index plus one; the background is 0.
 ///
 /// # Errors
-/// As for [`png_rgb`].
+/// Returns the errors of [`png_rgb`].
 pub fn png_segmentation(size: ImageSize, objects: &[[i32; 2]]) -> Result<Vec<u8>, RecordError> {
     png_u16(size, objects.iter().map(|[_, index]| u16::try_from(index + 1).unwrap_or(0)))
 }
 
 fn png_u16(size: ImageSize, values: impl Iterator<Item = u16>) -> Result<Vec<u8>, RecordError> {
-    // the encoder takes native byte order and writes PNG's
+    // the encoder takes native byte order and writes big-endian
     let bytes: Vec<u8> = values.flat_map(u16::to_ne_bytes).collect();
     encode(size, &bytes, ExtendedColorType::L16, 2)
 }
@@ -67,12 +68,12 @@ pub(super) fn check(size: ImageSize, got: usize, per_pixel: usize) -> Result<(),
     if got == expected { Ok(()) } else { Err(RecordError::Picture { size, got, expected }) }
 }
 
-/// Depth (m) in colours that people can tell apart, near to far from light to dark; nothing is black.
+/// Converts depth (m) to RGB colours, from light (near) to dark (far). The background is black.
 ///
-/// The scale is logarithmic between the nearest and the farthest thing in the picture: `far` is the distance that
-/// stands for nothing.
+/// The scale is logarithmic between the nearest and the farthest depth in the image. `far` is the depth of the
+/// background.
 pub fn depth_in_colour(depth: &[f32], far: f32) -> Vec<u8> {
-    // anchors of the perceptually even map "viridis", dark to light
+    // anchors of the perceptually uniform colour map viridis, from dark to light
     const ANCHORS: [[f32; 3]; 9] = [
         [68.0, 1.0, 84.0],
         [71.0, 44.0, 122.0],
@@ -104,22 +105,22 @@ pub fn depth_in_colour(depth: &[f32], far: f32) -> Vec<u8> {
     rgb
 }
 
-/// Objects in colours that people can tell apart; nothing is black.
+/// Converts a segmentation image to distinct RGB colours. The background is black.
 pub fn segmentation_in_colour(objects: &[[i32; 2]]) -> Vec<u8> {
     let mut rgb = Vec::with_capacity(3 * objects.len());
     for [_, index] in objects {
         rgb.extend(match u32::try_from(*index) {
             Err(_) => [0, 0, 0],
-            // the floor is what most of a picture shows
+            // index 0 is the floor, which covers most of an image
             Ok(0) => [90, 90, 96],
-            // steps of the golden ratio round the colour circle come near none of those before
+            // multiples of the golden ratio give hues that are far apart
             Ok(index) => hue((index as f32 * 0.618_034).fract(), if index % 2 == 0 { 0.95 } else { 0.7 }),
         });
     }
     rgb
 }
 
-/// A saturated colour.
+/// Returns a saturated colour. `turn` is the hue from 0 to 1.
 fn hue(turn: f32, value: f32) -> [u8; 3] {
     let channel = |offset: f32| {
         let place = ((turn + offset).fract() * 6.0 - 3.0).abs() - 1.0;
@@ -135,7 +136,7 @@ mod tests {
     const SIZE: ImageSize = ImageSize { width: 3, height: 2 };
 
     #[test]
-    fn depth_is_written_in_millimetres_and_nothing_as_zero() {
+    fn depth_png_is_in_millimetres_and_zero_out_of_range() {
         let depth = [0.0, 0.0014, 1.2345, 65.535, 65.54, f32::INFINITY];
         let png = png_depth(SIZE, &depth).unwrap();
         let back = image::load_from_memory(&png).unwrap();
@@ -143,14 +144,14 @@ mod tests {
     }
 
     #[test]
-    fn objects_are_written_as_index_plus_one() {
+    fn segmentation_png_is_the_index_plus_one() {
         let png = png_segmentation(SIZE, &[[-1, -1], [5, 0], [5, 7], [5, 65_534], [5, 65_535], [5, 1]]).unwrap();
         let back = image::load_from_memory(&png).unwrap();
         assert_eq!(back.as_luma16().unwrap().as_raw()[..], [0, 1, 8, 65_535, 0, 2]);
     }
 
     #[test]
-    fn colour_reads_back_as_it_was() {
+    fn colour_png_reads_back_unchanged() {
         let rgb: Vec<u8> = (0..18).map(|i| i * 14).collect();
         assert_eq!(
             image::load_from_memory(&png_rgb(SIZE, &rgb).unwrap()).unwrap().as_rgb8().unwrap().as_raw()[..],
@@ -158,7 +159,7 @@ mod tests {
         );
         assert!(png_rgb(SIZE, &rgb[1..]).unwrap_err().to_string().contains("17"));
         let far = depth_in_colour(&[1.0, 2.0, 4.0, 100.0, f32::NAN, 0.0], 100.0);
-        assert!(far[0] > far[3] && far[9..] == [0; 9], "light is near, black is nothing");
+        assert!(far[0] > far[3] && far[9..] == [0; 9], "near is light and the background is black");
         let objects = segmentation_in_colour(&[[-1, -1], [5, 0], [5, 1], [5, 2], [5, 3], [5, 4]]);
         let colours: std::collections::BTreeSet<_> = objects.chunks(3).collect();
         assert_eq!(colours.len(), 6);

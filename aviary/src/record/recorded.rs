@@ -6,9 +6,10 @@ use crate::env::{DroneEnv, EnvError, EnvSnapshot, Step};
 use crate::observation::Observation;
 use crate::wrappers::Wrapper;
 
-/// Writes every episode of an environment as CSV into a directory (the paper's `output_folder`): `episode_0000_drone0.csv`, …,
-/// in the numbers that are free. A step whose record cannot be written is an error, and has been made. What stands in them and what a crash leaves of them is said at
-/// [`Recorder`].
+/// A wrapper that writes every episode of an environment as CSV into a directory (the paper's `output_folder`). The
+/// files are `episode_0000_drone0.csv`, …, with the next free episode numbers. If a row cannot be written, the step
+/// returns an error although the environment has advanced. [`Recorder`] describes the content of the files and
+/// their state after a crash.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -34,27 +35,27 @@ pub struct Recorded<E> {
 }
 
 impl<E: DroneEnv> Recorded<E> {
-    /// Around an environment, into a directory that is made where there is none.
+    /// Creates a wrapper around an environment. The directory is created if necessary.
     ///
     /// # Errors
-    /// [`RecordError::File`] where it cannot be made.
+    /// [`RecordError::File`] if the directory cannot be created.
     pub fn new(env: E, directory: impl AsRef<Path>) -> Result<Self, RecordError> {
         let directory = directory.as_ref().to_path_buf();
         std::fs::create_dir_all(&directory).map_err(|error| RecordError::file(&directory, error))?;
         Ok(Self { env, directory, recorder: None, episodes: 0 })
     }
 
-    /// The environment within.
+    /// Returns the wrapped environment.
     pub fn inner(&self) -> &E {
         &self.env
     }
 
-    /// The environment within, to be changed.
+    /// Returns the wrapped environment for changes.
     pub fn inner_mut(&mut self) -> &mut E {
         &mut self.env
     }
 
-    /// The environment, recorded no more.
+    /// Returns the wrapped environment and stops recording.
     pub fn into_inner(self) -> E {
         self.env
     }
@@ -63,9 +64,9 @@ impl<E: DroneEnv> Recorded<E> {
         let drones = self.env.simulation().num_drones();
         let mut recorder = loop {
             match Recorder::begin(&self.directory, &prefix(self.episodes), drones, true) {
-                // somebody else's, or an earlier run's
+                // the number belongs to an earlier run or to another program
                 Err(RecordError::File { error, .. }) if error.kind() == ErrorKind::AlreadyExists => self.episodes += 1,
-                begun => break begun?,
+                created => break created?,
             }
         };
         recorder.record(&self.env)?;
@@ -79,9 +80,9 @@ fn prefix(episode: u64) -> String {
     format!("episode_{episode:04}_")
 }
 
-/// The directory is the user's: what is wrong with it is an option.
+/// Converts an error of the directory to an option error, because the user chooses the directory.
 fn unwritable(error: &RecordError) -> EnvError {
-    EnvError::Option { option: "directory", got: error.to_string(), expected: "one that can be written" }
+    EnvError::Option { option: "directory", got: error.to_string(), expected: "a writable directory" }
 }
 
 impl<E: DroneEnv> Wrapper for Recorded<E> {
@@ -102,8 +103,8 @@ impl<E: DroneEnv> Wrapper for Recorded<E> {
         Ok(this.env.observation())
     }
 
-    /// Restores the environment within. The flight from there on is another episode in the directory, whose first row is the state of
-    /// the snapshot.
+    /// Restores the wrapped environment. The flight after the snapshot is a new episode in the directory, whose
+    /// first row is the state of the snapshot.
     fn restore(this: &mut Self, snapshot: &EnvSnapshot) -> Result<(), EnvError> {
         this.recorder = None;
         this.env.restore(snapshot)?;
@@ -117,7 +118,7 @@ impl<E: DroneEnv> Wrapper for Recorded<E> {
         let Step { reward, terminated, truncated, .. } = this.env.step(action)?;
         if let Some(recorder) = &mut this.recorder {
             let env = &this.env;
-            // a wrapper within may have changed the reward, and of one drone it is that drone's
+            // a wrapper inside may have changed the reward, which for a single drone is the reward of that drone
             let alone = env.simulation().num_drones() == 1;
             let of = |drone| (if alone { reward } else { env.drone_reward(drone) }, Some(env.reference(drone)));
             recorder.record_with(env.simulation(), of).map_err(|error| unwritable(&error))?;

@@ -10,12 +10,12 @@ use crate::control::Reference;
 use crate::env::DroneEnv;
 use crate::simulation::Simulation;
 
-/// Writes a flight as CSV while it is flown: one file per drone, `drone0.csv` and on, one row per call with the
-/// [`COLUMNS`] of a [`Sample`]. Numbers read back to the same bits; a negative zero is written as zero.
+/// Writes a flight as CSV while it runs: one file per drone, `drone0.csv`, `drone1.csv`, …, with one row of
+/// [`COLUMNS`] per call. Numbers read back bit-exactly, except that negative zero is written as zero.
 ///
-/// Every row belongs to the operating system before the call returns ([`AppendFile`]), so that a program that crashes or is
-/// killed leaves files that can be read up to the last row. Empty lines follow in them until the recorder is dropped, and
-/// nobody else may make them shorter until then.
+/// The operating system owns every row before the call returns ([`AppendFile`]). After a crash or a kill of the
+/// program, the files are readable up to the last row. The files end in empty lines until the recorder is dropped,
+/// and no other program may truncate them until then.
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -43,19 +43,19 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Begins the files of so many drones in a directory, which is made where there is none. Files of an earlier flight
-    /// are replaced, also those of drones that this one does not have.
+    /// Creates the files for a number of drones in a directory, which is created if necessary. Files of an earlier
+    /// flight are replaced, and files of additional drones are removed.
     ///
     /// # Errors
-    /// [`RecordError::File`] naming the file.
+    /// [`RecordError::File`] with the path of the file.
     pub fn create(directory: impl AsRef<Path>, drones: usize) -> Result<Self, RecordError> {
         Self::create_named(directory, "", drones)
     }
 
-    /// The same with a prefix before the names of the files, for several flights in one directory.
+    /// Creates files whose names start with a prefix, for several flights in one directory.
     ///
     /// # Errors
-    /// As for [`create`](Self::create).
+    /// Returns the errors of [`create`](Self::create).
     pub fn create_named(directory: impl AsRef<Path>, prefix: &str, drones: usize) -> Result<Self, RecordError> {
         let directory = directory.as_ref();
         std::fs::create_dir_all(directory).map_err(|error| RecordError::file(directory, error))?;
@@ -65,15 +65,16 @@ impl Recorder {
         Self::begin(directory, prefix, drones, false)
     }
 
-    /// The same in a directory that is there; where it is to be a `new` flight, an error if there is one of that prefix.
+    /// Creates the files in an existing directory. If `new` is set, returns an error if a flight with the prefix
+    /// exists.
     pub(super) fn begin(directory: &Path, prefix: &str, drones: usize, new: bool) -> Result<Self, RecordError> {
         let header = COLUMNS.join(",") + "\n";
         let begin = |drone| {
             let path = file_of(directory, prefix, drone);
-            // the first drone's file stands for all of them
+            // the file of the first drone stands for the files of all drones
             let file = if new && drone == 0 { AppendFile::create_new(&path) } else { AppendFile::create(&path) };
-            let begun = file.and_then(|mut file| file.append(header.as_bytes()).map(|()| file));
-            match begun {
+            let created = file.and_then(|mut file| file.append(header.as_bytes()).map(|()| file));
+            match created {
                 Ok(file) => Ok((path, file)),
                 Err(error) => Err(RecordError::file(&path, error)),
             }
@@ -82,18 +83,18 @@ impl Recorder {
         Ok(Self { files, last: vec![None; drones], rows: vec![Row::default(); drones] })
     }
 
-    /// Writes a row for every drone of an environment as it is now: call it after every reset and every step.
+    /// Writes a row for every drone of an environment; call it after every reset and every step.
     ///
     /// # Errors
-    /// [`RecordError::File`] naming the file, [`RecordError::Drones`] for another number of drones.
+    /// [`RecordError::File`] with the path of the file, and [`RecordError::Drones`] for another number of drones.
     pub fn record(&mut self, env: &dyn DroneEnv) -> Result<(), RecordError> {
         self.record_with(env.simulation(), |drone| (env.drone_reward(drone), Some(env.reference(drone))))
     }
 
-    /// The same with another reward and reference for each drone, or without an environment.
+    /// Writes a row for every drone of a simulation. `of` returns the reward and the reference of a drone.
     ///
     /// # Errors
-    /// As for [`record`](Self::record).
+    /// Returns the errors of [`record`](Self::record).
     pub fn record_with(
         &mut self,
         simulation: &Simulation,
@@ -114,21 +115,22 @@ impl Recorder {
     }
 }
 
-/// Columns that every row has; the rest is a reference, where there is one.
+/// Number of columns without the reference, which may be empty.
 const WITHOUT_REFERENCE: usize = COLUMNS.len() - 4;
 
-/// The column of the drone's index.
+/// Column of the drone's index.
 const DRONE: usize = 1;
 
-/// A row as text. Numbers that are those of the row before are copied from it: a reference that stands still, what is zero.
+/// A row as text. Numbers that have not changed, such as a constant reference, are copied from the text of the
+/// previous row.
 #[derive(Debug, Clone, Default)]
 struct Row {
     text: Vec<u8>,
     before: Vec<u8>,
-    /// Bits of every number of the row before, and where its text ends with the comma after it.
+    /// Bits of every number of the previous row, and the end of its text including the comma.
     bits: [u64; COLUMNS.len()],
     ends: [usize; COLUMNS.len()],
-    /// How many numbers the row before had.
+    /// Number of numbers in the previous row.
     count: usize,
 }
 
@@ -168,7 +170,7 @@ impl Row {
         let mut ends = [0; COLUMNS.len()];
         let mut column = 0;
         while column < numbers.len() {
-            // as many as are the same are copied at once
+            // a run of unchanged numbers is copied at once
             let same = |i: &usize| *i < self.count && numbers[*i].to_bits() == self.bits[*i];
             let run = (column..numbers.len()).take_while(same).count();
             if run > 0 {
@@ -176,14 +178,14 @@ impl Row {
                 let end = self.ends[column + run - 1];
                 let here = self.text.len();
                 self.text.extend_from_slice(&self.before[begin..end]);
-                // after the last column stood the end of the line
+                // in the previous row, the last column ends in a line end
                 self.text[here + end - begin - 1] = b',';
                 for (end, before) in ends.iter_mut().zip(&self.ends).skip(column).take(run) {
                     *end = here + before - begin;
                 }
                 column += run;
             } else {
-                // the shortest text that reads back to the same bits; an index has no decimals
+                // the shortest text that reads back bit-exactly; an index has no decimals
                 let text = buffer.format(numbers[column]);
                 let text = if column == DRONE { text.trim_end_matches(".0") } else { text };
                 self.text.extend_from_slice(text.as_bytes());

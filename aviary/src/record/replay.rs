@@ -1,4 +1,4 @@
-//! Motor speeds of recorded flights, from files.
+//! Readers of the motor speeds of recorded flights.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use super::flight::{rows, wrong};
 use super::{RecordError, ReplayError, table};
 
-/// Reads motor speeds (rpm) from CSV: columns `drone0_rpm0,…,drone0_rpm3,drone1_rpm0,…`, one row per control step.
+/// Reads motor speeds (rpm) from CSV with the columns `drone0_rpm0,…,drone0_rpm3,drone1_rpm0,…` and one row per
+/// control step.
 ///
 /// # Errors
-/// [`ReplayError::Actions`] with the line of a header, a row or a number that is not right.
+/// [`ReplayError::Actions`] with the line of an invalid header, row or number.
 pub fn read_actions(source: impl Read, num_drones: usize) -> Result<Vec<Vec<[f64; 4]>>, ReplayError> {
     let wrong = |line: usize, message: String| ReplayError::Actions { line, message };
     let columns: Vec<_> =
@@ -17,7 +18,7 @@ pub fn read_actions(source: impl Read, num_drones: usize) -> Result<Vec<Vec<[f64
     let mut rows = Vec::new();
     let mut blank = None;
     let mut has_header = false;
-    // numbers need no quoting: a line is a row
+    // numbers need no quotes, so that every line is a row
     for (index, text) in BufReader::new(source).lines().enumerate() {
         let line = index + 1;
         let text = text.map_err(|error| wrong(line, error.to_string()))?;
@@ -63,16 +64,16 @@ pub fn read_actions(source: impl Read, num_drones: usize) -> Result<Vec<Vec<[f64
     if has_header { Ok(rows) } else { Err(wrong(1, format!("the file is empty, expected {}", columns.join(",")))) }
 }
 
-/// Motor speeds (rpm) of a flight at a control rate (Hz), one row per control step, from files:
+/// Reads the motor speeds (rpm) of a flight at a control rate (Hz), one row per control step. `paths` is one of:
 ///
-/// - a file of motor speeds, as [`read_actions`] reads it;
-/// - the log of a flight: a directory with `drone0.csv` and on, such files themselves, or one table with the rows of all drones
-///   ([`COLUMNS`](super::COLUMNS), of this version or an earlier one). A row says what was commanded before it. A row at
-///   t = 0 is the start, before any command.
+/// - A file of motor speeds in the format of [`read_actions`].
+/// - The log of a flight: a directory with `drone0.csv`, `drone1.csv`, …, these files, or one table with the rows
+///   of all drones ([`COLUMNS`](super::COLUMNS) of this version or an earlier one). A row contains the command of
+///   the previous control step. A row at t = 0 is the start of the flight and contains no command.
 ///
 /// # Errors
-/// [`RecordError::Read`] naming the file and the line: of a file that is none of these, of a time that is not that of the next
-/// control step, of a drone whose rows are missing.
+/// [`RecordError::Read`] with the file and the line: for a file in another format, for a time that is not the time
+/// of the next control step, and for a drone with missing rows.
 pub fn read_motor_speeds(
     paths: &[PathBuf],
     num_drones: usize,
@@ -86,7 +87,7 @@ pub fn read_motor_speeds(
                 let (found, expected) = (crate::count(there.len(), "drone"), crate::count(num_drones, "drone"));
                 return Err(whole(
                     directory,
-                    format!("a log of {found} (drone0.csv and on), expected one of {expected}"),
+                    format!("the log has {found} (drone0.csv, drone1.csv, …), expected {expected}"),
                 ));
             }
             there
@@ -109,7 +110,7 @@ pub fn read_motor_speeds(
     for (index, file) in files.iter().enumerate() {
         for row in rows(file)? {
             let wrong = |message: String| wrong(file, row.line, message);
-            // the log of a single drone of an earlier version does not say which one it is
+            // logs of a single drone of earlier versions have no drone index
             let drone = row.drone.unwrap_or(index);
             let Some(list) = speeds.get_mut(drone) else {
                 let drones = crate::count(num_drones, "drone");
@@ -132,20 +133,20 @@ pub fn read_motor_speeds(
             list.push(rpm);
         }
     }
-    // a program that is killed may have written the last row for some of the drones
+    // a killed program may have written the last row for some of the drones only
     let steps = speeds.iter().map(Vec::len).min().unwrap_or(0);
     if let Some(drone) = speeds.iter().position(|list| list.len() > steps + 1) {
         let file = files.first().map_or(Path::new(""), PathBuf::as_path);
         let found = crate::count(speeds[drone].len(), "row");
         return Err(whole(
             file,
-            format!("{found} of drone {drone}, of another drone {steps}, expected the same number"),
+            format!("{found} of drone {drone} and {steps} of another drone, expected equal numbers"),
         ));
     }
     Ok((0..steps).map(|step| speeds.iter().map(|list| list[step]).collect()).collect())
 }
 
-/// Share of a control step by which a time may miss it.
+/// Tolerance of a time, fraction of a control step.
 const NEAR: f64 = 0.01;
 
 #[cfg(test)]
@@ -164,7 +165,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
 "#;
 
     #[test]
-    fn wrong_actions_are_refused_by_line() {
+    fn invalid_actions_are_errors_with_their_line() {
         let read = |text: &str, drones| read_actions(text.as_bytes(), drones).map_err(|error| error.to_string());
         let header = "drone0_rpm0,drone0_rpm1,drone0_rpm2,drone0_rpm3\n";
         assert_eq!(
@@ -193,7 +194,9 @@ initial_rpys = [[0.0, 0.0, 0.0]]
 
     proptest! {
         #[test]
-        fn damaged_files_are_errors_or_sound(bytes in prop::collection::vec(any::<u8>(), 0..300), cut in 0usize..200, letter in any::<u8>()) {
+        fn damaged_files_are_errors_or_valid(
+            bytes in prop::collection::vec(any::<u8>(), 0..300), cut in 0usize..200, letter in any::<u8>(),
+        ) {
             let _ = read_actions(&bytes[..], 1);
             if let Ok(text) = std::str::from_utf8(&bytes) {
                 let _ = super::super::Scenario::from_toml(text);
@@ -201,7 +204,9 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             let mut damaged = SCENARIO.as_bytes().to_vec();
             let place = cut % damaged.len();
             damaged[place] = letter;
-            if let Ok(text) = std::str::from_utf8(&damaged) && let Ok(scenario) = super::super::Scenario::from_toml(text) {
+            if let Ok(text) = std::str::from_utf8(&damaged)
+                && let Ok(scenario) = super::super::Scenario::from_toml(text)
+            {
                 prop_assert!(scenario.initial_xyzs.len() <= 1);
             }
         }

@@ -1,7 +1,7 @@
-//! The table of a flight: one set of columns for every file of states that is written, and its reader.
+//! The table of a flight: the columns of all files of states, and their reader.
 //!
-//! A table is CSV with one row per moment and drone. Every table has the [`STATE_COLUMNS`], with these names, units and
-//! frames; the rows of a flight that can be flown again have the rest of the [`COLUMNS`] as well:
+//! A table is CSV with one row per time and drone. Every table has the [`STATE_COLUMNS`], with these names, units and
+//! frames. The table of a flight that can be replayed also has the other [`COLUMNS`]:
 //!
 //! | columns | | unit, frame |
 //! | --- | --- | --- |
@@ -11,35 +11,36 @@
 //! | `qw`, `qx`, `qy`, `qz` | attitude | body to world |
 //! | `vx`, `vy`, `vz` | velocity | m/s, world |
 //! | `wx`, `wy`, `wz` | angular velocity | rad/s, body |
-//! | `roll`, `pitch`, `yaw` | the attitude as intrinsic z-y'-x'' angles | rad |
+//! | `roll`, `pitch`, `yaw` | attitude as intrinsic z-y'-x'' angles | rad |
 //! | `rpm0` … `rpm3` | motor speeds commanded during the last control step | rpm |
-//! | `ax`, `ay`, `az` | mean acceleration since the row before | m/s², world |
-//! | `reward` | the drone's reward for the last control step | |
-//! | `x_ref`, `y_ref`, `z_ref`, `yaw_ref` | reference; empty where there is none | m, rad, world |
+//! | `ax`, `ay`, `az` | mean acceleration since the previous row | m/s², world |
+//! | `reward` | reward of the drone for the last control step | |
+//! | `x_ref`, `y_ref`, `z_ref`, `yaw_ref` | reference; empty without a reference | m, rad, world |
 //!
-//! Readers find columns by name and ignore those that they do not know, so that a table may have more of them, in any order.
+//! Readers find columns by name and ignore unknown columns. A table may therefore have additional columns, in any
+//! order.
 
 use nalgebra::Vector3;
 
 use crate::state::{DroneState, attitude_from_wxyz, wxyz};
 
-/// Columns that every table of states has, in this order. Units and frames are those of [`COLUMNS`].
+/// Columns of every table of states, in this order. [`COLUMNS`] lists their units and frames.
 pub const STATE_COLUMNS: [&str; 15] =
     ["t", "drone", "x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz"];
 
-/// Columns of a recorded flight, in the order in which they are written: time (s), index of the drone, position (m, world
-/// frame), quaternion (body to world), velocity (m/s, world frame), angular velocity (rad/s, body frame), roll, pitch and yaw
-/// (rad), motor speeds commanded during the last control step (rpm), mean acceleration since the row before (m/s², world
-/// frame), reward, reference position (m, world frame) and yaw (rad).
+/// Columns of a recorded flight, in the order of the files: time (s), index of the drone, position (m, world
+/// frame), quaternion (body to world), velocity (m/s, world frame), angular velocity (rad/s, body frame), roll,
+/// pitch and yaw (rad), motor speeds commanded during the last control step (rpm), mean acceleration since the
+/// previous row (m/s², world frame), reward, reference position (m, world frame) and reference yaw (rad).
 pub const COLUMNS: [&str; 30] = [
     "t", "drone", "x", "y", "z", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz", "roll", "pitch", "yaw",
     "rpm0", "rpm1", "rpm2", "rpm3", "ax", "ay", "az", "reward", "x_ref", "y_ref", "z_ref", "yaw_ref",
 ];
 
-/// Columns up to the motor speeds: what a replay writes.
+/// Number of columns up to the motor speeds, which the table of a replay has.
 pub(super) const FLOWN_COLUMNS: usize = 22;
 
-/// Names that columns had in logs of earlier versions, and what they are called now.
+/// Column names of logs of earlier versions, with their current names.
 const EARLIER_NAMES: [(&str, &str); 24] = [
     ("t_s", "t"),
     ("x_m", "x"),
@@ -77,12 +78,13 @@ const ACCELERATION: usize = 22;
 const REWARD: usize = 25;
 const REFERENCE: usize = 26;
 
-/// A number as tables have it: a negative zero, which says nothing, is zero.
+/// Returns a number as tables contain it: negative zero becomes zero.
 pub(super) fn written(x: f64) -> f64 {
     x + 0.0
 }
 
-/// The numbers of a state in the order of the [`STATE_COLUMNS`] after `t` and `drone`. A negative zero is given as zero.
+/// Returns the numbers of a state in the order of the [`STATE_COLUMNS`] after `t` and `drone`. Negative zero
+/// becomes zero.
 ///
 /// ```
 /// use aviary::record::{STATE_COLUMNS, state_numbers};
@@ -97,10 +99,10 @@ pub fn state_numbers(state: &DroneState) -> [f64; 13] {
     [p.x, p.y, p.z, qw, qx, qy, qz, v.x, v.y, v.z, w.x, w.y, w.z].map(written)
 }
 
-/// A row of a table: what it has beyond the state is `None` where the table has no such columns.
+/// A row of a table. Optional fields are `None` if the table does not have their columns.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Row {
-    /// Line of the file, from 1.
+    /// Line in the file, from 1.
     pub line: usize,
     pub time: f64,
     pub drone: Option<usize>,
@@ -111,12 +113,12 @@ pub(super) struct Row {
     pub reference: Option<([f64; 3], f64)>,
 }
 
-/// An error in a table: its line, from 1, or 0 for the whole file, and what is wrong.
+/// An error in a table: its line (from 1, or 0 for the whole file) and a description.
 pub(super) type TableError = (usize, String);
 
-/// The text of a table without a byte-order mark and without what a killed program has left unfinished: a log that was
-/// not closed ends in empty lines, and an unfinished row comes after one of them or has no end. The second value is the file from
-/// the first empty line on; it is empty where there is no such line.
+/// Returns the text of a table without a byte-order mark and without unfinished rows of a killed program. A log
+/// that was not closed ends in empty lines. An unfinished row follows such an empty line or has no line end. The
+/// second value is the content from the first empty line; it is empty if no line is empty.
 fn finished(bytes: &[u8]) -> Result<(&str, &[u8]), TableError> {
     let (mut whole, mut rest) = (0, &bytes[bytes.len()..]);
     for end in (0..bytes.len()).filter(|&at| bytes[at] == b'\n') {
@@ -134,7 +136,7 @@ fn finished(bytes: &[u8]) -> Result<(&str, &[u8]), TableError> {
     Ok((crate::without_byte_order_mark(text), rest))
 }
 
-/// Returns whether a line is the header of a table of states, of any version.
+/// Returns true if a line is the header of a table of states, of any version.
 pub(super) fn is_header(line: &str) -> bool {
     line.split(',').any(|cell| ["t", "t_s"].contains(&cell.trim()))
 }
@@ -156,11 +158,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Row>, TableError> {
     Ok(rows)
 }
 
-/// Where a table has its columns.
+/// Positions of the columns in a table.
 struct Columns {
-    /// For every cell of a row, which of [`COLUMNS`] it is, if it is one.
+    /// Index in [`COLUMNS`] of every cell of a row; `None` for unknown columns.
     cells: Vec<Option<usize>>,
-    /// Which of [`COLUMNS`] the table has.
+    /// True for each of [`COLUMNS`] that the table has.
     has: [bool; COLUMNS.len()],
 }
 
@@ -176,7 +178,7 @@ impl Columns {
             }
             cells.push(column);
         }
-        // the file of a single drone need not say which one it is
+        // the file of a single drone needs no column with its index
         let needed = STATE_COLUMNS.iter().enumerate().filter(|&(_, name)| *name != "drone");
         let missing: Vec<_> = needed.filter(|&(column, _)| !has[column]).map(|(_, name)| *name).collect();
         if !missing.is_empty() {
@@ -189,15 +191,16 @@ impl Columns {
         Ok(Self { cells, has })
     }
 
-    /// Index of the line where what follows the first empty line of a table has more than one unfinished row.
+    /// Returns the index of a line after the first empty line that shows more than one unfinished row.
     fn row_in(&self, rest: &str, last: Option<&Row>) -> Option<usize> {
-        // the first byte of a row is written last: without it, a time has no digit before the point or is an earlier one
+        // the first byte of a row is written last: without it, a time has no digit before the point or is an
+        // earlier time
         let unfinished = |line: &str| {
             let cell = line.split(',').next().unwrap_or_default().trim();
             let earlier = |time: f64| last.is_some_and(|row| time < row.time);
             self.cells.first() == Some(&Some(0)) && (cell.starts_with(['.', 'e']) || cell.parse().is_ok_and(earlier))
         };
-        // an unfinished row may be in pieces
+        // an unfinished row may be split into several lines
         let mut commas = 0;
         rest.lines().position(|line| {
             let here = line.matches(',').count();
@@ -220,7 +223,7 @@ impl Columns {
         }
         let number = |column: usize| {
             let cell = cells[column];
-            // rewards and references are whatever a task says
+            // tasks may return any reward and reference
             let read = cell.parse().ok().filter(|x: &f64| x.is_finite() || column >= REWARD);
             read.ok_or_else(|| format!("{} is `{cell}`, expected a finite number", COLUMNS[column]))
         };
@@ -229,7 +232,7 @@ impl Columns {
             let [a, b, c] = vector(column)?;
             Ok::<_, String>([a, b, c, number(column + 3)?])
         };
-        // a group of columns of which one is missing is not there
+        // a group with a missing column counts as missing
         let has = |column: usize, width: usize| self.has[column..column + width].iter().all(|&has| has);
         let index = || cells[1].parse().map_err(|_| format!("drone is `{}`, expected its index", cells[1]));
         let drone = self.has[1].then(index).transpose()?;
@@ -237,7 +240,7 @@ impl Columns {
             match cells[REFERENCE..].iter().filter(|cell| cell.is_empty()).count() {
                 4 => None,
                 0 => Some((vector(REFERENCE)?, number(REFERENCE + 3)?)),
-                _ => return Err("a part of the reference is empty, expected all four columns of it or none".into()),
+                _ => return Err("the reference is incomplete, expected all four columns or none".into()),
             }
         } else {
             None
@@ -265,7 +268,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_columns_begin_with_those_of_a_state_and_groups_are_where_they_are_said_to_be() {
+    fn columns_start_with_the_state_and_groups_have_their_indices() {
         assert_eq!(COLUMNS[..STATE_COLUMNS.len()], STATE_COLUMNS);
         for (index, name) in [
             (POSITION, "x"),
@@ -300,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_named_by_line_and_column() {
+    fn errors_name_the_line_and_the_column() {
         let row = "0,1,0,0,1,1,0,0,0,0,0,0,0,0,0";
         let message = |header: &str, row: &str| {
             let (line, message) = read(format!("{header}\n{row}\n").as_bytes()).unwrap_err();
@@ -316,15 +319,15 @@ mod tests {
         assert!(is_header(HEADER) && is_header("t_s,x_m,qw") && !is_header("drone0_rpm0,drone0_rpm1"));
     }
 
-    /// A killed program leaves empty lines and perhaps the beginning of a row.
+    /// A killed program leaves empty lines and possibly an unfinished row.
     #[test]
-    fn rows_after_an_empty_line_or_without_an_end_are_left_out() {
+    fn unfinished_rows_are_skipped() {
         let row = "0,1,0,0,1,1,0,0,0,0,0,0,0,0,0";
         for rest in ["\n\n\n", "\n0,1,2\n\n", "0,1,2", "\r\n\r\n"] {
             let text = format!("{HEADER}\n{row}\n{rest}");
             assert_eq!(read(text.as_bytes()).unwrap().len(), 1, "{rest:?}");
         }
-        // all of a row but its first byte, after t = 0 and after t = 10
+        // a row without its first byte, at t = 0 and at t = 10
         for (time, rest) in [("0", ".5"), ("10", "0.5")] {
             let row = |time: &str| row.replacen('0', time, 1);
             let text = format!("{HEADER}\n{}\n\n{}\n\n\n", row(time), row(rest));
@@ -333,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_row_after_an_empty_line_is_refused_by_its_line() {
+    fn a_complete_row_after_an_empty_line_is_an_error_with_its_line() {
         let row = |time: &str| format!("{time},1,0,0,1,1,0,0,0,0,0,0,0,0,0");
         let refused_at = |rest: &str| {
             let (line, message) = read(format!("{HEADER}\n{}\n{rest}", row("1.0")).as_bytes()).unwrap_err();
@@ -342,7 +345,7 @@ mod tests {
         };
         assert_eq!(refused_at(&format!("\n{}\n", row("1.5"))), 4);
         assert_eq!(refused_at(&format!("\n\r\n{}\n{}\n", row("1.5"), row("2.0"))), 5);
-        // a row of another drone at the same time, without an end
+        // // a row of another drone at the same time, without a line end
         assert_eq!(refused_at(&format!("\n{}", row("1.0"))), 4);
         // two unfinished rows
         assert_eq!(refused_at("\n0,1,2,3,4,5,6,7,8\n0,1,2,3,4,5,6,7,8\n"), 5);

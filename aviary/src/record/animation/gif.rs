@@ -8,88 +8,96 @@ use crate::record::RecordError;
 use crate::record::picture::check;
 use crate::vision::ImageSize;
 
-/// An animated GIF that repeats for ever, written frame by frame.
+/// An animated GIF that repeats forever. Frames are encoded as they are added.
 ///
-/// Files are small because a pixel whose colour has hardly changed is left as it was, frames share a palette while it fits
-/// them, and colours are not dithered. No pixel is off by more than the palette and a little of what an eye may notice.
+/// Three properties keep files small: a pixel whose colour hardly changes keeps its value, frames share a palette
+/// while it fits them, and colours are not dithered. The error of a pixel is at most the error of the palette and a
+/// difference that is hardly visible.
 pub struct GifAnimation<W: Write> {
     target: Target<W>,
     size: ImageSize,
-    /// Length of a frame in the hundredths of a second that GIF counts in.
+    /// Duration of a frame, 1/100 s, the time unit of GIF.
     delay: f64,
     frames: u32,
     palette: Option<Palette>,
-    /// What a viewer shows now: RGB.
+    /// Pixels that a viewer shows now, RGB.
     shown: Vec<u8>,
     indices: Vec<u8>,
 }
 
-/// GIF's header holds the first palette, which only the first frame tells.
+/// Output of the animation. The header of a GIF needs the palette of the first frame, so the encoder starts with that
+/// frame.
 enum Target<W: Write> {
     Waiting(W),
-    Begun(Encoder<W>),
-    /// While one is made into the other, and after a failure of that.
-    Lost,
+    Started(Encoder<W>),
+    /// State during the start of the encoder, and after a failed start.
+    Failed,
 }
 
-/// Index of pixels that stay as they are; palettes have a colour less than GIF allows.
-const STAYS: u8 = 255;
+/// Palette index of pixels that keep their value. Palettes have one colour less than GIF allows.
+const UNCHANGED: u8 = 255;
 
-/// Squared distance in RGB below which a pixel stays as it is: four steps of 256 in every channel.
-const UNNOTICED: u32 = 3 * 4 * 4;
+/// Squared RGB distance below which a pixel keeps its value: four steps of 256 in every channel.
+const INVISIBLE: u32 = 3 * 4 * 4;
 
-/// A frame gets a palette of its own where the mean squared distance from the colours that there are grows by this much,
-/// in squared steps of 256 …
-const STRANGE: f64 = 12.0;
+/// Increase of the mean squared distance from the palette above which a frame gets its own palette, in squared steps
+/// of 256.
+const MAX_ERROR_INCREASE: f64 = 12.0;
 
-/// … or where this share of the pixels more than before is farther from every colour than [`FAR`].
-const STRANGERS: f64 = 5e-4;
+/// Increase of the fraction of pixels farther than [`FAR`] from the palette above which a frame gets its own palette.
+const MAX_FAR_INCREASE: f64 = 5e-4;
 
-/// Squared distance at which a colour is another one: 20 steps of 256 in every channel.
+/// Error of an encoder that could not be created.
+const NOT_STARTED: &str = "the encoder could not be started";
+
+/// Squared RGB distance above which two colours count as different: 20 steps of 256 in every channel.
 const FAR: u32 = 3 * 20 * 20;
 
 impl<W: Write> GifAnimation<W> {
-    /// Begins an animation with so many seconds per frame (20 ms at least, in steps of 10 ms that even out).
+    /// Creates an animation with a time per frame in s. The time is limited to 20 ms to 60 s and rounded to 10 ms
+    /// such that the total duration stays correct.
     ///
     /// # Errors
-    /// [`RecordError::Picture`] for a size that GIF does not have, [`RecordError::FrameTime`] for an impossible time.
+    /// [`RecordError::Picture`] for a size that GIF does not support, and [`RecordError::FrameTime`] for an invalid
+    /// time.
     pub fn new(target: W, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
         sides(size)?;
         check_time(seconds_per_frame)?;
-        // viewers show anything shorter than two hundredths as a tenth
+        // viewers show times below 2/100 s as 1/10 s
         let delay = (seconds_per_frame * 100.0).clamp(2.0, 6000.0);
         let (shown, indices) = (Vec::new(), vec![0; size.pixels()]);
         Ok(Self { target: Target::Waiting(target), size, delay, frames: 0, palette: None, shown, indices })
     }
 
-    /// Ends the animation and gives the target back.
+    /// Completes the animation and returns the target.
     ///
     /// # Errors
-    /// [`RecordError::Animation`] where the target cannot be written.
+    /// [`RecordError::Animation`] if the target cannot be written.
     pub fn finish(self) -> Result<W, RecordError> {
         match self.target {
             Target::Waiting(target) => Ok(target),
-            Target::Begun(encoder) => Ok(encoder.into_inner()?),
-            Target::Lost => Err(RecordError::Animation(std::io::Error::other("it could not be begun").into())),
+            Target::Started(encoder) => Ok(encoder.into_inner()?),
+            Target::Failed => Err(RecordError::Animation(std::io::Error::other(NOT_STARTED).into())),
         }
     }
 
     fn encoder(&mut self, palette: &[u8]) -> Result<&mut Encoder<W>, RecordError> {
         if matches!(self.target, Target::Waiting(_))
-            && let Target::Waiting(target) = std::mem::replace(&mut self.target, Target::Lost)
+            && let Target::Waiting(target) = std::mem::replace(&mut self.target, Target::Failed)
         {
             let [width, height] = sides(self.size)?;
             let mut encoder = Encoder::new(target, width, height, palette)?;
             encoder.set_repeat(Repeat::Infinite)?;
-            self.target = Target::Begun(encoder);
+            self.target = Target::Started(encoder);
         }
         match &mut self.target {
-            Target::Begun(encoder) => Ok(encoder),
-            _ => Err(RecordError::Animation(std::io::Error::other("it could not be begun").into())),
+            Target::Started(encoder) => Ok(encoder),
+            _ => Err(RecordError::Animation(std::io::Error::other(NOT_STARTED).into())),
         }
     }
 
-    /// Chooses a colour for every pixel and what is shown then: the smallest rectangle (left, top, right, bottom) that changes.
+    /// Selects a colour for every pixel and updates the shown image. Returns the smallest rectangle (left, top,
+    /// right, bottom) that contains all changes.
     fn choose(&mut self, rgb: &[u8], palette: &mut Palette) -> [usize; 4] {
         let width = self.size.width as usize;
         let mut changed = [usize::MAX, usize::MAX, 0, 0];
@@ -99,8 +107,8 @@ impl<W: Write> GifAnimation<W> {
         for (place, ((wanted, shown), index)) in pixels.enumerate() {
             let nearest = palette.nearest(wanted);
             let best = palette.colour(nearest);
-            if !first && distance(shown, wanted) <= distance(best, wanted) + UNNOTICED {
-                *index = STAYS;
+            if !first && distance(shown, wanted) <= distance(best, wanted) + INVISIBLE {
+                *index = UNCHANGED;
                 continue;
             }
             *index = nearest;
@@ -108,7 +116,7 @@ impl<W: Write> GifAnimation<W> {
             let (x, y) = (place % width, place / width);
             changed = [changed[0].min(x), changed[1].min(y), changed[2].max(x + 1), changed[3].max(y + 1)];
         }
-        // a frame has at least a pixel
+        // a GIF frame has at least one pixel
         if changed[2] == 0 { [0, 0, 1, 1] } else { changed }
     }
 }
@@ -118,26 +126,26 @@ impl<W: Write> Animation for GifAnimation<W> {
         check(self.size, rgb.len(), 3)?;
         let known = self.palette.take().and_then(|mut palette| {
             let (error, far) = palette.error(rgb);
-            let strange = error - palette.made_for.0 > STRANGE || far - palette.made_for.1 > STRANGERS;
-            (!strange).then_some(palette)
+            let poor = error - palette.made_for.0 > MAX_ERROR_INCREASE || far - palette.made_for.1 > MAX_FAR_INCREASE;
+            (!poor).then_some(palette)
         });
         let mut palette = known.unwrap_or_else(|| Palette::of(rgb, self.frames));
         let [left, top, right, bottom] = self.choose(rgb, &mut palette);
         let row = self.size.width as usize;
         let buffer: Vec<u8> =
             (top..bottom).flat_map(|y| &self.indices[y * row + left..y * row + right]).copied().collect();
-        // what rounding takes from one frame it gives to a later one, so that the whole runs at its speed
+        // rounding errors of frame times cancel out over the animation
         let end = |frames: u32| (f64::from(frames) * self.delay).round();
         let delay = (end(self.frames + 1) - end(self.frames)) as u16;
         let frame = Frame {
             delay,
             dispose: DisposalMethod::Keep,
-            transparent: Some(STAYS),
+            transparent: Some(UNCHANGED),
             left: left as u16,
             top: top as u16,
             width: (right - left) as u16,
             height: (bottom - top) as u16,
-            // the first palette stands in the header
+            // the header holds the first palette
             palette: (palette.since > 0).then(|| palette.colours.clone()),
             buffer: buffer.into(),
             ..Frame::default()
@@ -149,23 +157,24 @@ impl<W: Write> Animation for GifAnimation<W> {
     }
 }
 
-/// 255 colours and a place for none.
+/// Palette of 255 colours and one index for unchanged pixels.
 struct Palette {
     colours: Vec<u8>,
-    /// Nearest colour of colours with so many bits per channel, where it is known.
+    /// Known nearest palette colours, for colours with `BITS` bits per channel.
     nearest: Vec<Option<u8>>,
-    /// Mean squared distance of the frame that it was made for, and the share of its pixels that are far from every colour.
+    /// Mean squared distance of the frame that the palette was created for, and the fraction of its pixels far from
+    /// every colour.
     made_for: (f64, f64),
-    /// The frame that it was made for.
+    /// Index of the frame that the palette was created for.
     since: u32,
 }
 
 impl Palette {
-    /// Bits per channel at which a nearest colour is looked up.
+    /// Bits per channel of the lookup table of nearest colours.
     const BITS: u32 = 6;
 
     fn of(rgb: &[u8], frame: u32) -> Self {
-        // colours by their first five bits: how often, and the sums of their channels
+        // histogram over the first five bits of each channel: counts and channel sums
         let mut bins = vec![(0_u64, [0_u64; 3]); 1 << 15];
         for pixel in rgb.chunks_exact(3) {
             let bin = pixel.iter().fold(0, |bin, &x| bin << 5 | usize::from(x >> 3));
@@ -173,7 +182,8 @@ impl Palette {
             *count += 1;
             sums.iter_mut().zip(pixel).for_each(|(sum, &x)| *sum += u64::from(x));
         }
-        // what is rare, a thin line or a lamp, counts for more than its share: a floor would take all colours for itself
+        // weights grow with the square root of the count, so that a large floor leaves colours for thin lines and
+        // small lights
         let mut rgba = Vec::new();
         for (count, sums) in bins.into_iter().filter(|(count, _)| *count > 0) {
             let [r, g, b] = sums.map(|sum| (sum / count) as u8);
@@ -181,12 +191,12 @@ impl Palette {
                 rgba.extend([r, g, b, 255]);
             }
         }
-        // it learns from single pixels, and from not too few of them
+        // the quantizer trains on single pixels and needs a minimum number of them
         let whole = rgba.len();
         while rgba.len() < 4 * 8192 {
             rgba.extend_from_within(..whole);
         }
-        let mut colours = NeuQuant::new(1, STAYS.into(), &rgba).color_map_rgb();
+        let mut colours = NeuQuant::new(1, UNCHANGED.into(), &rgba).color_map_rgb();
         colours.resize(3 * 256, 0);
         let mut palette =
             Self { colours, nearest: vec![None; 1 << (3 * Self::BITS)], made_for: (0.0, 0.0), since: frame };
@@ -203,13 +213,14 @@ impl Palette {
         if let Some(index) = self.nearest[place] {
             return index;
         }
-        let colours = self.colours.chunks_exact(3).take(STAYS.into()).enumerate();
+        let colours = self.colours.chunks_exact(3).take(UNCHANGED.into()).enumerate();
         let index = colours.min_by_key(|(_, known)| distance(known, colour)).map_or(0, |(index, _)| index as u8);
         self.nearest[place] = Some(index);
         index
     }
 
-    /// Mean squared distance of a frame from the colours, and the share of its pixels that are far from all of them.
+    /// Returns the mean squared distance of a frame from the palette, and the fraction of its pixels far from every
+    /// colour.
     fn error(&mut self, rgb: &[u8]) -> (f64, f64) {
         let (mut sum, mut far) = (0.0, 0.0);
         for pixel in rgb.chunks_exact(3) {
@@ -223,7 +234,7 @@ impl Palette {
     }
 }
 
-/// Squared distance of two colours.
+/// Returns the squared distance of two colours.
 fn distance(a: &[u8], b: &[u8]) -> u32 {
     a.iter().zip(b).map(|(&a, &b)| u32::from(a.abs_diff(b)).pow(2)).sum()
 }
@@ -239,7 +250,7 @@ fn sides(size: ImageSize) -> Result<[u16; 2], RecordError> {
 mod tests {
     use super::*;
 
-    /// Frames as a viewer shows them, RGB, with their delays.
+    /// Returns the frames as a viewer shows them, RGB, with their durations.
     fn shown(bytes: &[u8], size: ImageSize) -> Vec<(u16, Vec<u8>)> {
         let mut options = gif::DecodeOptions::new();
         options.set_color_output(gif::ColorOutput::RGBA);
@@ -258,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn an_animation_holds_its_frames_and_runs_at_its_speed() {
+    fn a_gif_keeps_its_frames_and_its_duration() {
         const SIZE: ImageSize = ImageSize { width: 3, height: 2 };
         let mut animation = GifAnimation::new(Vec::new(), SIZE, 1.0 / 24.0).unwrap();
         animation.frame(&[255; 18]).unwrap();
@@ -268,15 +279,15 @@ mod tests {
         }
         let frames = shown(&animation.finish().unwrap(), SIZE);
         assert_eq!((frames.len(), frames[0].1[0], frames[1].1[0]), (6, 255, 0));
-        // six frames of 1/24 s are a quarter of a second
+        // // six frames of 1/24 s take 0.25 s
         assert_eq!(frames.iter().map(|(delay, _)| delay).sum::<u16>(), 25);
     }
 
     #[test]
-    fn every_frame_looks_as_it_should_and_what_stands_still_costs_little() {
+    fn frames_match_their_images_and_unchanged_pixels_cost_little() {
         const SIZE: ImageSize = ImageSize { width: 64, height: 48 };
-        // a slope of colours behind a disc that moves and, half-way, becomes red where nothing was
-        let picture = |t: usize| -> Vec<u8> {
+        // // a colour gradient behind a moving disc, which turns to a new colour half-way
+        let image = |t: usize| -> Vec<u8> {
             let pixel = |place: usize| {
                 let (x, y) = (place % 64, place / 64);
                 let disc = (x as i32 - 10 - t as i32).pow(2) + (y as i32 - 24).pow(2) < 60;
@@ -289,27 +300,27 @@ mod tests {
             (0..64 * 48).flat_map(pixel).collect()
         };
         let mut animation = GifAnimation::new(Vec::new(), SIZE, 0.04).unwrap();
-        (0..30).for_each(|t| animation.frame(&picture(t)).unwrap());
+        (0..30).for_each(|t| animation.frame(&image(t)).unwrap());
         let bytes = animation.finish().unwrap();
         let frames = shown(&bytes, SIZE);
         assert_eq!(frames.len(), 30);
         for (t, (_, frame)) in frames.iter().enumerate() {
-            let wanted = picture(t);
+            let wanted = image(t);
             let errors: Vec<_> =
                 frame.chunks_exact(3).zip(wanted.chunks_exact(3)).map(|(a, b)| distance(a, b)).collect();
             let mean = f64::from(errors.iter().sum::<u32>()) / errors.len() as f64;
             assert!(mean < 60.0, "frame {t}: mean {mean}");
             assert!(errors.iter().all(|&error| error < 3 * 40 * 40), "frame {t}: {:?}", errors.iter().max());
         }
-        // 30 frames of full size would take 30 times the first one
+        // // 30 complete frames would take 30 times the size of the first one
         let mut still = GifAnimation::new(Vec::new(), SIZE, 0.04).unwrap();
-        still.frame(&picture(0)).unwrap();
+        still.frame(&image(0)).unwrap();
         let first = still.finish().unwrap().len();
         assert!(4 * bytes.len() < 30 * first, "{} against {first}", bytes.len());
     }
 
     #[test]
-    fn sizes_that_gif_does_not_have_are_refused_and_no_frame_is_no_file() {
+    fn invalid_sizes_are_errors_and_an_animation_without_frames_is_empty() {
         for size in [(0, 4), (4, 0), (70_000, 4)] {
             assert!(GifAnimation::new(Vec::new(), ImageSize { width: size.0, height: size.1 }, 0.1).is_err());
         }

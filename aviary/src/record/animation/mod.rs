@@ -1,4 +1,4 @@
-//! Pictures that follow each other: GIF, numbered PNG files, MP4 through `ffmpeg`.
+//! Animations: GIF, numbered PNG files, and MP4 through `ffmpeg`.
 
 mod gif;
 mod sequence;
@@ -10,16 +10,17 @@ pub use video::Mp4;
 
 use super::RecordError;
 
-/// Whether a frame may take so long, s.
+/// Returns an error unless the time per frame (s) is positive and finite.
 fn check_time(seconds: f64) -> Result<(), RecordError> {
     if seconds.is_finite() && seconds > 0.0 { Ok(()) } else { Err(RecordError::FrameTime { got: seconds }) }
 }
 
-/// Something that frames can be put into, one after the other.
+/// Sink for frames of an animation.
 pub trait Animation {
     /// Adds a frame: RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`RecordError::Picture`] for a buffer of the wrong length, else where it cannot be encoded or written.
+    /// [`RecordError::Picture`] for a buffer of the wrong length, and other variants if the frame cannot be encoded
+    /// or written.
     fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError>;
 }

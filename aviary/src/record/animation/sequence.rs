@@ -5,7 +5,7 @@ use crate::record::RecordError;
 use crate::record::picture::png_rgb;
 use crate::vision::ImageSize;
 
-/// Numbered PNG files in a directory: `00000.png` and on.
+/// Numbered PNG files in a directory: `00000.png`, `00001.png`, …
 #[derive(Debug)]
 pub struct PngSequence {
     directory: PathBuf,
@@ -14,10 +14,10 @@ pub struct PngSequence {
 }
 
 impl PngSequence {
-    /// Begins a sequence in a directory, which is made where there is none. The frames of an earlier sequence are removed.
+    /// Creates a sequence in a directory, which is created if necessary. Removes the frames of an earlier sequence.
     ///
     /// # Errors
-    /// [`RecordError::File`] where it cannot be made.
+    /// [`RecordError::File`] if the directory cannot be created or an earlier frame cannot be removed.
     pub fn create(directory: impl AsRef<Path>, size: ImageSize) -> Result<Self, RecordError> {
         let directory = directory.as_ref().to_path_buf();
         std::fs::create_dir_all(&directory).map_err(|error| RecordError::file(&directory, error))?;
@@ -28,7 +28,7 @@ impl PngSequence {
         Ok(sequence)
     }
 
-    /// The files written so far.
+    /// Returns the paths of the files written so far.
     pub fn files(&self) -> impl Iterator<Item = PathBuf> + '_ {
         (0..self.frames).map(|frame| self.file(frame))
     }
@@ -41,7 +41,7 @@ impl PngSequence {
 impl Animation for PngSequence {
     fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError> {
         let path = self.file(self.frames);
-        // under another name until it is whole
+        // the file has another name until it is complete
         let part = path.with_extension("part");
         let written = std::fs::write(&part, png_rgb(self.size, rgb)?).and_then(|()| std::fs::rename(&part, &path));
         if let Err(error) = written {
@@ -69,7 +69,7 @@ mod tests {
         assert!(files[1].ends_with("frames/00001.png"));
         let back = image::load_from_memory(&std::fs::read(&files[0]).unwrap()).unwrap();
         assert_eq!(back.as_rgb8().unwrap().as_raw()[..], [1, 2, 3, 4, 5, 6]);
-        // another one in the same place does not mix with it
+        // a new sequence in the same directory removes the old one
         PngSequence::create(directory.path().join("frames"), size).unwrap();
         assert!(!files[0].exists() && !files[1].exists());
     }

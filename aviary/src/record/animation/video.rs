@@ -14,24 +14,24 @@ use crate::vision::ImageSize;
 pub struct Mp4 {
     child: Child,
     pixels: Option<ChildStdin>,
-    /// Collects what `ffmpeg` complains of, so that it never waits for somebody to read it.
-    complaints: Option<JoinHandle<String>>,
+    /// Thread that collects the error messages of `ffmpeg`, so that `ffmpeg` never blocks on its stderr.
+    messages: Option<JoinHandle<String>>,
     size: ImageSize,
 }
 
 impl Mp4 {
-    /// Begins a video with so many seconds per frame. The file is whole after [`finish`](Self::finish).
+    /// Creates a video with a time per frame in s. The file is complete after [`finish`](Self::finish).
     ///
     /// # Errors
-    /// [`RecordError::Video`] where there is no `ffmpeg`.
+    /// [`RecordError::Video`] if `ffmpeg` is not installed, and [`RecordError::FrameTime`] for an invalid time.
     pub fn create(path: impl AsRef<Path>, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
         Self::with_program("ffmpeg", path, size, seconds_per_frame)
     }
 
-    /// The same with another program that understands `ffmpeg`'s options.
+    /// Creates a video with another program that accepts the options of `ffmpeg`.
     ///
     /// # Errors
-    /// As for [`create`](Self::create).
+    /// Returns the errors of [`create`](Self::create).
     pub fn with_program(
         program: impl AsRef<OsStr>,
         path: impl AsRef<Path>,
@@ -40,15 +40,15 @@ impl Mp4 {
     ) -> Result<Self, RecordError> {
         let program = program.as_ref();
         check_time(seconds_per_frame)?;
-        // a name that begins with a dash or has a colon is a file's all the same
+        // the prefix `file:` allows names that start with a dash or contain a colon
         let mut file = OsString::from("file:");
         file.push(path.as_ref());
         let mut child = Command::new(program)
             .args(["-loglevel", "error", "-nostdin", "-y", "-f", "rawvideo", "-pixel_format", "rgb24"])
             .args(["-video_size", &size.to_string(), "-framerate", &(1.0 / seconds_per_frame).to_string()])
-            // players want an even number of rows and columns, and colours at half the resolution
+            // players need an even number of rows and columns, and colours at half the resolution
             .args(["-i", "-", "-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"])
-            // playable while it is still being loaded
+            // the index comes first, so that players can start before the file is loaded
             .args(["-movflags", "+faststart", "-f", "mp4"])
             .arg(&file)
             .stdin(Stdio::piped())
@@ -59,41 +59,40 @@ impl Mp4 {
                 let program = program.to_string_lossy();
                 RecordError::Video(match error.kind() {
                     std::io::ErrorKind::NotFound => {
-                        format!(
-                            "`{program}` is not installed, which makes videos: apt-get install ffmpeg, or write a GIF"
-                        )
+                        format!("`{program}` is not installed; run `apt-get install ffmpeg`, or write a GIF")
                     }
-                    _ => format!("`{program}`, which makes videos, cannot be started: {error}"),
+                    _ => format!("`{program}` cannot be started: {error}"),
                 })
             })?;
-        let complaints = child.stderr.take().map(|mut pipe| {
+        let messages = child.stderr.take().map(|mut pipe| {
             std::thread::spawn(move || {
                 let mut text = Vec::new();
-                // what has come until the pipe breaks is all there is
+                // a read error means that the pipe has closed; the text so far is complete
                 let _ = pipe.read_to_end(&mut text);
                 String::from_utf8_lossy(&text).into_owned()
             })
         });
-        Ok(Self { pixels: child.stdin.take(), child, complaints, size })
+        Ok(Self { pixels: child.stdin.take(), child, messages, size })
     }
 
-    /// Ends the video: the file is whole then.
+    /// Completes the video and closes the file.
     ///
     /// # Errors
-    /// [`RecordError::Video`] with what `ffmpeg` complains of.
+    /// [`RecordError::Video`] with the last error message of `ffmpeg`.
     pub fn finish(mut self) -> Result<(), RecordError> {
         self.end()
     }
 
     fn end(&mut self) -> Result<(), RecordError> {
         drop(self.pixels.take());
-        let status = self.child.wait().map_err(|error| RecordError::Video(format!("ffmpeg is lost: {error}")))?;
-        let complaints = self.complaints.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
+        let status =
+            self.child.wait().map_err(|error| RecordError::Video(format!("waiting for ffmpeg failed: {error}")))?;
+        let messages = self.messages.take().and_then(|thread| thread.join().ok()).unwrap_or_default();
         if status.success() {
             return Ok(());
         }
-        let last = complaints.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it does not say why");
-        Err(RecordError::Video(format!("ffmpeg made no video ({status}): {last}")))
+        let last = messages.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no error message");
+        Err(RecordError::Video(format!("ffmpeg failed ({status}): {last}")))
     }
 }
 
@@ -105,7 +104,7 @@ impl Animation for Mp4 {
         };
         match pixels.write_all(rgb) {
             Ok(()) => Ok(()),
-            // it has gone away: what it says is better than a broken pipe
+            // `ffmpeg` has ended: its error message is more useful than a broken pipe
             Err(error) => Err(self.end().err().unwrap_or_else(|| RecordError::Video(format!("ffmpeg: {error}")))),
         }
     }
@@ -113,7 +112,7 @@ impl Animation for Mp4 {
 
 impl Drop for Mp4 {
     fn drop(&mut self) {
-        // a video that nobody finishes leaves no process behind
+        // an unfinished video leaves no process behind
         if self.pixels.take().is_some() {
             let _ = self.child.kill();
         }
@@ -128,7 +127,7 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { width: 4, height: 2 };
 
-    /// A program that does what a script says.
+    /// Creates a program that runs a shell script.
     fn script(directory: &Path, text: &str) -> std::path::PathBuf {
         let path = directory.join("encoder");
         std::fs::write(&path, format!("#!/bin/sh\n{text}\n")).unwrap();
@@ -136,9 +135,9 @@ mod tests {
         path
     }
 
-    // one test, because a script cannot be started while another thread, starting a program, holds it open
+    // one test, because a script cannot be started while another thread holds it open to start a program
     #[test]
-    fn frames_go_to_the_encoder_which_is_missed_and_heard_when_it_fails() {
+    fn the_encoder_receives_every_frame_and_its_errors_are_reported() {
         let directory = tempfile::tempdir().unwrap();
         let file = directory.path().join("flight.mp4");
         let encoder = script(
@@ -159,7 +158,7 @@ mod tests {
 
         let encoder = script(directory.path(), "echo 'Unknown encoder' >&2; exit 3");
         let mut video = Mp4::with_program(&encoder, &file, SIZE, 0.04).unwrap();
-        // it may take a few frames until the pipe breaks
+        // several frames may fit into the pipe before it breaks
         let failed = (0..100_000).find_map(|_| video.frame(&[0; 24]).err());
         let message = failed.map_or_else(|| video.finish().unwrap_err().to_string(), |error| error.to_string());
         assert!(message.contains("Unknown encoder"), "{message}");

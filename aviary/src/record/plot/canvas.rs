@@ -1,4 +1,4 @@
-//! What plots are drawn on, and how: lines in dashes, labels, legends.
+//! Drawing of plots: backends, dashed lines, labels and legends.
 
 use std::sync::Once;
 
@@ -13,10 +13,10 @@ use crate::record::RecordError;
 use crate::record::picture::png_rgb;
 use crate::vision::ImageSize;
 
-/// What plots are drawn on.
+/// Drawing backend of plots.
 pub(super) trait Canvas: DrawingBackend {
-    /// Whether lines are to be drawn piece by piece. plotters fills a thick line as one polygon, with holes where it crosses
-    /// itself and needles where it turns back; SVG knows lines.
+    /// True if the backend draws lines in pieces. The bitmap backend of plotters fills a thick line as one polygon,
+    /// which has holes where the line crosses itself and spikes where it reverses. SVG has lines.
     const PIECEWISE: bool;
 }
 
@@ -28,35 +28,35 @@ impl Canvas for BitMapBackend<'_> {
     const PIECEWISE: bool = true;
 }
 
-/// Drawn by a backend, or why not.
+/// Result of drawing with a backend.
 pub(super) type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
 
-/// Everything is drawn four times as large as it appears: plotters' coordinates are whole pixels.
+/// Scale of all coordinates. The coordinates of plotters are whole pixels, so a larger scale makes them finer.
 pub(super) const FINE: i32 = 4;
 
-/// Pixels of a PNG for one of the SVG.
+/// Number of PNG pixels per SVG pixel.
 const PNG_SCALE: i32 = 2;
 
-/// Length of something in a plot, in fine pixels.
+/// Converts a length from pixels to fine pixels.
 pub(super) fn px(length: i32) -> i32 {
     length * FINE
 }
 
-/// Plots' text, of a size in pixels.
+/// Returns the font of plots in a size in pixels.
 pub(super) fn font(size: i32) -> FontDesc<'static> {
     ("sans-serif", px(size)).into_font()
 }
 
-/// Text dark enough to read, placed by the point that is named.
+/// Returns the style of dark text that is anchored at a point.
 pub(super) fn text(size: i32, horizontal: HPos, vertical: VPos) -> TextStyle<'static> {
     TextStyle::from(font(size)).color(&RGBColor(40, 40, 40)).pos(Pos::new(horizontal, vertical))
 }
 
-/// Makes the font known, which comes with the program.
+/// Registers the font, which is part of the program.
 fn register() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
-        // it would fail for bytes that are no font, and then text is an error of every plot
+        // registration fails only for invalid font data, and then every plot returns an error about its text
         let _ = register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular());
     });
 }
@@ -74,7 +74,7 @@ pub(super) fn svg(plot: &Plot) -> Result<String, RecordError> {
         let area = SVGBackend::with_string(&mut svg, fine).into_drawing_area();
         plot.draw(&area).and_then(|()| area.present()).map_err(|error| failed(&error))?;
     }
-    // shown at its size, drawn with fine coordinates
+    // the SVG has the size of the plot and fine coordinates
     let (as_drawn, as_shown) =
         (format!("width=\"{}\" height=\"{}\"", fine.0, fine.1), format!("width=\"{width}\" height=\"{height}\""));
     Ok(svg.replacen(&as_drawn, &as_shown, 1))
@@ -93,7 +93,7 @@ pub(super) fn png(plot: &Plot) -> Result<Vec<u8>, RecordError> {
     png_rgb(size, &shrink(&pixels, fine.0 as usize, (FINE / PNG_SCALE) as usize))
 }
 
-/// Means of squares of pixels, which makes edges smooth.
+/// Returns the means of squares of pixels, which smooth the edges.
 fn shrink(pixels: &[u8], width: usize, by: usize) -> Vec<u8> {
     let mut out = Vec::with_capacity(pixels.len() / (by * by));
     for rows in pixels.chunks_exact(3 * width * by) {
@@ -108,7 +108,7 @@ fn shrink(pixels: &[u8], width: usize, by: usize) -> Vec<u8> {
     out
 }
 
-/// Writes a title above an area and gives what is left.
+/// Draws a title at the top of an area and returns the rest of the area.
 pub(super) fn titled<B: Canvas>(
     area: &DrawingArea<B, Shift>,
     title: &str,
@@ -123,17 +123,17 @@ pub(super) fn titled<B: Canvas>(
     Ok(rest)
 }
 
-/// A chart of numbers against numbers.
+/// A chart with two numeric axes.
 pub(super) type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// An axis: its range, about how many ticks it has, and its name.
+/// An axis with its range, its approximate number of ticks and its name.
 pub(super) struct Axis<'a> {
     pub range: (f64, f64),
     pub ticks: usize,
     pub name: &'a str,
 }
 
-/// Draws axes, ticks and a faint grid.
+/// Draws axes, ticks and a light grid.
 pub(super) fn draw_axes<B: Canvas>(chart: &mut Chart<'_, B>, x: &Axis<'_>, y: &Axis<'_>) -> Drawn<B> {
     let dark = RGBColor(40, 40, 40);
     chart
@@ -153,30 +153,30 @@ pub(super) fn draw_axes<B: Canvas>(chart: &mut Chart<'_, B>, x: &Axis<'_>, y: &A
         .draw()
 }
 
-/// How a line looks.
+/// Style of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stroke {
     pub colour: [u8; 3],
-    /// Quarters of a pixel.
+    /// Line width, quarters of a pixel.
     pub width: u32,
-    /// Lengths of ink and gap in turn, pixels; empty for a whole line.
+    /// Alternating lengths of dashes and gaps, pixels; empty for a solid line.
     pub dashes: &'static [i32],
 }
 
 impl Stroke {
-    /// The line of an index among so many: colours and dashes both tell it from the others.
+    /// Returns the style of line `index` of `count`. Colour and dashes both distinguish the lines.
     pub fn of(index: usize, count: usize) -> Self {
         const DASHES: [&[i32]; 4] = [&[], &[9, 3], &[3, 2], &[12, 3, 3, 3]];
-        // many lines are told apart by colour alone: dashes over each other are read by nobody
+        // many lines differ only in colour, because overlapping dashes are unreadable
         let dashes = if count <= DASHES.len() { DASHES[index % DASHES.len()] } else { &[] };
         Self { colour: super::bytes_of(index, count), width: if count > 7 { 5 } else { 7 }, dashes }
     }
 
-    /// What a drone is asked for: thin, grey, in short dashes.
+    /// Style of references: thin, grey, short dashes.
     pub const REFERENCE: Self = Self { colour: [110, 110, 110], width: 4, dashes: &[4, 3] };
 }
 
-/// Draws a line through points (fine pixels of the area).
+/// Draws a line through points in fine pixels of the area.
 pub(super) fn draw_line<B: Canvas>(area: &DrawingArea<B, Shift>, points: Vec<(i32, i32)>, stroke: Stroke) -> Drawn<B> {
     let style = rgb(stroke.colour).stroke_width(stroke.width);
     let lines = if stroke.dashes.is_empty() { vec![points] } else { dashed(&points, stroke.dashes) };
@@ -196,8 +196,8 @@ pub(super) fn draw_line<B: Canvas>(area: &DrawingArea<B, Shift>, points: Vec<(i3
     Ok(())
 }
 
-/// The points of a way that are a pixel apart, and the last one.
-pub(super) fn thin_way(points: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
+/// Returns the points of a path that are at least a pixel apart, and the last point.
+pub(super) fn thin_path(points: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i32)> {
     let mut thinned: Vec<(i32, i32)> = Vec::new();
     let mut left_out = None;
     for point in points {
@@ -211,7 +211,8 @@ pub(super) fn thin_way(points: impl Iterator<Item = (i32, i32)>) -> Vec<(i32, i3
     thinned
 }
 
-/// Of points that fall into the same column, one after the other, the first, the outermost (in their order) and the last.
+/// Reduces a time series. Of consecutive points in the same pixel column, it keeps the first, the lowest, the
+/// highest and the last, in their order.
 pub(super) fn thin(points: &[(i32, i32)]) -> Vec<(i32, i32)> {
     let mut thinned: Vec<(i32, i32)> = Vec::new();
     let mut add = |point: (i32, i32)| {
@@ -235,7 +236,7 @@ pub(super) fn thin(points: &[(i32, i32)]) -> Vec<(i32, i32)> {
     thinned
 }
 
-/// Pieces of a line that have ink.
+/// Returns the dashes of a line.
 fn dashed(points: &[(i32, i32)], pattern: &[i32]) -> Vec<Vec<(i32, i32)>> {
     let mut dashes = Vec::new();
     let Some(&first) = points.first() else { return dashes };
@@ -270,7 +271,7 @@ fn dashed(points: &[(i32, i32)], pattern: &[i32]) -> Vec<Vec<(i32, i32)>> {
     dashes
 }
 
-/// Draws the names of lines beside each other, flush right at a point (fine pixels of the area), and gives where they begin.
+/// Draws a legend in one row that ends at a point in fine pixels of the area. Returns the left end of the legend.
 pub(super) fn legend<B: Canvas>(
     area: &DrawingArea<B, Shift>,
     (right, middle): (i32, i32),
@@ -289,8 +290,8 @@ pub(super) fn legend<B: Canvas>(
     Ok(right)
 }
 
-/// Least and greatest value with this share of room on both sides, apart by `least` at least, and where nothing changes by what
-/// can be told apart in print.
+/// Returns the range of values, extended by the fraction `room` of its length on both sides. The range is at least
+/// `min` long. A constant value gets a range whose ticks have distinct labels.
 pub(super) fn span(values: impl Iterator<Item = f64>, min: f64, room: f64) -> (f64, f64) {
     let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     if low > high {
@@ -303,12 +304,12 @@ pub(super) fn span(values: impl Iterator<Item = f64>, min: f64, room: f64) -> (f
     (middle - half, middle + half)
 }
 
-/// Numbers of an axis, with as many places as tell its ticks apart.
+/// Returns the formatter of an axis, with enough decimals to distinguish its ticks.
 pub(super) fn label_of((low, high): (f64, f64)) -> impl Fn(&f64) -> String {
     let places = (-((high - low) / 10.0).log10().floor()).clamp(0.0, 9.0) as usize;
     move |x| {
         let text = format!("{x:.places$}");
-        // no minus before nothing
+        // zero has no minus sign
         let nothing = text.trim_start_matches('-').chars().all(|letter| matches!(letter, '0' | '.'));
         if nothing { text.trim_start_matches('-').to_string() } else { text }
     }
@@ -325,7 +326,7 @@ mod tests {
         let length = |dash: &Vec<(i32, i32)>| -> f64 {
             dash.windows(2).map(|p| f64::from(p[1].0 - p[0].0).hypot(f64::from(p[1].1 - p[0].1))).sum()
         };
-        // 250 fine pixels: 36 of ink and 12 of gap in turn
+        // // 250 fine pixels, with dashes of 36 and gaps of 12
         assert_eq!(dashes.len(), 6);
         assert!(dashes[..5].iter().all(|dash| (length(dash) - 36.0).abs() < 2.0), "{dashes:?}");
         assert_eq!(dashed(&points[..1], &[9, 3]).len(), 0);
@@ -338,24 +339,24 @@ mod tests {
         assert!(thinned.len() < 20 && thinned[0] == points[0] && thinned.last() == points.last());
         let extreme = |points: &[(i32, i32)]| (points.iter().map(|p| p.1).min(), points.iter().map(|p| p.1).max());
         assert_eq!(extreme(&thinned), extreme(&points));
-        // what only rises is not gone through twice
+        // // a rising column needs no second pass
         let rising: Vec<_> = (0..100).map(|i| (0, i)).collect();
         assert!(thin(&rising).windows(2).all(|pair| pair[1].1 > pair[0].1));
     }
 
     #[test]
-    fn ways_keep_their_ends_and_lose_what_is_nearer_than_a_pixel() {
+    fn thinned_paths_keep_their_ends_and_drop_points_within_a_pixel() {
         let circle: Vec<_> = (0..10_000)
             .map(|i| (f64::from(i) * 1e-3).sin_cos())
             .map(|(sin, cos)| ((200.0 * cos) as i32, (200.0 * sin) as i32))
             .collect();
-        let thinned = thin_way(circle.iter().copied());
+        let thinned = thin_path(circle.iter().copied());
         assert!(thinned.len() < 1000 && thinned[0] == circle[0] && thinned.last() == circle.last());
-        assert_eq!(thin_way(std::iter::repeat_n((3, 3), 50)), [(3, 3)]);
+        assert_eq!(thin_path(std::iter::repeat_n((3, 3), 50)), [(3, 3)]);
     }
 
     #[test]
-    fn labels_have_the_places_that_tell_ticks_apart() {
+    fn labels_have_enough_decimals_to_distinguish_ticks() {
         assert_eq!(label_of((0.0, 10.0))(&5.0), "5");
         assert_eq!(label_of((0.0, 1.0))(&0.25), "0.2");
         assert_eq!(label_of((0.99, 1.01))(&0.995), "0.995");

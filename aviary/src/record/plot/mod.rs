@@ -1,7 +1,7 @@
 //! Plots of flights: time series and paths, as SVG and PNG.
 //!
-//! Colours are those that the colour-blind can tell apart (Okabe and Ito 2008); lines differ in their dashes, too, so that they can
-//! be told apart in grey.
+//! The colours are distinguishable for colour-blind readers (Okabe and Ito 2008). Lines also differ in their
+//! dashes, so that they are distinguishable in greyscale.
 
 mod canvas;
 mod panels;
@@ -20,28 +20,28 @@ use super::{Flight, RecordError};
 /// A line of a plot.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Series {
-    /// What the legend says.
+    /// Name in the legend.
     pub name: String,
     /// Points, from left to right.
     pub points: Vec<(f64, f64)>,
 }
 
-/// Colours that the colour-blind can tell apart, and that print as different greys (Okabe and Ito 2008).
+/// Colours that are distinguishable for colour-blind readers and in greyscale (Okabe and Ito 2008).
 const COLOURS: [[u8; 3]; 7] =
     [[0, 114, 178], [213, 94, 0], [0, 158, 115], [204, 121, 167], [86, 180, 233], [230, 159, 0], [70, 70, 70]];
 
-/// The colour of a line or a drone among so many: red, green, blue and alpha from 0 to 1.
+/// Returns the colour of line or drone `index` of `count`: red, green, blue and alpha from 0 to 1.
 pub fn colour_of(index: usize, count: usize) -> [f32; 4] {
     let [r, g, b] = bytes_of(index, count).map(|x| f32::from(x) / 255.0);
     [r, g, b, 1.0]
 }
 
-/// The same from 0 to 255.
+/// Returns the colour of line `index` of `count`, red, green and blue from 0 to 255.
 fn bytes_of(index: usize, count: usize) -> [u8; 3] {
     if count <= COLOURS.len() {
         return COLOURS[index % COLOURS.len()];
     }
-    // round the circle of hues, lighter and darker in turn
+    // hues evenly around the colour circle, alternately lighter and darker
     let wave = |shift: f64| {
         let turn = index as f64 / count as f64 + shift;
         let light = if index.is_multiple_of(2) { 0.55 } else { 0.4 };
@@ -50,7 +50,7 @@ fn bytes_of(index: usize, count: usize) -> [u8; 3] {
     [wave(0.0), wave(1.0 / 3.0), wave(2.0 / 3.0)]
 }
 
-/// A plot, ready to be drawn.
+/// A plot of time series or paths.
 #[derive(Debug, Clone)]
 pub struct Plot {
     title: String,
@@ -65,7 +65,7 @@ enum Kind {
 }
 
 impl Plot {
-    /// One panel per entry, stacked, over a common time axis: `(label of the y axis, lines)`.
+    /// Creates a plot of stacked panels over a common time axis. A panel is `(label of the y axis, lines)`.
     ///
     /// ```
     /// use aviary::record::plot::{Plot, Series};
@@ -78,13 +78,13 @@ impl Plot {
     /// ```
     ///
     /// # Errors
-    /// [`RecordError::Plot`] where there is nothing to plot or a point is not finite.
+    /// [`RecordError::Plot`] if there are no points or a point is not finite.
     pub fn time_series(title: &str, panels: &[(&str, Vec<Series>)]) -> Result<Self, RecordError> {
         let panels = Panels::of_series(panels)?;
         Ok(Self { title: title.into(), size: (800, 50 + 250 * panels.rows()), kind: Kind::Panels(panels) })
     }
 
-    /// Something else than time along the common axis of its panels, with its unit; plots of paths have none.
+    /// Sets the label of the common axis, with its unit; default `time (s)`. Plots of paths ignore it.
     #[must_use]
     pub fn over(mut self, name: &str) -> Self {
         if let Kind::Panels(panels) = &mut self.kind {
@@ -93,46 +93,47 @@ impl Plot {
         self
     }
 
-    /// Position, attitude, velocity and motor speeds over time, with the references in dashes. A single drone has a panel
-    /// for each; of several, every axis has a panel, in which the drones lie over each other.
+    /// Creates a plot of position, attitude, velocity and motor speeds over time, with dashed references. A flight
+    /// of one drone has one panel for each. A flight of several drones has a panel for each component, with a line
+    /// per drone.
     ///
     /// # Errors
-    /// As for [`time_series`](Self::time_series).
+    /// Returns the errors of [`time_series`](Self::time_series).
     pub fn of_flight(title: &str, flight: &Flight) -> Result<Self, RecordError> {
         let panels = Panels::of_flight(flight)?;
         let size = if panels.columns() > 2 { (1500, 1000) } else { (1100, 700) };
         Ok(Self { title: title.into(), size, kind: Kind::Panels(panels) })
     }
 
-    /// The ways of all drones seen from above and in space, with those that they were to fly in dashes. A ring is the
-    /// start, a dot the end.
+    /// Creates a plot of the paths of all drones from above and in 3D, with dashed references. A ring marks the
+    /// start of a path, a dot its end.
     ///
     /// # Errors
-    /// As for [`time_series`](Self::time_series).
+    /// Returns the errors of [`time_series`](Self::time_series).
     pub fn of_paths(title: &str, flight: &Flight) -> Result<Self, RecordError> {
         Ok(Self { title: title.into(), size: (1100, 600), kind: Kind::Paths(Paths::of(flight)?) })
     }
 
-    /// As SVG.
+    /// Draws the plot as SVG.
     ///
     /// # Errors
-    /// [`RecordError::Plot`] where it cannot be drawn.
+    /// [`RecordError::Plot`] if the plot cannot be drawn.
     pub fn svg(&self) -> Result<String, RecordError> {
         canvas::svg(self)
     }
 
-    /// As PNG, two pixels for one of the SVG.
+    /// Draws the plot as PNG, with two pixels per pixel of the SVG.
     ///
     /// # Errors
-    /// As for [`svg`](Self::svg).
+    /// Returns the errors of [`svg`](Self::svg).
     pub fn png(&self) -> Result<Vec<u8>, RecordError> {
         canvas::png(self)
     }
 
-    /// As a file, PNG or SVG by the ending of its name.
+    /// Writes the plot to a file. The extension of its name, `.png` or `.svg`, selects the format.
     ///
     /// # Errors
-    /// [`RecordError::File`] where it cannot be written, [`RecordError::Plot`] for another ending.
+    /// [`RecordError::File`] if the file cannot be written, and [`RecordError::Plot`] for another extension.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), RecordError> {
         let path = path.as_ref();
         let bytes = match path.extension().and_then(std::ffi::OsStr::to_str) {
@@ -155,14 +156,14 @@ impl Plot {
     }
 }
 
-/// Whether there is something to plot, and all of it finite.
+/// Returns an error if there are no points or a point is not finite.
 fn check<'a>(mut points: impl Iterator<Item = &'a f64>) -> Result<(), RecordError> {
     let Some(first) = points.next() else {
-        return Err(RecordError::Plot("there is nothing to plot".into()));
+        return Err(RecordError::Plot("no points, expected at least one".into()));
     };
-    // what is larger has no axis that anybody could read
+    // larger values have no readable axis
     match std::iter::once(first).chain(points).any(|x| x.is_nan() || x.abs() > 1e100) {
-        true => Err(RecordError::Plot("a point is not finite, or larger than 1e100".into())),
+        true => Err(RecordError::Plot("a point is not finite or exceeds 1e100, expected finite points".into())),
         false => Ok(()),
     }
 }
@@ -183,7 +184,7 @@ mod tests {
         ["a line", "another"].map(|name| Series { name: name.into(), points: points.to_vec() }).into()
     }
 
-    /// Drones that go round in circles.
+    /// Returns a flight of drones in circles.
     fn circles(drones: usize) -> Flight {
         let sample = |drone: usize, i: u32| {
             let t = f64::from(i) / 48.0;
@@ -212,7 +213,7 @@ mod tests {
             assert!(svg.contains(text), "{text}");
         }
         for colour in ["#0072B2", "#D55E00"] {
-            assert!(svg.matches(colour).count() >= 4, "a line and its place in the legend, in each panel: {colour}");
+            assert!(svg.matches(colour).count() >= 4, "a line and its legend entry in each panel: {colour}");
         }
         let png = image::load_from_memory(&plot.png().unwrap()).unwrap();
         assert_eq!((png.width(), png.height()), (1600, 1100));
@@ -220,19 +221,19 @@ mod tests {
         assert!(blue > 1000, "{blue} pixels of the first line");
     }
 
-    /// Ticks of a line that does not move were all labelled 0.0.
+    /// Regression test: all ticks of a constant line had the label 0.0.
     #[test]
     fn ticks_of_a_constant_line_differ() {
         for value in [0.0, 1.0, 14_475.8, -3.0e-4, 1.7e9] {
             let svg = Plot::time_series("", &[("y", line(&[(0.0, value), (1.0, value)]))]).unwrap().svg().unwrap();
-            // texts between the label of the panel and the end that are numbers
+            // numeric texts are the labels of the ticks
             let numbers: Vec<_> = svg.lines().map(str::trim).filter(|text| text.parse::<f64>().is_ok()).collect();
             let distinct: std::collections::BTreeSet<_> = numbers.iter().collect();
             assert!(distinct.len() + 4 > numbers.len() && distinct.len() > 4, "{value}: {numbers:?}");
         }
     }
 
-    /// They were straight lines.
+    /// Regression test: small values were drawn as straight lines.
     #[test]
     fn small_quantities_fill_their_axis() {
         let points: Vec<_> = (0..100).map(|i| (1.7e9 + 0.1 * f64::from(i), 1e-7 * f64::from(i % 2))).collect();
@@ -257,37 +258,37 @@ mod tests {
             for word in words.iter().chain(&["A flight", "time (s)"]) {
                 assert!(svg.contains(word), "{drones}: {word}");
             }
-            let svg = Plot::of_paths("Ways", &circles(drones)).unwrap().svg().unwrap();
-            for word in ["Ways", "x (m)", "y (m)", "z (m)"] {
+            let svg = Plot::of_paths("Paths", &circles(drones)).unwrap().svg().unwrap();
+            for word in ["Paths", "x (m)", "y (m)", "z (m)"] {
                 assert!(svg.contains(word), "{drones}: {word}");
             }
         }
     }
 
-    /// Needles ran across the picture where a line turns back, and there was nothing where it runs over itself.
+    /// Regression test: PNG plots had spikes where a line reverses and holes where it overlaps itself.
     #[test]
-    fn lines_that_turn_back_stay_where_they_are_in_pixels_too() {
+    fn lines_that_reverse_or_overlap_are_drawn_correctly_in_png() {
         let zigzag: Vec<_> = (0..2000).map(|i| (f64::from(i) * 0.01, if i % 2 == 0 { 0.0 } else { 1.0 })).collect();
         let lines = vec![Series { name: "a".into(), points: zigzag }];
         let png = Plot::time_series("", &[("y", lines)]).unwrap().png().unwrap();
-        let picture = image::load_from_memory(&png).unwrap().to_rgb8();
+        let image = image::load_from_memory(&png).unwrap().to_rgb8();
         let is_line = |pixel: &image::Rgb<u8>| pixel.0[2] > 150 && pixel.0[0] < 60;
-        let rows: Vec<u32> = picture.enumerate_pixels().filter(|(_, _, p)| is_line(p)).map(|(_, y, _)| y).collect();
+        let rows: Vec<u32> = image.enumerate_pixels().filter(|(_, _, p)| is_line(p)).map(|(_, y, _)| y).collect();
         let (top, bottom) = (*rows.iter().min().unwrap(), *rows.iter().max().unwrap());
-        // the panel lies between its heading and the labels of the time axis
-        assert!(top > 50 && bottom < picture.height() - 80, "rows {top} to {bottom} of {}", picture.height());
+        // the panel is between its title and the labels of the time axis
+        assert!(top > 50 && bottom < image.height() - 80, "rows {top} to {bottom} of {}", image.height());
 
         let mut twice = circles(1);
         let again: Vec<_> = twice.drones[0].iter().map(|sample| Sample { reference: None, ..*sample }).collect();
         twice.drones[0] = again.iter().chain(&again).copied().collect();
         let png = Plot::of_paths("", &twice).unwrap().png().unwrap();
-        let picture = image::load_from_memory(&png).unwrap().to_rgb8();
-        let blue = picture.pixels().filter(|pixel| is_line(pixel)).count();
-        assert!(blue > 5000, "{blue} pixels of a way flown twice");
+        let image = image::load_from_memory(&png).unwrap().to_rgb8();
+        let blue = image.pixels().filter(|pixel| is_line(pixel)).count();
+        assert!(blue > 5000, "{blue} pixels of a path flown twice");
     }
 
     #[test]
-    fn long_flights_make_no_huge_files() {
+    fn long_series_give_small_files() {
         let points = (0..200_000).map(|i| 1e-3 * f64::from(i)).map(|t| (t, (7.0 * t).sin())).collect();
         let lines = vec![Series { name: "a".into(), points }];
         let svg = Plot::time_series("", &[("y", lines)]).unwrap().svg().unwrap();
@@ -295,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_and_not_a_number_are_errors_and_so_are_other_endings() {
+    fn empty_plots_invalid_points_and_unknown_extensions_are_errors() {
         assert!(Plot::time_series("", &[]).is_err());
         assert!(Plot::time_series("", &[("y", line(&[]))]).is_err());
         assert!(Plot::time_series("", &[("y", line(&[(0.0, f64::NAN)]))]).is_err());
@@ -303,12 +304,12 @@ mod tests {
         for broken in [Flight::default(), Flight { drones: vec![vec![]] }] {
             assert!(Plot::of_flight("", &broken).is_err() && Plot::of_paths("", &broken).is_err());
         }
-        let mut lost = circles(2);
-        lost.drones[1][7].state.position.x = f64::INFINITY;
-        assert!(Plot::of_flight("", &lost).is_err() && Plot::of_paths("", &lost).is_err());
+        let mut invalid = circles(2);
+        invalid.drones[1][7].state.position.x = f64::INFINITY;
+        assert!(Plot::of_flight("", &invalid).is_err() && Plot::of_paths("", &invalid).is_err());
         let error = Plot::of_paths("", &circles(1)).unwrap().save("flight.jpeg").unwrap_err();
         assert!(error.to_string().contains(".svg or .png"), "{error}");
-        // a flight of one moment is a point
+        // a flight with one sample is a point
         let mut short = circles(1);
         short.drones[0].truncate(1);
         assert!(

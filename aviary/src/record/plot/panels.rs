@@ -1,4 +1,4 @@
-//! Time series in a grid of panels.
+//! Plots of time series in a grid of panels.
 
 use nalgebra::Vector3;
 use plotters::coord::Shift;
@@ -11,7 +11,7 @@ use crate::record::{Flight, RecordError, Sample};
 
 #[derive(Debug, Clone)]
 struct Line {
-    /// What the legend says; nothing for lines that it leaves out.
+    /// Name in the legend; empty for lines without an entry.
     name: String,
     points: Vec<(f64, f64)>,
     stroke: Stroke,
@@ -21,45 +21,45 @@ struct Line {
 struct Panel {
     label: String,
     lines: Vec<Line>,
-    /// Least that the axis spans.
+    /// Minimum length of the value axis.
     min: f64,
 }
 
-/// What panels are over unless somebody says otherwise.
+/// Default label of the common axis.
 const TIME: &str = "time (s)";
 
-/// Panels over a common time axis.
+/// Panels over a common axis.
 #[derive(Debug, Clone)]
 pub(super) struct Panels {
     panels: Vec<Panel>,
     columns: usize,
-    /// What they are over.
+    /// Label of the common axis.
     pub over: String,
-    /// A legend for all of them, where they have none of their own.
+    /// Common legend for panels without their own.
     legend: Vec<(String, Stroke)>,
 }
 
-/// What is read off a sample for one line: a component of something, from 0.
+/// Quantity that a line shows. Indices of components start at 0.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Reading {
-    /// m.
+enum Quantity {
+    /// Position, world frame, m.
     Position(usize),
-    /// What the drone is asked for, m.
+    /// Reference position, world frame, m.
     ReferencePosition(usize),
-    /// Distance of the two, m.
+    /// Distance from the reference position, m.
     Distance,
     /// Roll, pitch or yaw, degrees.
     Attitude(usize),
-    /// Degrees.
+    /// Angle between the body's z axis and the vertical, degrees.
     Tilt,
-    /// m/s.
+    /// Velocity, world frame, m/s.
     Velocity(usize),
-    /// m/s.
+    /// Norm of the velocity, m/s.
     Speed,
-    /// rpm.
+    /// Motor speed, rpm.
     Motor(usize),
 }
-use Reading::{Attitude, Distance, Motor, Position, ReferencePosition, Speed, Tilt, Velocity};
+use Quantity::{Attitude, Distance, Motor, Position, ReferencePosition, Speed, Tilt, Velocity};
 
 impl Panels {
     pub fn of_series(panels: &[(&str, Vec<Series>)]) -> Result<Self, RecordError> {
@@ -95,12 +95,12 @@ impl Panels {
         })
     }
 
-    /// Four panels, in which the axes lie over each other.
+    /// Creates four panels for one drone, with a line per component.
     fn of_one(samples: &[Sample]) -> Self {
-        let panel = |label: &str, min: f64, names: &[&str], reading: fn(usize) -> Reading| {
+        let panel = |label: &str, min: f64, names: &[&str], quantity: fn(usize) -> Quantity| {
             let lines = names.iter().enumerate().map(|(index, name)| Line {
                 name: name.to_string(),
-                points: reading(index).series(samples),
+                points: quantity(index).series(samples),
                 stroke: Stroke::of(index, names.len()),
             });
             Panel { label: label.into(), lines: lines.collect(), min }
@@ -109,7 +109,7 @@ impl Panels {
         for axis in 0..3 {
             let points = ReferencePosition(axis).series(samples);
             if !points.is_empty() {
-                // one entry of the legend stands for all of them; thin as they are, they lie over the lines
+                // one legend entry stands for all references, whose thin lines are drawn on top
                 let name = if axis == 0 { "reference" } else { "" };
                 position.lines.push(Line { name: name.into(), points, stroke: Stroke::REFERENCE });
             }
@@ -127,16 +127,16 @@ impl Panels {
         }
     }
 
-    /// A panel for every axis, in which the drones lie over each other.
+    /// Creates a panel for every quantity, with a line per drone.
     fn of_several(drones: &[Vec<Sample>]) -> Self {
         let count = drones.len();
-        let panel = |(label, reading): (&str, Reading), min: f64| {
+        let panel = |(label, quantity): (&str, Quantity), min: f64| {
             let mut lines = Vec::new();
             for (drone, samples) in drones.iter().enumerate() {
                 let stroke = Stroke::of(drone, count);
-                lines.push(Line { name: String::new(), points: reading.series(samples), stroke });
+                lines.push(Line { name: String::new(), points: quantity.series(samples), stroke });
             }
-            if let Position(axis) = reading {
+            if let Position(axis) = quantity {
                 for samples in drones {
                     let points = ReferencePosition(axis).series(samples);
                     lines.push(Line { name: String::new(), points, stroke: Stroke::REFERENCE });
@@ -144,7 +144,7 @@ impl Panels {
             }
             Panel { label: label.into(), lines, min }
         };
-        let rows: [([(&str, Reading); 4], f64); 4] = [
+        let rows: [([(&str, Quantity); 4], f64); 4] = [
             (
                 [
                     ("x (m)", Position(0)),
@@ -197,7 +197,7 @@ impl Panels {
     pub fn draw<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         let mut area = area.clone();
         if !self.legend.is_empty() {
-            // as many in a row as there is room for
+            // rows hold as many entries as fit
             for entries in self.legend.chunks(13) {
                 let (head, rest) = area.split_vertically(px(22));
                 legend(&head, (head.dim_in_pixel().0 as i32 - px(14), px(10)), entries)?;
@@ -255,8 +255,8 @@ impl Panel {
     }
 }
 
-impl Reading {
-    /// Nothing where the sample has no reference and one is asked for.
+impl Quantity {
+    /// Returns the value of the quantity; `None` for a sample without the required reference.
     fn of(self, sample: &Sample) -> Option<f64> {
         let Sample { state, reference, motor_speeds, .. } = sample;
         Some(match self {
@@ -271,11 +271,11 @@ impl Reading {
         })
     }
 
-    /// The reading over time, angles without jumps of a whole turn.
+    /// Returns the quantity over time. Angles are unwrapped.
     fn series(self, samples: &[Sample]) -> Vec<(f64, f64)> {
-        // before the first step no motor has been told anything
-        let silent = usize::from(matches!(self, Motor(_)) && samples.len() > 1);
-        let points = samples.iter().skip(silent).filter_map(|sample| Some((sample.time, self.of(sample)?)));
+        // the first sample precedes all motor commands
+        let skipped = usize::from(matches!(self, Motor(_)) && samples.len() > 1);
+        let points = samples.iter().skip(skipped).filter_map(|sample| Some((sample.time, self.of(sample)?)));
         let mut points: Vec<_> = points.collect();
         if matches!(self, Attitude(_)) {
             let mut turns = 0.0;
@@ -295,7 +295,7 @@ mod tests {
     use crate::state::DroneState;
 
     #[test]
-    fn yaw_goes_on_where_it_wraps() {
+    fn yaw_is_continuous_where_it_wraps() {
         let sample = |i: u32| Sample {
             time: f64::from(i),
             state: DroneState::at_rest(Vector3::zeros(), Vector3::new(0.0, 0.0, -0.5 * f64::from(i))),

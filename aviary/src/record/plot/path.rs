@@ -1,4 +1,4 @@
-//! Ways of drones, from above and in space.
+//! Plots of flown paths, from above and in 3D.
 
 use nalgebra::Vector3;
 use plotters::coord::Shift;
@@ -6,22 +6,22 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
 use super::canvas::{
-    Axis, Canvas, Drawn, Stroke, draw_axes, draw_line, font, label_of, legend, px, span, text, thin_way,
+    Axis, Canvas, Drawn, Stroke, draw_axes, draw_line, font, label_of, legend, px, span, text, thin_path,
 };
 use super::{check, rgb};
 use crate::record::{Flight, RecordError};
 
 #[derive(Debug, Clone)]
-struct Way {
+struct DronePath {
     points: Vec<Vector3<f64>>,
     stroke: Stroke,
 }
 
 #[derive(Debug, Clone)]
 pub(super) struct Paths {
-    flown: Vec<Way>,
-    references: Vec<Way>,
-    /// Middle of everything and half of what it spans, m.
+    flown: Vec<DronePath>,
+    references: Vec<DronePath>,
+    /// Centre and half extent of all paths, world frame, m.
     middle: Vector3<f64>,
     half: Vector3<f64>,
 }
@@ -29,15 +29,16 @@ pub(super) struct Paths {
 impl Paths {
     pub fn of(flight: &Flight) -> Result<Self, RecordError> {
         let count = flight.drones.len();
-        let flown: Vec<_> =
-            (0..count).map(|drone| Way { points: flight.positions(drone), stroke: Stroke::of(drone, count) }).collect();
+        let flown: Vec<_> = (0..count)
+            .map(|drone| DronePath { points: flight.positions(drone), stroke: Stroke::of(drone, count) })
+            .collect();
         let references: Vec<_> = (flight.drones.iter())
-            .map(|samples| Way {
+            .map(|samples| DronePath {
                 points: samples.iter().filter_map(|sample| sample.reference).map(|(at, _)| at.into()).collect(),
                 stroke: Stroke::REFERENCE,
             })
             .collect();
-        let points = || flown.iter().chain(&references).flat_map(|way| &way.points);
+        let points = || flown.iter().chain(&references).flat_map(|path| &path.points);
         check(points().flatten())?;
         let axis = |i: usize| span(points().map(|point| point[i]), 0.2, 0.06);
         let (x, y, z) = (axis(0), axis(1), axis(2));
@@ -51,9 +52,9 @@ impl Paths {
         let mut entries: Vec<_> = Vec::new();
         if self.flown.len() > 1 {
             let drones = self.flown.iter().enumerate().take(16);
-            entries.extend(drones.map(|(drone, way)| (format!("drone {drone}"), way.stroke)));
+            entries.extend(drones.map(|(drone, path)| (format!("drone {drone}"), path.stroke)));
         }
-        if self.references.iter().any(|way| !way.points.is_empty()) {
+        if self.references.iter().any(|path| !path.points.is_empty()) {
             if entries.is_empty() {
                 entries.push(("flown".into(), self.flown[0].stroke));
             }
@@ -71,7 +72,7 @@ impl Paths {
 
     fn draw_from_above<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         let (width, height) = area.dim_in_pixel();
-        // what is left for the axes after labels and margins, so that a metre is as long in both
+        // the area without labels and margins, so that a metre has the same length on both axes
         let (across, up) = (f64::from(width as i32 - px(90)), f64::from(height as i32 - px(64)));
         let metre = (across / (2.0 * self.half.x)).min(up / (2.0 * self.half.y));
         let (x, y) = (0.5 * across / metre, 0.5 * up / metre);
@@ -92,20 +93,20 @@ impl Paths {
             let (x, y) = chart.plotting_area().map_coordinate(&(point.x, point.y));
             (x - range.0.start, y - range.1.start)
         };
-        self.draw_ways(&inner, &map)
+        self.draw_paths(&inner, &map)
     }
 
     fn draw_in_space<B: Canvas>(&self, area: &DrawingArea<B, Shift>) -> Drawn<B> {
         const PITCH: f64 = 0.42;
         const YAW: f64 = 0.6;
-        // what is flat gets some height
+        // flat flights get a minimum height
         let half = self.half.map(|half| half.max(0.4 * self.half.max()));
         let range = |i: usize| self.middle[i] - half[i]..self.middle[i] + half[i];
-        // plotters' third axis comes towards the reader: −y, so that x, y and z are a right-handed frame
+        // the third axis of plotters points towards the viewer; −y makes x, y and z a right-handed frame
         let towards = -self.middle.y - half.y..-self.middle.y + half.y;
         let mut chart =
             ChartBuilder::on(area).margin(px(10)).build_cartesian_3d(range(0), range(2), towards.clone())?;
-        // a metre is as long along all axes, and what is seen of the box fills the area but for the labels
+        // a metre has the same length on all axes, and the projected box fills the area without the labels
         let (width, height) = area.dim_in_pixel();
         let across = 2.0 * (half.x * YAW.cos() + half.y * YAW.sin());
         let up = 2.0 * (half.z * PITCH.cos() + (half.x * YAW.sin() + half.y * YAW.cos()) * PITCH.sin());
@@ -116,7 +117,7 @@ impl Paths {
             (projection.pitch, projection.yaw, projection.scale) = (PITCH, YAW, 1.0);
             projection.into_matrix()
         });
-        // a short axis has no room for many numbers
+        // a short axis has room for few numbers
         let ticks = |of: f64| if of < 0.6 * half.max() { 2 } else { 5 };
         let line = |grey: u8| RGBColor(grey, grey, grey).stroke_width(px(1) as u32 / 2);
         let (x, y, z) = (range(0), range(1), range(2));
@@ -142,8 +143,8 @@ impl Paths {
             let (across, down) = chart.plotting_area().map_coordinate(&(point.x, point.z, -point.y));
             (across - corner_of_area.0, down - corner_of_area.1)
         };
-        // names beside the middles of the edges that have ticks: plotters takes, of the edges of the three walls that are farthest
-        // away, the nearest one, and of equally near ones the highest in the picture
+        // axis names stand next to the middle of the edge that has the ticks: of the edges of the three rear walls,
+        // plotters uses the nearest one and, of equally near ones, the highest one in the image
         let walls = [[x.start, x.end], [z.start, z.end], [towards.start, towards.end]];
         let depth = |corner: [f64; 3]| {
             chart.plotting_area().as_coord_spec().projected_depth(&corner[0], &corner[1], &corner[2])
@@ -174,39 +175,39 @@ impl Paths {
                 |ends: &[[f64; 3]; 2]| (depth(ends[0]) + depth(ends[1]), pixel(ends[0]).1 + pixel(ends[1]).1);
             let Some([from, to]) = edges.min_by_key(nearness) else { continue };
             let (from, to) = (pixel(from), pixel(to));
-            // the ticks are beside a steep edge and above or below a flat one
-            let beside = (to.0 - from.0).abs() < (to.1 - from.1).abs();
+            // ticks are next to a steep edge and above or below a flat one
+            let is_steep = (to.0 - from.0).abs() < (to.1 - from.1).abs();
             let left = if from.0 < width as i32 / 2 { -1 } else { 1 };
             let above = if from.1 < height as i32 / 2 { -1 } else { 1 };
-            let aside = if beside { (52 * left, 0) } else { (0, 34 * above) };
+            let aside = if is_steep { (52 * left, 0) } else { (0, 34 * above) };
             let at = ((from.0 + to.0) / 2 + px(aside.0), (from.1 + to.1) / 2 + px(aside.1));
             inner.draw(&Text::new(name, at, text(13, HPos::Center, VPos::Center)))?;
         }
-        self.draw_ways(&inner, &map)
+        self.draw_paths(&inner, &map)
     }
 
-    fn draw_ways<B: Canvas>(
+    fn draw_paths<B: Canvas>(
         &self,
         area: &DrawingArea<B, Shift>,
         map: &dyn Fn(&Vector3<f64>) -> (i32, i32),
     ) -> Drawn<B> {
-        for way in self.flown.iter().chain(&self.references) {
-            let pixels = thin_way(way.points.iter().map(map));
+        for path in self.flown.iter().chain(&self.references) {
+            let pixels = thin_path(path.points.iter().map(map));
             match pixels[..] {
                 [] => {}
-                // a reference that stands still is a cross
+                // a constant reference is a cross
                 [(x, y)] => {
-                    let style = rgb(way.stroke.colour).stroke_width(px(1) as u32);
+                    let style = rgb(path.stroke.colour).stroke_width(px(1) as u32);
                     let arm = px(5);
                     area.draw(&PathElement::new([(x - arm, y), (x + arm, y)], style))?;
                     area.draw(&PathElement::new([(x, y - arm), (x, y + arm)], style))?;
                 }
-                _ => draw_line(area, pixels, way.stroke)?,
+                _ => draw_line(area, pixels, path.stroke)?,
             }
         }
-        for way in &self.flown {
-            if let (Some(first), Some(last)) = (way.points.first(), way.points.last()) {
-                let colour = rgb(way.stroke.colour);
+        for path in &self.flown {
+            if let (Some(first), Some(last)) = (path.points.first(), path.points.last()) {
+                let colour = rgb(path.stroke.colour);
                 area.draw(&Circle::new(map(first), px(5), WHITE.filled()))?;
                 area.draw(&Circle::new(map(first), px(5), colour.stroke_width(px(1) as u32)))?;
                 area.draw(&Circle::new(map(last), px(4), colour.filled()))?;

@@ -1,4 +1,4 @@
-//! Scenarios to simulations.
+//! Conversion of scenarios to simulations.
 
 use super::{ReplayError, Scenario};
 use crate::drone::{DroneModel, DroneParams};
@@ -9,10 +9,10 @@ use crate::state::{DroneState, attitude_from_rpy, attitude_from_wxyz};
 use crate::world::{Obstacle, ObstacleKind, World};
 
 impl Scenario {
-    /// The airframe. A file is found relative to the current directory.
+    /// Returns the parameters of the airframe. Paths of files are relative to the current directory.
     ///
     /// # Errors
-    /// [`ReplayError::Field`].
+    /// [`ReplayError::Field`] if the airframe does not exist or is invalid.
     pub fn drone(&self) -> Result<DroneParams, ReplayError> {
         if let Some(params) = &self.airframe {
             if params.name != self.drone_model {
@@ -28,10 +28,10 @@ impl Scenario {
         Ok(model.params())
     }
 
-    /// The simulation at its start.
+    /// Creates the simulation at the start of the flight.
     ///
     /// # Errors
-    /// [`ReplayError::Field`] naming what is impossible.
+    /// [`ReplayError::Field`] with the invalid field.
     pub fn simulation(&self) -> Result<Simulation, ReplayError> {
         let (quaternions, bodies) = (self.initial_quaternions.as_ref(), self.bodies.as_ref());
         let lengths = [("initial_quaternions", quaternions.map(Vec::len)), ("bodies", bodies.map(Vec::len))];
@@ -39,7 +39,7 @@ impl Scenario {
             ("initial_xyzs", Some(&self.initial_xyzs), World::MAX_COORDINATE),
             ("initial_rpys", Some(&self.initial_rpys), World::MAX_ANGLE),
             ("scene_rpys", self.scene_rpys.as_ref(), World::MAX_ANGLE),
-            // what is faster than this is no flight, and MuJoCo gives up on it
+            // MuJoCo diverges at higher speeds
             ("initial_velocities", self.initial_velocities.as_ref(), 1e9),
             ("initial_angular_velocities", self.initial_angular_velocities.as_ref(), 1e9),
         ];
@@ -59,7 +59,7 @@ impl Scenario {
         }
         if self.scene_rpys.is_some() && quaternions.is_none() {
             return Err(
-                self.wrong("scene_rpys", "there are no initial_quaternions, expected both or initial_rpys alone")
+                self.wrong("scene_rpys", "no initial_quaternions, expected both, or initial_rpys without scene_rpys")
             );
         }
         let level = vec![[0.0; 3]; self.num_drones];
@@ -91,7 +91,8 @@ impl Scenario {
         if let Some(effects) = self.effects {
             builder = builder.effects(effects);
         }
-        // scenarios of earlier versions name MuJoCo as the engine of the mode that the explicit engine integrates
+        // scenarios of earlier versions name the engine `mujoco` for the physics mode `dyn`, which the explicit
+        // engine integrates
         let is_early = self.physics == Some(Physics::Dyn) && self.engine == Some(EngineKind::Mujoco);
         if let Some(engine) = self.engine.filter(|_| !is_early) {
             builder = builder.engine(engine);
@@ -128,14 +129,14 @@ impl Scenario {
             simulation.reset().map_err(|error| self.wrong("bodies", error))?;
         }
         if self.wind.is_none() && self.wind_seed.is_some() {
-            return Err(self.wrong("wind_seed", "a seed without a section [wind], expected both or none"));
+            return Err(self.wrong("wind_seed", "a seed without a section [wind], expected both or neither"));
         }
         let seed = self.wind_seed.unwrap_or_default();
         simulation.set_wind(self.wind, seed).map_err(|error| self.wrong("wind", error))?;
         Ok(simulation)
     }
 
-    /// The obstacles.
+    /// Returns the obstacles.
     fn obstacles(&self) -> Result<Vec<Obstacle>, ReplayError> {
         let Some(config) = &self.obstacles else { return Ok(Vec::new()) };
         if config.kind != ObstacleKind::Custom {
@@ -148,7 +149,7 @@ impl Scenario {
         Ok(config.custom.clone())
     }
 
-    /// These states with the attitudes of the quaternions, which must be those of `initial_rpys`.
+    /// Returns states with the attitudes of quaternions, which must match `initial_rpys`.
     fn states_with(&self, quaternions: &[[f64; 4]], states: &[DroneState]) -> Result<Vec<DroneState>, ReplayError> {
         let with = |((state, &q), &rpy): ((&DroneState, &[f64; 4]), &[f64; 3])| {
             let length = q.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -158,7 +159,7 @@ impl Scenario {
             }
             let attitude = attitude_from_wxyz(q);
             if attitude.angle_to(&attitude_from_rpy(rpy.into())) > 1e-6 {
-                let message = format!("{q:?} is another attitude than that of initial_rpys, expected the same");
+                let message = format!("{q:?} differs from the attitude of initial_rpys, expected the same attitude");
                 return Err(self.wrong("initial_quaternions", message));
             }
             Ok(DroneState { attitude, ..*state })

@@ -1,4 +1,4 @@
-//! Simulations to scenarios.
+//! Conversion of simulations to scenarios.
 
 use std::collections::BTreeMap;
 
@@ -13,16 +13,17 @@ use crate::state::{DroneState, attitude_from_rpy, wxyz};
 use crate::world::{ObstacleConfig, ObstacleKind};
 
 impl Scenario {
-    /// The scenario of a flight: call it at the flight's start, after the reset of its environment.
+    /// Creates the scenario of a flight from a simulation at its start, after the reset of the environment.
     ///
     /// # Errors
-    /// [`ReplayError::Field`] for what a scenario cannot describe: a flight under way, drones of different airframes.
+    /// [`ReplayError::Field`] for a simulation that a scenario cannot describe: one that has been stepped, or one
+    /// whose drones have different airframes.
     pub fn of(simulation: &Simulation) -> Result<Self, ReplayError> {
         let wrong = |field, message: &str| Err(ReplayError::Field { field, line: None, message: message.into() });
         let (world, states) = (&simulation.scene(), simulation.states());
         let nominal = &world.drones[0].params;
         if simulation.control_steps() > 0 {
-            return wrong("initial_xyzs", "the flight is under way, expected its start");
+            return wrong("initial_xyzs", "the simulation has been stepped, expected one at its start");
         }
         if world.drones.iter().any(|drone| drone.params != *nominal) {
             return wrong("drone_model", "the drones have different airframes, expected one for all");
@@ -34,7 +35,7 @@ impl Scenario {
             states.iter().map(|state| vector(state).into()).collect()
         };
         let nonzero = |list: Vec<[f64; 3]>| list.iter().flatten().any(|&x| x != 0.0).then_some(list);
-        // attitudes of the compiled scene: MuJoCo's inertia has their rounding
+        // the rounding of MuJoCo's inertia depends on the attitudes of the compiled scene
         let scene: Vec<[f64; 3]> = world.drones.iter().map(|drone| drone.rpy.into()).collect();
         let quaternions: Vec<_> = states.iter().map(|state| wxyz(&state.attitude)).collect();
         let bits = |q: [f64; 4]| q.map(f64::to_bits);

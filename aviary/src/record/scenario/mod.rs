@@ -1,4 +1,4 @@
-//! The start and the rules of a flight, as a file with which the flight can be flown again.
+//! Scenarios: the initial state and the configuration of a flight, as a file that reproduces it.
 
 mod build;
 mod capture;
@@ -14,7 +14,7 @@ use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
 use crate::world::{Forcing, Integrator, Medium, ObstacleConfig};
 
-/// The start and the rules of a flight.
+/// Initial state and configuration of a flight.
 ///
 /// ```
 /// use aviary::record::Scenario;
@@ -35,14 +35,14 @@ use crate::world::{Forcing, Integrator, Medium, ObstacleConfig};
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
-/// [`Scenario::of`] describes a simulation as it has started, with the wind, obstacles, motors and bodies that were sampled
-/// for it: under the motor speeds of its log, the scenario's simulation flies to the same bits.
+/// [`Scenario::of`] describes a simulation at its start, with the sampled wind, obstacles, motors and bodies. With
+/// the motor speeds of the log, the simulation of the scenario reproduces the flight bit-exactly.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// Airframe: a built-in one by name, a TOML file, or the name of `airframe`.
+    /// Airframe: the name of a built-in one, a TOML file, or the name of `airframe`.
     pub drone_model: String,
-    /// Physics mode, the shorthand for `effects` and `engine`. Without it there must be `effects`.
+    /// Physics mode, the shorthand for `effects` and `engine`; required unless `effects` is set.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub physics: Option<Physics>,
     /// Number of drones.
@@ -54,78 +54,78 @@ pub struct Scenario {
     /// Initial positions, world frame, m.
     #[serde(deserialize_with = "crate::error::triples")]
     pub initial_xyzs: Vec<[f64; 3]>,
-    /// Initial roll, pitch, yaw, rad.
+    /// Initial roll, pitch and yaw, rad.
     #[serde(deserialize_with = "crate::error::triples")]
     pub initial_rpys: Vec<[f64; 3]>,
-    /// Initial attitudes `[w, x, y, z]`, body to world, of unit length, where the episode starts from others than those of the
-    /// compiled scene. They are those of `initial_rpys`, to the last bit.
+    /// Initial attitudes `[w, x, y, z]`, body to world, of unit length, if they differ from the attitudes of the
+    /// compiled scene. They equal `initial_rpys` without its rounding.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub initial_quaternions: Option<Vec<[f64; 4]>>,
-    /// Roll, pitch, yaw that the scene is compiled with where there are `initial_quaternions`, rad; level by default.
+    /// Roll, pitch and yaw of the compiled scene, rad, if `initial_quaternions` is set; level by default.
     #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
     pub scene_rpys: Option<Vec<[f64; 3]>>,
     /// Initial velocities, world frame, m/s.
     #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
     pub initial_velocities: Option<Vec<[f64; 3]>>,
-    /// Initial body rates, body frame, rad/s.
+    /// Initial angular velocities, body frame, rad/s.
     #[serde(default, deserialize_with = "crate::error::optional_triples", skip_serializing_if = "Option::is_none")]
     pub initial_angular_velocities: Option<Vec<[f64; 3]>>,
-    /// Frame of the rotors' wrench during a physics step.
+    /// Frame of the rotor wrench during a physics step.
     #[serde(default)]
     pub forcing: Forcing,
-    /// MuJoCo's integrator.
+    /// Integrator of MuJoCo.
     #[serde(default = "paper_integrator", with = "IntegratorName")]
     pub integrator: Integrator,
-    /// The engine; `explicit` in the physics mode `dyn` and `mujoco` otherwise by default.
+    /// Engine; by default `explicit` for the physics mode `dyn`, otherwise `mujoco`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub engine: Option<EngineKind>,
-    /// Gravity, downwards, m/s²; 9.81 by default.
+    /// Downward gravity, m/s²; 9.81 by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub gravity: Option<f64>,
-    /// Seed of the wind, written as text: TOML has no integers of 64 bits without a sign.
+    /// Seed of the wind, as text because TOML has no unsigned 64-bit integers.
     #[serde(default, with = "seed", skip_serializing_if = "Option::is_none")]
     pub wind_seed: Option<u64>,
-    /// Aerodynamic effects; those of the physics mode by default.
+    /// Aerodynamic effects; by default those of the physics mode.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effects: Option<Effects>,
-    /// MuJoCo's fluid forces.
+    /// Fluid of MuJoCo's fluid forces.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub medium: Option<Medium>,
-    /// The wind.
+    /// Wind.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wind: Option<WindConfig>,
-    /// Obstacles, of the kind `custom`.
+    /// Obstacles, of kind `custom`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub obstacles: Option<ObstacleConfig>,
-    /// The airframe, where it is not a built-in one.
+    /// Parameters of the airframe, if it is not built in.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub airframe: Option<DroneParams>,
-    /// Body and motors of every drone, where they are not those of the airframe.
+    /// Bodies and motors of the drones, if they differ from the airframe.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bodies: Option<Vec<ScenarioBody>>,
-    /// The line that each field stands on, where it was read from text.
+    /// Lines of the fields in the text of the scenario.
     #[serde(skip)]
     lines: BTreeMap<&'static str, usize>,
 }
 
-/// Body and motors of a drone that differ from its airframe's, as a randomization samples them. Motor commands are clipped
-/// to the airframe's own greatest speed.
+/// Body and motors of a drone that differ from its airframe, such as sampled parameters. Motor commands are clipped
+/// to the largest speed of the airframe.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ScenarioBody {
-    /// The body.
+    /// Parameters of the body.
     pub airframe: DroneParams,
-    /// The motors.
+    /// Parameters of the motors.
     #[serde(default)]
     pub actuators: ActuatorParams,
 }
 
-/// The paper's integrator.
+/// Returns the paper's integrator.
 fn paper_integrator() -> Integrator {
     Integrator::Rk4
 }
 
-/// Seeds as text.
+/// Serialization of seeds as text.
 mod seed {
     use serde::{Deserialize as _, Deserializer, Serializer, de::Error as _};
 
@@ -140,7 +140,7 @@ mod seed {
     }
 }
 
-/// MuJoCo's integrators by name, for serde.
+/// Names of MuJoCo's integrators, for serde.
 #[derive(Serialize, Deserialize)]
 #[serde(remote = "Integrator", rename_all = "snake_case")]
 enum IntegratorName {
@@ -153,39 +153,40 @@ enum IntegratorName {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplayError {
-    /// The scenario is not one.
+    /// TOML that is not a scenario.
     #[error("{0}")]
     Toml(String),
-    /// A field of it is impossible.
+    /// An invalid field of a scenario.
     #[error("{}{field}: {message}", line.map_or_else(String::new, |line| format!("line {line}: ")))]
     Field {
-        /// The field.
+        /// Name of the field.
         field: &'static str,
-        /// Its line, from 1, where it was read from text.
+        /// Line of the field, from 1, if the scenario was read from text.
         line: Option<usize>,
-        /// The fault, and what is expected.
+        /// Description of the error and the expected value.
         message: String,
     },
-    /// A file of motor speeds that is not one.
+    /// An invalid file of motor speeds.
     #[error("line {line}: {message}")]
     Actions {
-        /// Line of the file, from 1.
+        /// Line in the file, from 1.
         line: usize,
-        /// The fault, and what is expected.
+        /// Description of the error and the expected value.
         message: String,
     },
 }
 
 impl Scenario {
-    /// Reads a scenario.
+    /// Reads a scenario from TOML.
     ///
     /// # Errors
-    /// [`ReplayError::Toml`] with line and column, [`ReplayError::Field`] for a scenario without `physics` and `effects`.
+    /// [`ReplayError::Toml`] with line and column, and [`ReplayError::Field`] for a scenario without `physics` and
+    /// `effects`.
     pub fn from_toml(text: &str) -> Result<Self, ReplayError> {
         let mut scenario: Self =
             toml::from_str(text).map_err(|error| ReplayError::Toml(crate::error::toml_message(text, &error)))?;
         if scenario.physics.is_none() && scenario.effects.is_none() {
-            return Err(scenario.wrong("physics", "missing, expected a physics mode, or effects"));
+            return Err(scenario.wrong("physics", "missing, expected a physics mode or `effects`"));
         }
         for field in FIELDS {
             let line = text.lines().position(|line| {
@@ -196,10 +197,10 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// The scenario as TOML, which [`from_toml`](Self::from_toml) reads back to the same scenario.
+    /// Converts the scenario to TOML, which [`from_toml`](Self::from_toml) reads back to the same scenario.
     ///
     /// # Errors
-    /// [`ReplayError::Toml`] for what TOML cannot say.
+    /// [`ReplayError::Toml`] if TOML cannot represent a value.
     pub fn to_toml(&self) -> Result<String, ReplayError> {
         toml::to_string(self).map_err(|error| ReplayError::Toml(error.to_string()))
     }
@@ -209,7 +210,7 @@ impl Scenario {
     }
 }
 
-/// Fields of a scenario that can be impossible although they are well-formed.
+/// Fields of a scenario whose values can be invalid in well-formed TOML.
 const FIELDS: [&str; 16] = [
     "drone_model",
     "num_drones",
@@ -252,7 +253,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
 "#;
 
     #[test]
-    fn wrong_scenarios_are_refused_by_line_and_field() {
+    fn invalid_scenarios_are_errors_with_line_and_field() {
         let message = |from: &str, to: &str| match Scenario::from_toml(&SCENARIO.replace(from, to)) {
             Err(error) => error.to_string(),
             Ok(scenario) => scenario.simulation().unwrap_err().to_string(),
@@ -280,7 +281,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
     }
 
     #[test]
-    fn what_contradicts_itself_is_refused_and_seeds_have_all_64_bits() {
+    fn contradictions_are_errors_and_seeds_have_64_bits() {
         let with = |more: &str| Scenario::from_toml(&format!("{SCENARIO}{more}"));
         let message = |more: &str| match with(more) {
             Err(error) => error.to_string(),
@@ -292,12 +293,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         assert_eq!(seed.simulation().unwrap().wind_seed(), u64::MAX);
         assert!(message("initial_quaternions = [[1, 0, 0, 1]]\n").starts_with("line 9: initial_quaternions:"));
         assert!(
-            message("initial_quaternions = [[0, 1, 0, 0]]\n").contains("another attitude than that of initial_rpys")
+            message("initial_quaternions = [[0, 1, 0, 0]]\n").contains("differs from the attitude of initial_rpys")
         );
         assert!(message("initial_quaternions = []\n").contains("0 entries, expected one for each of 1 drone"));
-        assert!(
-            message("scene_rpys = [[0, 0, 1]]\n").starts_with("line 9: scene_rpys: there are no initial_quaternions")
-        );
+        assert!(message("scene_rpys = [[0, 0, 1]]\n").starts_with("line 9: scene_rpys: no initial_quaternions"));
         let two = message("initial_quaternions = [[1, 0, 0, 0]]\nscene_rpys = [[0, 0, 1], [0, 0, 1]]\n");
         assert!(two.starts_with("line 10: scene_rpys: 2 entries, expected one for each of 1 drone"), "{two}");
         assert!(message("gravity = nan\n").starts_with("line 9: gravity"));
@@ -315,10 +314,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
     }
 
     #[test]
-    fn a_flight_under_way_or_of_different_airframes_has_no_scenario() {
+    fn a_stepped_simulation_or_mixed_airframes_have_no_scenario() {
         let mut simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
         simulation.step(&[[1e4; 4]]).unwrap();
-        assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("under way"));
+        assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("has been stepped"));
         let two = [DroneModel::Cf2x.params(), DroneModel::Race.params()];
         let simulation = Simulation::builder(DroneModel::Cf2x).drones(two).build().unwrap();
         assert!(Scenario::of(&simulation).unwrap_err().to_string().contains("different airframes"));
@@ -341,7 +340,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             let again = scenario.simulation().unwrap();
             assert_eq!((again.effects(), again.model().engine_kind()), (effects, engine), "{text}");
         }
-        // as earlier versions wrote the scenario of a flight in the mode `dyn`
+        // the scenario that earlier versions wrote for a flight in the mode `dyn`
         let early = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"mujoco\"\n";
         let early = Scenario::from_toml(&early).unwrap().simulation().unwrap();
         assert_eq!(early.model().engine_kind(), EngineKind::Explicit);
@@ -351,7 +350,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         };
         assert_eq!(
             message(&SCENARIO.replace("physics = \"mjc\"\n", "")),
-            "physics: missing, expected a physics mode, or effects"
+            "physics: missing, expected a physics mode or `effects`"
         );
         let contradiction = message(&format!("{SCENARIO}effects = {{ drag = true }}\n"));
         let expected = "line 9: effects: effects is drag and physics mjc, which implies none";
@@ -360,9 +359,9 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         assert!(contradiction.starts_with("line 9: engine: engine is explicit and physics mjc"), "{contradiction}");
     }
 
-    /// The flight of a field may be flown again, however many bars its gates have.
+    /// A scenario can list all bars of the largest random set of gates.
     #[test]
-    fn the_largest_field_that_is_placed_at_random_can_be_listed() {
+    fn the_largest_random_set_of_obstacles_can_be_listed() {
         let gates =
             ObstacleConfig { count: 501, arena: [200.0, 200.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Gates) };
         let mut rng = <crate::env::Rng as rand::SeedableRng>::seed_from_u64(1);
@@ -377,9 +376,9 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         assert!(list.validate().unwrap_err().to_string().contains("is 8001, expected 0 to 8000"));
     }
 
-    /// MuJoCo's numbers of a turned scene have other last bits than those of a level one, wherever its drones start.
+    /// The rounding of MuJoCo's derived quantities depends on the attitude of the compiled scene.
     #[test]
-    fn a_turned_scene_is_compiled_turned_again() {
+    fn a_rotated_scene_is_compiled_with_its_rotation() {
         let mut as_level = 0;
         let scenes = [[0.0, 0.0, 1.0], [0.0, 0.0, 2.1], [0.0, 0.0, -0.6], [0.4, -0.2, 1.0], [1.3, 0.7, -2.9]];
         for rpy in scenes {
@@ -403,7 +402,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             }
             as_level += usize::from(level.states() == simulation.states());
         }
-        assert!(as_level < scenes.len(), "level scenes fly to the same bits, so that this test shows nothing");
+        assert!(as_level < scenes.len(), "level scenes give the same bits, so that this test shows nothing");
     }
 
     fn vector(size: f64) -> impl Strategy<Value = [f64; 3]> {
@@ -412,10 +411,10 @@ initial_rpys = [[0.0, 0.0, 0.0]]
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
-        /// Whatever a flight starts from and is flown with, its scenario and its log fly it again to the same bits, from
-        /// each of the two tables that are written.
+        /// The scenario and the log of a flight reproduce it bit-exactly for any initial state and configuration,
+        /// from each of the two table formats.
         #[test]
-        fn a_scenario_and_a_log_are_the_flight(
+        fn a_scenario_and_a_log_reproduce_the_flight(
             starts in prop::collection::vec((vector(3.0), vector(3.1), vector(5.0), vector(20.0)), 1..4),
             speeds in prop::collection::vec(prop::array::uniform4(-1e3..3e4_f64), 1..12),
             effects in prop::sample::select(&Physics::ALL[..]).prop_map(Physics::effects),
@@ -450,7 +449,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             let states: Vec<_> = (starts.iter().enumerate())
                 .map(|(drone, &(place, rpy, velocity, rate))| DroneState {
                     position: Vector3::from(place) + Vector3::new(10.0 * drone as f64, 0.0, 5.0),
-                    // a turn after another one: roll, pitch and yaw do not give it to the last bit
+                    // // the product of two rotations, which roll, pitch and yaw represent only with rounding
                     attitude: attitude_from_rpy(rpy.into()) * attitude_from_rpy(place.into()),
                     velocity: velocity.into(),
                     angular_velocity: rate.into(),
@@ -479,7 +478,8 @@ initial_rpys = [[0.0, 0.0, 0.0]]
             }
             let table = directory.path().join("table.csv");
             std::fs::write(&table, log.finish().unwrap()).unwrap();
-            let read = |path: &std::path::Path| read_motor_speeds(&[path.to_path_buf()], count, scenario.ctrl_freq).unwrap();
+            let read =
+                |path: &std::path::Path| read_motor_speeds(&[path.to_path_buf()], count, scenario.ctrl_freq).unwrap();
             let speeds = read(directory.path());
             prop_assert_eq!(&read(&table), &speeds);
             for (speeds, states) in speeds.iter().zip(&flown) {
