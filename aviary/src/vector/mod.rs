@@ -23,7 +23,7 @@ use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, Observ
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
 
-/// When an environment that has ended begins its next episode, as in Gymnasium's vector environments.
+/// Time of the reset after the end of an episode, as in Gymnasium's vector environments.
 ///
 /// ```
 /// use aviary::tasks::Hover;
@@ -158,7 +158,7 @@ pub struct VecStep<'a> {
 /// use aviary::tasks::Hover;
 /// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecPictures};
 ///
-/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
+/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // no OpenGL
 /// let builder = Hover::builder().observation_type(ObservationType::KIN_RGB);
 /// let mut env = VecAviary::new(builder, VecConfig::new(2))?;
 /// let mut buffers = VecBuffers::new(&env);

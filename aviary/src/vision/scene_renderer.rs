@@ -18,7 +18,7 @@ use crate::world::{Marker, Obstacle, SceneError, World};
 /// use aviary::simulation::Simulation;
 /// use aviary::vision::{CAMERA_SIZE, SceneRenderer, intrinsics};
 ///
-/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // nothing to draw with
+/// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // no OpenGL
 /// let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build()?;
 /// let mut renderer = SceneRenderer::for_observations(simulation.world())?;
 /// renderer.update(simulation.states())?;
