@@ -312,8 +312,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     /// Rejects a step before any environment moves.
     fn check_actions(&mut self, actions: &[f32]) -> Result<(), EnvError> {
         let bad = |environment, error| Err(EnvError::InBatch { environment, error: Box::new(error) });
-        // checking every environment is slow compared with a step, therefore only the first step and batches
-        // without autoreset do it
+        // the loop over all environments is slow compared with a step, and finds nothing once all have started and
+        // reset automatically
         if !self.all_started || self.config.autoreset == Autoreset::Disabled {
             for (environment, slot) in self.environments.slots.iter().enumerate() {
                 match slot.episode.phase {

@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 use super::SceneRenderer;
 
 impl SceneRenderer {
-    /// Adds a shape to the scene until the next update. The components of `rgba` are from 0 to 1. Returns false if the scene has no
-    /// room.
+    /// Adds a shape to the scene until the next update. The components of `rgba` are from 0 to 1. Returns false if
+    /// the scene has no room.
     pub fn add(&mut self, decor: Decor, rgba: [f32; 4]) -> bool {
         self.scene.add(decor, rgba)
     }
