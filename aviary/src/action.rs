@@ -16,7 +16,7 @@ named_enum! {
     "action type"
     /// Action types of a drone (*MuJoCo-Drones-Gym*, Tayal, action table).
     ///
-    /// | type | numbers per drone | bounds |
+    /// | type | components per drone | bounds |
     /// | --- | --- | --- |
     /// | `rpm` | four normalized motor speeds, see [`MotorScale`] | −1 to 1 |
     /// | `raw_rpm` | four motor speeds, rpm | 0 to `MAX_RPM` |
@@ -67,7 +67,7 @@ named_enum! {
 }
 
 impl ActionType {
-    /// Returns the number of numbers per drone.
+    /// Returns the number of components per drone.
     pub fn size(self) -> usize {
         match self {
             Self::OneDRpm => 1,
@@ -75,7 +75,7 @@ impl ActionType {
         }
     }
 
-    /// Returns the lower and the upper bound of every number, for one drone.
+    /// Returns the lower and the upper bound of every component, for one drone.
     pub fn bounds(self, params: &DroneParams, limits: &ActionLimits) -> Vec<[f64; 2]> {
         let around_zero = |max: f64| [-max, max];
         match self {
@@ -111,9 +111,9 @@ pub struct ActionLimits {
     /// Lower and upper bound of a waypoint's x, y and z, world frame, m; default ±10 m horizontally and 0 to 10 m
     /// vertically.
     pub arena: [[f64; 2]; 3],
-    /// Roll or pitch of an action of 1, rad; default 30°.
+    /// Roll and pitch of an action of 1, rad; default 30°.
     pub tilt: f64,
-    /// Yaw rate of the upper bound, rad/s; default π.
+    /// Largest yaw rate, rad/s; default π.
     pub yaw_rate: f64,
     /// Body rates of an action of 1, body frame, rad/s; default 10, 10 and 5.
     pub body_rate: [f64; 3],
@@ -241,7 +241,7 @@ impl ActionDecoder {
         &self.scale
     }
 
-    /// Returns true if the decoder has control loops, which use the state of the drone and keep state of their own.
+    /// Returns true if the decoder has control loops, which depend on the drone's state and on earlier actions.
     pub fn has_memory(&self) -> bool {
         !matches!(self.loops, Loops::None)
     }
@@ -270,7 +270,7 @@ impl ActionDecoder {
         let [a, b, c, d] = match (self.kind, action) {
             (ActionType::OneDRpm, &[x]) => return [self.scale.rpm(x); 4],
             (kind, &[a, b, c, d]) if kind.size() == 4 => [a, b, c, d],
-            (kind, _) => panic!("an action of {} numbers, expected {}", action.len(), kind.size()),
+            (kind, _) => panic!("an action of length {}, expected {}", action.len(), kind.size()),
         };
         let (scale, limits) = (self.scale, &self.limits);
         let collective = |command: f64, thrust_coefficient: f64| 4.0 * thrust_coefficient * scale.rpm(command).powi(2);
@@ -305,8 +305,8 @@ impl ActionDecoder {
     }
 }
 
-/// Scale between normalized commands and motor speeds: `a ≤ 0: (a + 1)·HOVER_RPM`, otherwise `HOVER_RPM + a·(MAX_RPM
-/// − HOVER_RPM)`.
+/// Scale between normalized commands and motor speeds:
+/// `a ≤ 0: (a + 1)·HOVER_RPM`, otherwise `HOVER_RPM + a·(MAX_RPM − HOVER_RPM)`.
 ///
 /// −1 is zero speed, 0 is hover speed and 1 is full speed. The scale keeps the constants of the nominal drone even if
 /// the simulated one is randomized. Otherwise 0 would always be the exact trim, and an agent would have nothing to

@@ -215,7 +215,7 @@ impl Observation {
         sizes(self) == sizes(other)
     }
 
-    /// Obstacle distance without an obstacle in range, m.
+    /// Largest obstacle distance, m; the value without obstacles.
     pub const FAR: f64 = 100.0;
 
     /// Creates buffers for a vector of length `vector`, and for the images and `rays` rays of `cameras` drones.
@@ -282,8 +282,8 @@ pub const KIN_SIZE: usize = 20;
 /// Length of [`state_vector`] per drone.
 pub const STATE_SIZE: usize = 12;
 
-/// Returns the paper's `KIN` vector: `[position 3, quaternion wxyz 4, rpy 3, velocity 3, angular velocity 3, motor
-/// speeds 4]`.
+/// Returns the paper's `KIN` vector:
+/// `[position 3, quaternion wxyz 4, rpy 3, velocity 3, angular velocity 3, motor speeds 4]`.
 ///
 /// Position (m) and velocity (m/s) are in the world frame, the angular velocity (rad/s) is in the body frame. The
 /// quaternion rotates from the body to the world frame. Roll, pitch and yaw are in rad, motor speeds in rpm.

@@ -96,7 +96,7 @@ impl Rangefinder {
         for index in 0..world.drones.len() {
             let joint: JointId = model.find(&World::drone_name(index))?;
             let address = model.jnt_qposadr()[joint.index()];
-            joints.push(usize::try_from(address).expect("an address of a joint that exists"));
+            joints.push(usize::try_from(address).expect("the address of a joint is not negative"));
             bodies.push(model.find(&World::drone_name(index))?);
         }
         let mut finder = Self { data: Data::new(model)?, joints, bodies, directions, max_range: config.max_range };
@@ -135,7 +135,7 @@ impl Rangefinder {
     /// # Panics
     /// If the length of `out` is not the number of drones times the number of rays.
     pub fn measure(&mut self, states: &[DroneState], out: &mut [f64]) -> Result<(), Error> {
-        assert_eq!(out.len(), self.bodies.len() * self.directions.len(), "a buffer for all rays");
+        assert_eq!(out.len(), self.bodies.len() * self.directions.len(), "`out` has one number per ray");
         for (&address, state) in self.joints.iter().zip(states) {
             let position = &mut self.data.qpos_mut()[address..][..7];
             position[..3].copy_from_slice(state.position.as_slice());

@@ -1,5 +1,5 @@
 //! Hybrid engine: the flight kernel while no drone can touch anything, MuJoCo otherwise. The kernel agrees with
-//! MuJoCo to rounding.
+//! MuJoCo to rounding, and so does a flight of the hybrid engine.
 //!
 //! The engine tests for possible contacts at two levels. At the start of a control step, a ball around every drone
 //! contains all its positions until the end of the step, whatever its motors do. If these balls meet nothing, the

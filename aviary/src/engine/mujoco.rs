@@ -151,7 +151,7 @@ impl MujocoEngine {
 
     /// Sets the bodies of the drones and the gravity of the world if they changed, and the constants that MuJoCo
     /// derives from them for free bodies. (`mj_setConst`: the inverse weights are means of the diagonal of the
-    /// inverse inertia.) The next step searches the nearest obstacles again.
+    /// inverse inertia.) The next step searches for the nearest obstacles again.
     ///
     /// # Errors
     /// MuJoCo's error if it cannot copy a shared model.
@@ -436,7 +436,7 @@ pub(crate) fn place_geom(model: &mut ModelMut<'_>, geom: GeomId, obstacle: &Obst
 
 /// Converts an index of an existing object, which MuJoCo never makes negative.
 fn address(index: i32) -> usize {
-    usize::try_from(index).expect("an address of something that exists")
+    usize::try_from(index).expect("the index of an existing object is not negative")
 }
 
 #[cfg(test)]

@@ -348,7 +348,7 @@ mod tests {
             for _ in 0..240 {
                 data.step().unwrap();
             }
-            assert!(data.max_contacts_used() >= count, "the drones are not in touch");
+            assert!(data.max_contacts_used() >= count, "the drones have no contacts");
             for warning in [WarningKind::ContactFull, WarningKind::ConstraintFull] {
                 assert_eq!(data.warning(warning).count, 0, "{warning:?} with {count} drones");
             }

@@ -168,12 +168,12 @@ pub enum ObstacleGeneratorError {
     },
 }
 
-fn within(rng: &mut Rng, low: f64, high: f64) -> f64 {
+fn uniform(rng: &mut Rng, low: f64, high: f64) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
 /// Bounding sphere of a placed obstacle.
-struct Taken {
+struct Placed {
     middle: Vector3<f64>,
     radius: f64,
 }
@@ -287,13 +287,13 @@ impl ObstacleConfig {
 
     /// Places the obstacles one after another; returns the number of placed obstacles if the next one has no room.
     fn scatter(&self, starts: &[Vector3<f64>], room: &Room, rng: &mut Rng) -> Result<Vec<Obstacle>, usize> {
-        let mut taken: Vec<Taken> = Vec::with_capacity(self.count);
+        let mut placed: Vec<Placed> = Vec::with_capacity(self.count);
         let mut obstacles = Vec::new();
         for index in 0..self.count {
             let mut found = None;
             for _ in 0..100 {
-                let (parts, middle, radius) = self.draw(index, rng);
-                let apart = |other: &Taken| {
+                let (parts, middle, radius) = self.sample(index, rng);
+                let apart = |other: &Placed| {
                     let offset = middle - other.middle;
                     // only floating obstacles may stand above each other
                     let distance = if self.kind == ObstacleKind::Random { offset.norm() } else { offset.xy().norm() };
@@ -303,12 +303,12 @@ impl ObstacleConfig {
                     |start: &Vector3<f64>| parts.iter().all(|part: &Obstacle| part.distance(start) >= self.safe_zone);
                 let off_walls = |wall: &Obstacle| wall.distance(&middle) >= radius + self.spacing;
                 let off_passages = |passage: &Obstacle| passage.distance(&middle) >= radius;
-                if taken.iter().all(apart)
+                if placed.iter().all(apart)
                     && starts.iter().all(clear_of)
                     && room.walls.iter().all(off_walls)
                     && room.passages.iter().all(off_passages)
                 {
-                    taken.push(Taken { middle, radius });
+                    placed.push(Placed { middle, radius });
                     found = Some(parts);
                     break;
                 }
@@ -323,22 +323,22 @@ impl ObstacleConfig {
 
     /// Samples an obstacle of the kind in the arena: its parts, its centre and its radius (horizontal for obstacles
     /// on the floor).
-    fn draw(&self, index: usize, rng: &mut Rng) -> (Vec<Obstacle>, Vector3<f64>, f64) {
+    fn sample(&self, index: usize, rng: &mut Rng) -> (Vec<Obstacle>, Vector3<f64>, f64) {
         let [length, width, height] = self.arena;
-        let shade = within(rng, 0.85, 1.15);
+        let shade = uniform(rng, 0.85, 1.15);
         let tint = |rgb: [f64; 3]| {
             let [r, g, b] = rgb.map(|x| (x * shade).min(1.0));
             [r, g, b, 1.0]
         };
         let place = |reach: f64, rng: &mut Rng| {
             let (x, y) = ((0.5 * length - reach).max(0.0), (0.5 * width - reach).max(0.0));
-            [within(rng, -x, x), within(rng, -y, y)]
+            [uniform(rng, -x, x), uniform(rng, -y, y)]
         };
         let solid = |shape, position: Vector3<f64>, rpy, rgba| Obstacle { shape, position, rpy, rgba };
         match self.kind {
             ObstacleKind::Forest => {
-                let radius = within(rng, 0.03, 0.08);
-                let half_height = 0.5 * height * within(rng, 0.7, 1.0);
+                let radius = uniform(rng, 0.03, 0.08);
+                let half_height = 0.5 * height * uniform(rng, 0.7, 1.0);
                 let [x, y] = place(radius, rng);
                 let middle = Vector3::new(x, y, half_height);
                 let trunk = Shape::Cylinder { radius, half_height };
@@ -347,12 +347,12 @@ impl ObstacleConfig {
             ObstacleKind::Urban | ObstacleKind::Indoor => {
                 let indoor = self.kind == ObstacleKind::Indoor;
                 let (min, max) = if indoor { (0.08, 0.2) } else { (0.1, 0.25) };
-                let half = [within(rng, min, max), within(rng, min, max)];
-                let half_height = 0.5 * height * if indoor { within(rng, 0.1, 0.45) } else { within(rng, 0.3, 1.0) };
+                let half = [uniform(rng, min, max), uniform(rng, min, max)];
+                let half_height = 0.5 * height * if indoor { uniform(rng, 0.1, 0.45) } else { uniform(rng, 0.3, 1.0) };
                 let radius = half[0].hypot(half[1]);
                 let [x, y] = place(radius, rng);
                 let middle = Vector3::new(x, y, half_height);
-                let yaw = if indoor { within(rng, -3.0, 3.0) } else { 0.0 };
+                let yaw = if indoor { uniform(rng, -3.0, 3.0) } else { 0.0 };
                 let block = Shape::Box { half_size: [half[0], half[1], half_height] };
                 let colour = if indoor { tint([0.55, 0.42, 0.3]) } else { tint([0.6, 0.62, 0.66]) };
                 (vec![solid(block, middle, Vector3::new(0.0, 0.0, yaw), colour)], middle, radius)
@@ -363,8 +363,8 @@ impl ObstacleConfig {
                 let outside = inside + 2.0 * bar;
                 let radius = outside + bar;
                 let [x, y] = place(radius, rng);
-                let middle = Vector3::new(x, y, within(rng, outside, (height - outside).max(outside)));
-                let yaw = within(rng, -3.0, 3.0);
+                let middle = Vector3::new(x, y, uniform(rng, outside, (height - outside).max(outside)));
+                let yaw = uniform(rng, -3.0, 3.0);
                 let left = Vector3::new(-f64::sin(yaw), f64::cos(yaw), 0.0);
                 let rpy = Vector3::new(0.0, 0.0, yaw);
                 let reach = inside + bar;
@@ -381,20 +381,20 @@ impl ObstacleConfig {
                 (parts, middle, radius)
             }
             ObstacleKind::Random | ObstacleKind::Custom => {
-                let size = within(rng, 0.06, 0.15);
+                let size = uniform(rng, 0.06, 0.15);
                 let (shape, colour) = match index % 4 {
                     0 => (
-                        Shape::Box { half_size: [size, within(rng, 0.06, 0.15), within(rng, 0.06, 0.15)] },
+                        Shape::Box { half_size: [size, uniform(rng, 0.06, 0.15), uniform(rng, 0.06, 0.15)] },
                         [0.2, 0.45, 0.7],
                     ),
                     1 => (Shape::Sphere { radius: size }, [0.8, 0.3, 0.25]),
-                    2 => (Shape::Cylinder { radius: size, half_height: within(rng, 0.06, 0.2) }, [0.3, 0.6, 0.35]),
-                    _ => (Shape::Capsule { radius: size, half_height: within(rng, 0.05, 0.15) }, [0.8, 0.65, 0.2]),
+                    2 => (Shape::Cylinder { radius: size, half_height: uniform(rng, 0.06, 0.2) }, [0.3, 0.6, 0.35]),
+                    _ => (Shape::Capsule { radius: size, half_height: uniform(rng, 0.05, 0.15) }, [0.8, 0.65, 0.2]),
                 };
                 let radius = shape.reach();
                 let [x, y] = place(radius, rng);
-                let middle = Vector3::new(x, y, within(rng, radius, (height - radius).max(radius)));
-                let rpy = Vector3::from_fn(|_, _| within(rng, -3.0, 3.0));
+                let middle = Vector3::new(x, y, uniform(rng, radius, (height - radius).max(radius)));
+                let rpy = Vector3::from_fn(|_, _| uniform(rng, -3.0, 3.0));
                 (vec![solid(shape, middle, rpy, tint(colour))], middle, radius)
             }
         }
@@ -436,8 +436,8 @@ impl ObstacleConfig {
             for attempt in 0..200 {
                 // the range around the even spacing grows with the number of failed attempts
                 let spread = 0.1 + 0.4 * f64::from(attempt) / 200.0;
-                let x = length * (partition as f64 / rooms as f64 - 0.5) + within(rng, -spread, spread);
-                let door = within(rng, -0.5 * width + 0.2, 0.5 * width - 0.2 - DOORWAY);
+                let x = length * (partition as f64 / rooms as f64 - 0.5) + uniform(rng, -spread, spread);
+                let door = uniform(rng, -0.5 * width + 0.2, 0.5 * width - 0.2 - DOORWAY);
                 passage = Vector3::new(x, door + 0.5 * DOORWAY, 0.5 * height);
                 let (below, above) = (door + 0.5 * width, 0.5 * width - door - DOORWAY);
                 pair = vec![

@@ -181,7 +181,7 @@ impl<R: Real> FreeBody<R> {
         };
         FlightState {
             position: start.position + (start.velocity + moved) * dt,
-            attitude: after(&start.attitude, &turn),
+            attitude: rotated(&start.attitude, &turn),
             velocity: start.velocity + gained,
             rate: new_rate,
         }
@@ -245,7 +245,7 @@ fn torque_at<R: Real, const BODY_FIXED: bool>(torque: V3<R>, turn: &Turn<R>) -> 
 
 /// Returns the drag along one axis.
 #[inline(always)]
-fn against<R: Real>(viscous: R, quadratic: R, x: R) -> R {
+fn axis_drag<R: Real>(viscous: R, quadratic: R, x: R) -> R {
     -((viscous + quadratic * x.abs()) * x)
 }
 
@@ -283,14 +283,14 @@ impl<R: Real> Fluid<R> {
     fn slowing(&self, v: V3<R>) -> V3<R> {
         let [x, y, z] = self.quadratic;
         let viscous = self.viscous;
-        V3::new(against(viscous, x, v.x), against(viscous, y, v.y), against(viscous, z, v.z))
+        V3::new(axis_drag(viscous, x, v.x), axis_drag(viscous, y, v.y), axis_drag(viscous, z, v.z))
     }
 
     /// Returns the angular drag acceleration at body rates.
     #[inline(always)]
     fn slowing_rate(&self, rate: V3<R>) -> V3<R> {
         let ([vx, vy, vz], [x, y, z]) = (self.viscous_rate, self.quadratic_rate);
-        V3::new(against(vx, x, rate.x), against(vy, y, rate.y), against(vz, z, rate.z))
+        V3::new(axis_drag(vx, x, rate.x), axis_drag(vy, y, rate.y), axis_drag(vz, z, rate.z))
     }
 }
 
@@ -303,7 +303,7 @@ fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
 
 /// Returns an attitude after a rotation.
 #[inline(always)]
-fn after<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
+fn rotated<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
     let (w, V3 { x, y, z }, c, s) = (attitude.w, attitude.v, turn.w, turn.v);
     let q = [
         w * c - x * s.x - y * s.y - z * s.z,

@@ -41,8 +41,8 @@ impl Width {
     }
 
     /// Runs work on the first `count` lanes with this instruction set, or with the baseline if it is not available.
-    /// On AVX-512, half a register of lanes or fewer run in 256-bit registers, of which the machine computes twice as
-    /// many per cycle.
+    /// On AVX-512, up to four lanes run in the lower halves of the registers, on which the machine executes twice as
+    /// many instructions per cycle.
     #[inline]
     pub(super) fn run<W: WithSimd>(self, count: usize, work: W) -> W::Output {
         #[cfg(target_arch = "x86_64")]

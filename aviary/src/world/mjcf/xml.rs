@@ -24,7 +24,7 @@ impl Xml {
     }
 
     fn event(&mut self, event: Event<'_>) {
-        self.writer.write_event(event).expect("memory takes every write");
+        self.writer.write_event(event).expect("writing to memory cannot fail");
     }
 
     fn element<'a>(name: &'a str, attributes: &[(&str, String)]) -> BytesStart<'a> {
