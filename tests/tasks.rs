@@ -304,9 +304,9 @@ fn impossible_options_are_refused_by_name() {
     said(make("race", config().num_drones(0)), "drones");
     said(make("race", config().episode_seconds(f64::NAN)), "episode_seconds is NaN s");
     said(make("race", config().neighbourhood_radius(-1.0)), "neighbourhood");
-    said(make("formation", config().num_drones(40)), "two places in the formation");
-    said(make("formation", config().drone(DroneModel::Race).num_drones(8)), "two places in the formation");
-    said(make("antipodal", config().num_drones(60)), "neighbours on the circle");
+    said(make("formation", config().num_drones(40)), "m apart for drones of");
+    said(make("formation", config().drone(DroneModel::Race).num_drones(8)), "m apart for drones of");
+    said(make("antipodal", config().num_drones(60)), "with 60 drones");
     let boxed = |env: Result<Aviary<FlyThrough>, EnvError>| env.map(|env| Box::new(env) as Box<dyn DroneEnv + Send>);
     said(
         boxed(FlyThrough::builder().task(|task| task.waypoints.clear()).build()),

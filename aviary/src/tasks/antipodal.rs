@@ -10,18 +10,22 @@ use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDe
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
-/// Drones on a circle swap places with those opposite, without coming near each other (the benchmark of the paper's
-/// multi-agent figure).
+/// Task: drones on a circle swap places with the opposite drones at a safe distance from each other (the benchmark
+/// of the paper's multi-agent figure).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | twelve drones evenly on a circle of radius 2 m at a height of 1 m, every other one 2 cm higher: at one height to the last digit the published downwash has no bounds but its cap |
-/// | Goal | the opposite point of the circle, at the drone's own height |
-/// | Action | 4 normalized motor speeds in [−1, 1] per drone; made for velocities behind a [`SafetyWrapper`](crate::wrappers::SafetyWrapper) |
-/// | Reward, per drone | − 0.1·(distance to the goal), + 0.5 within 10 cm of it, − 1 for each drone nearer than the safety radius, − 100 for a crash |
-/// | Terminated | one drone crashes |
+/// | Start | twelve drones, evenly spaced on a circle of radius 2 m, heights alternating between 1 and 1.02 m |
+/// | Goal | opposite point of the circle, at the drone's own height |
+/// | Action | 4 normalized motor speeds in [−1, 1] per drone |
+/// | Reward, per drone | − 0.1·(distance to the goal), + 0.5 within 10 cm of it |
+/// | Penalty, per drone | − 1 for each drone closer than the safety radius, − 100 for a crash |
+/// | Terminated | a drone crashes |
 /// | Truncated | after 20 s |
-/// | Success | every drone within 10 cm of its goal, and no two ever nearer than the safety radius |
+/// | Success | every drone within 10 cm of its goal, and no two drones ever closer than the safety radius |
+///
+/// The heights alternate because the published downwash is singular at equal heights. The task is intended for velocity
+/// actions with a [`SafetyWrapper`](crate::wrappers::SafetyWrapper).
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
@@ -42,18 +46,18 @@ use crate::simulation::SimView;
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Antipodal {
-    /// Radius of the circle, m; 2 by default.
+    /// Radius of the circle, m; default 2.
     pub radius: f64,
-    /// Height, m; 1 by default.
+    /// Height of the circle, m; default 1.
     pub height: f64,
-    /// How much higher every other drone is, m; 0.02 by default.
+    /// Additional height of every other drone, m; default 0.02.
     pub stagger: f64,
-    /// Least distance of two drones' centres, m; 0.3 by default.
+    /// Minimum distance between the centres of two drones, m; default 0.3.
     pub safety_radius: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     watch: CrashWatch,
-    /// Smallest distance of two drones so far, m.
+    /// Smallest distance between two drones so far, m.
     #[serde(with = "crate::serial::extended")]
     nearest: f64,
 }
@@ -73,10 +77,10 @@ impl Default for Antipodal {
 }
 
 impl Antipodal {
-    /// Distance from the goal within which it counts as reached, m.
+    /// Distance within which a drone is at its goal, m.
     pub const AT_GOAL: f64 = 0.1;
 
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
@@ -92,7 +96,8 @@ impl Antipodal {
         Vector3::new(-place.x, -place.y, place.z)
     }
 
-    /// Smallest distance of two drones' centres in this episode so far, m; infinite for a single drone.
+    /// Returns the smallest distance between the centres of two drones in this episode so far, m; infinite for a
+    /// single drone.
     pub fn minimum_distance(&self) -> f64 {
         self.nearest
     }
@@ -137,11 +142,11 @@ impl Task for Antipodal {
             return Err(EnvError::Option {
                 option: "radius",
                 got: format!(
-                    "{} m, {apart:.3} m between neighbours on the circle of {}",
+                    "{} m, with {} {apart:.3} m apart",
                     crate::number(self.radius),
                     crate::count(drones.len(), "drone")
                 ),
-                expected: "more than safety_radius between them",
+                expected: "a distance above safety_radius",
             });
         }
         Ok(())

@@ -9,14 +9,14 @@ use crate::simulation::SimView;
 use crate::state::DroneState;
 use crate::world::placement::CollisionCylinder;
 
-/// When a drone counts as crashed. All are on by default; each can be switched off.
+/// Conditions under which a drone crashes. All are on by default.
 ///
 /// ```
 /// use std::f64::consts::PI;
 ///
 /// use aviary::tasks::{CrashConditions, Hover};
 ///
-/// // a drone that may turn over
+/// no limit on the tilt
 /// let crash = CrashConditions::with_max_tilt(PI);
 /// let env = Hover::builder().task(|hover| hover.crash = crash).build()?;
 /// assert!(env.task().crash.floor_contact);
@@ -24,31 +24,31 @@ use crate::world::placement::CollisionCylinder;
 /// ```
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CrashConditions {
-    /// The centre of a drone is below z = 0 (which only happens where no floor stops it).
+    /// The centre of a drone is below z = 0. A solid floor makes this impossible.
     pub below_floor: bool,
-    /// A drone touches the floor after having been clear of it: with a solid floor, what "z < 0" means.
+    /// A drone touches the floor after it was clear of it. With a solid floor, this replaces the paper's z < 0.
     pub floor_contact: bool,
     /// A drone touches an obstacle.
     pub obstacle_contact: bool,
     /// Two drones touch.
     pub drone_contact: bool,
-    /// Largest angle between body z and world z, rad.
+    /// Maximum angle between body z and world z, rad; π or more for no limit.
     #[serde(with = "crate::serial::extended")]
     pub max_tilt: f64,
 }
 
 impl CrashConditions {
-    /// All of them, with this limit of the tilt, rad.
+    /// Creates conditions that are all on, with this maximum tilt, rad.
     pub fn with_max_tilt(max_tilt: f64) -> Self {
         Self { below_floor: true, floor_contact: true, obstacle_contact: true, drone_contact: true, max_tilt }
     }
 }
 
 impl CrashConditions {
-    /// Checks the limit of the tilt.
+    /// Validates the maximum tilt.
     ///
     /// # Errors
-    /// [`EnvError::Option`].
+    /// [`EnvError::Option`] for a maximum tilt that is not positive.
     pub fn validate(&self) -> Result<(), EnvError> {
         if self.max_tilt > 0.0 {
             return Ok(());
@@ -59,20 +59,20 @@ impl CrashConditions {
     }
 }
 
-/// What every task takes off the reward for a crash.
+/// Returns the part of the reward that every task subtracts for a crash.
 pub(super) fn crash_penalty(end: Option<EndReason>) -> f64 {
     if end.is_some_and(EndReason::is_crash) { 100.0 } else { 0.0 }
 }
 
-/// Distance between a drone and the floor from which on it counts as airborne, m.
+/// Distance from the floor above which a drone is airborne, m.
 const CLEAR_OF_FLOOR: f64 = 0.01;
 
-/// Height of the lowest point of a drone's collision cylinder over the floor, m.
+/// Returns the height of the lowest point of a drone's collision cylinder above the floor, m.
 fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
     CollisionCylinder::from(params).floor_clearance(state)
 }
 
-/// Watches the drones of an episode for crashes: what a task asks in its `end`.
+/// Detector of crashes, for [`Task::end`](crate::env::Task::end).
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -92,7 +92,7 @@ fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
 /// ```
 #[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub struct CrashWatch {
-    /// Which drones have been clear of the floor since the start.
+    /// True for drones that have been clear of the floor since the start of the episode.
     airborne: SmallVec<[bool; 8]>,
     found: SmallVec<[Option<EndReason>; 8]>,
 }
@@ -107,16 +107,16 @@ impl CrashWatch {
         self.found.resize(simulation.num_drones(), None);
     }
 
-    /// Looks at the last control step.
+    /// Checks every drone after a control step.
     ///
     /// # Panics
-    /// Before the first [`reset`](Self::reset).
+    /// If [`reset`](Self::reset) was not called.
     pub fn update(&mut self, conditions: &CrashConditions, simulation: SimView<'_>) {
         for (drone, state) in simulation.states().iter().enumerate() {
             let mut found = None;
             let mut on_floor = false;
             for contact in simulation.contacts() {
-                // two drones that touch are one contact, named after the first of them
+                // a contact of two drones is reported once, for the first of them
                 let reason = match contact.with {
                     Touched::Drone(other) if contact.drone == drone || other == drone => {
                         conditions.drone_contact.then_some(EndReason::DroneContact)
@@ -132,14 +132,14 @@ impl CrashWatch {
                 };
                 found = found.or(reason);
             }
-            // a drone that stands on the floor may do so without a point of contact for a step
+            // a drone standing on the floor may have no contact point for a step
             if !self.airborne[drone] {
                 self.airborne[drone] = !on_floor && clearance(simulation.params(drone), state) > CLEAR_OF_FLOOR;
             }
             if conditions.below_floor && state.position.z < 0.0 {
                 found = found.or(Some(EndReason::BelowFloor));
             }
-            // upright enough for every limit of a right angle and more
+            // while the drone is upright, the tilt is below 90°, so only smaller limits need its angle
             if (state.up().z < 0.0 || conditions.max_tilt < FRAC_PI_2) && state.tilt() > conditions.max_tilt {
                 found = found.or(Some(EndReason::Tilt));
             }
@@ -147,7 +147,7 @@ impl CrashWatch {
         }
     }
 
-    /// How a drone crashed during the last control step, if it did; `None` for a drone that is not there.
+    /// Returns how a drone crashed during the last control step, if it did; `None` if `drone` is out of range.
     pub fn end(&self, drone: usize) -> Option<EndReason> {
         self.found.get(drone).copied().flatten()
     }

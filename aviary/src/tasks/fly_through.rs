@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::waypoint_progress::{self, WaypointProgress};
-use super::{STATE_BOUNDS, UNBOUNDED, side_by_side};
+use super::{STATE_BOUNDS, UNBOUNDED, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -13,23 +13,24 @@ use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
 
-/// A drone visits waypoints, one after the other (paper, §4.1 `FlyThroughAviary`).
+/// Task: a drone visits waypoints in order (paper, §4.1 `FlyThroughAviary`).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | (0, 0, 0.1) m; several drones side by side along −y, each with the whole course before it |
+/// | Start | (0, 0, 0.1) m; several drones in a row along −y, each visiting all waypoints |
 /// | Waypoints | (0, 0, 1), (1, 0, 1), (1, 1, 1.5), (0, 1, 1), (0, 0, 0.5) m, captured within 0.1 m |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
-/// | Reward | + 10 for a capture, − 0.1·(distance to the waypoint flown to), − 0.01·‖ω‖, − 100 for a crash; 0 for a drone that has captured all |
-/// | Terminated | crash (tilt over 90°, contact, z < 0), or every drone has captured all |
+/// | Reward | + 10 for a capture, − 0.1·(distance to the next waypoint), − 0.01·‖ω‖, − 100 for a crash |
+/// | Reward after the last capture | − 100 for a crash |
+/// | Terminated | crash (tilt > 90°, contact, z < 0), or every drone has captured all waypoints |
 /// | Truncated | after 20 s |
-/// | Success, progress | all captured; the share that is |
+/// | Success, progress | all waypoints captured; captured share |
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
-/// | 12–14 | next waypoint (after the last one, the last one) | m, world |
-/// | 15–17 | next waypoint as seen from the drone | m, body |
+/// | 12–14 | next waypoint (the last one after the end of the list) | m, world |
+/// | 15–17 | next waypoint relative to the drone | m, body |
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -38,20 +39,20 @@ use crate::world::{Marker, Obstacle, Shape};
 /// let mut env = FlyThrough::builder().build()?;
 /// let seen = &env.reset(Some(1))?.vector;
 /// assert_eq!(seen[12..15], [0.0, 0.0, 1.0], "the first waypoint");
-/// assert!(env.plan(0).is_some(), "the way through all of them, for a controller to follow");
+/// assert!(env.plan(0).is_some(), "the path through all waypoints, for a controller");
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct FlyThrough {
-    /// The waypoints, world frame, m.
+    /// Waypoints, world frame, m.
     pub waypoints: Vec<[f64; 3]>,
-    /// Distance within which a waypoint is captured, m; 0.1 by default.
+    /// Distance within which a waypoint is captured, m; default 0.1.
     pub radius: f64,
-    /// Reward for a capture; 10 by default.
+    /// Reward for a capture; default 10.
     pub capture_reward: f64,
-    /// Reward per control step and m of distance from the waypoint, taken off; 0.1 by default.
+    /// Penalty per control step and m of distance from the waypoint; default 0.1.
     pub distance_penalty: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     progress: WaypointProgress,
     watch: CrashWatch,
@@ -72,12 +73,12 @@ impl Default for FlyThrough {
 }
 
 impl FlyThrough {
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    /// How many waypoints a drone has captured in this episode; 0 before the first reset.
+    /// Returns the number of waypoints that a drone has captured in this episode; 0 before the first reset.
     pub fn captured(&self, drone: usize) -> usize {
         self.progress.passed(drone)
     }
@@ -98,7 +99,7 @@ impl Task for FlyThrough {
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
-        side_by_side(drones)
+        row_along_y(drones)
     }
 
     fn observation_space(&self) -> BoxSpace {
@@ -108,7 +109,7 @@ impl Task for FlyThrough {
     fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         waypoint_progress::validate("waypoints", &self.waypoints, 1, self.radius)?;
-        waypoint_progress::check_rewards([
+        waypoint_progress::validate_rewards([
             ("capture_reward", self.capture_reward),
             ("distance_penalty", self.distance_penalty),
         ])
@@ -187,7 +188,7 @@ impl Task for FlyThrough {
     }
 
     fn may_be_constant(&self, entry: usize) -> bool {
-        // the next waypoint in the world, until it is captured
+        // the next waypoint in the world frame stays constant until it is captured
         (12..15).contains(&entry)
     }
 

@@ -10,18 +10,18 @@ use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDe
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
-/// Drones keep a formation whose middle goes along a closed path (paper, §4.1 `FormationAviary`).
+/// Task: drones keep a formation whose centre moves along a closed path (paper, §4.1 `FormationAviary`).
 ///
 /// | | |
 /// | --- | --- |
-/// | Formation | evenly on a circle of radius 0.3 m, three drones |
-/// | Start | in formation about the first point of the path |
-/// | Path of the middle | (0, 0, 1), (1, 0, 1), (1, 1, 1.2), (0, 1, 1) m and back, at 0.048 m/s |
+/// | Formation | three drones, evenly spaced on a circle of radius 0.3 m |
+/// | Start | in formation around the first corner of the path |
+/// | Path of the centre | (0, 0, 1), (1, 0, 1), (1, 1, 1.2), (0, 1, 1) m and back, at 0.048 m/s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | − Σ_i ‖p_i − slot_i‖ − 0.5·Σ_{i<j} \|d_ij − desired d_ij\|, − 100 for each crash |
-/// | Terminated | one drone crashes |
+/// | Terminated | a drone crashes |
 /// | Truncated | after 30 s |
-/// | Success | the mean distance of the drones from their slots has been below 5 cm over the episode |
+/// | Success | mean distance of the drones from their slots over the episode below 5 cm |
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
@@ -40,18 +40,18 @@ use crate::simulation::SimView;
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Formation {
-    /// Radius of the circle, m; 0.3 by default.
+    /// Radius of the circle, m; default 0.3.
     pub radius: f64,
-    /// Places relative to the middle, world frame, m, one per drone; the circle by default.
+    /// Slots relative to the centre, world frame, m, one per drone; default the circle.
     pub offsets: Option<Vec<[f64; 3]>>,
-    /// Corners of the path of the middle, world frame, m; the last one leads back to the first.
+    /// Corners of the closed path of the centre, world frame, m.
     pub path: Vec<[f64; 3]>,
-    /// Speed of the middle, m/s; 0.048 by default.
+    /// Speed of the centre, m/s; default 0.048.
     pub speed: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     watch: CrashWatch,
-    /// Sum of the distances from the slots over drones and control steps, m, and their number.
+    /// Sum of the distances from the slots over drones and control steps, m, and the number of summands.
     errors: (f64, f64),
 }
 
@@ -70,15 +70,15 @@ impl Default for Formation {
 }
 
 impl Formation {
-    /// Mean distance from the slots below which the formation is kept, m.
+    /// Mean distance from the slots below which the task succeeds, m.
     const KEPT: f64 = 0.05;
 
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    /// Place of a drone relative to the middle.
+    /// Returns the slot of a drone relative to the centre, m.
     fn offset(&self, drone: usize, count: usize) -> Vector3<f64> {
         match &self.offsets {
             Some(offsets) => offsets[drone].into(),
@@ -89,7 +89,7 @@ impl Formation {
         }
     }
 
-    /// The middle at a time, and its velocity.
+    /// Returns the position and the velocity of the centre at a time.
     fn middle(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
         let sides = self.path.iter().zip(self.path.iter().cycle().skip(1));
         let sides = sides.map(|(from, to)| (Vector3::from(*from), Vector3::from(*to)));
@@ -110,7 +110,7 @@ impl Formation {
         self.middle(simulation.time()).0 + self.offset(drone, simulation.num_drones())
     }
 
-    /// Mean distance of the drones from their slots over the episode so far, m.
+    /// Returns the mean distance of the drones from their slots over the episode so far, m.
     pub fn mean_error(&self) -> f64 {
         self.errors.0 / self.errors.1.max(1.0)
     }
@@ -138,14 +138,18 @@ impl Task for Formation {
         self.crash.validate()?;
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         if self.path.is_empty() || self.path.iter().flatten().any(|x| !(-1e4..=1e4).contains(x)) {
-            return wrong("path", format!("{:?}", self.path), "at least one corner, finite metres up to 10 km");
+            return wrong(
+                "path",
+                format!("{:?}", self.path),
+                "at least one corner, and finite coordinates up to 10 km",
+            );
         }
         if !(0.0..=1e3).contains(&self.speed) {
             return wrong("speed", format!("{} m/s", crate::number(self.speed)), "zero or a positive number");
         }
         if let Some(offsets) = &self.offsets {
             if offsets.len() != drones.len() {
-                return wrong("offsets", crate::count(offsets.len(), "place"), "one per drone");
+                return wrong("offsets", crate::count(offsets.len(), "slot"), "one per drone");
             }
         } else if !(self.radius >= 0.0 && self.radius <= 1e3) {
             return wrong("radius", format!("{} m", crate::number(self.radius)), "zero or a positive number of metres");
@@ -154,12 +158,12 @@ impl Task for Formation {
             return wrong(
                 "offsets",
                 format!("{} m along an axis", crate::number(*x)),
-                "finite numbers of metres up to 10 km",
+                "finite coordinates up to 10 km",
             );
         }
-        let places: Vec<_> = (0..drones.len()).map(|drone| self.offset(drone, drones.len())).collect();
-        for (i, (a, first)) in places.iter().zip(drones).enumerate() {
-            for (b, second) in places[..i].iter().zip(drones) {
+        let slots: Vec<_> = (0..drones.len()).map(|drone| self.offset(drone, drones.len())).collect();
+        for (i, (a, first)) in slots.iter().zip(drones).enumerate() {
+            for (b, second) in slots[..i].iter().zip(drones) {
                 let apart = (a - b).norm();
                 let min = first.collision_radius + second.collision_radius;
                 if apart.is_nan() || apart <= min {
@@ -167,9 +171,8 @@ impl Task for Formation {
                         Some(offsets) => ("offsets", format!("{offsets:?}")),
                         None => ("radius", format!("{} m", crate::number(self.radius))),
                     };
-                    let got =
-                        format!("{value}, {apart:.3} m between two places in the formation for {min:.3} m of drones");
-                    return wrong(option, got, "room between the drones");
+                    let got = format!("{value}, with slots {apart:.3} m apart for drones of {min:.3} m");
+                    return wrong(option, got, "slots that do not overlap");
                 }
             }
         }
@@ -200,7 +203,7 @@ impl Task for Formation {
             let desired = (self.offset(other, count) - place).norm();
             ((states[other].position - here).norm() - desired).abs()
         });
-        // every pair is shared by two drones
+        // each pair occurs in the rewards of both its drones
         -simulation.distance(drone, &self.slot(simulation, drone)) - 0.25 * others.sum::<f64>() - crash_penalty(end)
     }
 
@@ -231,7 +234,7 @@ impl Task for Formation {
     }
 
     fn may_be_constant(&self, entry: usize) -> bool {
-        // the slot, where the path is a point or level
+        // the slot is constant for a path of one point, and its height for a level path
         (12..15).contains(&entry)
     }
 

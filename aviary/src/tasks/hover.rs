@@ -9,7 +9,7 @@ use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
 use crate::simulation::SimView;
 
-/// One drone takes off and hovers (paper, §4.1 `HoverAviary`).
+/// Task: a drone takes off and hovers (paper, §4.1 `HoverAviary`).
 ///
 /// | | |
 /// | --- | --- |
@@ -17,7 +17,7 @@ use crate::simulation::SimView;
 /// | Action | 4 normalized motor speeds in [−1, 1]; 0 hovers |
 /// | Reward | −\|z − z\*\| − 0.1·‖(x, y)‖ − 0.05·‖v‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at the target, − 100 for a crash |
 /// | At the target | \|z − z\*\| < 0.05 m and ‖(x, y)‖ < 0.05 m |
-/// | Terminated | crash (tilt over 90°, the floor touched after having been clear of it, an obstacle touched, z < 0) or z > 3 m |
+/// | Terminated | crash (tilt > 90°, floor contact after take-off, obstacle contact, z < 0) or z > 3 m |
 /// | Truncated | after 10 s |
 ///
 /// | Observation | | Unit, frame |
@@ -39,11 +39,11 @@ use crate::simulation::SimView;
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Hover {
-    /// Height z\* to hover at, m; 1 by default.
+    /// Target height z\*, m; default 1.
     pub target_height: f64,
-    /// Height above which the episode ends, m; 3 by default.
+    /// Height above which the episode ends, m; default 3.
     pub max_height: f64,
-    /// When the drone counts as crashed.
+    /// Conditions under which the drone crashes.
     pub crash: CrashConditions,
     watch: CrashWatch,
 }
@@ -60,7 +60,7 @@ impl Default for Hover {
 }
 
 impl Hover {
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
@@ -139,18 +139,18 @@ impl Task for Hover {
     super::saved_by_serde!();
 }
 
-/// Distance from the target, in height and to the side, within which it counts as reached, m.
+/// Vertical and horizontal distance from the target within which a drone is at the target, m.
 const AT_TARGET: f64 = 0.05;
 
 pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool {
     (position.z - target.z).abs() < AT_TARGET && (position - target).xy().norm() < AT_TARGET
 }
 
-/// The paper's reward of a drone that is to hover at a target (world frame, m), for the last control step: the formula of
-/// [`Hover`]. `end` is how the step ended for the drone.
+/// Returns the paper's reward for hovering at a target (world frame, m) in the last control step: the formula of
+/// [`Hover`]. `end` is the reason of the end for this drone.
 ///
 /// # Panics
-/// If there is no drone of that index.
+/// If `drone` is out of range.
 pub fn hover_reward(simulation: SimView<'_>, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
     let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
     -(state.position.z - target.z).abs()

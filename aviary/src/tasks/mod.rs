@@ -1,4 +1,4 @@
-//! The tasks, one file each. `make` has them by name.
+//! Tasks, one file each. [`make`] creates the environment of a task by name.
 
 mod antipodal;
 mod conditions;
@@ -31,7 +31,7 @@ use crate::env::{DroneEnv, EnvConfig, EnvError, Task, TaskDefaults};
 use crate::observation::STATE_SIZE;
 use crate::world::placement::max_collision_radius;
 
-/// [`Task::save`] and [`Task::load`] of a task that implements serde's traits.
+/// Implements [`Task::save`] and [`Task::load`] for a task that implements serde's traits.
 macro_rules! saved_by_serde {
     () => {
         fn save(&self) -> Option<$crate::env::Saved> {
@@ -46,10 +46,10 @@ macro_rules! saved_by_serde {
 }
 use saved_by_serde;
 
-/// No bound.
+/// Bounds of an unbounded entry.
 const UNBOUNDED: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
 
-/// Bounds of [`state_vector`](crate::observation::state_vector): angles have some, the rest has none.
+/// Bounds of [`state_vector`](crate::observation::state_vector): only the angles are bounded.
 const STATE_BOUNDS: [[f64; 2]; STATE_SIZE] = {
     let mut bounds = [UNBOUNDED; STATE_SIZE];
     bounds[3] = [-PI, PI];
@@ -58,37 +58,37 @@ const STATE_BOUNDS: [[f64; 2]; STATE_SIZE] = {
     bounds
 };
 
-/// Starts on a line along −y from (0, 0, 0.1) m, with room between the drones.
-fn side_by_side(drones: &[DroneParams]) -> Vec<[f64; 3]> {
+/// Returns initial positions in a row along −y from (0, 0, 0.1) m, with room between the drones.
+fn row_along_y(drones: &[DroneParams]) -> Vec<[f64; 3]> {
     let widest = max_collision_radius(drones);
     let spacing = (4.0 * widest).max(1.0);
     (0..drones.len()).map(|drone| [0.0, -spacing * drone as f64, 0.1]).collect()
 }
 
-/// What a list of tasks says of one.
+/// Summary of a task for lists.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaskSummary {
     /// Name, in lower snake case.
     pub name: &'static str,
-    /// What a pilot is asked to do.
+    /// Goal of the task, in a few words.
     pub description: &'static str,
-    /// What it starts from.
+    /// Default options of the environment.
     pub defaults: TaskDefaults,
-    /// Numbers in the observation of one drone.
+    /// Number of entries in the observation of one drone.
     pub observation_per_drone: usize,
-    /// Whether every drone is an agent of its own, with its own action and observation.
+    /// True if every drone is an agent with its own action and observation.
     pub multi_agent: bool,
-    /// Whether episodes may start from states sampled about the task's own start.
+    /// True if an episode may start from states sampled around the task's initial states.
     pub varied_starts: bool,
 }
 
 impl TaskSummary {
-    /// Numbers in an observation, of one agent where there are several.
+    /// Returns the number of entries in the observation: of one agent if the task is multi-agent.
     pub fn observation_size(&self) -> usize {
         self.observation_per_drone * self.blocks()
     }
 
-    /// Numbers in an action by motor speeds, of one agent where there are several.
+    /// Returns the number of motor speeds in an action: of one agent if the task is multi-agent.
     pub fn action_size(&self) -> usize {
         4 * self.blocks()
     }
@@ -98,36 +98,47 @@ impl TaskSummary {
     }
 }
 
-/// The list of tasks, the paper's seven first, given to a macro: name, constructor, whether every drone is an agent of its own,
-/// whether starts may be sampled about the task's own, and what a pilot is asked to do. Whatever goes through all tasks follows
-/// from this list.
+/// Passes the list of tasks, the paper's seven first, to a macro: name, constructor, whether every drone is an
+/// agent, whether initial states may be sampled, and description. All other lists of tasks follow from this one.
 macro_rules! with_tasks {
     ($then:ident!($($argument:tt)*)) => {
         $then! {
             ($($argument)*)
-            "hover" => $crate::tasks::Hover::default(), false, true, "take off and stay at 1 m";
-            "velocity" => $crate::tasks::Velocity::default(), false, true, "fly at a velocity and yaw rate drawn for the episode";
-            "multi_hover" => $crate::tasks::MultiHover::default(), false, true, "take off, each to its own height";
-            "fly_through" => $crate::tasks::FlyThrough::default(), false, true, "visit five waypoints";
-            "formation" => $crate::tasks::Formation::default(), false, true, "keep a circle whose middle moves";
-            "race" => $crate::tasks::Race::default(), false, true, "two laps through six gates";
-            "multi_agent" => $crate::tasks::MultiHover::multi_agent(), true, true, "multi_hover, every drone an agent";
-            // its drones start close to their safety radius
-            "antipodal" => $crate::tasks::Antipodal::default(), false, false, "swap places across a circle without coming near each other";
-            "stabilize" => $crate::tasks::Stabilize::default(), false, true, "come to rest from a random motion";
-            "track" => $crate::tasks::Track::default(), false, true, "follow a point that goes round in a circle";
+            "hover" => $crate::tasks::Hover::default(), false, true,
+                "take off and hover at 1 m";
+            "velocity" => $crate::tasks::Velocity::default(), false, true,
+                "track a random velocity and yaw rate";
+            "multi_hover" => $crate::tasks::MultiHover::default(), false, true,
+                "take off, each drone to its own height";
+            "fly_through" => $crate::tasks::FlyThrough::default(), false, true,
+                "visit five waypoints";
+            "formation" => $crate::tasks::Formation::default(), false, true,
+                "keep a circular formation with a moving centre";
+            "race" => $crate::tasks::Race::default(), false, true,
+                "fly two laps through six gates";
+            "multi_agent" => $crate::tasks::MultiHover::multi_agent(), true, true,
+                "multi_hover with one agent per drone";
+            // no sampled starts: its drones start close to the safety radius
+            "antipodal" => $crate::tasks::Antipodal::default(), false, false,
+                "swap places across a circle at a safe distance";
+            "stabilize" => $crate::tasks::Stabilize::default(), false, true,
+                "come to rest from a random motion";
+            "track" => $crate::tasks::Track::default(), false, true,
+                "follow a point on a circle";
         }
     };
 }
 
 pub(crate) use with_tasks;
 
-/// The names of the list.
+/// Lists the names of the tasks.
 macro_rules! names {
-    (() $($name:literal => $new:expr, $multi_agent:literal, $varied:literal, $description:literal;)+) => { [$($name),+] };
+    (() $($name:literal => $new:expr, $multi_agent:literal, $varied:literal, $description:literal;)+) => {
+        [$($name),+]
+    };
 }
 
-/// Evaluates an expression for the task of a name, with the type that the task has.
+/// Evaluates an expression with the task of the given name, in its concrete type.
 macro_rules! for_task {
     (
         (@ $name:expr, $task:ident, $body:expr)
@@ -151,12 +162,12 @@ pub(crate) use for_task;
 /// Names of all tasks, the paper's seven first.
 pub const NAMES: [&str; with_tasks!(names!()).len()] = with_tasks!(names!());
 
-/// Summaries of all tasks.
+/// Returns the summaries of all tasks.
 pub fn all() -> Vec<TaskSummary> {
     NAMES.iter().filter_map(|name| summary(name).ok()).collect()
 }
 
-/// Summary of the task of a name.
+/// Returns the summary of a task by name.
 ///
 /// ```
 /// use aviary::tasks::summary;
@@ -168,7 +179,7 @@ pub fn all() -> Vec<TaskSummary> {
 /// ```
 ///
 /// # Errors
-/// A name that no task has.
+/// [`UnknownName`] for an unknown name.
 pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
     macro_rules! summaries {
         (() $($name:literal => $new:expr, $multi_agent:literal, $varied:literal, $description:literal;)+) => {
@@ -191,8 +202,8 @@ pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
     with_tasks!(summaries!())
 }
 
-/// Makes the environment of a task by name. (`multi_agent` is one agent's view of it; the agents' own is a
-/// [`ParallelAviary`](crate::multi_agent::ParallelAviary).)
+/// Creates the environment of a task by name. `multi_agent` has a single agent for all drones here; a
+/// [`ParallelAviary`](crate::multi_agent::ParallelAviary) has one agent per drone.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -204,7 +215,8 @@ pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
 /// ```
 ///
 /// # Errors
-/// [`EnvError::UnknownName`], and what building it finds.
+/// [`EnvError::UnknownName`] for an unknown name, and the errors of
+/// [`AviaryBuilder::build`](crate::env::AviaryBuilder::build).
 pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn DroneEnv + Send>, EnvError> {
     for_task!(name, |task| Box::new(config.with_task(task).build()?) as Box<dyn DroneEnv + Send>)
         .map_err(EnvError::from)

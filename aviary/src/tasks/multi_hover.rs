@@ -12,17 +12,17 @@ use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::placement::max_collision_radius;
 
-/// Drones on a line take off, each to a height of its own (paper, §4.1 `MultiHoverAviary`).
+/// Task: drones on a line take off, each to its own height (paper, §4.1 `MultiHoverAviary`).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | two drones, or as many as there are, on a line along x, 1 m apart (further for larger airframes), z = 0.1 m |
-/// | Target | straight above the start, heights evenly from 0.7 m to 1.2 m |
+/// | Start | two or more drones on a line along x, 1 m apart (more for larger airframes), z = 0.1 m |
+/// | Target | above the start, heights evenly spaced from 0.7 m to 1.2 m |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
-/// | Reward | sum over the drones of [`Hover`](super::Hover)'s, the distance to the side measured from the start |
-/// | Terminated | one drone crashes or is above 3 m |
+/// | Reward | sum of the drones' [`Hover`](super::Hover) rewards, with horizontal distances from the start |
+/// | Terminated | a drone crashes or rises above 3 m |
 /// | Truncated | after 10 s |
-/// | Success | every drone within 5 cm of its height and within 5 cm of its start to the side |
+/// | Success | every drone within 5 cm of its target height and horizontally within 5 cm of its start |
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
@@ -40,13 +40,13 @@ use crate::world::placement::max_collision_radius;
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct MultiHover {
-    /// Height for every drone, m; evenly from 0.7 to 1.2 by default.
+    /// Target height of each drone, m; default evenly spaced from 0.7 to 1.2.
     pub target_heights: Option<Vec<f64>>,
-    /// Height above which the episode ends, m; 3 by default.
+    /// Height above which the episode ends, m; default 3.
     pub max_height: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
-    /// Whether it is the paper's `MultiAgentAviary`.
+    /// True for the paper's `MultiAgentAviary`.
     multi_agent: bool,
     num_drones: usize,
     watch: CrashWatch,
@@ -66,13 +66,13 @@ impl Default for MultiHover {
 }
 
 impl MultiHover {
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    /// The paper's `MultiAgentAviary`: the same with three drones, each of which is an agent in a
-    /// [`ParallelAviary`](crate::multi_agent::ParallelAviary).
+    /// Creates the paper's `MultiAgentAviary`: the same task with three drones, for a
+    /// [`ParallelAviary`](crate::multi_agent::ParallelAviary) with one agent per drone.
     pub fn multi_agent() -> Self {
         Self { multi_agent: true, num_drones: 3, ..Self::default() }
     }
@@ -102,7 +102,7 @@ impl Task for MultiHover {
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
         let widest = max_collision_radius(drones);
-        // nearer ones, at one height, are in the worst of each other's wakes
+        // closer drones at the same height are in the strongest part of each other's wakes
         let spacing = (4.0 * widest).max(1.0);
         (0..drones.len()).map(|drone| [spacing * drone as f64, 0.0, 0.1]).collect()
     }

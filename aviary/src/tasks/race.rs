@@ -2,7 +2,7 @@ use nalgebra::Vector3;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::waypoint_progress::{self, WaypointProgress};
-use super::{STATE_BOUNDS, UNBOUNDED, side_by_side};
+use super::{STATE_BOUNDS, UNBOUNDED, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -11,26 +11,28 @@ use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
 
-/// A drone flies two laps through six gates, as fast as it can (paper, §4.1 `RaceAviary`).
+/// Task: a drone races two laps through six gates (paper, §4.1 `RaceAviary`).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | (0, 0, 0.1) m; several drones side by side along −y |
-/// | Gates | (1, 0, 1), (2, 1, 1.2), (1, 2, 1.5), (0, 2, 1.3), (−1, 1, 1), (0, 0, 0.8) m, passed within 0.2 m of the middle |
+/// | Start | (0, 0, 0.1) m; several drones in a row along −y |
+/// | Gates | (1, 0, 1), (2, 1, 1.2), (1, 2, 1.5), (0, 2, 1.3), (−1, 1, 1), (0, 0, 0.8) m |
+/// | Gate passed | within 0.2 m of its centre |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
-/// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the gate flown to), − 100 for a crash; 0 for a drone that has completed its laps |
-/// | Terminated | crash (tilt over 2 rad, contact, z < 0), or every drone has completed two laps |
+/// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the next gate), − 100 for a crash |
+/// | Reward after the last gate | − 100 for a crash |
+/// | Terminated | crash (tilt > 2 rad, contact, z < 0), or every drone has completed two laps |
 /// | Truncated | after 30 s |
-/// | Success, progress | two laps; the share of gates passed |
+/// | Success, progress | two laps; share of gates passed |
 ///
-/// The frames of the gates are seen and not touched.
+/// The frames of the gates are visible and do not collide.
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
-/// | 12–14 | next gate (after the last one, the first) | m, world |
-/// | 15–17 | next gate as seen from the drone | m, body |
-/// | 18–20 | the gate after it as seen from the drone | m, body |
+/// | 12–14 | next gate (the first one after the last) | m, world |
+/// | 15–17 | next gate relative to the drone | m, body |
+/// | 18–20 | the gate after the next, relative to the drone | m, body |
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -45,19 +47,19 @@ use crate::world::{Marker, Obstacle, Shape};
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Race {
-    /// Middles of the gates, world frame, m.
+    /// Centres of the gates, world frame, m.
     pub gates: Vec<[f64; 3]>,
-    /// Distance from the middle within which a gate is passed, m; 0.2 by default.
+    /// Distance from the centre within which a gate is passed, m; default 0.2.
     pub radius: f64,
-    /// How many laps; 2 by default.
+    /// Number of laps; default 2.
     pub laps: usize,
-    /// Reward for a gate; 20 by default.
+    /// Reward for a gate; default 20.
     pub gate_reward: f64,
-    /// Reward per control step and m/s; 2 by default.
+    /// Reward per control step and m/s; default 2.
     pub speed_reward: f64,
-    /// Reward per control step and m of distance from the gate, taken off; 0.05 by default.
+    /// Penalty per control step and m of distance from the gate; default 0.05.
     pub distance_penalty: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     progress: WaypointProgress,
     watch: CrashWatch,
@@ -87,17 +89,18 @@ impl Default for Race {
 }
 
 impl Race {
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    /// How many gates a drone has passed in this episode, over all laps; 0 before the first reset.
+    /// Returns the number of gates that a drone has passed in this episode, over all laps; 0 before the first
+    /// reset.
     pub fn gates_passed(&self, drone: usize) -> usize {
         self.progress.passed(drone)
     }
 
-    /// The gate so many after the next one.
+    /// Returns the gate `ahead` places after the next one.
     fn gate(&self, drone: usize, ahead: usize) -> Vector3<f64> {
         self.gates[(self.progress.passed(drone) + ahead) % self.gates.len()].into()
     }
@@ -113,7 +116,7 @@ impl Task for Race {
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
-        side_by_side(drones)
+        row_along_y(drones)
     }
 
     fn observation_space(&self) -> BoxSpace {
@@ -123,14 +126,14 @@ impl Task for Race {
     fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         waypoint_progress::validate("gates", &self.gates, self.laps, self.radius)?;
-        waypoint_progress::check_rewards([
+        waypoint_progress::validate_rewards([
             ("gate_reward", self.gate_reward),
             ("speed_reward", self.speed_reward),
             ("distance_penalty", self.distance_penalty),
         ])
     }
 
-    /// Square frames that stand across the way from the gate before to the gate after.
+    /// Returns square frames, perpendicular to the line from the previous gate to the next one.
     fn markers(&self) -> Vec<Marker> {
         const INSIDE: f64 = 0.25;
         const BAR: f64 = 0.015;
@@ -205,7 +208,7 @@ impl Task for Race {
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
-        // after the last gate the drone may stay there
+        // after the last gate, the drone may stay there
         let point = waypoint_progress::next(&self.gates, self.progress.passed(drone), self.laps);
         let last = self.gates[self.gates.len() - 1].into();
         Reference::hover(point.unwrap_or(last), simulation.initial_states()[drone].yaw())

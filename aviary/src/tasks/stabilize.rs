@@ -11,17 +11,21 @@ use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDe
 use crate::simulation::SimView;
 use crate::state::{DroneState, attitude_from_rpy};
 
-/// A drone that moves and turns at random comes to rest (the `stabilize` task of the paper's vectorised back end, §3.6).
+/// Task: a drone comes to rest from a random motion (the `stabilize` task of the paper's vectorised back end,
+/// §3.6).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | (0, 0, 5) m, several drones 6 m apart along x; velocity uniform in ±1 m/s along each axis, roll and pitch in ±0.5 rad, any yaw, body rates in ±2 rad/s |
+/// | Start | (0, 0, 5) m, several drones 6 m apart along x |
+/// | Initial velocity | uniform in ±1 m/s along each axis |
+/// | Initial attitude | roll and pitch uniform in ±0.5 rad, any yaw |
+/// | Initial angular velocity | uniform in ±2 rad/s about each axis |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖v‖ − 0.1·‖ω‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at rest, − 100 for a crash |
 /// | At rest, success | ‖v‖ < 0.05 m/s and ‖ω‖ < 0.1 rad/s |
-/// | Terminated | crash (tilt over 90°, contact, z < 0) |
+/// | Terminated | crash (tilt > 90°, contact, z < 0) |
 /// | Truncated | after 10 s |
-/// | Reference | where the drone is, at rest |
+/// | Reference | the drone's present position, at rest |
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
@@ -39,13 +43,13 @@ use crate::state::{DroneState, attitude_from_rpy};
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Stabilize {
-    /// Largest component of the velocity at the start, m/s; 1 by default.
+    /// Maximum of each component of the initial velocity, m/s; default 1.
     pub max_speed: f64,
-    /// Largest roll and pitch at the start, rad; 0.5 by default.
+    /// Maximum initial roll and pitch, rad; default 0.5.
     pub max_lean: f64,
-    /// Largest body rate about each axis at the start, rad/s; 2 by default.
+    /// Maximum of each component of the initial angular velocity, rad/s; default 2.
     pub max_rate: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     watch: CrashWatch,
 }
@@ -66,10 +70,10 @@ impl Stabilize {
     /// Speed below which a drone is at rest, m/s.
     const STILL: f64 = 0.05;
 
-    /// Body rate below which a drone is at rest, rad/s.
+    /// Norm of the angular velocity below which a drone is at rest, rad/s.
     const STEADY: f64 = 0.1;
 
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
@@ -104,7 +108,7 @@ impl Task for Stabilize {
             ("max_rate", self.max_rate, 1e3),
         ] {
             if !(0.0..=max).contains(&got) {
-                let expected = "zero or a positive number, angles up to π/2";
+                let expected = "0 to 1000, for max_lean 0 to π/2";
                 return Err(EnvError::Option { option, got: crate::number(got), expected });
             }
         }
@@ -151,7 +155,7 @@ impl Task for Stabilize {
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
         let start = &simulation.started_from()[drone];
-        // about as far as a drone takes to come to rest
+        // approximate stopping distance
         vec![start.position, start.position + start.velocity]
     }
 

@@ -13,23 +13,23 @@ use crate::simulation::SimView;
 use crate::state::DroneState;
 use crate::world::placement::max_collision_radius;
 
-/// A drone follows a point that goes round in a circle (the `track` task of the paper's vectorised back end, §3.6).
+/// Task: a drone follows a point on a circle (the `track` task of the paper's vectorised back end, §3.6).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | on the circle, anywhere, level, at rest (initial positions of one's own are moved likewise) |
-/// | Reference | circle of 0.5 m about (0, 0, 1) m at 0.5 m/s, either way round; it gathers speed for 1 s |
+/// | Start | random point of the circle, level, at rest; custom initial positions are shifted in the same manner |
+/// | Reference | circle of radius 0.5 m around (0, 0, 1) m at 0.5 m/s, in a random direction, accelerating for 1 s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖p − p\*‖ − 0.1·‖v − v\*‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
 /// | Tracked, success | ‖p − p\*‖ < 0.05 m |
-/// | Terminated | crash (tilt over 90°, contact, z < 0), or further than 2 m from the reference |
+/// | Terminated | crash (tilt > 90°, contact, z < 0), or farther than 2 m from the reference |
 /// | Truncated | after 10 s |
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
 /// | 0–11 | position, roll-pitch-yaw, velocity, angular velocity | as in [`Hover`](super::Hover) |
-/// | 12–14 | p\* − p, from the drone to the reference | m, world |
-/// | 15–17 | v\*, the reference's velocity | m/s, world |
+/// | 12–14 | p\* − p, the reference relative to the drone | m, world |
+/// | 15–17 | v\*, the velocity of the reference | m/s, world |
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -44,20 +44,20 @@ use crate::world::placement::max_collision_radius;
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Track {
-    /// Radius of the circle, m; 0.5 by default.
+    /// Radius of the circle, m; default 0.5.
     pub radius: f64,
-    /// Height of the circle, m; 1 by default.
+    /// Height of the circle, m; default 1.
     pub height: f64,
-    /// Speed of the reference, m/s; 0.5 by default.
+    /// Speed of the reference, m/s; default 0.5.
     pub speed: f64,
-    /// Distance from the reference beyond which the episode ends, m; 2 by default.
+    /// Distance from the reference above which the episode ends, m; default 2.
     pub max_distance: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     watch: CrashWatch,
-    /// Angle that the reference starts at, rad.
+    /// Initial angle of the reference, rad.
     phase: f64,
-    /// Direction of the flight: 1 turns left, −1 turns right.
+    /// Direction of the reference: 1 counterclockwise, −1 clockwise, seen from above.
     direction: f64,
 }
 
@@ -77,21 +77,21 @@ impl Default for Track {
 }
 
 impl Track {
-    /// Distance below which the reference counts as tracked, m.
+    /// Distance below which the reference is tracked, m.
     const TRACKED: f64 = 0.05;
 
-    /// Time in which the reference gathers its speed, s.
+    /// Duration of the acceleration at the start, s.
     const RAMP: f64 = 1.0;
 
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    /// Where a drone is to be at a time (s) of the episode, with its velocity and acceleration.
+    /// Returns the reference of a drone at a time (s) of the episode.
     fn target(&self, drone: usize, time: f64) -> Reference {
         let full = self.speed / self.radius;
-        // evenly accelerated to its angular velocity
+        // constant angular acceleration
         let (angle, rate, gain) = if time < Self::RAMP {
             (0.5 * full * time * time / Self::RAMP, full * time / Self::RAMP, full / Self::RAMP)
         } else {
@@ -153,7 +153,7 @@ impl Task for Track {
         (self.phase, self.direction) = (TAU * rng.random::<f64>(), direction);
         let (sin, cos) = self.phase.sin_cos();
         for state in states {
-            // whatever else was drawn about the start stays
+            // keeps changes by the randomization
             state.position += Vector3::new(cos, sin, 0.0) * self.radius - first;
         }
         true
@@ -168,8 +168,8 @@ impl Task for Track {
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
-        let lost = simulation.distance(drone, &self.now(simulation, drone).position) > self.max_distance;
-        self.watch.end(drone).or(lost.then_some(EndReason::OutOfBounds))
+        let too_far = simulation.distance(drone, &self.now(simulation, drone).position) > self.max_distance;
+        self.watch.end(drone).or(too_far.then_some(EndReason::OutOfBounds))
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
@@ -207,7 +207,7 @@ impl Task for Track {
     }
 
     fn may_be_constant(&self, entry: usize) -> bool {
-        // a reference that stands still, or goes round in a plane
+        // the reference may stand still, or move in a horizontal plane
         entry >= STATE_SIZE
     }
 

@@ -12,18 +12,21 @@ use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::state::wrap_angle;
 
-/// A drone flies at a velocity and a yaw rate that are drawn anew for every episode (paper, §4.1 `VelocityAviary`).
+/// Task: a drone tracks a velocity and a yaw rate that are sampled for every episode (paper, §4.1
+/// `VelocityAviary`).
 ///
 /// | | |
 /// | --- | --- |
-/// | Start | (0, 0, 6) m, level, at rest: high enough that no target leads into the floor before the time is over; several drones 12 m apart along x |
+/// | Start | (0, 0, 6) m, level, at rest; several drones 12 m apart along x |
 /// | Target | velocity v\* uniform in ±0.5 m/s along each axis, yaw rate ω\* in ±0.25 rad/s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖v − v\*‖ − 0.1·\|ω_z − ω\*\| − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
 /// | Tracked, success | ‖v − v\*‖ < 0.05 m/s |
-/// | Terminated | crash (tilt over 90°, contact, z < 0) |
+/// | Terminated | crash (tilt > 90°, contact, z < 0) |
 /// | Truncated | after 10 s |
-/// | Reference | moves from the start at v\*, turning at ω\* |
+/// | Reference | moves from the start with v\* and turns with ω\* |
+///
+/// The start is high enough that no target leads into the floor before the time limit.
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
@@ -43,14 +46,14 @@ use crate::state::wrap_angle;
 /// ```
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Velocity {
-    /// Largest component of the target velocity, m/s; 0.5 by default.
+    /// Maximum of each component of the target velocity, m/s; default 0.5.
     pub max_speed: f64,
-    /// Largest target yaw rate, rad/s; 0.25 by default.
+    /// Maximum target yaw rate, rad/s; default 0.25.
     pub max_yaw_rate: f64,
-    /// When a drone counts as crashed.
+    /// Conditions under which a drone crashes.
     pub crash: CrashConditions,
     watch: CrashWatch,
-    /// Velocity and yaw rate for every drone.
+    /// Target velocity (world frame, m/s) and yaw rate (rad/s) of each drone.
     #[serde(with = "crate::serial::vectors_and_numbers")]
     targets: Vec<(Vector3<f64>, f64)>,
 }
@@ -68,18 +71,18 @@ impl Default for Velocity {
 }
 
 impl Velocity {
-    /// Error of the velocity below which it counts as tracked, m/s.
+    /// Velocity error below which the target is tracked, m/s.
     const TRACKED: f64 = 0.05;
 
-    /// Options of the task as an environment.
+    /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
     }
 
-    /// The target of a drone in this episode: velocity (world, m/s) and yaw rate (rad/s).
+    /// Returns the target of a drone in this episode: velocity (world frame, m/s) and yaw rate (rad/s).
     ///
     /// # Panics
-    /// Before the first reset and if there is no drone of that index.
+    /// Before the first reset, and if `drone` is out of range.
     pub fn target(&self, drone: usize) -> (Vector3<f64>, f64) {
         self.targets[drone]
     }
@@ -99,7 +102,7 @@ impl Task for Velocity {
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
-        // further apart than two drones can come in an episode's time
+        // drones cannot meet during an episode
         (0..drones.len()).map(|drone| [12.0 * drone as f64, 0.0, 6.0]).collect()
     }
 
@@ -158,7 +161,7 @@ impl Task for Velocity {
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         let start = &simulation.initial_states()[drone];
-        // before the first reset nothing has been drawn
+        // no targets exist before the first reset
         let (velocity, yaw_rate) = self.targets.get(drone).copied().unwrap_or_default();
         let time = simulation.time();
         Reference {

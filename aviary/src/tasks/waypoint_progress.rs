@@ -6,18 +6,18 @@ use crate::drone::{DroneParams, GRAVITY};
 use crate::env::{EnvError, path_points};
 use crate::simulation::SimView;
 
-/// Points to be passed one after the other, so many times over, and how far each drone has come.
+/// Progress of each drone along a list of points, over a number of laps.
 #[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub(super) struct WaypointProgress {
-    /// Points passed by each drone.
+    /// Number of points that each drone has passed.
     passed: Vec<usize>,
-    /// Whether each drone passed one in the last control step.
+    /// True for drones that passed a point in the last control step.
     fresh: Vec<bool>,
-    /// Whether each drone had one to pass in the last control step.
+    /// True for drones that had a point left at the start of the last control step.
     flying: Vec<bool>,
-    /// Distance of each drone from the point that it was to pass in the last control step, m.
+    /// Distance of each drone from its next point at the end of the last control step, m.
     distance: Vec<f64>,
-    /// Where each drone was before it.
+    /// Position of each drone before the last control step.
     #[serde(with = "crate::serial::vector_list")]
     before: Vec<Vector3<f64>>,
 }
@@ -37,7 +37,7 @@ impl WaypointProgress {
         self.before.extend(simulation.states().iter().map(|state| state.position));
     }
 
-    /// Looks at the last control step: a point is passed where the way of the drone comes within `radius` of it.
+    /// Evaluates the last control step: a drone passes its next point if its path comes within `radius` of it.
     pub(super) fn update(&mut self, simulation: SimView<'_>, points: &[[f64; 3]], laps: usize, radius: f64) {
         for (drone, state) in simulation.states().iter().enumerate() {
             self.fresh[drone] = false;
@@ -57,7 +57,7 @@ impl WaypointProgress {
         self.passed.get(drone).copied().unwrap_or(0)
     }
 
-    /// Whether a drone was still on its course in the last control step: nobody is paid afterwards.
+    /// Returns true if a drone had a point left in the last control step. The reward is zero afterwards.
     pub(super) fn was_flying(&self, drone: usize) -> bool {
         self.flying[drone]
     }
@@ -70,9 +70,9 @@ impl WaypointProgress {
         self.distance[drone]
     }
 
-    /// Plans the smoothest path of every drone from where it is through all points that are left, as fast as its airframe may; `None`
-    /// for a drone that has passed all. Of several drones each starts as soon as it stays clear of those before it, and goes out of
-    /// the others' way at its end.
+    /// Plans a smooth path for each drone from its present position through its remaining points, at the speed
+    /// limits of its airframe; `None` if no points remain. In a swarm, each drone starts when its path stays clear
+    /// of the drones before it, and parks clear of the others at the end.
     pub(super) fn plans(
         &self,
         simulation: SimView<'_>,
@@ -98,23 +98,24 @@ impl WaypointProgress {
         plans
     }
 
-    /// The path of a drone through the points that are left, without waiting for others.
+    /// Returns the path of a drone through its remaining points, without a delay.
     fn path(&self, simulation: SimView<'_>, drone: usize, points: &[[f64; 3]], laps: usize) -> Option<Waypoints> {
-        let left = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
-        let left: Vec<_> = left.collect();
-        if left.is_empty() {
+        let remaining = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
+        let remaining: Vec<_> = remaining.collect();
+        if remaining.is_empty() {
             return None;
         }
         let (yaw, (speed, acceleration)) = (simulation.states()[drone].yaw(), limits(simulation.params(drone)));
         let start = simulation.states()[drone].position.into();
-        let mut through: Vec<[f64; 3]> = [start].into_iter().chain(left).chain(aside(simulation, drone)).collect();
-        let floor = through.iter().map(|point| point[2]).fold(f64::INFINITY, f64::min) - SWING;
+        let mut through: Vec<[f64; 3]> =
+            [start].into_iter().chain(remaining).chain(parking_place(simulation, drone)).collect();
+        let floor = through.iter().map(|point| point[2]).fold(f64::INFINITY, f64::min) - MAX_UNDERSHOOT;
         let build = |through: &[[f64; 3]]| {
             Waypoints::through(through).yaws(vec![yaw; through.len()]).limits(speed, acceleration).build().ok()
         };
         let mut path = build(&through)?;
-        // a long leg after a short one swings out, down to the floor, too: its middle holds it
-        for _ in 0..MAX_MIDDLES {
+        // a long leg after a short one overshoots, even into the floor; a waypoint at its midpoint prevents this
+        for _ in 0..MAX_MIDPOINTS {
             let (leg, height) = path.lowest();
             if height >= floor {
                 break;
@@ -143,36 +144,36 @@ impl WaypointProgress {
     }
 }
 
-/// Where a drone of several goes at its end, world frame, m: behind the start, where no course of this crate goes. The first drone
-/// goes the farthest, so that none comes by another.
-fn aside(simulation: SimView<'_>, drone: usize) -> Option<[f64; 3]> {
+/// Returns the final position of a drone in a swarm, world frame, m: behind the start, away from the points of this
+/// crate's tasks. The first drone parks farthest away, so that no drone passes another.
+fn parking_place(simulation: SimView<'_>, drone: usize) -> Option<[f64; 3]> {
     let count = simulation.num_drones();
     let spacing = (0..count).map(|drone| 3.0 * simulation.params(drone).collision_radius).fold(0.7, f64::max);
     (count > 1).then_some([-1.0, -0.8 - spacing * (count - drone) as f64, 1.0])
 }
 
-/// How far a path may swing below the lowest point that it is to pass, m.
-const SWING: f64 = 0.05;
+/// Maximum depth of a path below its lowest waypoint, m.
+const MAX_UNDERSHOOT: f64 = 0.05;
 
-/// Most points that are added to a path to keep it from swinging too low.
-const MAX_MIDDLES: usize = 8;
+/// Maximum number of midpoints that are added to a path.
+const MAX_MIDPOINTS: usize = 8;
 
-/// A way with the moment at which it begins.
+/// A path with its start time.
 #[derive(Debug)]
 struct Scheduled {
-    /// Places along it, every [`TICK`](Self::TICK) seconds.
+    /// Positions along the path, every [`TICK`](Self::TICK) seconds.
     places: Vec<Vector3<f64>>,
-    /// Collision radius of the drone that flies it, m.
+    /// Collision radius of the drone, m.
     radius: f64,
-    /// s.
+    /// Start time, s.
     delay: f64,
 }
 
 impl Scheduled {
-    /// Time from place to place, s.
+    /// Time between two positions, s.
     const TICK: f64 = 0.05;
 
-    /// Room between two drones on their paths, m: for errors of controllers, and for the distance flown in a tick.
+    /// Clearance between two drones on their paths, m, for tracking errors and the distance flown in a tick.
     const ROOM: f64 = 0.3;
 
     fn new(path: &Waypoints, radius: f64) -> Self {
@@ -181,7 +182,8 @@ impl Scheduled {
         Self { places, radius, delay: 0.0 }
     }
 
-    /// Where it is so many ticks after the beginning of the plan: at its start before it begins, and at its end once it is over.
+    /// Returns the position at a tick, if the path starts after `delay` ticks. The drone waits at its start and
+    /// stays at its end.
     fn place(&self, delay: usize, tick: usize) -> &Vector3<f64> {
         &self.places[tick.saturating_sub(delay).min(self.places.len() - 1)]
     }
@@ -190,8 +192,8 @@ impl Scheduled {
         (seconds / Self::TICK).round() as usize
     }
 
-    /// The first delay (s) from this one on with which it stays clear of the paths before it; if there is none, one with which all of
-    /// those are over.
+    /// Returns the first start time (s) from `delay` on at which the path stays clear of the earlier ones, or, if
+    /// there is none, a time when all of those have ended.
     fn earliest_after(&self, delay: f64, before: &[Self]) -> f64 {
         const STRIDE: usize = 2;
         let end = |other: &Self| Self::ticks(other.delay) + other.places.len();
@@ -200,7 +202,7 @@ impl Scheduled {
         let clear = |delay: usize| {
             before.iter().rev().all(|other| {
                 let (min, others) = (self.radius + other.radius + Self::ROOM, Self::ticks(other.delay));
-                // before and after that both stand still
+                // both drones stand still before and after these ticks
                 (others.min(delay)..=end(other).max(delay + self.places.len()))
                     .all(|tick| (self.place(delay, tick) - other.place(others, tick)).norm_squared() > min * min)
             })
@@ -210,7 +212,7 @@ impl Scheduled {
     }
 }
 
-/// A path that begins later.
+/// A path with a delayed start.
 #[derive(Debug)]
 struct Delayed {
     path: Waypoints,
@@ -227,18 +229,18 @@ impl Trajectory for Delayed {
     }
 }
 
-/// The point after so many, where there is one.
+/// Returns the next point after `passed` points, if there is one.
 pub(super) fn next(points: &[[f64; 3]], passed: usize, laps: usize) -> Option<Vector3<f64>> {
     (passed < points.len() * laps).then(|| points[passed % points.len()].into())
 }
 
-/// A speed and an acceleration that leave an airframe something to correct with.
+/// Returns a speed (m/s) and an acceleration (m/s²) that leave the controller a margin.
 fn limits(params: &DroneParams) -> (f64, f64) {
     let spare = (params.thrust_to_weight - 1.0).clamp(0.1, 3.0);
     ((0.25 * params.max_speed).clamp(0.3, 4.0), 0.4 * GRAVITY * spare)
 }
 
-/// Distance of a point from the line segment between two others.
+/// Returns the distance of a point from the line segment between two others.
 fn distance_to_leg(from: &Vector3<f64>, to: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
     let leg = to - from;
     let length = leg.norm_squared();
@@ -246,19 +248,19 @@ fn distance_to_leg(from: &Vector3<f64>, to: &Vector3<f64>, point: &Vector3<f64>)
     (from + leg * share - point).norm()
 }
 
-/// Checks points, the option that lists them, laps and a radius.
+/// Validates the points, the number of laps and the radius; `option` names the option that lists the points.
 pub(super) fn validate(option: &'static str, points: &[[f64; 3]], laps: usize, radius: f64) -> Result<(), EnvError> {
     let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
     if laps == 0 {
         return wrong("laps", "0".into(), "at least 1");
     }
-    // what a plan takes, which counts the start and a place to go to at the end
+    // limit of a plan, which also has the start and a parking place
     if !(1..=198).contains(&points.len().saturating_mul(laps)) {
         let got = crate::count(points.len().saturating_mul(laps), "point");
         return wrong(option, got, "1 to 198 over all laps");
     }
     if let Some(x) = points.iter().flatten().find(|x| !(-1e4..=1e4).contains(*x)) {
-        return wrong(option, format!("{} m along an axis", crate::number(*x)), "finite numbers of metres up to 10 km");
+        return wrong(option, format!("{} m along an axis", crate::number(*x)), "finite coordinates up to 10 km");
     }
     if !(radius > 0.0 && radius <= 1e3) {
         return wrong("radius", format!("{} m", crate::number(radius)), "a positive number of metres");
@@ -266,8 +268,8 @@ pub(super) fn validate(option: &'static str, points: &[[f64; 3]], laps: usize, r
     Ok(())
 }
 
-/// Checks what a course pays.
-pub(super) fn check_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -> Result<(), EnvError> {
+/// Validates the rewards and penalties.
+pub(super) fn validate_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -> Result<(), EnvError> {
     match rewards.into_iter().find(|(_, got)| !got.is_finite()) {
         Some((option, got)) => Err(EnvError::Option { option, got: crate::number(got), expected: "a finite number" }),
         None => Ok(()),
@@ -278,7 +280,7 @@ pub(super) fn check_rewards<const N: usize>(rewards: [(&'static str, f64); N]) -
 mod tests {
     use super::*;
 
-    /// The planned paths of many drones, of every airframe: apart all the time, and each begins some day.
+    /// Drones of every airframe stay apart on their planned paths, and every path ends.
     #[test]
     fn planned_paths_stay_clear_of_each_other() {
         use crate::drone::DroneModel;
