@@ -1,4 +1,4 @@
-//! Helpers for reading input, and for saying what is wrong with it, that several subsystems share.
+//! Shared errors, and helpers for error messages and for reading input.
 
 use std::fmt;
 use std::io;
@@ -6,20 +6,20 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer};
 
-/// An option that is impossible.
+/// Error for an option outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{option} is {got}, expected {expected}")]
 pub struct OptionError {
-    /// Name of the field that sets it, after the section that it belongs to: `wind.gust_force`.
+    /// Name of the field, with its section if it has one, for example `wind.gust_force`.
     pub option: &'static str,
-    /// Its value.
+    /// Value of the option.
     pub got: String,
-    /// The possible values.
+    /// Valid values.
     pub expected: &'static str,
 }
 
 impl OptionError {
-    /// Returns an error unless the value of an option lies in a range.
+    /// Returns an error unless the value of an option is in a range.
     pub(crate) fn check(
         option: &'static str,
         got: f64,
@@ -30,12 +30,13 @@ impl OptionError {
     }
 }
 
-/// The system's error about a file. Two are equal where their kinds and texts are.
+/// An I/O error of the operating system that can be cloned and compared. Two errors are equal if their kinds and
+/// messages are equal.
 #[derive(Debug, Clone)]
 pub struct SystemError(Arc<io::Error>);
 
 impl SystemError {
-    /// Kind of the error.
+    /// Returns the kind of the error.
     pub fn kind(&self) -> io::ErrorKind {
         self.0.kind()
     }
@@ -65,8 +66,9 @@ impl PartialEq for SystemError {
     }
 }
 
-/// A TOML error on one line: where it is and what was expected, without the drawing of the source, and with numbers named by
-/// what they are instead of by Rust's types.
+/// Formats a TOML error on one line, with line, column and expected value.
+///
+/// The message has no excerpt of the source, and describes numbers in words instead of naming Rust types.
 pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     let mut message = error.message().split_whitespace().collect::<Vec<_>>().join(" ");
     if let Some((found, expected)) = message.split_once(", expected ") {
@@ -82,7 +84,7 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
     message = with_short_numbers(message);
     if message.starts_with("unknown ") {
-        // serde's list of what there is, all of it in backquotes after the name that was found
+        // serde quotes the unknown name first, and then the valid names
         let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
         if let [name, names @ ..] = &quoted[..] {
             message += &did_you_mean(name, names);
@@ -99,7 +101,8 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
 }
 
-/// Returns a message of serde with its floating-point number in exponent form if it has more digits than a reader can use.
+/// Returns a message of serde with its floating-point number in exponent form if it has more digits than a reader can
+/// use.
 fn with_short_numbers(message: String) -> String {
     const BEFORE: &str = "floating point `";
     let number_text = || {
@@ -111,9 +114,10 @@ fn with_short_numbers(message: String) -> String {
     number_text().unwrap_or(message)
 }
 
-/// The name of a list that is most like another one, for messages: `; did you mean …?`, or nothing where none is like it.
+/// Returns the suggestion ``; did you mean `…`?`` with the most similar of several names, or an empty string if none
+/// is similar.
 pub fn did_you_mean(name: &str, names: &[&str]) -> String {
-    // the first of several that are equally near
+    // `rev`, because `max_by` returns the last of equal elements
     names
         .iter()
         .rev()
@@ -136,7 +140,7 @@ pub fn number(x: f64) -> String {
     if is_short { x.to_string() } else { format!("{x:e}") }
 }
 
-/// A count with its noun: `1 drone`, `2 drones`, `3 entries`.
+/// Returns a count with its noun: `1 drone`, `2 drones`, `3 entries`.
 pub fn count(count: usize, noun: &str) -> String {
     match (count, noun.strip_suffix('y')) {
         (1, _) => format!("1 {noun}"),
@@ -145,22 +149,22 @@ pub fn count(count: usize, noun: &str) -> String {
     }
 }
 
-/// Text without the byte-order mark (U+FEFF) that some editors write at its start.
+/// Returns a text without the byte-order mark (U+FEFF) that some editors write at the start of a file.
 pub fn without_byte_order_mark(text: &str) -> &str {
     text.strip_prefix('\u{feff}').unwrap_or(text)
 }
 
-/// Exactly three numbers: serde's own arrays take the first three of a longer list.
+/// Reads exactly three numbers. The arrays of serde accept longer lists and ignore the rest.
 pub(crate) fn triple<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 3], D::Error> {
     Ok(Triple::deserialize(deserializer)?.0)
 }
 
-/// A list of exactly three numbers each.
+/// Reads a list of triples.
 pub(crate) fn triples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<[f64; 3]>, D::Error> {
     Ok(Vec::<Triple>::deserialize(deserializer)?.into_iter().map(|triple| triple.0).collect())
 }
 
-/// The same where there may be none.
+/// Reads an optional list of triples.
 pub(crate) fn optional_triples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<[f64; 3]>>, D::Error> {
     triples(deserializer).map(Some)
 }
@@ -183,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_nearest_name_is_suggested_where_one_is_near() {
+    fn the_most_similar_name_is_suggested() {
         let names = ["hover", "velocity", "multi_hover"];
         assert_eq!(did_you_mean("hovr", &names), "; did you mean `hover`?");
         assert_eq!(did_you_mean("mutli_hover", &names), "; did you mean `multi_hover`?");
@@ -192,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_of_files_have_the_systems_and_the_contents_as_their_source() {
+    fn file_errors_have_the_system_or_parser_error_as_their_source() {
         use std::error::Error as _;
 
         use crate::drone::{DroneError, DroneParams};

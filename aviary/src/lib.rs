@@ -1,13 +1,15 @@
-//! The simulator: quadrotors on MuJoCo.
+//! Simulator of quadrotor swarms on MuJoCo, after *MuJoCo-Drones-Gym* (Tayal), called "the paper" in this crate.
 //!
 //! ```text
 //! action -> controller -> motor speeds -> rotors -> wrench -> engine -> state -> observation -> task -> reward
 //! ```
 //!
-//! [`Simulation`](simulation::Simulation) is N drones in one world; an [`Env`](env::Env) is a task on top of it.
-//! SI units everywhere, rotor speeds in rpm where the name says so; frames are documented at every field.
+//! A [`Simulation`](simulation::Simulation) contains N drones in one world. An [`Env`](env::Env) adds a task with
+//! actions, observations and rewards. All quantities are in SI units, except rotor speeds in rpm where the name
+//! contains `rpm`. Each field documents its frame.
 //!
-//! A module uses only modules above it in this list.
+//! A module depends only on the modules declared before it, except for the basic modules `names`, `math`, `state`,
+//! `serial` and `error`.
 
 pub mod drone;
 mod math;

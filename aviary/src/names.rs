@@ -1,9 +1,10 @@
-//! Enums whose values have names in files, on the command line and in messages.
+//! Enums with named values for files, the command line and messages.
 
 use std::fmt::Display;
 use std::str::FromStr;
 
-/// An enum whose values have names in lower snake case: `Display` writes them, `FromStr` and serde read them.
+/// An enum whose values have names in lower snake case. `Display` and serde write the names, `FromStr` and serde read
+/// them.
 ///
 /// ```
 /// use aviary::physics::Physics;
@@ -17,25 +18,25 @@ use std::str::FromStr;
 /// assert!(error.to_string().ends_with("; did you mean `mjc_gnd`?"));
 /// ```
 pub trait NamedEnum: Copy + Display + FromStr<Err = UnknownName> + 'static {
-    /// Noun for a value in messages: `physics mode`.
+    /// Noun for a value in messages, for example `physics mode`.
     const NOUN: &'static str;
-    /// Names of all values, in the order of the enum.
+    /// Names of all values, in the order of declaration.
     const NAMES: &'static [&'static str];
 }
 
-/// A name that no value of a [`NamedEnum`] has.
+/// Error for an unknown name of a [`NamedEnum`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("no {noun} `{name}`, expected {}{}", alternatives(names), crate::did_you_mean(name, names))]
 pub struct UnknownName {
-    /// Noun for a value.
+    /// Noun for a value in messages.
     pub noun: &'static str,
     /// The unknown name.
     pub name: String,
-    /// Names of all values.
+    /// Valid names.
     pub names: &'static [&'static str],
 }
 
-/// `a, b or c`.
+/// Joins names as `a, b or c`.
 fn alternatives(names: &[&str]) -> String {
     match names {
         [rest @ .., last] if !rest.is_empty() => format!("{} or {last}", rest.join(", ")),
@@ -43,8 +44,8 @@ fn alternatives(names: &[&str]) -> String {
     }
 }
 
-/// Defines an enum with a name for each value, and everything that follows from the names: `ALL`, `name`, `Display`, `FromStr`
-/// with [`UnknownName`], serde, and [`NamedEnum`]. The noun in front of it stands in messages.
+/// Defines an enum with a name for each value, and implements `ALL`, `name`, `Display`, `FromStr` with
+/// [`UnknownName`], serde and [`NamedEnum`]. The first argument is the noun for error messages.
 macro_rules! named_enum {
     (
         $noun:literal
@@ -60,10 +61,10 @@ macro_rules! named_enum {
         }
 
         impl $type {
-            /// All values.
+            /// All values, in the order of declaration.
             pub const ALL: [Self; [$($name),+].len()] = [$(Self::$value),+];
 
-            /// Name in lower snake case.
+            /// Returns the name in lower snake case.
             pub fn name(self) -> &'static str {
                 match self {
                     $(Self::$value => $name,)+
@@ -111,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn names_are_written_and_read_everywhere() {
+    fn display_from_str_and_serde_use_the_names() {
         assert_eq!(Fruit::default(), Fruit::Apple);
         for (fruit, &name) in Fruit::ALL.into_iter().zip(Fruit::NAMES) {
             assert_eq!((fruit.name(), &*fruit.to_string(), name.parse()), (name, name, Ok(fruit)));
@@ -122,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_names_are_refused_with_those_that_there_are() {
+    fn errors_of_unknown_names_list_the_valid_ones() {
         let message = "blod_orange".parse::<Fruit>().unwrap_err().to_string();
         assert_eq!(message, "no fruit `blod_orange`, expected apple or blood_orange; did you mean `blood_orange`?");
         assert_eq!("Apple".parse::<Fruit>().unwrap_err().name, "Apple");

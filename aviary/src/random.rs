@@ -1,18 +1,18 @@
-//! The generator behind every random draw.
+//! Random number generator of the simulator.
 
 use rand::{Rng as _, RngExt as _};
 
-/// The generator behind every random draw: seeded once per environment, the same bits on every machine.
+/// Random number generator of the simulator: seeded once per environment, bit-identical on every machine.
 pub type Rng = rand_chacha::ChaCha8Rng;
 
-/// A standard normal draw (Box and Muller 1958).
+/// Returns a sample of the standard normal distribution (Box and Muller 1958).
 pub(crate) fn normal(rng: &mut Rng) -> f64 {
     normals(rng)[0]
 }
 
-/// Two independent standard normal draws.
+/// Returns two independent samples of the standard normal distribution.
 pub(crate) fn normals(rng: &mut Rng) -> [f64; 2] {
-    // 53 bits, never zero
+    // uniform in (0, 1] with 53 bits, because the logarithm of 0 is infinite
     let u = ((rng.next_u64() >> 11) as f64 + 1.0) / (1_u64 << 53) as f64;
     let angle = std::f64::consts::TAU * rng.random::<f64>();
     let (sin, cos) = angle.sin_cos();

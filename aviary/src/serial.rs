@@ -1,11 +1,13 @@
-//! How what other crates define is serialized: vectors as three numbers, attitudes as `[w, x, y, z]`, and non-finite numbers by name
-//! where there may be some. Every number survives exactly in formats that keep doubles.
+//! Serde modules for types of other crates: vectors as three numbers, attitudes as `[w, x, y, z]`, and non-finite
+//! numbers by name.
+//!
+//! The round trip is exact in formats that store doubles exactly.
 
 use std::fmt::{self, Write as _};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A `Vector3` as three numbers.
+/// Serializes a `Vector3` as three numbers.
 pub(crate) mod vector {
     use super::*;
     use nalgebra::Vector3;
@@ -19,7 +21,7 @@ pub(crate) mod vector {
     }
 }
 
-/// An array of `Vector3`.
+/// Serializes an array of four `Vector3`.
 pub(crate) mod vector_array {
     use super::*;
     use nalgebra::Vector3;
@@ -33,7 +35,7 @@ pub(crate) mod vector_array {
     }
 }
 
-/// A list of `Vector3`.
+/// Serializes a list of `Vector3`.
 pub(crate) mod vector_list {
     use super::*;
     use nalgebra::Vector3;
@@ -47,7 +49,7 @@ pub(crate) mod vector_list {
     }
 }
 
-/// A `Vector3` and a number.
+/// Serializes a pair of a `Vector3` and a number.
 pub(crate) mod vector_and_number {
     use super::*;
     use nalgebra::Vector3;
@@ -62,7 +64,7 @@ pub(crate) mod vector_and_number {
     }
 }
 
-/// A list of `Vector3`, each with a number.
+/// Serializes a list of pairs of a `Vector3` and a number.
 pub(crate) mod vectors_and_numbers {
     use super::*;
     use nalgebra::Vector3;
@@ -79,7 +81,7 @@ pub(crate) mod vectors_and_numbers {
     }
 }
 
-/// A `Matrix4` as four columns.
+/// Serializes a `Matrix4` as four columns.
 pub(crate) mod matrix {
     use super::*;
     use nalgebra::Matrix4;
@@ -93,7 +95,7 @@ pub(crate) mod matrix {
     }
 }
 
-/// An attitude as a quaternion `[w, x, y, z]`, which keeps its bits.
+/// Serializes an attitude as a quaternion `[w, x, y, z]`, without normalization.
 pub(crate) mod attitude {
     use super::*;
     use crate::state::{attitude_from_wxyz, wxyz};
@@ -108,7 +110,7 @@ pub(crate) mod attitude {
     }
 }
 
-/// What is shared within a program: copied in a file.
+/// Serializes the content of an `Arc`. Every reference in a file has its own copy.
 pub(crate) mod shared {
     use super::*;
     use std::borrow::ToOwned;
@@ -132,7 +134,7 @@ pub(crate) mod shared {
     }
 }
 
-/// A number that may be infinite or not a number, as `"inf"`, `"-inf"` or `"NaN"` then: JSON has no such numbers.
+/// A number that is serialized as `"inf"`, `"-inf"` or `"NaN"` if it is not finite, because JSON has no such numbers.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extended(pub f64);
 
@@ -160,7 +162,7 @@ impl<'de> Deserialize<'de> for Extended {
     }
 }
 
-/// An [`Extended`] number in a field of type `f64`.
+/// Serializes an `f64` field as an [`Extended`] number.
 pub(crate) mod extended {
     use super::*;
 
@@ -173,7 +175,7 @@ pub(crate) mod extended {
     }
 }
 
-/// A hash of a configuration or of a file's content (FNV-1a of 64 bits), the same on every machine; 16 hexadecimal digits in files.
+/// A hash of a configuration or of the content of a file (64-bit FNV-1a), serialized as 16 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Fingerprint(u64);
 

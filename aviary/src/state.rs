@@ -1,13 +1,14 @@
-//! The state of a drone and the frames it is expressed in.
+//! State of a drone and its frames.
 //!
-//! World frame: x forward, y left, z up. Body frame the same, fixed to the airframe. Quaternions at every boundary are
-//! `[w, x, y, z]`, body to world; nalgebra stores `[x, y, z, w]`, so that only the two functions here convert.
+//! The axes of the world frame are x forward, y left and z up. The body frame has the same axes and is fixed to the
+//! airframe. Quaternions in the API are `[w, x, y, z]`, body to world. nalgebra stores `[x, y, z, w]`; only [`wxyz`]
+//! and [`attitude_from_wxyz`] convert between the two orders.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::math::Turn;
 
-/// Position and motion of one drone: the paper's 13 numbers.
+/// State of one drone: position, attitude, velocity and body rates (13 numbers, as in *MuJoCo-Drones-Gym*, Tayal).
 ///
 /// ```
 /// use std::f64::consts::FRAC_PI_2;
@@ -15,17 +16,17 @@ use crate::math::Turn;
 /// use aviary::state::DroneState;
 /// use nalgebra::Vector3;
 ///
-/// // at 1 m, facing left, moving to the left of the world
+/// // 1 m above the ground, facing along y, moving along y
 /// let state = DroneState {
 ///     velocity: Vector3::new(0.0, 2.0, 0.0),
 ///     ..DroneState::at_rest(Vector3::new(0.0, 0.0, 1.0), Vector3::new(0.0, 0.0, FRAC_PI_2))
 /// };
-/// assert!((state.velocity_body() - Vector3::new(2.0, 0.0, 0.0)).norm() < 1e-12, "straight ahead");
+/// assert!((state.velocity_body() - Vector3::new(2.0, 0.0, 0.0)).norm() < 1e-12, "forward");
 /// assert!((state.yaw() - FRAC_PI_2).abs() < 1e-12 && state.tilt() < 1e-6);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct DroneState {
-    /// Centre of mass, world frame, m.
+    /// Position of the centre of mass, world frame, m.
     #[serde(with = "crate::serial::vector")]
     pub position: Vector3<f64>,
     /// Rotation from the body to the world frame.
@@ -46,7 +47,7 @@ impl Default for DroneState {
 }
 
 impl DroneState {
-    /// At rest at a position (world, m) and an attitude given as roll, pitch, yaw (rad).
+    /// Creates a state at rest, from a position (world frame, m) and roll, pitch and yaw (rad).
     pub fn at_rest(position: Vector3<f64>, rpy: Vector3<f64>) -> Self {
         Self {
             position,
@@ -56,65 +57,66 @@ impl DroneState {
         }
     }
 
-    /// Roll, pitch and yaw, rad: intrinsic z-y'-x'' (yaw, then pitch, then roll), as [`rpy_from_attitude`] has them.
+    /// Returns roll, pitch and yaw, rad: intrinsic z-y'-x'' (yaw, then pitch, then roll). See [`rpy_from_attitude`].
     pub fn rpy(&self) -> Vector3<f64> {
         rpy_from_attitude(&self.attitude)
     }
 
-    /// Yaw alone, rad, in [−π, π]: that of [`rpy`](Self::rpy).
+    /// Returns the yaw of [`rpy`](Self::rpy), rad, in [−π, π].
     pub fn yaw(&self) -> f64 {
         Turn::from(&self.attitude).yaw()
     }
 
-    /// Angle between the body's and the world's z axis, rad: 0 upright, π upside down.
+    /// Returns the angle between the z axes of body and world, rad: 0 upright, π inverted.
     ///
-    /// Unlike roll and pitch it cannot be mistaken: a pitch from an arcsine never exceeds π/2.
+    /// The tilt is unambiguous, unlike roll and pitch: the pitch of an inverted drone can be 0.
     pub fn tilt(&self) -> f64 {
         self.up().z.clamp(-1.0, 1.0).acos()
     }
 
-    /// The body's z axis in the world frame.
+    /// Returns the z axis of the body in the world frame.
     pub fn up(&self) -> Vector3<f64> {
         body_z(&self.attitude)
     }
 
-    /// Velocity in the body frame, m/s.
+    /// Returns the velocity in the body frame, m/s.
     pub fn velocity_body(&self) -> Vector3<f64> {
         self.attitude.inverse_transform_vector(&self.velocity)
     }
 
-    /// Body rates in the world frame, rad/s.
+    /// Returns the angular velocity in the world frame, rad/s.
     pub fn angular_velocity_world(&self) -> Vector3<f64> {
         self.attitude * self.angular_velocity
     }
 
-    /// Whether every number is finite.
+    /// Returns true if every value is finite.
     pub fn is_finite(&self) -> bool {
         self.position.iter().chain(&self.velocity).chain(&self.angular_velocity).all(|x| x.is_finite())
             && self.attitude.coords.iter().all(|x| x.is_finite())
     }
 }
 
-/// The body's z axis in the world frame: the third column of the rotation matrix.
+/// Returns the z axis of the body in the world frame, which is the third column of the rotation matrix.
 #[inline]
 pub fn body_z(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
     Turn::from(attitude).up().into()
 }
 
-/// `[w, x, y, z]` of a rotation.
+/// Returns the quaternion `[w, x, y, z]` of an attitude.
 #[inline]
 pub fn wxyz(attitude: &UnitQuaternion<f64>) -> [f64; 4] {
     let q = attitude.quaternion();
     [q.w, q.i, q.j, q.k]
 }
 
-/// The rotation of a unit quaternion `[w, x, y, z]`, to the same bits.
+/// Creates an attitude from a unit quaternion `[w, x, y, z]`. It does not normalize the quaternion, so [`wxyz`]
+/// returns the same bits.
 #[inline]
 pub fn attitude_from_wxyz([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z))
 }
 
-/// The rotation of roll, pitch, yaw (rad): yaw about z, then pitch about y', then roll about x''.
+/// Creates an attitude from roll, pitch and yaw (rad): yaw about z, then pitch about y', then roll about x''.
 ///
 /// ```
 /// use std::f64::consts::FRAC_PI_2;
@@ -132,9 +134,10 @@ pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_euler_angles(rpy.x, rpy.y, rpy.z)
 }
 
-/// Roll in [−π, π], pitch in [−π/2, π/2], yaw in [−π, π], rad. [`attitude_from_rpy`] of them is the attitude again, to 1e-12.
+/// Returns roll in [−π, π], pitch in [−π/2, π/2] and yaw in [−π, π], rad, of an attitude.
 ///
-/// At a pitch of ±π/2 only the sum or the difference of roll and yaw is defined (gimbal lock): roll is 0 and yaw is all of it.
+/// [`attitude_from_rpy`] restores the attitude to within 1e-12. At a pitch of ±π/2 (gimbal lock) only the sum or the
+/// difference of roll and yaw is defined: roll is 0 and yaw is the rest of the rotation.
 ///
 /// ```
 /// use std::f64::consts::FRAC_PI_2;
@@ -142,7 +145,7 @@ pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
 /// use aviary::state::{attitude_from_rpy, rpy_from_attitude};
 /// use nalgebra::Vector3;
 ///
-/// // straight up: rolling by 0.3 and yawing by 0.5 is yawing by 0.2
+/// // at a pitch of 90°, a roll of 0.3 and a yaw of 0.5 equal a yaw of 0.2
 /// let up = attitude_from_rpy(Vector3::new(0.3, FRAC_PI_2, 0.5));
 /// assert!((rpy_from_attitude(&up) - Vector3::new(0.0, FRAC_PI_2, 0.2)).norm() < 1e-12);
 /// ```
@@ -151,7 +154,7 @@ pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
     Turn::from(attitude).rpy().into()
 }
 
-/// An angle brought into (−π, π].
+/// Wraps an angle (rad) to (−π, π].
 #[inline]
 pub fn wrap_angle(angle: f64) -> f64 {
     use std::f64::consts::{PI, TAU};
@@ -184,9 +187,9 @@ mod tests {
             prop_assert!((back - Vector3::new(roll, pitch, yaw)).norm() < 1e-7, "{back}");
         }
 
-        /// At and near ±90° of pitch, on both sides, the angles rebuild the attitude; nalgebra's own angles are not used.
+        /// Covers both sides of a pitch of ±90°, where the angles of nalgebra are inaccurate.
         #[test]
-        fn rpy_rebuilds_every_attitude_gimbal_lock_included(
+        fn rpy_restores_every_attitude_including_gimbal_lock(
             roll in -PI..=PI, yaw in -PI..=PI, exponent in 0.0..17.0f64, beyond: bool, down: bool,
             axis in prop::array::uniform3(-1.0..1.0f64), scale in prop::array::uniform4(-1.0..1.0f64),
         ) {
@@ -196,7 +199,7 @@ mod tests {
                 * UnitQuaternion::from_axis_angle(&Vector3::y_axis(), pitch)
                 * UnitQuaternion::from_axis_angle(&Vector3::x_axis(), roll);
             let lock = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), FRAC_PI_2.copysign(pitch));
-            // a small rotation about any axis away from a lock, a random rotation
+            // attitudes: a small rotation away from gimbal lock about any axis, and a random rotation
             let nearby = UnitQuaternion::new(Vector3::from(axis) * off) * by_axes * lock.inverse() * lock;
             let any = UnitQuaternion::new_normalize(Quaternion::new(scale[0], scale[1], scale[2], scale[3] + 1e-3));
             for attitude in [by_axes, nearby, any] {
@@ -210,7 +213,7 @@ mod tests {
             }
         }
 
-        /// Roll is 0 there, and yaw the rest: the yaw of an unrolled drone that pitches up to the lock.
+        /// The yaw is continuous with that of a drone without roll that pitches up to gimbal lock.
         #[test]
         fn roll_is_zero_in_gimbal_lock(roll in -PI..=PI, yaw in -PI..=PI) {
             for pitch in [FRAC_PI_2, -FRAC_PI_2] {
@@ -231,7 +234,7 @@ mod tests {
         }
 
         #[test]
-        fn up_and_tilt_are_those_of_the_rotation(roll in angle(), pitch in -1.5..1.5, yaw in angle()) {
+        fn up_and_tilt_match_the_rotation(roll in angle(), pitch in -1.5..1.5, yaw in angle()) {
             let state = DroneState::at_rest(Vector3::zeros(), Vector3::new(roll, pitch, yaw));
             prop_assert!((state.up() - state.attitude * Vector3::z()).norm() < 1e-12);
             prop_assert_eq!(state.yaw(), state.rpy().z);
@@ -247,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_quarter_turn_left_takes_forward_to_left() {
+    fn a_quarter_turn_to_the_left_maps_x_to_y() {
         let half = FRAC_PI_2 / 2.0;
         let left = attitude_from_wxyz([half.cos(), 0.0, 0.0, half.sin()]);
         assert!((left * Vector3::x() - Vector3::y()).norm() < 1e-12);

@@ -1,4 +1,4 @@
-//! Derived numbers of an airframe, and the ranges that quadrotors lie in.
+//! Derived numbers of an airframe with plausible ranges.
 
 use super::DroneParams;
 
@@ -8,39 +8,39 @@ use super::DroneParams;
 pub struct DerivedNumber {
     /// Name in lower snake case.
     pub name: &'static str,
-    /// Name in words.
+    /// Label in plain text.
     pub label: &'static str,
     /// Value in `unit`.
     pub value: f64,
     /// Unit; empty for a ratio.
     pub unit: &'static str,
-    /// Smallest and largest value of quadrotors from 10 g to 500 kg; `None` where their sizes alone make it anything.
+    /// Smallest and largest value for quadrotors from 10 g to 500 kg; `None` for a number without a typical range.
     pub plausible: Option<[f64; 2]>,
-    /// The parameters that it follows from: what to check where it is implausible.
+    /// Names of the parameters that determine the number.
     pub fields: &'static str,
 }
 
 impl DerivedNumber {
-    /// Returns whether the value lies in the plausible range, if there is one.
+    /// Returns true if the value is in the plausible range, or if there is no such range.
     pub fn is_plausible(&self) -> bool {
         self.plausible.is_none_or(|[min, max]| (min..=max).contains(&self.value))
     }
 
-    /// Returns the plausible range in words: `10 to 500 N/m²`.
+    /// Returns the plausible range as text: `10 to 500 N/m²`.
     pub fn range(&self) -> Option<String> {
         let [min, max] = self.plausible?;
         let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
         Some(if max.is_finite() { format!("{min} to {max}{unit}") } else { format!("at least {min}{unit}") })
     }
 
-    /// Returns the value with its unit, to four digits.
+    /// Returns the value with four significant digits and its unit.
     pub fn text(&self) -> String {
         let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
         format!("{}{unit}", four_digits(self.value))
     }
 }
 
-/// Four significant digits, in exponents where the number is very large or small.
+/// Formats a number with four significant digits, in exponent form if it is very large or small.
 fn four_digits(value: f64) -> String {
     let exponent = if value == 0.0 { 0 } else { value.abs().log10().floor() as i32 };
     match exponent {
@@ -50,7 +50,7 @@ fn four_digits(value: f64) -> String {
     }
 }
 
-/// Slips of the unit: the parameters, the factor that undoes the slip, and the unit that they were written in.
+/// Common unit mistakes: the parameters, the factor to SI units, and the wrong unit.
 const SLIPS: [(&[&str], f64, &str); 13] = [
     (&["mass"], 1e-3, "grams"),
     (&["arm_length"], 1e-3, "millimetres"),
@@ -67,12 +67,13 @@ const SLIPS: [(&[&str], f64, &str); 13] = [
     (&["torque_coefficient"], PER_RADIAN, "N m / (rad/s)²"),
 ];
 
-/// A coefficient per rpm² over the same one per (rad/s)².
+/// Factor from a coefficient per (rad/s)² to the coefficient per rpm².
 const PER_RADIAN: f64 = (std::f64::consts::TAU / 60.0) * (std::f64::consts::TAU / 60.0);
 
 impl DroneParams {
-    /// Returns the numbers that follow from the parameters, with the ranges that quadrotors lie in. A number outside its range
-    /// is no error, but mostly a parameter in another unit.
+    /// Returns the derived numbers of the airframe with their plausible ranges.
+    ///
+    /// A number outside its range is not an error. Usually it indicates a parameter in a wrong unit.
     ///
     /// ```
     /// use aviary::drone::{DroneModel, DroneParams};
@@ -92,25 +93,25 @@ impl DroneParams {
         let turn = std::f64::consts::TAU / 60.0;
         let (hover, max) = (self.hover_rpm(), self.max_rpm());
         add("weight", "weight", self.weight(), "N", None, "mass");
-        add("max_thrust", "largest thrust", self.max_thrust(), "N", None, "mass, thrust_to_weight");
+        add("max_thrust", "maximum thrust", self.max_thrust(), "N", None, "mass, thrust_to_weight");
         let fields = "thrust_to_weight";
         add("thrust_to_weight", "thrust to weight", self.thrust_to_weight, "", Some([1.2, 16.0]), fields);
         let fields = "mass, thrust_coefficient";
         add("hover_rpm", "hover speed", hover, "rpm", None, fields);
-        add("max_rpm", "largest speed", max, "rpm", None, "mass, thrust_coefficient, thrust_to_weight");
-        add("hover_share", "hover speed over the largest", hover / max, "", None, "thrust_to_weight");
+        add("max_rpm", "maximum speed", max, "rpm", None, "mass, thrust_coefficient, thrust_to_weight");
+        add("hover_share", "hover speed over maximum speed", hover / max, "", None, "thrust_to_weight");
         let fields = "mass, thrust_coefficient, thrust_to_weight, propeller_radius";
-        add("tip_speed", "propeller tip speed at most", max * turn * radius, "m/s", Some([20.0, 340.0]), fields);
+        add("tip_speed", "maximum propeller tip speed", max * turn * radius, "m/s", Some([20.0, 340.0]), fields);
         let discs = 4.0 * std::f64::consts::PI * radius * radius;
         let fields = "mass, propeller_radius";
         add("disc_loading", "weight per propeller area", self.weight() / discs, "N/m²", Some([8.0, 800.0]), fields);
         // T = C_T·ρ·n²·D⁴ with n in revolutions per second
         let thrust_number = self.thrust_coefficient * 3600.0 / (1.225 * (2.0 * radius).powi(4));
         let fields = "thrust_coefficient, propeller_radius";
-        add("thrust_number", "thrust number C_T", thrust_number, "", Some([0.02, 0.5]), fields);
+        add("thrust_number", "thrust coefficient C_T", thrust_number, "", Some([0.02, 0.5]), fields);
         let arm = self.torque_coefficient / self.thrust_coefficient / radius;
         let fields = "torque_coefficient, thrust_coefficient, propeller_radius";
-        add("torque_ratio", "rotor torque over thrust and radius", arm, "", Some([0.05, 2.0]), fields);
+        add("torque_ratio", "rotor torque over thrust × radius", arm, "", Some([0.05, 2.0]), fields);
         let fields = "propeller_radius, arm_length";
         add("propeller_ratio", "propeller radius over arm", radius / self.arm_length, "", Some([0.15, 0.8]), fields);
         for (axis, name, label, fields) in [
@@ -121,12 +122,12 @@ impl DroneParams {
             let ratio = (self.inertia[axis] / self.mass).sqrt() / self.arm_length;
             add(name, label, ratio, "", Some([0.15, 1.2]), fields);
         }
-        // motors on one side at full speed, those on the other side still
+        // the motors on one side at full speed, the others stopped
         let left: f64 = self.motor_positions().iter().map(|[_, y]| y.max(0.0)).sum();
         let roll = left * self.max_thrust() / 4.0 / self.inertia[0];
         let fields = "inertia[0], arm_length, mass, thrust_to_weight";
-        add("roll_acceleration", "largest roll acceleration", roll, "rad/s²", Some([5.0, 8000.0]), fields);
-        // half of the angle speeding up, half of it slowing down
+        add("roll_acceleration", "maximum roll acceleration", roll, "rad/s²", Some([5.0, 8000.0]), fields);
+        // accelerates over half of the angle and decelerates over the other half
         let tilt = 2.0 * (30_f64.to_radians() / roll).sqrt();
         add("tilt_time", "time to tilt by 30° and stop", tilt, "s", None, fields);
         let drag = self.drag_coefficients[0].max(self.drag_coefficients[1]) * 4.0 * hover * turn;
@@ -145,7 +146,7 @@ impl DroneParams {
         }
         let span = self.arm_length + radius;
         let fields = "collision_radius, arm_length, propeller_radius";
-        let label = "collision radius over arm and propeller";
+        let label = "collision radius over arm + propeller radius";
         add("collision_ratio", label, self.collision_radius / span, "", Some([0.5, 2.0]), fields);
         let flat = self.collision_height / self.collision_radius;
         let fields = "collision_height, collision_radius";
@@ -154,8 +155,9 @@ impl DroneParams {
         numbers
     }
 
-    /// Returns a slip of the unit that explains every implausible number, if there is one: the parameters, the unit that they
-    /// seem to be written in, and their value in SI units.
+    /// Returns a unit mistake that explains every implausible number, or `None` if no single mistake does.
+    ///
+    /// The text names the parameters, their apparent unit and their values in SI units.
     pub fn unit_slip(&self) -> Option<String> {
         let is_plausible = |params: &Self| params.derived().iter().all(DerivedNumber::is_plausible);
         if is_plausible(self) {
@@ -176,7 +178,7 @@ impl DroneParams {
                     _ => (&mut params.inertia[..], "kg m²"),
                 };
                 numbers.iter_mut().for_each(|number| *number *= factor);
-                // six digits are more than anybody measures
+                // no measurement has more than six significant digits
                 let text: Vec<_> = numbers.iter().map(|number| short(*number)).collect();
                 values.push(format!("in {si} it is {}", text.join(", ")));
             }
@@ -186,7 +188,7 @@ impl DroneParams {
     }
 }
 
-/// Up to six significant digits without trailing zeros.
+/// Formats a number with up to six significant digits, without trailing zeros.
 fn short(number: f64) -> String {
     let rounded: f64 = format!("{number:.5e}").parse().unwrap_or(number);
     if (1e-3..1e6).contains(&rounded.abs()) { rounded.to_string() } else { format!("{rounded:e}") }
@@ -197,14 +199,14 @@ mod tests {
     use super::*;
     use crate::drone::DroneModel;
 
-    /// The first TOML block of a text.
+    /// Reads an airframe from the first TOML block of a text.
     fn toml_of(text: &str, start: &str, end: &str) -> DroneParams {
         let rest = text.split_once(start).unwrap().1;
         DroneParams::from_toml(rest.split_once(end).unwrap().0).unwrap()
     }
 
     #[test]
-    fn airframes_that_are_built_in_or_documented_are_plausible() {
+    fn built_in_and_documented_airframes_are_plausible() {
         let guide = toml_of(include_str!("../../../docs/airframes.md"), "```toml\n", "```");
         let example = toml_of(include_str!("../../../examples/custom_airframe.rs"), "r#\"\n", "\"#;");
         for params in DroneModel::ALL.map(DroneModel::params).into_iter().chain([guide, example]) {
@@ -216,20 +218,20 @@ mod tests {
     }
 
     #[test]
-    fn derived_numbers_are_those_of_closed_forms() {
+    fn derived_numbers_match_closed_forms() {
         let numbers = DroneModel::Cf2x.params().derived();
         let of = |name: &str| numbers.iter().find(|number| number.name == name).unwrap().value;
         assert!((of("hover_rpm") - 14_475.8).abs() < 0.1 && (of("hover_share") - 1.0 / 1.5).abs() < 1e-12);
         assert!((of("gyration_ratio_x") - (1.4e-5_f64 / 0.027).sqrt() / 0.0397).abs() < 1e-12);
-        // two motors at full thrust, L/√2 from the axis
+        // two motors at full thrust at a distance L/√2 from the axis
         let torque = 2.0 * (2.25 * 0.027 * 9.81 / 4.0) * 0.0397 / 2_f64.sqrt();
         assert!((of("roll_acceleration") - torque / 1.4e-5).abs() < 1e-9);
         let alpha = torque / 1.4e-5;
-        assert!((0.25 * alpha * of("tilt_time").powi(2) - 30_f64.to_radians()).abs() < 1e-12, "half up, half down");
+        assert!((0.25 * alpha * of("tilt_time").powi(2) - 30_f64.to_radians()).abs() < 1e-12, "both halves");
     }
 
     #[test]
-    fn a_slip_of_the_unit_is_noticed_by_the_name_of_its_field() {
+    fn unit_mistakes_make_a_number_of_their_field_implausible() {
         type Slip = fn(&mut DroneParams);
         let slips: [(&str, Slip); 16] = [
             ("mass", |p| p.mass *= 1e3),
@@ -254,7 +256,7 @@ mod tests {
                 let mut params = model.params();
                 slip(&mut params);
                 let named = |number: &DerivedNumber| !number.is_plausible() && number.fields.contains(field);
-                // a racer whose blade drag is the Crazyflie's has room for a slip of it
+                // the racer uses the drag of the Crazyflie, so a factor of 1000 is still plausible
                 let unnoticed = model == DroneModel::Race && *field == "drag_coefficients";
                 assert!(unnoticed || params.derived().iter().any(named), "{model}: slip {index} of {field}");
             }
@@ -262,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn the_unit_that_explains_everything_is_suggested() {
+    fn the_unit_that_explains_all_implausible_numbers_is_suggested() {
         let good = || DroneModel::Cf2x.params();
         for (params, wanted) in [
             (DroneParams { mass: 27.0, ..good() }, "mass in grams (in kg it is 0.027)"),
@@ -281,6 +283,6 @@ mod tests {
             let slip = params.unit_slip().unwrap();
             assert!(slip.starts_with(wanted), "{slip}");
         }
-        assert_eq!(DroneParams { mass: 1200.0, thrust_to_weight: 900.0, ..good() }.unit_slip(), None, "two at once");
+        assert_eq!(DroneParams { mass: 1200.0, thrust_to_weight: 900.0, ..good() }.unit_slip(), None, "two mistakes");
     }
 }

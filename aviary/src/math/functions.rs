@@ -2,13 +2,13 @@ use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
 
 use super::Real;
 
-/// What π/2 is more than the double of that name.
+/// Difference between π/2 and the double closest to it.
 const FRAC_PI_2_REST: f64 = 6.123_233_995_736_766e-17;
 
 /// tan(π/8).
 const TAN_PI_8: f64 = 0.414_213_562_373_095_03;
 
-/// The polynomial of these coefficients, the highest power first.
+/// Evaluates a polynomial by Horner's method, with the coefficient of the highest power first.
 #[inline(always)]
 fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
     let mut sum = x.all(coefficients[0]);
@@ -18,15 +18,15 @@ fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
     sum
 }
 
-/// The angle of the point (x, y), in (−π, π], as [`f64::atan2`] has it for finite arguments that are not subnormal.
+/// Returns the angle of the point (x, y), in [−π, π], as [`f64::atan2`] for finite arguments that are not subnormal.
 #[inline(always)]
 pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
     let (across, along) = (y.abs(), x.abs());
     let steep = along.less(across);
     let (min, max) = (R::choose(steep, along, across), R::choose(steep, across, along));
-    // an angle above π/8 is π/4 and a smaller one, by the addition theorem
+    // the addition theorem reduces an angle above π/8 to π/4 plus a smaller angle
     let far = (max * TAN_PI_8).less(min);
-    // at the origin 0 by the least number there is
+    // at the origin it divides 0 by the smallest normal number
     let above = R::choose(far, min - max, min);
     let below = R::choose(far, min + max, max.greater(x.all(f64::MIN_POSITIVE)));
     let t = above / below;
@@ -55,47 +55,47 @@ pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
     let small = t + t * (square * p / q);
     let angle = R::choose(far, small + 0.5 * FRAC_PI_2_REST + FRAC_PI_4, small);
     let angle = R::choose(steep, -(angle - FRAC_PI_2_REST) + FRAC_PI_2, angle);
-    // of a zero the sign counts, too
+    // a negative zero counts as negative
     let backwards = x.all(1.0).with_sign_of(x).less(x.all(0.0));
     let angle = R::choose(backwards, -(angle - 2.0 * FRAC_PI_2_REST) + PI, angle);
     angle.with_sign_of(y)
 }
 
-/// The arcsine of a number, which is taken into [−1, 1].
+/// Returns the arcsine of a number after clamping it to [−1, 1].
 #[inline(always)]
 pub(crate) fn asin<R: Real>(sine: R) -> R {
     let one = sine.all(1.0);
-    // a NaN stays one
+    // this order of the arguments preserves NaN
     let sine = one.lesser(sine);
     let sine = sine.all(-1.0).greater(sine);
     atan2(sine, ((one - sine) * (one + sine)).sqrt())
 }
 
-/// Added to a number below 2⁵¹, it leaves the nearest whole number in the last bits.
+/// Rounding constant 1.5 · 2⁵²: adding it to a number below 2⁵¹ leaves the nearest integer in the low bits.
 const ROUND: f64 = 6_755_399_441_055_744.0;
 
-/// e to a power that is not positive.
+/// Returns e^x for x ≤ 0.
 #[inline(always)]
 pub(crate) fn exp_of_negative<R: Real>(x: R) -> R {
-    // below that it is zero
+    // the result underflows to zero below −750
     let x = x.greater(x.all(-750.0));
     let whole = (x * LOG2_E + ROUND) - ROUND;
-    // ln 2 in two parts, the first of few digits
+    // ln 2 in two parts; the product with the first one is exact
     let rest = (x - whole * 6.931_457_519_531_25e-1) - whole * 1.428_606_820_309_417_3e-6;
     let square = rest * rest;
     let p =
         rest * polynomial(square, [1.261_771_930_748_105_9e-4, 3.029_944_077_074_419_6e-2, 9.999_999_999_999_999e-1]);
     let q = polynomial(square, [3.001_985_051_386_644_5e-6, 2.524_483_403_496_841e-3, 2.272_655_482_081_550_3e-1, 2.0]);
     let fraction = p / (q - p) * 2.0 + 1.0;
-    // in two factors: the smallest results are not normal numbers
+    // two factors, because one alone would underflow where the result is subnormal
     let first = (whole * 0.5 + ROUND) - ROUND;
     fraction * (first + ROUND).power_of_two() * ((whole - first) + ROUND).power_of_two()
 }
 
-/// Square of the largest half angle that [`half_angle`] is exact for, rad²: a quarter of a radian.
+/// Square of the largest half angle for which [`half_angle`] is accurate, rad²: (0.25 rad)².
 pub(crate) const MAX_HALF_ANGLE_SQUARED: f64 = 0.0625;
 
-/// cos(a) and sin(a)/a from a², for |a| up to a quarter of a radian: Taylor's series up to the last bit.
+/// Returns cos(a) and sin(a)/a from a², for |a| ≤ 0.25 rad, as Taylor polynomials with full double precision.
 #[inline(always)]
 pub(crate) fn half_angle<R: Real>(a_squared: R) -> (R, R) {
     const fn inverse_factorial(n: u64) -> f64 {
@@ -124,14 +124,14 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// In units of the last place of the larger one.
+    /// Returns the difference of two numbers, in units of the last place of the larger one.
     fn apart(a: f64, b: f64) -> f64 {
         (a - b).abs() / (a.abs().max(b.abs()).max(f64::MIN_POSITIVE) * f64::EPSILON)
     }
 
     proptest! {
         #[test]
-        fn angles_are_those_of_the_standard_library(
+        fn atan2_matches_the_standard_library(
             y in -2.0..2.0f64, x in -2.0..2.0f64, scale in -300.0..300.0f64, other in -20.0..20.0f64,
         ) {
             let (y, x) = (y * 10f64.powf(scale), x * 10f64.powf((scale + other).clamp(-300.0, 300.0)));
@@ -139,23 +139,23 @@ mod tests {
         }
 
         #[test]
-        fn arcsines_are_those_of_the_standard_library(sine in -1.0..=1.0f64, near in 0.0..16.0f64) {
+        fn asin_matches_the_standard_library(sine in -1.0..=1.0f64, near in 0.0..16.0f64) {
             for sine in [sine, 1.0 - 10f64.powf(-near), 10f64.powf(-near)] {
                 prop_assert!(apart(asin(sine), sine.asin()) < 4.0);
             }
         }
 
         #[test]
-        fn powers_are_those_of_the_standard_library(x in -800.0..0.0f64, scale in -300.0..0.0f64) {
+        fn exp_of_negative_matches_the_standard_library(x in -800.0..0.0f64, scale in -300.0..0.0f64) {
             for x in [x, x / 800.0, -10f64.powf(scale)] {
                 let (got, wanted) = (exp_of_negative(x), x.exp());
-                // beneath the normal numbers the last place is a fixed one
+                // the unit of the last place is constant for subnormal numbers
                 prop_assert!(apart(got, wanted) < 3.0 || (got - wanted).abs() <= 5e-324, "{x}: {got} {wanted}");
             }
         }
 
         #[test]
-        fn half_angles_are_exact_within_their_range(a in -0.25..0.25f64) {
+        fn half_angle_is_accurate_within_its_range(a in -0.25..0.25f64) {
             let (cos, sinc) = half_angle(a * a);
             prop_assert!(apart(cos, a.cos()) < 3.0);
             prop_assert!(apart(sinc * a, a.sin()) < 3.0);
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_are_those_of_the_standard_library() {
+    fn special_values_match_the_standard_library() {
         for y in [0.0, -0.0, 1.0, -1.0, f64::MIN_POSITIVE] {
             for x in [0.0, -0.0, 1.0, -1.0, 1e300] {
                 assert!(apart(atan2(y, x), f64::atan2(y, x)) < 2.0, "{y} {x}");

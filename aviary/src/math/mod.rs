@@ -1,10 +1,11 @@
-//! Arithmetic that is the same for one drone and for many at once: numbers ([`Real`]) that are one double or a register
-//! of them, vectors and rotations of such numbers, and elementary functions in arithmetic alone.
+//! Arithmetic that is generic over a double or a SIMD register of doubles ([`Real`]): vectors, rotations and
+//! elementary functions.
 //!
-//! No operation is fused or reordered, so that a single drone gets the same bits as one of thousands, with whatever
-//! instructions.
+//! No operation is fused or reordered, so the results for a single drone and for a drone in a batch are bit-identical
+//! with every instruction set.
 //!
-//! The rational approximations are those of S. L. Moshier, Methods and Programs for Mathematical Functions (Cephes), 1989.
+//! The rational approximations are from S. L. Moshier, *Methods and Programs for Mathematical Functions* (Cephes),
+//! 1989.
 
 mod functions;
 mod pack;
@@ -16,7 +17,7 @@ pub(crate) use vector::{Turn, V3};
 
 use std::ops::{Add, BitAnd, Div, Mul, Neg, Sub};
 
-/// A double, or a register of them that are computed with at once.
+/// A double or a SIMD register of doubles.
 pub(crate) trait Real:
     Copy
     + std::fmt::Debug
@@ -29,31 +30,31 @@ pub(crate) trait Real:
     + Sub<f64, Output = Self>
     + Mul<f64, Output = Self>
 {
-    /// Truth values, one per number.
+    /// Booleans, one per lane.
     type Mask: Copy + BitAnd<Output = Self::Mask>;
 
-    /// As many numbers as there are here, all of them this one.
+    /// Returns a register of the same width with every lane set to `x`.
     fn all(self, x: f64) -> Self;
     fn abs(self) -> Self;
     fn sqrt(self) -> Self;
-    /// Whether each is less than its counterpart; not where one is NaN.
+    /// Compares lane by lane; false where either value is NaN.
     fn less(self, other: Self) -> Self::Mask;
-    /// The one where true, the other where not.
+    /// Selects lane by lane: `yes` where the mask is true, `no` elsewhere.
     fn choose(mask: Self::Mask, yes: Self, no: Self) -> Self;
-    /// Whether it is true of any.
+    /// Returns true if any lane of the mask is true.
     fn any(mask: Self::Mask) -> bool;
-    /// Each with the sign of its counterpart.
+    /// Returns the magnitude of `self` with the sign of `other`.
     fn with_sign_of(self, other: Self) -> Self;
-    /// 2^k of a whole k from −1022 to 1023 to which `functions::ROUND` was added.
+    /// Returns 2^k for an integer k from −1022 to 1023 to which `functions::ROUND` was added.
     fn power_of_two(self) -> Self;
 
-    /// The lesser; the second where one is NaN.
+    /// Returns the smaller value, and `other` where either is NaN.
     #[inline(always)]
     fn lesser(self, other: Self) -> Self {
         Self::choose(self.less(other), self, other)
     }
 
-    /// The greater; the second where one is NaN.
+    /// Returns the larger value, and `other` where either is NaN.
     #[inline(always)]
     fn greater(self, other: Self) -> Self {
         Self::choose(other.less(self), self, other)

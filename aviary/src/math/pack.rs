@@ -4,14 +4,14 @@ use pulp::Simd;
 
 use super::Real;
 
-/// A register of doubles.
+/// A SIMD register of doubles.
 #[derive(Clone, Copy)]
 pub(crate) struct Pack<S: Simd> {
     simd: S,
     values: S::f64s,
 }
 
-/// A register of truth values.
+/// A SIMD register of booleans.
 #[derive(Clone, Copy)]
 pub(crate) struct PackMask<S: Simd> {
     simd: S,
@@ -126,7 +126,7 @@ impl<S: Simd> Real for Pack<S> {
     fn power_of_two(self) -> Self {
         let simd = self.simd;
         let biased = simd.add_u64s(simd.transmute_u64s_f64s(self.values), simd.splat_u64s(1023));
-        // a shift by 52
+        // the product is a shift by 52 bits
         let shifted = simd.mul_u64s(biased, simd.splat_u64s(1 << 52));
         Self { values: simd.transmute_f64s_u64s(shifted), ..self }
     }

@@ -6,7 +6,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::{Real, asin, atan2};
 use crate::state::{attitude_from_wxyz, wxyz};
 
-/// A vector.
+/// A vector of three numbers.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct V3<R> {
     pub x: R,
@@ -34,7 +34,7 @@ impl<R: Real> V3<R> {
         }
     }
 
-    /// Component by component.
+    /// Returns the component-wise product.
     #[inline(always)]
     pub fn times(self, other: Self) -> Self {
         Self { x: self.x * other.x, y: self.y * other.y, z: self.z * other.z }
@@ -73,7 +73,7 @@ impl<R: Real> Neg for V3<R> {
     }
 }
 
-/// By a number: one for all, or one each.
+/// Scales a vector by a double or by one factor per lane.
 impl<R: Real + Mul<F, Output = R>, F: Copy> Mul<F> for V3<R> {
     type Output = Self;
 
@@ -97,7 +97,7 @@ impl From<V3<f64>> for Vector3<f64> {
     }
 }
 
-/// A unit quaternion: a rotation.
+/// A rotation as a unit quaternion.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Turn<R> {
     pub w: R,
@@ -105,36 +105,37 @@ pub(crate) struct Turn<R> {
 }
 
 impl<R: Real> Turn<R> {
-    /// A vector of the turned frame in the other one.
+    /// Rotates a vector from the rotated frame (body) to the fixed frame (world).
     #[inline(always)]
     pub fn forth(&self, v: V3<R>) -> V3<R> {
         let across = self.v.cross(v) * 2.0;
         v + across * self.w + self.v.cross(across)
     }
 
-    /// A vector of the other frame in the turned one.
+    /// Rotates a vector from the fixed frame (world) to the rotated frame (body).
     #[inline(always)]
     pub fn back(&self, v: V3<R>) -> V3<R> {
         let across = self.v.cross(v) * 2.0;
         v - across * self.w + self.v.cross(across)
     }
 
-    /// The turned z axis in the other frame.
+    /// Returns the z axis of the rotated frame in the fixed frame.
     #[inline(always)]
     pub fn up(&self) -> V3<R> {
         let (w, V3 { x, y, z }) = (self.w, self.v);
         V3::new((x * z + w * y) * 2.0, (y * z - w * x) * 2.0, w.all(1.0) - (x * x + y * y) * 2.0)
     }
 
-    /// Above this sine of the pitch (0.06° short of ±90°) roll and yaw are computed from half angles: the entries of the
-    /// rotation matrix that they are otherwise read from all but cancel.
+    /// Sine of the pitch, 0.06° from ±90°, above which roll and yaw are computed from half angles. Closer to ±90° the
+    /// entries of the rotation matrix cancel almost completely.
     const STEEP: f64 = 1.0 - 5e-7;
 
-    /// Below this distance from a pitch of ±90° (about 1.4e-14 rad) an attitude says nothing but the sum or the difference of
-    /// roll and yaw: gimbal lock.
+    /// Threshold of the gimbal lock, about 1.4e-14 rad from a pitch of ±90°. Closer to ±90° only the sum or the
+    /// difference of roll and yaw is defined.
     const LOCKED: f64 = 1e-14;
 
-    /// Roll, pitch and yaw, rad. In gimbal lock, at a pitch of ±90°, roll is 0 and yaw is the rest of the rotation.
+    /// Returns roll, pitch and yaw, rad. In gimbal lock, at a pitch of ±90°, roll is 0 and yaw is the rest of the
+    /// rotation.
     #[inline(always)]
     pub fn rpy(&self) -> V3<R> {
         let (w, V3 { x, y, z }) = (self.w, self.v);
@@ -158,7 +159,7 @@ impl<R: Real> Turn<R> {
         }
     }
 
-    /// Yaw alone, with the bits of [`rpy`](Self::rpy).
+    /// Returns the yaw, rad, bit-identical to that of [`rpy`](Self::rpy).
     #[inline(always)]
     pub fn yaw(&self) -> R {
         let (w, V3 { x, y, z }) = (self.w, self.v);
@@ -168,10 +169,11 @@ impl<R: Real> Turn<R> {
         if R::any(steep) { R::choose(steep, self.steep_rpy().z, plain) } else { plain }
     }
 
-    /// Roll, pitch and yaw from half angles, exact at any pitch (Bernardes and Viollet, "Quaternion to Euler angles conversion",
-    /// PLoS ONE 17(11), 2022). With roll φ, pitch θ, yaw ψ:
+    /// Computes roll, pitch and yaw from half angles, accurate at any pitch (Bernardes and Viollet, "Quaternion to
+    /// Euler angles conversion", PLoS ONE 17(11), 2022). With roll φ, pitch θ and yaw ψ:
     ///
-    /// (w − y, x + z) = √2·cos(θ/2 + π/4)·(cos, sin)((φ + ψ)/2), (w + y, x − z) = √2·sin(θ/2 + π/4)·(cos, sin)((φ − ψ)/2)
+    /// - (w − y, x + z) = √2·cos(θ/2 + π/4)·(cos, sin)((φ + ψ)/2)
+    /// - (w + y, x − z) = √2·sin(θ/2 + π/4)·(cos, sin)((φ − ψ)/2)
     #[inline(always)]
     fn steep_rpy(&self) -> V3<R> {
         let (w, V3 { x, y, z }) = (self.w, self.v);
@@ -181,7 +183,7 @@ impl<R: Real> Turn<R> {
         let pitch = atan2(below, above) * 2.0 - FRAC_PI_2;
         let sum = atan2(sum_sin, sum_cos);
         let difference = atan2(difference_sin, difference_cos);
-        // up or down: the half angle that is left makes yaw alone
+        // in gimbal lock the remaining half angle determines the yaw
         let locked = w.all(Self::LOCKED);
         let sum = R::choose(above.less(locked), -difference, sum);
         let difference = R::choose(below.less(locked), -sum, difference);
@@ -189,7 +191,7 @@ impl<R: Real> Turn<R> {
     }
 }
 
-/// An angle of up to two turns brought into [−π, π].
+/// Wraps an angle between −3π and 3π to [−π, π].
 #[inline(always)]
 fn wrapped<R: Real>(angle: R) -> R {
     let half = angle.all(PI);
