@@ -382,7 +382,7 @@ fn what_cannot_be_trained_or_flown_is_refused_on_one_line() {
     refused(
         &["play", "--policy", &pretrained("hover"), "--task", "race"],
         2,
-        &["12 observed numbers", "21 observed numbers"],
+        &["observations of size 12", "observations of size 21"],
     );
     let file = out.join("no.safetensors");
     std::fs::write(&file, b"no policy").unwrap();

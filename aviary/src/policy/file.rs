@@ -1,4 +1,4 @@
-//! Policies as safetensors: the tensors, and under `policy` in the metadata what they are for, as JSON.
+//! Policies as safetensors files: the parameters as tensors, and the metadata as JSON under the key `policy`.
 
 use std::collections::HashMap;
 use std::io::Write as _;
@@ -9,10 +9,10 @@ use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use super::{Activation, Mlp, PolicyError, PolicyInfo, PolicyNetwork};
 use crate::SystemError;
 
-/// Key of the metadata: one alone, so that equal policies are equal files.
+/// Key of the metadata. A single key keeps the bytes of a file deterministic, because a map has no order.
 const KEY: &str = "policy";
 
-/// What the metadata says.
+/// Content of the metadata.
 #[derive(serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Header {
@@ -28,11 +28,11 @@ fn wrong(message: impl std::fmt::Display) -> PolicyError {
     PolicyError::Format { message: message.to_string() }
 }
 
-/// The numbers of a tensor, and its shape.
+/// Returns the values and the shape of a tensor.
 fn numbers(tensors: &SafeTensors<'_>, name: &str) -> Result<(Vec<f32>, Vec<usize>), PolicyError> {
     let view = tensors.tensor(name).map_err(|_| wrong(format_args!("it has no tensor `{name}`")))?;
     if view.dtype() != Dtype::F32 {
-        return Err(wrong(format_args!("the tensor `{name}` is of {:?}, expected F32", view.dtype())));
+        return Err(wrong(format_args!("the tensor `{name}` has the type {:?}, expected F32", view.dtype())));
     }
     let numbers = view.data().chunks_exact(4).map(|x| f32::from_le_bytes([x[0], x[1], x[2], x[3]])).collect();
     Ok((numbers, view.shape().to_vec()))
@@ -43,10 +43,10 @@ fn vector(tensors: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, PolicyError
 }
 
 impl PolicyNetwork {
-    /// Returns the bytes of the policy's file. Equal policies have equal bytes.
+    /// Returns the policy as the bytes of a safetensors file. Equal policies have equal bytes.
     ///
     /// # Errors
-    /// [`PolicyError::Value`] where the texts of [`info`](Self::info) exceed the 100 MB that a safetensors header may have.
+    /// [`PolicyError::Value`] if the metadata exceeds the limit of 100 MB for a safetensors header.
     pub fn to_bytes(&self) -> Result<Vec<u8>, PolicyError> {
         let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
         let mut add = |name: &str, shape: &[usize], numbers: &[f32]| {
@@ -72,24 +72,25 @@ impl PolicyNetwork {
         });
         let metadata = HashMap::from([(KEY.to_string(), header)]);
         safetensors::serialize(views, Some(metadata)).map_err(|error| PolicyError::Value {
-            what: "the policy's information",
+            what: "the policy's metadata",
             got: format!("{size} bytes of JSON ({error})"),
             expected: "up to 100 MB in a safetensors header".into(),
         })
     }
 
-    /// Reads the bytes of a file.
+    /// Reads a policy from the bytes of a safetensors file.
     ///
     /// # Errors
-    /// [`PolicyError`] saying what is wrong with them.
+    /// [`PolicyError::Format`] for bytes that are not a policy, and an error of [`new`](Self::new),
+    /// [`normalized`](Self::normalized) or [`Mlp::new`] for invalid values.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, PolicyError> {
         let (_, metadata) = SafeTensors::read_metadata(bytes).map_err(wrong)?;
         let tensors = SafeTensors::deserialize(bytes).map_err(wrong)?;
         let header = metadata.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
         let header = header.ok_or_else(|| wrong("its metadata has no `policy`"))?;
-        // later versions may say more
-        let said: serde_json::Value = serde_json::from_str(header).map_err(wrong)?;
-        if let Some(version) = said["info"]["version"].as_u64().filter(|&version| version > PolicyInfo::VERSION.into())
+        // the version comes first, because a later one may have keys that are unknown here
+        let json: serde_json::Value = serde_json::from_str(header).map_err(wrong)?;
+        if let Some(version) = json["info"]["version"].as_u64().filter(|&version| version > PolicyInfo::VERSION.into())
         {
             return Err(wrong(format_args!("its version is {version}, expected up to {}", PolicyInfo::VERSION)));
         }
@@ -102,7 +103,9 @@ impl PolicyNetwork {
             }
             let (weights, shape) = numbers(&tensors, &name)?;
             let &[inputs, outputs] = &shape[..] else {
-                return Err(wrong(format_args!("the tensor `{name}` has the shape {shape:?}, expected two sides")));
+                return Err(wrong(format_args!(
+                    "the tensor `{name}` has the shape {shape:?}, expected two dimensions"
+                )));
             };
             if let Some(before) = sizes.last()
                 && *before != inputs
@@ -131,10 +134,10 @@ impl PolicyNetwork {
         Self::from_parts(info, net, scale, bounds)
     }
 
-    /// Writes it as one file, which appears whole or not at all.
+    /// Writes the policy to a file, atomically.
     ///
     /// # Errors
-    /// [`PolicyError::File`].
+    /// [`PolicyError::File`], with the file unchanged.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<(), PolicyError> {
         let path = path.as_ref();
         let in_file = |error| PolicyError::File { path: path.into(), error: Box::new(error) };
@@ -142,10 +145,10 @@ impl PolicyNetwork {
         write_whole(path, &bytes).map_err(|error| in_file(SystemError::from(error).into()))
     }
 
-    /// Reads a file.
+    /// Reads a policy from a file.
     ///
     /// # Errors
-    /// [`PolicyError::File`] saying what is wrong.
+    /// [`PolicyError::File`] with the path, around an error of [`from_bytes`](Self::from_bytes) or of the system.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, PolicyError> {
         let path = path.as_ref();
         let in_file = |error| PolicyError::File { path: path.into(), error: Box::new(error) };
@@ -154,11 +157,11 @@ impl PolicyNetwork {
     }
 }
 
-/// A file that is there whole or not at all.
+/// Writes a file atomically: it is renamed into place when it is complete.
 fn write_whole(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
-    // the permissions of any other new file: those that the umask leaves
+    // the permissions of a regular new file, reduced by the umask
     #[cfg(unix)]
     {
         use std::os::unix::fs::PermissionsExt as _;
@@ -200,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_reads_back_as_it_was_from_equal_bytes() {
+    fn policies_round_trip_with_equal_bytes() {
         let policy = policy();
         let bytes = policy.to_bytes().unwrap();
         assert_eq!(bytes, policy.clone().to_bytes().unwrap());
@@ -214,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn actions_are_scaled_to_bounds_where_there_are_two_and_clipped() {
+    fn actions_are_scaled_to_finite_bounds_and_clipped() {
         let policy = policy();
         let mut action = [0.0; 2];
         policy.forward(&[0.5, -0.4, 1.0], &mut action);
@@ -222,13 +225,13 @@ mod tests {
         policy.net.forward(&[0.4, -0.3, 0.7 / 3.0], &mut plain);
         assert!((action[0] - f64::from((1.0 + 2.0 * plain[0]).clamp(-1.0, 3.0))).abs() < 1e-6);
         assert!((action[1] - f64::from(plain[1])).abs() < 1e-6);
-        // an observation beyond all measure is clipped before it comes in
+        // normalized observations are clipped
         policy.forward(&[1e30, -1e30, 0.0], &mut action);
         assert!(action[0] >= -1.0 && action[0] <= 3.0 && action[1].is_finite());
     }
 
     #[test]
-    fn what_is_missing_or_of_the_wrong_kind_is_named() {
+    fn errors_name_the_missing_or_invalid_part() {
         let refused = |bytes: &[u8]| PolicyNetwork::from_bytes(bytes).unwrap_err().to_string();
         assert!(refused(b"").starts_with("not a policy"));
         assert!(refused(b"{\"task\": \"hover\"}").starts_with("not a policy"));
@@ -246,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn policies_of_version_1_are_read_and_written_as_they_are() {
+    fn policies_of_version_1_round_trip() {
         let old = PolicyNetwork { info: PolicyInfo { version: 1, training: None, ..policy().info }, ..policy() };
         let bytes = old.to_bytes().unwrap();
         assert!(!String::from_utf8_lossy(&bytes).contains("training"), "no key that version 1 does not know");
@@ -254,11 +257,11 @@ mod tests {
     }
 
     #[test]
-    fn information_larger_than_a_header_is_an_error_and_not_a_panic() {
+    fn metadata_larger_than_a_header_is_an_error() {
         let command = "x".repeat(100_000_001);
         let large = PolicyNetwork { info: PolicyInfo { command, ..policy().info }, ..policy() };
         let error = large.to_bytes().unwrap_err().to_string();
-        assert!(error.contains("the policy's information") && error.contains("up to 100 MB"), "{error}");
+        assert!(error.contains("the policy's metadata") && error.contains("up to 100 MB"), "{error}");
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("policy.safetensors");
         assert!(large.save(&path).unwrap_err().to_string().contains("policy.safetensors"));
@@ -267,7 +270,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn damaged_files_are_errors_or_other_policies_and_never_panics(
+        fn damaged_files_are_errors_or_valid_policies(
             changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
             length in any::<prop::sample::Index>(),
             cut in any::<bool>(),
@@ -281,7 +284,7 @@ mod tests {
                 bytes.truncate(length.index(bytes.len()));
             }
             if let Ok(policy) = PolicyNetwork::from_bytes(&bytes) {
-                // what a network of huge numbers says may be no number: environments refuse those
+                // huge parameters can give NaN actions, which environments reject
                 let mut action = vec![0.0; policy.action_size()];
                 policy.forward(&vec![0.5; policy.observation_size()], &mut action);
                 prop_assert_eq!(PolicyNetwork::from_bytes(&policy.to_bytes().unwrap()).unwrap(), policy);

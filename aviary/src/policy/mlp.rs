@@ -3,27 +3,27 @@ use serde::{Deserialize, Serialize};
 
 use super::PolicyError;
 
-/// What a hidden neuron does with its sum.
+/// Activation function of the hidden layers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Activation {
-    /// max(0, x).
+    /// Rectifier max(0, x).
     #[default]
     Relu,
-    /// x / (1 + |x|): smooth and bounded, and cheaper than a hyperbolic tangent.
+    /// Softsign x / (1 + |x|): bounded like tanh, and faster.
     Softsign,
 }
 
-/// Neurons that are computed beside each other.
+/// Number of neurons in a block of SIMD registers.
 const BLOCK: usize = 16;
 
-/// Rows that share a look at the weights.
+/// Number of rows that share a load of the weights.
 const ROWS: usize = 4;
 
-/// A perceptron: linear layers with an [`Activation`] between them.
+/// A multilayer perceptron: linear layers with an [`Activation`] between them.
 ///
-/// Its parameters lie one after the other, layer by layer: the weights as inputs × outputs, row by row, then the biases. A row
-/// gives the same bits alone, among others, and on every machine.
+/// The parameters are stored layer by layer: the weights as a row-major matrix of inputs × outputs, then the biases.
+/// The output for a row is bit-identical alone, in a batch and on every machine.
 ///
 /// ```
 /// use aviary::policy::{Activation, Mlp};
@@ -40,26 +40,27 @@ pub struct Mlp {
     sizes: Vec<usize>,
     activation: Activation,
     parameters: Vec<f32>,
-    /// The same with every row of weights filled up to whole blocks with zeros: biases first, then the weights.
+    /// Parameters for SIMD registers: per layer the biases and then the weights, with rows padded to whole blocks by
+    /// zeros.
     blocks: Vec<[f32; BLOCK]>,
 }
 
 impl Mlp {
-    /// Most neurons in a layer.
+    /// Maximum number of neurons in a layer.
     pub const MAX_WIDTH: usize = 256;
 
-    /// Most layers.
+    /// Maximum number of layers.
     pub const MAX_LAYERS: usize = 8;
 
-    /// How many parameters a network of these layer sizes has.
+    /// Returns the number of parameters of a network with the given layer sizes, input first.
     pub fn count(sizes: &[usize]) -> usize {
         sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum()
     }
 
-    /// From the sizes of its layers, input first, and its parameters.
+    /// Creates a network from the sizes of its layers, input first, and its parameters.
     ///
     /// # Errors
-    /// [`PolicyError::Network`] for sizes out of range, and parameters that are too few, too many or not finite.
+    /// [`PolicyError::Network`] for sizes out of range, a wrong number of parameters, or non-finite parameters.
     pub fn new(sizes: &[usize], activation: Activation, parameters: &[f32]) -> Result<Self, PolicyError> {
         check_sizes(sizes)?;
         let blocks = sizes.windows(2).map(|pair| (pair[0] + 1) * pair[1].div_ceil(BLOCK)).sum();
@@ -73,35 +74,35 @@ impl Mlp {
         Ok(net)
     }
 
-    /// Sizes of its layers, input first.
+    /// Returns the sizes of the layers, input first.
     pub fn sizes(&self) -> &[usize] {
         &self.sizes
     }
 
-    /// What its hidden neurons do.
+    /// Returns the activation function of the hidden layers.
     pub fn activation(&self) -> Activation {
         self.activation
     }
 
-    /// Its parameters.
+    /// Returns the parameters.
     pub fn parameters(&self) -> &[f32] {
         &self.parameters
     }
 
-    /// Numbers that go in.
+    /// Returns the number of inputs.
     pub fn inputs(&self) -> usize {
         self.sizes[0]
     }
 
-    /// Numbers that come out.
+    /// Returns the number of outputs.
     pub fn outputs(&self) -> usize {
         self.sizes[self.sizes.len() - 1]
     }
 
-    /// Changes its parameters.
+    /// Sets the parameters.
     ///
     /// # Errors
-    /// [`PolicyError::Network`] for too few, too many, or some that are not finite; nothing has changed then.
+    /// [`PolicyError::Network`] for a wrong number of parameters or non-finite ones, with the network unchanged.
     pub fn set(&mut self, parameters: &[f32]) -> Result<(), PolicyError> {
         let expected = self.parameters.len();
         if parameters.len() != expected {
@@ -127,19 +128,23 @@ impl Mlp {
         Ok(())
     }
 
-    /// The outputs for as many rows of inputs as there are.
+    /// Computes the outputs for rows of inputs.
     ///
     /// # Panics
-    /// If the slices are not whole rows, as many in one as in the other.
+    /// If the slices do not have the same number of complete rows.
     pub fn forward(&self, input: &[f32], output: &mut [f32]) {
         let (inputs, outputs) = (self.inputs(), self.outputs());
         let rows = input.len() / inputs;
-        assert!(input.len() == rows * inputs && output.len() == rows * outputs, "as many rows of outputs as of inputs");
+        assert!(
+            input.len() == rows * inputs && output.len() == rows * outputs,
+            "expected one output row per input row"
+        );
         pulp::Arch::new().dispatch(Forward { net: self, input, output });
     }
 }
 
-/// A network at work on rows of inputs, in numbers or registers of them: nothing is fused or reordered, so all give the same bits.
+/// A forward pass over rows of inputs. No operation is fused or reordered, so the result is bit-identical for all
+/// instruction sets.
 struct Forward<'a> {
     net: &'a Mlp,
     input: &'a [f32],
@@ -195,7 +200,7 @@ fn rows<S: Simd, const R: usize>(simd: S, net: &Mlp, input: &[f32], output: &mut
     }
 }
 
-/// Some neurons of a layer, for some rows: as many as there are registers for.
+/// Computes C registers of neurons of a layer for R rows.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
 fn columns<S: Simd, const R: usize, const C: usize>(
@@ -246,8 +251,8 @@ mod tests {
 
     use super::*;
 
-    /// The same in double precision, as it is written in books.
-    fn plainly(sizes: &[usize], activation: Activation, parameters: &[f32], input: &[f32]) -> Vec<f64> {
+    /// Computes a forward pass in double precision, without blocks.
+    fn in_double_precision(sizes: &[usize], activation: Activation, parameters: &[f32], input: &[f32]) -> Vec<f64> {
         let mut here: Vec<f64> = input.iter().map(|&x| f64::from(x)).collect();
         let mut start = 0;
         for (layer, pair) in sizes.windows(2).enumerate() {
@@ -279,20 +284,21 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn rows_come_out_as_in_the_book_and_to_the_same_bits_alone(
+        fn outputs_match_double_precision_and_do_not_depend_on_the_batch(
             (sizes, activation, parameters) in network(),
             rows in 1..11_usize,
             seed in 0..1000_u32,
         ) {
             let net = Mlp::new(&sizes, activation, &parameters).unwrap();
-            let input: Vec<f32> = (0..rows * sizes[0]).map(|k| ((k as u32 * 7919 + seed) % 1000) as f32 / 250.0 - 2.0).collect();
+            let value = |k: usize| ((k as u32 * 7919 + seed) % 1000) as f32 / 250.0 - 2.0;
+            let input: Vec<f32> = (0..rows * sizes[0]).map(value).collect();
             let mut output = vec![0.0; rows * net.outputs()];
             net.forward(&input, &mut output);
             for (input, output) in input.chunks(net.inputs()).zip(output.chunks(net.outputs())) {
                 let mut alone = vec![0.0; output.len()];
                 net.forward(input, &mut alone);
                 prop_assert_eq!(&alone, output);
-                let wanted = plainly(&sizes, activation, &parameters, input);
+                let wanted = in_double_precision(&sizes, activation, &parameters, input);
                 for (x, wanted) in output.iter().zip(wanted) {
                     prop_assert!((f64::from(*x) - wanted).abs() <= 1e-4 * (1.0 + wanted.abs()), "{} {}", x, wanted);
                 }
@@ -301,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_network_is_refused_with_what_was_found() {
+    fn invalid_networks_are_rejected_with_the_reason() {
         let refused = |sizes: &[usize], parameters: &[f32]| {
             Mlp::new(sizes, Activation::Relu, parameters).unwrap_err().to_string()
         };

@@ -1,4 +1,4 @@
-//! Trained policies: what they are, and how they are flown. Training is not here: a policy is one file, which needs no trainer.
+//! Trained policies: inference of a network, and its file format. The training is in a separate crate.
 
 mod file;
 mod mlp;
@@ -13,100 +13,100 @@ use crate::SystemError;
 use crate::action::ActionType;
 use crate::env::DroneEnv;
 
-/// What can go wrong with a policy.
+/// Error of a policy.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum PolicyError {
-    /// A network that cannot be.
+    /// A network with invalid layers or parameters.
     #[error("the network has {got}, expected {expected}")]
     Network {
-        /// What it has.
+        /// Invalid layers or parameters.
         got: String,
-        /// What would do.
+        /// Valid layers or parameters.
         expected: String,
     },
-    /// Something of a policy that cannot be.
+    /// A value of a policy outside its range.
     #[error("{what} is {got}, expected {expected}")]
     Value {
-        /// Which part.
+        /// Name of the value.
         what: &'static str,
-        /// What it is.
+        /// Invalid value.
         got: String,
-        /// What would do.
+        /// Valid values.
         expected: String,
     },
-    /// An environment that the policy cannot fly.
+    /// An environment with other sizes or another action type than the policy.
     #[error("the policy is for {policy}, the environment has {env}")]
     Mismatch {
-        /// What the policy was made for.
+        /// Sizes and action type of the policy.
         policy: String,
-        /// What there is.
+        /// Sizes and action type of the environment.
         env: String,
     },
-    /// Bytes that are no policy.
+    /// Bytes that are not a policy.
     #[error("not a policy: {message}")]
     Format {
-        /// What is wrong with them.
+        /// Reason.
         message: String,
     },
     /// A file that the system cannot read or write.
     #[error(transparent)]
     System(#[from] SystemError),
-    /// A file that cannot be read or written, or whose content is no policy.
+    /// A file that the system cannot read or write, or a file without a valid policy.
     #[error("{}: {error}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Error in the file.
         #[source]
         error: Box<Self>,
     },
 }
 
-/// What a policy was made for, and how it came to be.
+/// Metadata of a policy: the environment and the training that it comes from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyInfo {
-    /// Version of the format: [`PolicyInfo::VERSION`].
+    /// Version of the file format, up to [`PolicyInfo::VERSION`].
     pub version: u32,
-    /// The task, in lower snake case.
+    /// Name of the task, in lower snake case.
     pub task: String,
     /// Name of the airframe.
     pub drone: String,
-    /// Number of drones in the environments that it was trained in.
+    /// Number of drones in the environments of the training.
     pub num_drones: usize,
-    /// Whether it flies every drone by itself, from the drone's own observation.
+    /// True if the policy maps the observation of each drone to the action of this drone.
     pub per_drone: bool,
-    /// What the numbers of an action mean, by name.
+    /// Name of the action type.
     pub action_type: String,
     /// Physics rate, Hz.
     pub sim_freq: u32,
     /// Control rate, Hz.
     pub ctrl_freq: u32,
-    /// Seed of its training.
+    /// Seed of the training.
     pub seed: u64,
-    /// Environment steps of its training.
+    /// Environment steps of the training.
     pub steps: u64,
-    /// The command that made it.
+    /// Command that trained the policy.
     pub command: String,
-    /// The program that made it, and its version.
+    /// Name and version of the program that trained the policy.
     pub made_by: String,
-    /// Configuration of its training, in TOML: physics, wind, obstacles, randomization, and the trainer's own options. `None` in
+    /// Configuration of the training, in TOML: physics, wind, obstacles, randomization and trainer options. `None` in
     /// policies of version 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub training: Option<String>,
 }
 
 impl PolicyInfo {
-    /// Version of the format that this program writes, and the newest that it reads. Version 2 added
-    /// [`training`](Self::training).
+    /// Current version of the file format. Version 2 added [`training`](Self::training).
     pub const VERSION: u32 = 2;
 }
 
-/// A policy: a network between numbers that are brought to a common scale and actions.
+/// A trained policy: a network with normalized observations and scaled actions.
 ///
-/// What it does is, for an observation o, `clip(centre + half · net(clip((o − mean) / deviation, ±10)), low, high)`, with the middle and half the width of the
-/// action space where that is bounded, else 0 and 1. The network is two or three small layers; flying a drone costs about half a microsecond.
+/// For an observation o the action is `clip(centre + half · net(clip((o − mean) / deviation, ±10)), low, high)`.
+/// `centre` and `half` are the centre and half the width of a bounded action space, and 0 and 1 for an unbounded one.
+/// With the usual two or three small layers the inference takes about 0.5 µs per drone.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -114,7 +114,7 @@ impl PolicyInfo {
 /// use aviary::tasks::Hover;
 ///
 /// let mut env = Hover::builder().build()?;
-/// // full thrust below 1 m, none above
+/// // full thrust below 1 m, zero thrust above
 /// let mut weights = vec![0.0; 12 * 4 + 4];
 /// weights[2 * 4..3 * 4].fill(-100.0);
 /// weights[12 * 4..].fill(100.0);
@@ -152,14 +152,16 @@ pub struct PolicyNetwork {
     high: Vec<f32>,
 }
 
-/// How far a normalized observation reaches, either way.
+/// Bound of the magnitude of a normalized observation.
 const CLIP: f32 = 10.0;
 
 impl PolicyNetwork {
-    /// Of a network, for these spaces, which are one drone's where the policy flies every drone by itself.
+    /// Creates a policy from a network, with the observation and action spaces of an environment, or of one drone if
+    /// [`per_drone`](PolicyInfo::per_drone) is set.
     ///
     /// # Errors
-    /// [`PolicyError::Mismatch`] where the network has other sizes than the spaces.
+    /// [`PolicyError::Network`] if the sizes of the network differ from those of the spaces, and [`PolicyError::Value`]
+    /// for an invalid version or number of drones.
     pub fn new(
         info: PolicyInfo,
         net: Mlp,
@@ -182,14 +184,14 @@ impl PolicyNetwork {
         if (net.inputs(), net.outputs()) != (mean.len(), low.len()) {
             return Err(PolicyError::Network {
                 got: format!("layers of {:?}", net.sizes()),
-                expected: format!("{} numbers to come in and {} to go out", mean.len(), low.len()),
+                expected: format!("{} inputs and {} outputs", mean.len(), low.len()),
             });
         }
         if deviation.len() != mean.len() || high.len() != low.len() {
             return wrong(
-                "the number of scales or bounds",
+                "the number of deviations or upper bounds",
                 format!("{} and {}", deviation.len(), high.len()),
-                "one for each entry",
+                "one per mean or lower bound",
             );
         }
         if let Some(x) = mean.iter().find(|x| !x.is_finite()) {
@@ -200,7 +202,7 @@ impl PolicyNetwork {
         }
         if let Some((low, high)) = low.iter().zip(&high).find(|(low, high)| low.is_nan() || high.is_nan() || low > high)
         {
-            return wrong("the bounds of an action", format!("{low} and {high}"), "one below the other");
+            return wrong("the range of an action", format!("{low} to {high}"), "low ≤ high");
         }
         if info.version == 0 || info.version > PolicyInfo::VERSION {
             return wrong("the version", info.version.to_string(), "1 or 2");
@@ -211,48 +213,53 @@ impl PolicyNetwork {
         Ok(Self { info, mean, deviation, net, low, high })
     }
 
-    /// With every observed number brought to a common scale: `mean` is taken from it, and the rest divided by `deviation`.
+    /// Sets the normalization of the observation o to (o − `mean`) / `deviation`; default mean 0 and deviation 1.
     ///
     /// # Errors
-    /// [`PolicyError::Value`] for too few or too many, numbers that are not finite, and deviations that are not positive.
+    /// [`PolicyError::Network`] or [`PolicyError::Value`] for a wrong number of values, and [`PolicyError::Value`] for
+    /// values that are not finite and deviations that are not positive.
     pub fn normalized(self, mean: Vec<f32>, deviation: Vec<f32>) -> Result<Self, PolicyError> {
         Self::from_parts(self.info, self.net, [mean, deviation], [self.low, self.high])
     }
 
-    /// What it was made for.
+    /// Returns the metadata.
     pub fn info(&self) -> &PolicyInfo {
         &self.info
     }
 
-    /// Its network.
+    /// Returns the network.
     pub fn net(&self) -> &Mlp {
         &self.net
     }
 
-    /// What is taken from every observed number, and what the rest is divided by.
+    /// Returns mean and deviation of the normalization.
     pub fn normalization(&self) -> (&[f32], &[f32]) {
         (&self.mean, &self.deviation)
     }
 
-    /// Numbers of an observation, of one drone's where it flies every drone by itself.
+    /// Returns the size of an observation, or of the observation of one drone if the policy is
+    /// [`per_drone`](PolicyInfo::per_drone).
     pub fn observation_size(&self) -> usize {
         self.mean.len()
     }
 
-    /// Numbers of an action, of one drone's where it flies every drone by itself.
+    /// Returns the size of an action, or of the action of one drone if the policy is
+    /// [`per_drone`](PolicyInfo::per_drone).
     pub fn action_size(&self) -> usize {
         self.low.len()
     }
 
-    /// Whether it can fly an environment: as many numbers, of the same meaning. What task it is, how heavy the drone and what the wind is
-    /// may differ.
+    /// Checks that the policy can fly an environment: the sizes of observation and action and the action type must
+    /// match.
+    ///
+    /// Task, airframe and conditions may differ from those of the training.
     ///
     /// # Errors
-    /// [`PolicyError::Mismatch`] with both sides.
+    /// [`PolicyError::Mismatch`] with the sizes and the action type of both.
     pub fn check(&self, env: &dyn DroneEnv) -> Result<(), PolicyError> {
         let blocks = if self.info.per_drone { env.simulation().num_drones() } else { 1 };
         let sides = |observation: usize, action: usize, kind: &str| {
-            format!("{observation} observed numbers and {action} of an action by {kind}")
+            format!("observations of size {observation} and {kind} actions of size {action}")
         };
         let own = sides(blocks * self.observation_size(), blocks * self.action_size(), &self.info.action_type);
         let (observed, acted) = (env.observation_space().vector.size(), env.action_space().size());
@@ -260,21 +267,22 @@ impl PolicyNetwork {
         if own == there { Ok(()) } else { Err(PolicyError::Mismatch { policy: own, env: there }) }
     }
 
-    /// What the numbers of its actions mean, where this version knows it.
+    /// Returns the action type, or `None` for a name that this version does not define.
     pub fn action_type(&self) -> Option<ActionType> {
         self.info.action_type.parse().ok()
     }
 
-    /// The action for an observation; of every drone, where there are several and it flies each by itself.
+    /// Computes the action for an observation, or the actions of several drones from the concatenated observations of
+    /// all of them if the policy is [`per_drone`](PolicyInfo::per_drone).
     ///
     /// # Panics
-    /// If the slices are not of its sizes, or as many times those for one as for the other.
+    /// If the lengths of the slices are not the same multiple of the observation size and of the action size.
     pub fn forward(&self, observation: &[f64], action: &mut [f64]) {
         let (inputs, outputs) = (self.observation_size(), self.action_size());
         let count = observation.len() / inputs;
         assert!(
             count > 0 && observation.len() == count * inputs && action.len() == count * outputs,
-            "an observation of {inputs} numbers and an action of {outputs}"
+            "expected observations of size {inputs} and as many actions of size {outputs}"
         );
         let mut scaled = [0.0; Mlp::MAX_WIDTH];
         let mut out = [0.0; Mlp::MAX_WIDTH];
@@ -292,7 +300,7 @@ impl PolicyNetwork {
     }
 }
 
-/// What a network's output stands for: −1 to 1 are the bounds where there are two.
+/// Scales an output of the network from [−1, 1] to the bounds of the action if both are finite, and clips it to them.
 fn to_bounds(x: f32, low: f32, high: f32) -> f32 {
     let (middle, half) =
         if low.is_finite() && high.is_finite() { (0.5 * (low + high), 0.5 * (high - low)) } else { (0.0, 1.0) };
@@ -305,9 +313,9 @@ mod tests {
     use crate::env::Env as _;
     use crate::tasks::Hover;
 
-    /// Actions of single precision are of the action space where the network's output is beyond both bounds.
+    /// Rounding to single precision must not take a saturated action outside the action space.
     #[test]
-    fn actions_at_the_bounds_are_of_their_space() {
+    fn saturated_actions_are_in_the_action_space() {
         let mut rounded_up = 0;
         for action_type in ActionType::ALL {
             let env = Hover::builder().action_type(action_type).build().unwrap();
@@ -343,6 +351,6 @@ mod tests {
                 assert!(action.iter().zip(bound).all(close), "{action_type}: {action:?}");
             }
         }
-        assert!(rounded_up > 0, "no bound that single precision rounds up");
+        assert!(rounded_up > 0, "single precision rounds no bound up");
     }
 }

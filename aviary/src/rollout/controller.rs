@@ -7,11 +7,11 @@ use crate::env::{DroneEnv, EnvError};
 
 /// Flies a task with one controller per drone.
 ///
-/// Each drone follows the trajectory that it was given, or the [plan](DroneEnv::plans) that the task makes at the start
-/// of an episode, or the present [reference](DroneEnv::reference) of the task. Controllers command motor speeds
-/// ([`ActionType::Rpm`] and [`ActionType::RawRpm`]). Where actions are velocities ([`ActionType::Vel`]), which the
-/// environment flies with controllers of its own, the drones steer towards their references at up to 1 m/s and pass
-/// each other on the right.
+/// Each drone follows its given trajectory, or the [plan](DroneEnv::plans) of the task for the episode, or the
+/// present [reference](DroneEnv::reference) of the task. The controllers command motor speeds ([`ActionType::Rpm`]
+/// and [`ActionType::RawRpm`]). With velocity actions ([`ActionType::Vel`]) the environment runs the controllers; the
+/// policy then commands velocities of up to 1 m/s towards the references, with a bias to the right so that drones
+/// pass each other.
 ///
 /// ```
 /// use aviary::control::trajectory::named;
@@ -21,12 +21,12 @@ use crate::env::{DroneEnv, EnvError};
 /// use aviary::rollout::{ControllerPolicy, fly_episode};
 /// use aviary::tasks::{Hover, MultiHover};
 ///
-/// // every drone of a task, by the kind of controller
+/// // one built-in controller for every drone of a task
 /// let mut env = MultiHover::builder().num_drones(3).build()?;
 /// let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
 /// assert!(fly_episode(&mut env, &mut pilot, Some(1))?.success);
 ///
-/// // a controller with settings of its own, along a trajectory
+/// // a controller with custom bandwidths, along a trajectory
 /// let circle = named("circle").expect("a trajectory");
 /// let start = circle.start();
 /// let mut env = Hover::builder().initial_positions([start.position.into()]).episode_seconds(4.0).build()?;
@@ -43,19 +43,20 @@ pub struct ControllerPolicy {
     controllers: Vec<Box<dyn Controller>>,
     /// True if drones without a trajectory follow the plans of the task.
     planned: bool,
-    /// Trajectory of each drone, given or planned, where it has one.
+    /// Given or planned trajectory of each drone, if it has one.
     trajectories: Vec<Option<Box<dyn Trajectory>>>,
-    /// Motor speeds, rpm.
+    /// Motor speeds of each drone, rpm.
     speeds: Vec<[f64; 4]>,
 }
 
 impl ControllerPolicy {
-    /// Builds a controller of one kind for every drone of an environment, with the nominal parameters of its airframe.
+    /// Creates a controller of one kind for every drone of an environment, with the nominal parameters of its
+    /// airframe.
     pub fn new(kind: ControllerKind, env: &dyn DroneEnv) -> Self {
         Self::with_controllers(env.simulation().world().drones.iter().map(|drone| kind.build(&drone.params)))
     }
 
-    /// Takes a controller for every drone.
+    /// Creates a policy from one controller per drone.
     pub fn with_controllers(controllers: impl IntoIterator<Item = impl Controller + 'static>) -> Self {
         let controllers: Vec<Box<dyn Controller>> =
             controllers.into_iter().map(|controller| Box::new(controller) as Box<dyn Controller>).collect();
@@ -63,7 +64,7 @@ impl ControllerPolicy {
         Self { controllers, planned: true, trajectories: Vec::new(), speeds }
     }
 
-    /// Follows a trajectory with each drone, in place of the plans and references of the task. Drones beyond the last
+    /// Sets one trajectory per drone, which replaces the plans and references of the task. Drones beyond the last
     /// trajectory follow the references.
     #[must_use]
     pub fn follow(mut self, trajectories: impl IntoIterator<Item = Box<dyn Trajectory>>) -> Self {
@@ -72,21 +73,21 @@ impl ControllerPolicy {
         self
     }
 
-    /// Follows the references of the task, also where it has plans.
+    /// Disables the plans of the task, so that every drone follows the references.
     #[must_use]
     pub fn without_plans(self) -> Self {
         self.follow([])
     }
 
-    /// Returns the trajectory of a drone, if it has one: the given one, or the plan for this episode.
+    /// Returns the trajectory of a drone, if it has one: the given trajectory, or the plan for this episode.
     pub fn trajectory(&self, drone: usize) -> Option<&dyn Trajectory> {
         self.trajectories.get(drone)?.as_deref()
     }
 
-    /// Returns what a drone follows now.
+    /// Returns the present reference of a drone.
     ///
     /// # Panics
-    /// If there is no drone of that index.
+    /// If the index of the drone is out of range.
     pub fn reference(&self, env: &dyn DroneEnv, drone: usize) -> Reference {
         match self.trajectory(drone) {
             Some(trajectory) => trajectory.reference(env.simulation().time()),
@@ -96,10 +97,10 @@ impl ControllerPolicy {
 }
 
 impl Policy for ControllerPolicy {
-    /// Clears the controllers and looks up the plans.
+    /// Resets the controllers and computes the plans.
     ///
     /// # Errors
-    /// [`EnvError::Option`] for another number of controllers than drones.
+    /// [`EnvError::Option`] if the number of controllers differs from the number of drones.
     fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         if self.controllers.len() != env.simulation().num_drones() {
             let got = format!("{} for {} drones", self.controllers.len(), env.simulation().num_drones());
@@ -143,7 +144,7 @@ mod tests {
     use crate::tasks::{FlyThrough, Hover, MultiHover};
 
     #[test]
-    fn plans_are_followed_unless_references_or_trajectories_are_asked_for() {
+    fn drones_follow_the_plans_of_a_task_by_default() {
         let mut env = FlyThrough::builder().build().unwrap();
         let mut planned = ControllerPolicy::new(ControllerKind::Geometric, &env);
         let start = Rollout::start(&mut env, &mut planned, Some(1)).map(|_| ());
@@ -155,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_flown_is_refused_by_name() {
+    fn unsupported_environments_are_rejected_with_the_reason() {
         let refused = |env: &mut dyn DroneEnv, pilot: &mut ControllerPolicy| {
             fly_episode(env, pilot, Some(1)).unwrap_err().to_string()
         };
@@ -167,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_after_a_reset_is_the_first_one_again() {
+    fn restarting_with_the_same_seed_repeats_the_episode() {
         let mut env = FlyThrough::builder().build().unwrap();
         let pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
         let mut rollout = Rollout::start(&mut env, pilot, Some(3)).unwrap();

@@ -1,9 +1,9 @@
-//! Episodes: policies that act on an environment, and the loop that flies them.
+//! Episodes: policies that choose actions, and the loop that runs an environment with a policy.
 //!
-//! | policy | acts by |
+//! | policy | source of the actions |
 //! | --- | --- |
-//! | [`ControllerPolicy`] | one built-in controller per drone, along the task's plans, its references or a trajectory |
-//! | [`PolicyNetwork`] | a trained network on the observation |
+//! | [`ControllerPolicy`] | one controller per drone, along the plans or references of the task or along a trajectory |
+//! | [`PolicyNetwork`] | a trained network |
 //! | [`from_fn`] | a function of the environment |
 //!
 //! [`fly_episode`] flies one episode and returns its [`EpisodeSummary`]; a [`Rollout`] flies it step by step.
@@ -18,8 +18,7 @@ use std::fmt;
 use crate::env::{DroneEnv, EnvError, EpisodeSummary, Step};
 use crate::policy::{PolicyError, PolicyNetwork};
 
-/// Chooses the actions of an environment: of all its drones, from the observation, the states and whatever else the
-/// environment says of itself.
+/// Chooses the actions of all drones of an environment, with access to its observation, simulation and info.
 ///
 /// ```
 /// use aviary::env::{DroneEnv, Env};
@@ -50,7 +49,7 @@ use crate::policy::{PolicyError, PolicyNetwork};
 /// # Ok::<(), RolloutError>(())
 /// ```
 pub trait Policy {
-    /// Forgets the last episode and prepares for the one that `env` has just started.
+    /// Clears the internal state for the episode that `env` has just started.
     ///
     /// # Errors
     /// [`RolloutError`] for an environment that the policy cannot fly.
@@ -59,7 +58,7 @@ pub trait Policy {
         Ok(())
     }
 
-    /// Writes the action of the coming control step, of as many numbers as the action space has.
+    /// Writes the action of the next control step. The length of `action` is the size of the action space.
     ///
     /// # Errors
     /// [`RolloutError`] for an environment that the policy cannot fly.
@@ -86,7 +85,7 @@ impl<P: Policy + ?Sized> Policy for Box<P> {
     }
 }
 
-/// A trained network acts on the observation alone, and has no memory: threads can share it.
+/// A trained network depends only on the observation and has no internal state, so threads can share it.
 impl Policy for &PolicyNetwork {
     fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
         Ok(self.check(env)?)
@@ -108,7 +107,7 @@ impl Policy for PolicyNetwork {
     }
 }
 
-/// A function as a [`Policy`]: see [`from_fn`].
+/// A [`Policy`] that calls a function; see [`from_fn`].
 #[derive(Clone, Copy)]
 pub struct FnPolicy<F>(F);
 
@@ -118,7 +117,7 @@ impl<F> fmt::Debug for FnPolicy<F> {
     }
 }
 
-/// Makes a policy of a function that writes the action for an environment.
+/// Creates a policy from a function that writes the action for an environment.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -126,8 +125,8 @@ impl<F> fmt::Debug for FnPolicy<F> {
 /// use aviary::tasks::Hover;
 ///
 /// let mut climb = from_fn(|env, action| {
-///     let seen = &env.observation().vector;
-///     action.fill(0.5 * (1.0 - seen[2]) - 0.4 * seen[8]);
+///     let observation = &env.observation().vector;
+///     action.fill(0.5 * (1.0 - observation[2]) - 0.4 * observation[8]);
 /// });
 /// let summary = fly_episode(&mut Hover::builder().build()?, &mut climb, Some(1))?;
 /// assert!(summary.success);
@@ -147,10 +146,10 @@ impl<F: FnMut(&dyn DroneEnv, &mut [f64])> Policy for FnPolicy<F> {
 /// Error of an episode.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RolloutError {
-    /// An error of the environment.
+    /// Error of the environment.
     #[error(transparent)]
     Env(#[from] EnvError),
-    /// A trained policy that cannot fly the environment.
+    /// Error of a trained policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
 }
@@ -180,7 +179,7 @@ pub fn fly_episode(
     Rollout::start(env, policy, seed)?.finish(|_| {})
 }
 
-/// An episode flown step by step, and the episodes after it.
+/// An environment with a policy that flies its episodes step by step.
 ///
 /// ```
 /// use aviary::control::ControllerKind;
@@ -221,7 +220,7 @@ impl<E: DroneEnv, P: Policy> Rollout<E, P> {
         Ok(rollout)
     }
 
-    /// Starts another episode; without a seed, random draws go on from where they are.
+    /// Starts another episode. Without a seed the random generator continues its sequence.
     ///
     /// # Errors
     /// The errors of [`reset`](crate::env::Env::reset) and [`Policy::reset`].
@@ -261,7 +260,7 @@ impl<E: DroneEnv, P: Policy> Rollout<E, P> {
         self.over
     }
 
-    /// Returns the outcome of the episode so far.
+    /// Returns the summary of the episode so far.
     pub fn summary(&self) -> EpisodeSummary {
         let info = self.env.info();
         EpisodeSummary { reward: self.reward, steps: self.steps, end: info.end, success: info.success }
@@ -272,7 +271,7 @@ impl<E: DroneEnv, P: Policy> Rollout<E, P> {
         &self.env
     }
 
-    /// Returns the environment, to be changed: its wind, its randomization.
+    /// Returns the environment mutably, for example to change its wind or randomization.
     pub fn env_mut(&mut self) -> &mut E {
         &mut self.env
     }
