@@ -1,10 +1,10 @@
-//! Fuzz targets over every kind of input that the simulator reads, and a driver that needs nothing but stable Rust.
+//! Fuzz targets over every kind of input that the simulator reads, and a driver that runs on stable Rust.
 //!
-//! A target takes bytes and must neither panic nor crash nor hang, whatever they are. The driver mutates the files of
-//! `fuzz/corpus/TARGET`; an input that is answered in a new way (another error message, numbers and names aside) joins them for the
-//! rest of the run. Case i of a seed is the same bytes in every run.
+//! A target must not panic, crash or hang on any input. The driver mutates the files of `fuzz/corpus/TARGET`. An
+//! input with a new answer (another error message, ignoring numbers and names) is added to the pool for the rest of
+//! the run. Case i of a seed is the same input in every run.
 //!
-//! A run for hours:
+//! A run of one hour:
 //!
 //! ```text
 //! cargo run --release -p fuzz -- airframe --seconds 3600
@@ -23,23 +23,23 @@ use rand_chacha::rand_core::SeedableRng as _;
 
 pub use targets::Target;
 
-/// Most inputs that a run keeps.
+/// Largest number of inputs in the pool.
 const MAX_POOL: usize = 4096;
 
-/// Directory of the corpora.
+/// Returns the directory of the corpora.
 pub fn corpus_directory() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus")
 }
 
-/// Inputs that a target starts from, in the order of their file names: those of `fuzz/corpus/TARGET`, and the repository's own files
-/// that the target names.
+/// Returns the initial inputs of a target, sorted by path: the files of `fuzz/corpus/TARGET`, and the repository
+/// files that the target lists.
 ///
 /// # Errors
-/// Where a file cannot be read.
+/// Errors of reading the files.
 pub fn corpus(target: &Target) -> std::io::Result<Vec<Vec<u8>>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let own = corpus_directory().join(target.name);
-    // a target may start from the repository's files alone
+    // a target may use repository files only
     let mut paths: Vec<_> = match std::fs::read_dir(&own) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound && !target.more.is_empty() => Vec::new(),
         entries => entries?.map(|entry| entry.map(|entry| entry.path())).collect::<Result<_, _>>()?,
@@ -49,12 +49,12 @@ pub fn corpus(target: &Target) -> std::io::Result<Vec<Vec<u8>>> {
     paths.iter().map(std::fs::read).collect()
 }
 
-/// A case that panicked.
+/// Input on which a target panicked.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
-    /// Number of the case; `None` for an input of the corpus itself.
+    /// Number of the case; `None` for an input of the corpus.
     pub case: Option<u64>,
-    /// The input.
+    /// Input of the case.
     pub input: Vec<u8>,
     /// Message of the panic.
     pub message: String,
@@ -63,19 +63,19 @@ pub struct Finding {
 /// Outcome of a run.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Report {
-    /// Number of cases that ran, without the corpus.
+    /// Number of cases, without the corpus.
     pub cases: u64,
-    /// Cases that the target accepted; it refused the others with an error.
+    /// Number of cases that the target accepted; the others were errors.
     pub accepted: u64,
-    /// Number of different answers.
+    /// Number of distinct answers.
     pub answers: usize,
-    /// Longest time of a case, and its number.
+    /// Longest time of a case, and the number of the case.
     pub slowest: (Duration, u64),
-    /// The case that ended the run, if one did.
+    /// Panic that ended the run, if one did.
     pub finding: Option<Finding>,
 }
 
-/// An answer without what changes from input to input: digits, and what stands in quotes.
+/// Returns an answer without its variable parts: digits, and text in quotes.
 fn signature(answer: &Result<(), String>) -> String {
     let Err(message) = answer else { return "accepted".into() };
     let mut quoted = false;
@@ -88,7 +88,7 @@ fn signature(answer: &Result<(), String>) -> String {
     message.chars().filter(kept).take(120).collect()
 }
 
-/// Runs a target on an input.
+/// Runs a target on an input; an outer error is the message of a panic.
 fn answer(target: &Target, input: &[u8]) -> Result<Result<(), String>, String> {
     std::panic::catch_unwind(AssertUnwindSafe(|| (target.run)(input))).map_err(|panic| {
         let text = panic.downcast_ref::<String>().map(String::as_str);
@@ -96,9 +96,9 @@ fn answer(target: &Target, input: &[u8]) -> Result<Result<(), String>, String> {
     })
 }
 
-/// Runs a target on its corpus and then on mutations, until `go_on` says no or a case panics.
+/// Runs a target on its corpus and then on mutations, until `go_on` returns false or a case panics.
 ///
-/// `go_on` is asked before every input with the number of its case, 0 for those of the corpus.
+/// `go_on` is called before every input with the number of its case, 0 for inputs of the corpus.
 pub fn run(target: &Target, corpus: &[Vec<u8>], seed: u64, mut go_on: impl FnMut(u64, &[u8]) -> bool) -> Report {
     let (mut report, mut seen, mut pool) = (Report::default(), HashSet::new(), corpus.to_vec());
     for input in corpus {
@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_is_found_with_its_input_and_the_run_repeats() {
+    fn a_panic_is_reported_with_its_input_and_runs_are_reproducible() {
         let fragile = Target {
             name: "fragile",
             about: "",
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn answers_that_differ_in_numbers_and_names_only_are_one() {
+    fn answers_that_differ_only_in_numbers_and_names_count_once() {
         let of = |text: &str| signature(&Err(text.into()));
         assert_eq!(of("line 3: `mas` is 7, expected 8"), of("line 12: `x` is 1, expected 8"));
         assert_ne!(of("line 3: too short"), of("line 3: too long"));

@@ -25,10 +25,10 @@ struct Options {
     /// Time after which a case counts as a hang, s
     #[arg(long, default_value_t = 20)]
     hang: u64,
-    /// Runs one file instead of mutations
+    /// Run one file instead of mutations
     #[arg(long)]
     input: Option<PathBuf>,
-    /// Directory for the input that is running (`TARGET.current`, which a crash leaves there) and for findings
+    /// Directory of findings and of the running input (`TARGET.current`, which remains after a crash)
     #[arg(long, default_value = "out/fuzz")]
     out: PathBuf,
 }
@@ -54,7 +54,7 @@ fn say(line: &str) {
     println!("{line}");
 }
 
-/// Ends the process when a case takes too long: C code cannot be interrupted.
+/// Aborts the process if a case takes too long, because C code cannot be interrupted.
 fn watch(case_start: Arc<AtomicU64>, begin: Instant, hang: Duration, message: String) {
     std::thread::spawn(move || {
         loop {
@@ -74,7 +74,7 @@ fn campaign(target: &Target, options: &Options) -> anyhow::Result<()> {
     let (begin, case_start) = (Instant::now(), Arc::new(AtomicU64::new(0)));
     let hang = Duration::from_secs(options.hang);
     let message = format!("{}: a case hangs; its input is {}", target.name, current.display());
-    // a target that is over is never late
+    // after the end of a target, the start time lies in the future
     watch(Arc::clone(&case_start), begin, hang, message);
     let limit = Duration::from_secs(options.seconds);
     let mut failed = None;
@@ -83,7 +83,7 @@ fn campaign(target: &Target, options: &Options) -> anyhow::Result<()> {
             return false;
         }
         case_start.store(begin.elapsed().as_millis() as u64, Ordering::Relaxed);
-        // a crash in C ends the process: what it died of is in this file
+        // a crash in C ends the process, and this file then contains its input
         failed = std::fs::write(&current, input).err();
         true
     });

@@ -3,7 +3,7 @@
 use rand::RngExt as _;
 use rand_chacha::ChaCha8Rng;
 
-/// Numbers at the edges of what parsers and simulators take.
+/// Edge cases of numbers for parsers and simulators.
 const NUMBERS: [&str; 32] = [
     "0",
     "-0.0",
@@ -39,7 +39,7 @@ const NUMBERS: [&str; 32] = [
     "\"1\"",
 ];
 
-/// Bytes that mean something in the formats that are read.
+/// Bytes with a meaning in the input formats.
 const BYTES: &[u8] = b"\n\r\t ,;=#\"'[]{}()<>/\\-+.eE0123456789_\0\x0b\x7f\x80\xc3\xef\xff";
 
 /// Largest input, bytes.
@@ -53,14 +53,14 @@ fn pick<'a, T>(rng: &mut ChaCha8Rng, from: &'a [T]) -> Option<&'a T> {
     from.get(below(rng, from.len()))
 }
 
-/// A place in the input: the first two kilobytes, where headers are, as often as the rest.
+/// Returns a position in the input: in the first 2 KiB, where headers are, as often as in the whole input.
 fn place(rng: &mut ChaCha8Rng, length: usize) -> usize {
     const HEAD: usize = 2048;
     let end = if rng.random() { length } else { length.min(HEAD) };
     below(rng, end)
 }
 
-/// Ranges of the words of a text: what letters, digits, points, signs and underscores make.
+/// Returns the ranges of the words of a text: letters, digits, points, signs and underscores.
 fn words(input: &[u8]) -> Vec<std::ops::Range<usize>> {
     let in_word = |byte: &u8| byte.is_ascii_alphanumeric() || matches!(byte, b'.' | b'-' | b'+' | b'_');
     let (mut found, mut start) = (Vec::new(), None);
@@ -77,7 +77,7 @@ fn words(input: &[u8]) -> Vec<std::ops::Range<usize>> {
     found
 }
 
-/// Ranges of the lines of a text, with their ends.
+/// Returns the ranges of the lines of a text, including line ends.
 fn lines(input: &[u8]) -> Vec<std::ops::Range<usize>> {
     let mut start = 0;
     let ends = input.iter().enumerate().filter(|(_, byte)| **byte == b'\n').map(|(index, _)| index + 1);
@@ -96,7 +96,7 @@ fn is_number(word: &[u8]) -> bool {
     word.iter().any(u8::is_ascii_digit) && word.iter().all(|byte| b"0123456789.-+eE_".contains(byte))
 }
 
-/// Replaces a word by a number, or by a word of another input.
+/// Replaces a word by a number or a word of another input.
 fn change_word(rng: &mut ChaCha8Rng, input: &mut Vec<u8>, other: &[u8]) {
     let all = words(input);
     let numbers: Vec<_> = all.iter().filter(|range| is_number(&input[(*range).clone()])).cloned().collect();
@@ -113,7 +113,7 @@ fn change_word(rng: &mut ChaCha8Rng, input: &mut Vec<u8>, other: &[u8]) {
     input.splice(range, new);
 }
 
-/// Drops, doubles, moves or takes over a line.
+/// Deletes, duplicates or moves a line, or inserts one of another input.
 fn change_lines(rng: &mut ChaCha8Rng, input: &mut Vec<u8>, other: &[u8]) {
     let own = lines(input);
     let Some(line) = pick(rng, &own).cloned() else { return };
@@ -168,7 +168,7 @@ fn change_bytes(rng: &mut ChaCha8Rng, input: &mut Vec<u8>) {
     }
 }
 
-/// An input that is like one of the pool.
+/// Returns a mutation of an input of the pool.
 ///
 /// ```
 /// use rand_chacha::ChaCha8Rng;

@@ -15,16 +15,16 @@ use mujoco_rs::{Assets, Data, Model};
 use nalgebra::Vector3;
 use rand_chacha::rand_core::SeedableRng as _;
 
-/// One kind of input.
+/// Fuzz target: one kind of input.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
-    /// Name on the command line and of the directory in `fuzz/corpus`.
+    /// Name in the command line and of the directory in `fuzz/corpus`.
     pub name: &'static str,
-    /// The input, and what becomes of one that is accepted.
+    /// Input format, and the checks of an accepted input.
     pub about: &'static str,
-    /// Further inputs to start from, relative to the root of the repository.
+    /// Repository files that extend the corpus, relative to the repository root.
     pub more: &'static [&'static str],
-    /// Takes an input: nothing where it is accepted, the message of the error where not. A panic is a finding.
+    /// Processes an input; returns the error message of a rejected input. A panic is a finding.
     pub run: fn(&[u8]) -> Result<(), String>,
 }
 
@@ -33,45 +33,40 @@ pub static ALL: [Target; 12] = [
     Target { name: "actions", about: "motor speeds as CSV", more: &[], run: actions },
     Target {
         name: "airframe",
-        about: "an airframe as TOML: written and read again, then flown for two control steps",
+        about: "an airframe as TOML: round trip, then two control steps",
         more: &["assets/airframes/cf2x.toml", "assets/airframes/cf2p.toml", "assets/airframes/race.toml"],
         run: airframe,
     },
     Target {
         name: "conditions",
-        about: "wind, obstacles and randomization as TOML: written and read again, then flown for two control steps",
+        about: "wind, obstacles and randomization as TOML: round trip, then two control steps",
         more: &[],
         run: conditions,
     },
     Target {
         name: "data",
-        about: "data of a simulation as JSON: written and read again, restored, then flown for two control steps",
+        about: "data of a simulation as JSON: round trip, restored, then two control steps",
         more: &[],
         run: data,
     },
     Target { name: "flight", about: "a recorded flight as CSV", more: &[], run: flight },
-    Target {
-        name: "mesh",
-        about: "an OBJ mesh: compiled by MuJoCo where the check lets it through",
-        more: &[],
-        run: mesh,
-    },
+    Target { name: "mesh", about: "an OBJ mesh: compiled by MuJoCo if it is valid", more: &[], run: mesh },
     Target { name: "mjcf", about: "a scene as MJCF text: compiled and stepped", more: &[], run: mjcf },
     Target {
         name: "obstacles",
-        about: "obstacles as TOML: written and read again, then flown among",
+        about: "obstacles as TOML: round trip, then a flight among them",
         more: &[],
         run: obstacles,
     },
     Target {
         name: "policy",
-        about: "a policy in safetensors: written and read again, then asked for an action",
+        about: "a policy in safetensors: round trip, then one action",
         more: &["assets/policies/hover.safetensors"],
         run: policy,
     },
     Target {
         name: "scenario",
-        about: "the scenario of a replay as TOML: flown for a control step",
+        about: "the scenario of a replay as TOML: one control step",
         more: &[
             "tests/reference/mjc_cf2x.toml",
             "tests/reference/mjc_dw_close.toml",
@@ -81,7 +76,7 @@ pub static ALL: [Target; 12] = [
     },
     Target {
         name: "training",
-        about: "a training configuration as TOML: checked, written and read again",
+        about: "a training configuration as TOML: validation, then a round trip",
         more: &["assets/policies/hover_randomized.toml", "assets/policies/disturbed.toml"],
         run: training,
     },
@@ -102,7 +97,7 @@ fn message(error: impl std::fmt::Display) -> String {
 }
 
 fn actions(input: &[u8]) -> Result<(), String> {
-    // the first byte says how many drones there are
+    // the first byte determines the number of drones
     let drones = input.first().map_or(1, |byte| 1 + usize::from(byte % 3));
     let rows = read_actions(input.get(1..).unwrap_or_default(), drones).map_err(message)?;
     assert!(rows.iter().all(|row| row.len() == drones && row.iter().flatten().all(|x| x.is_finite())));
@@ -131,7 +126,7 @@ fn data(input: &[u8]) -> Result<(), String> {
     let builder = Simulation::builder(DroneModel::Cf2x).num_drones(2).physics(Physics::MjcGndDragDw);
     let mut simulation = builder.obstacles([ball]).wind(wind).build().map_err(message)?;
     let mut value: serde_json::Value = serde_json::from_str(text(input)?).map_err(message)?;
-    // of this simulation, whatever version wrote it
+    // replace the fingerprint by that of this simulation, so that data of all versions pass it
     let own = serde_json::to_value(simulation.snapshot()).map_err(message)?;
     value.as_object_mut().ok_or("no object")?.insert("model".into(), own["model"].clone());
     let data: SimData = serde_json::from_value(value).map_err(message)?;
@@ -160,7 +155,7 @@ fn conditions(input: &[u8]) -> Result<(), String> {
 fn flight(input: &[u8]) -> Result<(), String> {
     let file = tempfile::NamedTempFile::new().map_err(message)?;
     std::fs::write(file.path(), input).map_err(message)?;
-    // the file has another name every time
+    // the file name differs in every run
     let nameless = |error: RecordError| error.to_string().replace(&*file.path().to_string_lossy(), "");
     let flight = Flight::read(file.path()).map_err(nameless)?;
     assert!(flight.drones.iter().flatten().all(|sample| sample.state.is_finite()));
@@ -179,9 +174,9 @@ fn mesh(input: &[u8]) -> Result<(), String> {
 
 fn mjcf(input: &[u8]) -> Result<(), String> {
     let text = text(input)?;
-    // what is in files is for the other targets
+    // other targets cover the content of files
     if text.contains("file") || text.contains("dir") {
-        return Err("a scene that names files".into());
+        return Err("the scene refers to files".into());
     }
     let mut data = Data::new(Model::from_xml(text).map_err(message)?).map_err(message)?;
     for _ in 0..3 {
@@ -222,9 +217,9 @@ fn policy(input: &[u8]) -> Result<(), String> {
 fn scenario(input: &[u8]) -> Result<(), String> {
     let scenario = Scenario::from_toml(text(input)?).map_err(message)?;
     if scenario.drone_model.ends_with(".toml") {
-        return Err("an airframe in a file".into());
+        return Err("the scenario refers to an airframe file".into());
     }
-    // many drones take seconds, and so do many physics steps
+    // skip inputs that would take seconds: many drones, and many physics steps
     if scenario.num_drones > 8 && scenario.num_drones <= Simulation::MAX_DRONES {
         return Err("many drones".into());
     }

@@ -1,8 +1,8 @@
-//! A few cases of every target.
+//! Short runs of all fuzz targets.
 
 use fuzz::{corpus, run, targets};
 
-/// Cases of a target: those that compile or step a scene take milliseconds each.
+/// Returns the number of cases of a target; those that compile or step a scene take milliseconds each.
 fn cases(name: &str) -> u64 {
     match name {
         "conditions" | "data" | "scenario" | "obstacles" | "mjcf" | "airframe" => 150,
@@ -12,7 +12,7 @@ fn cases(name: &str) -> u64 {
 }
 
 #[test]
-fn no_target_panics_on_its_corpus_or_on_what_is_like_it() {
+fn no_target_panics_on_its_corpus_or_its_mutations() {
     for target in &targets::ALL {
         let corpus = corpus(target).unwrap();
         assert!(!corpus.is_empty(), "{}", target.name);
@@ -23,7 +23,7 @@ fn no_target_panics_on_its_corpus_or_on_what_is_like_it() {
             panic!("{}: case {:?}: {}\n{input}", target.name, finding.case, finding.message);
         }
         assert_eq!(report.cases, max);
-        // mutations that are all refused, or all refused alike, would test nothing
+        // a run that only produces rejections, or only one kind of them, tests nothing
         assert!(report.accepted > 0 && report.answers > 3, "{}: {report:?}", target.name);
     }
 }

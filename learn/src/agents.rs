@@ -1,46 +1,46 @@
-//! Where experience comes from: rows of agents that all act at once, whatever they are made of.
+//! Sources of experience: rows of agents that are stepped together.
 
 use aviary::env::{BoxSpace, EndReason, EnvError};
 use aviary::multi_agent::{Agent, AgentMap, ParallelEnv};
 use aviary::vector::{VecBuffers, VecEnv};
 use rayon::prelude::*;
 
-/// How a step went on for an agent.
+/// Status of an agent's episode after a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Next {
-    /// It goes on.
+    /// The episode continues.
     #[default]
     Running,
-    /// Its episode has come to an end of its own: no more reward can follow.
+    /// The episode ended by the task: no further reward is possible.
     Terminated,
-    /// Its episode was cut off: reward could have followed.
+    /// The episode was cut off: further reward was possible.
     Truncated,
-    /// It was not there, or what happened to it was nobody's doing: nothing can be learned from this step.
+    /// The agent was absent, or its environment failed: training ignores this step.
     Absent,
 }
 
 impl Next {
-    /// Whether the row's next observation is not the one that follows from its action.
+    /// Returns true if the row's next observation belongs to another episode.
     pub fn is_end(self) -> bool {
         self != Self::Running
     }
 }
 
-/// What a step gave, for every row.
+/// Results of a step, for every row.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Outcome {
-    /// rows × observation: what is seen now, of the next episode where one has ended.
+    /// Observations after the step, rows × observation; of the next episode if one has ended.
     pub observations: Vec<f32>,
-    /// rows × observation: what was seen last, where an episode was truncated.
+    /// Final observations of truncated episodes, rows × observation.
     pub finals: Vec<f32>,
     /// Rewards.
     pub rewards: Vec<f32>,
-    /// How it goes on.
+    /// Status of the episodes.
     pub next: Vec<Next>,
 }
 
 impl Outcome {
-    /// For so many agents with so large observations.
+    /// Creates zeroed buffers for a number of agents and an observation size.
     pub fn new(rows: usize, observation: usize) -> Self {
         Self {
             observations: vec![0.0; rows * observation],
@@ -52,7 +52,7 @@ impl Outcome {
 }
 
 impl Outcome {
-    /// Keeps what is seen now by rows that go on, before it is written over.
+    /// Saves the observations of running rows as final observations, before they are overwritten.
     pub(crate) fn keep_finals(&mut self) {
         let size = self.observations.len() / self.next.len();
         let rows = self.finals.chunks_exact_mut(size).zip(self.observations.chunks_exact(size));
@@ -62,47 +62,47 @@ impl Outcome {
     }
 }
 
-/// Agents that all act at once and whose episodes begin anew by themselves.
+/// Agents that are stepped together, with automatic resets of their episodes.
 pub trait Agents: Send {
-    /// How many there are.
+    /// Returns the number of agents.
     fn rows(&self) -> usize;
 
-    /// What one of them sees.
+    /// Returns the observation space of one agent.
     fn observation_space(&self) -> &BoxSpace;
 
-    /// What one of them does.
+    /// Returns the action space of one agent.
     fn action_space(&self) -> &BoxSpace;
 
-    /// Control steps after which an episode of an agent is cut off at the latest.
+    /// Returns the maximum length of an episode of a row, control steps.
     fn longest(&self, row: usize) -> u64;
 
-    /// Begins with everything anew, random draws from a seed, and writes what is seen.
+    /// Resets all environments with a seed, and writes the observations.
     ///
     /// # Errors
-    /// What the environments have.
+    /// The environments' errors.
     fn reset(&mut self, seed: u64, observations: &mut [f32]) -> Result<(), EnvError>;
 
-    /// Every agent acts: rows × action.
+    /// Steps all agents; `actions` is rows × action.
     ///
     /// # Errors
-    /// What the environments have.
+    /// The environments' errors.
     fn step(&mut self, actions: &[f32], outcome: &mut Outcome) -> Result<(), EnvError>;
 
-    /// Begins new episodes for the agents of a mask (and for those that share an environment with them), marks in it all for whom one has begun, and writes what
-    /// those see.
+    /// Resets the environments of the masked rows, sets the mask for all rows of these environments, and writes
+    /// their observations.
     ///
     /// # Errors
-    /// What the environments have.
+    /// The environments' errors.
     fn restart(&mut self, mask: &mut [bool], observations: &mut [f32]) -> Result<(), EnvError>;
 }
 
-/// What training has of its own in the same environments.
+/// Differences of the environments of training from those of evaluation.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Terms {
-    /// What leaving the task's space costs more than the task says.
+    /// Additional penalty for leaving the task's bounds.
     pub out_of_bounds: f32,
-    /// Control steps after which episodes are cut off, for one environment after the other and again, where that is before the task's
-    /// own limit.
+    /// Maximum lengths of episodes, control steps, assigned to the environments cyclically. They apply if they are
+    /// shorter than the task's limit.
     pub lengths: Vec<Option<u64>>,
 }
 
@@ -113,7 +113,7 @@ impl Terms {
     }
 }
 
-/// One agent for every environment of a batch.
+/// One agent per environment of a batch.
 pub struct Batch {
     env: Box<dyn VecEnv>,
     buffers: VecBuffers,
@@ -127,7 +127,8 @@ impl std::fmt::Debug for Batch {
 }
 
 impl Batch {
-    /// Of a batch, whose episodes must begin in the step that the ones before end in, and whose faults must be truncations.
+    /// Creates agents from a batch, which must use [`SameStep`](aviary::vector::Autoreset::SameStep) resets and
+    /// [`Truncate`](aviary::vector::OnFault::Truncate) on faults.
     pub fn new(env: Box<dyn VecEnv>, terms: Terms) -> Self {
         let buffers = VecBuffers::new(&*env);
         Self { env, buffers, terms }
@@ -193,8 +194,8 @@ impl Agents for Batch {
     }
 }
 
-/// One agent for every drone of many environments of several agents: all fly by the same policy, each by what it sees itself. An
-/// environment begins anew as soon as one of them has left.
+/// One agent per drone of several multi-agent environments, with a shared policy over individual observations. An
+/// environment is reset as soon as one of its agents has ended.
 pub struct Swarm {
     worlds: Vec<World>,
     terms: Terms,
@@ -210,16 +211,16 @@ impl std::fmt::Debug for Swarm {
     }
 }
 
-/// One environment of several agents.
+/// One multi-agent environment.
 struct World {
     env: Box<dyn ParallelEnv + Send>,
-    /// How many agents there can be.
+    /// Number of possible agents.
     agents: usize,
-    /// Bounds of an agent's row.
+    /// Bounds of an agent's observation.
     space: BoxSpace,
 }
 
-/// The rows of one environment.
+/// Rows of one environment.
 struct Rows<'a> {
     observations: &'a mut [f32],
     finals: &'a mut [f32],
@@ -237,13 +238,13 @@ impl World {
         Ok(())
     }
 
-    /// Every agent acts.
+    /// Steps all agents of the environment.
     fn step(&mut self, actions: &[f32], rows: Rows<'_>, out_of_bounds: f32) -> Result<(), EnvError> {
         let agents = self.agents;
         let (action_size, size) = (actions.len() / agents, rows.observations.len() / agents);
         let place = |agent: &str, possible: &[Agent]| possible.iter().position(|name| **name == *agent).unwrap_or(0);
         let possible = self.env.possible_agents();
-        let said: AgentMap<Vec<f64>> = (self.env.agents().iter())
+        let agent_actions: AgentMap<Vec<f64>> = (self.env.agents().iter())
             .map(|agent| {
                 let own = &actions[place(agent, possible) * action_size..][..action_size];
                 (agent.clone(), own.iter().map(|&x| f64::from(x)).collect())
@@ -251,8 +252,8 @@ impl World {
             .collect();
         rows.next.fill(Next::Absent);
         rows.rewards.fill(0.0);
-        // what a world that failed would have taught is lost, as in a batch
-        let Ok(step) = self.env.step(&said) else { return self.reset(None, rows.observations) };
+        // steps of a failed environment are discarded, as in a batch
+        let Ok(step) = self.env.step(&agent_actions) else { return self.reset(None, rows.observations) };
         let flags = step.terminated.iter().zip(step.truncated.iter()).zip(step.rewards.iter());
         for ((agent, seen), (((_, &terminated), (_, &truncated)), (_, &reward))) in step.observations.iter().zip(flags)
         {
@@ -266,7 +267,8 @@ impl World {
             };
             self.space.write_f32(&seen.vector, &mut rows.observations[row * size..(row + 1) * size]);
         }
-        // once one has left, the others are cut off: alone they would learn little, among wrecks slowly
+        // the other agents are truncated with the first that ends: a partial swarm adds little experience, and
+        // wrecks are slow
         if rows.next.iter().any(|next| next.is_end()) {
             for next in rows.next.iter_mut().filter(|next| **next == Next::Running) {
                 *next = Next::Truncated;
@@ -279,10 +281,10 @@ impl World {
 }
 
 impl Swarm {
-    /// So many environments, each made by the function from its number, which is to be its random stream.
+    /// Creates a number of environments. `make` receives the index of each, which selects its random stream.
     ///
     /// # Errors
-    /// What making them finds.
+    /// The errors of `make`.
     pub fn new(
         environments: usize,
         terms: Terms,
@@ -310,7 +312,7 @@ impl Swarm {
         })
     }
 
-    /// The environments with their rows of something.
+    /// Returns the environments, each with its rows of observations.
     fn rows<'a>(
         &'a mut self,
         observations: &'a mut [f32],

@@ -1,4 +1,4 @@
-//! Everything that a run needs to go on, as one safetensors file.
+//! Checkpoints: the state of a run as one safetensors file.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -15,17 +15,17 @@ use crate::optimizer::Moments;
 use crate::scale::{RewardScale, Running};
 use crate::{TrainConfig, TrainError};
 
-/// Key of the metadata.
+/// Metadata key of the state.
 const KEY: &str = "training";
 
-/// What is no tensor of it.
+/// Part of a checkpoint that is stored as JSON metadata.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct State {
     pub config: TrainConfig,
     pub command: String,
     pub iteration: u64,
-    /// Adam's steps.
+    /// Number of optimizer steps.
     pub time: usize,
     pub rate: f64,
     pub observations: Running,
@@ -39,11 +39,11 @@ pub(crate) struct Checkpoint {
     pub parameters: Vec<f32>,
     pub moments: Moments,
     pub curve: Vec<Point>,
-    /// The best policy's file.
+    /// Content of the best policy's file.
     pub best: Vec<u8>,
 }
 
-/// Sizes that the numbers of a checkpoint must fit.
+/// Limits that the numbers of a checkpoint must satisfy.
 pub(crate) struct Limits<'a> {
     pub shape: &'a NetworkShape,
     pub steps_per_iteration: u64,
@@ -52,7 +52,7 @@ pub(crate) struct Limits<'a> {
 }
 
 impl Checkpoint {
-    /// Checks every number.
+    /// Validates every number.
     pub fn validate(&self, run: &Limits<'_>, best: &PolicyNetwork) -> Result<(), String> {
         let Self { state, parameters, moments, curve, .. } = self;
         let expected = run.shape.count();
@@ -67,17 +67,17 @@ impl Checkpoint {
             }
         }
         if let Some((index, x)) = moments.second.iter().enumerate().find(|(_, x)| **x < 0.0) {
-            return Err(format!("entry {index} of `moments.second` is {x}, expected a mean of squares"));
+            return Err(format!("entry {index} of `moments.second` is {x}, expected 0 or more"));
         }
         let (_, _, logs) = run.shape.split(parameters);
         if let Some(log) = logs.iter().find(|log| !LOG_DEVIATIONS.contains(log)) {
-            return Err(format!("the logarithm of a deviation is {log}, expected {LOG_DEVIATIONS:?}"));
+            return Err(format!("the logarithm of a standard deviation is {log}, expected {LOG_DEVIATIONS:?}"));
         }
         let entries = curve.len() as u64;
         if state.iteration != entries {
             return Err(format!("`iteration` is {}, expected {entries}, the length of `curve`", state.iteration));
         }
-        // the optimizer raises a number to this power, as an i32
+        // the optimizer raises its decay rates to this power, as an i32
         let max = entries
             .saturating_mul(run.updates_per_iteration)
             .min((i32::MAX as u64).saturating_sub(run.updates_per_iteration));
@@ -89,10 +89,10 @@ impl Checkpoint {
             return Err(format!("`rate` is {}, expected above 0 and up to {max}", aviary::number(state.rate)));
         }
         if !state.observations.is_of(run.shape.observation()) {
-            return Err("`observations` are no means and sums of squares of the observations".into());
+            return Err("`observations` has no valid means and sums of squares of the observations".into());
         }
         if !state.rewards.is_sane() {
-            return Err("`rewards` are no mean and sum of squares".into());
+            return Err("`rewards` has no valid mean and sum of squares".into());
         }
         for (index, point) in (1..).zip(curve) {
             let steps = index * run.steps_per_iteration;
@@ -107,7 +107,7 @@ impl Checkpoint {
         let wanted = (run.shape.observation(), run.shape.action());
         if (&best.info().task, sizes) != (&state.config.task, wanted) {
             return Err(format!(
-                "its best policy is for {} with sizes {sizes:?}, expected {} with {wanted:?}",
+                "the best policy is for {} with sizes {sizes:?}, expected {} with {wanted:?}",
                 best.info().task,
                 state.config.task
             ));
@@ -148,10 +148,10 @@ impl Checkpoint {
         let tensors = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
         let state = metadata.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
         let state: State =
-            serde_json::from_str(state.ok_or("its metadata has no `training`")?).map_err(|error| error.to_string())?;
+            serde_json::from_str(state.ok_or("the metadata has no `training`")?).map_err(|error| error.to_string())?;
         let tensor = |name: &str, kind: Dtype| {
             let view = tensors.tensor(name).map_err(|error| error.to_string())?;
-            if view.dtype() == kind { Ok(view.data()) } else { Err(format!("`{name}` is of {:?}", view.dtype())) }
+            if view.dtype() == kind { Ok(view.data()) } else { Err(format!("`{name}` has type {:?}", view.dtype())) }
         };
         let numbers = |name: &str| -> Result<Vec<f32>, String> {
             let data = tensor(name, Dtype::F32)?;

@@ -1,4 +1,4 @@
-//! What a training run is.
+//! Configuration of a training run.
 
 use std::path::Path;
 
@@ -19,72 +19,75 @@ use serde::{Deserialize, Serialize};
 use crate::TrainError;
 use crate::agents::{Agents, Batch, Swarm, Terms};
 use crate::evaluation::{AnyEnv, Success};
-use crate::ppo::{PpoConfig, SaidPpo};
+use crate::ppo::{PartialPpo, PpoConfig};
 use crate::recipe;
 
-/// A training run, whole: with the same program on the same machine it gives the same policy to the bit.
+/// Configuration of a training run. Equal configurations give bit-identical policies with the same program and
+/// machine.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrainConfig {
-    /// The task.
+    /// Name of the task.
     pub task: String,
-    /// Seed of everything random.
+    /// Seed of all random streams.
     pub seed: u64,
-    /// Airframe: the name of a built-in one, or a TOML file.
+    /// Airframe: the name of a built-in one, or the path of a TOML file.
     pub drone: String,
     /// Physics mode.
     pub physics: Physics,
-    /// Number of drones; the task's where it is not said.
+    /// Number of drones; `None` for the task's default.
     pub num_drones: Option<usize>,
-    /// Whether every drone is an agent of its own, and all fly by the same policy.
+    /// True if every drone is an agent, with a shared policy.
     pub per_drone: bool,
-    /// What actions mean.
+    /// Action type.
     pub action_type: ActionType,
     /// Physics rate, Hz.
     pub sim_freq: u32,
     /// Control rate, Hz.
     pub ctrl_freq: u32,
-    /// Length of an episode, s; the task's where it is not said.
+    /// Length of an episode, s; `None` for the task's default.
     pub episode_seconds: Option<f64>,
-    /// Environment steps after which it ends.
+    /// Number of environment steps after which the run stops.
     pub steps: u64,
-    /// Whether it ends as soon as every episode of an evaluation succeeds, and of another one four times as large.
+    /// True if the run stops as soon as all episodes of an evaluation succeed, and all of a second one of four
+    /// times the size.
     pub until_success: bool,
     /// Iterations between two evaluations.
     pub evaluate_every: u64,
     /// Episodes of an evaluation.
     pub episodes: usize,
-    /// Iterations between two checkpoints, at which all environments begin anew.
+    /// Iterations between two checkpoints, where all environments are reset.
     pub checkpoint_every: u64,
-    /// What counts as success.
+    /// Success criterion.
     pub success: Success,
-    /// Where episodes of training start, if elsewhere than those of evaluations: one after the other for as many environments as there are, and
-    /// again.
+    /// Initial states of training episodes that differ from those of evaluations, assigned to the environments
+    /// cyclically.
     pub training_starts: Vec<TrainingStart>,
-    /// What leaving the task's space costs in training. Where it costs nothing, policies that cannot do better yet learn to leave.
+    /// Additional penalty for leaving the task's bounds in training. Without it, early policies learn to leave.
     pub out_of_bounds: f32,
-    /// What fly_through and race pay in training. The paper's reward for speed is best earned by flying away; and where staying beside a point
-    /// costs less than the way to the one after it, no point is ever passed.
+    /// Rewards of fly_through and race in training; `None` for the task's. The paper's speed reward is maximised by
+    /// flying away from the course. A policy never passes a waypoint if staying close to it costs less than the
+    /// flight to the next one.
     pub course: Option<CourseRewards>,
-    /// Wind, obstacles and what is drawn anew for every episode, in training and evaluation.
+    /// Wind, obstacles and randomization of every episode, in training and evaluation.
     pub conditions: Conditions,
-    /// The algorithm's.
+    /// Settings of PPO.
     pub ppo: PpoConfig,
 }
 
-/// Where some episodes of training start, and how long they are.
+/// Initial states and length of some training episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainingStart {
-    /// Largest change of each coordinate, m.
+    /// Largest change of each position coordinate, m.
     pub position: f64,
-    /// Of roll, pitch and yaw, rad.
+    /// Largest change of roll, pitch and yaw, rad.
     pub attitude: f64,
-    /// Of each component of the velocity, m/s.
+    /// Largest change of each velocity component, m/s.
     pub velocity: f64,
-    /// From the task's own start to the middle of these, world frame, m.
+    /// Offset of the centre of these ranges from the task's initial position, world frame, m.
     pub offset: [f64; 3],
-    /// Time after which they are cut off, s; the task's where it is not said.
+    /// Maximum length of these episodes, s; `None` for the task's default.
     pub seconds: Option<f64>,
 }
 
@@ -102,22 +105,22 @@ impl TrainingStart {
     }
 }
 
-/// What a course pays: see [`FlyThrough`] and [`Race`].
+/// Rewards of a course; see [`FlyThrough`] and [`Race`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CourseRewards {
-    /// For a waypoint or a gate.
+    /// Reward for a waypoint or gate.
     pub point: f64,
-    /// Per control step and m of distance from it, taken off.
+    /// Penalty per control step and metre of distance to the next waypoint or gate.
     pub distance: f64,
-    /// Per control step and m/s; a race's alone.
+    /// Reward per control step and m/s of speed; used by race only.
     pub speed: f64,
 }
 
-/// A configuration file: what it says of a run.
+/// Settings of a configuration file.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-struct Said {
+struct PartialConfig {
     drone: Option<String>,
     physics: Option<Physics>,
     num_drones: Option<usize>,
@@ -134,18 +137,18 @@ struct Said {
     training_starts: Option<Vec<TrainingStart>>,
     out_of_bounds: Option<f32>,
     course: Option<CourseRewards>,
-    ppo: SaidPpo,
-    // only for line and column of an error: `Conditions` reads these sections again
+    ppo: PartialPpo,
+    // parsed only for line and column of errors: `Conditions` reads these sections again
     wind: Option<WindConfig>,
     obstacles: Option<ObstacleConfig>,
     randomization: Option<Randomization>,
 }
 
 impl TrainConfig {
-    /// Returns the configuration that a task is trained with unless something else is said: its recipe.
+    /// Returns the recipe of a task: its default configuration for training.
     ///
     /// # Errors
-    /// [`EnvError::UnknownName`].
+    /// [`EnvError::UnknownName`] for an unknown task.
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
         let summary = tasks::summary(name).map_err(EnvError::from)?;
         let mut table = recipe::of_task(summary.name)?;
@@ -157,37 +160,41 @@ impl TrainConfig {
         table.try_into().map_err(wrong)
     }
 
-    /// Changes what a configuration in TOML says.
+    /// Overrides settings with those of a configuration in TOML.
     ///
     /// # Errors
-    /// [`TrainError::Toml`] with line and column, [`TrainError::Env`] for what is impossible in wind, obstacles or randomization.
+    /// [`TrainError::Toml`] with line and column; [`TrainError::Env`] for invalid wind, obstacles or randomization.
     pub fn read_toml(&mut self, text: &str) -> Result<(), TrainError> {
         self.read_toml_with(text, &ConditionChoice::default())
     }
 
-    /// Reads a configuration in TOML, with the kinds of wind and obstacles that are chosen outside it.
+    /// Overrides settings with those of a configuration in TOML, with the kinds of wind and obstacles chosen
+    /// elsewhere.
     ///
     /// # Errors
-    /// Those of [`read_toml`](Self::read_toml), and a kind in the file that is not the chosen one.
+    /// As for [`read_toml`](Self::read_toml), and if the file has another kind than the chosen one.
     pub fn read_toml_with(&mut self, text: &str, choice: &ConditionChoice) -> Result<(), TrainError> {
-        let said: Said =
+        let file: PartialConfig =
             toml::from_str(text).map_err(|error| TrainError::Toml { message: aviary::toml_message(text, &error) })?;
         let mut table: toml::Table = text.parse().map_err(wrong)?;
         let conditions = toml::to_string(&take_conditions(&mut table)).map_err(wrong)?;
         let conditions = Conditions::from_toml_with(&conditions, choice)?;
         macro_rules! take {
             ($($field:ident)*) => {$(
-                if let Some(said) = said.$field {
-                    self.$field = said;
+                if let Some(value) = file.$field {
+                    self.$field = value;
                 }
             )*};
         }
-        take!(drone physics per_drone action_type sim_freq ctrl_freq steps evaluate_every episodes checkpoint_every success out_of_bounds);
-        self.training_starts = said.training_starts.unwrap_or(std::mem::take(&mut self.training_starts));
-        self.num_drones = said.num_drones.or(self.num_drones);
-        self.course = said.course.or(self.course);
-        self.episode_seconds = said.episode_seconds.or(self.episode_seconds);
-        said.ppo.apply(&mut self.ppo);
+        take!(
+            drone physics per_drone action_type sim_freq ctrl_freq steps evaluate_every episodes checkpoint_every
+            success out_of_bounds
+        );
+        self.training_starts = file.training_starts.unwrap_or(std::mem::take(&mut self.training_starts));
+        self.num_drones = file.num_drones.or(self.num_drones);
+        self.course = file.course.or(self.course);
+        self.episode_seconds = file.episode_seconds.or(self.episode_seconds);
+        file.ppo.apply(&mut self.ppo);
         self.conditions.wind = conditions.wind.or(self.conditions.wind);
         self.conditions.obstacles = conditions.obstacles.or(self.conditions.obstacles.take());
         if let Some(randomization) = conditions.randomization {
@@ -197,20 +204,20 @@ impl TrainConfig {
         Ok(())
     }
 
-    /// Draws this anew for every episode; where it says nothing of the start, that stays as it was.
+    /// Sets the randomization of every episode; keeps the previous initial states if it sets none.
     pub fn randomize(&mut self, mut randomization: Randomization) {
         let start = self.conditions.randomization.take().and_then(|before| before.initial);
         randomization.initial = randomization.initial.or(start);
         self.conditions.randomization = Some(randomization);
     }
 
-    /// All of it as a configuration file would say it.
+    /// Returns the configuration as TOML.
     ///
     /// # Errors
-    /// [`TrainError::Toml`] for what no such file can say.
+    /// [`TrainError::Toml`] for values that TOML cannot represent.
     pub fn to_toml(&self) -> Result<String, TrainError> {
         let mut table = toml::Table::try_from(self).map_err(wrong)?;
-        // who trains says those on the command line
+        // these are options of the command line
         for key in ["task", "seed", "until_success"] {
             table.remove(key);
         }
@@ -220,18 +227,19 @@ impl TrainConfig {
         toml::to_string_pretty(&table).map_err(wrong)
     }
 
-    /// The same from a file.
+    /// Overrides settings with those of a configuration file.
     ///
     /// # Errors
-    /// [`TrainError::File`] naming it, around what [`read_toml`](Self::read_toml) finds.
+    /// [`TrainError::File`] with the path and the error of [`read_toml`](Self::read_toml).
     pub fn read_file(&mut self, path: impl AsRef<Path>) -> Result<(), TrainError> {
         self.read_file_with(path, &ConditionChoice::default())
     }
 
-    /// Reads a configuration file, with the kinds of wind and obstacles that are chosen outside it.
+    /// Overrides settings with those of a configuration file, with the kinds of wind and obstacles chosen
+    /// elsewhere.
     ///
     /// # Errors
-    /// [`TrainError::File`] naming it, around what [`read_toml_with`](Self::read_toml_with) finds.
+    /// [`TrainError::File`] with the path and the error of [`read_toml_with`](Self::read_toml_with).
     pub fn read_file_with(&mut self, path: impl AsRef<Path>, choice: &ConditionChoice) -> Result<(), TrainError> {
         let path = path.as_ref();
         let in_file = |error| TrainError::File { path: path.into(), error: Box::new(error) };
@@ -239,10 +247,10 @@ impl TrainConfig {
         self.read_toml_with(&text, choice).map_err(in_file)
     }
 
-    /// Checks every number.
+    /// Validates all settings.
     ///
     /// # Errors
-    /// [`TrainError::Option`] naming the first one that is impossible.
+    /// [`TrainError::Option`] with the first invalid setting.
     pub fn validate(&self) -> Result<(), TrainError> {
         let PpoConfig {
             environments,
@@ -260,7 +268,7 @@ impl TrainConfig {
             initial_std,
             ..
         } = &self.ppo;
-        // a configuration file has no larger integers
+        // TOML has no larger integers
         let largest = i64::MAX as u64;
         let counts: [(&str, u64, u64); 9] = [
             ("environments", *environments as u64, 1 << 20),
@@ -278,7 +286,7 @@ impl TrainConfig {
                 return Err(TrainError::Option {
                     option,
                     got: got.to_string(),
-                    expected: "a positive number that memory can hold",
+                    expected: "a positive number that fits in memory",
                 });
             }
         }
@@ -324,13 +332,12 @@ impl TrainConfig {
             let got = aviary::number(self.out_of_bounds.into());
             return Err(TrainError::Option { option: "out_of_bounds", got, expected: "0 to 1,000,000" });
         }
-        if self.course.is_some_and(|rewards| self.per_drone || WaypointProgress::of_task(&self.task, rewards).is_none())
-        {
-            let got = format!("said for {}", self.task);
+        if self.course.is_some_and(|rewards| self.per_drone || CourseTask::of_name(&self.task, rewards).is_none()) {
+            let got = format!("set for {}", self.task);
             return Err(TrainError::Option {
                 option: "course",
                 got,
-                expected: "it for fly_through and race alone, without per_drone",
+                expected: "fly_through or race, without per_drone",
             });
         }
         let (seconds, within) = match self.success {
@@ -349,10 +356,10 @@ impl TrainConfig {
         Ok(())
     }
 
-    /// The options of its environments.
+    /// Returns the options of the environments.
     ///
     /// # Errors
-    /// What is wrong with a name.
+    /// An unknown airframe, or an airframe file that cannot be read.
     pub fn options(&self) -> Result<EnvConfig, TrainError> {
         let mut options = EnvConfig::default();
         if !self.physics.is_explicit() {
@@ -381,21 +388,21 @@ impl TrainConfig {
         Ok(self.drone.parse::<DroneModel>().map_err(EnvError::from)?.params())
     }
 
-    /// Number of drones in its environments; 1 for a task that this crate does not know, unless it is said.
+    /// Returns the number of drones; 1 for a custom task without a setting.
     pub(crate) fn drones(&self) -> usize {
         let of_task = tasks::summary(&self.task).map(|summary| summary.defaults.num_drones);
         self.num_drones.or(of_task.ok()).unwrap_or(1)
     }
 
-    /// Name of its airframe, which is not that of the file where it comes from one.
+    /// Returns the name of the airframe; for an airframe file, the name in it.
     pub(crate) fn airframe_name(&self) -> String {
         self.airframe().map_or_else(|_| self.drone.clone(), |params| params.name)
     }
 
-    /// The agents that gather experience.
+    /// Creates the agents that collect experience.
     ///
     /// # Errors
-    /// What making the environments finds.
+    /// Errors of the creation of the environments.
     pub fn agents(&self) -> Result<Box<dyn Agents>, TrainError> {
         let options = self.options()?;
         let starts: Vec<Randomization> = (self.training_starts.iter())
@@ -419,10 +426,10 @@ impl TrainConfig {
                 on_fault: OnFault::Truncate,
                 ..VecConfig::new(environments)
             };
-            let course = self.course.and_then(|rewards| WaypointProgress::of_task(&self.task, rewards));
+            let course = self.course.and_then(|rewards| CourseTask::of_name(&self.task, rewards));
             let mut env: Box<dyn VecEnv> = match course {
-                Some(WaypointProgress::FlyThrough(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
-                Some(WaypointProgress::Race(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+                Some(CourseTask::FlyThrough(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+                Some(CourseTask::Race(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
                 None => make_vec(&self.task, options, config)?,
             };
             for (environment, start) in (0..environments).zip(starts.iter().cycle()) {
@@ -443,16 +450,16 @@ impl TrainConfig {
         Ok(Box::new(Swarm::new(environments, terms, make)?))
     }
 
-    /// An environment to be evaluated in.
+    /// Creates an environment for evaluation.
     ///
     /// # Errors
-    /// What making it finds.
+    /// Errors of the creation of the environment.
     pub fn environment(&self) -> Result<AnyEnv, TrainError> {
         Ok(tasks::make(&self.task, self.options()?)?)
     }
 }
 
-/// Takes the sections that [`Conditions`] reads out of a configuration.
+/// Removes the sections that [`Conditions`] reads from a configuration, and returns them.
 fn take_conditions(table: &mut toml::Table) -> toml::Table {
     ["wind", "obstacles", "randomization"].iter().filter_map(|section| table.remove_entry(*section)).collect()
 }
@@ -461,15 +468,15 @@ fn wrong(error: impl ToString) -> TrainError {
     TrainError::Toml { message: error.to_string() }
 }
 
-/// A task with a course that pays as it is configured.
-enum WaypointProgress {
+/// Task with configured course rewards.
+enum CourseTask {
     FlyThrough(FlyThrough),
     Race(Race),
 }
 
-impl WaypointProgress {
-    /// The task of a name, if it has a course.
-    fn of_task(name: &str, rewards: CourseRewards) -> Option<Self> {
+impl CourseTask {
+    /// Returns the task with a name; `None` if it has no course.
+    fn of_name(name: &str, rewards: CourseRewards) -> Option<Self> {
         let CourseRewards { point, distance, speed } = rewards;
         match name {
             "fly_through" => {

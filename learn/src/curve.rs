@@ -1,21 +1,21 @@
-//! The curve of a run: a point for every iteration.
+//! Training curve: one point per iteration.
 
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::Score;
 use crate::ppo::Report;
 
-/// How the training stood after an iteration.
+/// State of the training after an iteration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Point {
-    /// Iterations so far.
+    /// Number of iterations so far.
     pub iteration: u64,
-    /// Environment steps so far.
+    /// Number of environment steps so far.
     pub steps: u64,
-    /// What the last one did.
+    /// Statistics of the last iteration.
     pub report: Report,
-    /// Evaluation after it, if there was one.
+    /// Score of the evaluation after the iteration, if one was due.
     pub score: Option<Score>,
-    /// Adam's rate.
+    /// Learning rate.
     pub rate: f64,
 }

@@ -6,55 +6,55 @@ use aviary::env::EnvError;
 use aviary::policy::PolicyError;
 use aviary::rollout::RolloutError;
 
-/// What can go wrong with training.
+/// Errors of training.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrainError {
-    /// An environment.
+    /// Error of an environment.
     #[error(transparent)]
     Env(#[from] EnvError),
-    /// A policy.
+    /// Error of a policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
-    /// An option that is impossible.
+    /// Invalid value of a setting.
     #[error("{option} is {got}, expected {expected}")]
     Option {
-        /// Which one.
+        /// Name of the setting.
         option: &'static str,
-        /// What it is.
+        /// Given value.
         got: String,
-        /// What is possible.
+        /// Accepted values.
         expected: &'static str,
     },
-    /// Text that is no configuration in TOML.
+    /// Invalid configuration in TOML.
     #[error("{message}")]
     Toml {
-        /// Line, column and what was expected.
+        /// Line, column and expected content.
         message: String,
     },
-    /// A file that the system cannot read or write.
+    /// Error of the operating system.
     #[error(transparent)]
     System(#[from] SystemError),
-    /// A file that cannot be read or written, or is not what it should be.
+    /// Error that concerns a file.
     #[error("{}: {error}", path.display())]
     File {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What is wrong.
+        /// Cause.
         #[source]
         error: Box<Self>,
     },
-    /// Bytes that are no checkpoint.
+    /// Invalid checkpoint.
     #[error("not a checkpoint: {message}")]
     Checkpoint {
-        /// What is wrong with them.
+        /// Cause.
         message: String,
     },
-    /// An airframe.
+    /// Error of an airframe.
     #[error(transparent)]
     Drone(#[from] DroneError),
-    /// Gradients without bounds.
-    #[error("the gradient is no longer a number; try a lower learning_rate or max_gradient")]
+    /// Non-finite gradient.
+    #[error("the gradient is not finite: try a lower learning_rate or max_grad_norm")]
     Diverged,
 }
 

@@ -1,4 +1,4 @@
-//! How well a policy flies: episodes of its own, one environment at a time, as anybody would fly it.
+//! Evaluation of a policy in separate episodes, one environment at a time.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -11,28 +11,28 @@ use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
 
-/// What counts as success.
+/// Success criterion of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Success {
-    /// No drone is further from where the task wants it than so many metres, at any moment of the last seconds of a whole episode.
+    /// Every drone stays within a distance of its target during the last seconds of a complete episode.
     Near {
-        /// s.
+        /// Duration at the end of the episode, s.
         seconds: f64,
-        /// m.
+        /// Largest distance from the target, m.
         within: f64,
     },
-    /// The task is fulfilled at every moment of the last seconds of a whole episode.
+    /// The task reports success at every step during the last seconds of a complete episode.
     Held {
-        /// s.
+        /// Duration at the end of the episode, s.
         seconds: f64,
     },
-    /// The task is fulfilled when the episode ends.
+    /// The task reports success when the episode ends.
     Done,
 }
 
 impl Success {
-    /// The same in episodes of so many seconds, which may be shorter than what is looked at.
+    /// Returns the criterion for episodes of `length` seconds, with its duration limited to that length.
     #[must_use]
     pub fn within(self, length: f64) -> Self {
         match self {
@@ -47,46 +47,46 @@ impl fmt::Display for Success {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Near { seconds, within } => write!(f, "within {} cm for the last {seconds} s", 100.0 * within),
-            Self::Held { seconds } => write!(f, "the task fulfilled for the last {seconds} s"),
-            Self::Done => f.write_str("the task fulfilled at the end"),
+            Self::Held { seconds } => write!(f, "task succeeded for the last {seconds} s"),
+            Self::Done => f.write_str("task succeeded at the end"),
         }
     }
 }
 
-/// An episode that was flown.
+/// Result of an episode.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Episode {
-    /// Seed of its environment.
+    /// Seed of the environment.
     pub seed: u64,
-    /// Whether it succeeded.
+    /// True if the episode satisfied the success criterion.
     pub success: bool,
-    /// Sum of its rewards.
+    /// Sum of the rewards.
     pub reward: f64,
-    /// Its length, s.
+    /// Length, s.
     pub seconds: f64,
-    /// Why it ended, by name.
+    /// Name of the reason of the end.
     pub end: &'static str,
-    /// Share of the task that was done.
+    /// Fraction of the task that was completed.
     pub progress: f64,
-    /// Distance from where the task wants the drones, of the furthest one, at the end, m.
+    /// Largest distance of a drone from its target at the end, m.
     pub final_position_error: f64,
-    /// Greatest such distance during the last 5 s of the episode, or during all of a shorter one, m.
+    /// Largest distance of a drone from its target during the last 5 s, or during all of a shorter episode, m.
     pub late_position_error: f64,
 }
 
-/// What many of them say.
+/// Averages over several episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Score {
-    /// Share that succeeded.
+    /// Fraction of successful episodes.
     pub success: f64,
-    /// Mean of the sums of rewards.
+    /// Mean return.
     pub reward: f64,
-    /// Mean share of the task that was done.
+    /// Mean fraction of the task that was completed.
     pub progress: f64,
 }
 
 impl Score {
-    /// Of episodes; zeros of none.
+    /// Returns the averages of episodes; zeros for an empty slice.
     pub fn of(episodes: &[Episode]) -> Self {
         let mean = |value: fn(&Episode) -> f64| episodes.iter().map(value).sum::<f64>() / episodes.len().max(1) as f64;
         Self {
@@ -96,27 +96,27 @@ impl Score {
         }
     }
 
-    /// Whether it is better than another one: more successes, more of the task, more reward.
+    /// Returns true if this score is higher, compared by success, then progress, then reward.
     pub fn beats(&self, other: &Self) -> bool {
         let key = |score: &Self| [score.success, score.progress, score.reward];
         key(self).partial_cmp(&key(other)).is_some_and(std::cmp::Ordering::is_gt)
     }
 }
 
-/// An environment that a thread may take over.
+/// Boxed environment that can be moved between threads.
 pub type AnyEnv = Box<dyn DroneEnv + Send>;
 
-/// Time at the end of an episode over which errors are looked at, s.
+/// Duration of the window of `late_position_error`, s.
 const LATE: f64 = 5.0;
 
-/// Position errors of the last control steps.
+/// Window of the latest position errors.
 struct Recent {
     errors: VecDeque<f64>,
     length: usize,
 }
 
 impl Recent {
-    /// An empty window of so many steps, at least one.
+    /// Creates an empty window of a number of steps, at least one.
     fn new(steps: u64) -> Self {
         let length = usize::try_from(steps).unwrap_or(usize::MAX).max(1);
         Self { errors: VecDeque::new(), length }
@@ -134,10 +134,10 @@ impl Recent {
     }
 }
 
-/// Flies an episode with any policy and calls `look` after the reset and after every control step.
+/// Runs an episode with any policy and calls `look` after the reset and after every control step.
 ///
 /// # Errors
-/// [`TrainError::Policy`] for a policy that cannot fly the environment, and the environment's.
+/// [`TrainError::Policy`] for a policy that does not fit the environment; the environment's errors.
 pub fn fly(
     env: &mut dyn DroneEnv,
     policy: &mut dyn Policy,
@@ -163,7 +163,7 @@ pub fn fly(
     });
     let summary = match flown {
         Ok(summary) => summary,
-        // an action that is not a number, a state out of range: the failure of the policy
+        // a non-finite action or a diverged state counts as a failure of the policy
         Err(RolloutError::Env(EnvError::Action { .. } | EnvError::Simulation(_))) => {
             EpisodeSummary { end: Some(EndReason::Fault), success: false, ..rollout.summary() }
         }
@@ -185,12 +185,12 @@ pub fn fly(
         end: summary.end.map_or("time_limit", EndReason::name),
         progress: info.progress,
         final_position_error: info.position_error,
-        // after a failure the window is without the last error
+        // after a failure, the window does not contain the last error
         late_position_error: recent.greatest().max(info.position_error),
     })
 }
 
-/// Environments to be evaluated in, one for every thread.
+/// Evaluation environments, one per thread.
 pub struct Arena {
     envs: Vec<AnyEnv>,
     success: Success,
@@ -203,24 +203,24 @@ impl fmt::Debug for Arena {
 }
 
 impl Arena {
-    /// With environments made by a function.
+    /// Creates the environments with a function.
     ///
     /// # Errors
-    /// The function's.
+    /// The errors of `make`.
     pub fn new(success: Success, make: impl Fn() -> Result<AnyEnv, TrainError>) -> Result<Self, TrainError> {
         let envs = (0..rayon::current_num_threads()).map(|_| make()).collect::<Result<_, _>>()?;
         Ok(Self { envs, success })
     }
 
-    /// What counts as success here.
+    /// Returns the success criterion.
     pub fn success(&self) -> Success {
         self.success
     }
 
-    /// Flies an episode for each of the seeds from one on.
+    /// Runs one episode per seed, from `first_seed` on.
     ///
     /// # Errors
-    /// What [`fly`] finds.
+    /// As for [`fly`].
     pub fn fly(
         &mut self,
         policy: &PolicyNetwork,
@@ -238,7 +238,7 @@ impl Arena {
                     .collect::<Result<Vec<_>, _>>()
             })
             .collect::<Result<Vec<_>, _>>()?;
-        // the k-th of them was flown by thread k mod threads
+        // thread k mod threads ran the k-th episode
         let mut lists: Vec<_> = flown.iter_mut().map(|list| list.drain(..)).collect();
         Ok((0..episodes).filter_map(|episode| lists[episode % threads].next()).collect())
     }

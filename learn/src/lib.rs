@@ -1,8 +1,8 @@
-//! Policies from experience.
+//! Reinforcement learning of policies for `aviary` environments.
 //!
-//! A [`Trainer`] gathers experience from a batch of environments, improves a policy by proximal policy optimization, evaluates
-//! it and keeps the best one; a [`TrainConfig`] says of what task and how. What it makes is an
-//! [`aviary::policy::PolicyNetwork`], which needs nothing of this crate to be flown.
+//! A [`Trainer`] collects experience from a batch of environments, improves a policy by proximal policy
+//! optimization (PPO), evaluates it and keeps the best one. A [`TrainConfig`] sets the task and the
+//! hyperparameters. The result is an [`aviary::policy::PolicyNetwork`], which runs without this crate.
 
 mod agents;
 mod checkpoint;

@@ -1,7 +1,7 @@
-//! The parameters of actor and critic.
+//! Parameters of actor and critic.
 //!
-//! All parameters lie in one vector: the actor's, the critic's (each as [`Mlp`] has them), and the logarithms of the standard deviations
-//! of the actions.
+//! One vector holds all parameters: the actor's, the critic's (each in the order of [`Mlp`]), and the log standard
+//! deviations of the actions.
 
 use aviary::env::Rng;
 use aviary::policy::{Activation, Mlp};
@@ -9,7 +9,7 @@ use nalgebra::DMatrix;
 use rand::RngExt as _;
 use rand_distr::StandardNormal;
 
-/// Sizes of an actor and a critic.
+/// Layer sizes of an actor and a critic.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct NetworkShape {
     pub actor: Vec<usize>,
@@ -31,20 +31,20 @@ impl NetworkShape {
         self.actor[self.actor.len() - 1]
     }
 
-    /// Number of all parameters.
+    /// Returns the total number of parameters.
     pub fn count(&self) -> usize {
         Mlp::count(&self.actor) + Mlp::count(&self.critic) + self.action()
     }
 
-    /// The actor's, the critic's, and the logarithms of the deviations.
+    /// Splits parameters into the actor's, the critic's, and the log standard deviations.
     pub fn split<'a>(&self, parameters: &'a [f32]) -> (&'a [f32], &'a [f32], &'a [f32]) {
         let (actor, rest) = parameters.split_at(Mlp::count(&self.actor));
         let (critic, deviations) = rest.split_at(Mlp::count(&self.critic));
         (actor, critic, deviations)
     }
 
-    /// Parameters to begin with: orthogonal weights (Saxe et al. 2014), scaled by √2 in hidden layers, by 0.01 in the actor's last
-    /// one and by 1 in the critic's; biases of zero.
+    /// Returns initial parameters: orthogonal weights (Saxe et al. 2014), scaled by √2 in hidden layers, by 0.01 in
+    /// the actor's last layer and by 1 in the critic's; biases of zero.
     pub fn initial(&self, deviation: f32, rng: &mut Rng) -> Vec<f32> {
         let mut parameters = Vec::with_capacity(self.count());
         for (sizes, last) in [(&self.actor, 0.01), (&self.critic, 1.0)] {
@@ -60,19 +60,19 @@ impl NetworkShape {
     }
 }
 
-/// A matrix, row by row, whose rows or columns (whichever are fewer) are orthonormal.
+/// Returns a row-major matrix with orthonormal rows or columns, whichever are fewer.
 fn orthogonal(rows: usize, columns: usize, rng: &mut Rng) -> Vec<f32> {
     let (long, short) = (rows.max(columns), rows.min(columns));
     let normal = DMatrix::from_fn(long, short, |_, _| rng.sample::<f64, _>(StandardNormal));
     let (q, r) = normal.qr().unpack();
-    // with the signs of R's diagonal the matrix is uniform among all such
+    // the signs of R's diagonal make the matrix uniformly distributed
     let entry = |i: usize, j: usize| q[(i, j)] * r[(j, j)].signum();
     let at = |row: usize, column: usize| if rows >= columns { entry(row, column) } else { entry(column, row) };
     (0..rows).flat_map(|row| (0..columns).map(move |column| (row, column))).map(|(i, j)| at(i, j) as f32).collect()
 }
 
-/// Range of the logarithms of the actions' standard deviations. The bounds (4.5e-5 and 20, in half widths of the action space) keep
-/// every term of the loss within single precision.
+/// Range of the log standard deviations of actions. The bounds (4.5e-5 and 20, in half widths of the action space)
+/// keep every term of the loss within single precision.
 pub(crate) const LOG_DEVIATIONS: std::ops::RangeInclusive<f32> = -10.0..=3.0;
 
 #[cfg(test)]
@@ -83,13 +83,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn first_weights_are_orthogonal_and_deviations_as_asked_for() {
+    fn initial_weights_are_orthogonal_and_deviations_match_the_setting() {
         let shape = NetworkShape::new(12, 4, &[64, 48], Activation::Relu);
         let parameters = shape.initial(0.3, &mut Rng::seed_from_u64(1));
         assert_eq!(parameters.len(), shape.count());
         let (actor, _, logs) = shape.split(&parameters);
         assert!(logs.iter().all(|log| (log.exp() - 0.3).abs() < 1e-6));
-        // 12 rows of 64 are orthogonal, of length √2; so are 48 columns of 64 numbers
+        // the 12 rows of 64 numbers are orthogonal with length √2, and so are the 48 columns of 64 numbers
         let row = |i: usize| &actor[i * 64..(i + 1) * 64];
         let second = &actor[13 * 64..13 * 64 + 64 * 48];
         let column = |j: usize| (0..64).map(move |i| second[i * 48 + j]).collect::<Vec<f32>>();

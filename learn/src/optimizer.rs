@@ -1,4 +1,4 @@
-//! Adam (Kingma & Ba 2015) over all parameters as one vector: burn's, with its state in plain numbers.
+//! burn's Adam (Kingma & Ba 2015) over all parameters as one vector, with its state in plain numbers.
 
 use burn::optim::{Adam, AdamConfig, AdamState, AdaptiveMomentumState, Optimizer as _};
 use burn::tensor::{Device, Tensor, TensorData};
@@ -15,7 +15,7 @@ impl std::fmt::Debug for Optimizer {
     }
 }
 
-/// What it remembers.
+/// State of Adam: number of steps, first and second moments.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Moments {
     pub time: usize,
@@ -32,14 +32,14 @@ impl Optimizer {
         Tensor::from_data(TensorData::new(numbers.to_vec(), [numbers.len()]), &self.device)
     }
 
-    /// Moves the parameters against the gradient.
+    /// Updates the parameters by one step against the gradient.
     pub fn step(&mut self, rate: f64, parameters: &mut [f32], gradient: &[f32]) {
         let (moved, state) = self.adam.step(rate, self.tensor(parameters), self.tensor(gradient), self.state.take());
         self.state = state;
         parameters.copy_from_slice(&numbers(moved));
     }
 
-    /// What it remembers of so many parameters; zeros before the first step.
+    /// Returns the state for a number of parameters; zeros before the first step.
     pub fn moments(&self, count: usize) -> Moments {
         match &self.state {
             None => Moments { time: 0, first: vec![0.0; count], second: vec![0.0; count] },

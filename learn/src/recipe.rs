@@ -1,8 +1,9 @@
-//! Recipes: what each task is trained with, `assets/recipes/TASK.toml` over `assets/recipes/common.toml`.
+//! Recipes: the default training configuration of each task, `assets/recipes/TASK.toml` over
+//! `assets/recipes/common.toml`.
 
 use crate::TrainError;
 
-/// What the recipes of all tasks share.
+/// Settings shared by all recipes.
 const COMMON: &str = include_str!("../../assets/recipes/common.toml");
 
 macro_rules! recipes {
@@ -16,10 +17,10 @@ const RECIPES: &[(&str, &str)] = recipes!(
     "hover" "velocity" "multi_hover" "fly_through" "formation" "race" "multi_agent" "antipodal" "stabilize" "track"
 );
 
-/// Returns the whole recipe of a task, as a configuration file would say it.
+/// Returns the complete recipe of a task as a configuration table.
 ///
 /// # Errors
-/// [`TrainError::Toml`] for a task without a recipe, and for one that is no TOML: a test reads all.
+/// [`TrainError::Toml`] for a task without a recipe, or for invalid TOML; a test reads all recipes.
 pub fn of_task(task: &str) -> Result<toml::Table, TrainError> {
     let Some((_, text)) = RECIPES.iter().find(|(name, _)| *name == task) else {
         return Err(TrainError::Toml { message: format!("{task} has no recipe") });
@@ -32,7 +33,7 @@ pub fn of_task(task: &str) -> Result<toml::Table, TrainError> {
     Ok(recipe)
 }
 
-/// Replaces what another table says, section by section.
+/// Overrides entries with those of another table, section by section.
 fn merge(table: &mut toml::Table, other: toml::Table) {
     for (key, value) in other {
         match (table.get_mut(&key), value) {
@@ -47,15 +48,15 @@ mod tests {
     use super::*;
     use crate::TrainConfig;
 
-    /// A recipe leaves nothing to defaults: it is the configuration that it makes.
+    /// Recipes set every option, so that the configuration equals its recipe.
     #[test]
-    fn every_task_has_a_recipe_that_says_everything() {
+    fn every_task_has_a_complete_recipe() {
         assert!(RECIPES.iter().map(|(name, _)| *name).eq(aviary::tasks::NAMES));
         for task in aviary::tasks::NAMES {
             let config = TrainConfig::of_task(task).unwrap();
             config.validate().unwrap();
-            let said: toml::Table = config.to_toml().unwrap().parse().unwrap();
-            assert_eq!(said, of_task(task).unwrap(), "{task}");
+            let written: toml::Table = config.to_toml().unwrap().parse().unwrap();
+            assert_eq!(written, of_task(task).unwrap(), "{task}");
         }
     }
 

@@ -1,8 +1,8 @@
-//! Running means and deviations: what observations and rewards are brought to a common scale with.
+//! Running means and standard deviations, for the normalization of observations and rewards.
 
 use serde::{Deserialize, Serialize};
 
-/// Mean and spread of vectors, in one pass over batches of them (Chan, Golub & LeVeque 1983).
+/// Running mean and variance of vectors, updated by batches (Chan, Golub & LeVeque 1983).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Running {
     count: f64,
@@ -16,7 +16,7 @@ impl Running {
         Self { count: 0.0, mean: vec![0.0; size], squares: vec![0.0; size] }
     }
 
-    /// Takes rows of vectors in.
+    /// Adds rows of vectors.
     pub fn take(&mut self, rows: &[f32]) {
         let size = self.mean.len();
         let count = (rows.len() / size) as f64;
@@ -45,12 +45,12 @@ impl Running {
         self.count = total;
     }
 
-    /// Returns whether no row has been taken in yet.
+    /// Returns true if no row has been added yet.
     pub fn is_empty(&self) -> bool {
         self.count == 0.0
     }
 
-    /// Whether it is one of vectors of this size, with numbers that can be.
+    /// Returns true if the vectors have this size and valid numbers.
     pub fn is_of(&self, size: usize) -> bool {
         let sane = |x: &f64| x.is_finite();
         (self.mean.len(), self.squares.len()) == (size, size)
@@ -64,19 +64,19 @@ impl Running {
         self.mean.iter().map(|&x| x as f32).collect()
     }
 
-    /// Standard deviations; 1 before there is something to take one of.
+    /// Returns the standard deviations; 1 for fewer than two rows.
     pub fn deviation(&self) -> Vec<f32> {
         let of = |&squares: &f64| if self.count > 1.0 { (squares / self.count).sqrt() as f32 } else { 1.0 };
         self.squares.iter().map(of).collect()
     }
 }
 
-/// What rewards are divided by: the deviation of the discounted sum of those so far (Engstrom et al. 2020, after OpenAI's
-/// `VecNormalize`).
+/// Scale of rewards: the standard deviation of the running discounted sum of rewards (Engstrom et al. 2020, after
+/// OpenAI's `VecNormalize`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RewardScale {
     sums: Running,
-    /// Every row's sum so far.
+    /// Current discounted sum of every row.
     #[serde(skip)]
     current: Vec<f32>,
 }
@@ -86,17 +86,17 @@ impl RewardScale {
         Self { sums: Running::new(1), current: Vec::new() }
     }
 
-    /// Whether its numbers can be.
+    /// Returns true if all numbers are valid.
     pub fn is_sane(&self) -> bool {
         self.sums.is_of(1)
     }
 
-    /// Begins with every row's sum anew.
+    /// Resets the sums of all rows.
     pub fn restart(&mut self, rows: usize) {
         self.current = vec![0.0; rows];
     }
 
-    /// Takes a step's rewards in.
+    /// Adds the rewards of a step.
     pub fn take(&mut self, rewards: &[f32], ended: impl Fn(usize) -> bool, discount: f32) {
         for (sum, reward) in self.current.iter_mut().zip(rewards) {
             *sum = discount * *sum + reward;
@@ -109,7 +109,7 @@ impl RewardScale {
         }
     }
 
-    /// What to divide by.
+    /// Returns the divisor of rewards.
     pub fn divisor(&self) -> f32 {
         self.sums.deviation()[0].max(1e-4)
     }
@@ -123,7 +123,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn batches_give_the_mean_and_deviation_of_all_rows(
+        fn batches_give_the_mean_and_deviation_over_all_rows(
             rows in proptest::collection::vec([-50.0_f32..50.0, 1000.0..1001.0], 2..60),
             cut in 0..60_usize,
         ) {
@@ -148,7 +148,7 @@ mod tests {
         scale.restart(2);
         assert_eq!(scale.divisor(), 1.0);
         scale.take(&[1.0, 3.0], |row| row == 1, 0.5);
-        // row 1 has ended and begins with nothing
+        // row 1 has ended, so that its sum restarts at zero
         scale.take(&[1.0, 2.0], |_| false, 0.5);
         let sums = [1.0_f32, 3.0, 1.5, 2.0];
         let mean = sums.iter().sum::<f32>() / 4.0;

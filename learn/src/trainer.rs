@@ -1,4 +1,4 @@
-//! A training run from its first iteration to its last: evaluations, the best policy, checkpoints.
+//! Training runs: iterations, evaluations, the best policy, checkpoints.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -15,23 +15,23 @@ use crate::evaluation::{Arena, Episode, Score};
 use crate::ppo::{Clock, Ppo};
 use crate::{TrainConfig, TrainError};
 
-/// First seed of evaluations; the environments of training draw from streams of other seeds.
+/// First seed of evaluation episodes; the environments of training use streams of other seeds.
 const EVALUATION_SEED: u64 = 1 << 40;
 
-/// And of those that confirm a success.
+/// First seed of the episodes that confirm a success.
 const CONFIRMATION_SEED: u64 = 1 << 41;
 
-/// Why a run is over.
+/// Reason why a run stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stop {
-    /// All its steps are made.
+    /// The run has made all its steps.
     Steps,
-    /// It succeeds, as was asked for.
+    /// The policy succeeded, and the run was set to stop on success.
     Success,
 }
 
-/// A training run.
+/// Training run.
 ///
 /// ```
 /// use learn::{TrainConfig, Trainer};
@@ -57,9 +57,9 @@ pub struct Trainer {
     curve: Vec<Point>,
     best: (PolicyNetwork, Option<Score>),
     stop: Option<Stop>,
-    /// Iterations before it was resumed.
+    /// Number of iterations before the run was resumed.
     first: u64,
-    /// Whether the environments are to begin anew.
+    /// True if the environments must be reset before the next iteration.
     fresh: bool,
     began: Instant,
 }
@@ -74,10 +74,10 @@ impl std::fmt::Debug for Trainer {
 }
 
 impl Trainer {
-    /// Begins a run. The command is what the policies say that made them.
+    /// Creates a run. `command` is recorded in the policies' metadata.
     ///
     /// # Errors
-    /// What is impossible in the configuration.
+    /// Invalid settings, and errors of the creation of environments.
     pub fn new(config: TrainConfig, command: &str) -> Result<Self, TrainError> {
         config.validate()?;
         let agents = config.agents()?;
@@ -85,11 +85,11 @@ impl Trainer {
         Self::with(config, command, agents, arena)
     }
 
-    /// Begins a run of a task of one's own: its agents gather the experience, and the arena's environments are where it is evaluated. Of the
-    /// configuration, what describes environments is only written down.
+    /// Creates a run of a custom task. `agents` collect experience, and the environments of `arena` evaluate the
+    /// policy. The environment settings of the configuration are only recorded.
     ///
     /// # Errors
-    /// What is impossible in the configuration.
+    /// Invalid settings.
     pub fn with(config: TrainConfig, command: &str, agents: Box<dyn Agents>, arena: Arena) -> Result<Self, TrainError> {
         let began = Instant::now();
         config.validate()?;
@@ -100,10 +100,11 @@ impl Trainer {
         Ok(Self { config, command, agents, arena, ppo, iteration, first, fresh, curve, best, stop, began })
     }
 
-    /// Goes on from a checkpoint, to the same bits as if it had never stopped.
+    /// Resumes a run from a checkpoint. The result is bit-identical to that of an uninterrupted run if
+    /// [`is_checkpoint`](Self::is_checkpoint) was true when the checkpoint was taken.
     ///
     /// # Errors
-    /// [`TrainError::File`] for what is no checkpoint.
+    /// [`TrainError::File`] for an invalid checkpoint.
     pub fn resume(path: impl AsRef<Path>) -> Result<Self, TrainError> {
         let path: PathBuf = path.as_ref().into();
         let checkpoint = Checkpoint::load(&path)?;
@@ -112,7 +113,7 @@ impl Trainer {
         Ok(trainer)
     }
 
-    /// Takes over what a checkpoint has.
+    /// Restores the state of a checkpoint.
     fn restore(&mut self, checkpoint: Checkpoint, path: PathBuf) -> Result<(), TrainError> {
         let trainer = self;
         let wrong = |error| TrainError::File { path: path.clone(), error: Box::new(error) };
@@ -138,15 +139,15 @@ impl Trainer {
         Ok(())
     }
 
-    /// What is trained.
+    /// Returns the configuration.
     pub fn config(&self) -> &TrainConfig {
         &self.config
     }
 
-    /// Lets a run that was resumed go on for longer, or until it succeeds.
+    /// Changes the number of steps of a resumed run, or sets it to stop on success.
     ///
     /// # Errors
-    /// [`TrainError::Option`] for an impossible number of steps, which leaves the run as it was.
+    /// [`TrainError::Option`] for an invalid number of steps; the run is then unchanged.
     pub fn extend(&mut self, steps: Option<u64>, until_success: bool) -> Result<(), TrainError> {
         TrainConfig { steps: steps.unwrap_or(self.config.steps), ..self.config.clone() }.validate()?;
         if let Some(steps) = steps {
@@ -161,50 +162,50 @@ impl Trainer {
         Ok(())
     }
 
-    /// Environment steps of an iteration.
+    /// Returns the number of environment steps of an iteration.
     pub fn steps_per_iteration(&self) -> u64 {
         (self.agents.rows() * self.config.ppo.horizon) as u64
     }
 
-    /// Environment steps so far, of all agents.
+    /// Returns the number of environment steps so far, of all agents.
     pub fn steps(&self) -> u64 {
         self.iteration * self.steps_per_iteration()
     }
 
-    /// Those of them that were made since it was made or resumed.
+    /// Returns the number of environment steps since the trainer was created or resumed.
     pub fn steps_here(&self) -> u64 {
         (self.iteration - self.first) * self.steps_per_iteration()
     }
 
-    /// Why it is over; `None` while it is not.
+    /// Returns why the run stopped; `None` while it continues.
     pub fn stop(&self) -> Option<Stop> {
         self.stop
     }
 
-    /// All iterations so far.
+    /// Returns the points of all iterations so far.
     pub fn curve(&self) -> &[Point] {
         &self.curve
     }
 
-    /// The policy as it is.
+    /// Returns the current policy.
     ///
     /// # Errors
-    /// [`TrainError::Policy`] where it has left the range of numbers.
+    /// [`TrainError::Policy`] if its parameters are not finite.
     pub fn policy(&self) -> Result<PolicyNetwork, TrainError> {
         policy_of(&self.config, &self.command, &*self.agents, &self.ppo, self.steps())
     }
 
-    /// The best one of those that were evaluated; the first one before any was.
+    /// Returns the best evaluated policy; the initial one before the first evaluation.
     pub fn best(&self) -> &PolicyNetwork {
         &self.best.0
     }
 
-    /// How it did.
+    /// Returns the score of the best policy.
     pub fn best_score(&self) -> Option<Score> {
         self.best.1
     }
 
-    /// Where the time went since it was made or resumed.
+    /// Returns the wall time by activity since the trainer was created or resumed.
     pub fn clock(&self) -> Clock {
         Clock { total: self.began.elapsed(), ..self.ppo.clock }
     }
@@ -213,20 +214,20 @@ impl Trainer {
         (self.steps() >= self.config.steps).then_some(Stop::Steps)
     }
 
-    /// A seed for something of an iteration.
+    /// Returns the seed of an iteration's stream `what`.
     fn seed_of(&self, iteration: u64, what: u64) -> u64 {
         let mut rng = Rng::seed_from_u64(self.config.seed);
         rng.set_stream(4 * iteration + what);
         rng.next_u64()
     }
 
-    /// One iteration, with the evaluation that is due after it.
+    /// Runs one iteration, and the evaluation that is due after it.
     ///
     /// # Errors
-    /// [`TrainError::Diverged`], and what environments find.
+    /// [`TrainError::Diverged`], and the environments' errors.
     pub fn advance(&mut self) -> Result<&Point, TrainError> {
         if self.is_checkpoint() || self.fresh {
-            // whoever resumes begins here, too
+            // a resumed run starts here, too
             self.fresh = false;
             if !self.ppo.has_scales() {
                 let seeds = [2, 3].map(|what| self.seed_of(self.iteration, what));
@@ -245,7 +246,8 @@ impl Trainer {
         Ok(&self.curve[self.curve.len() - 1])
     }
 
-    /// Whether the next iteration begins with everything anew, so that a checkpoint taken now is resumed to the same bits.
+    /// Returns true if the next iteration resets all environments, so that a run resumed from here is
+    /// bit-identical.
     pub fn is_checkpoint(&self) -> bool {
         self.iteration.is_multiple_of(self.config.checkpoint_every)
     }
@@ -257,7 +259,7 @@ impl Trainer {
         let better = self.best.1.is_none_or(|best| score.beats(&best));
         let mut confirmed = false;
         if score.success == 1.0 && self.config.until_success {
-            // many pass an evaluation by luck
+            // a policy may pass one evaluation by chance
             let again = Score::of(&self.arena.fly(&policy, CONFIRMATION_SEED, 4 * self.config.episodes)?);
             confirmed = again.success == 1.0;
         }
@@ -271,19 +273,20 @@ impl Trainer {
         Ok(score)
     }
 
-    /// Flies episodes with the best policy.
+    /// Runs episodes with the best policy.
     ///
     /// # Errors
-    /// What environments find.
+    /// The environments' errors.
     pub fn fly(&mut self, first_seed: u64, episodes: usize) -> Result<Vec<Episode>, TrainError> {
         self.arena.fly(&self.best.0, first_seed, episodes)
     }
 
-    /// The bytes of a file with everything that it needs to go on. Where [`is_checkpoint`](Self::is_checkpoint) says so, the run that
-    /// goes on from it is the one that was never stopped, to the bit; elsewhere its environments begin anew earlier than those of that one.
+    /// Returns the content of a checkpoint file. If [`is_checkpoint`](Self::is_checkpoint) returns true, a run
+    /// resumed from it is bit-identical to an uninterrupted run; otherwise the resumed run resets its environments
+    /// at another iteration.
     ///
     /// # Errors
-    /// [`TrainError::Policy`] for what cannot be written.
+    /// [`TrainError::Policy`] if serialization fails.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
         let ppo = &self.ppo;
         let moments = ppo.optimizer.moments(ppo.parameters.len());
@@ -309,7 +312,7 @@ fn policy_of(
     ppo: &Ppo,
     steps: u64,
 ) -> Result<PolicyNetwork, TrainError> {
-    // no path of this machine
+    // the recorded configuration contains no path of this machine
     let training = TrainConfig { drone: config.airframe_name(), ..config.clone() }.to_toml()?;
     let info = PolicyInfo {
         version: PolicyInfo::VERSION,
@@ -393,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_iteration_learns_from_scaled_observations() {
+    fn the_first_iteration_trains_on_normalized_observations() {
         let mut config = TrainConfig::of_task("hover").unwrap();
         config.ppo.horizon = 16;
         let space = |size| BoxSpace::new(vec![[f64::NEG_INFINITY, f64::INFINITY]; size]);
@@ -406,7 +409,7 @@ mod tests {
         let count = inputs.len() as f32;
         let mean = inputs.iter().sum::<f32>() / count;
         let variance = inputs.iter().map(|x| (x - mean).powi(2)).sum::<f32>() / count;
-        // unscaled, all of them are 10, where inputs are clipped
+        // unscaled, all observations would be clipped to 10
         assert!(mean.abs() < 0.1 && (variance - 1.0).abs() < 0.2, "{mean} {variance}");
     }
 }

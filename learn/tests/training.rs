@@ -1,4 +1,4 @@
-//! Training from outside: the same bits however it is interrupted and on however many threads, files that are refused, agents.
+//! Integration tests of training: reproducibility, checkpoints, configurations, agents.
 
 use aviary::env::{Env as _, EnvConfig};
 use aviary::multi_agent::{AgentMap, make_parallel};
@@ -7,7 +7,7 @@ use aviary::tasks::Hover;
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
 use learn::{Agents as _, Batch, Next, Outcome, Stop, Success, Swarm, Terms, TrainConfig, Trainer};
 
-/// A run that is over soon.
+/// Returns the configuration of a short run.
 fn small(task: &str) -> TrainConfig {
     let mut config = TrainConfig::of_task(task).unwrap();
     config.seed = 7;
@@ -30,7 +30,7 @@ fn finish(trainer: &mut Trainer) {
 }
 
 #[test]
-fn a_run_that_was_killed_goes_on_to_the_same_bits() {
+fn a_resumed_run_is_bit_identical_to_an_uninterrupted_one() {
     for task in ["hover", "multi_hover", "race"] {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("checkpoint");
@@ -56,11 +56,11 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
 }
 
 #[test]
-fn the_number_of_threads_does_not_change_a_bit_and_the_seed_does() {
+fn results_depend_on_the_seed_and_not_on_the_number_of_threads() {
     let run = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            // several blocks of draws, several shards of a minibatch
+            // several blocks of rows, several shards of a minibatch
             let mut config = TrainConfig { seed, steps: 3 * 300 * 16, ..small("hover") };
             (config.ppo.environments, config.ppo.minibatch) = (300, 1700);
             let mut trainer = Trainer::new(config, "a test").unwrap();
@@ -74,7 +74,7 @@ fn the_number_of_threads_does_not_change_a_bit_and_the_seed_does() {
 }
 
 #[test]
-fn a_policy_flies_as_the_trainers_evaluation_said() {
+fn a_policy_reproduces_the_trainers_evaluation() {
     let mut config = small("hover");
     config.success = Success::Done;
     let mut trainer = Trainer::new(config.clone(), "a test").unwrap();
@@ -82,7 +82,7 @@ fn a_policy_flies_as_the_trainers_evaluation_said() {
     let policy = PolicyNetwork::from_bytes(&bytes(trainer.best())).unwrap();
     let mut env = config.environment().unwrap();
     for episode in trainer.fly(40, 5).unwrap() {
-        // flown by hand, without the trainer
+        // the episode without the trainer
         let mut action = [0.0; 4];
         let (mut reward, mut steps) = (0.0, 0);
         env.reset(Some(episode.seed)).unwrap();
@@ -97,7 +97,7 @@ fn a_policy_flies_as_the_trainers_evaluation_said() {
 }
 
 #[test]
-fn files_that_are_no_checkpoints_are_refused_by_name() {
+fn invalid_checkpoints_are_errors_with_the_path() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("checkpoint");
     let refused = |path: &std::path::Path| Trainer::resume(path).unwrap_err().to_string();
@@ -110,7 +110,7 @@ fn files_that_are_no_checkpoints_are_refused_by_name() {
         std::fs::write(&path, &whole[..length]).unwrap();
         assert!(refused(&path).contains("not a checkpoint"), "{length}");
     }
-    // every byte of the head that is another one is refused, or says the same or another number
+    // a changed byte of the header is an error, or changes a value to another valid one
     let head = whole.len().min(3000);
     for place in (8..head).step_by(3) {
         let mut damaged = whole.clone();
@@ -125,7 +125,7 @@ fn files_that_are_no_checkpoints_are_refused_by_name() {
     assert!(refused(&path).contains("has no `training`"));
 }
 
-/// A checkpoint with one value of its state changed, or a number of a tensor.
+/// Returns a checkpoint with one changed value of its state, or one changed number of a tensor.
 fn changed(checkpoint: &[u8], key: &str, value: &serde_json::Value) -> Vec<u8> {
     let tensors = safetensors::SafeTensors::deserialize(checkpoint).unwrap();
     let (_, head) = safetensors::SafeTensors::read_metadata(checkpoint).unwrap();
@@ -149,7 +149,7 @@ fn changed(checkpoint: &[u8], key: &str, value: &serde_json::Value) -> Vec<u8> {
 }
 
 #[test]
-fn every_number_of_a_checkpoint_is_checked() {
+fn every_number_of_a_checkpoint_is_validated() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("checkpoint");
     let mut trainer = Trainer::new(small("hover"), "a test").unwrap();
@@ -184,7 +184,7 @@ fn every_number_of_a_checkpoint_is_checked() {
 }
 
 #[test]
-fn the_late_error_is_of_the_episodes_last_five_seconds() {
+fn the_late_error_covers_the_last_five_seconds_of_the_episode() {
     let mut lengths = Vec::new();
     for thrust in [0.3, 0.02] {
         let info = PolicyInfo {
@@ -202,7 +202,7 @@ fn the_late_error_is_of_the_episodes_last_five_seconds() {
             made_by: String::new(),
             training: None,
         };
-        // climbs past 1 m and out of the task's space
+        // climbs past 1 m and out of the task's bounds
         let mut weights = vec![0.0; 12 * 4 + 4];
         weights[12 * 4..].fill(thrust);
         let net = Mlp::new(&[12, 4], Activation::Relu, &weights).unwrap();
@@ -212,7 +212,7 @@ fn the_late_error_is_of_the_episodes_last_five_seconds() {
         let mut errors = Vec::new();
         let mut look = |env: &dyn aviary::env::DroneEnv| errors.push(env.info().position_error);
         let flown = learn::fly(&mut env, &mut &policy, Success::Done, 1, &mut look).unwrap();
-        // the first one is before the first step
+        // the first error precedes the first step
         let late = errors[1..].iter().rev().take(5 * 48).copied().fold(0.0, f64::max);
         assert_eq!((flown.end, flown.late_position_error), ("out_of_bounds", late));
         assert_eq!(flown.final_position_error, errors[errors.len() - 1]);
@@ -223,7 +223,7 @@ fn the_late_error_is_of_the_episodes_last_five_seconds() {
 }
 
 #[test]
-fn a_policy_has_the_configuration_that_trained_it() {
+fn a_policy_contains_its_training_configuration() {
     let mut config = small("hover");
     config.read_toml("physics = \"mjc_drag\"\n[randomization.body]\nmass = [0.8, 1.2]").unwrap();
     let policy = Trainer::new(config.clone(), "a test").unwrap().policy().unwrap();
@@ -233,7 +233,7 @@ fn a_policy_has_the_configuration_that_trained_it() {
 }
 
 #[test]
-fn configurations_say_what_is_wrong_with_them() {
+fn invalid_configurations_are_errors_with_the_setting() {
     let refused = |text: &str| {
         let mut config = TrainConfig::of_task("hover").unwrap();
         config
@@ -260,16 +260,16 @@ fn configurations_say_what_is_wrong_with_them() {
         ("[ppo]\nhidden = [9223372036854775807]", "up to 7 layers of 1 to 256"),
         ("out_of_bounds = nan", "out_of_bounds is NaN"),
         ("[[training_starts]]\nseconds = -3.0", "-3 s"),
-        ("[course]\npoint = 1.0\ndistance = 1.0\nspeed = 1.0", "course is said for hover"),
+        ("[course]\npoint = 1.0\ndistance = 1.0\nspeed = 1.0", "course is set for hover"),
     ] {
         assert!(refused(text).contains(wanted), "{text}: {}", refused(text));
     }
     assert!(TrainConfig::of_task("hoover").unwrap_err().to_string().contains("did you mean `hover`"));
 }
 
-/// Policies of earlier versions carry the settings of their training under these names.
+/// Policies of earlier versions contain the settings of their training under these names.
 #[test]
-fn hyperparameters_are_read_under_their_earlier_names() {
+fn hyperparameters_are_also_read_under_their_earlier_names() {
     let read = |text: &str| {
         let mut config = TrainConfig::of_task("hover").unwrap();
         config.read_toml(text).map(|()| config)
@@ -288,7 +288,7 @@ fn hyperparameters_are_read_under_their_earlier_names() {
 }
 
 #[test]
-fn every_tasks_configuration_reads_back_as_it_is_written() {
+fn every_tasks_configuration_round_trips_through_toml() {
     for task in aviary::tasks::NAMES {
         let config = TrainConfig::of_task(task).unwrap();
         config.validate().unwrap();
@@ -300,7 +300,7 @@ fn every_tasks_configuration_reads_back_as_it_is_written() {
 }
 
 #[test]
-fn agents_of_a_swarm_see_and_are_paid_what_the_parallel_environment_says() {
+fn agents_of_a_swarm_match_the_parallel_environment() {
     let options = || EnvConfig::default().num_drones(3).episode_seconds(0.5);
     let make = |stream| make_parallel("multi_hover", options().stream(stream));
     let mut swarm = Swarm::new(2, Terms::default(), make).unwrap();
@@ -322,13 +322,13 @@ fn agents_of_a_swarm_see_and_are_paid_what_the_parallel_environment_says() {
     for step in 0..24 {
         swarm.step(&actions, &mut outcome).unwrap();
         for (world, env) in alone.iter_mut().enumerate() {
-            let said: AgentMap<Vec<f64>> = (env.agents().iter().enumerate())
+            let agent_actions: AgentMap<Vec<f64>> = (env.agents().iter().enumerate())
                 .map(|(agent, name)| {
                     let own = &actions[4 * (3 * world + agent)..][..4];
                     (name.clone(), own.iter().map(|&x| f64::from(x)).collect())
                 })
                 .collect();
-            let flown = env.step(&said).unwrap();
+            let flown = env.step(&agent_actions).unwrap();
             for (agent, (_, reward)) in flown.rewards.iter().enumerate() {
                 let row = 3 * world + agent;
                 assert_eq!(outcome.rewards[row], *reward as f32);
@@ -358,20 +358,20 @@ fn agents_of_a_swarm_see_and_are_paid_what_the_parallel_environment_says() {
 }
 
 #[test]
-fn leaving_the_space_costs_what_the_terms_say_and_lengths_go_by_environment() {
+fn terms_add_a_penalty_for_leaving_the_bounds_and_limit_episodes_by_environment() {
     let batch = |terms: Terms| {
         let config = VecConfig { autoreset: Autoreset::SameStep, on_fault: OnFault::Truncate, ..VecConfig::new(2) };
         Batch::new(make_vec("hover", EnvConfig::default(), config).unwrap(), terms)
     };
-    let mut dear = batch(Terms { out_of_bounds: 50.0, lengths: vec![Some(10), None] });
+    let mut penalized = batch(Terms { out_of_bounds: 50.0, lengths: vec![Some(10), None] });
     let mut free = batch(Terms::default());
-    assert_eq!((dear.longest(0), dear.longest(1), free.longest(1)), (10, 480, 480));
+    assert_eq!((penalized.longest(0), penalized.longest(1), free.longest(1)), (10, 480, 480));
     let mut outcomes = [Outcome::new(2, 12), Outcome::new(2, 12)];
-    dear.reset(1, &mut outcomes[0].observations).unwrap();
+    penalized.reset(1, &mut outcomes[0].observations).unwrap();
     free.reset(1, &mut outcomes[1].observations).unwrap();
     loop {
         let [first, second] = &mut outcomes;
-        dear.step(&[1.0; 8], first).unwrap();
+        penalized.step(&[1.0; 8], first).unwrap();
         free.step(&[1.0; 8], second).unwrap();
         if second.next[0] == Next::Terminated {
             break;

@@ -1,8 +1,7 @@
 //! The Crazyflie 2.x: a 92 mm nano quadrotor whose circuit board is its frame.
 //!
-//! Dimensions are nominal ones of the vehicle, in metres. The split into parts
-//! is by material and matches the `cf2_*` numbering of MuJoCo Menagerie's
-//! model, so that either set of meshes fits the same MJCF.
+//! Dimensions are the vehicle's nominal ones, in metres. Parts are grouped by material and match the `cf2_*`
+//! numbering of the MuJoCo Menagerie model, so that both sets of meshes fit the same MJCF.
 
 use crate::mesh::{
     CREASE, Part, Point2, bevelled_prism, block, circle, lathe, loft, prism, rectangle, rounded_rectangle, tube,
@@ -44,7 +43,7 @@ const SLEEVE_RADIUS: f64 = 0.0043;
 /// Underside and top of the propellers' hubs.
 const PROP: [f64; 2] = [0.0112, 0.0147];
 
-/// The visual parts, in file order, each with its description.
+/// Returns the visual parts in file order, each with its description.
 pub fn visual() -> Vec<(&'static str, Part)> {
     vec![
         ("propellers", propellers()),
@@ -57,7 +56,7 @@ pub fn visual() -> Vec<(&'static str, Part)> {
     ]
 }
 
-/// The convex collision pieces, in file order.
+/// Returns the convex collision pieces in file order, each with its description.
 pub fn collision() -> Vec<(&'static str, Part)> {
     let octagon = rounded_rectangle(BOARD_HALF, BOARD_HALF, 0.004, 1);
     let mut pieces = vec![("body hull", Part::new([prism(&octagon, BOARD[0], HOLDER[1])]))];
@@ -73,13 +72,12 @@ pub fn collision() -> Vec<(&'static str, Part)> {
     pieces
 }
 
-/// The directions of the arms from x: front left, back left, back right, front
-/// right.
+/// Returns the directions of the arms from x, radians: front left, back left, back right, front right.
 fn headings() -> [f64; 4] {
     [1.0, 3.0, 5.0, 7.0].map(|eighth| eighth * FRAC_PI_4)
 }
 
-/// `part`, modelled on an arm along +x, once on each arm.
+/// Returns copies of `part`, which is modelled on an arm along +x, on every arm.
 fn on_each_arm(part: &Part) -> Part {
     let mut all = Part::default();
     for heading in headings() {
@@ -88,7 +86,7 @@ fn on_each_arm(part: &Part) -> Part {
     all
 }
 
-/// Four two-blade propellers; neighbours turn opposite ways.
+/// Four two-blade propellers; neighbours turn in opposite directions.
 fn propellers() -> Part {
     let station = |radius: f64, chord: f64, lead: f64| Station { radius, chord, lead };
     let propeller = Propeller {
@@ -109,12 +107,12 @@ fn propellers() -> Part {
         hub_segments: 8,
         hub_crease: 50.0,
     };
-    // Every pair at a different angle, as they come to rest.
+    // Each at a different angle, as after landing.
     let rest = [0.35, -0.25, 1.1, -0.75];
     let mut all = Part::default();
     for (index, heading) in headings().into_iter().enumerate() {
-        // Counter-clockwise at the front left: motor 0 turns the nose to the right, and a propeller
-        // turns against the torque it leaves on the airframe.
+        // Counter-clockwise at the front left: motor 0 turns the nose to the right, and the reaction torque on the
+        // airframe is opposite to the propeller's rotation.
         let spin = if index % 2 == 0 { Spin::Ccw } else { Spin::Cw };
         let axis = vec3(ARM, 0.0, 0.0).rotated_z(heading);
         all.append(propeller.build(spin, heading + rest[index]).moved(|p| p + axis));
@@ -122,8 +120,7 @@ fn propellers() -> Part {
     all
 }
 
-/// A small deck on the battery holder, and the chips and sockets that show on
-/// the board around the battery.
+/// A small deck on the battery holder, and the visible chips and sockets on the board around the battery.
 fn electronics() -> Part {
     let deck_top = HOLDER[1] + 0.0008;
     let chip = |x: f64, y: f64, z: f64, size: [f64; 3]| block(vec3(x, y, z), vec3(size[0], size[1], size[2]));
@@ -131,7 +128,7 @@ fn electronics() -> Part {
         bevelled_prism(&rounded_rectangle(0.0042, 0.0070, 0.0008, 1), HOLDER[1], deck_top, 0.0002),
         chip(0.0, 0.0014, deck_top, [0.0044, 0.0036, 0.0009]),
         chip(0.0008, -0.0036, deck_top, [0.0026, 0.0026, 0.0006]),
-        // Under the ends of the battery: processor, radio, USB socket, switch.
+        // Below the ends of the battery: processor, radio, USB socket, switch.
         chip(0.0086, 0.0030, BOARD[1], [0.0070, 0.0070, 0.0010]),
         chip(0.0090, -0.0050, BOARD[1], [0.0050, 0.0050, 0.0009]),
         chip(-0.0120, 0.0, BOARD[1], [0.0052, 0.0076, 0.0026]),
@@ -155,7 +152,7 @@ fn pins() -> Part {
     part
 }
 
-/// The pouch cell, lying lengthways, with its protection board at the front.
+/// Pouch cell, lengthways, with its protection board at the front.
 fn battery() -> Part {
     let height = BATTERY[1] - BATTERY[0];
     let middle = (BATTERY[0] + BATTERY[1]) / 2.0;
@@ -181,15 +178,15 @@ fn motors() -> Part {
     on_each_arm(&Part::new([motor.at(ARM, 0.0, 0.0)]))
 }
 
-/// The outline of the circuit board: a square that flows into four arms.
+/// Outline of the circuit board: a square with a fillet to each of the four arms.
 fn board_outline() -> Vec<Point2> {
     /// Facets of each fillet between square and arm.
     const STEPS: usize = 4;
     let reach = ARM - MOTOR_RADIUS + 0.001;
     let flare = 0.0262;
-    // The arm along +x, then turned: its right flank from the square outwards.
+    // The arm along +x, rotated later: its right flank from the square outwards.
     let corner = vec3(BOARD_HALF, 0.0062, 0.0).rotated_z(-FRAC_PI_4);
-    // Where the square's side would meet the flank.
+    // Intersection of the square's side with the flank.
     let along = BOARD_HALF / FRAC_1_SQRT_2 - ARM_HALF;
     let mut flank: Vec<Point2> = (0..=STEPS)
         .map(|step| {
@@ -212,8 +209,7 @@ fn board_outline() -> Vec<Point2> {
         .collect()
 }
 
-/// The circuit board, the header strips on it, the pad under the battery and
-/// the holder above it, with the leads of battery and motors.
+/// Circuit board with header strips, pad under the battery, holder above it, and the leads of battery and motors.
 fn frame() -> Part {
     let mut part = Part::new([
         prism(&board_outline(), BOARD[0], BOARD[1]),
@@ -244,8 +240,7 @@ fn frame() -> Part {
     part
 }
 
-/// The outline of the battery holder board: a rail over each header row and a
-/// bridge across the battery.
+/// Outline of the battery holder board: a rail over each header row and a bridge across the battery.
 fn holder_outline() -> Vec<Point2> {
     let (end, outer, inner, bridge) = (0.0110, 0.0135, 0.0090, 0.0052);
     let quarter: [Point2; 6] = [
@@ -281,7 +276,7 @@ fn mounts() -> Part {
         [inner, 0.0034],
     ];
     let leg_ring = |x: f64, z: f64, hx: f64, hy: f64| -> Vec<Vec3> {
-        // From the top down, so the ring runs clockwise seen from above.
+        // From the top down, so that the ring runs clockwise seen from above.
         rectangle(hx, hy).into_iter().rev().map(|p| vec3(ARM + x + p[0], p[1], z)).collect()
     };
     let leg = loft(
@@ -293,10 +288,10 @@ fn mounts() -> Part {
         CREASE,
     );
     let brace_ring = |x: f64, z: f64| -> Vec<Vec3> {
-        // From the top down as well.
+        // From the top down, as above.
         [(x, -0.0006), (x, 0.0006), (ARM, 0.0006), (ARM, -0.0006)].into_iter().map(|(x, y)| vec3(x, y, z)).collect()
     };
-    // The brace that carries the leg's load to the arm.
+    // The brace between leg and arm.
     let brace = loft(&[brace_ring(inner + 0.001, -0.0022), brace_ring(ARM - 0.0044, -0.0066)], CREASE);
     on_each_arm(&Part::new([sleeve, prism(&clip, -0.0024, 0.0026), leg, brace]))
 }

@@ -1,8 +1,7 @@
 //! Generates the airframe meshes from dimensions and writes them as OBJ files.
 //!
-//! `meshgen OUT_DIR` writes `OUT_DIR/cf2/*.obj` and `OUT_DIR/race/*.obj`;
-//! `meshgen --check DIR` compares the files in `DIR` with what would be
-//! written. Positions are in metres in the body frame: x forward, y left, z up.
+//! `meshgen OUT_DIR` writes `OUT_DIR/cf2/*.obj` and `OUT_DIR/race/*.obj`. `meshgen --check DIR` compares the files
+//! in `DIR` with the generated ones. Positions are in metres in the body frame: x forward, y left, z up.
 
 mod crazyflie;
 mod mesh;
@@ -20,10 +19,10 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// What `--help` prints and every complaint about arguments ends in.
+/// Usage, printed by `--help` and with every argument error.
 const USAGE: &str = "usage: meshgen OUT_DIR | meshgen --check DIR";
 
-/// A mesh and where it belongs.
+/// A mesh and its destination.
 struct Asset {
     /// Folder under the output directory.
     folder: &'static str,
@@ -36,29 +35,29 @@ struct Asset {
 }
 
 impl Asset {
-    /// Path under `root`.
+    /// Returns the path below `root`.
     fn path(&self, root: &Path) -> PathBuf {
         root.join(self.folder).join(&self.name)
     }
 
-    /// The file's contents.
+    /// Returns the content of the file.
     fn contents(&self) -> String {
         obj::to_obj(&self.title, &self.part)
     }
 }
 
-/// What the arguments ask for.
+/// Parsed command line.
 #[derive(Debug, PartialEq)]
 enum Request {
-    /// Write every mesh under a directory.
+    /// Write all meshes below a directory.
     Write(PathBuf),
-    /// Compare a directory with what would be written.
+    /// Compare a directory with the generated meshes.
     Check(PathBuf),
-    /// Say how to use the program.
+    /// Print the usage.
     Help,
 }
 
-/// Every mesh, in a fixed order.
+/// Returns all meshes, in a fixed order.
 fn assets() -> Vec<Asset> {
     let airframes = [
         ("cf2", "Crazyflie 2.x", crazyflie::visual(), crazyflie::collision()),
@@ -80,9 +79,9 @@ fn assets() -> Vec<Asset> {
     assets
 }
 
-/// Reads the command line (without the program's name).
+/// Parses the command line (without the program's name).
 fn parse(arguments: &[OsString]) -> Result<Request, String> {
-    // Only options are compared as text: a path may be anything but empty.
+    // Only options are compared as text; a path may be any non-empty string.
     let texts: Vec<_> = arguments.iter().map(|a| a.to_string_lossy()).collect();
     let texts: Vec<&str> = texts.iter().map(AsRef::as_ref).collect();
     match texts.as_slice() {
@@ -98,7 +97,7 @@ fn parse(arguments: &[OsString]) -> Result<Request, String> {
     }
 }
 
-/// Writes every mesh under `root`, making folders as needed.
+/// Writes all meshes below `root`, and creates folders as needed. Returns the number of files.
 fn write(root: &Path) -> Result<usize, String> {
     let assets = assets();
     for asset in &assets {
@@ -110,18 +109,18 @@ fn write(root: &Path) -> Result<usize, String> {
     Ok(assets.len())
 }
 
-/// Compares every mesh with its file under `root`, and reports the first file
-/// that is missing, different or left over from an earlier set.
+/// Compares all meshes with the files below `root`. Returns the number of files, or an error with the first file
+/// that is missing, different or not generated.
 fn check(root: &Path) -> Result<usize, String> {
     let assets = assets();
     for asset in &assets {
         let path = asset.path(root);
         let found = fs::read(&path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
         if found != asset.contents().as_bytes() {
-            return Err(format!("{} differs from what is generated", path.display()));
+            return Err(format!("{} differs from the generated mesh", path.display()));
         }
     }
-    // Sorted, so that the same file is named on every file system.
+    // Sorted, so that the error names the same file on every file system.
     let mut left_over = Vec::new();
     for folder in ["cf2", "race"] {
         let folder_path = root.join(folder);
@@ -137,13 +136,12 @@ fn check(root: &Path) -> Result<usize, String> {
     }
     left_over.sort();
     match left_over.first() {
-        Some(path) => Err(format!("{} is not generated any more", path.display())),
+        Some(path) => Err(format!("{} is no longer generated", path.display())),
         None => Ok(assets.len()),
     }
 }
 
-/// Does what the arguments ask for; exits with 1 when it fails and with 2 when
-/// it cannot make sense of the arguments.
+/// Runs the request; exits with 1 on failure and with 2 on invalid arguments.
 fn main() -> ExitCode {
     let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
     let outcome = match parse(&arguments) {
@@ -155,8 +153,7 @@ fn main() -> ExitCode {
         }
         Ok(Request::Help) => Ok(USAGE.to_owned()),
         Err(complaint) => {
-            // A closed stream leaves nobody to tell, so failures to print are
-            // ignored here and below.
+            // Failures to print are ignored here and below, because there is no other output.
             let _ = writeln!(io::stderr(), "meshgen: {complaint}; {USAGE}");
             return ExitCode::from(2);
         }

@@ -1,8 +1,7 @@
 //! Closed solids and the primitives that build them.
 //!
-//! Every primitive returns a closed, outward-facing triangle mesh: MuJoCo
-//! derives mass and inertia from the signed volume, so an open or inverted
-//! mesh would not compile.
+//! Every primitive returns a closed, outward-facing triangle mesh. MuJoCo derives mass and inertia from the signed
+//! volume, so that an open or inverted mesh does not compile.
 
 use crate::vec3::{Vec3, vec3};
 use std::f64::consts::{PI, TAU};
@@ -10,12 +9,11 @@ use std::f64::consts::{PI, TAU};
 /// A corner of an outline in the xy plane, metres.
 pub type Point2 = [f64; 2];
 
-/// Crease angle in degrees that keeps the edges of boxes and plates sharp and
-/// still smooths round outlines. No primitive here bends by exactly this much,
-/// so rounding cannot decide whether an edge is smooth.
+/// Crease angle in degrees that keeps the edges of boxes and plates sharp and smooths round outlines. No primitive
+/// here has an edge with exactly this angle, so that rounding cannot decide whether an edge is smooth.
 pub const CREASE: f64 = 40.0;
 
-/// A triangle corner: where it is and which way the surface faces there.
+/// A triangle corner: position and surface normal.
 #[derive(Clone, Copy, Debug)]
 pub struct Corner {
     /// Position, metres.
@@ -31,13 +29,11 @@ pub struct Solid {
     pub points: Vec<Vec3>,
     /// Triangles as indices into `points`, counter-clockwise seen from outside.
     pub faces: Vec<[usize; 3]>,
-    /// Faces that meet at a larger angle than this, in degrees, meet in a
-    /// sharp edge.
+    /// Crease angle in degrees: edges between faces at a larger angle are sharp.
     pub crease: f64,
 }
 
-/// Everything that is drawn in one material: any number of solids, which may
-/// touch or overlap.
+/// All solids of one material; they may touch or overlap.
 #[derive(Clone, Debug, Default)]
 pub struct Part {
     /// The solids.
@@ -45,7 +41,7 @@ pub struct Part {
 }
 
 impl Part {
-    /// A part made of `solids`.
+    /// Creates a part from solids.
     pub fn new(solids: impl IntoIterator<Item = Solid>) -> Part {
         Part { solids: solids.into_iter().collect() }
     }
@@ -55,12 +51,12 @@ impl Part {
         self.solids.push(solid);
     }
 
-    /// Adds all of `other`.
+    /// Adds all solids of `other`.
     pub fn append(&mut self, other: Part) {
         self.solids.extend(other.solids);
     }
 
-    /// The part with every point passed through `motion`, a rigid motion.
+    /// Returns the part with the rigid `motion` applied to all points.
     pub fn moved(mut self, motion: impl Fn(Vec3) -> Vec3) -> Part {
         for solid in &mut self.solids {
             for point in &mut solid.points {
@@ -72,7 +68,7 @@ impl Part {
 }
 
 impl Solid {
-    /// The solid with every point passed through `motion`, a rigid motion.
+    /// Returns the solid with the rigid `motion` applied to all points.
     pub fn moved(mut self, motion: impl Fn(Vec3) -> Vec3) -> Solid {
         for point in &mut self.points {
             *point = motion(*point);
@@ -80,19 +76,19 @@ impl Solid {
         self
     }
 
-    /// The solid shifted by (x, y, z).
+    /// Returns the solid shifted by (x, y, z).
     pub fn at(self, x: f64, y: f64, z: f64) -> Solid {
         self.moved(|point| point + vec3(x, y, z))
     }
 
-    /// The outward unit normal of `face`.
+    /// Returns the outward unit normal of `face`.
     fn face_normal(&self, face: &[usize; 3]) -> Vec3 {
         let [a, b, c] = face.map(|index| self.points[index]);
         (b - a).cross(c - a).normalized()
     }
 
-    /// The triangles with their shading normals: each corner averages, by
-    /// angle, the faces around its vertex that are within the crease angle.
+    /// Returns the triangles with shading normals: each corner averages, weighted by angle, the faces around its
+    /// vertex that are within the crease angle.
     pub fn triangles(&self) -> Vec<[Corner; 3]> {
         let normals: Vec<Vec3> = self.faces.iter().map(|f| self.face_normal(f)).collect();
         let mut around: Vec<Vec<(usize, f64)>> = vec![Vec::new(); self.points.len()];
@@ -121,9 +117,8 @@ impl Solid {
     }
 }
 
-/// Stacks `rings` of equally many points into a closed solid. Each ring runs
-/// counter-clockwise about the direction in which the rings follow each other;
-/// `cap` triangulates a ring, counter-clockwise.
+/// Stacks `rings` with equal numbers of points into a closed solid. Each ring runs counter-clockwise about the
+/// stacking direction; `cap` triangulates a ring, counter-clockwise.
 fn stack(rings: &[Vec<Vec3>], cap: &[[usize; 3]], crease: f64) -> Solid {
     let count = rings[0].len();
     let mut faces = Vec::new();
@@ -143,37 +138,35 @@ fn stack(rings: &[Vec<Vec3>], cap: &[[usize; 3]], crease: f64) -> Solid {
     Solid { points: rings.concat(), faces, crease }
 }
 
-/// A skin over convex `rings` of equally many points, closed at both ends.
-/// Each ring runs counter-clockwise about the direction in which the rings
-/// follow each other.
+/// Returns a surface over convex `rings` with equal numbers of points, closed at both ends. Each ring runs
+/// counter-clockwise about the direction in which the rings follow each other.
 pub fn loft(rings: &[Vec<Vec3>], crease: f64) -> Solid {
     let fan: Vec<[usize; 3]> = (1..rings[0].len() - 1).map(|i| [0, i, i + 1]).collect();
     stack(rings, &fan, crease)
 }
 
-/// A plate: `outline` (simple, counter-clockwise) from height `bottom` to
-/// `top`.
+/// Returns a plate: `outline` (simple, counter-clockwise) from height `bottom` to `top`.
 pub fn prism(outline: &[Point2], bottom: f64, top: f64) -> Solid {
     let ring = |z| outline.iter().map(|p| vec3(p[0], p[1], z)).collect();
     stack(&[ring(bottom), ring(top)], &triangulate(outline), CREASE)
 }
 
-/// A plate with a convex `outline` whose top and bottom edges are bevelled by
-/// `bevel` metres: cheap round edges that catch the light.
+/// Returns a plate with a convex `outline`, whose top and bottom edges are bevelled by `bevel` metres to catch the
+/// light.
 pub fn bevelled_prism(outline: &[Point2], bottom: f64, top: f64, bevel: f64) -> Solid {
     let inner = inset(outline, bevel);
     let ring = |points: &[Point2], z| points.iter().map(|p| vec3(p[0], p[1], z)).collect();
     loft(&[ring(&inner, bottom), ring(outline, bottom + bevel), ring(outline, top - bevel), ring(&inner, top)], CREASE)
 }
 
-/// A box with sides `size` (x, y, z) centred in x and y on `centre`, standing
-/// at height `centre.z`.
+/// Returns a box with sides `size` (x, y, z), centred on `centre` in x and y, with its underside at height
+/// `centre.z`.
 pub fn block(centre: Vec3, size: Vec3) -> Solid {
     prism(&rectangle(size.x / 2.0, size.y / 2.0), centre.z, centre.z + size.z).at(centre.x, centre.y, 0.0)
 }
 
-/// Revolves `profile`, pairs of (radius, height) from bottom to top, about the
-/// z axis. Only the inner points are given: the ends close on the axis.
+/// Revolves `profile`, pairs of (radius, height) from bottom to top, about the z axis. The profile has the inner
+/// points only: the ends close on the axis.
 pub fn lathe(profile: &[[f64; 2]], segments: usize, crease: f64) -> Solid {
     let mut points = Vec::new();
     for [radius, height] in profile {
@@ -199,7 +192,7 @@ pub fn lathe(profile: &[[f64; 2]], segments: usize, crease: f64) -> Solid {
     Solid { points, faces, crease }
 }
 
-/// A round bar of `radius` along `path`, which must not run along `side`.
+/// Returns a round bar of `radius` along `path`, which must not be parallel to `side`.
 pub fn tube(path: &[Vec3], side: Vec3, radius: f64, segments: usize) -> Solid {
     let rings: Vec<Vec<Vec3>> = (0..path.len())
         .map(|i| {
@@ -214,8 +207,7 @@ pub fn tube(path: &[Vec3], side: Vec3, radius: f64, segments: usize) -> Solid {
     loft(&rings, 70.0)
 }
 
-/// A regular polygon of `segments` corners on a circle about the origin,
-/// counter-clockwise.
+/// Returns a regular polygon of `segments` corners on a circle about the origin, counter-clockwise.
 pub fn circle(radius: f64, segments: usize) -> Vec<Point2> {
     (0..segments)
         .map(|i| {
@@ -225,13 +217,13 @@ pub fn circle(radius: f64, segments: usize) -> Vec<Point2> {
         .collect()
 }
 
-/// A rectangle about the origin with half sides `hx` and `hy`.
+/// Returns a rectangle about the origin with half sides `hx` and `hy`.
 pub fn rectangle(hx: f64, hy: f64) -> Vec<Point2> {
     vec![[hx, -hy], [hx, hy], [-hx, hy], [-hx, -hy]]
 }
 
-/// A rectangle about the origin with half sides `hx` and `hy`, its corners
-/// rounded to `radius` in `steps` facets; one step is a chamfer.
+/// Returns a rectangle about the origin with half sides `hx` and `hy`, and corners rounded to `radius` in `steps`
+/// facets; one step is a chamfer.
 pub fn rounded_rectangle(hx: f64, hy: f64, radius: f64, steps: usize) -> Vec<Point2> {
     let mut outline = Vec::new();
     for (corner, (sx, sy)) in [(1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0)].into_iter().enumerate() {
@@ -244,8 +236,7 @@ pub fn rounded_rectangle(hx: f64, hy: f64, radius: f64, steps: usize) -> Vec<Poi
     outline
 }
 
-/// `outline` (convex, counter-clockwise) with every side moved inwards by
-/// `distance`.
+/// Returns `outline` (convex, counter-clockwise) with every side moved inwards by `distance`.
 fn inset(outline: &[Point2], distance: f64) -> Vec<Point2> {
     let count = outline.len();
     let direction = |from: Point2, to: Point2| {
@@ -257,27 +248,25 @@ fn inset(outline: &[Point2], distance: f64) -> Vec<Point2> {
         .map(|i| {
             let d = direction(outline[(i + count - 1) % count], outline[i]);
             let e = direction(outline[i], outline[(i + 1) % count]);
-            // The mitre: the sum of both inward normals, long enough to move
-            // both sides by `distance`.
+            // The mitre: the sum of both inward normals, scaled to move both sides by `distance`.
             let scale = distance / (1.0 + d[0] * e[0] + d[1] * e[1]);
             [outline[i][0] - scale * (d[1] + e[1]), outline[i][1] + scale * (d[0] + e[0])]
         })
         .collect()
 }
 
-/// Twice the signed area of triangle `abc`: positive when counter-clockwise.
+/// Returns twice the signed area of triangle `abc`: positive if counter-clockwise.
 fn turn(a: Point2, b: Point2, c: Point2) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 }
 
-/// Cuts a simple counter-clockwise polygon into triangles. Of the corners that
-/// can be cut off, the one with the shortest cut goes first: that avoids long
-/// slivers.
+/// Triangulates a simple counter-clockwise polygon by ear clipping. The ear with the shortest cut goes first, which
+/// avoids slivers.
 fn triangulate(outline: &[Point2]) -> Vec<[usize; 3]> {
-    /// Areas (m²) below this are no corner at all.
+    /// Smallest area of a corner, m².
     const FLAT: f64 = 1e-13;
-    /// A cut has to be shorter by more than this (m) to be preferred, so that
-    /// rounding does not choose between equal cuts.
+    /// Smallest difference in length that makes a cut preferable, m, so that rounding does not choose between equal
+    /// cuts.
     const TIE: f64 = 1e-9;
 
     let mut left: Vec<usize> = (0..outline.len()).collect();
@@ -300,7 +289,7 @@ fn triangulate(outline: &[Point2]) -> Vec<[usize; 3]> {
             }
         }
         let Some((i, _)) = best else {
-            // Not a simple polygon; the closedness test catches it.
+            // Not a simple polygon; a test checks that solids are closed.
             return triangles;
         };
         triangles.push([left[(i + count - 1) % count], left[i], left[(i + 1) % count]]);

@@ -5,8 +5,8 @@ use crate::vec3::Vec3;
 use std::collections::HashMap;
 use std::fmt::Write;
 
-/// `vector` with six decimals: whole micrometres for positions. Zero never
-/// carries a sign, so mirrored parts print alike.
+/// Formats `vector` with six decimals: whole micrometres for positions. Zero has no sign, so that mirrored parts
+/// print alike.
 fn decimals(vector: Vec3) -> String {
     let component = |value: f64| {
         let text = format!("{value:.6}");
@@ -15,11 +15,10 @@ fn decimals(vector: Vec3) -> String {
     format!("{} {} {}", component(vector.x), component(vector.y), component(vector.z))
 }
 
-/// `part` as OBJ text under a `title` comment.
+/// Formats `part` as OBJ text under a `title` comment.
 ///
-/// Every distinct pair of position and normal becomes one `v` and one `vn`
-/// with the same index. Readers that keep one normal per vertex then shade
-/// sharp edges as well as those that index normals apart.
+/// Every distinct pair of position and normal becomes one `v` and one `vn` with the same index, so that readers
+/// with one normal per vertex also shade sharp edges correctly.
 pub fn to_obj(title: &str, part: &Part) -> String {
     let mut index_of: HashMap<(String, String), usize> = HashMap::new();
     let (mut vertices, mut normals, mut faces) = (String::new(), String::new(), String::new());

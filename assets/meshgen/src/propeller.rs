@@ -4,11 +4,10 @@ use crate::mesh::{Part, Solid, lathe, loft};
 use crate::vec3::{Vec3, vec3};
 use std::f64::consts::TAU;
 
-/// Steepest blade angle, radians. A true screw would stand on edge at the hub,
-/// where moulded blades are flatter.
+/// Largest blade angle, radians. An ideal screw is vertical at the hub; moulded blades are flatter there.
 const STEEPEST: f64 = 0.7;
 
-/// Which way a propeller turns, seen from above.
+/// Direction of rotation of a propeller, seen from above.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Spin {
     /// Counter-clockwise.
@@ -24,19 +23,18 @@ pub struct Station {
     pub radius: f64,
     /// Width of the blade.
     pub chord: f64,
-    /// How far the middle of the chord leads (positive) or trails the blade's
-    /// radial line.
+    /// Distance by which the middle of the chord leads (positive) or trails the blade's radial line.
     pub lead: f64,
 }
 
-/// The dimensions of a propeller, metres. Heights are in the body frame.
+/// Dimensions of a propeller, metres. Heights are in the body frame.
 #[derive(Clone, Copy, Debug)]
 pub struct Propeller<'a> {
     /// Number of blades.
     pub blades: usize,
     /// The blade's outline from hub to tip.
     pub stations: &'a [Station],
-    /// Distance the propeller would screw forward in one turn; sets the twist.
+    /// Theoretical advance per turn; determines the twist.
     pub pitch: f64,
     /// Thickness in the middle of the blade.
     pub thickness: f64,
@@ -51,8 +49,7 @@ pub struct Propeller<'a> {
 }
 
 impl Propeller<'_> {
-    /// The propeller centred on the z axis, its first blade towards `heading`
-    /// (radians from x).
+    /// Returns the propeller centred on the z axis, its first blade towards `heading` (radians from x).
     pub fn build(&self, spin: Spin, heading: f64) -> Part {
         let mut part = Part::new([lathe(self.hub, self.hub_segments, self.hub_crease)]);
         for blade in 0..self.blades {
@@ -62,8 +59,8 @@ impl Propeller<'_> {
         part
     }
 
-    /// One blade along +x. Its leading edge is the higher one, so that it
-    /// pushes air down when it turns with `spin`.
+    /// Returns one blade along +x. Its leading edge is the upper one, so that it pushes air down when it turns with
+    /// `spin`.
     fn blade(&self, spin: Spin) -> Solid {
         let widest = self.stations.iter().fold(0.0, |widest: f64, station| widest.max(station.chord));
         let rings: Vec<Vec<Vec3>> = self
@@ -71,10 +68,10 @@ impl Propeller<'_> {
             .iter()
             .map(|station| {
                 let (s, c) = (self.pitch / (TAU * station.radius)).atan().min(STEEPEST).sin_cos();
-                // Tip and root taper in thickness as they do in chord.
+                // The thickness tapers at tip and root as the chord does.
                 let thickness = self.thickness * (0.4 + 0.6 * station.chord / widest);
                 let camber = 0.08 * station.chord;
-                // Along the chord towards the leading edge, and off it.
+                // Coordinates along the chord towards the leading edge, and perpendicular to it.
                 let section = [
                     [0.5 * station.chord, 0.0],
                     [0.08 * station.chord, camber + thickness / 2.0],
@@ -90,8 +87,7 @@ impl Propeller<'_> {
                         vec3(station.radius, sense * forward, self.height + up)
                     })
                     .collect();
-                // Mirroring turns the ring's direction; turn it back so that
-                // the surface still faces outwards.
+                // Mirroring reverses the ring's direction; reverse it again so that the surface faces outwards.
                 if spin == Spin::Cw {
                     ring.reverse();
                 }

@@ -1,7 +1,7 @@
 //! A 250 mm racing quadrotor: carbon plates, 5-inch three-blade propellers.
 //!
-//! Dimensions in metres. Body and rotor hubs fit a cylinder of 150 mm radius
-//! and 60 mm height about the origin; only the antenna stands out of it.
+//! Dimensions in metres. Body and rotor hubs fit a cylinder of 150 mm radius and 60 mm height about the origin;
+//! only the antenna extends beyond it.
 
 use crate::mesh::{
     CREASE, Part, Point2, Solid, bevelled_prism, block, circle, lathe, loft, prism, rectangle, rounded_rectangle, tube,
@@ -32,14 +32,14 @@ const BELL_TOP: f64 = -0.0040;
 const PROP: [f64; 2] = [BELL_TOP, 0.0040];
 /// Top of the propeller nuts.
 const NUT_TOP: f64 = 0.0095;
-/// How far the camera looks up, radians.
+/// Upward tilt of the camera, radians.
 const CAMERA_TILT: f64 = 0.5;
 /// Centre of the camera.
 const CAMERA: Vec3 = vec3(0.0600, 0.0, -0.0100);
-/// Where the standoffs stand, for y > 0.
+/// Positions of the standoffs with y > 0.
 const STANDOFFS: [Point2; 4] = [[0.0690, 0.0165], [0.0290, 0.0205], [-0.0290, 0.0205], [-0.0620, 0.0165]];
 
-/// The visual parts, in file order, each with its description.
+/// Returns the visual parts in file order, each with its description.
 pub fn visual() -> Vec<(&'static str, Part)> {
     vec![
         ("propellers", propellers()),
@@ -52,7 +52,7 @@ pub fn visual() -> Vec<(&'static str, Part)> {
     ]
 }
 
-/// The convex collision pieces, in file order.
+/// Returns the convex collision pieces in file order, each with its description.
 pub fn collision() -> Vec<(&'static str, Part)> {
     let body = prism(&rounded_rectangle(0.0740, 0.0230, 0.0080, 1), ARM_PLATE[0], TOP_PLATE[1]);
     let pack = prism(&rectangle(BATTERY_HALF[0], BATTERY_HALF[1]), TOP_PLATE[1], BATTERY[1]);
@@ -69,13 +69,12 @@ pub fn collision() -> Vec<(&'static str, Part)> {
     pieces
 }
 
-/// The directions of the arms from x: front left, back left, back right, front
-/// right.
+/// Returns the directions of the arms from x, radians: front left, back left, back right, front right.
 fn headings() -> [f64; 4] {
     [1.0, 3.0, 5.0, 7.0].map(|eighth| eighth * FRAC_PI_4)
 }
 
-/// `part`, modelled on an arm along +x, once on each arm.
+/// Returns copies of `part`, which is modelled on an arm along +x, on every arm.
 fn on_each_arm(part: &Part) -> Part {
     let mut all = Part::default();
     for heading in headings() {
@@ -84,7 +83,7 @@ fn on_each_arm(part: &Part) -> Part {
     all
 }
 
-/// Four three-blade propellers; neighbours turn opposite ways.
+/// Four three-blade propellers; neighbours turn in opposite directions.
 fn propellers() -> Part {
     let station = |radius: f64, chord: f64, lead: f64| Station { radius, chord, lead };
     let propeller = Propeller {
@@ -108,7 +107,7 @@ fn propellers() -> Part {
     let rest = [0.3, 1.0, -0.45, 0.75];
     let mut all = Part::default();
     for (index, heading) in headings().into_iter().enumerate() {
-        // Clockwise at the front left: the racer turns its propellers the other way than the Crazyflie.
+        // Clockwise at the front left: the directions are opposite to the Crazyflie's.
         let spin = if index % 2 == 0 { Spin::Cw } else { Spin::Ccw };
         let axis = vec3(ARM, 0.0, 0.0).rotated_z(heading);
         all.append(propeller.build(spin, heading + rest[index]).moved(|p| p + axis));
@@ -116,8 +115,8 @@ fn propellers() -> Part {
     all
 }
 
-/// A body plate's outline, symmetric about the x axis: `half` lists its corners
-/// for y > 0 from front to back.
+/// Returns the outline of a body plate, symmetric about the x axis: `half` lists its corners for y > 0 from front
+/// to back.
 fn plate(half: &[Point2]) -> Vec<Point2> {
     let mirrored = half.iter().rev().map(|p| [p[0], -p[1]]);
     half.iter().copied().chain(mirrored).collect()
@@ -140,8 +139,7 @@ fn frame() -> Part {
             BOTTOM_PLATE[0],
             BOTTOM_PLATE[1],
         ),
-        // The top plate ends in a fork around the camera and is waisted so
-        // that it looks, and would be, light.
+        // The top plate ends in a fork around the camera and has a waist, as lightweight frames do.
         prism(
             &plate(&[
                 [0.0500, 0.0085],
@@ -177,7 +175,7 @@ fn frame() -> Part {
     }
     outline.extend([[0.1000, 0.0056], [0.0500, 0.0068], [0.0100, 0.0075]]);
     part.append(on_each_arm(&Part::new([prism(&outline, ARM_PLATE[0], ARM_PLATE[1])])));
-    // Side plates of the camera, standing between bottom and top plate.
+    // Side plates of the camera, upright between bottom and top plate.
     for side in [1.0, -1.0] {
         let profile: [Point2; 6] = [
             [0.0500, BOTTOM_PLATE[1]],
@@ -188,7 +186,7 @@ fn frame() -> Part {
             [0.0500, -0.0040],
         ];
         let sheet = prism(&profile, -0.0010, 0.0010)
-            // Stand the sheet up: its outline's y becomes z.
+            // Rotate the sheet upright: its outline's y becomes z.
             .moved(|p| vec3(p.x, -p.z, p.y))
             .at(0.0, side * 0.0108, 0.0);
         part.push(sheet);
@@ -196,8 +194,7 @@ fn frame() -> Part {
     part
 }
 
-/// Four outrunner motors: stator base and bell with a rounded shoulder. The
-/// shaft is inside the propeller.
+/// Four outrunner motors: stator base and bell with a rounded shoulder. The propeller hides the shaft.
 fn motors() -> Part {
     let motor = lathe(
         &[
@@ -213,7 +210,7 @@ fn motors() -> Part {
     on_each_arm(&Part::new([motor.at(ARM, 0.0, 0.0)]))
 }
 
-/// The battery pack under its strap, its lead and its plug.
+/// Battery pack below its strap, with lead and plug.
 fn battery() -> Part {
     let pack = rounded_rectangle(BATTERY_HALF[0], BATTERY_HALF[1], 0.0030, 2);
     let mut part = Part::new([
@@ -236,8 +233,7 @@ fn battery() -> Part {
     part
 }
 
-/// Speed controller and flight controller one above the other, the video
-/// transmitter behind them.
+/// Speed controller below the flight controller, with the video transmitter behind them.
 fn stack() -> Part {
     let board = |z: f64| bevelled_prism(&rounded_rectangle(0.0180, 0.0180, 0.0030, 1), z, z + 0.0018, 0.0003);
     let mut part = Part::new([
@@ -259,15 +255,15 @@ fn stack() -> Part {
 /// The camera, tilted up between its side plates.
 fn camera() -> Part {
     let housing = bevelled_prism(&rounded_rectangle(0.0090, 0.0092, 0.0020, 1), -0.0090, 0.0090, 0.0012);
-    // The lens is turned about z, then laid to look along x.
+    // The lens is revolved about z, then rotated to look along x.
     let lens =
         lathe(&[[0.0072, 0.0080], [0.0072, 0.0125], [0.0060, 0.0125], [0.0060, 0.0160], [0.0044, 0.0152]], 12, CREASE)
             .moved(|p| p.rotated_y(FRAC_PI_2));
     Part::new([housing, lens]).moved(|p| p.rotated_y(-CAMERA_TILT) + CAMERA)
 }
 
-/// What is anodised or printed in the accent colour: standoffs, propeller
-/// nuts, feet, battery strap, antenna with its mount, and the tail light.
+/// Parts in the accent colour: standoffs, propeller nuts, feet, battery strap, antenna with its mount, and the tail
+/// light.
 fn accents() -> Part {
     let mut part = Part::default();
     for [x, y] in STANDOFFS {

@@ -1,4 +1,4 @@
-//! What every generated mesh has to satisfy.
+//! Tests of every generated mesh.
 
 use crate::mesh::{Part, Solid};
 use crate::vec3::{Vec3, vec3};
@@ -8,22 +8,22 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Most triangles that the visual parts of one airframe may have.
+/// Largest number of triangles of an airframe's visual parts.
 const BUDGET: usize = 3000;
-/// Half a unit of the last decimal that is written, plus rounding.
+/// Half a unit of the last written decimal, plus rounding.
 const ROUNDING: f64 = 0.51e-6;
 
-/// An OBJ file read back.
+/// Parsed OBJ file.
 struct Read {
     /// Positions.
     vertices: Vec<Vec3>,
     /// Normals.
     normals: Vec<Vec3>,
-    /// Triangles, from 0, into both.
+    /// Triangles as zero-based indices into both.
     faces: Vec<[usize; 3]>,
 }
 
-/// Reads what `to_obj` writes, and nothing else.
+/// Parses the subset of OBJ that `to_obj` writes.
 fn read(text: &str) -> Read {
     let mut read = Read { vertices: Vec::new(), normals: Vec::new(), faces: Vec::new() };
     for line in text.lines().filter(|line| !line.starts_with('#')) {
@@ -48,19 +48,18 @@ fn read(text: &str) -> Read {
     read
 }
 
-/// Six times the signed volume of the tetrahedron between a triangle and the
-/// origin.
+/// Returns six times the signed volume of the tetrahedron between a triangle and the origin.
 fn tetrahedron([a, b, c]: [Vec3; 3]) -> f64 {
     a.dot(b.cross(c))
 }
 
-/// Signed volume: positive when the faces look outwards.
+/// Returns the signed volume: positive if the faces look outwards.
 fn volume(solid: &Solid) -> f64 {
     let six: f64 = solid.faces.iter().map(|face| tetrahedron(face.map(|index| solid.points[index]))).sum();
     six / 6.0
 }
 
-/// The least and the greatest coordinates of `part`.
+/// Returns the smallest and largest coordinates of `part`.
 fn extents(part: &Part) -> [Vec3; 2] {
     let points = || part.solids.iter().flat_map(|solid| &solid.points);
     let bound = |pick: fn(f64, f64) -> f64| {
@@ -69,12 +68,12 @@ fn extents(part: &Part) -> [Vec3; 2] {
     [bound(f64::min), bound(f64::max)]
 }
 
-/// The greatest distance of `part` from the z axis.
+/// Returns the largest distance of `part` from the z axis.
 fn reach(part: &Part) -> f64 {
     part.solids.iter().flat_map(|solid| &solid.points).fold(0.0, |reach, p| p.x.hypot(p.y).max(reach))
 }
 
-/// An empty directory of its own for `test`.
+/// Creates an empty directory for `test`.
 fn scratch(test: &str) -> PathBuf {
     let path = std::env::temp_dir().join(format!("meshgen-{}-{test}", std::process::id()));
     let _ = fs::remove_dir_all(&path);
@@ -82,18 +81,18 @@ fn scratch(test: &str) -> PathBuf {
     path
 }
 
-/// The assets whose file name passes `filter`.
+/// Returns the assets whose file names pass `filter`.
 fn named(filter: impl Fn(&str) -> bool) -> Vec<Asset> {
     assets().into_iter().filter(|asset| filter(&asset.name)).collect()
 }
 
-/// The visual parts of an airframe, as `(name, part)`.
+/// Returns the visual parts of an airframe.
 fn visual(folder: &str) -> Vec<Asset> {
     named(|name| name.starts_with(folder) && !name.contains("collision"))
 }
 
 #[test]
-fn file_names_are_those_of_the_parts() {
+fn file_names_match_the_parts() {
     for (folder, pieces) in [("cf2", 13), ("race", 14)] {
         let found: BTreeSet<String> =
             assets().into_iter().filter(|asset| asset.folder == folder).map(|asset| asset.name).collect();
@@ -121,8 +120,7 @@ fn every_solid_is_a_closed_manifold_without_handles() {
             for (from, to) in &edges {
                 assert!(edges.contains(&(*to, *from)), "{what}: open at {from}-{to}");
             }
-            // Euler's formula: one connected surface without holes, and no
-            // vertex left unused.
+            // Euler's formula: one connected surface without holes and without unused vertices.
             let euler = solid.points.len() + solid.faces.len();
             assert_eq!(euler, edges.len() / 2 + 2, "{what}");
         }
@@ -140,7 +138,7 @@ fn every_solid_faces_outwards() {
 }
 
 #[test]
-fn vertices_stay_apart_when_rounded_and_triangles_keep_an_area() {
+fn vertices_stay_distinct_when_rounded_and_triangles_have_an_area() {
     for asset in assets() {
         for solid in &asset.part.solids {
             for face in &solid.faces {
@@ -179,11 +177,11 @@ fn files_read_back_with_the_same_volume_and_outward_unit_normals() {
 
 #[test]
 fn sharp_edges_stay_sharp_and_round_sides_smooth() {
-    // A collision box: every normal is one face's own.
+    // A collision box: every normal belongs to one face.
     let boxes = named(|name| name == "cf2_collision_1.obj");
     let file = read(&boxes[0].contents());
     assert_eq!((file.vertices.len(), file.faces.len()), (24, 12));
-    // A motor: the sides' normals point away from its axis.
+    // A motor: the normals of the side point away from its axis.
     let motors = named(|name| name == "cf2_4.obj");
     let wall = motors[0].part.solids[0].triangles();
     let axis = vec3(crazyflie::MOTOR_XY, crazyflie::MOTOR_XY, 0.0);
@@ -201,7 +199,7 @@ fn sharp_edges_stay_sharp_and_round_sides_smooth() {
 }
 
 #[test]
-fn no_bend_is_so_close_to_the_crease_that_rounding_decides() {
+fn no_edge_angle_is_so_close_to_the_crease_that_rounding_decides() {
     for asset in assets() {
         for solid in &asset.part.solids {
             let normals: Vec<Vec3> = solid
@@ -226,7 +224,7 @@ fn no_bend_is_so_close_to_the_crease_that_rounding_decides() {
 }
 
 #[test]
-fn visual_parts_keep_the_triangle_budget() {
+fn visual_parts_stay_within_the_triangle_budget() {
     for folder in ["cf2", "race"] {
         let total: usize =
             visual(folder).iter().flat_map(|asset| &asset.part.solids).map(|solid| solid.faces.len()).sum();
@@ -266,7 +264,7 @@ fn racer_fits_its_collision_cylinder() {
     for (index, asset) in visual("race").iter().enumerate() {
         let [low, high] = extents(&asset.part);
         assert!(low.z >= -0.03, "{}: {low:?}", asset.name);
-        // The antenna stands out of the top, the propellers out of the side.
+        // The antenna extends beyond the top, the propellers beyond the side.
         assert!(index == 6 || high.z <= 0.03, "{}: {high:?}", asset.name);
         let limit = if index == 0 { racer::ARM + racer::PROP_RADIUS } else { 0.15 };
         assert!(reach(&asset.part) <= limit, "{}", asset.name);
@@ -295,14 +293,13 @@ fn propellers_sweep_their_radius_about_the_motors() {
 }
 
 #[test]
-fn blades_push_air_down_and_neighbours_turn_opposite_ways() {
+fn blades_push_air_down_and_neighbours_turn_in_opposite_directions() {
     for (folder, arm, blades) in [("cf2", crazyflie::MOTOR_XY * 2.0_f64.sqrt(), 2), ("race", racer::ARM, 3)] {
         for (index, propeller) in visual(folder)[0].part.solids.chunks(blades + 1).enumerate() {
             let angle = (2 * index + 1) as f64 * std::f64::consts::FRAC_PI_4;
             let axis = vec3(arm, 0.0, 0.0).rotated_z(angle);
             for blade in &propeller[1..] {
-                // How height grows with the angle around the axis: the leading
-                // edge is the high one.
+                // Slope of the height over the angle around the axis: the leading edge is the upper one.
                 let centre =
                     blade.points.iter().fold(Vec3::ZERO, |sum, p| sum + *p) * (1.0 / blade.points.len() as f64);
                 let around = vec3(0.0, 0.0, 1.0).cross(centre - axis).normalized();
@@ -331,7 +328,7 @@ fn collision_pieces_are_convex_and_coarse() {
 }
 
 #[test]
-fn generating_again_gives_the_same_bytes() {
+fn generation_is_deterministic() {
     let generate = || -> BTreeMap<String, String> {
         assets().into_iter().map(|asset| (asset.name.clone(), asset.contents())).collect()
     };
@@ -344,7 +341,7 @@ fn generating_again_gives_the_same_bytes() {
 }
 
 #[test]
-fn check_accepts_what_was_written_and_names_the_first_difference() {
+fn check_accepts_written_files_and_names_the_first_difference() {
     let root = scratch("check");
     assert_eq!(write(&root), Ok(assets().len()));
     assert_eq!(check(&root), Ok(assets().len()));
@@ -367,7 +364,7 @@ fn check_accepts_what_was_written_and_names_the_first_difference() {
 }
 
 #[test]
-fn writing_under_a_file_is_an_error_of_one_line() {
+fn writing_below_a_file_is_an_error_of_one_line() {
     let root = scratch("write");
     let file = root.join("file");
     fs::write(&file, "").expect("a file");
@@ -378,7 +375,7 @@ fn writing_under_a_file_is_an_error_of_one_line() {
 }
 
 #[test]
-fn arguments_are_understood_or_refused() {
+fn arguments_are_parsed_or_rejected() {
     let parse = |arguments: &[&str]| {
         let owned: Vec<OsString> = arguments.iter().map(OsString::from).collect();
         parse(&owned)
@@ -393,7 +390,7 @@ fn arguments_are_understood_or_refused() {
     }
 }
 
-/// What lies in the repository is what this program makes.
+/// Committed meshes match the generated ones.
 #[test]
 fn committed_files_are_up_to_date() {
     let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");

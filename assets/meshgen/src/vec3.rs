@@ -1,9 +1,8 @@
-//! The few vector operations that building meshes takes.
+//! Minimal vector arithmetic for building meshes.
 
 use std::ops::{Add, Mul, Neg, Sub};
 
-/// A point, in metres, or a direction, in the body frame: x forward, y left,
-/// z up.
+/// A point, in metres, or a direction, in the body frame: x forward, y left, z up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Vec3 {
     /// Forward.
@@ -14,7 +13,7 @@ pub struct Vec3 {
     pub z: f64,
 }
 
-/// Shorthand for a [`Vec3`].
+/// Creates a [`Vec3`].
 pub const fn vec3(x: f64, y: f64, z: f64) -> Vec3 {
     Vec3 { x, y, z }
 }
@@ -23,12 +22,12 @@ impl Vec3 {
     /// The origin.
     pub const ZERO: Vec3 = vec3(0.0, 0.0, 0.0);
 
-    /// Scalar product.
+    /// Returns the dot product.
     pub fn dot(self, other: Vec3) -> f64 {
         self.x * other.x + self.y * other.y + self.z * other.z
     }
 
-    /// Vector product.
+    /// Returns the cross product.
     pub fn cross(self, other: Vec3) -> Vec3 {
         vec3(
             self.y * other.z - self.z * other.y,
@@ -37,29 +36,29 @@ impl Vec3 {
         )
     }
 
-    /// Euclidean length.
+    /// Returns the Euclidean length.
     pub fn length(self) -> f64 {
         self.dot(self).sqrt()
     }
 
-    /// The direction of `self`, or zero where it has none.
+    /// Returns the unit vector, or zero for a zero vector.
     pub fn normalized(self) -> Vec3 {
         let length = self.length();
         if length > 0.0 { self * (1.0 / length) } else { Vec3::ZERO }
     }
 
-    /// The angle to `other`, in radians.
+    /// Returns the angle to `other`, in radians.
     pub fn angle_to(self, other: Vec3) -> f64 {
         self.cross(other).length().atan2(self.dot(other))
     }
 
-    /// Rotated about the z axis (x towards y), in radians.
+    /// Returns the vector rotated about the z axis (x towards y) by an angle in radians.
     pub fn rotated_z(self, angle: f64) -> Vec3 {
         let (s, c) = angle.sin_cos();
         vec3(c * self.x - s * self.y, s * self.x + c * self.y, self.z)
     }
 
-    /// Rotated about the y axis (z towards x), in radians.
+    /// Returns the vector rotated about the y axis (z towards x) by an angle in radians.
     pub fn rotated_y(self, angle: f64) -> Vec3 {
         let (s, c) = angle.sin_cos();
         vec3(c * self.x + s * self.z, self.y, c * self.z - s * self.x)

@@ -1,4 +1,4 @@
-//! Advantages and returns of a stretch of experience.
+//! Advantages and returns of a rollout.
 
 use rayon::prelude::*;
 
@@ -7,7 +7,7 @@ use super::{BLOCK, Ppo};
 use crate::agents::Next;
 
 impl Ppo {
-    /// Asks the critic, and estimates advantages and returns.
+    /// Evaluates the critic, and estimates advantages and returns.
     pub(super) fn estimate(&mut self) {
         let (rows, size) = (self.ages.len(), self.shape.observation());
         let experience = &mut self.experience;
@@ -38,21 +38,23 @@ impl Ppo {
     }
 }
 
-/// What advantages are estimated from: steps × rows.
+/// Inputs of the estimation of advantages, steps × rows.
 #[derive(Debug)]
 struct Estimate<'a> {
     rewards: &'a [f32],
-    /// The critic's estimate before every step,
+    /// Value estimates before every step.
     values: &'a [f32],
-    /// and after it: of the next observation, or of the last one of an episode that is cut off.
+    /// Value estimates after every step: of the next observation, or of the final observation of a truncated
+    /// episode.
     next_values: &'a [f32],
     next: &'a [Next],
     rows: usize,
 }
 
 impl Estimate<'_> {
-    /// Generalised advantages (Schulman et al. 2016, eq. 16): a = δ + γ·λ·a', δ = r + γ·V' − V. Nothing follows a termination, the
-    /// critic's estimate follows a truncation, and neither lets the next episode's advantages through.
+    /// Computes generalized advantage estimates (GAE; Schulman et al. 2016, eq. 16): a = δ + γ·λ·a', δ = r + γ·V' −
+    /// V. V' is 0 after a termination and the critic's estimate after a truncation. Neither propagates advantages
+    /// of the next episode.
     fn advantages(&self, discount: f32, lambda: f32, out: &mut Vec<f32>) {
         out.clear();
         out.resize(self.rewards.len(), 0.0);
@@ -71,7 +73,7 @@ impl Estimate<'_> {
     }
 }
 
-/// Mean and standard deviation.
+/// Returns mean and standard deviation.
 pub(super) fn moments(numbers: impl Iterator<Item = f32> + Clone) -> (f32, f32) {
     let count = numbers.clone().count().max(1) as f64;
     let mean = numbers.clone().map(f64::from).sum::<f64>() / count;
@@ -79,7 +81,7 @@ pub(super) fn moments(numbers: impl Iterator<Item = f32> + Clone) -> (f32, f32) 
     (mean as f32, variance.sqrt() as f32)
 }
 
-/// Share of the returns' variance that the critic explains.
+/// Returns the fraction of the returns' variance that the critic explains.
 pub(super) fn explained(experience: &Experience) -> f64 {
     let (_, all) = moments(experience.returns.iter().copied());
     let (_, left) = moments(experience.advantages.iter().copied());
@@ -97,12 +99,12 @@ mod tests {
     }
 
     #[test]
-    fn advantages_are_those_computed_by_hand() {
+    fn advantages_match_values_computed_by_hand() {
         use Next::{Running, Terminated};
         // one row, three steps, γ = λ = 1/2: δ₂ = 4 + 2 − 1 = 5; δ₁ = 2 + 0.5 − 3 = −0.5; δ₀ = 1 + 1.5 − 2 = 0.5
         let found = advantages(&[1.0, 2.0, 4.0], &[2.0, 3.0, 1.0], &[3.0, 1.0, 4.0], &[Running; 3], 1);
         assert_eq!(found, [0.5 + 0.25 * 0.75, -0.5 + 0.25 * 5.0, 5.0]);
-        // two rows beside each other do not see each other
+        // two rows are independent of each other
         let found = advantages(
             &[1.0, 9.0, 2.0, 9.0, 4.0, 9.0],
             &[2.0, 0.0, 3.0, 0.0, 1.0, 0.0],
@@ -114,10 +116,10 @@ mod tests {
     }
 
     #[test]
-    fn nothing_follows_a_termination_and_the_critics_estimate_a_truncation() {
+    fn the_value_after_the_end_is_zero_for_terminations_and_bootstrapped_for_truncations() {
         use Next::{Absent, Running, Terminated, Truncated};
         let of = |end: Next| advantages(&[1.0, 1.0, 1.0], &[0.0; 3], &[0.0, 8.0, 0.0], &[Running, end, Running], 1);
-        // the third step is another episode's: it is let through by neither
+        // the third step belongs to another episode, whose advantage neither end propagates
         assert_eq!(of(Running), [1.0 + 0.25 * 5.25, 5.0 + 0.25, 1.0]);
         assert_eq!(of(Truncated), [1.0 + 0.25 * 5.0, 5.0, 1.0]);
         assert_eq!(of(Terminated), [1.0 + 0.25, 1.0, 1.0]);

@@ -1,11 +1,12 @@
-//! Settings of the algorithm.
+//! Settings of PPO.
 
 use aviary::policy::Activation;
 use serde::{Deserialize, Serialize};
 
-/// Defines a structure of settings, and a structure of those that a file sets. A setting is read under its old name as well.
+/// Defines a struct of settings, and a struct with the subset that a file sets. A setting is also read under its
+/// old name.
 macro_rules! settings {
-    ($(#[$doc:meta])* $name:ident, $said:ident {
+    ($(#[$doc:meta])* $name:ident, $partial:ident {
         $($(#[$field_doc:meta])* $field:ident $(was $old:literal)?: $kind:ty,)*
     }) => {
         $(#[$doc])*
@@ -15,18 +16,18 @@ macro_rules! settings {
             $($(#[$field_doc])* $(#[serde(alias = $old)])? pub $field: $kind,)*
         }
 
-        /// Settings that a file sets.
+        /// Settings of a file.
         #[derive(Debug, Clone, PartialEq, Default, Deserialize)]
         #[serde(default, deny_unknown_fields)]
-        pub(crate) struct $said {
+        pub(crate) struct $partial {
             $($(#[serde(alias = $old)])? $field: Option<$kind>,)*
         }
 
-        impl $said {
-            /// Overwrites the settings that are set.
+        impl $partial {
+            /// Overrides the settings that the file sets.
             pub(crate) fn apply(self, config: &mut $name) {
-                $(if let Some(said) = self.$field {
-                    config.$field = said;
+                $(if let Some(value) = self.$field {
+                    config.$field = value;
                 })*
             }
         }
@@ -35,28 +36,29 @@ macro_rules! settings {
 
 settings! {
     /// Hyperparameters of PPO.
-    PpoConfig, SaidPpo {
-        /// Environments that collect steps.
+    PpoConfig, PartialPpo {
+        /// Number of environments that collect experience.
         environments: usize,
-        /// Control steps of each environment between two updates.
+        /// Control steps of each environment in a rollout.
         horizon: usize,
-        /// Passes of an update over the collected steps.
+        /// Epochs of an update over the rollout.
         epochs: usize,
-        /// Rows of a minibatch.
+        /// Size of a minibatch, rows.
         minibatch: usize,
-        /// Neurons of the hidden layers, of actor and critic each.
+        /// Widths of the hidden layers of actor and critic.
         hidden: Vec<usize>,
-        /// What they do.
+        /// Activation function of the hidden layers.
         activation: Activation,
         /// Maximum learning rate of Adam.
         learning_rate: f64,
-        /// Approximate KL divergence that an update aims at. Above its double the learning rate goes down; 0 keeps the rate.
+        /// Target of the approximate KL divergence of an update. Above twice the target the learning rate
+        /// decreases; 0 disables the adaptation.
         target_kl was "divergence": f64,
         /// Discount factor per step, γ.
         gamma was "discount": f64,
-        /// λ of generalized advantage estimation.
+        /// λ of generalized advantage estimation (GAE).
         gae_lambda was "lambda": f64,
-        /// Largest distance of the ratio of probabilities from 1, ε.
+        /// Clip range of the probability ratio, ε.
         clip_range was "clip": f64,
         /// Weight of the value loss.
         value_coef was "value": f64,
@@ -64,7 +66,7 @@ settings! {
         entropy_coef was "entropy": f64,
         /// Maximum norm of a gradient.
         max_grad_norm was "max_gradient": f64,
-        /// Standard deviation of actions at the start, where 1 is half the width of the action space.
+        /// Initial standard deviation of actions, in half widths of the action space.
         initial_std was "deviation": f64,
     }
 }

@@ -1,6 +1,6 @@
-//! The loss, and its gradient over a part of a minibatch.
+//! Loss of PPO and its gradient over a shard of a minibatch.
 //!
-//! The tape of gradients is burn's; what goes forward without one is [`Mlp`](aviary::policy::Mlp)'s.
+//! burn's autodiff computes the gradients; inference uses [`Mlp`](aviary::policy::Mlp).
 
 use aviary::policy::Activation;
 use burn::tensor::activation::relu;
@@ -8,16 +8,16 @@ use burn::tensor::{Device, Tensor, TensorData};
 
 use crate::network::NetworkShape;
 
-/// Bound of the log-ratio of new and old action probabilities, either way. A row beyond it has the ratio exp(±20) and no gradient:
-/// unbounded, exp overflows at 88.
+/// Bound of the absolute log-ratio of new and old action probabilities. A row beyond it has the ratio exp(±20) and
+/// no gradient; without the bound, exp overflows at 88.
 const MAX_LOG_RATIO: f32 = 20.0;
 
-/// A part of a minibatch: rows beside each other.
+/// Rows of a part of a minibatch.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Shard {
     pub observations: Vec<f32>,
     pub actions: Vec<f32>,
-    /// Log-probabilities of the actions under the policy that drew them.
+    /// Log-probabilities of the actions under the policy that sampled them.
     pub log_probs: Vec<f32>,
     pub advantages: Vec<f32>,
     pub returns: Vec<f32>,
@@ -32,28 +32,29 @@ impl Shard {
     }
 }
 
-/// What the loss is made of (Schulman et al. 2017, eq. 9).
+/// Coefficients of the loss (Schulman et al. 2017, eq. 9).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Loss {
-    /// Largest distance of the ratio of probabilities from 1.
+    /// Clip range of the probability ratio.
     pub clip_range: f32,
-    /// Weight of the critic's squared error.
+    /// Weight of the value loss.
     pub value: f32,
 }
 
 /// Sums over the rows of a shard.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Sums {
-    /// Of the loss, already divided by the minibatch's size.
+    /// Loss, already divided by the size of the minibatch.
     pub loss: f64,
-    /// Approximate KL divergence of the policy from the one that drew the actions.
+    /// Approximate KL divergence of the policy from the one that sampled the actions.
     pub approx_kl: f64,
-    /// Of rows beyond the clip.
+    /// Number of rows whose ratio was clipped.
     pub clipped: f64,
 }
 
-/// Gradient of the loss over a shard of a minibatch of `size` rows, and what it sums up to. The gradients of the shards of a minibatch
-/// add up to the minibatch's; the entropy's depends on no row, and whoever adds them up adds it once.
+/// Returns the gradient of the loss over a shard of a minibatch of `size` rows, and the shard's sums. The gradients
+/// of the shards add up to the minibatch's. The entropy bonus depends on no row, so that the caller adds its
+/// gradient once.
 pub(super) fn gradient(
     shape: &NetworkShape,
     parameters: &[f32],
@@ -102,14 +103,15 @@ pub(super) fn gradient(
     }
     let mut sums = Sums { loss: f64::from(numbers(total.inner())[0]), ..Sums::default() };
     for (log_ratio, ratio) in numbers(log_ratio.inner()).into_iter().zip(numbers(ratio.inner())) {
-        // (r − 1) − log r, which is never negative and whose mean is the KL divergence (Schulman 2020)
+        // (r − 1) − log r is never negative, and its mean estimates the KL divergence (Schulman 2020)
         sums.approx_kl += f64::from(ratio - 1.0 - log_ratio);
         sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > loss.clip_range));
     }
     (gradient, sums)
 }
 
-/// A network's outputs for rows of inputs: what [`Mlp`] says, on the tape. The leaves are weights and biases, layer by layer.
+/// Computes a network's outputs for rows of inputs, as [`Mlp`] does, with autodiff. The leaves are the weights and
+/// biases of each layer.
 fn forward(activation: Activation, leaves: &[Tensor<2>], mut x: Tensor<2>) -> Tensor<2> {
     let last = leaves.len() / 2 - 1;
     for (layer, pair) in leaves.chunks_exact(2).enumerate() {
@@ -139,7 +141,7 @@ mod tests {
     use super::*;
     use crate::network::LOG_DEVIATIONS;
 
-    /// The loss as the papers write it, in double precision, over networks as books write them.
+    /// Computes the loss as in the papers, in double precision, with textbook networks.
     fn loss(shape: &NetworkShape, parameters: &[f64], shard: &Shard, weights: &Loss, size: usize) -> f64 {
         let run = |sizes: &[usize], parameters: &[f64], input: &[f32]| {
             let mut here: Vec<f64> = input.iter().map(|&x| f64::from(x)).collect();
@@ -187,7 +189,7 @@ mod tests {
         let actor = Mlp::new(&shape.actor, shape.activation, actor).unwrap();
         let mut mean = vec![0.0; actions.len()];
         actor.forward(&observations, &mut mean);
-        // as they were drawn, and the policy somewhat different since
+        // actions sampled from the policy, with log-probabilities of a slightly different one
         let actions: Vec<f32> = actions.iter().zip(&mean).map(|(x, mean)| mean + 0.3 * x).collect();
         let log_prob = |row: usize| -> f32 {
             let entries = row * shape.action()..(row + 1) * shape.action();
@@ -205,7 +207,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(24))]
 
         #[test]
-        fn gradients_are_those_of_finite_differences(
+        fn gradients_match_finite_differences(
             seed in 0..10_000_u64,
             smooth in any::<bool>(),
             hidden in proptest::collection::vec(1..9_usize, 0..3),
@@ -227,10 +229,11 @@ mod tests {
                 moved[index] += by;
                 loss(&shape, &moved, &shard, &weights, 10)
             };
-            prop_assert!((sums.loss - loss(&shape, &exact, &shard, &weights, 10)).abs() < 1e-4 * (1.0 + sums.loss.abs()));
+            let expected = loss(&shape, &exact, &shard, &weights, 10);
+            prop_assert!((sums.loss - expected).abs() < 1e-4 * (1.0 + sums.loss.abs()));
             for (index, &found) in found.iter().enumerate() {
                 let [small, large] = [1e-6, 1e-5].map(|by| (at(index, by) - at(index, -by)) / (2.0 * by));
-                // a corner of the loss within reach has no derivative
+                // the loss has no derivative at a kink within the step
                 if (small - large).abs() < 1e-4 * (1.0 + small.abs()) {
                     prop_assert!(
                         (f64::from(found) - small).abs() < 2e-3 * (1.0 + small.abs()),
@@ -242,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_flown_is_what_was_trained() {
+    fn inference_matches_the_network_of_training() {
         for activation in [Activation::Relu, Activation::Softsign] {
             let mut rng = Rng::seed_from_u64(5);
             let sizes = [21, 64, 64, 4];
@@ -269,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn gradients_of_shards_add_up_to_the_minibatchs() {
+    fn gradients_of_shards_add_up_to_the_gradient_of_the_minibatch() {
         let shape = NetworkShape::new(12, 4, &[64, 64], Activation::Relu);
         let mut rng = Rng::seed_from_u64(3);
         let parameters = shape.initial(0.3, &mut rng);
@@ -295,14 +298,14 @@ mod tests {
     }
 
     #[test]
-    fn gradients_stay_finite_where_probabilities_leave_single_precision() {
+    fn gradients_stay_finite_if_probabilities_exceed_single_precision() {
         let shape = NetworkShape::new(3, 2, &[8], Activation::Relu);
         let mut rng = Rng::seed_from_u64(4);
         for log_deviation in [*LOG_DEVIATIONS.start(), 0.0, *LOG_DEVIATIONS.end()] {
             let mut parameters = shape.initial(1.0, &mut rng);
             let first = parameters.len() - shape.action();
             parameters[first..].fill(log_deviation);
-            // log-ratios of up to ±4e19, where exp is infinite beyond 88
+            // log-ratios of up to ±4e19; exp overflows beyond 88
             for (action, log_prob) in [(1e5, 0.0), (0.0, -1e5), (0.1, 1e5), (1e5, -1e30)] {
                 for advantage in [1.0, -1.0] {
                     let shard = Shard {

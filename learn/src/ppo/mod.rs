@@ -1,15 +1,16 @@
-//! Proximal policy optimization (Schulman et al. 2017): collect a stretch of experience with the policy as it is, estimate how much better than
-//! expected every action turned out (generalised advantages, Schulman et al. 2016), and move the policy towards those that
-//! did, a few times over the same experience and never far at once.
+//! Proximal policy optimization (PPO, Schulman et al. 2017). Each iteration collects a rollout with the current
+//! policy, estimates advantages (GAE, Schulman et al. 2016), and updates the policy in a few epochs over the
+//! rollout, with a clipped probability ratio.
 //!
-//! Of what makes it work in practice (Andrychowicz et al. 2021; Huang et al. 2022) there are: observations and rewards on a common
-//! scale, orthogonal weights to begin with, deviations that do not depend on the state, advantages normalised over the batch,
-//! gradients clipped by their norm, and a rate that follows the divergence of each update (Rudin et al. 2022). Episodes
-//! that are cut off are continued by the critic's estimate of what would have followed (Pardo et al. 2018), and the first episode of every
-//! row is cut off at a random moment, so that the rows are spread over an episode's length.
+//! Implementation details from the literature (Andrychowicz et al. 2021; Huang et al. 2022): normalized
+//! observations and scaled rewards, orthogonal initial weights, state-independent standard deviations, advantages
+//! normalized over the rollout, gradients clipped by norm, and a learning rate that adapts to the KL divergence of
+//! each update (Rudin et al. 2022). The value after a truncated episode is bootstrapped from the critic (Pardo et
+//! al. 2018). The first episode of every row is truncated at a random step, so that the rows are spread over the
+//! length of an episode.
 //!
-//! Everything is the same bits whatever the number of threads: rows are drawn for in blocks, gradients are summed in the order of their
-//! shards.
+//! Results are bit-identical for any number of threads: every block of rows has its own random stream, and
+//! gradients are summed in the order of the shards.
 
 mod advantage;
 mod config;
@@ -24,8 +25,8 @@ use aviary::policy::Mlp;
 use rand::{RngExt as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
+pub(crate) use config::PartialPpo;
 pub use config::PpoConfig;
-pub(crate) use config::SaidPpo;
 
 use self::loss::Shard;
 use self::rollout::Experience;
@@ -34,34 +35,34 @@ use crate::network::NetworkShape;
 use crate::optimizer::Optimizer;
 use crate::scale::{RewardScale, Running};
 
-/// Rows that are drawn for together.
+/// Number of rows that share a random stream.
 const BLOCK: usize = 64;
 
-/// Rows of a shard: as many as stay in a core's cache on their way forth and back.
+/// Rows of a shard; chosen to fit into a core's cache.
 const SHARD: usize = 512;
 
-/// How far a normalized observation and a scaled reward reach.
+/// Bound of normalized observations and scaled rewards.
 const CLIP: f32 = 10.0;
 
-/// Where the time went.
+/// Wall time by activity.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Clock {
-    /// In the environments.
+    /// Environment steps.
     pub simulation: Duration,
-    /// In the networks, forwards, with the draws of actions.
+    /// Forward passes of the networks and sampling of actions.
     pub inference: Duration,
-    /// In gradients and Adam.
+    /// Gradients and optimizer steps.
     pub gradient: Duration,
-    /// In evaluations.
+    /// Evaluations.
     pub evaluation: Duration,
-    /// All of it.
+    /// Total.
     pub total: Duration,
 }
 
-/// What an iteration did.
+/// Statistics of an iteration.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// Mean return of the episodes that ended in it or were cut off, if any were.
+    /// Mean return of the episodes that ended in the iteration or were truncated; `None` without such an episode.
     pub mean_return: Option<f64>,
     /// Mean reward of a step.
     pub mean_reward: f64,
@@ -81,7 +82,7 @@ pub struct Report {
     pub explained_variance: f64,
 }
 
-/// A learner: its networks, what it scales with, and how it goes on.
+/// State of PPO: networks, optimizer, normalization and rollout buffers.
 #[derive(Debug)]
 pub(crate) struct Ppo {
     pub config: PpoConfig,
@@ -96,13 +97,13 @@ pub(crate) struct Ppo {
     critic: Mlp,
     mean: Vec<f32>,
     deviation: Vec<f32>,
-    /// −1 and 1 of the networks' actions in the agents' units: the middle and half the width of every entry.
+    /// Centre and half width of every entry of the action space; [0, 1] for an unbounded entry.
     reach: Vec<[f32; 2]>,
-    /// What the agents see now.
+    /// Current observations of the agents.
     seen: Vec<f32>,
-    /// Steps of every row's episode so far, and after how many it is cut off.
+    /// Steps of every row's current episode, and the number of steps at which it is truncated.
     ages: Vec<[u64; 2]>,
-    /// Rewards of every row's episode so far.
+    /// Sum of rewards of every row's current episode.
     sums: Vec<f64>,
     outcome: Outcome,
     experience: Experience,
@@ -146,46 +147,46 @@ impl Ppo {
         })
     }
 
-    /// Observations of the last iteration, as the networks see them.
+    /// Returns the normalized observations of the last rollout.
     #[cfg(test)]
     pub fn inputs(&self) -> &[f32] {
         &self.experience.observations
     }
 
-    /// The actor as it is.
+    /// Returns the current actor.
     pub fn actor(&self) -> &Mlp {
         &self.actor
     }
 
-    /// Largest number of optimizer steps in an iteration of so many rows.
+    /// Returns the largest number of optimizer steps in an iteration with a number of rows.
     pub fn updates_per_iteration(&self, rows: usize) -> u64 {
         let minibatches = (rows * self.config.horizon).div_ceil(self.config.minibatch);
         (self.config.epochs * minibatches) as u64
     }
 
-    /// What observations are scaled with: mean and deviation.
+    /// Returns mean and standard deviation for the normalization of observations.
     pub fn normalization(&self) -> (&[f32], &[f32]) {
         (&self.mean, &self.deviation)
     }
 
-    /// Takes over what has been changed: parameters and scales.
+    /// Applies changed parameters and scales to the networks.
     pub fn refresh(&mut self) -> Result<(), aviary::policy::PolicyError> {
         let (actor, critic, _) = self.shape.split(&self.parameters);
         self.actor.set(actor)?;
         self.critic.set(critic)?;
         self.mean = self.observations.mean();
-        // what never moves is not blown up when it does
+        // a lower bound keeps observations that were constant so far from being amplified
         self.deviation = self.observations.deviation().iter().map(|deviation| deviation.max(1e-2)).collect();
         Ok(())
     }
 
-    /// Returns whether the scales of observations and rewards have been estimated.
+    /// Returns true if the scales of observations and rewards have been estimated.
     pub fn has_scales(&self) -> bool {
         !self.observations.is_empty()
     }
 
-    /// Estimates the scales of observations and rewards before the first update, from one horizon of the initial policy. Nothing
-    /// else is learned from it. Call [`restart`](Self::restart) afterwards.
+    /// Estimates the scales of observations and rewards before the first update, from one rollout of the initial
+    /// policy, which is used for nothing else. Call [`restart`](Self::restart) afterwards.
     pub fn estimate_scales(&mut self, agents: &mut dyn Agents, seeds: [u64; 2]) -> Result<(), crate::TrainError> {
         self.restart(agents, seeds[0])?;
         self.collect(agents, seeds[1])?;
@@ -194,7 +195,7 @@ impl Ppo {
         Ok(())
     }
 
-    /// Begins episodes anew in every row.
+    /// Resets the environments of all rows.
     pub fn restart(&mut self, agents: &mut dyn Agents, seed: u64) -> Result<(), EnvError> {
         let mut rng = Rng::seed_from_u64(seed);
         agents.reset(rng.random(), &mut self.seen)?;
@@ -206,7 +207,7 @@ impl Ppo {
         Ok(())
     }
 
-    /// One iteration: experience, advantages, update. Everything random comes from the seed.
+    /// Runs one iteration: rollout, advantages, update. The seed determines all random numbers.
     pub fn iterate(&mut self, agents: &mut dyn Agents, seed: u64) -> Result<Report, crate::TrainError> {
         let mut report = self.collect(agents, seed)?;
         let began = Instant::now();

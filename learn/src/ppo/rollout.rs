@@ -1,4 +1,4 @@
-//! Experience: the policy acts for a horizon in every row.
+//! Rollouts: the policy acts for a horizon in every row.
 
 use std::time::Instant;
 
@@ -10,22 +10,22 @@ use rayon::prelude::*;
 use super::{BLOCK, CLIP, Ppo, Report};
 use crate::agents::{Agents, Next};
 
-/// A stretch of experience: steps × rows.
+/// Rollout buffer, steps × rows.
 #[derive(Debug, Default)]
 pub(super) struct Experience {
-    /// As the networks see them.
+    /// Normalized observations.
     pub observations: Vec<f32>,
-    /// As they were.
+    /// Observations as the environments return them.
     pub raw: Vec<f32>,
     pub actions: Vec<f32>,
     pub log_probs: Vec<f32>,
     pub rewards: Vec<f32>,
     pub next: Vec<Next>,
-    /// Estimates of the return at every step.
+    /// Value estimates at every step.
     pub values: Vec<f32>,
-    /// Estimates of the return after it.
+    /// Value estimates after every step.
     pub next_values: Vec<f32>,
-    /// What was seen last of episodes that were cut off, as the networks see it, and at which entry.
+    /// Normalized final observations of truncated episodes; `cut` has their entries.
     pub finals: Vec<f32>,
     pub cut: Vec<usize>,
     pub advantages: Vec<f32>,
@@ -44,7 +44,7 @@ impl Experience {
 }
 
 impl Ppo {
-    /// Acts for a horizon.
+    /// Collects a rollout.
     pub(super) fn collect(&mut self, agents: &mut dyn Agents, seed: u64) -> Result<Report, EnvError> {
         let (rows, size, acts) = (agents.rows(), self.shape.observation(), self.shape.action());
         let (_, _, logs) = self.shape.split(&self.parameters);
@@ -156,7 +156,7 @@ impl Ppo {
     }
 }
 
-/// Brings rows of observations to a common scale.
+/// Normalizes rows of observations.
 pub(super) fn normalize(seen: &[f32], mean: &[f32], deviation: &[f32], out: &mut [f32]) {
     for (seen, out) in seen.chunks_exact(mean.len()).zip(out.chunks_exact_mut(mean.len())) {
         for ((out, x), (mean, deviation)) in out.iter_mut().zip(seen).zip(mean.iter().zip(deviation)) {

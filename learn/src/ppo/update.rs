@@ -1,4 +1,4 @@
-//! The update: epochs of minibatches over a stretch of experience.
+//! Update: epochs of minibatches over a rollout.
 
 use std::time::Instant;
 
@@ -14,7 +14,7 @@ use crate::agents::Next;
 use crate::network::LOG_DEVIATIONS;
 
 impl Ppo {
-    /// Goes through the experience a few times.
+    /// Updates the parameters in several epochs over the rollout.
     pub(super) fn update(&mut self, seed: u64, report: &mut Report) -> Result<(), crate::TrainError> {
         let (size, acts) = (self.shape.observation(), self.shape.action());
         let experience = &self.experience;
@@ -27,10 +27,10 @@ impl Ppo {
         let mut rng = Rng::seed_from_u64(seed);
         let (mut totals, mut minibatches, mut seen) = (Sums::default(), 0, 0);
         for _ in 0..self.config.epochs {
-            // the divergence of the last epoch is what the whole update did
+            // the approximate KL divergence of the last epoch is that of the whole update
             (totals.approx_kl, seen) = (0.0, 0);
             order.shuffle(&mut rng);
-            // what would be a much smaller minibatch than the others is left for another epoch
+            // a last minibatch of less than half the size is skipped; the shuffle moves its rows in the next epoch
             let minibatches_of = order
                 .chunks(self.config.minibatch)
                 .filter(|part| 2 * part.len() >= self.config.minibatch.min(order.len()));
@@ -90,8 +90,8 @@ impl Ppo {
         report.loss = totals.loss / f64::from(minibatches.max(1));
         report.approx_kl = totals.approx_kl / count;
         report.clip_fraction = totals.clipped / count / self.config.epochs as f64;
-        self.rate = follow(self.rate, self.config.learning_rate, self.config.target_kl, report.approx_kl);
-        // what was seen counts from the next iteration on
+        self.rate = adapt_rate(self.rate, self.config.learning_rate, self.config.target_kl, report.approx_kl);
+        // the observations of this rollout affect the normalization from the next iteration on
         self.observations.take(&self.experience.raw);
         self.refresh()?;
         let (_, _, logs) = self.shape.split(&self.parameters);
@@ -100,11 +100,12 @@ impl Ppo {
     }
 }
 
-/// The rate goes down when the policy has moved too far, and up to what it was while it moves too little.
-fn follow(rate: f64, max: f64, wanted: f64, divergence: f64) -> f64 {
-    if wanted > 0.0 && divergence > 2.0 * wanted {
+/// Returns the adapted learning rate: lower if the KL divergence exceeds twice the target, higher, up to `max`,
+/// below the target.
+fn adapt_rate(rate: f64, max: f64, target_kl: f64, approx_kl: f64) -> f64 {
+    if target_kl > 0.0 && approx_kl > 2.0 * target_kl {
         (rate / 1.5).max(0.01 * max)
-    } else if wanted > 0.0 && divergence < wanted {
+    } else if target_kl > 0.0 && approx_kl < target_kl {
         (rate * 1.1).min(max)
     } else {
         rate
@@ -116,12 +117,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rate_follows_the_divergence_within_bounds() {
-        assert_eq!(follow(1e-3, 2e-3, 0.01, 0.03), 1e-3 / 1.5);
-        assert_eq!(follow(1e-3, 2e-3, 0.01, 0.001), 1.1e-3);
-        assert_eq!(follow(1e-3, 2e-3, 0.01, 0.012), 1e-3);
-        assert_eq!(follow(1e-3, 2e-3, 0.0, 0.5), 1e-3);
-        assert_eq!(follow(2e-5, 2e-3, 0.01, 1.0), 2e-5);
-        assert_eq!(follow(1.9e-3, 2e-3, 0.01, 1e-4), 2e-3);
+    fn the_learning_rate_adapts_to_the_kl_divergence_within_bounds() {
+        assert_eq!(adapt_rate(1e-3, 2e-3, 0.01, 0.03), 1e-3 / 1.5);
+        assert_eq!(adapt_rate(1e-3, 2e-3, 0.01, 0.001), 1.1e-3);
+        assert_eq!(adapt_rate(1e-3, 2e-3, 0.01, 0.012), 1e-3);
+        assert_eq!(adapt_rate(1e-3, 2e-3, 0.0, 0.5), 1e-3);
+        assert_eq!(adapt_rate(2e-5, 2e-3, 0.01, 1.0), 2e-5);
+        assert_eq!(adapt_rate(1.9e-3, 2e-3, 0.01, 1e-4), 2e-3);
     }
 }
