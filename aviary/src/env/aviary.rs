@@ -310,9 +310,9 @@ impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
     fn info(&self) -> Info {
         let (simulation, count) = (self.simulation.view(), self.simulation.num_drones());
         // the task must not be evaluated with options that have not been validated
-        let asked = if self.episode.task_changed { 0 } else { count };
+        let evaluated = if self.episode.task_changed { 0 } else { count };
         let position_error =
-            (0..asked).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
+            (0..evaluated).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
         let started = self.episode.phase != Phase::New;
         Info {
             time: simulation.time(),

@@ -62,7 +62,7 @@ const LONGEST: usize = 400;
 /// - Observations lie in the observation space, also in single precision. Rewards and all values of
 ///   [`info`](super::Env::info) are finite.
 /// - Episodes with the same seed are bit-identical, and no episode depends on an earlier one.
-/// - A reset sets the time to zero, clears the end and puts the drones into the initial states of the simulation.
+/// - A reset sets the time to zero, clears the end and puts the drones into the states that the episode starts from.
 /// - Every entry of the observation changes, unless it [may be constant](DroneEnv::may_be_constant).
 /// - The end of an episode has a reason that agrees with `terminated` and `truncated`, and the next step is an
 ///   error.

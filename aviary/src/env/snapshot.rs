@@ -15,8 +15,8 @@ use crate::serial::Fingerprint;
 ///
 /// Threads can share a snapshot. A clone of a snapshot shares its contents.
 ///
-/// After [`Env::restore`](super::Env::restore), an environment continues bit-identically to how it continued after
-/// [`Env::snapshot`](super::Env::snapshot).
+/// [`Env::restore`](super::Env::restore) restores it. The same actions then lead to bit-identical steps and resets as
+/// after [`Env::snapshot`](super::Env::snapshot).
 ///
 /// ```
 /// use aviary::env::Env;

@@ -139,8 +139,8 @@ impl BoxSpace {
             && vector.iter().zip(&self.low).zip(&self.high).all(|((&x, &low), &high)| (low..=high).contains(&x.into()))
     }
 
-    /// Returns a random vector, like Gymnasium's `Box.sample` with normal tails: entries with two finite bounds are
-    /// uniform, with none standard normal, and with one half-normal from that bound.
+    /// Returns a random vector. Entries with two finite bounds are uniform, entries with one are half-normal from it,
+    /// and unbounded entries are standard normal.
     pub fn sample(&self, rng: &mut super::Rng) -> Vec<f64> {
         (self.low.iter().zip(&self.high))
             .map(|(&low, &high)| match (low.is_finite(), high.is_finite()) {

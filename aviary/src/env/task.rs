@@ -158,7 +158,7 @@ pub trait Task: std::fmt::Debug + 'static {
         f64::from(u8::from(self.success(simulation, drone)))
     }
 
-    /// Returns the reference that a drone should follow now. It may be called before the first
+    /// Returns the reference that a drone should follow now. Callers may use it before the first
     /// [`reset`](Self::reset).
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference;
 

@@ -55,7 +55,7 @@ pub struct Simulation {
 
 /// Returns the name of a quantity of a state that is NaN or beyond MuJoCo's limit, if there is one.
 fn out_of_range(state: &DroneState) -> Option<&'static str> {
-    // mjMAXVAL, from which on MuJoCo resets a state
+    // MuJoCo resets states beyond mjMAXVAL
     let bad = |x: &f64| x.is_nan() || x.abs() >= 1e10;
     if state.position.iter().chain(state.attitude.coords.iter()).any(bad) {
         Some("position")
@@ -78,8 +78,7 @@ impl Simulation {
         SimulationBuilder::new(drone.into())
     }
 
-    /// Advances the simulation by one control step with four motor speeds (rpm) per drone, which it clips to [0,
-    /// `MAX_RPM`].
+    /// Advances the simulation by one control step with four motor speeds (rpm) per drone, clipped to 0 to `MAX_RPM`.
     ///
     /// # Errors
     /// [`SimulationError::Command`] and [`Length`](SimulationError::Length): the simulation has not advanced.
@@ -99,7 +98,7 @@ impl Simulation {
         &self.data
     }
 
-    /// Returns read access, in the form that tasks get.
+    /// Returns a read-only view, the type that tasks get.
     pub fn view(&self) -> SimView<'_> {
         SimView::new(&self.model, &self.data)
     }

@@ -80,7 +80,7 @@ impl Workspace {
     }
 }
 
-/// Advances data by one control step with four motor speeds (rpm) per drone, which it clips to [0, `MAX_RPM`].
+/// Advances data by one control step with four motor speeds (rpm) per drone, clipped to 0 to `MAX_RPM`.
 ///
 /// Every physics step advances the motors and the wind, computes forces and torques from the states at its start,
 /// and lets the engine integrate.

@@ -24,7 +24,7 @@ use crate::world::placement::CollisionCylinder;
 /// ```
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CrashConditions {
-    /// The centre of a drone is below z = 0. A solid floor makes this impossible.
+    /// The centre of a drone is below z = 0, which only the `dyn` mode, without contacts, allows.
     pub below_floor: bool,
     /// A drone touches the floor after it was clear of it. With a solid floor, this replaces the paper's z < 0.
     pub floor_contact: bool,

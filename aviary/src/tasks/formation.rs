@@ -90,7 +90,7 @@ impl Formation {
     }
 
     /// Returns the position and the velocity of the centre at a time.
-    fn middle(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
+    fn centre(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
         let sides = self.path.iter().zip(self.path.iter().cycle().skip(1));
         let sides = sides.map(|(from, to)| (Vector3::from(*from), Vector3::from(*to)));
         let length: f64 = sides.clone().map(|(from, to)| (to - from).norm()).sum();
@@ -107,7 +107,7 @@ impl Formation {
     }
 
     fn slot(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
-        self.middle(simulation.time()).0 + self.offset(drone, simulation.num_drones())
+        self.centre(simulation.time()).0 + self.offset(drone, simulation.num_drones())
     }
 
     /// Returns the mean distance of the drones from their slots over the episode so far, m.
@@ -126,8 +126,8 @@ impl Task for Formation {
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
-        let (middle, _) = self.middle(0.0);
-        (0..drones.len()).map(|drone| (middle + self.offset(drone, drones.len())).into()).collect()
+        let (centre, _) = self.centre(0.0);
+        (0..drones.len()).map(|drone| (centre + self.offset(drone, drones.len())).into()).collect()
     }
 
     fn observation_space(&self) -> BoxSpace {
@@ -198,9 +198,9 @@ impl Task for Formation {
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let (states, count) = (simulation.states(), simulation.num_drones());
-        let (here, place) = (states[drone].position, self.offset(drone, count));
+        let (here, own) = (states[drone].position, self.offset(drone, count));
         let others = (0..count).filter(|&other| other != drone).map(|other| {
-            let desired = (self.offset(other, count) - place).norm();
+            let desired = (self.offset(other, count) - own).norm();
             ((states[other].position - here).norm() - desired).abs()
         });
         // each pair occurs in the rewards of both its drones
@@ -219,14 +219,14 @@ impl Task for Formation {
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
-        let (middle, velocity) = self.middle(simulation.time());
-        let place = middle + self.offset(drone, simulation.num_drones());
-        Reference { velocity, ..Reference::hover(place, simulation.initial_states()[drone].yaw()) }
+        let (centre, velocity) = self.centre(simulation.time());
+        let slot = centre + self.offset(drone, simulation.num_drones());
+        Reference { velocity, ..Reference::hover(slot, simulation.initial_states()[drone].yaw()) }
     }
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, seconds: f64) -> Vec<Vector3<f64>> {
         let offset = self.offset(drone, simulation.num_drones());
-        path_points(seconds, |time| self.middle(time).0 + offset).collect()
+        path_points(seconds, |time| self.centre(time).0 + offset).collect()
     }
 
     fn metrics(&self, _simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {

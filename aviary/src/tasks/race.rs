@@ -139,7 +139,7 @@ impl Task for Race {
         const BAR: f64 = 0.015;
         let count = self.gates.len();
         let mut bars = Vec::new();
-        for (index, &middle) in self.gates.iter().enumerate() {
+        for (index, &centre) in self.gates.iter().enumerate() {
             let (before, after) = (self.gates[(index + count - 1) % count], self.gates[(index + 1) % count]);
             let yaw = (after[1] - before[1]).atan2(after[0] - before[0]);
             let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
@@ -150,7 +150,7 @@ impl Task for Race {
                 ("top", Vector3::z() * reach, [BAR, reach - BAR, BAR]),
                 ("bottom", Vector3::z() * -reach, [BAR, reach - BAR, BAR]),
             ] {
-                let position = Vector3::from(middle) + offset;
+                let position = Vector3::from(centre) + offset;
                 bars.push(Marker {
                     name: format!("gate{index}_{side}"),
                     body: Obstacle {

@@ -100,11 +100,11 @@ impl Track {
         let (sin, cos) = (self.phase + self.direction * angle).sin_cos();
         let outwards = Vector3::new(cos, sin, 0.0);
         let along = self.direction * Vector3::new(-sin, cos, 0.0);
-        let middle = Vector3::new(0.0, -(4.0 * self.radius + 1.0) * drone as f64, self.height);
+        let centre = Vector3::new(0.0, -(4.0 * self.radius + 1.0) * drone as f64, self.height);
         Reference {
             velocity: along * (self.radius * rate),
             acceleration: along * (self.radius * gain) - outwards * (self.radius * rate * rate),
-            ..Reference::hover(middle + outwards * self.radius, 0.0)
+            ..Reference::hover(centre + outwards * self.radius, 0.0)
         }
     }
 

@@ -57,7 +57,8 @@ impl WaypointProgress {
         self.passed.get(drone).copied().unwrap_or(0)
     }
 
-    /// Returns true if a drone had a point left in the last control step. The reward is zero afterwards.
+    /// Returns true if a drone had a point left in the last control step. Afterwards its only reward is the penalty
+    /// for a crash.
     pub(super) fn was_flying(&self, drone: usize) -> bool {
         self.flying[drone]
     }
