@@ -313,9 +313,9 @@ impl DroneParams {
     /// Returns the allocation matrix, which maps the four rotor thrusts F (N) to `[T, τx, τy, τz]` (N and N·m, body
     /// frame).
     ///
-    /// A force F along body z at (x, y) has the torque (y·F, −x·F, 0). In the X layout this gives the paper's τx =
-    /// L/√2·(F0 + F1 − F2 − F3) and τy = L/√2·(−F0 + F1 + F2 − F3). The reaction torque of a rotor is k_m/k_f times
-    /// its thrust.
+    /// A force F along body z at (x, y) has the torque (y·F, −x·F, 0). In the X layout this gives the equations of the
+    /// paper, τx = L/√2·(F0 + F1 − F2 − F3) and τy = L/√2·(−F0 + F1 + F2 − F3). The reaction torque of a rotor is
+    /// k_m/k_f times its thrust.
     ///
     /// ```
     /// use aviary::drone::DroneModel;

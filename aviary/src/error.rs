@@ -101,8 +101,8 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
 }
 
-/// Returns a message of serde with its floating-point number in exponent form if it has more digits than a reader can
-/// use.
+/// Returns a message of serde with its floating-point number in exponent form if the number has more than 24
+/// characters.
 fn with_short_numbers(message: String) -> String {
     const BEFORE: &str = "floating point `";
     let number_text = || {

@@ -30,7 +30,7 @@ pub trait NamedEnum: Copy + Display + FromStr<Err = UnknownName> + 'static {
 pub struct UnknownName {
     /// Noun for a value in messages.
     pub noun: &'static str,
-    /// The unknown name.
+    /// Unknown name.
     pub name: String,
     /// Valid names.
     pub names: &'static [&'static str],

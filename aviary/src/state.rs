@@ -35,7 +35,7 @@ pub struct DroneState {
     /// Velocity of the centre of mass, world frame, m/s.
     #[serde(with = "crate::serial::vector")]
     pub velocity: Vector3<f64>,
-    /// Body rates, **body** frame, rad/s.
+    /// Angular velocity (body rates), **body** frame, rad/s.
     #[serde(with = "crate::serial::vector")]
     pub angular_velocity: Vector3<f64>,
 }

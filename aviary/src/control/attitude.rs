@@ -74,7 +74,7 @@ impl AttitudeGains {
 /// let mut attitude = AttitudeControl::new(&params);
 /// let leaning = attitude_from_rpy(Vector3::new(0.1, 0.0, 0.0));
 /// let rpm = attitude.control(1.0 / 48.0, &DroneState::default(), params.weight(), &leaning, &Vector3::zeros());
-/// assert!(rpm[0] > rpm[3], "the left motors push to the right");
+/// assert!(rpm[0] > rpm[3], "the left motors turn faster");
 /// ```
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AttitudeControl {

@@ -179,7 +179,7 @@ impl CollisionCone {
         Condition { pair, gradient: gradient / size, min: (min / size).min(3.0 * self.max_acceleration) }
     }
 
-    /// Minimises ½·Σ‖u − u\*‖² + ½·penalty·Σ slack² subject to the constraints, over the drones that occur in them.
+    /// Minimizes ½·Σ‖u − u\*‖² + ½·penalty·Σ slack² subject to the constraints, over the drones that occur in them.
     fn solve(&self, conditions: &[Condition], accelerations: &mut [Vector3<f64>]) -> Result<(), SafetyError> {
         const PENALTY: f64 = 1e4;
         let mut involved: Vec<usize> = conditions.iter().flat_map(|c| [c.pair.0, c.pair.1]).collect();

@@ -64,7 +64,7 @@ impl Plane {
     /// horizontal axis.
     ///
     /// # Errors
-    /// [`TrajectoryError`] for a normal of zero length.
+    /// [`TrajectoryError::Value`] for a normal of zero or infinite length.
     pub fn normal(normal: [f64; 3]) -> Result<Self, TrajectoryError> {
         let normal = Vector3::from(normal);
         let size = normal.norm();

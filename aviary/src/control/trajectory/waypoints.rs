@@ -9,7 +9,7 @@ use crate::state::wrap_angle;
 /// generation and control for quadrotors*).
 ///
 /// Between two waypoints each coordinate is a polynomial of degree seven. Velocity, acceleration and jerk are zero at
-/// both ends, and derivatives up to the sixth are continuous at the inner waypoints. These conditions minimise the
+/// both ends, and derivatives up to the sixth are continuous at the inner waypoints. These conditions minimize the
 /// integral of the squared snap. Yaw is interpolated with the same polynomials, along the shorter direction of
 /// rotation.
 ///
@@ -216,7 +216,7 @@ impl Waypoints {
         &self.times
     }
 
-    /// Solves for the velocity, acceleration and jerk at the inner waypoints that minimise the integral of the
+    /// Solves for the velocity, acceleration and jerk at the inner waypoints that minimize the integral of the
     /// squared snap.
     ///
     /// The linear system is positive definite and block tridiagonal, because each waypoint depends only on its
@@ -290,8 +290,8 @@ impl Waypoints {
     /// Maximum yaw rate for the allocation of times, rad/s.
     const MAX_YAW_RATE: f64 = std::f64::consts::PI;
 
-    /// Maximum number of segments whose times are optimised: every trial solves for all segments.
-    const MAX_OPTIMISED: usize = 24;
+    /// Maximum number of segments whose times are optimized: every trial solves for all segments.
+    const MAX_OPTIMIZED: usize = 24;
 
     /// Allocates times within the limits by coordinate descent on the duration and on the largest detour from the
     /// straight legs. An unsuitable allocation causes large overshoots.
@@ -330,7 +330,7 @@ impl Waypoints {
             }
             Ok(path)
         };
-        if (2..=Self::MAX_OPTIMISED).contains(&spans.len()) {
+        if (2..=Self::MAX_OPTIMIZED).contains(&spans.len()) {
             // a detour costs twice the time to fly it out and back
             let cost = |path: &Self| path.duration() + 4.0 * path.detour(points) / speed;
             let mut min = cost(&within(&spans, 24)?);
