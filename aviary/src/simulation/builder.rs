@@ -20,7 +20,7 @@ use crate::world::{DroneBody, Forcing, Integrator, Marker, Medium, Obstacle, Wor
 /// let builder = Simulation::builder(DroneModel::Race).num_drones(2).physics(Physics::MjcDrag);
 /// let simulation = builder.clone().sim_freq(500).ctrl_freq(100).build()?;
 /// assert_eq!((simulation.num_drones(), simulation.substeps()), (2, 5));
-/// an invalid option is an error that names it
+/// // an invalid option is an error that names it
 /// let error = builder.ctrl_freq(7).build().unwrap_err();
 /// assert!(error.to_string().contains("ctrl_freq 7 Hz"));
 /// # Ok::<(), aviary::simulation::SimulationError>(())

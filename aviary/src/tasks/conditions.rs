@@ -16,7 +16,7 @@ use crate::world::placement::CollisionCylinder;
 ///
 /// use aviary::tasks::{CrashConditions, Hover};
 ///
-/// no limit on the tilt
+/// // no limit on the tilt
 /// let crash = CrashConditions::with_max_tilt(PI);
 /// let env = Hover::builder().task(|hover| hover.crash = crash).build()?;
 /// assert!(env.task().crash.floor_contact);

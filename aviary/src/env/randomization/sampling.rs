@@ -48,7 +48,7 @@ pub struct SampledDroneParams {
 /// use aviary::env::{BodyRanges, DroneEnv, Env, Randomization};
 /// use aviary::tasks::Hover;
 ///
-/// mass factor 1.1 in every episode, all other parameters nominal
+/// // mass factor 1.1 in every episode, all other parameters nominal
 /// let body = BodyRanges { mass: [1.1, 1.1], inertia: [1.0, 1.0], arm_length: [1.0, 1.0] };
 /// let heavier = Randomization { body: Some(body), ..Randomization::NONE };
 /// let mut env = Hover::builder().randomization(heavier).build()?;
