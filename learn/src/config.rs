@@ -65,7 +65,7 @@ pub struct TrainConfig {
     pub training_starts: Vec<TrainingStart>,
     /// Additional penalty for leaving the task's bounds in training. Without it, early policies learn to leave.
     pub out_of_bounds: f32,
-    /// Rewards of fly_through and race in training; `None` for the task's. The paper's speed reward is maximised by
+    /// Rewards of fly_through and race in training; `None` for the task's. The paper's speed reward is maximized by
     /// flying away from the course. A policy never passes a waypoint if staying close to it costs less than the
     /// flight to the next one.
     pub course: Option<CourseRewards>,

@@ -5,7 +5,7 @@
 use crate::{Data, Model, ModelMut};
 
 /// # Safety
-/// `pointer` is null or points to `length` initialised elements that live for `'a`; nothing writes them during
+/// `pointer` is null or points to `length` initialized elements that live for `'a`; nothing writes them during
 /// `'a`.
 #[inline]
 unsafe fn view<'a, T>(pointer: *const T, length: usize) -> &'a [T] {

@@ -3,7 +3,7 @@ use std::fmt;
 /// Library that provides OpenGL contexts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum GlBackend {
-    /// EGL: a GPU driver, or Mesa's software rasteriser.
+    /// EGL: a GPU driver, or Mesa's software rasterizer.
     Egl,
     /// OSMesa: Mesa's off-screen software renderer.
     Osmesa,

@@ -94,7 +94,7 @@ impl Data {
         check_library()?;
         let model = model.into();
         let mut pointer = ptr::null_mut();
-        // SAFETY: reads a valid model and writes the pointer of a new mjData, initialised and zeroed.
+        // SAFETY: reads a valid model and writes the pointer of a new mjData, initialized and zeroed.
         guarded("mj_makeData", unsafe { mujoco_sys::mjshim_make_data(model.as_ptr(), &mut pointer) })?;
         let pointer = NonNull::new(pointer)
             .ok_or_else(|| Error::Raised { call: "mj_makeData", message: "no memory for the simulation".into() })?;

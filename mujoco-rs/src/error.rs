@@ -109,7 +109,7 @@ pub enum Error {
         /// Accepted values.
         expected: String,
     },
-    /// OpenGL failed after successful initialisation.
+    /// OpenGL failed after successful initialization.
     #[error("OpenGL: {message}")]
     Gl {
         /// Message of OpenGL or its driver.

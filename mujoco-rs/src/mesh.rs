@@ -55,7 +55,7 @@ pub(crate) fn height_field(rows: i64, columns: i64) -> Result<(), String> {
     Ok(())
 }
 
-/// Returns normalised OBJ text for tinyobjloader: vertices, texture coordinates, normals, faces with absolute
+/// Returns normalized OBJ text for tinyobjloader: vertices, texture coordinates, normals, faces with absolute
 /// indices and the starts of groups, one per line. Numbers are not reformatted.
 fn obj(bytes: &[u8]) -> Result<(String, f64), String> {
     let text = String::from_utf8_lossy(bytes).replace("\r\n", "\n").replace('\r', "\n");

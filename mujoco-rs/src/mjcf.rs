@@ -2,7 +2,7 @@
 //!
 //! MuJoCo's compiler trusts sizes, counts and indices in a scene and in its files: a height field of 65,536 by
 //! 65,536 points or a face with an invalid vertex index makes it access memory out of bounds. This module therefore
-//! parses the text first and passes MuJoCo a normalised copy, one element per line, so that both parsers agree on
+//! parses the text first and passes MuJoCo a normalized copy, one element per line, so that both parsers agree on
 //! its meaning.
 
 use std::collections::BTreeMap;
@@ -275,7 +275,7 @@ impl Source<'_> {
 }
 
 impl Scan {
-    /// Parses one text at a nesting depth of `around` elements, and returns the normalised text for MuJoCo.
+    /// Parses one text at a nesting depth of `around` elements, and returns the normalized text for MuJoCo.
     fn read(&mut self, xml: &str, is_main: bool, around: usize) -> Result<String, String> {
         let mut reader = Reader::from_str(xml);
         let mut clean = String::with_capacity(xml.len() + xml.len() / 8);

@@ -13,7 +13,7 @@ use crate::scene::Scene;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Quality {
     /// Samples per pixel, up to [`MAX_SAMPLES`](Self::MAX_SAMPLES); 0 disables multisampling. Clamped to the
-    /// driver's maximum (4 for Mesa's software rasteriser).
+    /// driver's maximum (4 for Mesa's software rasterizer).
     pub samples: u32,
     /// Side of the shadow map in texels, up to [`MAX_SHADOW_MAP`](Self::MAX_SHADOW_MAP) and the driver's limit for
     /// textures; 0 disables shadows.
@@ -331,7 +331,7 @@ fn make(model: &Model, quality: Quality, size: ImageSize) -> Result<Raw, Error> 
     header.vis.quality.offsamples = quality.samples.min(max_samples) as i32;
     header.vis.quality.shadowsize = quality.shadow_map as i32;
     let mut raw: Box<MaybeUninit<mujoco_sys::mjrContext>> = Box::new_uninit();
-    // SAFETY: initialises the structure, then fills it; an OpenGL context is current.
+    // SAFETY: initializes the structure, then fills it; an OpenGL context is current.
     let mut raw = unsafe {
         mujoco_sys::mjr_defaultContext(raw.as_mut_ptr());
         guarded("mjr_makeContext", mujoco_sys::mjshim_make_context(&header, raw.as_mut_ptr()))?;

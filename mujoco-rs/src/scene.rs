@@ -42,7 +42,7 @@ impl Camera {
     fn raw(&self, data: &Data) -> Result<mujoco_sys::mjvCamera, Error> {
         let model = data.model();
         let mut raw = MaybeUninit::uninit();
-        // SAFETY: initialises the structure it is given.
+        // SAFETY: initializes the structure it is given.
         let mut raw = unsafe {
             mujoco_sys::mjv_defaultCamera(raw.as_mut_ptr());
             raw.assume_init()
@@ -213,7 +213,7 @@ impl Scene {
         // twice the number of geoms: planes and meshes have one entry, but selection and frames may add some
         let room = 2 * model.ngeom() + 2 * model.nsite() + decor + 100;
         let room = i32::try_from(room).unwrap_or(i32::MAX);
-        // SAFETY: the first two calls initialise the structures; the third allocates the scene's buffers for this
+        // SAFETY: the first two calls initialize the structures; the third allocates the scene's buffers for this
         // model.
         let (raw, options) = unsafe {
             mujoco_sys::mjv_defaultScene(raw.as_mut_ptr());

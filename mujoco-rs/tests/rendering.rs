@@ -440,7 +440,7 @@ fn decoration_far_from_the_origin_is_drawn_at_its_position() {
 /// Regression: every process that linked this crate, and its children, had the variable set, even without
 /// rendering.
 #[test]
-fn the_rasteriser_starts_no_threads_and_the_environment_is_unchanged() {
+fn the_rasterizer_starts_no_threads_and_the_environment_is_unchanged() {
     const CHILD: &str = "MUJOCO_RS_TEST_THREADS";
     if let Ok(expected) = std::env::var(CHILD) {
         let before: Vec<_> = std::env::vars_os().collect();
@@ -448,18 +448,18 @@ fn the_rasteriser_starts_no_threads_and_the_environment_is_unchanged() {
         fixture.set_camera("ahead");
         fixture.rgb(SIZES[0]);
         assert_eq!(std::env::vars_os().collect::<Vec<_>>(), before);
-        let is_rasteriser = |id: &std::fs::DirEntry| {
+        let is_rasterizer = |id: &std::fs::DirEntry| {
             let name = std::fs::read_to_string(id.path().join("comm"));
             name.is_ok_and(|name| name.starts_with("llvmpipe"))
         };
-        let count = std::fs::read_dir("/proc/self/task").unwrap().flatten().filter(is_rasteriser).count();
+        let count = std::fs::read_dir("/proc/self/task").unwrap().flatten().filter(is_rasterizer).count();
         let is_software = gl_info().unwrap().device.contains("llvmpipe");
         assert_eq!(count > 0, is_software && expected == "some", "{count} threads");
         return;
     }
     for (own, expected) in [(None, "none"), (Some("0"), "none"), (Some("2"), "some")] {
         let mut command = std::process::Command::new(std::env::current_exe().unwrap());
-        command.args(["--exact", "the_rasteriser_starts_no_threads_and_the_environment_is_unchanged"]);
+        command.args(["--exact", "the_rasterizer_starts_no_threads_and_the_environment_is_unchanged"]);
         command.env_remove("LP_NUM_THREADS").env(CHILD, expected);
         if let Some(own) = own {
             command.env("LP_NUM_THREADS", own);
@@ -522,7 +522,7 @@ proptest! {
 
 /// Renders with each backend in a child process and compares the images.
 #[test]
-fn both_backends_render_the_same_within_the_rasterisers_tolerance() {
+fn both_backends_render_the_same_within_the_rasterizers_tolerance() {
     const CHILD: &str = "MUJOCO_RS_TEST_IMAGE";
     let size = SIZES[1];
     if let Some(path) = std::env::var_os(CHILD) {
@@ -540,7 +540,7 @@ fn both_backends_render_the_same_within_the_rasterisers_tolerance() {
         .filter_map(|backend| {
             let path = std::env::temp_dir().join(format!("mujoco-rs-image-{}-{backend}", std::process::id()));
             let output = std::process::Command::new(std::env::current_exe().unwrap())
-                .args(["--exact", "both_backends_render_the_same_within_the_rasterisers_tolerance", "--nocapture"])
+                .args(["--exact", "both_backends_render_the_same_within_the_rasterizers_tolerance", "--nocapture"])
                 .env(CHILD, &path)
                 .env("MUJOCO_GL", backend.name())
                 .output()

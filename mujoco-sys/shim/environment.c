@@ -35,7 +35,7 @@ void mjshim_without_rasteriser_threads(void) {
   }
   larger[count] = entry;
   larger[count + 1] = NULL;
-  // if another thread has just replaced the array, its array stays, and the rasteriser starts its threads
+  // if another thread has just replaced the array, its array stays, and the rasterizer starts its threads
   if (!__atomic_compare_exchange_n(&environ, &old, larger, 0, __ATOMIC_ACQ_REL, __ATOMIC_ACQUIRE)) {
     free(larger);
     return;

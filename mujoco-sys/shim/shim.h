@@ -76,7 +76,7 @@ int mjshim_look(const mjModel* m, mjData* d, mjvCamera* cam, mjvScene* scn);
 int mjshim_make_context(const mjModel* m, mjrContext* con);
 int mjshim_draw(mjrRect viewport, mjvScene* scn, mjrContext* con, unsigned char* rgb, float* depth);
 
-// Mesa's software rasteriser starts LP_NUM_THREADS threads when a driver starts. The first function adds
+// Mesa's software rasterizer starts LP_NUM_THREADS threads when a driver starts. The first function adds
 // `LP_NUM_THREADS=0` to the environment unless the variable is set, the second removes it again. Only one thread at
 // a time may call them; other threads may use the environment meanwhile.
 void mjshim_without_rasteriser_threads(void);

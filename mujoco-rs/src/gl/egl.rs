@@ -132,7 +132,7 @@ impl Egl {
         unsafe { (self.functions.release_thread)() };
     }
 
-    /// Creates a context. Mesa's software rasteriser works for one context of a display at a time, so that contexts
+    /// Creates a context. Mesa's software rasterizer works for one context of a display at a time, so that contexts
     /// are distributed over the displays.
     pub(super) fn context(&self) -> Result<Context, String> {
         let turn = self.next.fetch_add(1, Ordering::Relaxed) % self.displays.len();
@@ -257,7 +257,7 @@ struct Opened {
 }
 
 impl Display {
-    /// Initialises a display and creates a context on it as a test.
+    /// Initializes a display and creates a context on it as a test.
     fn open(functions: Functions, handle: Pointer, name: &str) -> Result<Opened, String> {
         if handle.is_null() {
             return Err(functions.failure("eglGetPlatformDisplayEXT"));
@@ -296,7 +296,7 @@ impl Display {
     }
 }
 
-/// Creates a context and its surface on an initialised display, with one of its configurations.
+/// Creates a context and its surface on an initialized display, with one of its configurations.
 fn context(functions: Functions, display: Pointer, config: Pointer) -> Result<Context, String> {
     // SAFETY: display and configuration come from EGL; the API is chosen per thread.
     unsafe {

@@ -1,4 +1,4 @@
-//! Synchronisation with the end of the process: exit handlers of drivers, and of the compiler inside them, destroy
+//! Synchronization with the end of the process: exit handlers of drivers, and of the compiler inside them, destroy
 //! objects that other threads may still render with.
 //!
 //! Every use of OpenGL passes this gate. Before those handlers run, the thread that ends the process waits until no

@@ -188,7 +188,7 @@ pub struct GlInfo {
 ///
 /// `MUJOCO_GL` (`egl` or `osmesa`) selects the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; if unset, each is
 /// tried in turn. While the library starts, `LP_NUM_THREADS=0` is in the environment unless the variable is set: it
-/// stops Mesa's software rasteriser from starting worker threads, which do not speed up small images.
+/// stops Mesa's software rasterizer from starting worker threads, which do not speed up small images.
 ///
 /// ```
 /// use mujoco_rs::{GlBackend, gl_info};
@@ -260,7 +260,7 @@ impl Drop for GlContext {
 fn open(names: &[&'static str], flags: i32) -> Result<(&'static str, SystemLibrary), String> {
     let mut damaged = None;
     for &name in names {
-        // SAFETY: a system library, whose initialisers are those of any program that draws.
+        // SAFETY: a system library, whose initializers are those of any program that draws.
         match unsafe { SystemLibrary::open(Some(name), flags) } {
             Ok(library) => return Ok((name, library)),
             Err(error) => {

@@ -1,5 +1,5 @@
-// Preloaded by the tests of how programs end: every destructor of thread-specific data starts 1 to 5 ms late, so that a program ends while the
-// threads that it has not joined are still in theirs.
+// Library that the exit tests preload. Every destructor of thread-specific data starts 1 to 5 ms late, so that a
+// program ends while unjoined threads still run their destructors.
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <pthread.h>
@@ -22,7 +22,7 @@ static void nap(void) {
   nanosleep(&length, NULL);
 }
 
-// a destructor gets the value and not the key, so that each slot has a function of its own
+// a destructor receives the value and not the key, so that each slot has a separate function
 #define SLOT(tens, ones)                       \
   static void slow_##tens##ones(void* value) { \
     nap();                                     \
