@@ -84,11 +84,7 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
     message = with_short_numbers(message);
     if message.starts_with("unknown ") {
-        // serde quotes the unknown name first, and then the valid names
-        let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
-        if let [name, names @ ..] = &quoted[..] {
-            message += &did_you_mean(name, names);
-        }
+        message = with_suggestion(&message);
     }
     match error.span() {
         Some(span) => {
@@ -126,6 +122,33 @@ pub fn did_you_mean(name: &str, names: &[&str]) -> String {
         .max_by(|a, b| a.0.total_cmp(&b.0))
         .map(|(_, candidate)| format!("; did you mean `{candidate}`?"))
         .unwrap_or_default()
+}
+
+/// Returns serde's message about an unknown name with a suggestion.
+///
+/// The message leaves a long list of names out if there is a suggestion, and cuts it otherwise.
+fn with_suggestion(message: &str) -> String {
+    /// Columns that the name of a short file, the line and the column leave of 120.
+    const MAX: usize = 80;
+    // serde quotes the unknown name and then every known one
+    let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
+    let [name, names @ ..] = &quoted[..] else { return message.to_string() };
+    let near = did_you_mean(name, names);
+    let wrong = message.split_once(", expected ").map_or(message, |(wrong, _)| wrong);
+    if message.chars().count() + near.len() <= MAX {
+        return format!("{message}{near}");
+    }
+    if !near.is_empty() {
+        return format!("{wrong}{near}");
+    }
+    let mut cut = format!("{wrong}, expected one of");
+    for name in names {
+        if cut.chars().count() + name.len() > MAX {
+            break;
+        }
+        cut += &format!(" `{name}`,");
+    }
+    format!("{cut} …")
 }
 
 /// Returns a number as error messages print it: in exponent form if it is below 1e-4 or at least 1e15 in magnitude.
@@ -210,6 +233,18 @@ mod tests {
         let error = read();
         assert_eq!(error.source().unwrap().to_string(), "mass is -1, expected a positive number");
         assert!(error.to_string().ends_with("airframe.toml: mass is -1, expected a positive number"), "{error}");
+    }
+
+    #[test]
+    fn lists_of_names_in_messages_are_short() {
+        let names = |count: usize| (0..count).map(|index| format!("`name{index}`")).collect::<Vec<_>>().join(", ");
+        let short = format!("unknown field `mass`, expected one of {}", names(3));
+        assert_eq!(with_suggestion(&short), short);
+        let long = with_suggestion(&format!("unknown field `mass`, expected one of {}", names(30)));
+        assert!(long.starts_with("unknown field `mass`, expected one of `name0`, `name1`,"), "{long}");
+        assert!(long.ends_with(", …") && long.chars().count() < 90, "{long}");
+        let near = with_suggestion(&format!("unknown field `nam7`, expected one of {}", names(30)));
+        assert_eq!(near, "unknown field `nam7`; did you mean `name7`?");
     }
 
     #[test]

@@ -7,25 +7,26 @@ use crate::options;
 use crate::output;
 use crate::parse::{self, NameOrFile};
 
-/// Derived numbers of an airframe, with warnings where one is implausible
+/// Print derived numbers of an airframe and warn about implausible ones
 ///
-/// A number outside its range is mostly a parameter in another unit: the parameters that it follows from are named. The exit status
-/// is 0 all the same, 2 for a file that no airframe can be read from.
+/// A number outside its range is mostly a parameter in a wrong unit: a warning names the
+/// parameters to check. The exit status is 0 with warnings, and 2 for an invalid file.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary airframe cf2x
   aviary airframe my_quad.toml
   aviary airframe my_quad.toml --json")]
 pub struct Airframe {
-    /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
+    /// Airframe: cf2x, cf2p, race or a TOML file
     #[arg(
-        value_name = "FILE",
+        value_name = "NAME",
         value_hint = ValueHint::FilePath,
         value_parser = parse::airframe(),
         hide_possible_values = true
     )]
     airframe: NameOrFile<DroneModel>,
-    /// Print JSON instead of a table
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }
@@ -44,7 +45,7 @@ impl Airframe {
                         "name": number.name,
                         "value": number.value,
                         "unit": number.unit,
-                        // infinity, which JSON does not have, is null
+                        // JSON has no infinity: it is null
                         "plausible": number.plausible,
                         "is_plausible": number.is_plausible(),
                     })
@@ -79,7 +80,7 @@ impl Airframe {
     }
 }
 
-/// The warning about an implausible number.
+/// Returns the warning about a number, if it is implausible.
 pub fn warning(number: &DerivedNumber) -> Option<String> {
     let range = number.range().filter(|_| !number.is_plausible())?;
     Some(format!("{} is {}, plausible is {range}: check {}", number.label, number.text(), number.fields))

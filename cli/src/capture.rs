@@ -7,7 +7,7 @@ use append_file::AppendFile;
 use aviary::record::{STATE_COLUMNS, picture, state_numbers};
 use aviary::vision::{CAMERA_SIZE, ImageSize, SceneRenderer, intrinsics};
 use aviary::world::World;
-use clap::Args;
+use clap::{Args, ValueHint};
 use serde_json::{Map, Value, json};
 
 use crate::failure::Failure;
@@ -16,14 +16,18 @@ use crate::output::{self, OutputDir};
 use crate::parse::{self, Variation, size};
 use crate::pilot::Pilot;
 
-/// Camera observations of a flight: colour, depth and objects of every onboard camera, with the states they belong to
+/// Write camera observations of a flight: RGB, depth, segmentation and states
 ///
-/// DIR/frames.csv has one row per frame and drone. Depth is 16-bit PNG in millimetres (0: nothing within 65.5 m),
-/// segmentation 16-bit PNG of numbers that DIR/segmentation.json names. DIR/camera.json has the intrinsics and the
-/// pose in the body. When an episode ends, the next one begins, from another start and among obstacles in another layout
-/// unless --vary says otherwise. An earlier capture in DIR is replaced. Rows are written with their images: what ends the program
-/// leaves every frame up to then.
+/// frames.csv has one row per frame and drone: the state and the names of the images. Depth
+/// images are 16-bit PNG in millimetres; 0 is no surface within 65.5 m. Segmentation images are
+/// 16-bit PNG of ids, which segmentation.json maps to objects. camera.json has the intrinsics
+/// and the pose of the camera in the body frame.
+///
+/// After the end of an episode, the next one begins with another start and another layout of
+/// the obstacles; see --vary. The command replaces an earlier capture in the directory. It
+/// writes each row with its images, so that a crash of the program loses no earlier frame.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary capture --task hover --frames 100 --out out/frames
   aviary capture --task hover --frames 1000 --every 4 --size 128x96 --out out/frames
@@ -32,22 +36,32 @@ pub struct Capture {
     #[command(flatten)]
     options: FlightOptions,
     /// Number of frames
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     frames: u64,
-    /// Directory to write
-    #[arg(long)]
+    /// Output directory
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: PathBuf,
-    /// Size of the pictures, pixels
-    #[arg(long, value_parser = size, default_value_t = CAMERA_SIZE)]
+    /// Size of the images, pixels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value_t = CAMERA_SIZE)]
     size: ImageSize,
-    /// Control steps from one frame to the next
-    #[arg(long, default_value_t = 1, allow_negative_numbers = true)]
+    /// Control steps between frames
+    #[arg(long, value_name = "N", default_value_t = 1, allow_negative_numbers = true)]
     every: u64,
-    /// What is sampled for every episode: starts (within 0.2 m, 0.1 rad and 0.5 m/s of the task's, unless --config says
-    /// otherwise; the task's own in antipodal), layouts (of obstacles placed at random), all, none
-    #[arg(long, default_value = "all", value_parser = parse::variation(), hide_possible_values = true)]
+    /// Variation between episodes: starts, layouts, all or none
+    ///
+    /// `starts` samples the initial states within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's,
+    /// or within the ranges of --config; the starts of antipodal are fixed. `layouts` samples
+    /// the positions of the obstacles.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        default_value = "all",
+        value_parser = parse::variation(),
+        hide_possible_values = true
+    )]
     vary: Variation,
-    /// Print JSON instead of a table
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }
@@ -64,7 +78,7 @@ impl Capture {
         let mut renderer = SceneRenderer::for_observations(&scene).map_err(vision_failure)?;
         let out = OutputDir::create(&self.out)?;
         self.clear(&out)?;
-        // whatever ends the program, what the numbers in the images mean is there
+        // before the first image: every image on disk can be interpreted
         out.write("camera.json", &pretty(&self.camera()))?;
         out.write("segmentation.json", &pretty(&self.objects(&renderer)))?;
         let table = self.out.join("frames.csv");
@@ -99,7 +113,7 @@ impl Capture {
                     row += &format!(",{number}");
                 }
                 row += &format!(",{}\n", files.join(","));
-                // after its images: a row never names a file that is not there
+                // after its images: a row never names a missing file
                 rows.append(row.as_bytes()).map_err(unwritten)?;
             }
             bar.inc(1);
@@ -131,7 +145,7 @@ impl Capture {
         };
         output::print(&output::table(&[
             ("frames", self.frames.to_string()),
-            ("colour images", of(images, seen.images.len() as u64)),
+            ("RGB images", of(images, seen.images.len() as u64)),
             ("episodes", of(seen.episodes, seen.distinct)),
             ("crashes", seen.crashes.to_string()),
             ("size", self.size.to_string()),
@@ -139,13 +153,13 @@ impl Capture {
         ]))
     }
 
-    /// Removes an earlier capture from the directory: its tables would describe other pictures than are there.
+    /// Removes an earlier capture from the directory, because its tables would describe other images.
     fn clear(&self, out: &OutputDir) -> Result<(), Failure> {
         out.remove(&["frames.csv", "camera.json", "segmentation.json"])?;
         for kind in ["rgb", "depth", "segmentation"] {
             for entry in std::fs::read_dir(self.out.join(kind)).into_iter().flatten().flatten() {
                 let name = entry.file_name();
-                // FRAME_DRONE.png, and nothing else that somebody may have put there
+                // only FRAME_DRONE.png: other files belong to the user
                 let ours = name.to_str().and_then(|name| name.strip_suffix(".png")).is_some_and(|name| {
                     name.split_once('_').is_some_and(|(frame, drone)| {
                         [frame, drone]
@@ -162,7 +176,7 @@ impl Capture {
         Ok(())
     }
 
-    /// Flies on to the next frame.
+    /// Advances the flight to the next frame.
     fn advance(&self, pilot: &mut Pilot, renderer: &mut SceneRenderer, seen: &mut Seen) -> Result<(), Failure> {
         for _ in 0..self.every {
             pilot.rollout.step().map_err(Failure::work)?;
@@ -180,7 +194,7 @@ impl Capture {
         Ok(())
     }
 
-    /// What the numbers in segmentation pictures stand for.
+    /// Returns the objects of the ids in segmentation images.
     fn objects(&self, renderer: &SceneRenderer) -> Value {
         let mut names = Map::new();
         names.insert("0".into(), json!({ "type": "background", "name": null, "drone": null }));
@@ -206,11 +220,11 @@ impl Capture {
             "near": World::CLIP_PLANES[0],
             "far": World::CLIP_PLANES[1],
             "depth_scale": 0.001,
-            "depth": "distance along the optical axis, in units of depth_scale metres; 0 where there is nothing within 65.535 m",
+            "depth": "distance along the optical axis, in units of depth_scale metres; 0: no surface within 65.535 m",
             // a step of the depth buffer is z^2 / near / 2^24
             "depth_resolution": "0.6 mm at 10 m, 15 mm at 50 m",
             "position_in_body": World::CAMERA_POSITION,
-            // columns: the picture's right, down and forward axes in the body frame
+            // columns: right, down and forward axis of the image in the body frame
             "rotation_in_body": [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]],
             "quaternion_in_body_wxyz": [0.5, -0.5, 0.5, -0.5],
         })
@@ -220,17 +234,17 @@ impl Capture {
 /// Counts of a capture so far.
 #[derive(Default)]
 struct Seen {
-    /// Hashes of the colour images.
+    /// Hashes of the RGB images.
     images: HashSet<u64>,
-    /// Hashes of the beginnings of all episodes: one for every image of an episode, over it and all before it.
-    beginnings: HashSet<u64>,
-    /// Hashes of the current episode's beginnings.
+    /// Hashes of the prefixes of all episodes: one per image, of this image and all earlier images of the episode.
+    prefixes: HashSet<u64>,
+    /// Hashes of the prefixes of the current episode.
     current: Vec<u64>,
-    /// Episodes that have ended.
+    /// Number of ended episodes.
     episodes: u64,
-    /// Episodes that are neither the same as an earlier one nor its beginning.
+    /// Number of ended episodes that are not a prefix of an earlier one.
     distinct: u64,
-    /// Episodes that ended in a crash.
+    /// Number of episodes that ended in a crash.
     crashes: u64,
 }
 
@@ -239,17 +253,17 @@ impl Seen {
         let mut image = DefaultHasher::new();
         rgb.hash(&mut image);
         self.images.insert(image.finish());
-        let mut beginning = DefaultHasher::new();
-        (self.current.last(), image.finish()).hash(&mut beginning);
-        state.iter().for_each(|x| x.to_bits().hash(&mut beginning));
-        self.current.push(beginning.finish());
+        let mut prefix = DefaultHasher::new();
+        (self.current.last(), image.finish()).hash(&mut prefix);
+        state.iter().for_each(|x| x.to_bits().hash(&mut prefix));
+        self.current.push(prefix.finish());
     }
 
     fn end_episode(&mut self) {
         self.episodes += 1;
         let whole = self.current.last();
-        self.distinct += u64::from(whole.is_none_or(|whole| !self.beginnings.contains(whole)));
-        self.beginnings.extend(self.current.drain(..));
+        self.distinct += u64::from(whole.is_none_or(|whole| !self.prefixes.contains(whole)));
+        self.prefixes.extend(self.current.drain(..));
     }
 }
 

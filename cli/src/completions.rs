@@ -5,7 +5,7 @@ use crate::Cli;
 use crate::failure::Failure;
 use crate::output;
 
-/// What a shell needs to complete commands, options and names, on standard output
+/// Print a shell script that completes commands, options and names
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   aviary completions bash > ~/.local/share/bash-completion/completions/aviary

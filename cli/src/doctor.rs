@@ -8,19 +8,21 @@ use serde_json::{Value, json};
 use crate::failure::Failure;
 use crate::output;
 
-/// What the program needs from this machine, and whether it is there
+/// Check the libraries that the program needs
 ///
-/// Exit status 1 if something required is missing, with the command that installs it. A library for drawing and ffmpeg, which
-/// writes videos, are reported where they are missing; drawing needs one of the two libraries, nothing else needs ffmpeg.
+/// The exit status is 1 if MuJoCo does not work or if neither OpenGL library (EGL, OSMesa) can
+/// render; the error has the command that installs the packages. ffmpeg is optional: only
+/// --video needs it.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary doctor
   MUJOCO_GL=osmesa aviary doctor")]
 pub struct Doctor {
-    /// Print JSON instead of a table
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
-    /// Draw with the library that MUJOCO_GL names and print the outcome as JSON: the process that doctor itself starts
+    /// Rendering test of the library that MUJOCO_GL names, in a process that doctor starts
     #[arg(long, hide = true)]
     probe: bool,
 }
@@ -29,9 +31,9 @@ pub struct Doctor {
 struct Check {
     name: &'static str,
     works: bool,
-    /// Version or device where it works, the reason where it does not.
+    /// Version or device; the reason if the check fails.
     detail: String,
-    /// Debian packages that bring it, where installing them is the remedy.
+    /// Debian packages that fix a failed check.
     packages: Option<String>,
 }
 
@@ -44,11 +46,11 @@ impl Check {
         json!({ "works": self.works, "detail": self.detail, "install": self.install() })
     }
 
-    /// Rows of the table: the state, and the remedy below it.
+    /// Returns the rows of the table: the state, and the fix below it.
     fn rows(&self) -> impl Iterator<Item = (&'static str, String)> {
         let state = if self.works { "works" } else { "no" };
-        let remedy = self.install().map(|command| ("", format!("to install it: {command}")));
-        std::iter::once((self.name, format!("{state} ({})", self.detail))).chain(remedy)
+        let fix = self.install().map(|command| ("", format!("fix: {command}")));
+        std::iter::once((self.name, format!("{state} ({})", self.detail))).chain(fix)
     }
 }
 
@@ -61,7 +63,7 @@ impl Doctor {
         let [major, minor, patch] = mujoco_rs::library_version();
         let version = format!("{major}.{minor}.{patch}");
         let libraries = GlBackend::ALL.map(|backend| ask(backend.name(), Some(backend)));
-        // the library that every other command uses: MUJOCO_GL and MUJOCO_EGL_DEVICE_ID count here
+        // the library of all other commands, chosen by MUJOCO_GL and MUJOCO_EGL_DEVICE_ID
         let drawing = ask("OpenGL", None);
         let ffmpeg = ffmpeg();
         let ok = checked.is_ok() && drawing.works;
@@ -89,14 +91,15 @@ impl Doctor {
         match (&drawing.works, drawing.install()) {
             (true, _) => Ok(()),
             // the reasons are in the table
-            (false, Some(command)) => Err(Failure::work(anyhow!("nothing can draw on this machine: {command}"))),
+            (false, Some(command)) => Err(Failure::work(anyhow!("no OpenGL library can render; fix: {command}"))),
             (false, None) => Err(Failure::work(anyhow!(drawing.detail))),
         }
     }
 }
 
-/// Draws with one library, or with the one that the environment chooses, in a process of its own: a process keeps the first
-/// library that works.
+/// Checks one OpenGL library, or the one that the environment chooses, in a new process.
+///
+/// A process keeps the first library that works, so that each check needs its own process.
 fn ask(name: &'static str, backend: Option<GlBackend>) -> Check {
     let tried = || {
         let program = std::env::current_exe().context("this program's own file")?;
@@ -106,8 +109,8 @@ fn ask(name: &'static str, backend: Option<GlBackend>) -> Check {
             command.env("MUJOCO_GL", backend.name());
         }
         let output = command.output()?;
-        // a driver that ends the process leaves no answer
-        serde_json::from_slice::<Value>(&output.stdout).map_err(|_| anyhow!("drawing ended with {}", output.status))
+        // there is no answer if the driver ends the process
+        serde_json::from_slice::<Value>(&output.stdout).map_err(|_| anyhow!("rendering ended with {}", output.status))
     };
     let answer = tried().unwrap_or_else(|error| json!({ "works": false, "detail": format!("{error:#}") }));
     let text = |key: &str| answer[key].as_str().map(str::to_string);
@@ -119,7 +122,7 @@ fn ask(name: &'static str, backend: Option<GlBackend>) -> Check {
     }
 }
 
-/// The answer of a process that draws.
+/// Returns the result of the rendering test as JSON.
 fn probe() -> Value {
     match draw() {
         Ok(device) => json!({ "works": true, "detail": device }),
@@ -134,7 +137,7 @@ fn probe() -> Value {
     }
 }
 
-/// The program that `--video` needs.
+/// Checks ffmpeg, which `--video` needs.
 fn ffmpeg() -> Check {
     let missing = |detail: String| Check {
         name: "ffmpeg",
@@ -154,7 +157,7 @@ fn ffmpeg() -> Check {
     }
 }
 
-/// Draws a ball and looks whether it is there.
+/// Renders a ball, checks the image, and returns the name of the device.
 fn draw() -> anyhow::Result<String> {
     let mut data = Data::new(Model::from_xml("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")?)?;
     data.kinematics()?;
@@ -165,6 +168,6 @@ fn draw() -> anyhow::Result<String> {
     let size = ImageSize { width: 9, height: 9 };
     let mut objects = vec![[0; 2]; size.pixels()];
     Renderer::new(model, Quality::FAST)?.segmentation(&mut scene, size, &mut objects)?;
-    anyhow::ensure!(objects[40][1] == 0 && objects[0][1] == -1, "it draws, but not what it was given");
+    anyhow::ensure!(objects[40][1] == 0 && objects[0][1] == -1, "the image is wrong");
     Ok(mujoco_rs::gl_info()?.device)
 }

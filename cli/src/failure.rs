@@ -1,4 +1,4 @@
-//! Exit codes and error lines, in one place.
+//! Exit status and error lines of the program.
 
 use std::error::Error as _;
 use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
@@ -9,7 +9,7 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 use crate::interrupt::Interruption;
 use crate::output;
 
-/// Why a command did not do its work.
+/// Error of a command, with its exit status.
 #[derive(Debug)]
 pub enum Failure {
     /// The command line or an input file is wrong: status 2.
@@ -19,24 +19,24 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// Something in the command line or an input file.
+    /// Creates a failure of the command line or an input file.
     pub fn input(error: impl Into<anyhow::Error>) -> Self {
         Self::Input(error.into())
     }
 
-    /// Something that happened on the way.
+    /// Creates a failure of the work.
     pub fn work(error: impl Into<anyhow::Error>) -> Self {
         Self::Work(error.into())
     }
 }
 
-/// Prints the error on one line and gives the exit status.
+/// Prints the error on one line and returns the exit status.
 pub fn report(failure: &Failure) -> ExitCode {
     let (error, status) = match failure {
         Failure::Input(error) => (error, 2),
         Failure::Work(error) => (error, error.downcast_ref().map_or(1, Interruption::status)),
     };
-    // some errors repeat what is behind them
+    // some errors repeat their source
     let mut message = String::new();
     for cause in error.chain().map(ToString::to_string) {
         if !message.contains(&cause) {
@@ -51,11 +51,11 @@ pub fn report(failure: &Failure) -> ExitCode {
 fn line(message: &str) {
     let message = message.split_whitespace().collect::<Vec<_>>().join(" ");
     use std::io::Write as _;
-    // nobody is left to tell when standard error is closed
+    // nothing can be reported if standard error is closed
     let _ = writeln!(std::io::stderr(), "error: {message}");
 }
 
-/// What clap has to say: help and version as they are, everything else on one line.
+/// Prints help and version unchanged and every error of clap on one line; returns the exit status.
 pub fn usage(error: &clap::Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => match output::print(&error.to_string()) {
@@ -67,7 +67,7 @@ pub fn usage(error: &clap::Error) -> ExitCode {
             ExitCode::from(2)
         }
         _ => {
-            if let Some(message) = wrong_number(error) {
+            if let Some(message) = wrong_value(error).or_else(|| missing_option(error)) {
                 line(&message);
                 return ExitCode::from(2);
             }
@@ -86,30 +86,73 @@ pub fn usage(error: &clap::Error) -> ExitCode {
     }
 }
 
-/// The message for an option whose value is not the number that the option takes; `None` for every other error.
-fn wrong_number(error: &clap::Error) -> Option<String> {
-    let text = |kind| match error.get(kind) {
-        Some(ContextValue::String(text)) => Some(text.as_str()),
+/// Returns a value of the command line as messages print it: with an ellipsis if it is long.
+pub fn shortened(value: &str) -> String {
+    const MAX: usize = 40;
+    match value.char_indices().nth(MAX) {
+        Some((end, _)) => format!("{}…", &value[..end]),
+        None => value.to_string(),
+    }
+}
+
+/// Returns the string of a context of an error, if it has one.
+fn context(error: &clap::Error, kind: ContextKind) -> Option<&str> {
+    match error.get(kind) {
+        Some(ContextValue::String(text)) => Some(text),
         _ => None,
-    };
-    // `--duration <DURATION>`
-    let option = text(ContextKind::InvalidArg)?.split(' ').next()?;
-    let value = text(ContextKind::InvalidValue)?;
-    let source = error.source()?;
-    let range = source.to_string();
-    let expected = if source.is::<ParseFloatError>() {
-        "a number".to_string()
-    } else if let Some(error) = source.downcast_ref::<ParseIntError>() {
-        match error.kind() {
-            // options have different limits, and the error does not name that of this one
-            IntErrorKind::PosOverflow => "a smaller whole number".into(),
-            _ => "a whole number, zero or positive".into(),
-        }
-    } else if let Some((_, range)) = range.split_once(" is not in ") {
-        let (low, high) = range.split_once("..=")?;
-        format!("a whole number from {low} to {high}")
-    } else {
+    }
+}
+
+/// Returns the message about a missing option, or about a missing choice of several.
+fn missing_option(error: &clap::Error) -> Option<String> {
+    if error.kind() != ErrorKind::MissingRequiredArgument {
         return None;
+    }
+    let Some(ContextValue::Strings(missing)) = error.get(ContextKind::InvalidArg) else { return None };
+    let names = |text: &str| -> Vec<String> {
+        // `--out <DIR>`, or `<--task <NAME>|--all|--resume <DIR>>`
+        let text = text.strip_prefix("<--").map_or(text.to_string(), |rest| format!("--{rest}"));
+        let all: Vec<_> =
+            text.split('|').filter_map(|part| part.split([' ', '>']).next()).map(str::to_string).collect();
+        // of several options, the earlier name of --png is hidden
+        let is_shown = |name: &&String| all.len() == 1 || *name != "--frames";
+        all.iter().filter(is_shown).cloned().collect()
     };
-    Some(format!("{option} is `{value}`, expected {expected}"))
+    let missing: Vec<_> = missing.iter().map(|text| names(text).join(" or ")).collect();
+    let verb = if missing.len() == 1 { "is" } else { "are" };
+    Some(format!("{} {verb} missing", missing.join(", ")))
+}
+
+/// Returns the message about an option whose value is not one that the option takes; `None` for every other error.
+fn wrong_value(error: &clap::Error) -> Option<String> {
+    // `--duration <S>`, or `<SHELL>`
+    let name = context(error, ContextKind::InvalidArg)?.split(' ').next()?;
+    let option = match name.strip_prefix('<') {
+        Some(name) => format!("the {}", name.trim_end_matches('>').to_lowercase()),
+        None => name.to_string(),
+    };
+    let value = context(error, ContextKind::InvalidValue)?;
+    let wrong = |expected: &str| Some(format!("{option} is `{}`, expected {expected}", shortened(value)));
+    if let Some(ContextValue::Strings(names)) = error.get(ContextKind::ValidValue) {
+        let names: Vec<_> = names.iter().map(String::as_str).collect();
+        return wrong(&format!("one of: {}{}", names.join(", "), aviary::did_you_mean(value, &names)));
+    }
+    let source = error.source()?;
+    if source.is::<ParseFloatError>() {
+        return wrong("a number");
+    }
+    if let Some(error) = source.downcast_ref::<ParseIntError>() {
+        return match error.kind() {
+            // the error does not have the limit of the option
+            IntErrorKind::PosOverflow => wrong("a smaller whole number"),
+            _ => wrong("a whole number, zero or positive"),
+        };
+    }
+    let message = source.to_string();
+    if let Some((_, range)) = message.split_once(" is not in ") {
+        let (low, high) = range.split_once("..=")?;
+        return wrong(&format!("a whole number from {low} to {high}"));
+    }
+    // the parsers of this program
+    message.strip_prefix("expected ").and_then(wrong)
 }

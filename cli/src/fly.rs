@@ -11,16 +11,17 @@ use aviary::record::{Flight as Samples, RecordError, Recorder, Scenario, state_n
 use clap::{Args, ValueHint};
 use serde_json::{Value, json};
 
+use crate::animation::{AnimationOptions, AnimationWriter};
 use crate::failure::Failure;
-use crate::film::{Film, FilmOptions};
 use crate::options::FlightOptions;
 use crate::output::{self, OutputDir, decimals};
 use crate::pilot::Pilot;
 
-/// Fly a task with a built-in controller and report how well
+/// Fly a task with a built-in controller and print the tracking error
 ///
-/// Exit status 1 if a drone crashes.
+/// The exit status is 1 if a drone crashes. Missing the goal is not an error.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary fly --task hover
   aviary fly --task hover --drone race --out out/hover --json
@@ -32,31 +33,36 @@ use crate::pilot::Pilot;
 pub struct Fly {
     #[command(flatten)]
     options: FlightOptions,
-    /// Directory for the flight's log (drone0.csv, one file per drone, row by row while it is flown, so that it is there whatever
-    /// ends the flight), what `aviary replay` needs to fly it again (scenario.toml), and the summary (summary.json)
-    #[arg(long, value_hint = ValueHint::DirPath)]
+    /// Directory for the log, the scenario and the summary
+    ///
+    /// The log is drone0.csv, drone1.csv, …, one file per drone. Each row is written during
+    /// the flight, so that the log survives a crash of the program. scenario.toml is the
+    /// scenario that `aviary replay` reads. summary.json is the output of --json.
+    #[arg(long, verbatim_doc_comment, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
-    /// Plot the flight over time (flight.svg, flight.png) and its path (path.svg, path.png) into the directory of --out, which
-    /// is out/fly/TASK by default then
-    #[arg(long)]
+    /// Plots of the flight over time and of its path
+    ///
+    /// The files are flight.svg, flight.png, path.svg and path.png in the directory of --out,
+    /// or in out/fly/TASK without --out.
+    #[arg(long, verbatim_doc_comment)]
     plot: bool,
     #[command(flatten)]
-    film: FilmOptions,
-    /// Print JSON instead of a table
+    animation: AnimationOptions,
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }
 
 impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
-        self.film.validate()?;
+        self.animation.validate()?;
         let mut pilot = Pilot::new(&self.options)?;
         pilot.validate(&self.options)?;
-        // all files of a directory belong to one flight: plots are written to where its log is
+        // all files of a directory belong to one flight, so that plots and log have the same directory
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
-        let kept = if self.film.wants_preview(pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
-        let film = self.film.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
+        let kept = if self.animation.wants_preview(pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
+        let animation = self.animation.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
         if let Some(out) = &out {
             out.remove(&["summary.json", SCENARIO])?;
             out.remove(&PLOTS)?;
@@ -65,12 +71,12 @@ impl Fly {
             let scenario = Scenario::of(pilot.env().simulation()).and_then(|scenario| scenario.to_toml());
             out.write(SCENARIO, scenario.map_err(Failure::work)?.as_bytes())?;
         }
-        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), film)?;
+        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), animation)?;
 
-        let mut written = self.film.files();
+        let mut written = self.animation.files();
         let summary = flight.json(pilot.env(), &self.options);
         if let Some(out) = &out {
-            // what depends on the machine's speed stays out of the file: equal seeds give equal files
+            // equal seeds give equal files only without the wall time
             let mut file = summary.clone();
             if let Some(object) = file.as_object_mut() {
                 object.remove("wall_seconds");
@@ -84,7 +90,7 @@ impl Fly {
         }
         if self.json {
             let mut summary = summary;
-            // names need not be text
+            // file names need not be UTF-8
             summary["files"] = written.iter().map(|path| path.to_string_lossy()).collect();
             output::print_json(&summary)?;
         } else {
@@ -95,15 +101,15 @@ impl Fly {
             Some(end) if end.is_crash() => {
                 let env = pilot.env();
                 let drones = env.simulation().num_drones();
-                let lost = (0..drones).find(|&drone| env.drone_end(drone).is_some_and(|end| end.is_crash()));
-                let which = lost.filter(|_| drones > 1).map_or("the drone".into(), |drone| format!("drone {drone}"));
+                let crashed = (0..drones).find(|&drone| env.drone_end(drone).is_some_and(|end| end.is_crash()));
+                let which = crashed.filter(|_| drones > 1).map_or("the drone".into(), |drone| format!("drone {drone}"));
                 Err(Failure::work(anyhow!("{which} crashed ({end}) at t = {:.3} s", flight.info.time)))
             }
             _ => Ok(()),
         }
     }
 
-    /// Draws the plots of a flight and says which files they are.
+    /// Draws the plots of a flight and returns their paths.
     fn draw(&self, to: &OutputDir, env: &dyn DroneEnv, samples: &Samples) -> Result<Vec<PathBuf>, Failure> {
         let simulation = env.simulation();
         let what = self.options.trajectory.as_ref().map_or(env.name().into(), ToString::to_string);
@@ -126,7 +132,7 @@ impl Fly {
         &self,
         pilot: &mut Pilot,
         out: Option<&OutputDir>,
-        mut film: Option<Film>,
+        mut animation: Option<AnimationWriter>,
     ) -> Result<(Flight, Option<Samples>), Failure> {
         let drones = pilot.env().simulation().num_drones();
         let recorder = out.map(|out| Recorder::create(out.path(), drones)).transpose().map_err(Failure::work)?;
@@ -138,14 +144,14 @@ impl Fly {
         let mut wall_seconds = 0.0;
         loop {
             log.note(pilot)?;
-            if let Some(film) = &mut film {
-                film.look(pilot.env().simulation(), |drone| pilot.reference(drone))?;
+            if let Some(animation) = &mut animation {
+                animation.look(pilot.env().simulation(), |drone| pilot.reference(drone))?;
             }
             let start = Instant::now();
             let step = pilot.rollout.step().map_err(Failure::work)?;
             wall_seconds += start.elapsed().as_secs_f64();
             let of_task = step.reward;
-            // along a trajectory the reward is about the trajectory, not about the target of the task
+            // a trajectory replaces the target of the task, and so its reward
             reward +=
                 if pilot.is_on_trajectory() { (0..drones).map(|drone| pilot.reward(drone)).sum() } else { of_task };
             errors.note(pilot);
@@ -158,17 +164,17 @@ impl Fly {
         }
         bar.finish_and_clear();
         log.note(pilot)?;
-        if let Some(film) = film {
-            film.finish(pilot.env().simulation(), |drone| pilot.reference(drone))?;
+        if let Some(animation) = animation {
+            animation.finish(pilot.env().simulation(), |drone| pilot.reference(drone))?;
         }
         let simulation = pilot.env().simulation();
         let mut info = pilot.env().info();
         if pilot.has_path() {
-            // the error that is reported is the distance from the path that is flown
+            // the reported error is the distance from the planned path
             info.position_error = pilot.position_error();
         }
         if pilot.is_on_trajectory() {
-            // the trajectory, not the task, says where to be
+            // a trajectory replaces the goal of the task
             info.progress = simulation.control_steps() as f64 / pilot.env().episode_steps() as f64;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }
@@ -176,7 +182,7 @@ impl Fly {
     }
 }
 
-/// What keeps a flight: files, and memory for plots.
+/// Records of a flight: files, and samples in memory for plots.
 struct Log {
     recorder: Option<Recorder>,
     samples: Option<Samples>,
@@ -196,8 +202,8 @@ impl Log {
     }
 }
 
-/// A task's measure with its unit. Counts have no decimals, and what a randomization samples is a factor on the nominal value.
-fn measure(name: &str, value: f64) -> String {
+/// Returns a metric of a task with its unit. Counts have no decimals. Sampled parameters are factors.
+fn metric(name: &str, value: f64) -> String {
     let number = decimals(value, 3);
     match name {
         "gates_passed" | "waypoints_captured" => decimals(value, 0),
@@ -210,13 +216,13 @@ fn measure(name: &str, value: f64) -> String {
     }
 }
 
-/// The file with which a flight can be flown again.
+/// Scenario file of a flight, which `aviary replay` reads.
 const SCENARIO: &str = "scenario.toml";
 
-/// The files of `--plot`.
+/// Files of `--plot`.
 const PLOTS: [&str; 4] = ["flight.svg", "flight.png", "path.svg", "path.png"];
 
-/// Position error below which a flight along a trajectory has ended where it should, m.
+/// Largest final position error of a successful flight along a trajectory, m.
 const ON_TRAJECTORY: f64 = 0.05;
 
 /// Position errors over a flight, one sample per control step and drone.
@@ -226,7 +232,7 @@ struct Errors {
     squares: f64,
     count: u64,
     peak: f64,
-    /// Times and squared errors of the last two seconds.
+    /// Times (s) and squared errors (m²) of the last 2 s.
     recent: VecDeque<(f64, f64)>,
 }
 
@@ -261,7 +267,7 @@ impl Errors {
     }
 }
 
-/// How a flight went.
+/// Result of a flight.
 #[derive(Debug)]
 struct Flight {
     controller: ControllerKind,
@@ -280,11 +286,11 @@ impl Flight {
                 json!({ "final_position": state_numbers(state)[..3], "crashed": crashed })
             })
             .collect();
-        let mut measures: serde_json::Map<_, _> =
+        let mut metrics: serde_json::Map<_, _> =
             env.info_map().into_iter().map(|(name, value)| (name.to_string(), json!(value))).collect();
-        // where a trajectory or a plan is followed, these are about it
+        // the values of the flight refer to the trajectory or the plan, those of the environment to the task
         for (name, value) in self.info.values() {
-            measures.insert(name.into(), json!(value));
+            metrics.insert(name.into(), json!(value));
         }
         json!({
             "task": env.name(),
@@ -310,7 +316,7 @@ impl Flight {
             "mean_position_error": self.errors.mean(),
             "peak_position_error": self.errors.peak,
             "progress": self.info.progress,
-            "info": measures,
+            "info": metrics,
             "drones": drones,
         })
     }
@@ -322,8 +328,8 @@ impl Flight {
             (false, Some(end)) => format!("no ({end})"),
             (false, None) => "no".to_string(),
         };
-        let mut measures: Vec<_> = Vec::new();
-        env.metrics(&mut |name, value| measures.push((name.replace('_', " "), measure(name, value))));
+        let mut metrics: Vec<_> = Vec::new();
+        env.metrics(&mut |name, value| metrics.push((name.replace('_', " "), metric(name, value))));
         let mut rows = vec![
             (
                 "task",
@@ -347,18 +353,18 @@ impl Flight {
             let numbers = if implausible == 1 { "number is" } else { "numbers are" };
             rows.push(("warning", format!("{implausible} {numbers} implausible: see `aviary airframe`")));
         }
-        rows.extend(measures.iter().map(|(name, value)| (&**name, value.clone())));
+        rows.extend(metrics.iter().map(|(name, value)| (&**name, value.clone())));
         output::table(&rows)
     }
 }
 
-/// The airframe that every drone was built with, before anything is drawn at random.
+/// Returns the nominal parameters of the drones, before randomization.
 fn nominal(env: &dyn DroneEnv) -> &DroneParams {
     &env.simulation().world().drones[0].params
 }
 
-/// Hover speed of an airframe and its share of the largest.
+/// Returns the hover speed of an airframe and its fraction of the maximum speed.
 fn hover_speed(params: &DroneParams) -> String {
     let (hover, max) = (params.hover_rpm(), params.max_rpm());
-    format!("{hover:.0} rpm, {:.0} % of the largest", 100.0 * hover / max)
+    format!("{hover:.0} rpm, {:.0} % of the maximum", 100.0 * hover / max)
 }

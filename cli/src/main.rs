@@ -1,12 +1,12 @@
 //! The command line of mujoco-drones-gym: parses, calls, prints.
 
 mod airframe;
+mod animation;
 mod bench;
 mod capture;
 mod completions;
 mod doctor;
 mod failure;
-mod film;
 mod fly;
 mod interrupt;
 mod options;
@@ -23,9 +23,9 @@ use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
-/// Quadrotors on MuJoCo.
+/// Fly, train and benchmark quadrotors on MuJoCo
 #[derive(Debug, Parser)]
-#[command(name = "aviary", version, about)]
+#[command(name = "aviary", version)]
 #[command(after_help = "Examples:
   aviary fly --task hover
   aviary fly --task race --drone race --out out/race --plot --gif out/race.gif --overlay trails
@@ -34,35 +34,25 @@ use clap::{Parser, Subcommand};
   aviary play --policy out/hover/policy.safetensors --episodes 20
   aviary bench --quick
 
-`aviary COMMAND --help` shows every option of a command.")]
+`aviary COMMAND -h` lists the options of a command, `aviary COMMAND --help` explains them.")]
 struct Cli {
     #[command(subcommand)]
     command: Command,
 }
 
+// no doc comments on the variants: they would replace the descriptions of the commands, details included
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Fly a task with a built-in controller and report how well
     Fly(fly::Fly),
-    /// Write camera observations of a flight: colour, depth, objects and states
     Capture(capture::Capture),
-    /// Draw one picture of a task's scene
     Render(render::Render),
-    /// Fly recorded motor speeds and write the states
     Replay(replay::Replay),
-    /// Train a policy, or one for every task
     Train(Box<train::Train>),
-    /// Fly a trained policy and report how well
     Play(Box<play::Play>),
-    /// Measure steps per second of the engines, one environment and many
     Bench(bench::Bench),
-    /// List the tasks
     Tasks(tasks::Tasks),
-    /// Print derived numbers of an airframe and warn where one is implausible
     Airframe(airframe::Airframe),
-    /// Check what the program needs from this machine
     Doctor(doctor::Doctor),
-    /// Print what a shell needs to complete commands and names
     Completions(completions::Completions),
 }
 

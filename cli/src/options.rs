@@ -1,4 +1,4 @@
-//! Options that several commands share, and what they stand for.
+//! Options that several commands share, and the environments that they describe.
 
 use std::path::{Path, PathBuf};
 
@@ -19,22 +19,24 @@ use clap::{Args, ValueHint};
 use crate::failure::Failure;
 use crate::parse::{self, NameOrFile, Variation};
 
-/// What a flight is flown under.
+// not a doc comment, which would replace the description of a command: wind, obstacles and randomization
 #[derive(Debug, Clone, Args)]
 pub struct ConditionOptions {
-    /// Wind: none, constant, gust, dryden, sinusoidal, combined
-    #[arg(long, value_parser = parse::named::<WindModel>(), hide_possible_values = true)]
+    /// Wind: none, constant, gust, dryden, sinusoidal or combined
+    #[arg(long, value_name = "NAME", value_parser = parse::named::<WindModel>(), hide_possible_values = true)]
     pub wind: Option<WindModel>,
-    /// Obstacles: forest, urban, indoor, random, gates
-    #[arg(long, value_parser = parse::obstacles(), hide_possible_values = true)]
+    /// Obstacles: forest, urban, indoor, random or gates
+    #[arg(long, value_name = "NAME", value_parser = parse::obstacles(), hide_possible_values = true)]
     pub obstacles: Option<ObstacleKind>,
-    /// TOML file with sections [wind], [obstacles] and [randomization]; --wind and --obstacles choose the kind in them
-    #[arg(long, value_hint = ValueHint::FilePath)]
+    /// TOML file with [wind], [obstacles] and [randomization]
+    ///
+    /// --wind sets the model in [wind], --obstacles sets the kind in [obstacles].
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub config: Option<PathBuf>,
 }
 
 impl ConditionOptions {
-    /// Wind, obstacles and randomization, obstacles where a seed has them.
+    /// Reads wind, obstacles and randomization. `seed` is that of the obstacles, unless the file sets one.
     pub fn read(&self, seed: u64) -> Result<Conditions, Failure> {
         let mut conditions =
             self.read_with(|path, choice| Conditions::from_file_with(path, choice).map_err(Failure::input))?;
@@ -44,7 +46,7 @@ impl ConditionOptions {
         Ok(conditions)
     }
 
-    /// Wind, obstacles and randomization, with a reader for the file of --config, of the kinds that --wind and --obstacles choose.
+    /// Reads wind, obstacles and randomization; `read` reads the file of --config with the kinds of the other options.
     pub fn read_with(
         &self,
         read: impl FnOnce(&Path, &ConditionChoice) -> Result<Conditions, Failure>,
@@ -58,7 +60,7 @@ impl ConditionOptions {
 }
 
 impl Variation {
-    /// Adds it to conditions that do not say otherwise.
+    /// Adds the variation to conditions; values that the conditions set stay.
     fn apply(self, conditions: &mut Conditions, task: &TaskSummary) -> Result<(), Failure> {
         let mut placed = conditions.obstacles.as_mut().filter(|obstacles| obstacles.kind != ObstacleKind::Custom);
         if let Some(obstacles) = &mut placed {
@@ -69,13 +71,13 @@ impl Variation {
             randomization.initial.get_or_insert_default();
             return Ok(());
         }
-        // of all there may be one without the other
+        // `all` varies what the task allows
         match (self.starts, self.layouts) {
             (false, true) if placed.is_none() => Err(Failure::input(anyhow!(
-                "--vary is `layouts`, but no obstacles are placed at random; expected --obstacles, or [obstacles] in --config"
+                "--vary is `layouts`, expected --obstacles or [obstacles] of a random kind in --config"
             ))),
             (true, false) => Err(Failure::input(anyhow!(
-                "--vary is `starts`, but the drones of {} start from their places on a circle; expected layouts or none",
+                "--vary is `starts`, expected layouts or none in {}, whose starts are fixed",
                 task.name
             ))),
             _ => Ok(()),
@@ -83,74 +85,122 @@ impl Variation {
     }
 }
 
-/// Which flight it is.
+// not a doc comment, which would replace the description of a command: options of a flight
 #[derive(Debug, Clone, Args)]
 pub struct FlightOptions {
     /// Task to fly; `aviary tasks` lists them
-    #[arg(long, value_parser = parse::task(), hide_possible_values = true)]
+    #[arg(long, value_name = "NAME", value_parser = parse::task(), hide_possible_values = true)]
     pub task: TaskSummary,
-    /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own
-    #[arg(long, default_value = "cf2x", value_parser = parse::airframe(), hide_possible_values = true)]
+    /// Airframe: cf2x, cf2p, race or a TOML file
+    ///
+    /// `aviary airframe` checks a file.
+    #[arg(
+        long,
+        value_name = "NAME",
+        default_value = "cf2x",
+        value_parser = parse::airframe(),
+        hide_possible_values = true
+    )]
     pub drone: NameOrFile<DroneModel>,
-    /// Physics mode, the paper's name for effects and an engine: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn; mjc by default
-    #[arg(long, value_parser = parse::named::<Physics>(), hide_possible_values = true)]
+    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
+    ///
+    /// A physics mode is the name of an engine and its aerodynamic effects in the paper. The
+    /// default is mjc.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::named::<Physics>(),
+        hide_possible_values = true
+    )]
     pub physics: Option<Physics>,
-    /// Aerodynamic effects, separated by commas: ground, drag, downwash; or none. Those of --physics by default
-    #[arg(long, value_parser = parse::effects(), hide_possible_values = true)]
+    /// Aerodynamic effects: ground, drag, downwash or none
+    ///
+    /// Names are separated by commas. The default is the effects of --physics.
+    #[arg(long, value_name = "LIST", value_parser = parse::effects(), hide_possible_values = true)]
     pub effects: Option<Effects>,
-    /// Engine: mujoco, hybrid (the same flight, many times faster), or explicit (no contacts, the engine of --physics dyn); that of
-    /// --physics by default
-    #[arg(long, value_parser = parse::named::<EngineKind>(), hide_possible_values = true)]
+    /// Engine: mujoco, hybrid or explicit
+    ///
+    /// `hybrid` computes the same flight as `mujoco` many times faster. `explicit` has no
+    /// contacts and is the engine of --physics dyn. The default is the engine of --physics.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::named::<EngineKind>(),
+        hide_possible_values = true
+    )]
     pub engine: Option<EngineKind>,
-    /// Controller: pid (the paper's), dsl (stiffer, for waypoints), geometric (stiffest); by default the task's, and geometric
-    /// for trajectories and, in place of pid, in wind
-    #[arg(long, value_parser = parse::named::<ControllerKind>(), hide_possible_values = true)]
+    /// Controller: pid, dsl or geometric
+    ///
+    /// `pid` is the paper's controller, `dsl` is stiffer and suits waypoints, `geometric` is
+    /// the stiffest. The default is the controller of the task; `geometric` replaces it with
+    /// --trajectory, and replaces `pid` in wind.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::named::<ControllerKind>(),
+        hide_possible_values = true
+    )]
     pub controller: Option<ControllerKind>,
-    /// Number of drones; the task's by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Number of drones [default: the task's]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     pub num_drones: Option<usize>,
-    /// Trajectory to follow in place of the task's own target: circle (upright, 0.3 m), lemniscate, helix, square, loop, or a TOML
-    /// file.
-    /// The flight starts at rest where it starts, and lasts as long as it does
-    #[arg(long, value_parser = parse::trajectory(), hide_possible_values = true)]
+    /// Trajectory: circle, lemniscate, helix, square, loop or a TOML file
+    ///
+    /// The trajectory replaces the target of the hover task. The flight begins at rest at the
+    /// start of the trajectory and lasts as long as the trajectory. The circle is vertical,
+    /// with a radius of 0.3 m.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::trajectory(),
+        hide_possible_values = true
+    )]
     pub trajectory: Option<NameOrFile<&'static str>>,
     #[command(flatten)]
     conditions: ConditionOptions,
-    /// Simulated seconds of an episode; the task's or the trajectory's by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Length of an episode, s [default: the task's]
+    ///
+    /// With --trajectory, the default is the length of the trajectory.
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub duration: Option<f64>,
-    /// Physics rate, Hz, a multiple of the control rate
-    #[arg(long, default_value_t = 240, allow_negative_numbers = true)]
+    /// Physics rate, Hz; a multiple of the control rate
+    #[arg(long, value_name = "HZ", default_value_t = 240, allow_negative_numbers = true)]
     pub sim_freq: u32,
     /// Control rate, Hz
-    #[arg(long, default_value_t = 48, allow_negative_numbers = true)]
+    #[arg(long, value_name = "HZ", default_value_t = 48, allow_negative_numbers = true)]
     pub ctrl_freq: u32,
-    /// Seed of everything random: equal seeds give equal files
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    /// Seed of all random numbers
+    ///
+    /// Equal seeds give equal output files.
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     pub seed: u64,
 }
 
 impl FlightOptions {
-    /// The controller's kind.
+    /// Returns the kind of controller.
     pub fn controller(&self) -> Result<ControllerKind, Failure> {
         match self.controller {
             Some(kind) => Ok(kind),
-            // a trajectory wants its derivatives followed
+            // only the geometric controller follows the derivatives of a trajectory
             None if self.trajectory.is_some() => Ok(ControllerKind::Geometric),
             None => {
                 let default = self.task.defaults.controller;
-                // the paper's PID drifts tens of centimetres in gusts, and its integral is slow to carry a steady wind
+                // the paper's PID drifts tens of centimetres in gusts, and its integral compensates steady wind slowly
                 let windy = || {
                     let conditions = self.conditions.read(self.seed)?;
-                    let drawn = conditions.randomization.is_some_and(|randomization| randomization.draws_wind());
-                    Ok(drawn || conditions.wind.is_some_and(|wind| !wind.is_calm()))
+                    let sampled = conditions.randomization.is_some_and(|randomization| randomization.draws_wind());
+                    Ok(sampled || conditions.wind.is_some_and(|wind| !wind.is_calm()))
                 };
                 Ok(if default == ControllerKind::Pid && windy()? { ControllerKind::Geometric } else { default })
             }
         }
     }
 
-    /// What to follow in place of the task's own reference.
+    /// Returns the trajectory that replaces the reference of the task, if --trajectory is set.
     pub fn trajectory(&self) -> Result<Option<Box<dyn Trajectory>>, Failure> {
         let Some(trajectory) = &self.trajectory else { return Ok(None) };
         if self.task.name != "hover" {
@@ -165,7 +215,7 @@ impl FlightOptions {
         }
     }
 
-    /// The environment they describe.
+    /// Builds the environment of these options.
     pub fn environment(
         &self,
         trajectory: Option<&dyn Trajectory>,
@@ -200,7 +250,7 @@ impl FlightOptions {
                     .with_task(Hover::default())
                     .initial_positions([start.position.into()])
                     .initial_rpys([[0.0, 0.0, start.yaw]])
-                    // a trajectory may go upside down, and as high as it likes
+                    // a trajectory may go upside down and above the height limit of hover
                     .task(|hover| (hover.crash.max_tilt, hover.max_height) = (std::f64::consts::PI, f64::INFINITY))
                     .build()
                     .map(|env| Box::new(env) as Box<dyn DroneEnv>)
@@ -213,10 +263,10 @@ impl FlightOptions {
     }
 }
 
-/// Options of the command line, by the names that they have in the library.
+/// Names of options in the library and on the command line.
 const OPTIONS: [(&str, &str); 2] = [("episode_seconds", "--duration"), ("num_drones", "--num-drones")];
 
-/// Why an environment cannot be made, with the names of the command line for those of its options that were given.
+/// Returns the failure to build an environment. It names options as the command line does, if they are given there.
 pub fn in_options(error: EnvError, is_given: impl Fn(&str) -> bool) -> Failure {
     match error {
         EnvError::Option { option: field, got, expected } => {
@@ -227,10 +277,10 @@ pub fn in_options(error: EnvError, is_given: impl Fn(&str) -> bool) -> Failure {
     }
 }
 
-/// Maximum number of drones that the built-in pilot of antipodal brings to their goals.
+/// Maximum number of drones in antipodal: among more drones, the built-in controllers stop before their goals.
 const MAX_SWAPPING: usize = 16;
 
-/// Velocities behind a safety filter, which is what the task is for.
+/// Builds the antipodal task: velocity commands behind a safety filter.
 fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn DroneEnv>, EnvError> {
     let response = match controller {
         ControllerKind::Pid => 0.9,
@@ -238,7 +288,7 @@ fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn Dr
         ControllerKind::Geometric => 10.0,
     };
     let task = Antipodal::default();
-    // a drone has somewhat left of the way to its setpoint when the filter speaks
+    // a drone does not reach its velocity setpoint at once, so that the filter needs a margin
     let filter = CollisionCone::new(1.2 * task.safety_radius);
     let env = config.with_task(task).action_type(ActionType::Vel).controller(controller).build()?;
     let drones = env.simulation().num_drones();
@@ -246,13 +296,13 @@ fn antipodal(config: EnvConfig, controller: ControllerKind) -> Result<Box<dyn Dr
         return Err(EnvError::Option {
             option: "num_drones",
             got: drones.to_string(),
-            expected: "at most 16 with the built-in pilot of antipodal, which more drones bring to a stop in the middle",
+            expected: "at most 16 with the built-in controllers of antipodal",
         });
     }
     Ok(Box::new(SafetyWrapper::new(env, filter)?.response(response)?))
 }
 
-/// The parameters of an airframe.
+/// Returns the parameters of an airframe.
 pub fn params(drone: &NameOrFile<DroneModel>) -> Result<DroneParams, Failure> {
     match drone {
         NameOrFile::Name(model) => Ok(model.params()),
@@ -260,7 +310,7 @@ pub fn params(drone: &NameOrFile<DroneModel>) -> Result<DroneParams, Failure> {
     }
 }
 
-/// A picture that cannot be drawn: the machine's fault, or that of what was asked for.
+/// Returns the failure to render an image: of the input for a scene or an environment variable, otherwise of the work.
 pub fn vision_failure(error: impl Into<EnvError>) -> Failure {
     let error = error.into();
     match &error {
@@ -295,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_about_something_else_leaves_the_obstacles_as_they_are() {
+    fn a_file_without_obstacles_keeps_the_defaults_of_the_obstacles() {
         let wind = "[wind]\nmodel = \"constant\"\n";
         for kind in ObstacleKind::ALL.into_iter().filter(|&kind| kind != ObstacleKind::Custom) {
             let alone = read(None, Some(kind), None, 7).unwrap();

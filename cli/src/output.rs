@@ -34,86 +34,86 @@ pub fn print_json(value: &serde_json::Value) -> Result<(), Failure> {
     print(&format!("{value:#}\n"))
 }
 
-/// Prints which files have been written, one per line.
+/// Prints the paths of written files, one per line.
 pub fn print_written(paths: &[PathBuf]) -> Result<(), Failure> {
     let list: String = paths.iter().map(|path| format!("wrote {}\n", path.display())).collect();
     print(&list)
 }
 
-/// A number with so many decimals, and no sign where all digits are zero.
+/// Returns a number with `count` decimals, without the sign of a zero, in exponent form above 1e15.
 pub fn decimals(x: f64, count: usize) -> String {
-    let text = format!("{x:.count$}");
+    let text = if x.abs() < 1e15 { format!("{x:.count$}") } else { format!("{x:.count$e}") };
     match text.strip_prefix('-') {
         Some(digits) if digits.bytes().all(|byte| matches!(byte, b'0' | b'.')) => digits.to_string(),
         _ => text,
     }
 }
 
-/// A table of labels and values.
+/// Returns a table of labels and values.
 pub fn table(rows: &[(&str, String)]) -> String {
     let width = rows.iter().map(|(label, _)| label.chars().count()).max().unwrap_or(0);
     rows.iter().map(|(label, value)| format!("{label:width$}  {value}\n")).collect()
 }
 
-/// Physics mode of a simulation, or its effects where the paper names no mode.
+/// Returns the physics mode of a simulation, or its effects if no mode of the paper has them.
 pub fn physics(simulation: &Simulation) -> String {
     simulation.physics().map_or_else(|| format!("effects {}", simulation.effects()), |mode| mode.to_string())
 }
 
-/// A bar on a terminal, nothing where standard error is piped.
+/// Creates a progress bar, which is visible only if standard error is a terminal.
 pub fn progress(length: u64, what: &'static str) -> ProgressBar {
     progress_with(length, "{msg} {wide_bar} {pos}/{len} {per_sec} {eta}").with_message(what)
 }
 
-/// The same in a form of its own.
-pub fn progress_with(length: u64, form: &str) -> ProgressBar {
-    let style = ProgressStyle::with_template(form).unwrap_or_else(|_| ProgressStyle::default_bar());
+/// Creates a progress bar from a template of `indicatif`.
+pub fn progress_with(length: u64, template: &str) -> ProgressBar {
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::new(length).with_style(style)
 }
 
-/// Files that have been begun, some of which may have been finished since.
+/// Returns the temporary files of this program. Some of them may be finished.
 fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
     static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
     UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Signals that end a program which does not handle them. SIGINT and SIGTERM come first: these are handled even where the
-/// program's parent ignores them.
+/// Signals that end a program without a handler. SIGINT and SIGTERM come first: the program handles these even if its
+/// parent process ignores them.
 const TERMINATING: [i32; 10] =
     [SIGINT, SIGTERM, SIGHUP, SIGQUIT, SIGUSR1, SIGUSR2, SIGALRM, SIGVTALRM, SIGPROF, SIGXCPU];
 
-/// Removes unfinished files when a signal ends the program: the exit status is 128 plus the signal's number. A normal end
-/// removes its own files.
+/// Installs handlers that remove unfinished files when a signal ends the program.
 ///
-/// A signal that the parent ignores, as `nohup` does with SIGHUP, stays ignored. A file that exceeds the size limit of
-/// the shell (`ulimit -f`) is an error of the write, as a full disk is, and not a signal.
+/// The exit status is 128 plus the number of the signal. A signal that the parent process ignores, as `nohup` does with
+/// SIGHUP, stays ignored. A file above the size limit of the shell (`ulimit -f`) is a write error, as a full disk is,
+/// and not a signal.
 pub fn clean_up_when_interrupted() {
-    // a handler that does nothing; without it the system ends the program
+    // an empty handler, because without one the system ends the program
     let _ = signal_hook::flag::register(SIGXFSZ, std::sync::Arc::default());
     let ignored = ignored_signals();
     let handled =
         TERMINATING.iter().enumerate().filter(|&(index, signal)| index < 2 || ignored >> (signal - 1) & 1 == 0);
-    // without a handler an interruption leaves a file behind, which is no reason not to work
+    // without handlers, the worst case is a temporary file that stays after an interruption
     let Ok(mut signals) = Signals::new(handled.map(|(_, signal)| signal)) else { return };
     std::thread::spawn(move || {
         if let Some(signal) = signals.forever().find(|&signal| !interrupt::is_deferred(signal)) {
             for path in unfinished().iter() {
                 let _ = fs::remove_file(path);
             }
-            // at once: an orderly exit would take OpenGL down under a thread that draws
+            // without destructors, which would close OpenGL while another thread renders
             signal_hook::low_level::exit(128 + signal);
         }
     });
 }
 
-/// Signals that are ignored, bit n − 1 for signal n, as the system reports them; none where it does not.
+/// Returns the ignored signals of this process, bit n − 1 for signal n; 0 if the system does not report them.
 fn ignored_signals() -> u64 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
 }
 
-/// A file that appears under its name when it is finished, whole, or not at all.
+/// Output file that gets its name when it is complete. An incomplete file is removed.
 #[derive(Debug)]
 pub struct OutputFile {
     file: NamedTempFile,
@@ -121,13 +121,13 @@ pub struct OutputFile {
 }
 
 impl OutputFile {
-    /// Begins a file, before any work is done for it. What is there already and is no file is left alone.
+    /// Creates the temporary file, before the work. An existing path that is not a regular file is an error.
     pub fn begin(path: &Path) -> Result<Self, Failure> {
         let target = path.canonicalize();
         if target.as_ref().is_ok_and(|target| !target.is_file()) {
             return Err(Failure::work(anyhow!("{}: it exists and is not a file", path.display())));
         }
-        // behind a link it is the file that is replaced, not the link
+        // the new file replaces the target of a link, not the link
         let path = target.as_deref().unwrap_or(path);
         let directory = match path.parent() {
             Some(parent) if !parent.as_os_str().is_empty() => parent,
@@ -135,7 +135,7 @@ impl OutputFile {
         };
         let begin = || {
             fs::create_dir_all(directory)?;
-            // the name of the temporary file in it is nobody's business
+            // without the name of the temporary file in the message
             temporary_file(directory).map_err(|error| std::io::Error::from(error.kind()))
         };
         let file = begin().with_context(|| path.display().to_string()).map_err(Failure::work)?;
@@ -143,18 +143,18 @@ impl OutputFile {
         Ok(Self { file, path: path.to_path_buf() })
     }
 
-    /// To be written through a buffer, piece by piece.
+    /// Returns a buffered writer of the file.
     pub fn into_writer(self) -> FileWriter {
         let file = BufWriter::new(self.file);
         FileWriter { file, path: self.path }
     }
 
-    /// Where it is to be.
+    /// Returns the path of the finished file.
     pub fn target(&self) -> &Path {
         &self.path
     }
 
-    /// Where it is while it is being written.
+    /// Returns the path of the temporary file.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
@@ -163,22 +163,22 @@ impl OutputFile {
     pub fn keep(self) -> Result<(), Failure> {
         let Self { file, path } = self;
         let keep = || {
-            let begun = file.path().to_path_buf();
+            let temporary = file.path().to_path_buf();
             let kept = file.persist(&path).map_err(|error| error.error).map(drop);
-            unfinished().retain(|path| *path != begun);
+            unfinished().retain(|path| *path != temporary);
             kept
         };
         keep().with_context(|| path.display().to_string()).map_err(Failure::work)
     }
 
-    /// Writes it whole.
+    /// Writes all bytes and gives the file its name.
     pub fn write(mut self, bytes: &[u8]) -> Result<(), Failure> {
         self.file.write_all(bytes).with_context(|| self.path.display().to_string()).map_err(Failure::work)?;
         self.keep()
     }
 }
 
-/// A temporary file with the permissions of any other new file: those that the umask leaves.
+/// Creates a temporary file with the permissions of the umask, as other new files have.
 fn temporary_file(directory: &Path) -> std::io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     #[cfg(unix)]
@@ -189,7 +189,7 @@ fn temporary_file(directory: &Path) -> std::io::Result<NamedTempFile> {
     builder.tempfile_in(directory)
 }
 
-/// An [`OutputFile`] that is being written.
+/// Buffered writer of an [`OutputFile`].
 #[derive(Debug)]
 pub struct FileWriter {
     file: BufWriter<NamedTempFile>,
@@ -209,7 +209,7 @@ impl FileWriter {
     }
 }
 
-/// An error about the file that is to be there, not about the temporary one.
+/// Returns a write error with the path of the finished file in place of the temporary one.
 fn of_target(path: &Path, error: &std::io::Error) -> std::io::Error {
     std::io::Error::new(error.kind(), format!("{}: {}", path.display(), error.kind()))
 }
@@ -226,12 +226,12 @@ impl Write for FileWriter {
     }
 }
 
-/// A directory for output files, made where it is missing, to which no other run writes at the same time.
+/// Directory for output files, with a lock against other runs.
 #[derive(Debug)]
 pub struct OutputDir(PathBuf);
 
 impl OutputDir {
-    /// Makes the directory, locks it, and checks that it can be written to, before any work is done.
+    /// Creates the directory if it is missing, locks it, and checks that it is writable.
     pub fn create(path: &Path) -> Result<Self, Failure> {
         if path.exists() && !path.is_dir() {
             return Err(Failure::work(anyhow!("{}: it exists and is not a directory", path.display())));
@@ -243,12 +243,12 @@ impl OutputDir {
         Ok(Self(path.to_path_buf()))
     }
 
-    /// Where it is.
+    /// Returns the path of the directory.
     pub fn path(&self) -> &Path {
         &self.0
     }
 
-    /// Removes files that an earlier run has left there: they would describe another run.
+    /// Removes files of an earlier run.
     pub fn remove(&self, names: &[&str]) -> Result<(), Failure> {
         for path in names.iter().map(|name| self.0.join(name)).filter(|path| path.is_file()) {
             fs::remove_file(&path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
@@ -256,21 +256,21 @@ impl OutputDir {
         Ok(())
     }
 
-    /// Begins a file in it.
+    /// Creates a temporary file in the directory.
     pub fn begin(&self, name: &str) -> Result<OutputFile, Failure> {
         OutputFile::begin(&self.0.join(name))
     }
 
-    /// Writes a whole file in it.
+    /// Writes a complete file in the directory.
     pub fn write(&self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
         self.begin(name)?.write(bytes)
     }
 }
 
-/// Locks a directory until the program ends: two runs that write to one directory would mix their files.
+/// Locks a directory until the end of the program, so that two runs do not mix their files.
 ///
-/// The lock is advisory and belongs to the directory itself (`flock`), so that it leaves no file behind, whatever ends the
-/// program. A second lock of the same directory by the same program succeeds.
+/// The lock is advisory and belongs to the directory (`flock`): it needs no lock file. A second lock of the same
+/// directory by the same program succeeds.
 fn lock(path: &Path) -> Result<(), Failure> {
     use std::os::unix::fs::MetadataExt as _;
     static LOCKED: Mutex<Vec<(u64, u64, File)>> = Mutex::new(Vec::new());
@@ -282,7 +282,7 @@ fn lock(path: &Path) -> Result<(), Failure> {
     let not_locked =
         |error: &std::io::Error| tracing::warn!("{}: the directory is not locked: {error}", path.display());
     let (device, inode, directory) = match open() {
-        // only what can be read can be locked, and files can be written to a directory that cannot be read
+        // a lock needs a readable directory, output files only a writable one
         Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
             not_locked(&error);
             return Ok(());
@@ -297,11 +297,11 @@ fn lock(path: &Path) -> Result<(), Failure> {
         Ok(()) => locked.push((device, inode, directory)),
         Err(TryLockError::WouldBlock) => {
             return Err(Failure::work(anyhow!(
-                "{}: another run is writing to this directory, expected one of its own for every run",
+                "{}: another run is writing to this directory, expected a directory per run",
                 path.display()
             )));
         }
-        // some network file systems have no locks, which is no reason not to work
+        // some network file systems have no locks
         Err(TryLockError::Error(error)) => not_locked(&error),
     }
     Ok(())

@@ -16,13 +16,23 @@ use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::{Arg, Command};
 
+use crate::failure::shortened;
+
+/// Longest message that fits into a line of 120 columns after `error: `.
+const MAX_MESSAGE: usize = 113;
+
+/// Command that lists the names of most options.
+const HELP: &str = "aviary COMMAND -h";
+
 /// Parser of a value by its name, which shells complete.
 #[derive(Debug, Clone)]
 pub struct Names<T> {
     names: fn() -> Vec<&'static str>,
     find: fn(&str) -> Option<T>,
-    /// The value for a file whose name ends in .toml, where a file may stand for it.
+    /// Makes the value of a file whose name ends in .toml, if the option takes files.
     file: Option<fn(PathBuf) -> T>,
+    /// Command that lists the names, if they do not fit into a message.
+    command: &'static str,
 }
 
 impl<T: Clone + Send + Sync + 'static> TypedValueParser for Names<T> {
@@ -34,11 +44,16 @@ impl<T: Clone + Send + Sync + 'static> TypedValueParser for Names<T> {
             return Ok(file(path.into()));
         }
         value.to_str().and_then(self.find).ok_or_else(|| {
-            let (name, names) = (value.to_string_lossy(), (self.names)());
-            let file = if self.file.is_some() { ", or a file whose name ends in .toml" } else { "" };
+            let (name, names) = (shortened(&value.to_string_lossy()), (self.names)());
+            let file = if self.file.is_some() { ", or a .toml file" } else { "" };
             let near = aviary::did_you_mean(&name, &names);
-            let option = option(argument);
-            refusal(format!("{option} is `{name}`, expected one of: {}{file}{near}", names.join(", ")))
+            let wrong = format!("{} is `{name}`", option(argument));
+            let message = format!("{wrong}, expected one of: {}{file}{near}", names.join(", "));
+            refusal(match message.chars().count() <= MAX_MESSAGE {
+                true => message,
+                false if near.is_empty() => format!("{wrong}, expected one of those that `{}` lists", self.command),
+                false => format!("{wrong}{near}"),
+            })
         })
     }
 
@@ -47,7 +62,7 @@ impl<T: Clone + Send + Sync + 'static> TypedValueParser for Names<T> {
     }
 }
 
-/// An option as messages name it.
+/// Returns the name of an option in messages.
 fn option(argument: Option<&Arg>) -> String {
     match argument {
         Some(argument) => argument.get_long().map_or(format!("the {}", argument.get_id()), |long| format!("--{long}")),
@@ -59,23 +74,24 @@ fn refusal(message: String) -> clap::Error {
     clap::Error::raw(ErrorKind::InvalidValue, message)
 }
 
-/// Parser of a named enum.
+/// Creates a parser of a named enum.
 pub fn named<T: NamedEnum>() -> Names<T> {
-    Names { names: || T::NAMES.to_vec(), find: |name| name.parse().ok(), file: None }
+    Names { names: || T::NAMES.to_vec(), find: |name| name.parse().ok(), file: None, command: HELP }
 }
 
-/// Parser of aerodynamic effects: names, separated by commas.
+/// Creates a parser of aerodynamic effects: names, separated by commas.
 pub fn effects() -> Names<Effects> {
     let names = || std::iter::once("none").chain(Effects::NAMES.iter().copied()).collect();
-    Names { names, find: |text| text.parse().ok(), file: None }
+    Names { names, find: |text| text.parse().ok(), file: None, command: HELP }
 }
 
-/// Parser of a task.
+/// Creates a parser of a task.
 pub fn task() -> Names<TaskSummary> {
-    Names { names: || tasks::NAMES.to_vec(), find: |name| tasks::summary(name).ok(), file: None }
+    let find = |name: &str| tasks::summary(name).ok();
+    Names { names: || tasks::NAMES.to_vec(), find, file: None, command: "aviary tasks" }
 }
 
-/// Parser of obstacles that can be asked for by name: all but a list of the user's own.
+/// Creates a parser of the kind of obstacles. It refuses `custom`, which requires a list of obstacles in a file.
 pub fn obstacles() -> Names<ObstacleKind> {
     const fn has_name(kind: ObstacleKind) -> bool {
         !matches!(kind, ObstacleKind::Custom)
@@ -84,15 +100,16 @@ pub fn obstacles() -> Names<ObstacleKind> {
         names: || ObstacleKind::ALL.into_iter().filter(|&kind| has_name(kind)).map(ObstacleKind::name).collect(),
         find: |name| name.parse().ok().filter(|&kind| has_name(kind)),
         file: None,
+        command: HELP,
     }
 }
 
-/// A value by its name, or the TOML file that describes one.
+/// Name of a value, or the TOML file that describes it.
 #[derive(Debug, Clone)]
 pub enum NameOrFile<T> {
-    /// What has the name.
+    /// Value with a name.
     Name(T),
-    /// The file.
+    /// TOML file.
     File(PathBuf),
 }
 
@@ -105,21 +122,23 @@ impl<T: fmt::Display> fmt::Display for NameOrFile<T> {
     }
 }
 
-/// Parser of an airframe.
+/// Creates a parser of an airframe.
 pub fn airframe() -> Names<NameOrFile<DroneModel>> {
     Names {
         names: || DroneModel::NAMES.to_vec(),
         find: |name| name.parse().ok().map(NameOrFile::Name),
         file: Some(NameOrFile::File),
+        command: HELP,
     }
 }
 
-/// Parser of a trajectory.
+/// Creates a parser of a trajectory.
 pub fn trajectory() -> Names<NameOrFile<&'static str>> {
     Names {
         names: || trajectory::NAMES.to_vec(),
         find: |name| trajectory::NAMES.into_iter().find(|known| *known == name).map(NameOrFile::Name),
         file: Some(NameOrFile::File),
+        command: HELP,
     }
 }
 
@@ -133,7 +152,7 @@ pub struct Variation {
 }
 
 impl Variation {
-    /// Episodes differ only in what a task or a configuration file samples.
+    /// No variation beyond that of the task and the configuration file.
     pub const NONE: Self = Self { starts: false, layouts: false };
 
     const NAMED: [(&'static str, Self); 4] = [
@@ -144,16 +163,17 @@ impl Variation {
     ];
 }
 
-/// Parser of a variation.
+/// Creates a parser of a variation.
 pub fn variation() -> Names<Variation> {
     Names {
         names: || Variation::NAMED.map(|(name, _)| name).to_vec(),
         find: |name| Variation::NAMED.into_iter().find(|(known, _)| *known == name).map(|(_, variation)| variation),
         file: None,
+        command: HELP,
     }
 }
 
-/// Parser of overlays, names with commas between them.
+/// Parser of overlays: names, separated by commas.
 #[derive(Debug, Clone)]
 pub struct OverlayNames;
 
@@ -166,7 +186,7 @@ impl TypedValueParser for OverlayNames {
     }
 }
 
-/// Width and height as `640x480`.
+/// Parses a width and a height, as in `640x480`.
 pub fn size(text: &str) -> Result<ImageSize, String> {
     let expected = || format!("expected WIDTHxHEIGHT in pixels, each from 1 to {}", ImageSize::MAX_SIDE);
     let (width, height) = text.split_once('x').ok_or_else(expected)?;

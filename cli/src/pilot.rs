@@ -1,4 +1,4 @@
-//! A task flown by a built-in controller, control step by control step.
+//! Flights of a task with built-in controllers.
 
 use anyhow::anyhow;
 use aviary::control::trajectory::Trajectory;
@@ -10,25 +10,26 @@ use nalgebra::Vector3;
 
 use crate::failure::Failure;
 use crate::options::FlightOptions;
+use crate::output::decimals;
 use crate::parse::Variation;
 
-/// A flight of the command line: episodes of a task with built-in controllers.
+/// Episodes of a task with built-in controllers, as the command line sets them.
 pub struct Pilot {
-    /// The episode under way.
+    /// Current episode.
     pub rollout: Rollout<Box<dyn DroneEnv>, ControllerPolicy>,
     kind: ControllerKind,
-    /// True if the drones follow a trajectory of the command line in place of the task's references.
+    /// True if the drones follow the trajectory of --trajectory in place of the task's references.
     on_trajectory: bool,
     seed: u64,
 }
 
 impl Pilot {
-    /// At the start of the first episode.
+    /// Creates the first episode.
     pub fn new(options: &FlightOptions) -> Result<Self, Failure> {
         Self::varied(options, Variation::NONE)
     }
 
-    /// The same with episodes that differ.
+    /// Creates the first episode of episodes that vary.
     pub fn varied(options: &FlightOptions, variation: Variation) -> Result<Self, Failure> {
         let kind = options.controller()?;
         let trajectory = options.trajectory()?;
@@ -44,15 +45,16 @@ impl Pilot {
         self.env().simulation().num_drones()
     }
 
-    /// Length of an episode, s.
+    /// Returns the length of an episode, s.
     fn episode_seconds(&self) -> f64 {
         self.env().episode_steps() as f64 * self.env().simulation().control_period()
     }
 
-    /// Returns points (world frame, m) that the drones come by in the first episode, planned and flown: it is flown once, and then
-    /// begins again with the same random numbers. For cameras that stand still.
+    /// Flies and restarts the first episode; returns points of the planned and the flown paths (world frame, m).
+    ///
+    /// The restart has the same random numbers. Cameras that stand still keep these points in the frame.
     pub fn preview(&mut self) -> Result<Vec<Vector3<f64>>, Failure> {
-        /// Seconds from point to point.
+        /// Time between points, s.
         const EVERY: f64 = 0.1;
         let mut points = self.env().extent();
         for drone in 0..self.num_drones() {
@@ -63,7 +65,7 @@ impl Pilot {
         }
         let every = ((EVERY / self.env().simulation().control_period()).round() as u64).max(1);
         loop {
-            // a flight that fails does so again when it is flown to be seen
+            // a failure occurs again in the flight itself, which reports it
             let goes_on = self.goes_on();
             let simulation = self.env().simulation();
             if !goes_on || simulation.control_steps().is_multiple_of(every) {
@@ -77,18 +79,18 @@ impl Pilot {
         Ok(points)
     }
 
-    /// Durations of the paths that drones have through the task, s.
+    /// Returns the durations of the planned paths through the task, s.
     fn path_seconds(&self) -> impl Iterator<Item = f64> {
         let planned = if self.on_trajectory { 0 } else { self.num_drones() };
         (0..planned).filter_map(|drone| self.path(drone).map(Trajectory::duration))
     }
 
-    /// Returns whether the path of some drone through the task takes longer than an episode.
+    /// Returns true if a planned path through the task takes longer than an episode.
     fn is_late(&self) -> bool {
         self.path_seconds().any(|seconds| seconds > self.episode_seconds())
     }
 
-    /// Returns the first place (world frame, m) where a drone is to be that an obstacle leaves no room for, with the drone.
+    /// Returns the first drone whose path or reference an obstacle blocks, with the position (world frame, m).
     fn obstruction(&mut self) -> Result<Option<(usize, Vector3<f64>)>, Failure> {
         if self.env().simulation().obstacles().is_empty() {
             return Ok(None);
@@ -97,7 +99,7 @@ impl Pilot {
         if found.is_some() || (0..self.num_drones()).all(|drone| self.path(drone).is_some()) {
             return Ok(found);
         }
-        // references move during the flight
+        // without a path, only the flight shows the references
         let found = loop {
             let drones = 0..self.num_drones();
             let mut places = drones.map(|drone| (drone, self.reference(drone).position));
@@ -110,15 +112,15 @@ impl Pilot {
         Ok(found)
     }
 
-    /// Returns whether an obstacle leaves a drone no room at a place (world frame, m).
+    /// Returns true if an obstacle is too close to a position (world frame, m) of a drone.
     fn is_blocked(&self, drone: usize, place: &Vector3<f64>) -> bool {
         let simulation = self.env().simulation();
-        // with room for errors of the controller
+        // with a margin for tracking errors
         let room = simulation.params(drone).collision_radius + 0.05;
         simulation.obstacles().iter().any(|obstacle| obstacle.distance(place) < room)
     }
 
-    /// The same for the paths of the drones, or the straight lines to where the task wants them now.
+    /// Returns the first obstruction of the drones' paths or, without a path, of the straight lines to the references.
     fn obstruction_of_path(&self) -> Option<(usize, Vector3<f64>)> {
         let simulation = self.env().simulation();
         (0..self.num_drones()).find_map(|drone| {
@@ -128,7 +130,6 @@ impl Pilot {
                     let ticks = (path.duration() / 0.02).ceil() as u32;
                     (0..=ticks).map(|tick| path.reference(f64::from(tick) * 0.02).position).collect()
                 }
-                // straight to where the task wants it
                 None => {
                     let path = self.env().reference(drone).position - start;
                     (0..=100).map(|i| start + path * f64::from(i) / 100.0).collect()
@@ -138,13 +139,14 @@ impl Pilot {
         })
     }
 
-    /// Refuses what the built-in pilots cannot fly, naming what they can: they plan no way around obstacles, and of many drones each
-    /// waits until its way is free.
+    /// Refuses flights in which the built-in controllers cannot succeed; the error names options that work.
+    ///
+    /// These controllers do not avoid obstacles, and in a race each drone waits until its path is free.
     pub fn validate(&mut self, options: &FlightOptions) -> Result<(), Failure> {
         let task = self.env().name();
         if let Some((drone, place)) = self.obstruction()? {
             let which = if self.num_drones() > 1 { format!("drone {drone}") } else { "the drone".into() };
-            let where_ = format!("({:.2}, {:.2}, {:.2}) m", place.x, place.y, place.z);
+            let position = [place.x, place.y, place.z].map(|x| decimals(x, 2)).join(", ");
             const SEEDS: u64 = 30;
             let free = |seed: &u64| {
                 let mut options = options.clone();
@@ -152,14 +154,12 @@ impl Pilot {
                 Self::new(&options).is_ok_and(|mut pilot| matches!(pilot.obstruction(), Ok(None)))
             };
             let other = (1..=SEEDS).map(|by| options.seed.wrapping_add(by)).find(free);
-            let remedy = match other {
-                Some(seed) => format!("--seed {seed} leaves it free"),
-                None => format!(
-                    "nor is it free with the {SEEDS} seeds that follow: give `arena` more room in a --config file"
-                ),
+            let expected = match other {
+                Some(seed) => format!("another layout: --seed {seed}"),
+                None => "a larger `arena` in [obstacles]".into(),
             };
             return Err(Failure::input(anyhow!(
-                "an obstacle is in the way of {which} at {where_}, and the built-in pilots fly around none; {remedy}"
+                "an obstacle blocks the path of {which} at ({position}) m, expected {expected}"
             )));
         }
         if self.num_drones() > 1 && self.is_late() {
@@ -167,16 +167,16 @@ impl Pilot {
             if !success {
                 let (count, seconds) = (self.num_drones(), self.episode_seconds());
                 let max = self.max_in_time(options, seconds);
+                let seconds = aviary::number(seconds);
                 return Err(Failure::input(anyhow!(
-                    "--num-drones is {count}, but the built-in pilots fly {task} with up to {max} in {seconds} s: \
-                     expected --num-drones {max}, or a longer --duration"
+                    "--num-drones is {count}, expected at most {max} for {task} in {seconds} s, or a longer --duration"
                 )));
             }
         }
         Ok(())
     }
 
-    /// Returns the largest number of drones below the present one whose paths through the task all end in time.
+    /// Returns the largest smaller number of drones whose paths through the task all end within the episode.
     fn max_in_time(&self, options: &FlightOptions, seconds: f64) -> usize {
         let in_time = |count: &usize| {
             let mut options = options.clone();
@@ -185,13 +185,13 @@ impl Pilot {
             env.reset(Some(options.seed)).ok()?;
             Some(env.plans().iter().flatten().all(|path| path.duration() <= seconds))
         };
-        // each drone begins after the one before it; with fewer drones their paths are shorter
+        // each drone starts after the previous one, so that fewer drones have shorter paths
         let early = self.path_seconds().filter(|duration| *duration <= seconds).count();
         let highest = (2 * early + 24).min(self.num_drones() - 1);
         (1..=highest).rev().find(|count| in_time(count) == Some(true)).unwrap_or(1)
     }
 
-    /// Flies the first episode, says how it ended, and begins it again with the same random numbers.
+    /// Flies the first episode, restarts it with the same random numbers, and returns its final info.
     fn fly_ahead(&mut self) -> Result<Info, Failure> {
         while self.goes_on() {}
         let info = self.env().info();
@@ -199,12 +199,12 @@ impl Pilot {
         Ok(info)
     }
 
-    /// The kind of controller.
+    /// Returns the kind of controller.
     pub fn kind(&self) -> ControllerKind {
         self.kind
     }
 
-    /// Starts the next episode, going on with the same random numbers.
+    /// Starts the next episode, with the random numbers that follow.
     pub fn restart(&mut self) -> Result<(), Failure> {
         self.begin(None)
     }
@@ -214,18 +214,19 @@ impl Pilot {
         self.rollout.restart(seed).map_err(Failure::work)
     }
 
-    /// The path that a drone is to fly, where it has one.
+    /// Returns the planned path of a drone, if it has one.
     pub fn path(&self, drone: usize) -> Option<&dyn Trajectory> {
         self.rollout.policy().trajectory(drone)
     }
 
-    /// What a drone is asked to follow now.
+    /// Returns the current reference of a drone.
     pub fn reference(&self, drone: usize) -> Reference {
         self.rollout.policy().reference(self.env(), drone)
     }
 
-    /// A drone's reward for the last control step. Along a trajectory, which replaces the target of hover, it is hover's
-    /// reward with the point that the trajectory has reached as the target.
+    /// Returns the reward of a drone for the last control step.
+    ///
+    /// With --trajectory, it is the reward of hover with the current point of the trajectory as the target.
     pub fn reward(&self, drone: usize) -> f64 {
         let (env, simulation) = (self.env(), self.env().simulation());
         match self.on_trajectory {
@@ -235,17 +236,17 @@ impl Pilot {
         }
     }
 
-    /// Returns whether the drones follow a trajectory in place of the references of the task.
+    /// Returns true if the drones follow the trajectory of --trajectory in place of the task's references.
     pub fn is_on_trajectory(&self) -> bool {
         self.on_trajectory
     }
 
-    /// Returns whether drones follow a path, through the task or along a trajectory.
+    /// Returns true if a drone follows a path, through the task or along a trajectory.
     pub fn has_path(&self) -> bool {
         (0..self.num_drones()).any(|drone| self.path(drone).is_some())
     }
 
-    /// Largest distance of a drone from where it is asked to be now, m.
+    /// Returns the largest distance of a drone from its reference, m.
     pub fn position_error(&self) -> f64 {
         let simulation = self.env().simulation();
         (0..simulation.num_drones())
@@ -253,11 +254,12 @@ impl Pilot {
             .fold(0.0, f64::max)
     }
 
-    /// Flies a control step ahead. Returns true if it succeeds and the episode goes on after it.
+    /// Makes a control step. Returns true if it succeeds and the episode continues.
     fn goes_on(&mut self) -> bool {
         self.rollout.step().is_ok() && !self.rollout.is_over()
     }
 
+    /// Returns the environment.
     pub fn env(&self) -> &dyn DroneEnv {
         &**self.rollout.env()
     }
@@ -284,9 +286,10 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize { width: 320, height: 240 };
 
-    /// Whether every drone of a flight is in the frame of every view that stands still, and how large the first one is in it, as a
-    /// share of its height.
-    fn share_of_the_frame(line: &str) -> f64 {
+    /// Asserts that every view that stands still has all drones of a flight in its frame.
+    ///
+    /// Returns the smallest size of a drone in a frame, as a fraction of the height of the frame.
+    fn fraction_of_the_frame(line: &str) -> f64 {
         let mut pilot = Pilot::new(&options(line)).unwrap();
         let points = pilot.preview().unwrap();
         let params = pilot.env().simulation().params(0).clone();
@@ -314,18 +317,18 @@ mod tests {
     }
 
     #[test]
-    fn every_drone_of_every_flight_is_in_the_frame_of_views_that_stand_still() {
-        // drones take a good part of the frame where they stay near
+    fn views_that_stand_still_have_all_drones_in_the_frame() {
+        // drones are large in the frame of a short flight
         for (line, min) in [("--task hover", 0.08), ("--task hover --obstacles forest", 0.03), ("--task track", 0.04)] {
-            let share = share_of_the_frame(line);
+            let share = fraction_of_the_frame(line);
             assert!(share > min, "{line}: {share}");
         }
         for task in aviary::tasks::NAMES {
-            let share = share_of_the_frame(&format!("--task {task} --duration 8"));
+            let share = fraction_of_the_frame(&format!("--task {task} --duration 8"));
             assert!(share > 0.005, "{task}: {share}");
         }
         for name in trajectory::NAMES {
-            let share = share_of_the_frame(&format!("--task hover --trajectory {name}"));
+            let share = fraction_of_the_frame(&format!("--task hover --trajectory {name}"));
             assert!(share > 0.01, "{name}: {share}");
         }
         let file = std::env::temp_dir().join(format!("lemniscate{}.toml", std::process::id()));
@@ -334,12 +337,12 @@ mod tests {
             "kind = \"lemniscate\"\nhalf_length = 6\nhalf_width = 3\npeak_speed = 2\ncentre = [0, 0, 1.5]\nramp = 2\n",
         )
         .unwrap();
-        share_of_the_frame(&format!("--task hover --trajectory {}", file.display()));
+        fraction_of_the_frame(&format!("--task hover --trajectory {}", file.display()));
         std::fs::remove_file(&file).unwrap();
     }
 
     #[test]
-    fn a_flight_that_was_flown_ahead_is_the_same_flight() {
+    fn a_preview_does_not_change_the_flight() {
         for line in ["--task hover --wind combined", "--task race --num-drones 2", "--task antipodal --num-drones 3"] {
             let fly = |ahead: bool| {
                 let mut pilot = Pilot::new(&options(&format!("{line} --duration 4"))).unwrap();
@@ -353,13 +356,13 @@ mod tests {
         }
     }
 
-    /// Outcome of a flight with the built-in pilots.
+    /// Outcome of a flight with built-in controllers.
     #[derive(Debug, PartialEq)]
     enum Outcome {
-        /// Refused on the command line, with these words.
+        /// Refused, with this error.
         Refused(String),
         Success,
-        /// Ended otherwise.
+        /// Flown without success.
         Failure(String),
     }
 
@@ -377,26 +380,25 @@ mod tests {
     }
 
     #[test]
-    fn races_of_many_drones_are_flown_or_refused_with_the_number_that_works() {
+    fn races_with_too_many_drones_are_refused_with_a_number_that_works() {
         for line in ["--task race --num-drones 6", "--task race --num-drones 8", "--task fly_through --num-drones 7"] {
             assert_eq!(outcome(line), Outcome::Success, "{line}");
         }
         let Outcome::Refused(error) = outcome("--task fly_through --num-drones 14") else {
             panic!("14 drones in 20 s")
         };
-        let max = error.split("expected --num-drones ").nth(1).and_then(|rest| rest.split(',').next()).unwrap();
+        let max = error.split("expected at most ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
         let max: usize = max.parse().unwrap();
         assert!(max >= 7, "{error}");
         assert_eq!(outcome(&format!("--task fly_through --num-drones {max}")), Outcome::Success, "{error}");
     }
 
-    /// Obstacles that stand in the way of a pilot that does not see them.
     #[test]
-    fn obstacles_in_the_way_are_refused_with_a_seed_that_leaves_it_free() {
+    fn obstacles_on_the_path_are_refused_with_a_seed_that_works() {
         assert_eq!(outcome("--task hover --obstacles indoor"), Outcome::Success);
-        // the gates of the race stand outside the room, whatever its layout
+        // every layout of the room has its walls between the gates of the race
         let Outcome::Refused(error) = outcome("--task race --obstacles indoor") else { panic!("through a wall") };
-        assert!(error.contains("an obstacle is in the way of the drone") && error.contains("`arena`"), "{error}");
+        assert!(error.contains("an obstacle blocks the path of the drone") && error.contains("`arena`"), "{error}");
         let refused =
             (0..20).find_map(|seed| match outcome(&format!("--task fly_through --obstacles random --seed {seed}")) {
                 Outcome::Refused(error) => Some(error),
@@ -405,7 +407,7 @@ mod tests {
                     None
                 }
             });
-        let error = refused.expect("an obstacle in the way of one of 20 flights");
+        let error = refused.expect("an obstacle on the path of one of 20 flights");
         let seed = error.split("--seed ").nth(1).and_then(|rest| rest.split(' ').next()).unwrap();
         assert_eq!(
             outcome(&format!("--task fly_through --obstacles random --seed {seed}")),
@@ -416,7 +418,7 @@ mod tests {
 
     #[test]
     #[ignore = "flies every task with 1 to 20 and 40 drones: minutes; prints a table with --nocapture"]
-    fn every_task_is_flown_with_many_drones_or_refused() {
+    fn every_task_with_many_drones_succeeds_or_is_refused() {
         let lines = aviary::tasks::NAMES.iter().flat_map(|task| {
             let counts = (1..=20).chain([40]);
             counts.flat_map(move |count| {
@@ -429,7 +431,7 @@ mod tests {
 
     #[test]
     #[ignore = "flies every task among obstacles of every kind: minutes; prints a table with --nocapture"]
-    fn every_task_is_flown_among_obstacles_or_refused() {
+    fn every_task_among_obstacles_succeeds_or_is_refused() {
         let lines = aviary::tasks::NAMES.iter().flat_map(|task| {
             let kinds = ["forest", "urban", "indoor", "random", "gates"].into_iter();
             kinds
@@ -439,16 +441,16 @@ mod tests {
         assert!(failures.is_empty(), "{failures:#?}");
     }
 
-    /// Prints a line for each flight and returns those that were neither refused nor ended as the task asks.
+    /// Prints a line for each flight and returns the flights without success that were not refused.
     #[allow(clippy::print_stdout)]
     fn failures(lines: impl Iterator<Item = String>) -> Vec<String> {
-        let told = lines.map(|line| {
+        let flights = lines.map(|line| {
             let begin = std::time::Instant::now();
             let outcome = outcome(&line);
             let text = format!("{line}: {outcome:?}");
             println!("{text} ({:.2} s)", begin.elapsed().as_secs_f64());
             (text, matches!(outcome, Outcome::Failure(_)))
         });
-        told.filter_map(|(text, failed)| failed.then_some(text)).collect()
+        flights.filter_map(|(text, failed)| failed.then_some(text)).collect()
     }
 }

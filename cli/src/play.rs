@@ -1,4 +1,4 @@
-//! Trained policies flown: how often they succeed, and how well.
+//! Flights of trained policies: success rate, rewards and errors.
 
 use std::path::PathBuf;
 
@@ -13,19 +13,21 @@ use clap::{Args, ValueHint};
 use learn::{Arena, Episode, Score, TrainConfig, TrainError};
 use serde_json::json;
 
+use crate::animation::AnimationOptions;
 use crate::failure::Failure;
-use crate::film::FilmOptions;
 use crate::options::{ConditionOptions, in_options};
 use crate::output;
 use crate::parse::{self, NameOrFile};
 
-/// Fly a trained policy and report how well
+/// Fly a trained policy and print its success rate
 ///
-/// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start (antipodal's at it) unless a configuration file says
-/// otherwise. Task, airframe, number of drones, actions and rates are those that the policy was trained with, unless options or the
-/// file change them. Physics is mjc in still air without obstacles by default; --as-trained flies what the policy was trained under.
-/// Pictures show the first episode.
+/// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start, or within the ranges
+/// of --config; the starts of antipodal are fixed. Task, airframe, number of drones, action type
+/// and rates are those of the training, unless options or --config change them. The default is
+/// still air without obstacles; --as-trained restores the conditions of the training. Animations
+/// show the first episode.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary play --policy assets/policies/hover.safetensors --episodes 20
   aviary play --policy assets/policies/race.safetensors --episodes 1 --gif out/race.gif --overlay trails
@@ -33,48 +35,63 @@ use crate::parse::{self, NameOrFile};
   aviary play --policy assets/policies/hover_randomized.safetensors --config assets/policies/hover_randomized.toml
   aviary play --policy assets/policies/hover.safetensors --wind combined --physics mjc_gnd_drag_dw --json
 
-The file of --config may be the one that `aviary train` was given: its options of the environments (drone, physics, num_drones,
-sim_freq, ctrl_freq, episode_seconds, success) and its sections count, those of the trainer do not.")]
+--config also reads a configuration file of `aviary train`: it uses the sections and the keys of the
+environments (drone, physics, num_drones, sim_freq, ctrl_freq, episode_seconds, success) and ignores
+the keys of the trainer.")]
 pub struct Play {
-    /// Policy to fly: a file that `aviary train` wrote
+    /// Policy file of `aviary train`
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     policy: PathBuf,
-    /// Episodes to fly
-    #[arg(long, default_value_t = 20, allow_negative_numbers = true)]
+    /// Number of episodes
+    #[arg(long, value_name = "N", default_value_t = 20, allow_negative_numbers = true)]
     episodes: usize,
-    /// Task to fly; the policy's by default
-    #[arg(long, value_parser = parse::task(), hide_possible_values = true)]
+    /// Task to fly [default: the policy's]
+    #[arg(long, value_name = "NAME", value_parser = parse::task(), hide_possible_values = true)]
     task: Option<TaskSummary>,
-    /// Airframe: cf2x, cf2p, race, or a TOML file with one of your own; the policy's by default
-    #[arg(long, value_parser = parse::airframe(), hide_possible_values = true)]
+    /// Airframe: cf2x, cf2p, race or a TOML file [default: the policy's]
+    #[arg(long, value_name = "NAME", value_parser = parse::airframe(), hide_possible_values = true)]
     drone: Option<NameOrFile<DroneModel>>,
-    /// Fly under the physics, wind, obstacles and randomization of the training, which the policy's file has
+    /// Physics, wind, obstacles and randomization of the training
+    ///
+    /// The policy file has these conditions.
     #[arg(long, conflicts_with_all = ["task", "physics", "wind", "obstacles", "config"])]
     as_trained: bool,
-    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn; mjc by default
-    #[arg(long, value_parser = parse::named::<Physics>(), hide_possible_values = true)]
+    /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
+    ///
+    /// A physics mode is the name of an engine and its aerodynamic effects in the paper. The
+    /// default is mjc.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::named::<Physics>(),
+        hide_possible_values = true
+    )]
     physics: Option<Physics>,
-    /// Number of drones; the policy's by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Number of drones [default: the policy's]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     num_drones: Option<usize>,
     #[command(flatten)]
     conditions: ConditionOptions,
-    /// Simulated seconds of an episode; the task's by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Length of an episode, s [default: the task's]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     duration: Option<f64>,
-    /// Seed of the first episode; the others have the next ones. Obstacles have the seed in [obstacles] of --config, or 0
-    #[arg(long, default_value_t = 0, allow_negative_numbers = true)]
+    /// Seed of the first episode
+    ///
+    /// Each further episode has the next seed. The seed of the obstacles is the key `seed` in
+    /// [obstacles] of --config; its default is 0.
+    #[arg(long, verbatim_doc_comment, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
     #[command(flatten)]
-    film: FilmOptions,
-    /// Print JSON instead of a table
+    animation: AnimationOptions,
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }
 
 impl Play {
     pub fn run(&self) -> Result<(), Failure> {
-        self.film.validate()?;
+        self.animation.validate()?;
         if self.episodes == 0 {
             return Err(Failure::input(anyhow!("--episodes is 0, expected at least 1")));
         }
@@ -83,7 +100,7 @@ impl Play {
         let mut arena = Arena::new(config.success, || config.environment()).map_err(Failure::input)?;
         let bar = output::progress(self.episodes as u64, "flying");
         let mut flown = Vec::new();
-        // in handfuls, for the bar
+        // in small groups, for the progress bar
         while flown.len() < self.episodes {
             let count = (self.episodes - flown.len()).min(64);
             let seed = self.seed.wrapping_add(flown.len() as u64);
@@ -99,7 +116,8 @@ impl Play {
         }
     }
 
-    /// What is flown: the policy's own task, airframe and rates, under what the options, the file or the policy's training say.
+    /// Returns the configuration of the episodes: task, airframe and rates of the policy, and the conditions of the
+    /// options, the file or the training.
     fn config(&self, policy: &PolicyNetwork) -> Result<TrainConfig, Failure> {
         let info = policy.info();
         let mut config =
@@ -115,8 +133,7 @@ impl Play {
         if self.as_trained {
             let Some(text) = &info.training else {
                 return Err(Failure::input(anyhow!(
-                    "{}: a policy of version {} does not say what it was trained under, expected --config with the file of its training \
-                     in place of --as-trained",
+                    "{}: version {} has no training conditions, expected --config in place of --as-trained",
                     self.policy.display(),
                     info.version
                 )));
@@ -124,13 +141,13 @@ impl Play {
             let in_file = |error: TrainError| anyhow!("{}: its training: {error}", self.policy.display());
             config.read_toml(text).map_err(in_file).map_err(Failure::input)?;
         } else {
-            // without a seed of their own, obstacles keep the layout of the training: --seed is that of the episodes
-            let said = self.conditions.read_with(|path, choice| {
+            // --seed is the seed of the episodes; the layout of the obstacles stays that of the training
+            let given = self.conditions.read_with(|path, choice| {
                 config.read_file_with(path, choice).map_err(Failure::input)?;
                 Ok(config.conditions.clone())
             })?;
-            // a randomization has been added to the task's starts already
-            (config.conditions.wind, config.conditions.obstacles) = (said.wind, said.obstacles);
+            // the configuration has the randomization already, merged with the task's starts
+            (config.conditions.wind, config.conditions.obstacles) = (given.wind, given.obstacles);
         }
         config.drone = self.drone.as_ref().map_or(config.drone, ToString::to_string);
         config.physics = self.physics.unwrap_or(config.physics);
@@ -149,34 +166,34 @@ impl Play {
         Ok(config)
     }
 
-    /// Films the first episode, if that is asked for.
+    /// Renders the animations of the first episode, if any option is set.
     fn draw(&self, policy: &PolicyNetwork, config: &TrainConfig) -> Result<(), Failure> {
-        if self.film.files().is_empty() {
+        if self.animation.files().is_empty() {
             return Ok(());
         }
         let mut env = config.environment().map_err(Failure::input)?;
         env.reset(Some(self.seed)).map_err(Failure::work)?;
         let mut kept = Vec::new();
-        if self.film.wants_preview(env.simulation()) {
-            // flown once to know where a camera is to stand
+        if self.animation.wants_preview(env.simulation()) {
+            // the first flight only positions the camera
             kept = env.extent();
             let mut note =
                 |env: &dyn DroneEnv| kept.extend(env.simulation().states().iter().map(|state| state.position));
             learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut note).map_err(flying)?;
             env.reset(Some(self.seed)).map_err(Failure::work)?;
         }
-        let mut film = self.film.begin(env.simulation(), &kept, |_| None)?;
-        let mut went_wrong = Ok(());
+        let mut animation = self.animation.begin(env.simulation(), &kept, |_| None)?;
+        let mut result = Ok(());
         let mut look = |env: &dyn DroneEnv| {
-            // the last moment is added when the film is finished
-            if let (Some(film), Ok(()), None) = (&mut film, &went_wrong, env.info().end) {
-                went_wrong = film.look(env.simulation(), |drone| env.reference(drone));
+            // `finish` adds the last frame
+            if let (Some(animation), Ok(()), None) = (&mut animation, &result, env.info().end) {
+                result = animation.look(env.simulation(), |drone| env.reference(drone));
             }
         };
         learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut look).map_err(flying)?;
-        went_wrong?;
-        match film {
-            Some(film) => film.finish(env.simulation(), |drone| env.reference(drone)),
+        result?;
+        match animation {
+            Some(animation) => animation.finish(env.simulation(), |drone| env.reference(drone)),
             None => Ok(()),
         }
     }
@@ -195,12 +212,12 @@ impl Play {
             "mean_reward": score.reward,
             "mean_progress": score.progress,
             "episodes": flown,
-            "files": self.film.files().iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
+            "files": self.animation.files().iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
         })
     }
 }
 
-/// A policy that does not fit is the fault of who asked, everything else the work's.
+/// Returns the failure of a flight: of the input if the policy does not fit the task, otherwise of the work.
 fn flying(error: TrainError) -> Failure {
     match error {
         TrainError::Policy(_) => Failure::input(error),

@@ -8,40 +8,57 @@ use clap::{Args, ValueHint};
 use nalgebra::Vector3;
 use serde_json::json;
 
+use crate::animation::is_previewed;
 use crate::failure::Failure;
-use crate::film::is_previewed;
 use crate::options::{FlightOptions, vision_failure};
 use crate::output::{self, OutputFile};
 use crate::parse::{self, size};
 use crate::pilot::Pilot;
 
-/// One picture of a task's scene as PNG
+/// Render an image of a task's scene as PNG
 ///
-/// Depth and segmentation are drawn in colours for people; `aviary capture` writes them as numbers.
+/// Depth and segmentation are rendered in colours for viewers; `aviary capture` writes their
+/// values.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary render --task hover --at 5 --out out/hover.png
   aviary render --task hover --camera fpv --kind depth --out out/depth.png")]
 pub struct Render {
     #[command(flatten)]
     options: FlightOptions,
-    /// File to write
-    #[arg(long, value_hint = ValueHint::FilePath)]
+    /// Output file (PNG)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     out: PathBuf,
-    /// Camera: track (follows the drones), fpv (on board the first one) and, with the whole flight in the frame, fixed (from
-    /// aside), front (from ahead), top (from above)
-    #[arg(long, default_value = "track", value_parser = parse::named::<View>(), hide_possible_values = true)]
+    /// Camera: track, fpv, fixed, front or top
+    ///
+    /// `track` follows the drones, `fpv` is on board the first drone. `fixed` (from the side),
+    /// `front` and `top` have the whole flight in the frame.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        default_value = "track",
+        value_parser = parse::named::<View>(),
+        hide_possible_values = true
+    )]
     camera: View,
-    /// What to show: rgb, depth, segmentation
-    #[arg(long, default_value = "rgb", value_parser = parse::named::<ImageKind>(), hide_possible_values = true)]
+    /// Kind of the image: rgb, depth or segmentation
+    #[arg(
+        long,
+        value_name = "NAME",
+        default_value = "rgb",
+        value_parser = parse::named::<ImageKind>(),
+        hide_possible_values = true
+    )]
     kind: ImageKind,
-    /// Size, pixels
-    #[arg(long, value_parser = size, default_value = "640x480")]
+    /// Size of the image, pixels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "640x480")]
     size: ImageSize,
-    /// Moment of the flight, s
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
+    /// Time of the image in the flight, s
+    #[arg(long, value_name = "S", default_value_t = 0.0, allow_negative_numbers = true)]
     at: f64,
-    /// Print JSON instead of a line
+    /// JSON output instead of a line of text
     #[arg(long)]
     json: bool,
 }
@@ -56,13 +73,13 @@ impl Render {
         if !(self.at.is_finite() && self.at >= 0.0) {
             return Err(Failure::input(anyhow!(
                 "--at is {} s, expected zero or a positive number of seconds",
-                self.at
+                aviary::number(self.at)
             )));
         }
         let mut pilot = Pilot::new(&self.options)?;
         let file = OutputFile::begin(&self.out)?;
         let kept = if is_previewed(view, pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
-        // half a step early or late is as near as a control step can be
+        // the nearest control step is at most half a step away
         let until = self.at - 0.5 * pilot.env().simulation().control_period();
         while pilot.env().simulation().time() < until {
             pilot.rollout.step().map_err(Failure::work)?;
@@ -70,10 +87,11 @@ impl Render {
             if over && pilot.env().simulation().time() < until {
                 let (time, end) = (pilot.env().info().time, pilot.env().info().end);
                 let end = end.map_or("", |end| end.name());
-                return Err(Failure::input(anyhow!("--at is {} s, but the flight ends ({end}) at {time} s", self.at)));
+                let at = aviary::number(self.at);
+                return Err(Failure::input(anyhow!("--at is {at} s, but the flight ends ({end}) at {time} s")));
             }
         }
-        file.write(&self.picture(&pilot, view, kind, &kept)?)?;
+        file.write(&self.image(&pilot, view, kind, &kept)?)?;
         if self.json {
             return output::print_json(&json!({
                 "task": pilot.env().name(),
@@ -88,7 +106,7 @@ impl Render {
         output::print_written(std::slice::from_ref(&self.out))
     }
 
-    fn picture(&self, pilot: &Pilot, view: View, kind: ImageKind, kept: &[Vector3<f64>]) -> Result<Vec<u8>, Failure> {
+    fn image(&self, pilot: &Pilot, view: View, kind: ImageKind, kept: &[Vector3<f64>]) -> Result<Vec<u8>, Failure> {
         let simulation = pilot.env().simulation();
         let renderer = match kind {
             ImageKind::Rgb => SceneRenderer::for_people(&simulation.scene()),

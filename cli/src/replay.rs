@@ -9,28 +9,38 @@ use serde_json::json;
 use crate::failure::Failure;
 use crate::output::{self, OutputFile};
 
-/// Fly recorded motor speeds, open loop, and write the states
+/// Fly recorded motor speeds in open loop and write the states
 ///
-/// The scenario is TOML: `aviary fly --out DIR` writes DIR/scenario.toml. The motor speeds are the log of a flight (DIR, or its
-/// files drone0.csv and on, or what this command wrote), or CSV with the columns drone0_rpm0,drone0_rpm1,… and one row per
-/// control step. The result has one row per control step and drone, after the step, with the columns of a log up to the motor
-/// speeds. Under its own scenario a flight is flown to the same bits.
+/// `aviary fly --out DIR` writes DIR/scenario.toml and the log. The output has one row per
+/// control step and drone, after the step, with the columns of a log up to the motor speeds.
+/// The replay of a log in its own scenario is bit-exact.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
-  aviary replay --scenario tests/reference/mjc_cf2x.toml --actions tests/reference/mjc_cf2x.actions.csv --out out/flight.csv
+  aviary replay --scenario tests/reference/mjc_cf2x.toml \\
+    --actions tests/reference/mjc_cf2x.actions.csv --out out/flight.csv
   aviary replay --scenario out/hover/scenario.toml --actions out/hover --out out/again.csv")]
 pub struct Replay {
-    /// Where and how the flight begins
-    #[arg(long, value_hint = ValueHint::FilePath)]
+    /// Scenario of the flight (TOML)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     scenario: PathBuf,
-    /// Motor speeds: the directory or the files of a flight's log, or CSV with drone0_rpm0, drone0_rpm1, … (rpm), one row a
-    /// control step
-    #[arg(long, value_hint = ValueHint::AnyPath, num_args = 1.., required = true, value_name = "PATH")]
+    /// Motor speeds: a flight's directory, its log files or a table (CSV)
+    ///
+    /// The log files are drone0.csv, drone1.csv, …, or the output of this command. A table has
+    /// the columns drone0_rpm0,drone0_rpm1,… (rpm) and one row per control step.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "PATH",
+        value_hint = ValueHint::AnyPath,
+        num_args = 1..,
+        required = true
+    )]
     actions: Vec<PathBuf>,
-    /// File to write
-    #[arg(long, value_hint = ValueHint::FilePath)]
+    /// Output file (CSV)
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     out: PathBuf,
-    /// Print JSON instead of a table
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }

@@ -4,13 +4,13 @@ use serde_json::json;
 use crate::failure::Failure;
 use crate::output;
 
-/// The tasks, with observation and action sizes, episode length and number of drones
+/// List the tasks with their observation and action sizes
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:
   aviary tasks
   aviary tasks --json")]
 pub struct Tasks {
-    /// Print JSON instead of a table
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }
@@ -38,7 +38,7 @@ impl Tasks {
         }
         let mut text = format!(
             "{:<13}{:>7}{:>13}{:>15}{:>15}  {:<11}{}\n",
-            "task", "drones", "episode (s)", "action", "observation", "controller", "what is asked"
+            "task", "drones", "episode (s)", "action", "observation", "controller", "goal"
         );
         for task in tasks {
             let drones = task.defaults.num_drones;

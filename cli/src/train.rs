@@ -1,4 +1,4 @@
-//! Policies trained, with a curve, checkpoints, and the best one kept.
+//! Training of policies: learning curve, checkpoints and the best policy.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
@@ -16,15 +16,19 @@ use crate::interrupt::{self, Interruption};
 use crate::output::{self, OutputDir};
 use crate::parse;
 
-/// Train a policy, or one for every task
+/// Train a policy with PPO
 ///
-/// DIR gets policy.safetensors (the best policy so far, at any time), checkpoint.safetensors (from which --resume continues with
-/// the same bits), curve.csv, curve.svg and curve.png. A directory that has an earlier run is refused.
+/// The output directory has policy.safetensors (the best policy so far), checkpoint.safetensors
+/// (for --resume), curve.csv, curve.svg and curve.png. The command refuses a directory with an
+/// earlier run.
 ///
-/// Ctrl-C (SIGINT), SIGTERM and SIGHUP end the run after the current iteration and print the command that continues it; a second
-/// signal ends it at once. Exit status: 1 where --until-success has no success, 128 plus the number of the signal (130, 143, 129)
-/// after a signal. Without a terminal, every evaluation prints one line on standard error, except with --json.
+/// Ctrl-C (SIGINT), SIGTERM and SIGHUP end the run after the current iteration and print the
+/// command that continues it; a second signal ends it at once. The exit status is 128 plus the
+/// number of the signal (130, 143, 129), and 1 if --until-success is not reached.
+///
+/// Each evaluation prints a line on standard error unless that is a terminal or --json is set.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(group(ArgGroup::new("what").required(true).args(["task", "all", "resume"])))]
 #[command(after_help = "Examples:
   aviary train --task hover --until-success --out out/hover
@@ -32,51 +36,73 @@ use crate::parse;
   aviary train --resume out/race --steps 60000000
   aviary train --all --steps 100000 --out out/all
 
-A configuration file says what differs from the task's defaults, which `aviary train --task hover --show` prints.")]
+`aviary train --task hover --show` prints the defaults of a task as a configuration file.")]
 pub struct Train {
     /// Task to train; `aviary tasks` lists them
-    #[arg(long, value_parser = parse::task(), hide_possible_values = true)]
+    #[arg(long, value_name = "NAME", value_parser = parse::task(), hide_possible_values = true)]
     task: Option<TaskSummary>,
-    /// A short run of every task, to see that all of it works: 100,000 steps in 256 environments unless they are said
+    /// Short run of every task, as a test of the installation
+    ///
+    /// The defaults are 100,000 steps in 256 environments per task.
     #[arg(long, conflicts_with_all = ["config", "until_success"])]
     all: bool,
-    /// Directory of an earlier run to go on with, as if it had never stopped
-    #[arg(long, value_hint = ValueHint::DirPath, conflicts_with_all = ["config", "seed", "envs", "out"])]
+    /// Directory of an earlier run to continue
+    ///
+    /// The resumed run is bit-identical to an uninterrupted run.
+    #[arg(
+        long,
+        value_name = "DIR",
+        value_hint = ValueHint::DirPath,
+        conflicts_with_all = ["config", "seed", "envs", "out"]
+    )]
     resume: Option<PathBuf>,
-    /// TOML file with what differs from the task's defaults: steps, drone, physics, …, and sections [ppo], [wind], [obstacles],
-    /// [randomization]
-    #[arg(long, value_hint = ValueHint::FilePath)]
+    /// TOML file with changes to the task's defaults
+    ///
+    /// Keys: steps, drone, physics, …; sections: [ppo], [wind], [obstacles], [randomization].
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     config: Option<PathBuf>,
-    /// Seed of everything random: equal seeds give equal policies on a machine; 0 by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Seed of all random numbers [default: 0]
+    ///
+    /// Equal seeds give equal policies on one machine.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     seed: Option<u64>,
-    /// Environment steps to make, in whole iterations of all environments; the task's by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Number of environment steps [default: the task's]
+    ///
+    /// The run rounds the number up to whole iterations of all environments.
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     steps: Option<u64>,
-    /// End as soon as every episode of an evaluation succeeds, and of another one four times as large
-    #[arg(long)]
+    /// End of the run as soon as every episode succeeds
+    ///
+    /// The run ends as soon as every episode of an evaluation and of a second evaluation with
+    /// four times as many episodes succeeds.
+    #[arg(long, verbatim_doc_comment)]
     until_success: bool,
-    /// Environments that gather experience; the task's by default
-    #[arg(long, allow_negative_numbers = true)]
+    /// Number of parallel environments [default: the task's]
+    #[arg(long, value_name = "N", allow_negative_numbers = true)]
     envs: Option<usize>,
-    /// Directory to write, one for every run; out/train/TASK by default
-    #[arg(long, value_hint = ValueHint::DirPath)]
+    /// Output directory [default: out/train/TASK]
+    #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
-    /// Print the configuration that would be trained with, as TOML, and train nothing
+    /// Configuration as TOML on standard output, without training
     #[arg(long, conflicts_with_all = ["resume", "all"])]
     show: bool,
-    /// Print JSON instead of a table, and neither notes nor evaluations on standard error
+    /// JSON output instead of a table
+    ///
+    /// With --json, standard error has neither notes nor evaluations.
     #[arg(long)]
     json: bool,
 }
 
-/// Files of a run.
+/// Policy file of a run.
 const POLICY: &str = "policy.safetensors";
+/// Checkpoint file of a run.
 const CHECKPOINT: &str = "checkpoint.safetensors";
+/// Learning curve of a run.
 const CURVE: &str = "curve.csv";
+/// All files of a run.
 const FILES: [&str; 5] = [CHECKPOINT, POLICY, CURVE, "curve.svg", "curve.png"];
 
-/// Steps and environments of a task where all are tried.
+/// Steps and environments per task of --all.
 const TRIAL: (u64, usize) = (100_000, 256);
 
 impl Train {
@@ -110,7 +136,7 @@ impl Train {
         run.verdict()
     }
 
-    /// The command that makes the same policy, with nothing in it of where files lie.
+    /// Returns the command that trains the same policy, without directories.
     fn command(&self, task: &str) -> String {
         let mut command = format!("aviary train --task {task}");
         if let Some(path) = &self.config {
@@ -130,9 +156,9 @@ impl Train {
         command
     }
 
-    /// A number that is smaller where every task is tried.
-    fn trial<T>(&self, said: Option<T>, trial: T) -> Option<T> {
-        said.or(self.all.then_some(trial))
+    /// Returns the value of an option, or the value of --all if that is set.
+    fn trial<T>(&self, given: Option<T>, trial: T) -> Option<T> {
+        given.or(self.all.then_some(trial))
     }
 
     fn config(&self, task: &str) -> Result<TrainConfig, Failure> {
@@ -177,7 +203,7 @@ impl Train {
     }
 }
 
-/// Refuses a directory that has files of an earlier run.
+/// Refuses a directory with files of an earlier run.
 fn check_new(directory: &Path) -> Result<(), Failure> {
     let Some(name) = FILES.iter().find(|name| directory.join(name).exists()) else { return Ok(()) };
     let resume =
@@ -193,7 +219,7 @@ fn say(line: &str) {
     let _ = writeln!(std::io::stderr(), "{line}");
 }
 
-/// A path as a shell reads it.
+/// Returns a path quoted for a shell.
 fn quoted(path: &Path) -> String {
     let text = path.display().to_string();
     let plain = |c: char| c.is_alphanumeric() || "_-./+=:,@%".contains(c);
@@ -209,7 +235,7 @@ struct Run {
 }
 
 impl Run {
-    /// Starts a run in a directory that has none.
+    /// Starts a run in a directory without one.
     fn begin(trainer: Trainer, out: &Path) -> Result<Self, Failure> {
         let out = OutputDir::create(out)?;
         check_new(out.path())?;
@@ -222,24 +248,24 @@ impl Run {
     /// Continues the run of a directory.
     fn resume(directory: &Path, steps: Option<u64>, until_success: bool) -> Result<Self, Failure> {
         let path = directory.join(CHECKPOINT);
-        // a directory without a checkpoint is not created
+        // only an existing directory is locked: the lock creates a missing one
         let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
         let mut trainer = Trainer::resume(&path).map_err(Failure::input)?;
         trainer.extend(steps, until_success).map_err(Failure::input)?;
         let Some(out) = locked.filter(|_| trainer.stop().is_none()) else {
             let steps = trainer.steps();
             return Err(Failure::input(anyhow!(
-                "{}: {steps} steps are made already, expected --steps with more than that",
+                "{}: the run has made {steps} steps already, expected more in --steps",
                 directory.display()
             )));
         };
         let mut run = Self { trainer, out, saved: 0 };
-        // with the steps that it has now
+        // the checkpoint has the number of steps, which may have changed
         run.save_checkpoint()?;
         Ok(run)
     }
 
-    /// Says on standard error that the run has more steps than were asked for.
+    /// Prints on standard error that the run rounds the number of steps up.
     fn note_rounded_steps(&self) {
         let (asked, iteration, steps) =
             (self.trainer.config().steps, self.trainer.steps_per_iteration(), self.total_steps());
@@ -248,13 +274,13 @@ impl Run {
         }
     }
 
-    /// Steps of the whole run, unless it ends before: what was asked for, in whole iterations.
+    /// Returns the steps of the whole run: the steps of the configuration, in whole iterations.
     fn total_steps(&self) -> u64 {
         let iteration = self.trainer.steps_per_iteration();
         self.trainer.config().steps.div_ceil(iteration).saturating_mul(iteration)
     }
 
-    /// Trains to the end. A quiet run prints no evaluations.
+    /// Trains to the end of the run. A quiet run prints no evaluations.
     fn finish(mut self, quiet: bool) -> Result<Self, Failure> {
         let total = self.total_steps();
         let bar = output::progress_with(total, "{msg} {wide_bar} {human_pos}/{human_len} {eta}");
@@ -292,14 +318,14 @@ impl Run {
         Ok(self)
     }
 
-    /// Ends a run that a signal has stopped. The checkpoint stays that of the last restart of the environments: only from there,
-    /// with the iterations since then repeated, does the run continue with the same bits.
+    /// Returns the failure of a run that a signal stopped. The checkpoint stays that of the last restart of the
+    /// environments: only a run from there, which repeats the iterations since then, is bit-identical.
     fn interrupted(&self, signal: i32) -> Failure {
         let iterations = self.trainer.curve().len() as u64;
         let (steps, saved) = (self.trainer.steps(), self.saved * self.trainer.steps_per_iteration());
         let repeated = match iterations - self.saved {
             0 => String::new(),
-            _ => format!(" (the {} steps since its last checkpoint are repeated)", steps - saved),
+            _ => format!(" and repeats {} steps", steps - saved),
         };
         let (name, resume) =
             (signal_hook::low_level::signal_name(signal).unwrap_or("a signal"), quoted(self.out.path()));
@@ -307,14 +333,14 @@ impl Run {
             Ok(()) => Failure::work(Interruption {
                 signal,
                 message: format!(
-                    "stopped by {name} after {steps} steps; `aviary train --resume {resume}` continues the run{repeated}"
+                    "stopped by {name} after {steps} steps; `aviary train --resume {resume}` continues{repeated}"
                 ),
             }),
             Err(failure) => failure,
         }
     }
 
-    /// What the bar says.
+    /// Returns the message of the progress bar.
     fn message(&self) -> String {
         let curve = self.trainer.curve();
         let (mean_return, score) = latest(curve);
@@ -382,7 +408,7 @@ impl Run {
             ("environment steps", format!("{steps}, the best policy's {}", trainer.best().info().steps)),
             ("wall time", format!("{:.1} s", clock.total.as_secs_f64())),
             ("environment steps per s", format!("{:.0}", per_second(trainer.steps_here(), &clock))),
-            ("where the time went", shares.join(", ")),
+            ("breakdown of wall time", shares.join(", ")),
             ("policy", self.out.path().join(POLICY).display().to_string()),
         ])
     }
@@ -398,7 +424,7 @@ impl Run {
     }
 }
 
-/// The latest return and share of successes.
+/// Returns the latest mean return and success rate.
 fn latest(curve: &[Point]) -> (Option<f64>, Option<f64>) {
     let mean = curve.iter().rev().find_map(|point| point.report.mean_return);
     let success = curve.iter().rev().find_map(|point| point.score.map(|score| score.success));
@@ -409,7 +435,7 @@ fn per_second(steps: u64, clock: &Clock) -> f64 {
     steps as f64 / clock.total.as_secs_f64().max(1e-9)
 }
 
-/// Shares of the time.
+/// Returns the fractions of the wall time.
 fn shares(clock: &Clock) -> [(&'static str, f64); 5] {
     let total = clock.total.as_secs_f64().max(1e-9);
     let known = [clock.simulation, clock.inference, clock.gradient, clock.evaluation];
@@ -425,10 +451,11 @@ fn shares(clock: &Clock) -> [(&'static str, f64); 5] {
     ]
 }
 
-/// The curve as CSV: nothing in it depends on the machine's speed.
+/// Returns the learning curve as CSV. No column depends on the speed of the machine.
 fn curve(points: &[Point]) -> String {
     let mut text = String::from(
-        "iteration,steps,mean_return,mean_reward,success,progress,evaluation_return,approx_kl,clip_fraction,loss,action_std,explained_variance,learning_rate\n",
+        "iteration,steps,mean_return,mean_reward,success,progress,evaluation_return,approx_kl,clip_fraction,loss,\
+         action_std,explained_variance,learning_rate\n",
     );
     let number = |x: Option<f64>| x.map_or(String::new(), |x| x.to_string());
     for point in points {
@@ -436,7 +463,8 @@ fn curve(points: &[Point]) -> String {
         let Report { mean_return, mean_reward, approx_kl, clip_fraction, loss, action_std, explained_variance } =
             report;
         text += &format!(
-            "{iteration},{steps},{},{mean_reward},{},{},{},{approx_kl},{clip_fraction},{loss},{action_std},{explained_variance},{rate}\n",
+            "{iteration},{steps},{},{mean_reward},{},{},{},{approx_kl},{clip_fraction},{loss},{action_std},\
+             {explained_variance},{rate}\n",
             number(*mean_return),
             number(score.map(|score| score.success)),
             number(score.map(|score| score.progress)),

@@ -259,7 +259,7 @@ impl PolicyNetwork {
     pub fn check(&self, env: &dyn DroneEnv) -> Result<(), PolicyError> {
         let blocks = if self.info.per_drone { env.simulation().num_drones() } else { 1 };
         let sides = |observation: usize, action: usize, kind: &str| {
-            format!("observations of size {observation} and {kind} actions of size {action}")
+            format!("{observation} observations and {action} actions ({kind})")
         };
         let own = sides(blocks * self.observation_size(), blocks * self.action_size(), &self.info.action_type);
         let (observed, acted) = (env.observation_space().vector.size(), env.action_space().size());

@@ -44,7 +44,7 @@ pub enum SimulationError {
     },
     /// Invalid physics and control rates.
     #[error(
-        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected a positive multiple of ctrl_freq up to {} Hz",
+        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected ctrl_freq > 0 and a multiple of it up to {} Hz",
         Simulation::MAX_SIM_FREQ
     )]
     Rates {
@@ -67,7 +67,7 @@ pub enum SimulationError {
     },
     /// An engine that contradicts the physics mode.
     #[error(
-        "engine is {engine} and physics {physics}, which implies {}; expected only one of the two",
+        "engine is {engine} and physics {physics}, which implies {}; expected one of them",
         engines(*physics)
     )]
     EngineOfPhysics {
@@ -78,7 +78,7 @@ pub enum SimulationError {
     },
     /// Aerodynamic effects that contradict the physics mode.
     #[error(
-        "effects is {effects} and physics {physics}, which implies {}; expected only one of the two",
+        "effects is {effects} and physics {physics}, which implies {}; expected one of them",
         physics.effects()
     )]
     EffectsOfPhysics {

@@ -1,4 +1,4 @@
-//! Measuring by turns with MuJoCo alone.
+//! Measurements that alternate with bare MuJoCo steps.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use nalgebra::Vector3;
 use super::Bench;
 use crate::failure::Failure;
 
-/// MuJoCo alone: one drone of the lean scene, a wrench written every step.
+/// Bare MuJoCo: one drone in the lean scene, with a wrench written before every step.
 pub(super) struct Bare {
     data: Data,
     thrust: f64,
@@ -27,11 +27,11 @@ impl Bare {
         Ok(Self { data: Data::new(Model::from_xml(&scene)?)?, thrust, height })
     }
 
-    /// Rate of so many steps.
+    /// Measures the rate of a number of steps, 1/s.
     pub(super) fn rate(&mut self, steps: usize) -> Result<f64, EnvError> {
         self.data.qpos_mut()[2] = self.height;
         self.data.qvel_mut().fill(0.0);
-        // turning a little: MuJoCo is quicker with a body that does not
+        // a small angular velocity, because MuJoCo is faster without rotation
         self.data.qvel_mut()[3..6].copy_from_slice(&[0.02, 0.01, 0.03]);
         let start = Instant::now();
         for _ in 0..steps {
@@ -42,7 +42,7 @@ impl Bare {
     }
 }
 
-/// Measures things by turns with MuJoCo alone.
+/// Measures rates; bare MuJoCo steps before and after each measurement give the ratio.
 pub(super) struct Meter {
     bare: Bare,
     rates: Vec<f64>,
@@ -51,7 +51,7 @@ pub(super) struct Meter {
     pub(super) seed: u64,
 }
 
-/// What a measurement gave: calls per second, and the median over the rounds of that over MuJoCo's own rate.
+/// Result of a measurement: medians over the rounds of the calls per second, and of their ratio to bare MuJoCo steps.
 pub(super) struct Measured {
     pub(super) rate: f64,
     pub(super) over_bare: f64,
@@ -68,7 +68,7 @@ impl Meter {
         median(&mut self.rates)
     }
 
-    /// Calls `work`, which says how long it took, over and over.
+    /// Calls `work` repeatedly; it returns the time to count.
     pub(super) fn measure(
         &mut self,
         mut work: impl FnMut() -> Result<Duration, EnvError>,

@@ -1,4 +1,4 @@
-//! What the engines and batches do in a second, beside MuJoCo alone in the same run.
+//! Steps per second of the engines and of batches, with their ratio to bare MuJoCo steps in the same run.
 
 mod meter;
 mod policy;
@@ -29,26 +29,28 @@ use self::policy::{LinearPolicy, place};
 use crate::failure::Failure;
 use crate::output;
 
-/// Measure steps per second of the engines, of single environments and of batches
+/// Measure steps per second of engines, environments and batches
 ///
-/// Everything is measured by turns with bare `mj_step`s of MuJoCo: the ratio to them is what can be compared between machines
-/// and runs.
+/// Each measurement alternates with bare mj_step calls of MuJoCo. The ratio to them is
+/// comparable between machines and runs; absolute rates are not.
 ///
-/// Batches of hover climb slowly under noise that all motors share, and begin anew when their episode is over; single environments and
-/// swarms are flown by a linear policy with noise. Neither's time is counted. The row of random actions gets uniform ones, with which
-/// most episodes end on the floor after a few steps.
+/// Batches of hover climb slowly under noise that all motors share, and restart at the end of an
+/// episode. A linear policy with noise flies single environments and swarms. The time to compute
+/// actions does not count. In the row of random actions, most episodes end on the floor after a
+/// few steps.
 #[derive(Debug, Args)]
+#[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary bench
   aviary bench --quick --json")]
 pub struct Bench {
-    /// Fewer rows and shorter ones: done within 30 s
+    /// Fewer and shorter measurements, within 30 s
     #[arg(long)]
     quick: bool,
-    /// Seed of the actions' noise
-    #[arg(long, default_value_t = 0)]
+    /// Seed of the noise of the actions
+    #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// Print JSON instead of a table
+    /// JSON output instead of a table
     #[arg(long)]
     json: bool,
 }
@@ -65,10 +67,10 @@ struct Row {
     env_steps_per_second: f64,
     physics_steps_per_second: f64,
     ratio: f64,
-    /// Of the thing that a row is about beside the bare `mj_step`: one with the same contacts, or nothing.
-    ratio_to_own: Option<f64>,
+    /// Ratio to bare `mj_step` calls with the same contacts, for the row of resting drones.
+    ratio_in_contact: Option<f64>,
     bytes_per_environment: usize,
-    /// What the process grew by when it was made, where that can be told.
+    /// Growth of the process for one environment, bytes; large batches only.
     resident_bytes: Option<usize>,
     frames_per_second: Option<f64>,
 }
@@ -93,12 +95,12 @@ impl Bench {
         let _ = writeln!(
             text,
             "{:<44}{:>8}{:>8}{:>14}{:>15}{:>10}{:>10}",
-            "what", "drones", "threads", "env steps/s", "physics/s", "ratio", "bytes/env"
+            "measurement", "drones", "threads", "env steps/s", "physics/s", "ratio", "bytes/env"
         );
         for row in &rows {
             row.print(&mut text);
         }
-        text += "\nratio: physics steps of a drone over bare mj_steps of one drone: the median of measurements by turns, each over its neighbours\n";
+        text += "\nratio: physics steps of all drones per bare mj_step, median of alternating measurements\n";
         output::print(&text)
     }
 
@@ -148,7 +150,7 @@ impl Bench {
             rows.push(swarm(meter, 12, 64, 1)?);
         }
         for &threads in threads {
-            // a machine without OpenGL has no pictures
+            // without OpenGL there is no row of cameras
             if let Ok(row) = cameras(meter, threads) {
                 rows.push(row);
             }
@@ -175,8 +177,8 @@ impl Row {
         if let Some(bytes) = self.resident_bytes {
             value["resident_bytes_per_environment"] = json!(bytes);
         }
-        if let Some(own) = self.ratio_to_own {
-            value["ratio_to_mj_step_in_contact"] = json!(own);
+        if let Some(ratio) = self.ratio_in_contact {
+            value["ratio_to_mj_step_in_contact"] = json!(ratio);
         }
         if let Some(frames) = self.frames_per_second {
             value["frames_per_second"] = json!(frames);
@@ -187,15 +189,15 @@ impl Row {
     fn print(&self, text: &mut String) {
         let bytes = self.bytes_per_environment;
         let bytes = if bytes == 0 { "-".to_string() } else { bytes.to_string() };
-        // the kernel knows no environments
+        // the kernel has no environments
         let steps = if self.task.is_empty() { "-".into() } else { format!("{:.0}", self.env_steps_per_second) };
         let _ = write!(
             text,
             "{:<44}{:>8}{:>8}{:>14}{:>15.0}{:>10.2}{:>10}",
             self.name, self.drones, self.threads, steps, self.physics_steps_per_second, self.ratio, bytes
         );
-        if let Some(own) = self.ratio_to_own {
-            let _ = write!(text, "  ({own:.2} of mj_step with the same contacts)");
+        if let Some(ratio) = self.ratio_in_contact {
+            let _ = write!(text, "  ({ratio:.2} of mj_step with the same contacts)");
         }
         if let Some(frames) = self.frames_per_second {
             let _ = write!(text, "  ({frames:.0} frames/s)");
@@ -214,13 +216,13 @@ fn machine() -> String {
     model.unwrap_or(std::env::consts::ARCH).to_string()
 }
 
-/// Bytes of this process in memory.
+/// Returns the resident memory of this process, bytes.
 fn resident() -> usize {
     let statm = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
     statm.split_whitespace().nth(1).and_then(|pages| pages.parse::<usize>().ok()).unwrap_or(0) * 4096
 }
 
-/// The flight kernel by itself, in every width that the machine has.
+/// Measures the flight kernel in every instruction set of the machine.
 fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
     let params = DroneModel::Cf2x.params();
     let hover = params.hover_rpm();
@@ -278,7 +280,7 @@ fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 env_steps_per_second: 0.0,
                 physics_steps_per_second: measured.rate * steps,
                 ratio: measured.over_bare * steps,
-                ratio_to_own: None,
+                ratio_in_contact: None,
                 bytes_per_environment: 0,
                 resident_bytes: None,
                 frames_per_second: None,
@@ -287,7 +289,7 @@ fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
     }
 }
 
-/// A single environment.
+/// Measures a single environment.
 fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize) -> Result<Row, EnvError> {
     let task = if drones == 1 { "hover" } else { "multi_hover" };
     let config = EnvConfig::default().engine(engine).physics(physics).num_drones(drones);
@@ -295,13 +297,13 @@ fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize
     let mut env = make(task, config)?;
     env.reset(Some(1))?;
     let mut policy = LinearPolicy::new(meter.seed, 1, drones, env.observation_space().vector.size() / drones);
-    let mut seen = vec![0.0_f32; env.observation_space().vector.size()];
+    let mut observation = vec![0.0_f32; env.observation_space().vector.size()];
     let mut action = vec![0.0; 4 * drones];
     let measured = meter.measure(|| {
         let mut spent = Duration::ZERO;
         for _ in 0..20 {
-            env.observation_space().vector.write_f32(&env.observation().vector, &mut seen);
-            for (out, &x) in action.iter_mut().zip(policy.act(&seen)) {
+            env.observation_space().vector.write_f32(&env.observation().vector, &mut observation);
+            for (out, &x) in action.iter_mut().zip(policy.act(&observation)) {
                 *out = f64::from(x);
             }
             let begin = Instant::now();
@@ -329,25 +331,25 @@ fn single(meter: &mut Meter, engine: EngineKind, physics: Physics, drones: usize
         env_steps_per_second: 20.0 * measured.rate,
         physics_steps_per_second: 20.0 * measured.rate * substeps,
         ratio: 20.0 * measured.over_bare * substeps * drones as f64,
-        ratio_to_own: None,
+        ratio_in_contact: None,
         bytes_per_environment: 0,
         resident_bytes: None,
         frames_per_second: None,
     })
 }
 
-/// What the drones of a batch are told.
+/// Source of the actions of a batch.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Actions {
-    /// A slow climb under noise, known beforehand.
+    /// Precomputed actions of a slow climb under noise.
     Climb,
-    /// What a policy makes of the observations.
+    /// Actions of a linear policy.
     Policy,
-    /// Uniform ones.
+    /// Uniform actions.
     Random,
 }
 
-/// A batch of Hover.
+/// Measures a batch of hover.
 fn batch(
     meter: &mut Meter,
     name: &str,
@@ -366,7 +368,7 @@ fn batch(
     fly(meter, &mut env, row_name, physics, engine, actions, bytes)
 }
 
-/// Worlds of several drones, all effects.
+/// Measures a batch of swarms with all effects.
 fn swarm(meter: &mut Meter, drones: usize, size: usize, threads: usize) -> Result<Row, EnvError> {
     let (physics, engine) = (Physics::MjcGndDragDw, EngineKind::Hybrid);
     let builder = MultiHover::builder()
@@ -414,10 +416,10 @@ fn fly<T: Task + Clone + Send + Sync>(
     })?;
     let after = env.engine_substeps();
     if engine == EngineKind::Hybrid && actions != Actions::Random && after.mujoco - before.mujoco > after.flight / 100 {
-        tracing::warn!("{name}: more than a hundredth of the physics steps were MuJoCo's");
+        tracing::warn!("{name}: MuJoCo computed more than 1 % of the physics steps");
     }
     let per_call = (calls * size) as f64;
-    // 240 Hz under 48 Hz
+    // 240 Hz physics, 48 Hz control
     let substeps = 5.0;
     Ok(Row {
         name,
@@ -430,14 +432,14 @@ fn fly<T: Task + Clone + Send + Sync>(
         env_steps_per_second: measured.rate * per_call,
         physics_steps_per_second: measured.rate * per_call * substeps,
         ratio: measured.over_bare * per_call * substeps * drones as f64,
-        ratio_to_own: None,
+        ratio_in_contact: None,
         bytes_per_environment: env.bytes_per_env(),
         resident_bytes,
         frames_per_second: None,
     })
 }
 
-/// Drones that rest on the floor: MuJoCo's part, beside MuJoCo alone with the same contacts.
+/// Measures drones that rest on the floor, with the ratio to bare MuJoCo steps with the same contacts.
 fn resting(meter: &mut Meter) -> Result<Row, EnvError> {
     let (size, engine) = (64, EngineKind::Hybrid);
     let builder = Hover::builder().engine(engine).initial_positions([[0.0, 0.0, 0.015]]);
@@ -470,14 +472,14 @@ fn resting(meter: &mut Meter) -> Result<Row, EnvError> {
         env_steps_per_second: measured.rate * per_call,
         physics_steps_per_second: measured.rate * per_call * 5.0,
         ratio: measured.over_bare * per_call * 5.0,
-        ratio_to_own: Some(median(&mut ratios)),
+        ratio_in_contact: Some(median(&mut ratios)),
         bytes_per_environment: env.bytes_per_env(),
         resident_bytes: None,
         frames_per_second: None,
     })
 }
 
-/// Onboard cameras of a batch.
+/// Measures a batch with onboard cameras.
 fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
     let size = 64;
     let builder: AviaryBuilder<Hover> =
@@ -506,7 +508,7 @@ fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
         env_steps_per_second: measured.rate * per_call,
         physics_steps_per_second: measured.rate * per_call * 5.0,
         ratio: measured.over_bare * per_call * 5.0,
-        ratio_to_own: None,
+        ratio_in_contact: None,
         bytes_per_environment: env.bytes_per_env(),
         resident_bytes: None,
         frames_per_second: Some(measured.rate * per_call),

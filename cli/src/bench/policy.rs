@@ -1,11 +1,11 @@
-//! What the drones of a benchmark do.
+//! Actions of the drones in a benchmark.
 
-/// Where drones of a swarm start.
+/// Returns the initial position of a drone in a swarm, m.
 pub(super) fn place(drone: usize) -> [f64; 3] {
     [(drone % 4) as f64, (drone / 4) as f64, 0.5 + 0.1 * drone as f64]
 }
 
-/// A linear policy that takes a Crazyflie to a metre above where it starts, with noise: what an agent in training does.
+/// Linear policy with noise that flies a Crazyflie to a height of 1 m, or to its place in a swarm.
 pub(super) struct LinearPolicy {
     actions: Vec<f32>,
     noise: u64,
@@ -17,14 +17,14 @@ impl LinearPolicy {
     pub(super) fn new(seed: u64, environments: usize, drones: usize, block: usize) -> Self {
         Self {
             actions: vec![0.0; 4 * environments * drones],
-            // any odd number will do
+            // xorshift needs a state other than 0
             noise: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
             drones,
             block,
         }
     }
 
-    /// Uniform in ±1 (Marsaglia's xorshift).
+    /// Samples a number uniformly from ±1 (Marsaglia's xorshift).
     fn uniform(&mut self) -> f32 {
         self.noise ^= self.noise << 13;
         self.noise ^= self.noise >> 7;
@@ -32,7 +32,7 @@ impl LinearPolicy {
         (self.noise >> 40) as f32 / (1 << 23) as f32 - 1.0
     }
 
-    /// Actions to be taken by turns: their noise cancels out, so that nothing sinks to the floor.
+    /// Returns actions to cycle through. Their noise cancels out, so that no drone sinks to the floor.
     pub(super) fn climb(&mut self) -> [Vec<f32>; 8] {
         const LIFT: f32 = 0.006;
         let mut all: [Vec<f32>; 8] = std::array::from_fn(|_| self.actions.clone());

@@ -1,12 +1,12 @@
-//! Pictures of a flight: GIF, MP4, numbered PNG files.
+//! Options for animations of a flight (GIF, MP4, PNG files), and their writers.
 
 use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
 use aviary::control::Reference;
 use aviary::control::trajectory::Trajectory;
-use aviary::record::Overlays;
 use aviary::record::animation::{Animation, GifAnimation, Mp4, PngSequence};
+use aviary::record::{FrameRecorder, Overlays};
 use aviary::simulation::Simulation;
 use aviary::vision::{ImageSize, View};
 use clap::{ArgGroup, Args, ValueHint};
@@ -17,36 +17,55 @@ use crate::options::vision_failure;
 use crate::output::{FileWriter, OutputDir, OutputFile};
 use crate::parse::{self, OverlayNames, size};
 
-/// What to film, and where to put it.
+// not a doc comment, which would replace the description of a command: options for animations of a flight
 #[derive(Debug, Args)]
-#[command(group(ArgGroup::new("pictures").multiple(true)))]
-pub struct FilmOptions {
-    /// Animation to write, as GIF; like the others it has 24 frames a second, or as near to it as control steps come
-    #[arg(long, group = "pictures", value_name = "FILE.gif", value_hint = ValueHint::FilePath)]
+#[command(group(ArgGroup::new("animations").multiple(true)))]
+pub struct AnimationOptions {
+    /// Animation of the flight as GIF
+    ///
+    /// Animations have 24 frames per second, rounded to whole control steps. The GIF, the
+    /// MP4 and the PNG files show the same frames.
+    #[arg(long, verbatim_doc_comment, group = "animations", value_name = "FILE", value_hint = ValueHint::FilePath)]
     gif: Option<PathBuf>,
-    /// Video to write, as MP4; needs the program ffmpeg
-    #[arg(long, group = "pictures", value_name = "FILE.mp4", value_hint = ValueHint::FilePath)]
+    /// Animation of the flight as MP4; requires ffmpeg
+    #[arg(long, group = "animations", value_name = "FILE", value_hint = ValueHint::FilePath)]
     video: Option<PathBuf>,
-    /// Directory for the frames as PNG files: 00000.png and on
-    #[arg(long, group = "pictures", value_name = "DIR", value_hint = ValueHint::DirPath)]
+    /// Directory for the frames as PNG files
+    ///
+    /// The files are 00000.png, 00001.png, …
+    #[arg(long, group = "animations", value_name = "DIR", value_hint = ValueHint::DirPath)]
     png: Option<PathBuf>,
-    /// The name that --png had in earlier versions
-    #[arg(long, group = "pictures", hide = true)]
+    /// Earlier name of --png
+    #[arg(long, group = "animations", hide = true)]
     frames: Option<PathBuf>,
-    /// Camera of these: track (follows the drones), fpv (on board the first one), and, standing still
-    /// with the whole flight in the frame, fixed (from aside), front (from ahead), top (from above)
-    #[arg(long, default_value = "track", value_parser = parse::named::<View>(), hide_possible_values = true, requires = "pictures")]
+    /// Camera of the animation: track, fpv, fixed, front or top
+    ///
+    /// `track` follows the drones, `fpv` is on board the first drone. `fixed` (from the side),
+    /// `front` and `top` stand still and have the whole flight in the frame.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        default_value = "track",
+        value_parser = parse::named::<View>(),
+        hide_possible_values = true,
+        requires = "animations"
+    )]
     camera: View,
-    /// Size of these, pixels
-    #[arg(long, value_parser = size, default_value = "320x240", requires = "pictures")]
+    /// Size of the frames, pixels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "320x240", requires = "animations")]
     size: ImageSize,
-    /// What to draw into them, with commas between: trails, references, wind, rings
-    #[arg(long, value_parser = OverlayNames, requires = "pictures")]
+    /// Overlays: trails, references, wind, rings
+    ///
+    /// Names are separated by commas. `trails` are the flown paths, `references` the planned
+    /// paths, `wind` is an arrow along the steady wind, `rings` have a radius of 0.15 m around
+    /// the drones.
+    #[arg(long, verbatim_doc_comment, value_name = "LIST", value_parser = OverlayNames, requires = "animations")]
     overlay: Option<Overlays>,
 }
 
-impl FilmOptions {
-    /// Checks what can be checked before anything is flown.
+impl AnimationOptions {
+    /// Checks the options before the flight.
     pub fn validate(&self) -> Result<(), Failure> {
         if let Some(path) = &self.frames {
             let path = path.display();
@@ -64,24 +83,24 @@ impl FilmOptions {
         Ok(())
     }
 
-    /// The files, and the directory of frames, that are there when it is done.
+    /// Returns the output files, and the directory of the frames.
     pub fn files(&self) -> Vec<PathBuf> {
         [&self.gif, &self.video, &self.png].into_iter().flatten().cloned().collect()
     }
 
-    /// Returns whether where the camera stands hangs on where drones will be.
+    /// Returns true if the pose of the camera depends on the whole flight.
     pub fn wants_preview(&self, simulation: &Simulation) -> bool {
         !self.files().is_empty() && is_previewed(self.camera, simulation)
     }
 
-    /// Begins the film, if one is asked for, of drones that have a way to fly or none. A camera that stands still keeps the points
-    /// `kept` (world frame, m) in the frame, if there are any.
+    /// Starts the animations, if any option is set. `path` returns the planned path of a drone. A camera that stands
+    /// still keeps the points `kept` (world frame, m) in the frame.
     pub fn begin<'a>(
         &self,
         simulation: &Simulation,
         kept: &[Vector3<f64>],
-        way: impl Fn(usize) -> Option<&'a dyn Trajectory>,
-    ) -> Result<Option<Film>, Failure> {
+        path: impl Fn(usize) -> Option<&'a dyn Trajectory>,
+    ) -> Result<Option<AnimationWriter>, Failure> {
         if self.files().is_empty() {
             return Ok(None);
         }
@@ -89,17 +108,16 @@ impl FilmOptions {
         let gif = self.gif.as_deref().map(OutputFile::begin).transpose()?;
         let video = self.video.as_deref().map(OutputFile::begin).transpose()?;
         let overlays = self.overlay.unwrap_or_default();
-        let mut film =
-            aviary::record::FrameRecorder::of(simulation, self.camera, size, overlays).map_err(vision_failure)?;
+        let mut recorder = FrameRecorder::of(simulation, self.camera, size, overlays).map_err(vision_failure)?;
         if !kept.is_empty() {
-            film.renderer().keep_in_frame(kept);
+            recorder.renderer().keep_in_frame(kept);
         }
         for drone in 0..simulation.num_drones() {
-            if let Some(way) = way(drone) {
-                film.set_way(drone, way);
+            if let Some(path) = path(drone) {
+                recorder.set_way(drone, path);
             }
         }
-        let seconds = film.seconds_per_frame();
+        let seconds = recorder.seconds_per_frame();
         let gif = gif.map(|file| GifAnimation::new(file.into_writer(), size, seconds)).transpose();
         let gif = gif.map_err(Failure::work)?;
         let video = match video {
@@ -110,11 +128,11 @@ impl FilmOptions {
             OutputDir::create(path)?;
         }
         let frames = self.png.as_ref().map(|path| PngSequence::create(path, size)).transpose();
-        Ok(Some(Film { film, gif, video, frames: frames.map_err(Failure::work)? }))
+        Ok(Some(AnimationWriter { recorder, gif, video, frames: frames.map_err(Failure::work)? }))
     }
 }
 
-/// Whether the pose of a camera hangs on the whole flight: one that stands still, or that looks for a direction without obstacles.
+/// Returns true if the pose of a camera depends on the whole flight: it stands still, or avoids obstacles.
 pub fn is_previewed(view: View, simulation: &Simulation) -> bool {
     match view {
         View::Fpv => false,
@@ -123,29 +141,29 @@ pub fn is_previewed(view: View, simulation: &Simulation) -> bool {
     }
 }
 
-/// A film being made.
-pub struct Film {
-    film: aviary::record::FrameRecorder,
+/// Animations of a flight in progress.
+pub struct AnimationWriter {
+    recorder: FrameRecorder,
     gif: Option<GifAnimation<FileWriter>>,
     video: Option<(Mp4, OutputFile)>,
     frames: Option<PngSequence>,
 }
 
-impl Film {
-    /// Takes a frame if it is time for one.
+impl AnimationWriter {
+    /// Writes a frame if one is due.
     pub fn look(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Reference) -> Result<(), Failure> {
-        let Self { film, gif, video, frames } = self;
-        let rgb = film.look_at(simulation, |drone| Some(reference(drone)));
+        let Self { recorder, gif, video, frames } = self;
+        let rgb = recorder.look_at(simulation, |drone| Some(reference(drone)));
         match rgb.map_err(vision_failure)? {
             Some(rgb) => put(rgb, gif, video, frames),
             None => Ok(()),
         }
     }
 
-    /// Adds the last moment and gives the files their names.
+    /// Writes the last frame and gives the files their names.
     pub fn finish(mut self, simulation: &Simulation, reference: impl Fn(usize) -> Reference) -> Result<(), Failure> {
-        let Self { film, gif, video, frames } = &mut self;
-        let rgb = film.frame(simulation, |drone| Some(reference(drone))).map_err(vision_failure)?;
+        let Self { recorder, gif, video, frames } = &mut self;
+        let rgb = recorder.frame(simulation, |drone| Some(reference(drone))).map_err(vision_failure)?;
         put(rgb, gif, video, frames)?;
         if let Some(gif) = self.gif {
             gif.finish().map_err(Failure::work)?.keep()?;
@@ -158,7 +176,7 @@ impl Film {
     }
 }
 
-/// Puts a frame where frames go.
+/// Writes a frame to all outputs.
 fn put(
     rgb: &[u8],
     gif: &mut Option<GifAnimation<FileWriter>>,
