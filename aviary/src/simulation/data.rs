@@ -22,6 +22,27 @@ use crate::world::{Marker, MarkerPose, Obstacle};
 /// A clone is a snapshot. [`step`](super::step) advances a clone and the original bit-identically, in any
 /// [`Workspace`](super::Workspace) of the same [`SimModel`]. The same holds for data that was serialized and
 /// deserialized, also in another process, in a format that keeps doubles exactly.
+///
+/// ```
+/// use aviary::drone::DroneModel;
+/// use aviary::physics::wind::{WindConfig, WindModel};
+/// use aviary::simulation::{Simulation, step};
+///
+/// let model = Simulation::builder(DroneModel::Cf2x).build()?.model().clone();
+/// // one model and one workspace for any number of futures
+/// let (mut workspace, mut calm) = (model.workspace()?, model.data());
+/// let mut windy = calm.clone();
+/// windy.set_wind(Some(WindConfig { velocity: [2.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) }), 1)?;
+/// for data in [&mut calm, &mut windy] {
+///     for _ in 0..48 {
+///         step(&model, &mut workspace, data, &[[14_600.0; 4]])?;
+///     }
+/// }
+/// assert!(windy.states()[0].position.x > calm.states()[0].position.x + 0.01);
+/// windy.reset(&model);
+/// assert_eq!(windy.states(), model.initial_states());
+/// # Ok::<(), aviary::simulation::SimulationError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct SimData {
     /// Fingerprint of the model that the data belongs to.
@@ -186,7 +207,7 @@ impl SimData {
     }
 
     /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
-    pub(crate) fn reset(&mut self, model: &SimModel) {
+    pub fn reset(&mut self, model: &SimModel) {
         self.states.copy_from_slice(&model.initial);
         self.restart();
     }
@@ -195,7 +216,7 @@ impl SimData {
     ///
     /// # Errors
     /// [`SimulationError::Length`] and [`SimulationError::State`]; the data is unchanged.
-    pub(crate) fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
+    pub fn reset_to(&mut self, states: &[DroneState]) -> Result<(), SimulationError> {
         let expected = self.states.len();
         if states.len() != expected {
             return Err(SimulationError::Length { what: "states", got: states.len(), expected, of: "drone" });
@@ -248,7 +269,7 @@ impl SimData {
     }
 
     /// Returns the obstacles at their present poses.
-    pub(crate) fn obstacles<'a>(&'a self, model: &'a SimModel) -> &'a [Obstacle] {
+    pub fn obstacles<'a>(&'a self, model: &'a SimModel) -> &'a [Obstacle] {
         self.obstacles.as_deref().unwrap_or(&model.world.obstacles)
     }
 
@@ -285,7 +306,7 @@ impl SimData {
     /// # Errors
     /// [`SimulationError::Length`] if their number differs, [`SimulationError::Obstacle`] if a shape differs,
     /// [`SimulationError::Build`] for a number out of range; the data is unchanged.
-    pub(crate) fn set_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+    pub fn set_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
         let old = self.obstacles(model);
         if obstacles.len() != old.len() {
             let (got, expected) = (obstacles.len(), old.len());

@@ -98,7 +98,7 @@ impl SimData {
     ///
     /// # Errors
     /// [`SimulationError::Drone`] for invalid parameters; the data is unchanged.
-    pub(crate) fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
+    pub fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
         let before = self.drones[drone].params.clone();
         if let Err(error) = self.change(drone, |own| *own = params) {
             // the previous parameters were valid
@@ -112,7 +112,7 @@ impl SimData {
     ///
     /// # Errors
     /// [`SimulationError::Option`] naming an invalid setting.
-    pub(crate) fn set_actuators(
+    pub fn set_actuators(
         &mut self,
         model: &SimModel,
         drone: usize,
@@ -139,7 +139,7 @@ impl SimData {
     ///
     /// # Errors
     /// [`SimulationError::Gravity`] for NaN or a value out of range.
-    pub(crate) fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
+    pub fn set_gravity(&mut self, gravity: f64) -> Result<(), SimulationError> {
         if !(-World::MAX_GRAVITY..=World::MAX_GRAVITY).contains(&gravity) {
             return Err(SimulationError::Gravity { got: gravity });
         }
@@ -152,7 +152,7 @@ impl SimData {
     ///
     /// # Errors
     /// [`SimulationError::Option`] naming an invalid setting; the data is unchanged.
-    pub(crate) fn set_wind(&mut self, wind: Option<WindConfig>, seed: u64) -> Result<(), SimulationError> {
+    pub fn set_wind(&mut self, wind: Option<WindConfig>, seed: u64) -> Result<(), SimulationError> {
         let areas = self.drones.iter().map(|drone| drone.params.drag_area());
         if let Some(wind) = &wind {
             wind.validate()?;
