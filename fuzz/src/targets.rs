@@ -83,7 +83,7 @@ pub static ALL: [Target; 12] = [
     Target { name: "trajectory", about: "a trajectory as TOML: sampled over its duration", more: &[], run: trajectory },
 ];
 
-/// Names of all targets.
+/// Returns the names of all targets.
 pub fn names() -> impl Iterator<Item = &'static str> {
     ALL.iter().map(|target| target.name)
 }

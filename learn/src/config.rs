@@ -148,7 +148,7 @@ impl TrainConfig {
     /// Returns the recipe of a task: its default configuration for training.
     ///
     /// # Errors
-    /// [`EnvError::UnknownName`] for an unknown task.
+    /// [`TrainError::Env`] for an unknown task.
     pub fn of_task(name: &str) -> Result<Self, TrainError> {
         let summary = tasks::summary(name).map_err(EnvError::from)?;
         let mut table = recipe::of_task(summary.name)?;

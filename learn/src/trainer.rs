@@ -25,7 +25,7 @@ const CONFIRMATION_SEED: u64 = 1 << 41;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stop {
-    /// The run has made all its steps.
+    /// The run reached its number of steps.
     Steps,
     /// The policy succeeded, and the run was set to stop on success.
     Success,

@@ -34,7 +34,7 @@ pub use patch::ModelMut;
 /// let floor: GeomId = model.find("floor")?;
 /// assert_eq!(model.name(floor), Some("floor"));
 /// assert_eq!(model.count(ObjectKind::Body), 2, "the world is a body, too");
-/// MuJoCo reports the cause of an error
+/// // MuJoCo reports the cause of an error
 /// let error = Model::from_xml("<mujoco><worldbody><nonsense/></worldbody></mujoco>").unwrap_err();
 /// assert!(error.to_string().contains("nonsense"));
 /// # Ok::<(), mujoco_rs::Error>(())

@@ -75,14 +75,14 @@ impl std::fmt::Display for ImageSize {
 /// let mut data = Data::new(model)?;
 /// data.forward()?;
 /// let mut scene = Scene::new(data.shared_model(), 0)?;
-/// view along y, from 2 m in front of the centre of the box
+/// // view along y, from 2 m in front of the centre of the box
 /// let camera = Camera::Free { lookat: [0.0; 3], distance: 2.0, azimuth: 90.0, elevation: 0.0 };
 /// scene.update(&mut data, &camera)?;
 /// let mut renderer = Renderer::new(data.shared_model(), Quality::FAST)?;
 /// let size = ImageSize { width: 33, height: 33 };
 /// let mut depth = vec![0.0; size.pixels()];
 /// renderer.depth(&mut scene, size, &mut depth)?;
-/// assert!((depth[depth.len() / 2] - 1.5).abs() < 1e-3, "its near side");
+/// assert!((depth[depth.len() / 2] - 1.5).abs() < 1e-3, "the front face");
 /// # Ok::<(), mujoco_rs::Error>(())
 /// ```
 pub struct Renderer {

@@ -167,7 +167,7 @@ pub enum Decor {
 /// scene.update(&mut data, &camera)?;
 /// let [near, far] = scene.clip_planes();
 /// assert!(near > 0.0 && near < far);
-/// a dot outside the model, until the next update
+/// // a dot that is not part of the model, until the next update
 /// assert!(scene.add(Decor::Sphere { centre: [0.0, 0.0, 0.5], radius: 0.05 }, [1.0, 0.0, 0.0, 1.0]));
 /// # Ok::<(), mujoco_rs::Error>(())
 /// ```
@@ -460,8 +460,8 @@ impl Scene {
         true
     }
 
-    /// Returns the number of passes of a renderer with a shadow map: one, and one for every light that casts
-    /// shadows. Their colours are added.
+    /// Returns the number of passes of a renderer with a shadow map: one, plus one for every light that casts
+    /// shadows. The renderer adds their colours.
     pub(crate) fn passes(&self) -> f32 {
         let lights = &self.raw.lights[..usize::try_from(self.raw.nlight).unwrap_or(0).min(self.raw.lights.len())];
         match self.raw.flags[mujoco_sys::mjtRndFlag_::mjRND_SHADOW as usize] {

@@ -244,7 +244,7 @@ fn displays(functions: Functions, wanted: Option<usize>) -> Result<Vec<Display>,
         return Ok(found);
     }
     let answers: Vec<_> = answers.iter().map(|(names, answer)| format!("{answer} ({names})")).collect();
-    Err(Refusal::Answer(if answers.is_empty() { "there is no EGL device".into() } else { answers.join(", ") }))
+    Err(Refusal::Answer(if answers.is_empty() { "no EGL device".into() } else { answers.join(", ") }))
 }
 
 fn found_software(found: &[Display]) -> bool {
@@ -282,7 +282,7 @@ impl Display {
         let chosen =
             unsafe { (functions.choose_config)(handle, attributes.as_ptr().cast(), &mut config, 1, &mut count) };
         if chosen == 0 || count < 1 {
-            return Err("no configuration for OpenGL off screen".into());
+            return Err("no configuration for off-screen OpenGL".into());
         }
         let context = context(functions, handle, config)?;
         context.make_current()?;

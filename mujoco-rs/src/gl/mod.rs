@@ -195,7 +195,7 @@ pub struct GlInfo {
 ///
 /// match gl_info() {
 ///     Ok(info) => assert!(GlBackend::ALL.contains(&info.backend)),
-///     Err(error) => assert!(!error.to_string().is_empty(), "what was tried, and what to install"),
+///     Err(error) => assert!(!error.to_string().is_empty(), "the attempts, and the packages to install"),
 /// }
 /// ```
 ///
