@@ -20,7 +20,7 @@ use crate::parse::{self, NameOrFile};
 pub struct Airframe {
     /// Airframe: cf2x, cf2p, race or a TOML file
     #[arg(
-        value_name = "NAME",
+        value_name = "AIRFRAME",
         value_hint = ValueHint::FilePath,
         value_parser = parse::airframe(),
         hide_possible_values = true

@@ -103,35 +103,41 @@ fn context(error: &clap::Error, kind: ContextKind) -> Option<&str> {
     }
 }
 
+/// Returns the name of an option in messages: `--duration` for `--duration <S>`, `the shell` for `<SHELL>`.
+fn option_name(usage: &str) -> String {
+    let name = usage.split(' ').next().unwrap_or_default();
+    match name.strip_prefix('<') {
+        Some(name) => format!("the {}", name.trim_end_matches('>').to_lowercase()),
+        None => name.trim_end_matches('>').to_string(),
+    }
+}
+
 /// Returns the message about a missing option, or about a missing choice of several.
 fn missing_option(error: &clap::Error) -> Option<String> {
     if error.kind() != ErrorKind::MissingRequiredArgument {
         return None;
     }
     let Some(ContextValue::Strings(missing)) = error.get(ContextKind::InvalidArg) else { return None };
-    let names = |text: &str| -> Vec<String> {
-        // `--out <DIR>`, or `<--task <NAME>|--all|--resume <DIR>>`
-        let text = text.strip_prefix("<--").map_or(text.to_string(), |rest| format!("--{rest}"));
-        let all: Vec<_> =
-            text.split('|').filter_map(|part| part.split([' ', '>']).next()).map(str::to_string).collect();
-        // of several options, the earlier name of --png is hidden
+    let names = |text: &String| {
+        // a choice is `<--task <NAME>|--all|--resume <DIR>>`
+        let text = text.strip_prefix('<').filter(|rest| rest.starts_with("--")).unwrap_or(text);
+        let all: Vec<_> = text.split('|').map(option_name).collect();
+        // the earlier name of --png is hidden
         let is_shown = |name: &&String| all.len() == 1 || *name != "--frames";
-        all.iter().filter(is_shown).cloned().collect()
+        all.iter().filter(is_shown).cloned().collect::<Vec<_>>().join(" or ")
     };
-    let missing: Vec<_> = missing.iter().map(|text| names(text).join(" or ")).collect();
+    let missing: Vec<_> = missing.iter().map(names).collect();
     let verb = if missing.len() == 1 { "is" } else { "are" };
     Some(format!("{} {verb} missing", missing.join(", ")))
 }
 
 /// Returns the message about an option whose value is not one that the option takes; `None` for every other error.
 fn wrong_value(error: &clap::Error) -> Option<String> {
-    // `--duration <S>`, or `<SHELL>`
-    let name = context(error, ContextKind::InvalidArg)?.split(' ').next()?;
-    let option = match name.strip_prefix('<') {
-        Some(name) => format!("the {}", name.trim_end_matches('>').to_lowercase()),
-        None => name.to_string(),
-    };
+    let option = option_name(context(error, ContextKind::InvalidArg)?);
     let value = context(error, ContextKind::InvalidValue)?;
+    if value.is_empty() && error.source().is_none() {
+        return Some(format!("{option} has no value"));
+    }
     let wrong = |expected: &str| Some(format!("{option} is `{}`, expected {expected}", shortened(value)));
     if let Some(ContextValue::Strings(names)) = error.get(ContextKind::ValidValue) {
         let names: Vec<_> = names.iter().map(String::as_str).collect();

@@ -1,20 +1,21 @@
-//! The program as other programs see it: output, files, errors, exit status.
+//! Output, files, errors and exit status of the program.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
 
 mod common;
 
-use common::{aviary, directory, has_gl, reference, refused, send, spawn, text, wait_for_rows};
+use common::{
+    assert_equal_files, aviary, directory, entries, has_gl, json, reference, refused, run, send, spawn, text,
+    wait_for_rows, write, write_script,
+};
 
 #[test]
-fn hover_reaches_its_height_and_says_so() {
+fn hover_ends_at_its_target_and_reports_the_error() {
     for drone in ["cf2x", "cf2p", "race"] {
-        let output = aviary(&["fly", "--task", "hover", "--drone", drone, "--json"]);
-        assert_eq!(output.status.code(), Some(0));
-        let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let flight = json(&["fly", "--task", "hover", "--drone", drone]);
         let number = |key: &str| flight[key].as_f64().unwrap_or_else(|| panic!("{key}"));
         assert_eq!(flight["task"], "hover");
         assert_eq!(flight["drone_model"], drone);
@@ -30,24 +31,19 @@ fn hover_reaches_its_height_and_says_so() {
         assert!((0.85..0.95).contains(&number("peak_position_error")));
         assert!(number("wall_seconds") > 0.0 && number("reward") > 0.0);
     }
-    let table = aviary(&["fly", "--task", "hover"]);
-    assert!(String::from_utf8(table.stdout).unwrap().contains("final position error"));
+    assert!(run(&["fly", "--task", "hover"]).contains("final position error"));
 }
 
 #[test]
-fn equal_seeds_write_equal_files() {
+fn equal_seeds_give_equal_files() {
     let (a, b) = (directory("seed-a"), directory("seed-b"));
     for path in [&a, &b] {
-        let output = aviary(&["fly", "--task", "hover", "--seed", "1", "--duration", "2", "--out", text(path)]);
-        assert!(output.status.success());
+        run(&["fly", "--task", "hover", "--seed", "1", "--duration", "2", "--out", text(path)]);
     }
-    for name in ["drone0.csv", "summary.json"] {
-        let read = |path: &PathBuf| std::fs::read(path.join(name)).unwrap();
-        assert_eq!(read(&a), read(&b), "{name}");
-    }
+    assert_equal_files(&a, &b, &["drone0.csv", "summary.json"]);
     let mut log = csv::Reader::from_path(a.join("drone0.csv")).unwrap();
     let rows: Vec<_> = log.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), 97, "the start and one row per control step");
+    assert_eq!(rows.len(), 97, "the initial state and one row per control step");
     assert_eq!(&rows[96][0], "2.0");
     let summary: Value = serde_json::from_slice(&std::fs::read(a.join("summary.json")).unwrap()).unwrap();
     let z: f64 = rows[96][4].parse().unwrap();
@@ -55,10 +51,13 @@ fn equal_seeds_write_equal_files() {
 }
 
 #[test]
-fn wrong_command_lines_are_one_line_and_status_2() {
-    refused(&["fly", "--task", "nosuch"], 2, &["--task is `nosuch`", "hover"]);
+fn errors_of_the_command_line_have_one_line_and_status_2() {
+    refused(&["fly", "--task", "nosuch"], 2, &["--task is `nosuch`", "`aviary tasks`"]);
+    refused(&["fly", "--task", &"long".repeat(99)], 2, &["--task is `longlong", "…`"]);
     refused(&["fly", "--task", "hovr"], 2, &["did you mean `hover`?"]);
-    refused(&["fly"], 2, &["--task"]);
+    refused(&["fly"], 2, &["--task is missing"]);
+    refused(&["train"], 2, &["--task or --all or --resume is missing"]);
+    refused(&["capture", "--task", "hover"], 2, &["--frames, --out are missing"]);
     refused(&["fly", "--task", "hover", "--sim-freq", "100", "--ctrl-freq", "48"], 2, &["100 Hz", "48 Hz", "multiple"]);
     refused(&["fly", "--task", "hover", "--ctrl-freq", "0"], 2, &["0 Hz"]);
     refused(&["fly", "--task", "hover", "--sim-freq", "-5"], 2, &["-5"]);
@@ -77,19 +76,12 @@ fn wrong_command_lines_are_one_line_and_status_2() {
 }
 
 #[test]
-fn airframe_files_are_flown_or_refused_by_file_line_and_field() {
+fn errors_of_airframe_files_name_file_line_and_field() {
     let dir = directory("airframes");
-    std::fs::create_dir_all(&dir).unwrap();
     let good = include_str!("../../assets/airframes/cf2x.toml");
-    let file = |name: &str, content: &str| {
-        let path = dir.join(name);
-        std::fs::write(&path, content).unwrap();
-        path
-    };
+    let file = |name: &str, content: &str| write(&dir.join(name), content);
     let heavy = file("heavy.toml", &good.replace("mass = 0.027", "mass = 0.035").replace("\"cf2x\"", "\"heavy\""));
-    let output = aviary(&["fly", "--task", "hover", "--drone", text(&heavy), "--json"]);
-    assert!(output.status.success());
-    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let flight = json(&["fly", "--task", "hover", "--drone", text(&heavy)]);
     assert_eq!((&flight["drone_model"], &flight["success"]), (&"heavy".into(), &true.into()));
 
     let refused_file = |path: &Path, texts: &[&str]| {
@@ -104,22 +96,18 @@ fn airframe_files_are_flown_or_refused_by_file_line_and_field() {
 }
 
 #[test]
-fn an_output_that_cannot_be_written_is_status_1_before_anything_is_flown() {
-    let dir = directory("blocked");
-    std::fs::create_dir_all(&dir).unwrap();
-    let file = dir.join("file");
-    std::fs::write(&file, "in the way").unwrap();
+fn an_unwritable_output_has_status_1_before_the_flight() {
+    let file = write(&directory("blocked").join("file"), "not a directory");
     refused(&["fly", "--task", "hover", "--out", text(&file.join("out"))], 1, &[text(&file)]);
     refused(&["fly", "--task", "hover", "--out", text(&file)], 1, &[text(&file)]);
-    assert_eq!(std::fs::read_to_string(&file).unwrap(), "in the way");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), "not a directory");
 }
 
 #[test]
-fn every_physics_mode_and_airframe_hovers() {
+fn every_airframe_hovers_in_every_physics_mode() {
     for physics in ["mjc", "mjc_gnd", "mjc_drag", "mjc_dw", "mjc_gnd_drag_dw", "dyn"] {
         for drone in ["cf2x", "cf2p", "race"] {
-            let output = aviary(&["fly", "--task", "hover", "--physics", physics, "--drone", drone, "--json"]);
-            let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+            let flight = json(&["fly", "--task", "hover", "--physics", physics, "--drone", drone]);
             assert_eq!((&flight["physics"], &flight["success"]), (&physics.into(), &true.into()), "{physics} {drone}");
         }
     }
@@ -127,25 +115,23 @@ fn every_physics_mode_and_airframe_hovers() {
 }
 
 #[test]
-fn what_is_no_file_is_not_replaced_by_one_and_links_stay_links() {
+fn an_output_replaces_neither_directories_nor_devices_nor_links() {
     let dir = directory("special");
     std::fs::create_dir_all(&dir).unwrap();
     let (scenario, actions) = (reference("mjc_cf2x.toml"), reference("mjc_cf2x.actions.csv"));
-    let replay =
-        |out: &str| ["replay", "--scenario", &scenario, "--actions", &actions, "--out", out].map(str::to_string);
-    let run = |out: &str| aviary(&replay(out).iter().map(String::as_str).collect::<Vec<_>>());
-    assert_eq!(run(text(&dir)).status.code(), Some(1));
-    assert_eq!(run("/dev/null").status.code(), Some(1));
+    let replay = |out: &str| aviary(&["replay", "--scenario", &scenario, "--actions", &actions, "--out", out]);
+    assert_eq!(replay(text(&dir)).status.code(), Some(1));
+    assert_eq!(replay("/dev/null").status.code(), Some(1));
     std::fs::write(dir.join("file"), "old").unwrap();
     std::os::unix::fs::symlink("file", dir.join("link")).unwrap();
-    assert!(run(text(&dir.join("link"))).status.success());
+    assert!(replay(text(&dir.join("link"))).status.success());
     assert!(std::fs::symlink_metadata(dir.join("link")).unwrap().is_symlink());
     assert!(std::fs::read_to_string(dir.join("file")).unwrap().starts_with("t,drone"));
 }
 
-/// Two runs into one directory mixed their files, and both ended with status 0.
+/// Two runs with one output directory would mix their files.
 #[test]
-fn a_directory_that_another_run_writes_to_is_refused() {
+fn two_runs_cannot_share_an_output_directory() {
     let dir = directory("locked");
     let mut child = spawn(&["fly", "--task", "hover", "--duration", "100000", "--out", text(&dir)]);
     wait_for_rows(&dir, &mut child, 10);
@@ -157,12 +143,12 @@ fn a_directory_that_another_run_writes_to_is_refused() {
     }
     send("-KILL", &child);
     child.wait().unwrap();
-    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 2, "the log and the scenario: the lock is no file");
-    assert!(aviary(&fly).status.success(), "whatever ended the other run");
+    assert_eq!(entries(&dir), 2, "the log and the scenario, without a lock file");
+    run(&fly);
 }
 
 #[test]
-fn a_directory_that_can_be_written_to_and_not_read_takes_files() {
+fn a_writable_directory_need_not_be_readable() {
     use std::os::unix::fs::PermissionsExt as _;
     let dir = directory("not-readable");
     std::fs::create_dir_all(&dir).unwrap();
@@ -175,28 +161,23 @@ fn a_directory_that_can_be_written_to_and_not_read_takes_files() {
 }
 
 #[test]
-fn shells_are_told_commands_options_and_names() {
+fn completion_scripts_have_commands_options_and_names() {
     for (shell, texts) in [
         ("bash", &["complete", "multi_hover", "--overlay", "geometric"][..]),
         ("zsh", &["#compdef aviary", "multi_hover", "mjc_gnd_drag_dw"]),
         ("fish", &["complete -c aviary", "fly_through"]),
     ] {
-        let output = aviary(&["completions", shell]);
-        assert!(output.status.success());
-        let script = String::from_utf8(output.stdout).unwrap();
+        let script = run(&["completions", shell]);
         for text in texts {
             assert!(script.contains(text), "{shell}: {text}");
         }
     }
-    refused(&["completions", "fisch"], 2, &["fisch", "fish"]);
+    refused(&["completions", "fisch"], 2, &["the shell is `fisch`, expected one of: bash,", "did you mean `fish`?"]);
 }
 
 #[test]
-fn nearest_names_are_suggested_everywhere() {
-    let dir = directory("nearest");
-    std::fs::create_dir_all(&dir).unwrap();
-    let file = dir.join("conditions.toml");
-    std::fs::write(&file, "[wind]\nmodle = \"gust\"\n").unwrap();
+fn errors_suggest_the_nearest_name() {
+    let file = write(&directory("nearest").join("conditions.toml"), "[wind]\nmodle = \"gust\"\n");
     for (arguments, near) in [
         (&["flly"][..], "fly"),
         (&["fly", "--task", "hovr"], "hover"),
@@ -214,77 +195,67 @@ fn nearest_names_are_suggested_everywhere() {
     }
 }
 
-/// An airframe in wrong units flies: its derived numbers show it.
+/// An airframe in wrong units flies; its derived numbers are implausible.
 #[test]
-fn airframes_are_checked_for_numbers_that_no_quadrotor_has() {
+fn implausible_numbers_of_an_airframe_are_warnings() {
     for name in ["cf2x", "cf2p", "race"] {
-        let output = aviary(&["airframe", name, "--json"]);
-        let airframe: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let airframe = json(&["airframe", name]);
         assert_eq!((&airframe["name"], &airframe["plausible"]), (&name.into(), &true.into()));
         assert_eq!((&airframe["warnings"], &airframe["suspected_unit"]), (&Value::Array(vec![]), &Value::Null));
     }
-    let table = String::from_utf8(aviary(&["airframe", "cf2x"]).stdout).unwrap();
+    let table = run(&["airframe", "cf2x"]);
     assert!(table.contains("14476 rpm") && table.contains("0.6667") && !table.contains("warning"), "{table}");
 
-    let dir = directory("airframes-checked");
-    std::fs::create_dir_all(&dir).unwrap();
-    let path = dir.join("in_grams.toml");
+    let path = directory("airframes-checked").join("in_grams.toml");
     let crazyflie = include_str!("../../assets/airframes/cf2x.toml");
-    std::fs::write(&path, crazyflie.replace("mass = 0.027", "mass = 1200")).unwrap();
-    let output = aviary(&["airframe", text(&path)]);
-    assert_eq!(output.status.code(), Some(0));
-    let table = String::from_utf8(output.stdout).unwrap();
+    let set_mass = |mass: &str| write(&path, &crazyflie.replace("mass = 0.027", &format!("mass = {mass}")));
+    set_mass("1200");
+    let table = run(&["airframe", text(&path)]);
     assert!(table.lines().any(|line| line.starts_with("warning: ") && line.contains("check mass")), "{table}");
-    std::fs::write(&path, crazyflie.replace("mass = 0.027", "mass = 27")).unwrap();
-    let table = String::from_utf8(aviary(&["airframe", text(&path)]).stdout).unwrap();
+    set_mass("27");
+    let table = run(&["airframe", text(&path)]);
     assert!(table.contains("every warning disappears with mass in grams (in kg it is 0.027)"), "{table}");
-    // a flight with it goes on, and says so
+    // a flight is possible, with a warning
     let fly = |drone: &str| {
         let output = aviary(&["fly", "--task", "hover", "--duration", "0.1", "--drone", drone]);
         String::from_utf8(output.stdout).unwrap()
     };
     assert!(fly(text(&path)).contains("implausible: see `aviary airframe`"));
     let table = fly("cf2x");
-    assert!(table.contains("hover speed") && table.contains("14476 rpm, 67 % of the largest"), "{table}");
+    assert!(table.contains("hover speed") && table.contains("14476 rpm, 67 % of the maximum"), "{table}");
     assert!(!table.contains("implausible"), "{table}");
 
     refused(&["airframe", "cf2xx"], 2, &["the airframe is `cf2xx`", "did you mean `cf2x`", ".toml"]);
     refused(&["airframe", "no.toml"], 2, &["no.toml: No such file"]);
-    std::fs::write(&path, crazyflie.replace("mass = 0.027", "mass = \"27 g\"")).unwrap();
+    set_mass("\"27 g\"");
     refused(&["airframe", text(&path)], 2, &["in_grams.toml", "line 3"]);
 }
 
-/// ffmpeg is optional: its absence is reported with the command that installs it, and is no failure.
+/// ffmpeg is optional: a missing ffmpeg is not an error.
 #[test]
-fn doctor_reports_whether_there_is_an_ffmpeg() {
+fn doctor_reports_a_missing_ffmpeg_with_the_command_that_installs_it() {
     let dir = directory("no-ffmpeg");
     std::fs::create_dir_all(&dir).unwrap();
-    let run = |arguments: &[&str], fake: Option<&str>| {
-        if let Some(text) = fake {
-            use std::os::unix::fs::PermissionsExt as _;
-            let path = dir.join("ffmpeg");
-            std::fs::write(&path, text).unwrap();
-            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o755)).unwrap();
-        }
+    let run = |arguments: &[&str]| {
         let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).env("PATH", &dir).output().unwrap();
         (output.status.code(), String::from_utf8(output.stdout).unwrap())
     };
     let works = if has_gl() { Some(0) } else { Some(1) };
-    let (status, table) = run(&["doctor"], None);
+    let (status, table) = run(&["doctor"]);
     assert_eq!(status, works, "{table}");
     assert_eq!(table.matches("apt-get install ffmpeg").count(), 1, "{table}");
-    let (status, doctor) = run(&["doctor", "--json"], None);
+    let (status, doctor) = run(&["doctor", "--json"]);
     let doctor: Value = serde_json::from_str(&doctor).unwrap();
     assert_eq!((status, &doctor["ffmpeg"]["works"]), (works, &false.into()));
-    let fake = "#!/bin/sh\necho 'ffmpeg version 5.1.6-0+deb12u1 Copyright (c) 2000-2024'\n";
-    let (_, table) = run(&["doctor"], Some(fake));
+    write_script(&dir.join("ffmpeg"), "echo 'ffmpeg version 5.1.6-0+deb12u1 Copyright (c) 2000-2024'");
+    let (_, table) = run(&["doctor"]);
     assert!(table.contains("works (5.1.6-0+deb12u1)") && !table.contains("install ffmpeg"), "{table}");
 }
 
-/// `./setup` of a user who is not root, on a machine without sudo, without the packages, without Rust and without curl.
+/// The script runs as a normal user without sudo, packages, Rust and curl.
 #[test]
-fn setup_names_everything_that_is_missing_at_once() {
-    use std::os::unix::fs::{PermissionsExt as _, symlink};
+fn setup_names_all_missing_packages_at_once() {
+    use std::os::unix::fs::symlink;
     let dir = directory("bare-machine");
     std::fs::create_dir_all(dir.join("home")).unwrap();
     for tool in ["dirname", "sed", "cut", "sort", "head", "env"] {
@@ -292,8 +263,7 @@ fn setup_names_everything_that_is_missing_at_once() {
         symlink(path.unwrap(), dir.join(tool)).unwrap();
     }
     for (name, text) in [("id", "echo 1000"), ("dpkg-query", "exit 1")] {
-        std::fs::write(dir.join(name), format!("#!/bin/sh\n{text}\n")).unwrap();
-        std::fs::set_permissions(dir.join(name), std::fs::Permissions::from_mode(0o755)).unwrap();
+        write_script(&dir.join(name), text);
     }
     let output = Command::new("/bin/sh")
         .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../setup"))
@@ -311,14 +281,14 @@ fn setup_names_everything_that_is_missing_at_once() {
 }
 
 #[test]
-fn tasks_and_doctor_answer_in_json_and_as_tables() {
-    let tasks: Value = serde_json::from_slice(&aviary(&["tasks", "--json"]).stdout).unwrap();
+fn tasks_and_doctor_print_json_and_tables() {
+    let tasks = json(&["tasks"]);
     let numbers = |task: usize| {
         ["drones", "episode_seconds", "observation_size", "action_size"].map(|key| tasks[task][key].as_f64().unwrap())
     };
     assert_eq!((&tasks[0]["name"], numbers(0)), (&"hover".into(), [1.0, 10.0, 12.0, 4.0]));
     assert_eq!((&tasks[6]["name"], numbers(6)), (&"multi_agent".into(), [3.0, 10.0, 13.0, 4.0]));
-    assert!(String::from_utf8(aviary(&["tasks"]).stdout).unwrap().contains("hover"));
+    assert!(run(&["tasks"]).contains("hover"));
     let output = aviary(&["doctor", "--json"]);
     let doctor: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert!(doctor["mujoco_version"].as_str().unwrap().starts_with("2.2."));
@@ -329,20 +299,58 @@ fn tasks_and_doctor_answer_in_json_and_as_tables() {
 }
 
 #[test]
-fn help_and_version_are_no_errors() {
+fn help_and_version_have_status_0() {
     for arguments in [&["--help"][..], &["fly", "--help"], &["--version"]] {
         let output = aviary(arguments);
         assert!(output.status.success() && output.stderr.is_empty() && !output.stdout.is_empty());
     }
-    for command in ["fly", "capture", "render", "replay", "bench", "tasks", "airframe", "doctor", "completions"] {
-        let help = String::from_utf8(aviary(&[command, "--help"]).stdout).unwrap();
-        assert!(help.contains("Example"), "{command}");
-    }
-    assert!(String::from_utf8(aviary(&["--help"]).stdout).unwrap().contains("Examples:"));
+}
+
+/// Returns all commands with their description in the list of `aviary -h`.
+fn commands() -> Vec<(String, String)> {
+    let help = run(&["-h"]);
+    let list = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    let commands: Vec<_> = list
+        .filter_map(|line| line.trim().split_once(' '))
+        .map(|(name, about)| (name.to_string(), about.trim().to_string()))
+        .filter(|(name, _)| name != "help")
+        .collect();
+    assert_eq!(commands.len(), 11, "{help}");
+    commands
 }
 
 #[test]
-fn trajectories_are_followed_by_every_controller_and_the_geometric_one_loops() {
+fn the_short_help_has_a_line_per_option_and_the_long_help_the_details() {
+    /// Columns of the text of an option.
+    const TEXT: usize = 70;
+    /// Columns of a line.
+    const LINE: usize = 100;
+    for (command, about) in commands() {
+        let (short, long) = (run(&[&command, "-h"]), run(&[&command, "--help"]));
+        for help in [&short, &long] {
+            assert_eq!(help.lines().next(), Some(&*about), "{command}");
+            assert!(help.contains("\nExamples:\n"), "{command}");
+            for line in help.lines().filter(|line| !line.starts_with("Usage:") && !line.starts_with("  aviary")) {
+                assert!(line.chars().count() <= LINE, "{command}: {line}");
+            }
+        }
+        let options = short.lines().skip_while(|line| *line != "Options:").skip(1).take_while(|line| !line.is_empty());
+        for option in options {
+            assert!(option.trim_start().starts_with('-'), "{command}: more than a line: {option}");
+            let text = option.trim_start().split_once("  ").map_or("", |(_, text)| text.trim());
+            assert!(!text.is_empty(), "{command}: {option}");
+            let text = text.split(" [default").next().unwrap();
+            assert!(text.chars().count() <= TEXT, "{command}: {text}");
+        }
+    }
+    let long = run(&["fly", "--help"]);
+    for detail in ["Missing the goal is not an error", "`hybrid` computes the same flight", "drone0.csv"] {
+        assert!(long.contains(detail) && !run(&["fly", "-h"]).contains(detail), "{detail}");
+    }
+}
+
+#[test]
+fn every_controller_follows_trajectories_and_the_geometric_one_flies_a_loop() {
     for (trajectory, controller, drone, within) in [
         ("circle", "geometric", "cf2x", 0.012),
         ("circle", "dsl", "cf2p", 0.03),
@@ -350,11 +358,8 @@ fn trajectories_are_followed_by_every_controller_and_the_geometric_one_loops() {
         ("loop", "geometric", "race", 0.02),
         ("square", "pid", "cf2x", 1.2),
     ] {
-        let options =
-            ["fly", "--task", "hover", "--trajectory", trajectory, "--controller", controller, "--drone", drone];
-        let output = aviary(&[&options[..], &["--json"]].concat());
-        assert_eq!(output.status.code(), Some(0), "{trajectory}");
-        let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let flight =
+            json(&["fly", "--task", "hover", "--trajectory", trajectory, "--controller", controller, "--drone", drone]);
         assert_eq!((&flight["controller"], &flight["trajectory"]), (&controller.into(), &trajectory.into()));
         assert!(flight["peak_position_error"].as_f64().unwrap() < within, "{trajectory}: {flight}");
         assert_eq!(flight["success"], trajectory != "square", "{trajectory}: {flight}");
@@ -362,27 +367,24 @@ fn trajectories_are_followed_by_every_controller_and_the_geometric_one_loops() {
 }
 
 #[test]
-fn trajectory_files_are_followed_or_refused_by_file_line_and_key() {
-    let directory = directory("trajectories");
-    std::fs::create_dir_all(&directory).unwrap();
-    let path = directory.join("way.toml");
-    let write = |text: &str| std::fs::write(&path, text).unwrap();
+fn errors_of_trajectory_files_name_file_line_and_key() {
+    let path = directory("trajectories").join("path.toml");
+    let write = |text: &str| write(&path, text);
     let fly = ["fly", "--task", "hover", "--controller", "geometric", "--trajectory", text(&path)];
     write("kind = \"waypoints\"\npoints = [[0, 0, 1], [1, 0, 1], [1, 1, 4]]\nyaws = [0, 1, 2]\n");
-    let output = aviary(&[&fly[..], &["--json"]].concat());
-    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let flight = json(&fly);
     assert_eq!(flight["success"], true);
     assert!((flight["drones"][0]["final_position"][2].as_f64().unwrap() - 4.0).abs() < 0.01, "above the task's limit");
     write("kind = \"circle\"\nradius = 0.5\nspeed = 1.0\n");
-    refused(&fly, 2, &["way.toml", "line 3", "speed"]);
+    refused(&fly, 2, &["path.toml", "line 3", "speed"]);
     write("kind = \"circle\"\nradius = 0.5\nperiod = 0.0\n");
-    refused(&fly, 2, &["way.toml", "period"]);
+    refused(&fly, 2, &["path.toml", "period"]);
     refused(&["fly", "--task", "hover", "--trajectory", "circel"], 2, &["did you mean `circle`"]);
     refused(&["fly", "--task", "hover", "--trajectory", "no.toml"], 2, &["no.toml: No such file"]);
 }
 
 #[test]
-fn every_task_is_flown_to_success() {
+fn the_built_in_controllers_complete_every_task() {
     for (task, drone, seconds) in [
         ("velocity", "cf2x", 10.0),
         ("multi_hover", "cf2p", 10.0),
@@ -394,9 +396,7 @@ fn every_task_is_flown_to_success() {
         ("race", "race", 12.0),
         ("antipodal", "cf2x", 20.0),
     ] {
-        let output = aviary(&["fly", "--task", task, "--drone", drone, "--seed", "5", "--json"]);
-        assert_eq!(output.status.code(), Some(0), "{task}");
-        let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let flight = json(&["fly", "--task", task, "--drone", drone, "--seed", "5"]);
         assert_eq!(
             (&flight["success"], &flight["progress"]),
             (&true.into(), &1.0.into()),
@@ -405,11 +405,9 @@ fn every_task_is_flown_to_success() {
         assert!(flight["simulated_seconds"].as_f64().unwrap() <= seconds, "{task} with {drone}");
         assert!(flight["drones"].as_array().unwrap().iter().all(|drone| drone["crashed"] == false));
     }
-    let output = aviary(&["fly", "--task", "multi_hover", "--num-drones", "8", "--json"]);
-    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let flight = json(&["fly", "--task", "multi_hover", "--num-drones", "8"]);
     assert_eq!((&flight["success"], flight["drones"].as_array().unwrap().len()), (&true.into(), 8));
-    let output = aviary(&["fly", "--task", "antipodal", "--physics", "mjc_gnd_drag_dw", "--json"]);
-    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let flight = json(&["fly", "--task", "antipodal", "--physics", "mjc_gnd_drag_dw"]);
     assert_eq!(flight["success"], true, "{flight}");
     assert!(flight["info"]["minimum_distance"].as_f64().unwrap() > 0.3);
     refused(&["fly", "--task", "race", "--trajectory", "circle"], 2, &["--trajectory goes with --task hover"]);
@@ -418,32 +416,27 @@ fn every_task_is_flown_to_success() {
 }
 
 #[test]
-fn wind_obstacles_and_randomization_are_flown_from_options_and_files() {
-    let fly = |more: &[&str]| {
-        let output = aviary(&[&["fly", "--task", "hover", "--controller", "geometric", "--json"][..], more].concat());
-        let error = String::from_utf8(output.stderr).unwrap();
-        (serde_json::from_slice::<Value>(&output.stdout).unwrap_or_else(|_| panic!("{more:?}: {error}")), output.status)
-    };
-    let (still, _) = fly(&[]);
+fn options_and_files_set_wind_obstacles_and_randomization() {
+    let fly = |more: &[&str]| json(&[&["fly", "--task", "hover", "--controller", "geometric"][..], more].concat());
+    let still = fly(&[]);
     for wind in ["constant", "gust", "dryden", "sinusoidal", "combined"] {
-        let (flight, status) = fly(&["--wind", wind, "--seed", "3"]);
-        assert!(status.success() && flight["wind"] == wind, "{flight}");
+        let flight = fly(&["--wind", wind, "--seed", "3"]);
+        assert_eq!(flight["wind"], wind, "{flight}");
         assert_ne!(flight["final_position_error"], still["final_position_error"], "{wind}");
-        assert_eq!(fly(&["--wind", wind, "--seed", "3"]).0["reward"], flight["reward"]);
+        assert_eq!(fly(&["--wind", wind, "--seed", "3"])["reward"], flight["reward"]);
     }
     for (kind, parts) in [("forest", 20), ("urban", 8), ("indoor", 14), ("random", 8), ("gates", 16)] {
-        let (flight, status) = fly(&["--obstacles", kind, "--duration", "1"]);
-        assert!(status.success() && flight["obstacles"] == parts, "{kind}: {flight}");
+        let flight = fly(&["--obstacles", kind, "--duration", "1"]);
+        assert_eq!(flight["obstacles"], parts, "{kind}: {flight}");
     }
-    let directory = directory("conditions");
-    std::fs::create_dir_all(&directory).unwrap();
-    let path = directory.join("conditions.toml");
-    let write = |text: &str| std::fs::write(&path, text).unwrap();
+    let path = directory("conditions").join("conditions.toml");
+    let write = |text: &str| write(&path, text);
     write(
         "[wind]\nmodel = \"constant\"\nvelocity = [2, 0, 0]\n[obstacles]\nkind = \"custom\"\n[[obstacles.custom]]\n\
          shape = \"box\"\nsize = [0.1, 0.1, 1]\nposition = [1, 0, 1]\n[randomization.body]\nmass = [1.1, 1.1]\n",
     );
-    let (flight, _) = fly(&["--config", text(&path)]);
+    let output = aviary(&["fly", "--task", "hover", "--controller", "geometric", "--json", "--config", text(&path)]);
+    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&flight["wind"], &flight["obstacles"]), (&"constant".into(), &1.into()));
     assert_eq!(flight["info"]["drawn_mass"], 1.1);
     assert!(flight["drones"][0]["final_position"][0].as_f64().unwrap() > 0.0, "downwind");
@@ -465,14 +458,10 @@ fn wind_obstacles_and_randomization_are_flown_from_options_and_files() {
 }
 
 #[test]
-fn the_hybrid_engine_flies_the_same_flight() {
+fn the_hybrid_engine_computes_the_same_flight_as_mujoco() {
     for (task, physics) in [("hover", "mjc_gnd_drag_dw"), ("race", "mjc"), ("stabilize", "mjc"), ("track", "mjc_drag")]
     {
-        let fly = |engine: &str| -> Value {
-            let output = aviary(&["fly", "--task", task, "--physics", physics, "--engine", engine, "--json"]);
-            assert_eq!(output.status.code(), Some(0));
-            serde_json::from_slice(&output.stdout).unwrap()
-        };
+        let fly = |engine: &str| json(&["fly", "--task", task, "--physics", physics, "--engine", engine]);
         let (a, b) = (fly("mujoco"), fly("hybrid"));
         assert_eq!((&a["engine"], &b["engine"]), (&"mujoco".into(), &"hybrid".into()));
         assert_eq!((&a["success"], &b["success"]), (&true.into(), &true.into()), "{task}");
@@ -490,10 +479,8 @@ fn the_hybrid_engine_flies_the_same_flight() {
 }
 
 #[test]
-fn the_benchmark_says_what_other_programs_read() {
-    let output = aviary(&["bench", "--quick", "--json"]);
-    assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    let bench: Value = serde_json::from_slice(&output.stdout).unwrap();
+fn the_json_of_the_benchmark_has_all_keys() {
+    let bench = json(&["bench", "--quick"]);
     assert!(bench["machine"].is_string() && bench["threads"].as_u64().unwrap() > 0);
     let mj_step = bench["mj_step_per_second"].as_f64().unwrap();
     assert!(mj_step > 1e3);
@@ -508,7 +495,7 @@ fn the_benchmark_says_what_other_programs_read() {
         for key in ["env_steps_per_second", "physics_steps_per_second", "ratio_to_mj_step"] {
             assert!(row[key].as_f64().unwrap() >= 0.0, "{key}: {row}");
         }
-        // the ratio is what its name says, as far as a noisy machine lets the medians of two things be one
+        // medians of two measurements differ on a noisy machine
         let drones = row["drones"].as_f64().unwrap();
         let ratio = drones * row["physics_steps_per_second"].as_f64().unwrap() / mj_step;
         let got = row["ratio_to_mj_step"].as_f64().unwrap();
@@ -519,13 +506,12 @@ fn the_benchmark_says_what_other_programs_read() {
     assert!(batch(1) && batch(4096));
 }
 
-/// Logs had mode 0600 and all other files 0644, whatever the umask was.
 #[test]
-fn every_output_file_has_the_permissions_that_the_umask_leaves() {
+fn every_output_file_has_the_permissions_of_the_umask() {
     use std::os::unix::fs::PermissionsExt as _;
     for (umask, mode) in [("077", 0o600), ("027", 0o640), ("022", 0o644)] {
         let dir = directory(&format!("umask_{umask}"));
-        let status = std::process::Command::new("sh")
+        let status = Command::new("sh")
             .args(["-c", "umask $0; exec \"$@\"", umask, env!("CARGO_BIN_EXE_aviary")])
             .args(["fly", "--task", "hover", "--duration", "0.2", "--plot", "--out", text(&dir)])
             .output()

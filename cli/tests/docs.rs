@@ -1,12 +1,14 @@
-//! Every command that README and guides show is run, or, where it would take too long here, is one that is there.
+//! Commands, links and images of README and guides. A test runs the commands, and shortens slow ones.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// Returns the root of the repository.
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_path_buf()
 }
 
+/// Returns the paths of all documents.
 fn pages() -> Vec<PathBuf> {
     let guides = std::fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
     let mut pages: Vec<_> = guides.filter(|path| path.extension().is_some_and(|ending| ending == "md")).collect();
@@ -15,13 +17,13 @@ fn pages() -> Vec<PathBuf> {
     pages
 }
 
-/// Blocks of a language.
+/// Returns the code blocks of a language.
 fn blocks(page: &str, language: &str) -> Vec<String> {
     let start = format!("```{language}\n");
     page.split(&start).skip(1).filter_map(|rest| rest.split("\n```").next()).map(str::to_string).collect()
 }
 
-/// Commands: every line of a shell block, and what stands in backquotes and begins like one.
+/// Returns the commands of a page: the lines of its shell blocks, and inline code that begins like a command.
 fn commands(page: &str) -> Vec<String> {
     let mut commands: Vec<String> = Vec::new();
     for block in blocks(page, "sh") {
@@ -33,8 +35,8 @@ fn commands(page: &str) -> Vec<String> {
             inside = !inside;
         } else if !inside {
             let quoted = line.split('`').skip(1).step_by(2);
-            // a word in capitals stands for something
-            let general = |text: &str| {
+            // a word in capitals is a placeholder
+            let has_placeholder = |text: &str| {
                 text.split(' ').any(|word| {
                     word.len() > 1 && word.trim_end_matches(char::is_numeric).chars().all(|c| c.is_ascii_uppercase())
                         || word.contains("FILE")
@@ -44,8 +46,8 @@ fn commands(page: &str) -> Vec<String> {
             commands.extend(
                 quoted
                     .filter(|text| text.starts_with("aviary ") || text.starts_with("cargo "))
-                    .filter(|text| !general(text) && !text.contains('…'))
-                    // the name of a command alone is no command line
+                    .filter(|text| !has_placeholder(text) && !text.contains('…'))
+                    // the name of a command without its required options
                     .filter(|text| {
                         !["fly", "capture", "render", "replay", "train", "play", "airframe"]
                             .iter()
@@ -57,11 +59,12 @@ fn commands(page: &str) -> Vec<String> {
     }
     commands.sort();
     commands.dedup();
-    // what others fly must be trained before
+    // other commands fly the trained policies
     commands.sort_by_key(|command| !command.starts_with("aviary train"));
     commands
 }
 
+/// Returns true if OpenGL works on this machine.
 fn has_gl() -> bool {
     mujoco_rs::gl_info().is_ok()
 }
@@ -83,16 +86,16 @@ fn run(directory: &Path, line: &str) {
     if words[0] == "play" {
         words.extend(["--duration", "1"]);
     }
-    // pictures of a second look like those of ten
+    // a short animation tests the same code
     if words.contains(&"--gif") && !words.contains(&"--duration") {
         words.extend(["--duration", "1"]);
     }
-    // a policy that has seen little is a file like any other
+    // a short training writes the same files
     if words[0] == "train" {
         words.retain(|word| *word != "--until-success");
         words.extend(["--steps", "4096", "--envs", "64"]);
     }
-    // a directory has one run, and several pages train the same task into the default one
+    // several pages train the same task into the default directory, which takes one run
     let own = line.replace(|c: char| !c.is_alphanumeric(), "_");
     let own = format!("out/train/{own}");
     if words[0] == "train" && !["--out", "--show", "--resume"].iter().any(|option| words.contains(option)) {
@@ -102,7 +105,7 @@ fn run(directory: &Path, line: &str) {
     assert!(output.status.success(), "aviary {line}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Flies a `fly` command to its end, without pictures, and expects success.
+/// Asserts that a `fly` command succeeds. Options of animations are left out.
 fn succeeds(directory: &Path, line: &str) {
     let mut words = Vec::new();
     let mut given = line.split_whitespace();
@@ -119,8 +122,8 @@ fn succeeds(directory: &Path, line: &str) {
     assert_eq!(flight["success"], true, "aviary {line}: {flight}");
 }
 
-/// Looks whether what cargo is told to run is there.
-fn look_for(line: &str) {
+/// Asserts that the target of a `cargo` command exists.
+fn assert_target_exists(line: &str) {
     let words: Vec<&str> = line.split_whitespace().collect();
     for pair in words.windows(2) {
         let name = pair[1];
@@ -155,7 +158,7 @@ fn every_command_of_the_documentation_works() {
                 count += 1;
                 if let Some(line) = part.strip_prefix("aviary ").or(part.strip_prefix("cargo run --release -p cli -- "))
                 {
-                    // what a shell would do with the output is no part of it
+                    // without the redirection of the shell
                     let line = line.split(" > ").next().unwrap();
                     run(&directory, line);
                     if line.starts_with("fly ") {
@@ -163,7 +166,7 @@ fn every_command_of_the_documentation_works() {
                         flights += 1;
                     }
                 } else if part.starts_with("cargo ") {
-                    look_for(part);
+                    assert_target_exists(part);
                 } else {
                     let known = ["./setup", "git clone ", "cd "].iter().any(|start| part.starts_with(start));
                     assert!(known || part.contains("aviary doctor"), "{}: {part}", page.display());
@@ -175,7 +178,7 @@ fn every_command_of_the_documentation_works() {
 }
 
 #[test]
-fn links_and_pictures_of_the_documentation_are_there() {
+fn links_and_images_of_the_documentation_exist() {
     for page in pages() {
         let text = std::fs::read_to_string(&page).unwrap();
         for target in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
@@ -189,15 +192,14 @@ fn links_and_pictures_of_the_documentation_are_there() {
 }
 
 #[test]
-fn the_pictures_of_the_documentation_are_no_more_than_3_mb() {
-    let pictures = std::fs::read_dir(root().join("assets/pictures")).unwrap();
-    let bytes: u64 = pictures.map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
+fn the_images_of_the_documentation_have_at_most_3_mb() {
+    let images = std::fs::read_dir(root().join("docs/images")).unwrap();
+    let bytes: u64 = images.map(|entry| entry.unwrap().metadata().unwrap().len()).sum();
     assert!(bytes < 3_000_000, "{bytes}");
 }
 
-/// A task of one's own begins with this manifest.
 #[test]
-fn the_manifest_of_the_guide_is_one() {
+fn the_guide_about_tasks_has_a_complete_manifest() {
     let text = std::fs::read_to_string(root().join("docs/tasks.md")).unwrap();
     let manifest = &blocks(&text, "toml")[0];
     for line in ["edition = \"2024\"", "mujoco-drones-gym = { path = ", "[profile.dev]"] {

@@ -1,6 +1,6 @@
-//! Files that commands write and read: logs that are flown again, datasets, encodings, and the words of errors.
+//! Files that commands write and read: logs, scenarios, datasets, encodings, and errors about their content.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 use aviary::env::{Conditions, DroneEnv, Env, EnvConfig};
@@ -11,34 +11,13 @@ use serde_json::Value;
 
 mod common;
 
-use common::{Running, aviary, directory, refused, text};
+use common::{Running, aviary, directory, has_gl, json, reference, refused, run, send, text, wait_while, write};
 
-/// Runs a command that must succeed and gives its standard output.
-fn run(arguments: &[&str]) -> String {
-    let output = aviary(arguments);
-    assert!(output.status.success(), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn json(arguments: &[&str]) -> Value {
-    serde_json::from_str(&run(&[arguments, &["--json"]].concat())).unwrap()
-}
-
-fn has_gl() -> bool {
-    mujoco_rs::gl_info().is_ok()
-}
-
-fn write(path: &Path, text: &str) -> PathBuf {
-    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-    std::fs::write(path, text).unwrap();
-    path.to_path_buf()
-}
-
-/// States and motor speeds of a replay are those of the flight after its start.
+/// Asserts that a replay has the states and motor speeds of the flight.
 fn assert_same_flight(flight: &Flight, again: &Flight, what: &str) {
     assert_eq!(flight.drones.len(), again.drones.len(), "{what}");
     for (drone, again) in flight.drones.iter().zip(&again.drones) {
-        assert_eq!(drone.len(), again.len() + 1, "{what}: a replay has no row of the start");
+        assert_eq!(drone.len(), again.len() + 1, "{what}: a replay has no row of the initial state");
         for (sample, again) in drone[1..].iter().zip(again) {
             assert_eq!((sample.time, sample.state), (again.time, again.state), "{what}");
             assert_eq!(sample.motor_speeds, again.motor_speeds, "{what}");
@@ -47,7 +26,7 @@ fn assert_same_flight(flight: &Flight, again: &Flight, what: &str) {
 }
 
 #[test]
-fn a_flight_is_flown_again_from_its_log_to_the_same_bits() {
+fn the_replay_of_a_log_is_bit_exact() {
     let dir = directory("again");
     let heavy = include_str!("../../assets/airframes/cf2x.toml").replace("mass = 0.027", "mass = 0.031");
     let heavy = write(&dir.join("heavy.toml"), &heavy.replace("\"cf2x\"", "\"heavy\""));
@@ -65,7 +44,7 @@ fn a_flight_is_flown_again_from_its_log_to_the_same_bits() {
     ] {
         let out = dir.join(name);
         let duration = if options.contains(&"--duration") { &[][..] } else { &["--duration", "2"] };
-        // a flight that crashes is a flight
+        // the log of a crash can be replayed as well
         aviary(&[&["fly", "--out", text(&out)], options, duration].concat());
         let (scenario, again) = (out.join("scenario.toml"), dir.join(format!("{name}.csv")));
         let replay = ["replay", "--scenario", text(&scenario), "--out", text(&again), "--actions"];
@@ -75,7 +54,7 @@ fn a_flight_is_flown_again_from_its_log_to_the_same_bits() {
         assert!(flight.drones[0].len() > 90, "{name}");
         assert_same_flight(&flight, &flown, name);
 
-        // the files of the drones, in any order, and what the replay itself has written
+        // the files of the drones in any order, and the output of the replay
         let mut files: Vec<_> = aviary::record::files(&out).iter().map(|path| text(path).to_string()).collect();
         files.reverse();
         let once = std::fs::read(&again).unwrap();
@@ -87,7 +66,7 @@ fn a_flight_is_flown_again_from_its_log_to_the_same_bits() {
     }
 }
 
-/// The log of a flight as the program wrote it before there was one table for all files.
+/// Returns the log of a flight in the format of an earlier version of the program.
 fn earlier(log: &str) -> String {
     let names = [
         ("x_ref", "x_ref_m"),
@@ -134,7 +113,7 @@ fn earlier(log: &str) -> String {
 }
 
 #[test]
-fn logs_of_earlier_versions_are_read_and_flown() {
+fn logs_of_earlier_versions_can_be_read_and_replayed() {
     let dir = directory("earlier-logs");
     let (now, before) = (dir.join("now"), dir.join("before"));
     run(&["fly", "--task", "multi_hover", "--duration", "0.5", "--out", text(&now)]);
@@ -152,13 +131,13 @@ fn logs_of_earlier_versions_are_read_and_flown() {
     };
     let same = replay(&[text(&now)], "now.csv");
     assert!(replay(&[text(&before)], "before.csv") == same);
-    // the files of an earlier version do not say which drone they are of: they are given in order
+    // the files of an earlier version have no index of the drone: their order counts
     let files = ["drone0.csv", "drone1.csv"].map(|name| before.join(name));
     assert!(replay(&[text(&files[0]), text(&files[1])], "files.csv") == same);
 }
 
 #[test]
-fn logs_that_do_not_fit_a_scenario_are_refused_by_file_and_line() {
+fn errors_about_logs_of_other_scenarios_name_file_and_line() {
     let dir = directory("misfits");
     let out = dir.join("flight");
     run(&["fly", "--task", "hover", "--duration", "0.5", "--out", text(&out)]);
@@ -191,7 +170,7 @@ fn logs_that_do_not_fit_a_scenario_are_refused_by_file_and_line() {
     refuse(&engine, &out, &["engine.toml: line", "engine", "hybrid", "dyn"]);
 }
 
-/// A byte-order mark, which some editors write, is no part of any text.
+/// Some editors write a byte-order mark.
 #[test]
 fn every_text_file_may_begin_with_a_byte_order_mark() {
     let dir = directory("marks");
@@ -214,13 +193,13 @@ fn every_text_file_may_begin_with_a_byte_order_mark() {
     run(&["replay", "--scenario", text(&scenario), "--actions", text(&actions), "--out", text(&again)]);
     let training = marked("training.toml", "steps = 1000\n");
     run(&["train", "--task", "hover", "--config", text(&training), "--show"]);
-    // what is wrong stands where an editor shows it
+    // the column is that of an editor
     let wrong = marked("wrong.toml", "wnd = 1\n");
     refused(&["fly", "--task", "hover", "--config", text(&wrong)], 2, &["line 1, column 1", "wnd"]);
 }
 
 #[test]
-fn numbers_are_refused_in_words_of_the_command_line() {
+fn errors_about_numbers_do_not_name_types_of_rust() {
     for (option, value, expected) in [
         ("--duration", "long", "expected a number"),
         ("--duration", "", "expected a number"),
@@ -253,7 +232,7 @@ fn numbers_are_refused_in_words_of_the_command_line() {
 }
 
 #[test]
-fn standard_output_that_is_full_is_status_1_and_a_closed_pipe_is_not() {
+fn a_full_standard_output_has_status_1_and_a_closed_pipe_status_0() {
     for arguments in [&["--help"][..], &["--version"], &["fly", "--help"], &["tasks"], &["completions", "bash"]] {
         let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
         let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).stdout(full).output().unwrap();
@@ -268,7 +247,7 @@ fn standard_output_that_is_full_is_status_1_and_a_closed_pipe_is_not() {
 }
 
 #[test]
-fn tables_have_units_counts_and_no_negative_zeros() {
+fn tables_have_units_whole_counts_and_no_negative_zeros() {
     let row = |task: &[&str], label: &str| {
         let table = run(&[&["fly"], task].concat());
         let row = table.lines().find_map(|line| line.strip_prefix(label)).unwrap_or_else(|| panic!("{label}: {table}"));
@@ -297,9 +276,9 @@ fn tables_have_units_counts_and_no_negative_zeros() {
     }
 }
 
-/// The reward was that of hovering at 1 m, which a trajectory replaces.
+/// A trajectory replaces the target of hover, 1 m.
 #[test]
-fn the_reward_along_a_trajectory_is_about_the_trajectory() {
+fn the_reward_of_a_trajectory_refers_to_the_trajectory() {
     let dir = directory("trajectory-reward");
     let fly = |trajectory: &str| {
         let arguments = ["fly", "--task", "hover", "--trajectory", trajectory, "--duration", "2", "--out", text(&dir)];
@@ -308,7 +287,7 @@ fn the_reward_along_a_trajectory_is_about_the_trajectory() {
         assert!((flight["reward"].as_f64().unwrap() - logged).abs() < 1e-9);
         flight
     };
-    // a point to hover at, 5 m above the task's own target: every step is worth the 0.5 of a drone at its target
+    // the trajectory is a point 5 m above the target of the task; the reward of a drone at its target is 0.5 per step
     let high = write(&dir.join("high.toml"), "kind = \"steps\"\nstart = [0, 0, 6]\npoints = [[0, 0, 6]]\nhold = 2.0\n");
     let flight = fly(text(&high));
     assert!((flight["reward"].as_f64().unwrap() - 0.5 * 96.0).abs() < 0.5, "{flight}");
@@ -316,21 +295,21 @@ fn the_reward_along_a_trajectory_is_about_the_trajectory() {
 }
 
 #[test]
-fn the_hybrid_engine_in_the_dyn_mode_is_a_contradiction() {
+fn the_hybrid_engine_contradicts_the_dyn_mode() {
     let fly = ["fly", "--task", "hover", "--physics", "dyn"];
     refused(&[&fly[..], &["--engine", "hybrid"]].concat(), 2, &["hybrid", "dyn"]);
     assert_eq!(json(&fly)["engine"], "explicit");
 }
 
 #[test]
-fn frames_of_a_film_are_written_by_png_and_the_earlier_option_names_it() {
-    let dir = directory("film-frames");
+fn the_earlier_option_frames_names_the_option_png() {
+    let dir = directory("png-frames");
     refused(&["fly", "--task", "hover", "--frames", text(&dir)], 2, &["--frames", "expected --png"]);
     assert!(!dir.exists());
 }
 
 #[test]
-fn commands_that_write_a_file_name_it() {
+fn commands_print_the_files_that_they_write() {
     let dir = directory("named");
     let (scenario, actions) = (reference("mjc_cf2x.toml"), reference("mjc_cf2x.actions.csv"));
     let out = dir.join("flight.csv");
@@ -349,13 +328,9 @@ fn commands_that_write_a_file_name_it() {
     assert_eq!(json(&render)["files"][0], text(&out));
 }
 
-fn reference(name: &str) -> String {
-    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
-}
-
-/// 200 frames were 18 images: every episode was the same and ended in the same tree.
+/// Without variation, every episode of a dataset ends in the same tree.
 #[test]
-fn episodes_of_a_dataset_differ_unless_they_are_to_be_equal() {
+fn episodes_of_a_dataset_differ_unless_vary_is_none() {
     if !has_gl() {
         return;
     }
@@ -374,7 +349,7 @@ fn episodes_of_a_dataset_differ_unless_they_are_to_be_equal() {
     let equal = capture("equal", &["--vary", "none"]);
     assert!(number(&equal, "episodes") > 2 && number(&equal, "distinct_episodes") == 1, "{equal}");
     assert!(number(&equal, "distinct_images") < 30 && number(&equal, "crashes") > 1, "{equal}");
-    // equal seeds give equal files, others do not
+    // equal seeds give equal files, different seeds different files
     capture("b", &[]);
     capture("c", &["--seed", "1"]);
     let bytes = |name: &str, file: &str| std::fs::read(dir.join(name).join(file)).unwrap();
@@ -386,13 +361,12 @@ fn episodes_of_a_dataset_differ_unless_they_are_to_be_equal() {
         refused(&["capture", "--task", task, "--frames", "1", "--vary", vary, "--out", "x"], 2, texts);
     };
     refuse("hover", "al", &["`all`", "starts"]);
-    refuse("hover", "layouts", &["no obstacles are placed at random"]);
+    refuse("hover", "layouts", &["expected --obstacles or [obstacles]"]);
     refuse("antipodal", "starts", &["antipodal", "start"]);
 }
 
-/// Trees that have moved are where the images and their depth show them.
 #[test]
-fn images_show_the_layout_of_their_own_episode() {
+fn images_show_the_layout_of_their_episode() {
     if !has_gl() {
         return;
     }
@@ -401,7 +375,7 @@ fn images_show_the_layout_of_their_own_episode() {
         let arguments = ["capture", "--task", "hover", "--obstacles", "forest", "--size", "64x48", "--out", text(out)];
         run(&[&arguments[..], &["--duration", "0.1", "--vary", "layouts"], more].concat());
     };
-    // the first frame of each of four episodes: same start, same camera
+    // the first frame of each of four episodes, from the same camera pose
     capture(&dir, &["--frames", "4", "--every", "5"]);
     let rows = std::fs::read_to_string(dir.join("frames.csv")).unwrap();
     let episodes: Vec<_> = rows.lines().skip(1).map(|row| row.split(',').nth(1).unwrap()).collect();
@@ -411,14 +385,15 @@ fn images_show_the_layout_of_their_own_episode() {
     assert_eq!(images.len(), 4);
 }
 
-/// The layout of the first episode is sampled after its start, and is not the layout that the scene was compiled with.
+/// The first reset samples a layout, which differs from that of the compiled scene.
 #[test]
-fn images_of_the_first_episode_show_the_obstacles_of_its_reset() {
+fn images_of_the_first_episode_show_the_layout_of_its_reset() {
     if !has_gl() {
         return;
     }
     let dir = directory("first-layout");
-    let conditions = "[randomization.initial]\n[obstacles]\nkind = \"forest\"\ncount = 20\narena = [4.0, 4.0, 2.0]\nnew_layout = true\nseed = 5\n";
+    let conditions = "[randomization.initial]\n[obstacles]\nkind = \"forest\"\ncount = 20\narena = [4.0, 4.0, 2.0]\n\
+         new_layout = true\nseed = 5\n";
     let config = write(&dir.join("conditions.toml"), conditions);
     let conditions = Conditions::from_toml(conditions).unwrap();
     let mut env = tasks::make("hover", EnvConfig::default().conditions(&conditions)).unwrap();
@@ -442,8 +417,8 @@ fn images_of_the_first_episode_show_the_obstacles_of_its_reset() {
     assert!(std::fs::read(&image).unwrap() == expected);
 }
 
-/// The files of a dataset that a program was killed over, or that ended on a full disk.
-fn assert_dataset_is_whole(dir: &Path) -> usize {
+/// Asserts that every row of a dataset has its images, and every id its object. Returns the number of rows.
+fn assert_dataset_is_complete(dir: &Path) -> usize {
     let mut rows = csv::Reader::from_path(dir.join("frames.csv")).unwrap();
     let header: Vec<_> = rows.headers().unwrap().iter().map(str::to_string).collect();
     assert_eq!(header[2..17], STATE_COLUMNS);
@@ -459,7 +434,7 @@ fn assert_dataset_is_whole(dir: &Path) -> usize {
         let objects = image::open(dir.join(&row[19])).unwrap().into_luma16();
         assert!(objects.pixels().all(|pixel| segmentation[pixel[0].to_string()].is_object()));
     }
-    // an image set is complete with its last image, and has a row unless the program ended between the two
+    // the program may end between the last image of a set and its row
     let sets = std::fs::read_dir(dir.join("segmentation")).unwrap();
     let sets = sets.filter(|entry| entry.as_ref().unwrap().path().extension().is_some_and(|ending| ending == "png"));
     assert!((0..=1).contains(&(sets.count() - rows.len())));
@@ -467,7 +442,7 @@ fn assert_dataset_is_whole(dir: &Path) -> usize {
 }
 
 #[test]
-fn a_capture_that_is_killed_or_interrupted_keeps_every_label() {
+fn an_interrupted_capture_keeps_all_complete_frames() {
     if !has_gl() {
         return;
     }
@@ -477,19 +452,16 @@ fn a_capture_that_is_killed_or_interrupted_keeps_every_label() {
         command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary"), "capture", "--task", "multi_hover"]);
         command.args(["--obstacles", "forest", "--size", "16x12", "--frames", "1000000", "--out", text(&dir)]);
         let mut child = Running::start(command.stdout(Stdio::null()));
-        while !dir.join("segmentation/000040_0.png").exists() {
-            assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
-            std::thread::sleep(std::time::Duration::from_millis(5));
-        }
-        assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+        wait_while(&mut child, || !dir.join("segmentation/000040_0.png").exists());
+        send(signal, &child);
         child.wait().unwrap();
-        assert!(assert_dataset_is_whole(&dir) >= 80, "{signal}");
+        assert!(assert_dataset_is_complete(&dir) >= 80, "{signal}");
     }
 }
 
-/// The size limit of the shell stands for a full disk: a write fails in both.
+/// A size limit of the shell makes writes fail, as a full disk does.
 #[test]
-fn a_capture_that_cannot_be_written_any_further_keeps_every_label() {
+fn a_capture_on_a_full_disk_keeps_all_complete_frames() {
     if !has_gl() {
         return;
     }
@@ -503,5 +475,5 @@ fn a_capture_that_cannot_be_written_any_further_keeps_every_label() {
     let error = String::from_utf8(output.stderr).unwrap();
     assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
     assert!(error.contains("frames.csv"), "{error}");
-    assert!(assert_dataset_is_whole(&dir) > 100);
+    assert!(assert_dataset_is_complete(&dir) > 100);
 }

@@ -1,18 +1,17 @@
-//! Flights that are flown again from their files.
+//! Replays of flights from their files.
 
 use std::path::Path;
 
 mod common;
 
-use common::{aviary, directory, reference, refused, text};
+use common::{aviary, directory, reference, refused, run, text, write};
 
 #[test]
-fn a_recorded_flight_is_flown_again_to_the_reference() {
+fn replays_agree_with_the_reference_flights() {
     let out = directory("replay").join("flight.csv");
     for name in ["mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
         let (scenario, actions) = (reference(&format!("{name}.toml")), reference(&format!("{name}.actions.csv")));
-        let output = aviary(&["replay", "--scenario", &scenario, "--actions", &actions, "--out", text(&out)]);
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        run(&["replay", "--scenario", &scenario, "--actions", &actions, "--out", text(&out)]);
         let rows = |path: &str| -> (Vec<String>, Vec<Vec<f64>>) {
             let mut reader = csv::Reader::from_path(path).unwrap();
             let header = reader.headers().unwrap().iter().map(str::to_string).collect();
@@ -29,19 +28,15 @@ fn a_recorded_flight_is_flown_again_to_the_reference() {
 }
 
 #[test]
-fn replays_that_cannot_be_flown_are_refused_by_file_and_line() {
+fn errors_of_replays_name_file_and_line() {
     let dir = directory("replay-refused");
-    std::fs::create_dir_all(&dir).unwrap();
     let out = dir.join("flight.csv");
     let (scenario, actions) = (reference("mjc_cf2x.toml"), reference("mjc_cf2x.actions.csv"));
     let good = std::fs::read_to_string(&scenario).unwrap();
-    let file = |name: &str, content: &str| {
-        std::fs::write(dir.join(name), content).unwrap();
-        text(&dir.join(name)).to_string()
-    };
+    let file = |name: &str, content: &str| text(&write(&dir.join(name), content)).to_string();
     let replay = |scenario: &str, actions: &str, texts: &[&str]| {
         refused(&["replay", "--scenario", scenario, "--actions", actions, "--out", text(&out)], 2, texts);
-        assert!(!out.exists(), "a partial file");
+        assert!(!out.exists(), "an incomplete file");
     };
     let typo = file("typo.toml", &good.replace("sim_freq", "sim_frq"));
     replay(&typo, &actions, &["typo.toml: line", "sim_frq"]);
@@ -56,7 +51,7 @@ fn replays_that_cannot_be_flown_are_refused_by_file_and_line() {
     );
     replay(&scenario, &file("nan.csv", &format!("{header}1,2,nan,4\n")), &["nan.csv: line 2", "drone0_rpm2 is `nan`"]);
     replay(&scenario, &file("header.csv", "a,b,c,d\n1,2,3,4\n"), &["header.csv: line 1", "`a`"]);
-    let blocked = file("blocked", "in the way");
+    let blocked = file("blocked", "not a directory");
     refused(
         &["replay", "--scenario", &scenario, "--actions", &actions, "--out", &format!("{blocked}/x.csv")],
         1,
@@ -64,19 +59,14 @@ fn replays_that_cannot_be_flown_are_refused_by_file_and_line() {
     );
 }
 
-/// A drawn start does not turn the scene that MuJoCo has compiled: the scenario has both.
+/// The scenario has the sampled initial attitudes and those of the compiled scene, which differ.
 #[test]
-fn a_flight_from_a_drawn_start_along_a_turned_trajectory_is_flown_again_to_the_same_bits() {
-    let dir = directory("turned");
-    std::fs::create_dir_all(&dir).unwrap();
-    let file = |name: &str, content: &str| {
-        let path = dir.join(name);
-        std::fs::write(&path, content).unwrap();
-        path
-    };
+fn the_replay_of_a_sampled_start_on_a_rotated_trajectory_is_bit_exact() {
+    let dir = directory("rotated");
+    let file = |name: &str, content: &str| write(&dir.join(name), content);
     let circle = "kind = \"circle\"\nradius = 0.5\nperiod = 6\nturns = 1\nramp = 1\nyaw = 1\n";
-    let trajectory = file("turned.toml", circle);
-    let config = file("drawn.toml", "[randomization.initial]\n");
+    let trajectory = file("rotated.toml", circle);
+    let config = file("sampled.toml", "[randomization.initial]\n");
     let (out, again) = (dir.join("out"), dir.join("again.csv"));
     let output = aviary(&[
         "fly",
@@ -94,9 +84,8 @@ fn a_flight_from_a_drawn_start_along_a_turned_trajectory_is_flown_again_to_the_s
     let scenario = out.join("scenario.toml");
     let written = std::fs::read_to_string(&scenario).unwrap_or_else(|_| panic!("{output:?}"));
     assert!(written.contains("scene_rpys = [[0.0, 0.0, 1.0]]"), "{written}");
-    let output = aviary(&["replay", "--scenario", text(&scenario), "--actions", text(&out), "--out", text(&again)]);
-    assert!(output.status.success(), "{output:?}");
-    // a replay has no row of the start, and writes the columns up to the motor speeds
+    run(&["replay", "--scenario", text(&scenario), "--actions", text(&out), "--out", text(&again)]);
+    // a replay has no row of the initial state, and has the columns up to the motor speeds
     let columns = |path: &Path, skip: usize| -> Vec<Vec<f64>> {
         let text = std::fs::read_to_string(path).unwrap();
         text.lines().skip(skip).map(|line| line.split(',').take(22).map(|x| x.parse().unwrap()).collect()).collect()

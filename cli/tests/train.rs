@@ -1,6 +1,6 @@
-//! Training and flying of policies, as other programs see them.
+//! Training of policies, and flights with them.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -8,44 +8,43 @@ use serde_json::Value;
 
 mod common;
 
-use common::{Running, aviary, directory, refused, text};
+use common::{
+    Running, assert_equal_files, aviary, directory, entries, has_gl, json, pretrained, refused, run, send, text, write,
+};
 use learn::Trainer;
 
 /// Steps of a run that a test ends.
 const LONG: u64 = 20_000_000;
 
-/// Options of a run that is over soon.
+/// Options of a short run.
 const SMALL: [&str; 6] = ["--envs", "64", "--steps", "12288", "--seed", "3"];
 
-fn json(arguments: &[&str]) -> Value {
-    let output = aviary(arguments);
-    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).unwrap()
+/// Writes a configuration file.
+fn config_file(name: &str, text: &str) -> PathBuf {
+    write(&directory(name).with_extension("toml"), text)
 }
 
 #[test]
-fn training_writes_a_policy_a_curve_and_where_the_time_went() {
+fn training_writes_a_policy_a_learning_curve_and_a_breakdown_of_the_time() {
     let out = directory("train");
-    let run = json(&[&["train", "--task", "hover", "--json", "--out", text(&out)][..], &SMALL].concat());
+    let run = json(&[&["train", "--task", "hover", "--out", text(&out)][..], &SMALL].concat());
     assert_eq!((&run["task"], &run["stop"], &run["steps"]), (&"hover".into(), &"steps".into(), &12_288.into()));
     let shares: f64 = run["time"].as_object().unwrap().values().map(|share| share.as_f64().unwrap()).sum();
     assert!((shares - 1.0).abs() < 1e-6, "{shares}");
     for file in run["files"].as_array().unwrap() {
-        assert!(std::path::Path::new(file.as_str().unwrap()).metadata().unwrap().len() > 100, "{file}");
+        assert!(Path::new(file.as_str().unwrap()).metadata().unwrap().len() > 100, "{file}");
     }
     let curve = std::fs::read_to_string(out.join("curve.csv")).unwrap();
     let rows: Vec<Vec<&str>> = curve.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!((rows.len(), rows[0].len()), (7, 13));
     assert!(rows[1..].iter().enumerate().all(|(k, row)| row.len() == 13 && row[1] == (2048 * (k + 1)).to_string()));
 
-    // equal seeds, equal files
+    // equal seeds give equal files
     let again = directory("train_again");
-    json(&[&["train", "--task", "hover", "--json", "--out", text(&again)][..], &SMALL].concat());
-    for name in ["policy.safetensors", "curve.csv", "curve.svg", "curve.png"] {
-        assert_eq!(std::fs::read(out.join(name)).unwrap(), std::fs::read(again.join(name)).unwrap(), "{name}");
-    }
+    json(&[&["train", "--task", "hover", "--out", text(&again)][..], &SMALL].concat());
+    assert_equal_files(&out, &again, &["policy.safetensors", "curve.csv", "curve.svg", "curve.png"]);
 
-    // what it was made with is in the file, without a path of this machine
+    // the policy file has the command of the training, without paths
     let policy = std::fs::read(out.join("policy.safetensors")).unwrap();
     let head = String::from_utf8_lossy(&policy);
     assert!(head.contains("aviary train --task hover --seed 3 --steps 12288 --envs 64"), "{head}");
@@ -53,10 +52,8 @@ fn training_writes_a_policy_a_curve_and_where_the_time_went() {
 }
 
 #[test]
-fn a_run_that_is_killed_is_resumed_to_the_same_files() {
-    let config = directory("killed_config").with_extension("toml");
-    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
-    std::fs::write(&config, "checkpoint_every = 2\nevaluate_every = 3\nepisodes = 2\n").unwrap();
+fn a_killed_and_resumed_run_is_bit_identical_to_an_uninterrupted_run() {
+    let config = config_file("killed_config", "checkpoint_every = 2\nevaluate_every = 3\nepisodes = 2\n");
     let run = |steps: u64, out: &Path| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
         command.args(["train", "--task", "hover", "--envs", "64", "--config", text(&config), "--out", text(out)]);
@@ -65,7 +62,7 @@ fn a_run_that_is_killed_is_resumed_to_the_same_files() {
     };
     let (whole, killed) = (directory("whole"), directory("killed"));
     let mut child = Running::start(&mut run(LONG, &killed));
-    // beyond the first checkpoint, which is written before anything is done
+    // the run writes the curve after its first iterations, the first checkpoint before them
     wait_for(&killed.join("curve.csv"));
     child.kill().unwrap();
     child.wait().unwrap();
@@ -75,30 +72,28 @@ fn a_run_that_is_killed_is_resumed_to_the_same_files() {
     assert!(run(steps, &whole).status().unwrap().success());
     let output = aviary(&["train", "--resume", text(&killed), "--steps", &steps.to_string()]);
     assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
-    for name in ["curve.csv", "curve.svg", "curve.png"] {
-        assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(killed.join(name)).unwrap(), "{name}");
-    }
+    assert_equal_files(&whole, &killed, &["curve.csv", "curve.svg", "curve.png"]);
     // the policies differ in the command that made them
     let best = |run: &Path| tensors(&std::fs::read(run.join("policy.safetensors")).unwrap());
     assert_eq!(best(&whole), best(&killed));
-    // nothing is left to do, and nothing is touched
+    // a finished run keeps its files
     let files = ["policy.safetensors", "checkpoint.safetensors", "curve.csv"];
     let before = files.map(|name| std::fs::read(killed.join(name)).unwrap());
     let policy = std::fs::read(killed.join("policy.safetensors")).unwrap();
-    refused(&["train", "--resume", text(&killed)], 2, &[&format!("{steps} steps are made already")]);
+    refused(&["train", "--resume", text(&killed)], 2, &[&format!("made {steps} steps already")]);
     assert_eq!(std::fs::read(killed.join("policy.safetensors")).unwrap(), policy);
     assert_eq!(files.map(|name| std::fs::read(killed.join(name)).unwrap()), before);
-    // a number that no checkpoint can hold
+    // above the largest integer of a checkpoint
     let large = (1_u64 << 63).to_string();
     refused(&["train", "--resume", text(&killed), "--steps", &large], 2, &["steps is 9223372036854775808"]);
     assert_eq!(files.map(|name| std::fs::read(killed.join(name)).unwrap()), before);
-    // and it goes on from there
+    // more steps continue the run
     let steps = steps + 2 * 2048;
-    let longer = json(&["train", "--resume", text(&killed), "--steps", &steps.to_string(), "--json"]);
+    let longer = json(&["train", "--resume", text(&killed), "--steps", &steps.to_string()]);
     assert_eq!(longer["steps"], steps);
 }
 
-/// The tensors of a safetensors file, without the metadata before them.
+/// Returns the tensors of a safetensors file without the metadata.
 fn tensors(bytes: &[u8]) -> Vec<u8> {
     let metadata = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
     let tensors = bytes[8 + metadata..].to_vec();
@@ -106,7 +101,7 @@ fn tensors(bytes: &[u8]) -> Vec<u8> {
     tensors
 }
 
-/// Waits until a file is there.
+/// Waits until a file exists.
 fn wait_for(path: &Path) {
     let began = Instant::now();
     while !path.exists() && began.elapsed() < Duration::from_secs(60) {
@@ -116,31 +111,28 @@ fn wait_for(path: &Path) {
 }
 
 #[test]
-fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
-    let config = directory("stopped_config").with_extension("toml");
-    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
-    std::fs::write(&config, "checkpoint_every = 4\nevaluate_every = 3\nepisodes = 2\n").unwrap();
+fn the_command_that_a_stopped_run_prints_continues_the_run() {
+    let config = config_file("stopped_config", "checkpoint_every = 4\nevaluate_every = 3\nepisodes = 2\n");
     let (whole, stopped) = (directory("not stopped"), directory("it is stopped"));
     let long = LONG.to_string();
     let train = ["train", "--task", "hover", "--envs", "64", "--steps", &long, "--config", text(&config)];
     let mut arguments: Vec<String> = train.iter().map(ToString::to_string).collect();
     arguments.extend(["--out".into(), text(&stopped).into()]);
     for (signal, status) in [("INT", 130), ("TERM", 143), ("HUP", 129)] {
-        // also where the tests run under nohup, which ignores SIGHUP
+        // the tests may run under nohup, which ignores SIGHUP
         let mut command = Command::new("env");
         command.args(["--default-signal=HUP", env!("CARGO_BIN_EXE_aviary")]).args(&arguments);
         let child = Running::start(command.stdout(Stdio::piped()).stderr(Stdio::piped()));
-        // written at the next checkpoint
+        // the run writes the curve at the next checkpoint
         wait_for(&stopped.join("curve.csv"));
-        let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status().unwrap();
-        assert!(sent.success());
+        send(&format!("-{signal}"), &child);
         let output = child.output();
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(status), "{signal}: {error}");
         assert!(output.stdout.is_empty());
         let last = error.lines().last().unwrap();
         assert!(last.contains(&format!("stopped by SIG{signal} after")), "{error}");
-        // what a shell makes of the command
+        // the arguments of the command in a shell
         let quoted = last.split('`').nth(1).unwrap().strip_prefix("aviary ").unwrap();
         let words = Command::new("sh").args(["-c", &format!("printf '%s\\n' {quoted}")]).output().unwrap();
         arguments = String::from_utf8(words.stdout).unwrap().lines().map(str::to_string).collect();
@@ -151,7 +143,7 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
         assert_eq!(left, ["checkpoint.safetensors", "curve.csv", "policy.safetensors"]);
         std::fs::remove_file(stopped.join("curve.csv")).unwrap();
     }
-    // it ends a little later than the last checkpoint
+    // the run ends a few iterations after the last checkpoint
     let checkpoint = |run: &Path| Trainer::resume(run.join("checkpoint.safetensors")).unwrap();
     let steps = (checkpoint(&stopped).steps() + 6 * 2048).to_string();
     let train = ["train", "--task", "hover", "--envs", "64", "--steps", &steps, "--config", text(&config)];
@@ -159,12 +151,9 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
         [&train[..], &["--out", text(&whole)]].concat(),
         ["train", "--resume", text(&stopped), "--steps", &steps].to_vec(),
     ] {
-        let output = aviary(&arguments);
-        assert_eq!(output.status.code(), Some(0), "{}", String::from_utf8_lossy(&output.stderr));
+        run(&arguments);
     }
-    for name in ["curve.csv", "curve.svg", "curve.png"] {
-        assert_eq!(std::fs::read(whole.join(name)).unwrap(), std::fs::read(stopped.join(name)).unwrap(), "{name}");
-    }
+    assert_equal_files(&whole, &stopped, &["curve.csv", "curve.svg", "curve.png"]);
     // the policies differ in the command that made them
     let best = |run: &Path| tensors(&std::fs::read(run.join("policy.safetensors")).unwrap());
     assert_eq!(best(&whole), best(&stopped));
@@ -173,10 +162,10 @@ fn a_run_that_signals_stop_is_continued_by_the_command_that_it_prints() {
 }
 
 #[test]
-fn an_earlier_run_is_not_replaced() {
+fn a_run_does_not_replace_an_earlier_run() {
     let out = directory("train_earlier");
     let train = [&["train", "--task", "hover", "--out", text(&out)][..], &SMALL].concat();
-    assert_eq!(aviary(&train).status.code(), Some(0));
+    run(&train);
     let files = || ["checkpoint.safetensors", "policy.safetensors"].map(|name| std::fs::read(out.join(name)).unwrap());
     let before = files();
     let resume = format!("--resume {} to continue it", text(&out));
@@ -185,22 +174,22 @@ fn an_earlier_run_is_not_replaced() {
         2,
         &[text(&out), "checkpoint.safetensors of an earlier run", &resume, "another directory in --out"],
     );
-    // another task is another run
+    // a run of another task does not replace it either
     refused(&["train", "--task", "race", "--out", text(&out)], 2, &["checkpoint.safetensors"]);
     assert_eq!(files(), before);
     std::fs::remove_file(out.join("checkpoint.safetensors")).unwrap();
     refused(&train, 2, &["policy.safetensors of an earlier run, expected another directory in --out"]);
 
-    // of all tasks, none is trained where one has a run already
+    // --all trains no task if one task has an earlier run
     let all = directory("earlier_all");
     std::fs::create_dir_all(all.join("race")).unwrap();
     std::fs::write(all.join("race/policy.safetensors"), b"mine").unwrap();
     refused(&["train", "--all", "--out", text(&all)], 2, &["race: it has policy.safetensors"]);
-    assert_eq!(std::fs::read_dir(&all).unwrap().count(), 1);
+    assert_eq!(entries(&all), 1);
 }
 
 #[test]
-fn two_runs_do_not_write_to_one_directory_at_a_time() {
+fn two_runs_cannot_write_to_one_directory_at_a_time() {
     let out = directory("together");
     let mut command = Command::new(env!("CARGO_BIN_EXE_aviary"));
     command.args(["train", "--task", "hover", "--envs", "64", "--steps", "20000000", "--out", text(&out)]);
@@ -213,7 +202,7 @@ fn two_runs_do_not_write_to_one_directory_at_a_time() {
 }
 
 #[test]
-fn steps_are_whole_iterations_and_say_so() {
+fn the_number_of_steps_is_rounded_up_to_whole_iterations_with_a_note() {
     let out = directory("rounded");
     let output = aviary(&["train", "--task", "hover", "--envs", "64", "--steps", "100", "--out", text(&out)]);
     let (error, table) = (String::from_utf8(output.stderr).unwrap(), String::from_utf8(output.stdout).unwrap());
@@ -222,16 +211,14 @@ fn steps_are_whole_iterations_and_say_so() {
     assert!(error.contains("hover: 2048 of 2048 steps"), "{error}");
     assert!(table.contains("2048 (100 in whole iterations)"), "{table}");
     let longer = aviary(&["train", "--resume", text(&out), "--steps", "2049", "--json"]);
-    assert_eq!(String::from_utf8(longer.stderr).unwrap(), "", "JSON alone");
+    assert_eq!(String::from_utf8(longer.stderr).unwrap(), "", "only JSON");
     let run: Value = serde_json::from_slice(&longer.stdout).unwrap();
     assert_eq!((&run["steps"], &run["requested_steps"]), (&4096.into(), &2049.into()));
 }
 
 #[test]
 fn without_a_terminal_every_evaluation_prints_a_line() {
-    let config = directory("lines_config").with_extension("toml");
-    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
-    std::fs::write(&config, "evaluate_every = 2\nepisodes = 2\n").unwrap();
+    let config = config_file("lines_config", "evaluate_every = 2\nepisodes = 2\n");
     let out = directory("lines");
     let train = ["train", "--task", "hover", "--config", text(&config), "--out", text(&out)];
     let output = aviary(&[&train[..], &SMALL].concat());
@@ -248,18 +235,18 @@ fn without_a_terminal_every_evaluation_prints_a_line() {
 #[test]
 fn every_task_can_be_trained_and_its_policy_flown() {
     let out = directory("train_all");
-    let runs = json(&["train", "--all", "--steps", "2048", "--envs", "16", "--out", text(&out), "--json"]);
+    let runs = json(&["train", "--all", "--steps", "2048", "--envs", "16", "--out", text(&out)]);
     let tasks: Vec<_> = runs.as_array().unwrap().iter().map(|run| run["task"].as_str().unwrap().to_string()).collect();
     assert_eq!(tasks, aviary::tasks::NAMES);
     for task in tasks {
         let policy = out.join(&task).join("policy.safetensors");
-        let flown = json(&["play", "--policy", text(&policy), "--episodes", "2", "--duration", "0.5", "--json"]);
+        let flown = json(&["play", "--policy", text(&policy), "--episodes", "2", "--duration", "0.5"]);
         assert_eq!((flown["task"].as_str(), flown["episodes"].as_array().unwrap().len()), (Some(&*task), 2));
     }
 }
 
 #[test]
-fn the_recipe_of_every_task_is_shown() {
+fn show_prints_the_recipe_of_every_task() {
     for task in aviary::tasks::NAMES {
         let shown = aviary(&["train", "--task", task, "--show"]);
         let recipe = learn::TrainConfig::of_task(task).unwrap().to_toml().unwrap();
@@ -267,15 +254,11 @@ fn the_recipe_of_every_task_is_shown() {
     }
 }
 
-fn pretrained(name: &str) -> String {
-    format!("{}/../assets/policies/{name}.safetensors", env!("CARGO_MANIFEST_DIR"))
-}
-
 #[test]
-fn policies_that_come_along_do_what_they_are_for() {
+fn the_policies_in_assets_complete_their_tasks() {
     for (task, episodes) in [("hover", 20), ("velocity", 10), ("fly_through", 5), ("race", 5)] {
         let (policy, count) = (pretrained(task), episodes.to_string());
-        let flown = json(&["play", "--policy", &policy, "--episodes", &count, "--seed", "777", "--json"]);
+        let flown = json(&["play", "--policy", &policy, "--episodes", &count, "--seed", "777"]);
         assert_eq!(flown["task"], task);
         assert_eq!(flown["success_rate"], 1.0, "{flown:#}");
         let numbers = |key: &str| -> Vec<f64> {
@@ -288,53 +271,45 @@ fn policies_that_come_along_do_what_they_are_for() {
         assert!((flown["mean_reward"].as_f64().unwrap() - mean).abs() < 1e-9);
     }
     let randomized = pretrained("hover_randomized");
-    let flown = json(&["play", "--policy", &randomized, "--as-trained", "--episodes", "10", "--seed", "777", "--json"]);
+    let flown = json(&["play", "--policy", &randomized, "--as-trained", "--episodes", "10", "--seed", "777"]);
     assert_eq!(flown["success_rate"], 1.0, "{flown:#}");
-    let table = aviary(&["play", "--policy", &pretrained("hover"), "--episodes", "3"]);
-    let table = String::from_utf8(table.stdout).unwrap();
+    let table = run(&["play", "--policy", &pretrained("hover"), "--episodes", "3"]);
     assert!(table.lines().count() == 5 && table.contains("3 of 3 episodes of hover succeeded"), "{table}");
 }
 
 #[test]
-fn a_policy_is_flown_under_other_conditions_and_filmed() {
+fn options_change_the_conditions_of_a_policy_and_write_animations() {
     let policy = pretrained("hover");
-    let calm = json(&["play", "--policy", &policy, "--episodes", "2", "--json"]);
-    let wind = json(&["play", "--policy", &policy, "--episodes", "2", "--wind", "combined", "--json"]);
-    let physics = json(&["play", "--policy", &policy, "--episodes", "2", "--physics", "mjc_gnd_drag_dw", "--json"]);
-    assert_ne!(calm["episodes"], wind["episodes"]);
-    assert_ne!(calm["episodes"], physics["episodes"]);
-    if mujoco_rs::gl_info().is_ok() {
+    let play = |more: &[&str]| json(&[&["play", "--policy", &policy, "--episodes", "2"][..], more].concat());
+    let calm = play(&[]);
+    assert_ne!(calm["episodes"], play(&["--wind", "combined"])["episodes"]);
+    assert_ne!(calm["episodes"], play(&["--physics", "mjc_gnd_drag_dw"])["episodes"]);
+    if has_gl() {
         let gif = directory("played").with_extension("gif");
-        json(&["play", "--policy", &policy, "--episodes", "1", "--duration", "0.5", "--gif", text(&gif), "--json"]);
+        play(&["--duration", "0.5", "--gif", text(&gif)]);
         assert!(std::fs::read(&gif).unwrap().starts_with(b"GIF89a"));
     }
 }
 
 #[test]
-fn a_policy_is_flown_under_what_it_was_trained_under() {
-    let config = directory("trained_config").with_extension("toml");
-    std::fs::create_dir_all(config.parent().unwrap()).unwrap();
-    let text = "physics = \"mjc_drag\"\nepisode_seconds = 1.5\nevaluate_every = 2\nepisodes = 2\n[ppo]\nhidden = [8]\n\
+fn as_trained_restores_the_conditions_of_the_training() {
+    let content = "physics = \"mjc_drag\"\nepisode_seconds = 1.5\nevaluate_every = 2\nepisodes = 2\n\
+        [ppo]\nhidden = [8]\n\
         [wind]\nmodel = \"constant\"\nvelocity = [3.0, 0.0, 0.0]\n[randomization.body]\nmass = [0.8, 1.2]\n";
-    std::fs::write(&config, text).unwrap();
-    let out = directory("trained");
-    let config = config.to_str().unwrap();
-    json(
-        &[&["train", "--task", "hover", "--config", config, "--json", "--out", out.to_str().unwrap()][..], &SMALL]
-            .concat(),
-    );
+    let config = config_file("trained_config", content);
+    let (config, out) = (text(&config), directory("trained"));
+    json(&[&["train", "--task", "hover", "--config", config, "--out", text(&out)][..], &SMALL].concat());
     let policy = out.join("policy.safetensors");
-    let play = |more: &[&str]| {
-        json(&[&["play", "--policy", policy.to_str().unwrap(), "--episodes", "3", "--json"][..], more].concat())
-    };
+    let policy = text(&policy);
+    let play = |more: &[&str]| json(&[&["play", "--policy", policy, "--episodes", "3"][..], more].concat());
     let trained = play(&["--as-trained"]);
     assert_eq!(trained["physics"], "mjc_drag");
-    // the trainer's own options in the file are left out
+    // the options of the trainer in the file have no effect
     assert_eq!(play(&["--config", config]), trained);
     let plain = play(&[]);
     assert_eq!(plain["physics"], "mjc");
     assert_ne!(plain["episodes"], trained["episodes"]);
-    // options come before the file
+    // options override the file
     assert_eq!(play(&["--config", config, "--physics", "mjc"])["physics"], "mjc");
     let shorter = play(&["--as-trained", "--duration", "0.25"]);
     let lengths = |run: &Value| -> Vec<f64> {
@@ -343,59 +318,45 @@ fn a_policy_is_flown_under_what_it_was_trained_under() {
     assert!(lengths(&shorter).iter().all(|&seconds| seconds <= 0.25));
     assert!(lengths(&trained).iter().all(|&seconds| seconds <= 1.5), "{trained:#}");
 
-    let policy = policy.to_str().unwrap();
     refused(&["play", "--policy", policy, "--as-trained", "--wind", "gust"], 2, &["--as-trained", "--wind"]);
     refused(&["play", "--policy", policy, "--as-trained", "--config", config], 2, &["--as-trained", "--config"]);
-    let wrong = directory("wrong_config").with_extension("toml");
-    std::fs::write(&wrong, "steps = 1\nstepps = 2\n").unwrap();
-    let wrong = wrong.to_str().unwrap();
-    refused(&["play", "--policy", policy, "--config", wrong], 2, &["wrong_config.toml", "line 2", "stepps"]);
+    let wrong = config_file("wrong_config", "steps = 1\nstepps = 2\n");
+    refused(&["play", "--policy", policy, "--config", text(&wrong)], 2, &["wrong_config.toml", "line 2", "stepps"]);
     let old = pretrained("race");
     refused(&["play", "--policy", &old, "--as-trained"], 2, &["race.safetensors", "version 1", "expected --config"]);
 }
 
 #[test]
-fn what_cannot_be_trained_or_flown_is_refused_on_one_line() {
+fn impossible_runs_and_policies_are_refused() {
     let out = directory("train_refused");
     let path = text(&out);
     refused(&["train", "--task", "hoover", "--out", path], 2, &["hoover", "did you mean `hover`"]);
-    refused(&["train", "--out", path], 2, &["--task"]);
+    refused(&["train", "--out", path], 2, &["--task or --all or --resume is missing"]);
     refused(&["train", "--task", "hover", "--envs", "0", "--out", path], 2, &["environments is 0"]);
     refused(&["train", "--task", "hover", "--config", "nowhere.toml", "--out", path], 2, &["nowhere.toml"]);
-    let file = directory("no_model").with_extension("toml");
-    std::fs::create_dir_all(file.parent().unwrap()).unwrap();
-    std::fs::write(&file, "[wind]\nvelocity = [3.0, 0.0, 0.0]\n").unwrap();
+    let file = config_file("no_model", "[wind]\nvelocity = [3.0, 0.0, 0.0]\n");
     let texts = ["no_model.toml", "[wind] has no model"];
     refused(&["train", "--task", "hover", "--config", text(&file), "--out", path], 2, &texts);
-    // the option is the model
-    let gust = ["play", "--policy", &pretrained("hover"), "--config", text(&file), "--wind", "gust", "--episodes", "1"];
-    assert_eq!(aviary(&gust).status.code(), Some(0));
+    // --wind sets the model
+    run(&["play", "--policy", &pretrained("hover"), "--config", text(&file), "--wind", "gust", "--episodes", "1"]);
     refused(&["train", "--resume", path], 2, &["checkpoint.safetensors"]);
     refused(&["train", "--task", "hover", "--resume", path], 2, &["--resume"]);
-    // what was reached is said all the same
+    // the table of a run without success is complete
     let failed = aviary(&[&["train", "--task", "hover", "--until-success", "--out", path][..], &SMALL].concat());
     assert_eq!(failed.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&failed.stderr).contains("no success within 12288 steps"));
-    assert!(String::from_utf8_lossy(&failed.stdout).contains("where the time went"));
+    assert!(String::from_utf8_lossy(&failed.stdout).contains("breakdown of wall time"));
     refused(&["play", "--policy", "nowhere.safetensors"], 2, &["nowhere.safetensors"]);
     refused(&["play", "--policy", &pretrained("hover"), "--episodes", "0"], 2, &["--episodes is 0"]);
-    refused(
-        &["play", "--policy", &pretrained("hover"), "--task", "race"],
-        2,
-        &["observations of size 12", "observations of size 21"],
-    );
+    refused(&["play", "--policy", &pretrained("hover"), "--task", "race"], 2, &["12 observations", "21 observations"]);
     let file = out.join("no.safetensors");
     std::fs::write(&file, b"no policy").unwrap();
     refused(&["play", "--policy", text(&file)], 2, &["no.safetensors", "not a policy"]);
 }
 
 #[test]
-fn what_would_be_trained_with_is_shown_as_a_file_that_can_be_read() {
-    let shown = aviary(&["train", "--task", "race", "--show"]);
-    assert_eq!(shown.status.code(), Some(0));
-    let file = directory("shown").with_extension("toml");
-    std::fs::create_dir_all(file.parent().unwrap()).unwrap();
-    std::fs::write(&file, &shown.stdout).unwrap();
-    let again = aviary(&["train", "--task", "race", "--config", text(&file), "--show"]);
-    assert_eq!(String::from_utf8(again.stdout).unwrap(), String::from_utf8(shown.stdout).unwrap());
+fn the_output_of_show_is_a_configuration_file() {
+    let shown = run(&["train", "--task", "race", "--show"]);
+    let file = config_file("shown", &shown);
+    assert_eq!(run(&["train", "--task", "race", "--config", text(&file), "--show"]), shown);
 }

@@ -1,4 +1,6 @@
-//! The program as other programs call it.
+//! Helpers of the tests of the program.
+
+#![allow(dead_code, reason = "each test binary uses some of the helpers")]
 
 use std::ops::{Deref, DerefMut};
 use std::path::{Path, PathBuf};
@@ -6,23 +8,29 @@ use std::process::{Child, Command, Output, Stdio};
 
 use serde_json::Value;
 
+/// Widest error line, columns.
+const MAX_WIDTH: usize = 120;
+
+/// Runs the program.
 pub fn aviary(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_aviary")).args(arguments).output().expect("the program starts")
 }
 
-pub fn directory(name: &str) -> PathBuf {
-    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let _ = std::fs::remove_dir_all(&path);
-    path
+/// Asserts that the program ends with status 0. Returns its standard output.
+pub fn run(arguments: &[&str]) -> String {
+    let output = aviary(arguments);
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
 }
 
-pub fn text(path: &Path) -> &str {
-    path.to_str().expect("a path in UTF-8")
+/// Asserts that the program ends with status 0. Returns the output of `--json`.
+pub fn json(arguments: &[&str]) -> Value {
+    serde_json::from_str(&run(&[arguments, &["--json"]].concat())).unwrap()
 }
 
-/// Runs, expects this status and one line on standard error that holds all of these texts, and nothing on standard
-/// output.
-#[allow(dead_code, reason = "not every file of tests needs it")]
+/// Asserts that the program ends with this status and prints one line, an error that contains all texts.
+///
+/// Without the paths of the test, the line has at most 120 columns.
 pub fn refused(arguments: &[&str], status: i32, texts: &[&str]) {
     let output = aviary(arguments);
     let error = String::from_utf8(output.stderr).unwrap();
@@ -33,18 +41,76 @@ pub fn refused(arguments: &[&str], status: i32, texts: &[&str]) {
         assert!(error.contains(text), "{arguments:?}: {error}");
     }
     assert!(output.stdout.is_empty());
+    let short = [env!("CARGO_TARGET_TMPDIR"), env!("CARGO_MANIFEST_DIR")]
+        .iter()
+        .fold(error.trim_end().to_string(), |text, path| text.replace(path, ""));
+    assert!(short.chars().count() <= MAX_WIDTH, "{} columns: {short}", short.chars().count());
 }
 
-/// A started program that ends with the test, also where an assertion fails.
+/// Returns the path of an empty place for files of a test. The directory is not created.
+pub fn directory(name: &str) -> PathBuf {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    path
+}
+
+/// Writes a file, and its directory if it is missing. Returns the path.
+pub fn write(path: &Path, text: &str) -> PathBuf {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    std::fs::write(path, text).unwrap();
+    path.to_path_buf()
+}
+
+/// Writes an executable shell script.
+pub fn write_script(path: &Path, text: &str) {
+    use std::os::unix::fs::PermissionsExt as _;
+    write(path, &format!("#!/bin/sh\n{text}\n"));
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o755)).unwrap();
+}
+
+/// Returns a path as an argument.
+pub fn text(path: &Path) -> &str {
+    path.to_str().expect("a path in UTF-8")
+}
+
+/// Returns the path of a file of the reference flights.
+pub fn reference(name: &str) -> String {
+    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Returns the path of a policy in `assets/policies`.
+pub fn pretrained(name: &str) -> String {
+    format!("{}/../assets/policies/{name}.safetensors", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Returns true if OpenGL works on this machine.
+pub fn has_gl() -> bool {
+    mujoco_rs::gl_info().is_ok()
+}
+
+/// Asserts that two directories have equal files of these names.
+pub fn assert_equal_files(a: &Path, b: &Path, names: &[&str]) {
+    for name in names {
+        let [a, b] = [a, b].map(|directory| std::fs::read(directory.join(name)).unwrap());
+        assert!(a == b, "{name}");
+    }
+}
+
+/// Returns the number of entries of a directory.
+pub fn entries(directory: &Path) -> usize {
+    std::fs::read_dir(directory).unwrap().count()
+}
+
+/// Running program. It ends with the test, also if an assertion fails.
 pub struct Running(Option<Child>);
 
 impl Running {
+    /// Starts a command.
     pub fn start(command: &mut Command) -> Self {
         Self(Some(command.spawn().expect("the program starts")))
     }
 
-    /// Waits for the end of the program, and gives what it has written to its pipes.
-    #[allow(dead_code, reason = "not every file of tests reads the output")]
+    /// Waits for the end of the program. Returns the output that it wrote to its pipes.
     pub fn output(mut self) -> Output {
         self.0.take().expect("a program").wait_with_output().unwrap()
     }
@@ -67,43 +133,34 @@ impl DerefMut for Running {
 impl Drop for Running {
     fn drop(&mut self) {
         if let Some(child) = &mut self.0 {
-            // one that has ended already is left alone
+            // both fail for a program that has ended
             let _ = child.kill();
             let _ = child.wait();
         }
     }
 }
 
-#[allow(dead_code, reason = "not every file of tests needs it")]
-pub fn has_gl() -> bool {
-    let doctor: Value = serde_json::from_slice(&aviary(&["doctor", "--json"]).stdout).unwrap();
-    doctor["gl"].as_array().unwrap().iter().any(|answer| answer["works"] == true)
-}
-
-/// Starts the program, with the signals of a terminal's programs.
-#[allow(dead_code, reason = "not every file of tests needs it")]
+/// Starts the program with the default handlers of all signals, as a terminal does.
 pub fn spawn(arguments: &[&str]) -> Running {
     let mut command = Command::new("env");
     command.args(["--default-signal", env!("CARGO_BIN_EXE_aviary")]).args(arguments);
     Running::start(command.stdout(Stdio::null()))
 }
 
-#[allow(dead_code, reason = "not every file of tests needs it")]
+/// Sends a signal (`-INT`) to a program.
 pub fn send(signal: &str, child: &Child) {
     assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
 }
 
-/// Waits until a flight has written so many rows.
-#[allow(dead_code, reason = "not every file of tests needs it")]
+/// Waits until a flight has written this number of rows.
 pub fn wait_for_rows(dir: &Path, child: &mut Child, count: usize) {
-    while aviary::record::Flight::read(dir).map_or(0, |flight| flight.drones[0].len()) < count {
-        assert!(child.try_wait().unwrap().is_none(), "it has ended by itself");
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
+    wait_while(child, || aviary::record::Flight::read(dir).map_or(0, |flight| flight.drones[0].len()) < count);
 }
 
-/// Path of a reference flight's file.
-#[allow(dead_code, reason = "not every file of tests needs it")]
-pub fn reference(name: &str) -> String {
-    format!("{}/../tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
+/// Waits until a condition of a running program is false.
+pub fn wait_while(child: &mut Child, condition: impl Fn() -> bool) {
+    while condition() {
+        assert!(child.try_wait().unwrap().is_none(), "the program has ended");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
 }

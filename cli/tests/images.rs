@@ -1,4 +1,4 @@
-//! Pictures, films and plots, and machines that cannot draw.
+//! Images, animations and plots, and machines without OpenGL.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,42 +7,39 @@ use serde_json::Value;
 
 mod common;
 
-use common::{aviary, directory, has_gl, refused, text};
+use common::{aviary, directory, entries, has_gl, json, refused, run, text};
 
 #[test]
-fn pictures_are_drawn_from_every_camera_in_every_kind_and_size() {
+fn render_writes_every_kind_of_image_from_every_camera() {
     if !has_gl() {
         return;
     }
-    let dir = directory("pictures");
+    let dir = directory("images");
     for camera in ["track", "fpv", "fixed", "front"] {
         for kind in ["rgb", "depth", "segmentation"] {
             let path = dir.join(format!("{camera}_{kind}.png"));
             let arguments = ["render", "--task", "hover", "--at", "0.5", "--size", "80x50"];
-            let output =
-                aviary(&[&arguments[..], &["--camera", camera, "--kind", kind, "--out", text(&path)]].concat());
-            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-            let picture = image::open(&path).unwrap().into_rgb8();
-            assert_eq!(picture.dimensions(), (80, 50));
-            let first = picture.get_pixel(0, 0);
-            assert!(picture.pixels().any(|pixel| pixel != first), "{camera} {kind} is empty");
+            run(&[&arguments[..], &["--camera", camera, "--kind", kind, "--out", text(&path)]].concat());
+            let image = image::open(&path).unwrap().into_rgb8();
+            assert_eq!(image.dimensions(), (80, 50));
+            let first = image.get_pixel(0, 0);
+            assert!(image.pixels().any(|pixel| pixel != first), "{camera} {kind} is empty");
         }
     }
     let again = dir.join("again.png");
-    aviary(&["render", "--task", "hover", "--at", "0.5", "--size", "80x50", "--out", text(&again)]);
+    run(&["render", "--task", "hover", "--at", "0.5", "--size", "80x50", "--out", text(&again)]);
     assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(dir.join("track_rgb.png")).unwrap());
 }
 
 #[test]
-fn a_capture_has_pictures_states_and_what_they_mean() {
+fn a_capture_has_images_states_intrinsics_and_names_of_ids() {
     if !has_gl() {
         return;
     }
     let dir = directory("capture");
     let frames =
         ["--task", "hover", "--duration", "1", "--frames", "7", "--every", "10", "--size", "40x30", "--vary", "none"];
-    let output = aviary(&[&["capture", "--out", text(&dir)], &frames[..]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    run(&[&["capture", "--out", text(&dir)], &frames[..]].concat());
 
     let mut rows = csv::Reader::from_path(dir.join("frames.csv")).unwrap();
     let header: Vec<_> = rows.headers().unwrap().iter().map(str::to_string).collect();
@@ -57,7 +54,7 @@ fn a_capture_has_pictures_states_and_what_they_mean() {
 
     for (frame, row) in rows.iter().enumerate() {
         assert_eq!(row[column("frame")], frame.to_string());
-        // an episode of a second has 48 steps, so that the sixth frame begins the next one
+        // an episode of 1 s has 48 control steps, so that the next episode begins at the sixth frame
         let (episode, step) = if frame < 5 { ("0", frame * 10) } else { ("1", (frame - 5) * 10) };
         assert_eq!((&row[column("episode")], &row[column("t")]), (episode, &*(step as f64 / 48.0).to_string()));
         let rgb = image::open(dir.join(&row[column("rgb")])).unwrap().into_rgb8();
@@ -66,33 +63,31 @@ fn a_capture_has_pictures_states_and_what_they_mean() {
         let objects = image::open(dir.join(&row[column("segmentation")])).unwrap();
         let objects = objects.as_luma16().expect("16 bit");
         assert_eq!((rgb.dimensions(), depth.dimensions(), objects.dimensions()), ((40, 30), (40, 30), (40, 30)));
-        // the drone is level: the lowest row of pixels looks down at the floor by atan(14.5 / fy)
+        // the drone is level: the rays of the lowest row of pixels point down by atan(14.5 / fy)
         let z: f64 = row[column("z")].parse().unwrap();
-        let wanted = z / (14.5 / fy) * 1000.0;
-        assert!((f64::from(depth.get_pixel(20, 29)[0]) - wanted).abs() < 2.0, "frame {frame}: {wanted}");
-        assert_eq!(depth.get_pixel(20, 0)[0], 0, "nothing above");
+        let expected = z / (14.5 / fy) * 1000.0;
+        assert!((f64::from(depth.get_pixel(20, 29)[0]) - expected).abs() < 2.0, "frame {frame}: {expected}");
+        assert_eq!(depth.get_pixel(20, 0)[0], 0, "the background has no depth");
         assert_eq!(names[objects.get_pixel(20, 29)[0].to_string()]["name"], "floor");
         assert_eq!(names[objects.get_pixel(20, 0)[0].to_string()]["type"], "background");
     }
-    let entries = |path: &Path| std::fs::read_dir(path).unwrap().count();
-    assert_eq!((entries(&dir), entries(&dir.join("rgb"))), (6, 7), "no temporary file is left");
+    assert_eq!((entries(&dir), entries(&dir.join("rgb"))), (6, 7), "no temporary file remains");
 }
 
 #[test]
-fn an_animation_is_written_whole_or_not_at_all() {
+fn an_animation_is_complete_or_missing() {
     if !has_gl() {
         return;
     }
     let dir = directory("animation");
     let path = dir.join("hover.gif");
     let fly = ["fly", "--task", "hover", "--duration", "0.5", "--size", "64x48", "--camera", "front"];
-    let output = aviary(&[&fly[..], &["--gif", text(&path)]].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    run(&[&fly[..], &["--gif", text(&path)]].concat());
     let bytes = std::fs::read(&path).unwrap();
     assert!(bytes.starts_with(b"GIF89a") && bytes.ends_with(b";"));
     let blocked = dir.join("hover.gif").join("x.gif");
     refused(&[&fly[..], &["--gif", text(&blocked)]].concat(), 1, &["x.gif"]);
-    assert_eq!(std::fs::read_dir(&dir).unwrap().count(), 1, "no temporary file is left");
+    assert_eq!(entries(&dir), 1, "no temporary file remains");
 }
 
 #[test]
@@ -101,25 +96,18 @@ fn a_shorter_capture_replaces_a_longer_one() {
         return;
     }
     let dir = directory("capture-again");
-    let capture = |frames: &str| {
-        let arguments = ["capture", "--task", "hover", "--out", text(&dir), "--frames", frames, "--json"];
-        let output = aviary(&arguments);
-        assert!(output.status.success());
-        serde_json::from_slice::<Value>(&output.stdout).unwrap()["frames"].clone()
-    };
+    let capture =
+        |frames: &str| json(&["capture", "--task", "hover", "--out", text(&dir), "--frames", frames])["frames"].clone();
     assert_eq!(capture("5"), 5);
-    std::fs::write(dir.join("rgb").join("mine.png"), "somebody's own").unwrap();
+    std::fs::write(dir.join("rgb").join("mine.png"), "a file of the user").unwrap();
     assert_eq!(capture("2"), 2);
-    let entries = |kind: &str| std::fs::read_dir(dir.join(kind)).unwrap().count();
-    assert_eq!((entries("rgb"), entries("depth"), entries("segmentation")), (3, 2, 2));
+    assert_eq!(["rgb", "depth", "segmentation"].map(|kind| entries(&dir.join(kind))), [3, 2, 2]);
 }
 
 #[test]
-fn plots_and_films_are_written_and_named() {
+fn plots_and_animations_are_in_the_list_of_files() {
     let dir = directory("plots");
-    let output = aviary(&["fly", "--task", "multi_hover", "--duration", "1", "--plot", "--json", "--out", text(&dir)]);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let flight = json(&["fly", "--task", "multi_hover", "--duration", "1", "--plot", "--out", text(&dir)]);
     let files: Vec<&str> = flight["files"].as_array().unwrap().iter().map(|file| file.as_str().unwrap()).collect();
     let names = [
         "drone0.csv",
@@ -137,9 +125,8 @@ fn plots_and_films_are_written_and_named() {
     }
     image::open(dir.join("flight.png")).unwrap();
 
-    // another flight in the same place leaves nothing of this one, and names need not be text
-    let output = aviary(&["fly", "--task", "hover", "--duration", "1", "--out", text(&dir)]);
-    assert!(output.status.success());
+    // the next flight in this directory removes the files of this one, and file names need not be UTF-8
+    run(&["fly", "--task", "hover", "--duration", "1", "--out", text(&dir)]);
     assert!(!dir.join("drone1.csv").exists() && !dir.join("path.png").exists() && dir.join("drone0.csv").exists());
     use std::os::unix::ffi::OsStrExt as _;
     let odd = dir.join(std::ffi::OsStr::from_bytes(b"o\xff"));
@@ -147,7 +134,7 @@ fn plots_and_films_are_written_and_named() {
     let output = Command::new(env!("CARGO_BIN_EXE_aviary")).args(fly).arg(&odd).output().unwrap();
     assert!(output.status.success() && odd.join("drone0.csv").exists());
 
-    // without a directory it is out/fly/TASK, the whole flight: plots never lie next to the log of another one
+    // without --out, all files of the flight are in out/fly/TASK, so that plots belong to the log next to them
     let here = directory("plots-here");
     std::fs::create_dir_all(&here).unwrap();
     let fly = ["fly", "--task", "hover", "--duration", "1", "--plot"];
@@ -161,46 +148,42 @@ fn plots_and_films_are_written_and_named() {
         return;
     }
     let frames = dir.join("frames");
-    let film =
+    let options =
         ["--size", "64x48", "--camera", "top", "--overlay", "trails,references,rings,wind", "--wind", "constant"];
     let fly = ["fly", "--task", "hover", "--duration", "0.5", "--png", text(&frames)];
-    let output = aviary(&[&fly[..], &film].concat());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert_eq!(std::fs::read_dir(&frames).unwrap().count(), 13, "24 a second, and the last moment");
+    run(&[&fly[..], &options].concat());
+    assert_eq!(entries(&frames), 13, "24 frames per second and the last one");
 }
 
 #[test]
-fn what_cannot_be_filmed_is_refused_before_anything_is_flown() {
-    let fly = ["fly", "--task", "hover"];
-    let with = |more: &[&str]| [&fly[..], more].concat().into_iter().map(String::from).collect::<Vec<_>>();
+fn impossible_animations_are_refused_before_the_flight() {
     for (more, texts) in [
         (&["--gif", "film.png"][..], &["--gif is `film.png`", "ends in .gif"][..]),
         (&["--video", "film.avi"], &["--video is `film.avi`", "ends in .mp4"]),
         (&["--gif", "a.gif", "--overlay", "trials"], &["no overlay `trials`", "did you mean `trails`?"]),
         (&["--gif", "a.gif", "--camera", "trak"], &["--camera is `trak`", "did you mean `track`?"]),
-        (&["--overlay", "trails"], &["--gif"]),
+        (&["--overlay", "trails"], &["--gif or --video or --png is missing"]),
     ] {
-        let arguments = with(more);
-        refused(&arguments.iter().map(String::as_str).collect::<Vec<_>>(), 2, texts);
+        refused(&[&["fly", "--task", "hover"], more].concat(), 2, texts);
     }
     if !has_gl() {
         return;
     }
-    // no encoder on the path
-    let film = directory("no-encoder").join("film.mp4");
+    // without ffmpeg in PATH
+    let video = directory("no-encoder").join("video.mp4");
     let output = Command::new(env!("CARGO_BIN_EXE_aviary"))
-        .args(["fly", "--task", "hover", "--duration", "0.1", "--video", text(&film)])
+        .args(["fly", "--task", "hover", "--duration", "0.1", "--video", text(&video)])
         .env("PATH", "")
         .output()
         .unwrap();
     let error = String::from_utf8(output.stderr).unwrap();
     assert_eq!((output.status.code(), error.lines().count()), (Some(1), 1), "{error}");
     assert!(error.contains("`ffmpeg` is not installed") && error.contains("apt-get install ffmpeg"), "{error}");
-    assert_eq!(std::fs::read_dir(film.parent().unwrap()).unwrap().count(), 0);
+    assert_eq!(entries(video.parent().unwrap()), 0);
 }
 
 #[test]
-fn a_device_that_is_not_there_is_said_so_by_every_command() {
+fn every_command_reports_a_missing_device() {
     for (variable, value, expected) in
         [("MUJOCO_EGL_DEVICE_ID", "x", "expected a number from 0"), ("MUJOCO_GL", "glfw", "expected egl or osmesa")]
     {
@@ -217,15 +200,15 @@ fn a_device_that_is_not_there_is_said_so_by_every_command() {
 }
 
 #[test]
-fn impossible_pictures_are_refused_on_one_line() {
-    let out = directory("pictures-refused").join("x.png");
+fn impossible_images_are_refused() {
+    let out = directory("images-refused").join("x.png");
     let render = |more: &[&str], status: i32, texts: &[&str]| {
         refused(&[&["render", "--task", "hover", "--out", text(&out)], more].concat(), status, texts);
         assert!(!out.exists());
     };
     render(&["--camera", "frnt"], 2, &["--camera is `frnt`", "did you mean `front`?"]);
     render(&["--kind", "lidar"], 2, &["--kind is `lidar`", "depth"]);
-    render(&["--size", "0x48"], 2, &["0x48", "WIDTHxHEIGHT"]);
+    render(&["--size", "0x48"], 2, &["--size is `0x48`, expected WIDTHxHEIGHT"]);
     render(&["--size", "64"], 2, &["WIDTHxHEIGHT"]);
     render(&["--at", "-1"], 2, &["--at is -1 s"]);
     render(&["--at", "99"], 2, &["--at is 99 s", "time_limit"]);
@@ -233,10 +216,9 @@ fn impossible_pictures_are_refused_on_one_line() {
     refused(&["capture", "--task", "hover", "--frames", "1", "--every", "0", "--out", "x"], 2, &["--every is 0"]);
 }
 
-/// Where the libraries cannot be found: what was tried, and the packages that bring them.
 #[test]
-fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
-    // a search path on which libraries of those names are not libraries
+fn errors_without_opengl_name_the_packages_and_flights_need_no_opengl() {
+    // a search path where these libraries are text files
     let dir = directory("no-gl");
     std::fs::create_dir_all(&dir).unwrap();
     for name in ["libEGL.so.1", "libEGL.so", "libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so"] {
@@ -257,7 +239,7 @@ fn a_machine_without_opengl_is_told_what_to_install_and_flies_all_the_same() {
         let (status, table, error) = run(&arguments);
         assert_eq!((status, error.lines().count()), (Some(1), 1), "{error}");
         assert!(error.contains("apt-get install libegl1 libgl1-mesa-dri libosmesa6"), "{error}");
-        // one short reason per library, in the table where there is one
+        // one short reason per library: doctor prints them in its table
         let reasons = if command == "doctor" { table } else { error };
         for library in ["libEGL", "libOSMesa"] {
             assert_eq!(reasons.matches(library).count(), 1, "{reasons}");
