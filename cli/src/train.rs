@@ -206,10 +206,9 @@ impl Train {
 /// Refuses a directory with files of an earlier run.
 fn check_new(directory: &Path) -> Result<(), Failure> {
     let Some(name) = FILES.iter().find(|name| directory.join(name).exists()) else { return Ok(()) };
-    let resume =
-        if *name == CHECKPOINT { format!("--resume {} to continue it, or ", quoted(directory)) } else { String::new() };
+    let resume = if *name == CHECKPOINT { format!("--resume {} or ", quoted(directory)) } else { String::new() };
     Err(Failure::input(anyhow!(
-        "{}: it has {name} of an earlier run, expected {resume}another directory in --out",
+        "{}: it has {name} of an earlier run, expected {resume}another --out",
         directory.display()
     )))
 }
