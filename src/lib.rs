@@ -51,33 +51,45 @@ pub mod prelude {
 struct Readme;
 
 #[cfg(doctest)]
-#[doc = include_str!("../docs/control.md")]
-struct ControlGuide;
+#[doc = include_str!("../docs/introduction.md")]
+struct Introduction;
 
 #[cfg(doctest)]
-#[doc = include_str!("../docs/batches.md")]
-struct BatchGuide;
-
-#[cfg(doctest)]
-#[doc = include_str!("../docs/tasks.md")]
-struct TaskGuide;
+#[doc = include_str!("../docs/physics.md")]
+struct PhysicsGuide;
 
 #[cfg(doctest)]
 #[doc = include_str!("../docs/airframes.md")]
 struct AirframeGuide;
 
 #[cfg(doctest)]
-#[doc = include_str!("../docs/training.md")]
-struct TrainingGuide;
+#[doc = include_str!("../docs/control.md")]
+struct ControlGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/conditions.md")]
+struct ConditionGuide;
 
 #[cfg(doctest)]
 #[doc = include_str!("../docs/cameras.md")]
 struct CameraGuide;
 
 #[cfg(doctest)]
-#[doc = include_str!("../docs/porting.md")]
-struct PortingGuide;
+#[doc = include_str!("../docs/records.md")]
+struct RecordGuide;
 
 #[cfg(doctest)]
-#[doc = include_str!("../docs/validation.md")]
-struct ValidationGuide;
+#[doc = include_str!("../docs/tasks.md")]
+struct TaskGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/batches.md")]
+struct BatchGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/training.md")]
+struct TrainingGuide;
+
+#[cfg(doctest)]
+#[doc = include_str!("../docs/porting.md")]
+struct PortingGuide;
