@@ -1,4 +1,4 @@
-//! What flying a trained policy costs: `cargo bench --bench policy`.
+//! Time of one action of trained policies, and of a batch of rows: `cargo bench --bench policy`.
 
 use std::hint::black_box;
 
@@ -8,9 +8,11 @@ use mujoco_drones_gym::policy::{Activation, Mlp, PolicyNetwork};
 fn policies(c: &mut Criterion) {
     for name in ["hover", "race"] {
         let path = format!("{}/assets/policies/{name}.safetensors", env!("CARGO_MANIFEST_DIR"));
-        let policy = PolicyNetwork::load(path).expect("a policy that comes along");
-        let (seen, mut action) = (vec![0.1; policy.observation_size()], [0.0; 4]);
-        c.bench_function(&format!("{name}: one action"), |b| b.iter(|| policy.forward(black_box(&seen), &mut action)));
+        let policy = PolicyNetwork::load(path).expect("a policy in assets/policies");
+        let (observation, mut action) = (vec![0.1; policy.observation_size()], [0.0; 4]);
+        c.bench_function(&format!("{name}: one action"), |b| {
+            b.iter(|| policy.forward(black_box(&observation), &mut action))
+        });
     }
     let sizes = [12, 64, 64, 4];
     let parameters: Vec<f32> = (0..Mlp::count(&sizes)).map(|k| 0.1 * (k as f32).sin()).collect();

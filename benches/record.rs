@@ -1,6 +1,6 @@
-//! What recording costs: a Hover episode flown by the PID alone, and the same one recorded, in one run.
+//! Cost of recording: Hover episodes of the PID with and without a recording, in one run.
 //!
-//! `cargo bench --bench record` prints the ratio first (episodes in turn, median), then criterion's timings.
+//! `cargo bench --bench record` prints the median ratio of alternating episodes, then criterion's timings.
 
 use std::time::Instant;
 
@@ -8,7 +8,7 @@ use criterion::{Criterion, criterion_group};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Recorded;
 
-/// Flies an episode and gives the time that it took, s.
+/// Flies an episode and returns its duration in wall-clock time, s.
 fn episode(env: &mut impl DroneEnv) -> f64 {
     let mut pid = ControllerPolicy::new(ControllerKind::Pid, env);
     let start = Instant::now();
@@ -19,7 +19,7 @@ fn episode(env: &mut impl DroneEnv) -> f64 {
 #[allow(clippy::print_stdout)]
 fn ratio() {
     let directory = tempfile::tempdir().expect("a directory");
-    // one environment for both: where its memory lies makes a percent of difference
+    // the same environment flies both episodes because the position of its memory changes the time by 1 %
     let mut env = Recorded::new(Hover::builder().build().expect("an environment"), directory.path()).expect("a record");
     let (mut ratios, mut times): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
     for _ in 0..201 {
@@ -32,7 +32,7 @@ fn ratio() {
         values[values.len() / 2]
     };
     println!(
-        "a recorded Hover episode: {:.3} of the time of one that is not, {:.2} µs a row",
+        "time of a recorded Hover episode over an unrecorded one: {:.3}; {:.2} µs per row",
         median(&mut ratios),
         median(&mut times)
     );

@@ -1,9 +1,9 @@
-//! Frames per second of onboard cameras beside MuJoCo's stock settings, in one run on one machine and one backend.
+//! Frames per second of onboard cameras and of MuJoCo's stock settings, in one run on one machine and one backend.
 //!
-//! `cargo bench --bench render`. "Stock" is the scene as the paper's package builds it, with MuJoCo's own settings: a
-//! floor of 200 × 200 rectangles that reflects, a 2048² shadow map, sky, four samples per pixel and a buffer of
-//! 640 × 480. Set `MJ_DRONES_CF2_ASSETS` to a directory with MuJoCo Menagerie's meshes to draw those in it (it is
-//! used for stock alone); without it stock draws this project's lighter ones.
+//! `cargo bench --bench render`. "Stock" is the scene of the package of the *MuJoCo-Drones-Gym* paper (Tayal) with
+//! MuJoCo's default settings: a reflecting floor of 200 × 200 rectangles, a 2048² shadow map, sky, four samples per
+//! pixel and a buffer of 640 × 480. If `MJ_DRONES_CF2_ASSETS` is a directory with MuJoCo Menagerie's meshes, stock
+//! renders those; otherwise it renders the lighter meshes of this project.
 
 #![allow(clippy::print_stdout)]
 
@@ -19,7 +19,7 @@ use mujoco_drones_gym::vision::{ImageSize, SceneRenderer};
 const SMALL: ImageSize = ImageSize { width: 64, height: 48 };
 const LARGE: ImageSize = ImageSize { width: 640, height: 480 };
 
-/// The paper's scene with MuJoCo's settings.
+/// Scene of the paper's package with MuJoCo's default settings.
 struct Stock {
     data: Data,
     scene: Scene,
@@ -57,20 +57,20 @@ impl Stock {
         let mut scene = Scene::new(model.clone(), 0).expect("a scene");
         scene.set_effects(VisualEffects { haze: false, ..VisualEffects::pretty() });
         let mut renderer = Renderer::new(model, Quality { samples: 4, shadow_map: 2048 }).expect("a renderer");
-        // the buffer has its size whatever is drawn into it
+        // a large frame first: the buffer keeps its size for small frames
         scene.update(&mut data, &camera).expect("an update");
-        renderer.rgb(&mut scene, LARGE, &mut vec![0; 3 * LARGE.pixels()]).expect("a picture");
+        renderer.rgb(&mut scene, LARGE, &mut vec![0; 3 * LARGE.pixels()]).expect("an image");
         Self { data, scene, renderer, camera }
     }
 
     fn frame(&mut self, size: ImageSize, rgb: &mut [u8]) {
         self.data.kinematics().expect("kinematics");
         self.scene.update(&mut self.data, &self.camera).expect("an update");
-        self.renderer.rgb(&mut self.scene, size, rgb).expect("a picture");
+        self.renderer.rgb(&mut self.scene, size, rgb).expect("an image");
     }
 }
 
-/// Frames per second over about this many seconds.
+/// Returns the frames per second in a measurement of at least `seconds`.
 fn rate(seconds: f64, mut frame: impl FnMut()) -> f64 {
     for _ in 0..3 {
         frame();
@@ -84,7 +84,7 @@ fn rate(seconds: f64, mut frame: impl FnMut()) -> f64 {
     f64::from(frames) / start.elapsed().as_secs_f64()
 }
 
-/// What an agent's camera costs, the scene brought up to date for every frame.
+/// Onboard camera of an agent. Every frame includes an update of the scene.
 struct Onboard {
     simulation: Simulation,
     renderer: SceneRenderer,
@@ -95,7 +95,7 @@ impl Onboard {
         Self::among(1)
     }
 
-    /// The first of so many drones, with the others in front of it.
+    /// Creates the camera of the first of `count` drones; the others are in front of it.
     fn among(count: usize) -> Self {
         let simulation = Simulation::builder(DroneModel::Cf2x)
             .num_drones(count)
@@ -111,10 +111,11 @@ impl Onboard {
 
     fn rgb(&mut self, size: ImageSize, rgba: &mut [u8]) {
         self.renderer.update(self.simulation.states()).expect("an update");
-        self.renderer.onboard_rgba(0, size, rgba).expect("a picture");
+        self.renderer.onboard_rgba(0, size, rgba).expect("an image");
     }
 }
 
+/// Returns the total frames per second of `count` threads with a renderer each.
 fn threads(count: usize, seconds: f64) -> f64 {
     let barrier = Barrier::new(count);
     std::thread::scope(|scope| {
@@ -143,13 +144,13 @@ fn main() {
         return;
     }
 
-    // the software rasteriser reads its number of threads when it starts, so that each stock run is a process
+    // each stock run is a child process, because the software rasteriser reads its number of threads at startup
     let stock = |threads: Option<&str>| {
         let mut command = Command::new(std::env::current_exe().expect("this program"));
         command.env(STOCK, "1");
         match threads {
             Some(count) => command.env("LP_NUM_THREADS", count),
-            // its own default is one thread per core
+            // the rasteriser's default is one thread per core
             None => {
                 command.env("LP_NUM_THREADS", std::thread::available_parallelism().map_or(1, usize::from).to_string())
             }
@@ -160,12 +161,12 @@ fn main() {
         assert!(rates.len() == 2, "{}", String::from_utf8_lossy(&output.stderr));
         (rates[0], rates[1])
     };
-    println!("drawn by {:?}", mujoco_drones_gym::mujoco::gl_info().expect("OpenGL"));
+    println!("renderer: {:?}", mujoco_drones_gym::mujoco::gl_info().expect("OpenGL"));
     println!("stock meshes: {}", meshes.as_deref().unwrap_or("this project's"));
     let stock_own_threads = stock(None);
     let stock_one_core = stock(Some("0"));
     println!(
-        "stock, its own threads: {:.0} frames/s at {SMALL}, {:.0} at {LARGE}",
+        "stock, default threads: {:.0} frames/s at {SMALL}, {:.0} at {LARGE}",
         stock_own_threads.0, stock_own_threads.1
     );
     println!("stock, on one core:     {:.0} frames/s at {SMALL}, {:.0} at {LARGE}", stock_one_core.0, stock_one_core.1);
@@ -181,12 +182,12 @@ fn main() {
     row(&format!("RGB {SMALL}"), rate(2.0, || onboard.rgb(SMALL, &mut small)), stock_one_core.0);
     let depth_rate = rate(2.0, || {
         onboard.renderer.update(onboard.simulation.states()).expect("an update");
-        onboard.renderer.onboard_depth(0, SMALL, &mut depth).expect("a picture");
+        onboard.renderer.onboard_depth(0, SMALL, &mut depth).expect("an image");
     });
     row(&format!("depth {SMALL}"), depth_rate, stock_one_core.0);
     let segmentation_rate = rate(2.0, || {
         onboard.renderer.update(onboard.simulation.states()).expect("an update");
-        onboard.renderer.onboard_segmentation(0, SMALL, &mut objects).expect("a picture");
+        onboard.renderer.onboard_segmentation(0, SMALL, &mut objects).expect("an image");
     });
     row(&format!("segmentation {SMALL}"), segmentation_rate, stock_one_core.0);
     row(&format!("RGB {LARGE}"), rate(2.0, || onboard.rgb(LARGE, &mut large)), stock_one_core.1);
@@ -201,5 +202,5 @@ fn main() {
         })
         .collect();
     ratios.sort_by(f64::total_cmp);
-    println!("two threads with a context each over one: {:.2} (median of {})", ratios[2], ratios.len());
+    println!("frames of two threads over frames of one: {:.2} (median of {})", ratios[2], ratios.len());
 }

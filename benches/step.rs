@@ -1,6 +1,6 @@
-//! What a step costs beside the bare `mj_step`s in it, in one run on one machine.
+//! Time of a step over the time of its `mj_step` calls alone, in one run on one machine.
 //!
-//! `cargo bench --bench step` prints the ratios first (alternating batches, median), then criterion's timings.
+//! `cargo bench --bench step` prints the median ratios of alternating batches, then criterion's timings.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -13,14 +13,14 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{DroneBody, ObstacleConfig, World};
 use nalgebra::Vector3;
 
-/// Where a drone of a swarm hovers: half a metre apart, at heights that differ by a little. Neighbours are in each
-/// other's wakes, too weakly to fall on each other within a batch: a contact would cost more than all of this.
+/// Returns the position of a drone in a swarm with distances of 0.5 m and slightly different heights. The wakes of
+/// neighbours are too weak for contacts within a batch; a contact would take more time than everything else.
 fn place(index: usize) -> [f64; 3] {
     let (column, row) = (index % 12, index / 12);
     [0.5 * column as f64, 0.5 * row as f64, 5.0 + 0.03 * (index % 7) as f64]
 }
 
-/// MuJoCo alone over the scene of the simulation: airborne, a wrench written every step.
+/// MuJoCo alone on the scene of the simulation: airborne drones with one wrench per step.
 struct Bare {
     data: Data,
     hover: f64,
@@ -47,6 +47,7 @@ impl Bare {
     }
 }
 
+/// Creates a simulation of a swarm, and its motor speeds at hover.
 fn simulation(count: usize, physics: Physics) -> (Simulation, Vec<[f64; 4]>) {
     let simulation = Simulation::builder(DroneModel::Cf2x)
         .physics(physics)
@@ -57,7 +58,7 @@ fn simulation(count: usize, physics: Physics) -> (Simulation, Vec<[f64; 4]>) {
     (simulation, vec![[DroneModel::Cf2x.params().hover_rpm(); 4]; count])
 }
 
-/// Median over alternating batches of the time of `a` divided by the time of `b`.
+/// Returns the median over alternating batches of the time of `a` divided by the time of `b`.
 fn ratio(batch: usize, mut restart: impl FnMut(), mut a: impl FnMut(), mut b: impl FnMut()) -> f64 {
     let time = |f: &mut dyn FnMut()| {
         let start = Instant::now();
@@ -78,7 +79,7 @@ fn ratio(batch: usize, mut restart: impl FnMut(), mut a: impl FnMut(), mut b: im
 
 #[allow(clippy::print_stdout)]
 fn ratios() {
-    println!("Simulation::step over its five mj_step");
+    println!("time of Simulation::step over five mj_step");
     println!("{:>7}{:>9}{:>17}{:>20}", "drones", "mjc", "mjc_gnd_drag_dw", "µs per mj_step");
     for count in [1, 2, 4, 8, 12, 16, 32, 64, 128] {
         let mut bare = Bare::new(count);
@@ -102,12 +103,12 @@ fn ratios() {
         let alone = start.elapsed().as_secs_f64() / batch as f64 * 1e6;
         println!("{count:>7}{:>9.3}{:>17.3}{alone:>20.1}", ratios[0], ratios[1]);
     }
-    println!("a task's step over the five mj_step in it");
+    println!("time of Aviary::step over five mj_step");
     for (name, count) in [("hover", 1), ("multi_hover", 12), ("formation", 3), ("race", 1), ("antipodal", 12)] {
         let mut bare = Bare::new(count);
         let config = EnvConfig::default().num_drones(count).initial_positions((0..count).map(place));
         let config = config.episode_seconds(1e6);
-        // high up, where nothing is left to hit and no height is too great
+        // the drones fly high above the floor, without a maximum height
         let env: Result<Box<dyn DroneEnv + Send>, EnvError> = match name {
             "hover" => {
                 config.with_task(Hover::default()).task(|t| t.max_height = 1e9).build().map(|e| Box::new(e) as _)
@@ -137,7 +138,7 @@ fn ratios() {
     }
 }
 
-/// A hover step under conditions over the plain one, and steps among obstacles over those of an empty world.
+/// Prints the time of Hover steps under conditions over the time of plain ones, and the times of resets.
 #[allow(clippy::print_stdout)]
 fn conditions() {
     let config = || EnvConfig::default().initial_positions([place(0)]).episode_seconds(1e6);
@@ -157,7 +158,7 @@ fn conditions() {
         ObstacleConfig { count, arena, safe_zone: 0.5, new_layout, ..ObstacleConfig::default() }
     };
     let low = || config().initial_positions([[0.0, 0.0, 1.0]]);
-    println!("Hover::step under conditions over the plain one");
+    println!("time of a Hover step under conditions over a plain one");
     for (name, config) in [
         ("combined wind", config().wind(wind)),
         ("randomization", config().randomization(sensors_and_more.clone())),
@@ -173,7 +174,7 @@ fn conditions() {
         let (mut under, mut plain) = (hover(config), hover(if name.contains("tree") { low() } else { self::plain() }));
         let (under, plain) = (std::cell::RefCell::new(&mut under), std::cell::RefCell::new(&mut plain));
         let step = |env: &std::cell::RefCell<&mut Aviary<Hover>>| {
-            // turning a little: MuJoCo is quicker with a body that does not
+            // the drone turns slowly: MuJoCo is faster for a body without rotation
             black_box(env.borrow_mut().step(&[0.01, 0.0, -0.01, 0.0]).expect("a step").reward);
         };
         let restart = || {
@@ -188,16 +189,17 @@ fn conditions() {
         for seed in 0..200 {
             env.reset(Some(seed)).expect("a reset");
         }
-        println!("reset into a new layout of {count} trees: {:.0} µs", start.elapsed().as_secs_f64() / 200.0 * 1e6);
+        println!("reset with a new layout of {count} trees: {:.0} µs", start.elapsed().as_secs_f64() / 200.0 * 1e6);
     }
     let mut env = hover(config().randomization(Randomization::default()));
     let start = Instant::now();
     for seed in 0..1000 {
         env.reset(Some(seed)).expect("a reset");
     }
-    println!("reset into a new draw: {:.1} µs", start.elapsed().as_secs_f64() / 1000.0 * 1e6);
+    println!("reset with newly sampled parameters: {:.1} µs", start.elapsed().as_secs_f64() / 1000.0 * 1e6);
 }
 
+/// Returns the plain configuration of a drone high above the floor.
 fn plain() -> EnvConfig {
     EnvConfig::default().initial_positions([place(0)]).episode_seconds(1e6)
 }

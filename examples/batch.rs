@@ -1,7 +1,7 @@
-//! Thousands of environments at once: 2,048 Crazyflies, each with a body of its own, hold 1 m under the same proportional law.
+//! A batch of 2,048 Crazyflies with randomized airframes, which hold 1 m under one proportional-derivative law.
 //!
-//! `cargo run --release --example batch -- [DIRECTORY] [SECONDS] [ENVIRONMENTS]` writes `batch.svg` (by default to `out/batch`,
-//! 10 s): the heights between which half and nine tenths of them are.
+//! `cargo run --release --example batch -- [DIRECTORY] [SECONDS] [ENVIRONMENTS]` writes `batch.svg`: quantiles of the
+//! heights over time. Defaults: directory `out/batch`, 10 s, 2,048 environments.
 
 use std::time::Instant;
 
@@ -45,12 +45,12 @@ fn main() -> anyhow::Result<()> {
         env.step(&actions, buffers.step())?;
         spent += start.elapsed().as_secs_f64();
     }
-    let title = format!("{environments} drones, each with its own mass, inertia, arms and rotors");
+    let title = format!("{environments} drones with randomized mass, inertia, arms and rotors");
     let path = directory.join("batch.svg");
     Plot::time_series(&title, &[("height (m)", lines.to_vec())])?.save(&path)?;
     println!("{}", path.display());
     let count = environments as f64 * (steps + 1) as f64;
-    println!("{:.2} million environment steps a second", 1e-6 * count / spent);
+    println!("{:.2} million environment steps per second", 1e-6 * count / spent);
     let substeps = env.engine_substeps();
     println!("{} of {} physics steps by the flight kernel", substeps.flight, substeps.flight + substeps.mujoco);
     Ok(())

@@ -1,8 +1,8 @@
-//! A dataset for perception: what a drone sees that flies round in a forest, colour, depth and objects, with where it was.
+//! A dataset for perception: colour, depth and segmentation images with poses, from a flight on a circle in a forest.
 //!
-//! `cargo run --release --example camera_dataset -- [DIRECTORY] [FRAMES]` writes `rgb_00000.png`, `depth_00000.png` (16 bit,
-//! millimetres) and `objects_00000.png` (16 bit) for every frame, `poses.csv`, and `sheet.png`, which shows the last frame in
-//! colours for people (by default to `out/camera_dataset`, 24 frames). `aviary capture` does the like for any task.
+//! `cargo run --release --example camera_dataset -- [DIRECTORY] [FRAMES]` writes `rgb_00000.png`, `depth_00000.png` (16
+//! bit, millimetres) and `objects_00000.png` (16 bit) for each frame, `poses.csv`, and `sheet.png`, an overview of the
+//! last frame. Defaults: directory `out/camera_dataset`, 24 frames. `aviary capture` writes such images for any task.
 
 use mujoco_drones_gym::control::GeometricControl;
 use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Trajectory};
@@ -60,10 +60,9 @@ fn main() -> anyhow::Result<()> {
         }
     }
     poses.finish()?;
-    let pictures = [rgb, depth_in_colour(&depth, 100.0), segmentation_in_colour(&objects)];
+    let images = [rgb, depth_in_colour(&depth, 100.0), segmentation_in_colour(&objects)];
     let row = 3 * SIZE.width as usize;
-    let rows =
-        (0..SIZE.height as usize).flat_map(|y| pictures.iter().flat_map(move |rgb| &rgb[y * row..(y + 1) * row]));
+    let rows = (0..SIZE.height as usize).flat_map(|y| images.iter().flat_map(move |rgb| &rgb[y * row..(y + 1) * row]));
     let (sheet, size) = (rows.copied().collect::<Vec<_>>(), ImageSize { width: 3 * SIZE.width, ..SIZE });
     std::fs::write(directory.join("sheet.png"), png_rgb(size, &sheet)?)?;
     println!("{}: {frames} frames, poses.csv, sheet.png", directory.display());

@@ -1,7 +1,7 @@
-//! An airframe of one's own: a Crazyflie with a camera on it, from TOML to its derived numbers, a flight and a picture.
+//! A custom airframe: a Crazyflie with a camera, from its TOML file to derived quantities, a flight and an image.
 //!
-//! `cargo run --release --example custom_airframe -- [DIRECTORY] [SECONDS]` writes `courier.toml`, which `aviary fly --drone` takes,
-//! `courier.png` and `flight.svg` (by default to `out/custom_airframe`, 8 s).
+//! `cargo run --release --example custom_airframe -- [DIRECTORY] [SECONDS]` writes `courier.toml` (for `aviary fly
+//! --drone`), `courier.png` and `flight.svg`. Defaults: directory `out/custom_airframe`, 8 s.
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
@@ -26,7 +26,7 @@ collision_radius = 0.085             # m
 collision_height = 0.04              # m
 max_speed = 6.0                      # m/s
 appearance = "crazyflie"
-provenance = "an example, measured on no bench"
+provenance = "example values without measurements"
 "#;
 
 #[allow(clippy::print_stdout)]
@@ -38,7 +38,7 @@ fn main() -> anyhow::Result<()> {
     std::fs::write(directory.join("courier.toml"), COURIER)?;
 
     let courier = DroneParams::from_file(directory.join("courier.toml"))?;
-    println!("hovers at {:.0} rpm of {:.0}", courier.hover_rpm(), courier.max_rpm());
+    println!("hover speed {:.0} rpm, maximum {:.0} rpm", courier.hover_rpm(), courier.max_rpm());
     let mut env = Hover::builder().drone(courier).physics(Physics::MjcGndDragDw).episode_seconds(seconds).build()?;
     // controllers scale their gains with the inertia
     let mut pilot = ControllerPolicy::new(ControllerKind::Dsl, &env);
@@ -54,6 +54,6 @@ fn main() -> anyhow::Result<()> {
     for name in ["courier.toml", "courier.png", "flight.svg"] {
         println!("{}", directory.join(name).display());
     }
-    println!("{:.2} cm off after {seconds} s", 100.0 * env.info().position_error);
+    println!("{:.2} cm position error after {seconds} s", 100.0 * env.info().position_error);
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! A task of one's own, all of it; `check_env` tries the environment. `cargo run --release --example custom_task`
+//! A complete custom task, checked by `check_env`: `cargo run --release --example custom_task`
 
 use mujoco_drones_gym::env::{AviaryBuilder, BoxSpace, EndReason, TaskDefaults, check_env};
 use mujoco_drones_gym::observation::{STATE_SIZE, state_vector};
@@ -6,7 +6,7 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::{Rng, RngExt};
 use nalgebra::Vector3;
 
-/// Land softly on a pad that lies somewhere else in every episode.
+/// Task to land softly on a pad with a random position in each episode.
 #[derive(Debug, Clone, Default)]
 struct Land {
     pad: Vector3<f64>,

@@ -1,7 +1,7 @@
-//! The paper's downwash figure: a Crazyflie flies over another one, whose thrust rises while it is in the wake.
+//! The paper's downwash figure: a Crazyflie flies over another one, whose thrust rises in the wake.
 //!
-//! `cargo run --release --example downwash -- [DIRECTORY] [SECONDS]` writes `downwash.svg` and `downwash.png` (by default
-//! to `out/downwash`, 10 s).
+//! `cargo run --release --example downwash -- [DIRECTORY] [SECONDS]` writes `downwash.svg` and `downwash.png`.
+//! Defaults: directory `out/downwash`, 10 s.
 
 use mujoco_drones_gym::control::PidGains;
 use mujoco_drones_gym::prelude::*;
@@ -25,7 +25,7 @@ fn main() -> anyhow::Result<()> {
         .physics(Physics::MjcGndDragDw)
         .initial_positions([low.into(), start.into()])
         .build()?;
-    // the paper's gains answer a steady push only with metres of error
+    // with the paper's gains, the constant force of the wake leads to errors of metres
     let mut gains = PidGains::paper(&params);
     gains.position.proportional = Vector3::new(3.0, 3.0, 12.0);
     gains.position.integral = Vector3::new(0.5, 0.5, 6.0);
@@ -34,10 +34,10 @@ fn main() -> anyhow::Result<()> {
     let (mut heights, mut thrusts) = ([vec![], vec![]], [vec![], vec![]]);
     let dt = simulation.control_period();
     let size = ImageSize { width: 640, height: 480 };
-    let mut picture = vec![0; 3 * size.pixels()];
+    let mut rgb = vec![0; 3 * size.pixels()];
     let mut renderer = SceneRenderer::for_people(&simulation.scene())?;
     while simulation.time() < seconds {
-        // the upper drone comes in over the lower one after two seconds
+        // the upper drone moves over the lower one from 2 s to 4 s
         let t = simulation.time();
         let share = ((t - 2.0) / 2.0).clamp(0.0, 1.0);
         let references = [low, start + (high - start) * share].map(|at| Reference::hover(at, 0.0));
@@ -52,7 +52,7 @@ fn main() -> anyhow::Result<()> {
         }
     }
     renderer.update(simulation.states())?;
-    renderer.rgb(View::Track, size, &mut picture)?;
+    renderer.rgb(View::Track, size, &mut rgb)?;
     let names = ["lower drone", "upper drone"];
     let lines = |points: [Vec<(f64, f64)>; 2]| {
         names.iter().zip(points).map(|(name, points)| Series { name: name.to_string(), points }).collect::<Vec<_>>()
@@ -60,7 +60,7 @@ fn main() -> anyhow::Result<()> {
     let (first, last) = (thrusts[0][0].1, thrusts[0][thrusts[0].len() - 1].1);
     let panels = [("height (m)", lines(heights)), ("thrust / weight", lines(thrusts))];
     Plot::time_series("Downwash", &panels)?.save(directory.join("downwash.svg"))?;
-    std::fs::write(directory.join("downwash.png"), png_rgb(size, &picture)?)?;
+    std::fs::write(directory.join("downwash.png"), png_rgb(size, &rgb)?)?;
     for name in ["downwash.svg", "downwash.png"] {
         println!("{}", directory.join(name).display());
     }

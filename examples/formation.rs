@@ -1,7 +1,7 @@
-//! The paper's formation figure: drones on a circle whose middle moves, with the way that each has come.
+//! The paper's formation figure: drones on a circle with a moving centre, with the path of each drone.
 //!
-//! `cargo run --release --example formation -- [DIRECTORY] [SECONDS] [DRONES]` writes `formation.png`, `flight.svg` and `path.svg`
-//! (by default to `out/formation`, 30 s, three drones).
+//! `cargo run --release --example formation -- [DIRECTORY] [SECONDS] [DRONES]` writes `formation.png`, `flight.svg` and
+//! `path.svg`. Defaults: directory `out/formation`, 30 s, three drones.
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
@@ -25,7 +25,7 @@ fn main() -> anyhow::Result<()> {
     flight.note(rollout.env());
     rollout.finish(|env| {
         flight.note(env);
-        // the first seconds are for getting there
+        // the drones need the first seconds to reach their places
         if env.info().time > 5.0 {
             worst = worst.max(env.info().position_error);
         }
@@ -44,6 +44,6 @@ fn main() -> anyhow::Result<()> {
     for name in ["formation.png", "flight.svg", "path.svg"] {
         println!("{}", directory.join(name).display());
     }
-    println!("largest distance of a drone from its place after 5 s: {:.2} cm", 100.0 * worst);
+    println!("largest position error after 5 s: {:.2} cm", 100.0 * worst);
     Ok(())
 }

@@ -1,7 +1,7 @@
-//! The paper's first figure: a Crazyflie under the paper's PID takes off and hovers at 1 m, seen by the track camera.
+//! The paper's first figure: a Crazyflie under the paper's PID takes off and hovers at 1 m, in the track view.
 //!
-//! `cargo run --release --example hover -- [DIRECTORY] [SECONDS]` writes `hover.gif`, `hover.png`, the flight as `drone0.csv` and
-//! its plots `flight.png` and `path.png` (by default to `out/hover`, 10 s).
+//! `cargo run --release --example hover -- [DIRECTORY] [SECONDS]` writes `hover.gif`, `hover.png`, the flight as
+//! `drone0.csv` and its plots `flight.png` and `path.png`. Defaults: directory `out/hover`, 10 s.
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
@@ -20,12 +20,12 @@ fn main() -> anyhow::Result<()> {
     let mut rollout = Rollout::start(&mut env, &mut pilot, Some(1))?;
     let mut recorder = Recorder::create(&directory, 1)?;
     let size = ImageSize { width: 320, height: 240 };
-    let mut film = FrameRecorder::new(rollout.env(), View::Track, size, Overlays::default())?;
+    let mut frames = FrameRecorder::new(rollout.env(), View::Track, size, Overlays::default())?;
     let mut gif =
-        GifAnimation::new(std::fs::File::create(directory.join("hover.gif"))?, size, film.seconds_per_frame())?;
+        GifAnimation::new(std::fs::File::create(directory.join("hover.gif"))?, size, frames.seconds_per_frame())?;
     loop {
         recorder.record(rollout.env())?;
-        if let Some(rgb) = film.look(rollout.env())? {
+        if let Some(rgb) = frames.look(rollout.env())? {
             gif.frame(rgb)?;
         }
         if rollout.is_over() {
@@ -39,13 +39,13 @@ fn main() -> anyhow::Result<()> {
     let mut rgb = vec![0; 3 * size.pixels()];
     env.render(View::Track, size, &mut rgb)?;
     std::fs::write(directory.join("hover.png"), png_rgb(size, &rgb)?)?;
-    // read back from the file, which is how a flight of yesterday is plotted
+    // recorded flights are plotted from their files
     let flight = Flight::read(&directory)?;
     Plot::of_flight("Hover", &flight)?.save(directory.join("flight.png"))?;
     Plot::of_paths("Hover", &flight)?.save(directory.join("path.png"))?;
     for name in ["hover.gif", "hover.png", "drone0.csv", "flight.png", "path.png"] {
         println!("{}", directory.join(name).display());
     }
-    println!("{:.2} cm off after {seconds} s", 100.0 * env.info().position_error);
+    println!("{:.2} cm position error after {seconds} s", 100.0 * env.info().position_error);
     Ok(())
 }

@@ -1,5 +1,5 @@
-//! Model-predictive path integral control (Williams et al. 2017, *Information-theoretic model predictive control*): flies a Crazyflie to a
-//! waypoint by sampling flights from snapshots of the environment.
+//! Model-predictive path integral control (Williams et al. 2017, *Information-theoretic model predictive control*).
+//! It flies a Crazyflie to a waypoint by sampling flights from snapshots of the environment.
 //!
 //! `cargo run --release --example mppi`
 
@@ -10,11 +10,11 @@ use mujoco_drones_gym::{Rng, RngExt as _, SeedableRng as _};
 use nalgebra::Vector3;
 
 const SAMPLES: usize = 64;
-/// Control steps that are looked ahead: one second.
+/// Control steps of the prediction horizon: 1 s.
 const HORIZON: usize = 48;
 /// Temperature of the weights, in units of the cost.
 const TEMPERATURE: f64 = 0.01;
-/// Standard deviation of the sampled thrust, roll, pitch and yaw rate, as shares of their ranges.
+/// Standard deviations of the sampled thrust, roll, pitch and yaw rate, in normalized units.
 const SPREAD: [f64; 4] = [0.25, 0.35, 0.35, 0.05];
 
 fn cost(env: &dyn DroneEnv, goal: &Vector3<f64>) -> f64 {
@@ -41,7 +41,7 @@ fn main() -> Result<(), EnvError> {
             let begin = Instant::now();
             env.restore(&snapshot)?;
             restores += begin.elapsed();
-            // one normal draw for every four control steps
+            // the noise is constant over four control steps; twelve uniform numbers approximate a normal one
             let mut noise = [[0.0; 4]; HORIZON];
             for part in noise.chunks_mut(4) {
                 part.fill(SPREAD.map(|sigma| sigma * (0..12).map(|_| rng.random::<f64>() - 0.5).sum::<f64>()));

@@ -1,6 +1,7 @@
-//! The paper's obstacle figure: a forest, a town, a room, things in the air and gates, each made from a seed.
+//! The paper's obstacle figure: forest, urban, indoor, random and gate obstacles from a seed.
 //!
-//! `cargo run --release --example obstacles -- [DIRECTORY] [SEED]` writes one PNG per kind (by default to `out/obstacles`).
+//! `cargo run --release --example obstacles -- [DIRECTORY] [SEED]` writes one PNG file per kind. Defaults: directory
+//! `out/obstacles`, seed 3.
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture::png_rgb;
@@ -14,7 +15,7 @@ fn main() -> anyhow::Result<()> {
     let seed: u64 = arguments.next().map_or(Ok(3), |text| text.parse())?;
     std::fs::create_dir_all(&directory)?;
     let size = ImageSize { width: 640, height: 480 };
-    let mut picture = vec![0; 3 * size.pixels()];
+    let mut rgb = vec![0; 3 * size.pixels()];
     for (kind, count) in [
         (ObstacleKind::Forest, 25),
         (ObstacleKind::Urban, 12),
@@ -22,7 +23,7 @@ fn main() -> anyhow::Result<()> {
         (ObstacleKind::Random, 20),
         (ObstacleKind::Gates, 5),
     ] {
-        // a room is looked into from above its walls
+        // low walls let the camera look into the room
         let height = if kind == ObstacleKind::Indoor { 0.8 } else { 1.6 };
         let field = ObstacleConfig { count, seed: Some(seed), arena: [3.5, 3.5, height], ..ObstacleConfig::new(kind) };
         let mut env = Hover::builder().initial_positions([[0.0, 0.0, 0.5]]).obstacle_generator(field).build()?;
@@ -30,9 +31,9 @@ fn main() -> anyhow::Result<()> {
         let mut renderer = SceneRenderer::for_people(&env.simulation().scene())?;
         renderer.set_stage([0.0, 0.0, 0.4], 1.1);
         renderer.update(env.simulation().states())?;
-        renderer.rgb(View::Fixed, size, &mut picture)?;
+        renderer.rgb(View::Fixed, size, &mut rgb)?;
         let path = directory.join(format!("{}.png", kind.name()));
-        std::fs::write(&path, png_rgb(size, &picture)?)?;
+        std::fs::write(&path, png_rgb(size, &rgb)?)?;
         let nearest = env.simulation().obstacle_distance(0);
         println!("{}: {} geoms, the nearest {nearest:.2} m away", path.display(), env.simulation().obstacles().len());
     }

@@ -1,8 +1,8 @@
-//! The paper's three PID demos: a hover with the plain PID, a square of waypoints with the DSL-PID, and three drones at
-//! staggered heights under ground effect, drag and downwash.
+//! The paper's three PID demos: a hover with the PID, a square of waypoints with the DSL-PID, and three drones at
+//! staggered heights with ground effect, drag and downwash.
 //!
-//! `cargo run --release --example pid -- [DIRECTORY] [SECONDS]` writes, for each, a directory with the flight as CSV and its
-//! plots (`flight.svg`, `path.svg`), and a picture of the three drones (by default to `out/pid`, 16 s).
+//! `cargo run --release --example pid -- [DIRECTORY] [SECONDS]` writes a directory per flight with CSV logs and plots
+//! (`flight.svg`, `path.svg`), and an image of the three drones. Defaults: directory `out/pid`, 16 s.
 
 use std::path::Path;
 
@@ -14,35 +14,35 @@ use mujoco_drones_gym::record::plot::Plot;
 use mujoco_drones_gym::record::{Flight, Recorder};
 use mujoco_drones_gym::vision::SceneRenderer;
 
-/// Flies every drone along its own way and gives the simulation at the end.
+/// Flies each drone along its path, records and plots the flight, and returns the simulation at the end.
 #[allow(clippy::print_stdout)]
-fn fly(to: &Path, physics: Physics, kind: ControllerKind, ways: &[Steps], seconds: f64) -> anyhow::Result<Simulation> {
+fn fly(to: &Path, physics: Physics, kind: ControllerKind, paths: &[Steps], seconds: f64) -> anyhow::Result<Simulation> {
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .physics(physics)
-        .num_drones(ways.len())
-        .initial_positions(ways.iter().map(|way| way.start().position.into()))
+        .num_drones(paths.len())
+        .initial_positions(paths.iter().map(|path| path.start().position.into()))
         .build()?;
-    let mut controllers: Vec<_> = (0..ways.len()).map(|drone| kind.build(simulation.params(drone))).collect();
-    let mut recorder = Recorder::create(to, ways.len())?;
+    let mut controllers: Vec<_> = (0..paths.len()).map(|drone| kind.build(simulation.params(drone))).collect();
+    let mut recorder = Recorder::create(to, paths.len())?;
     let dt = simulation.control_period();
     loop {
         let t = simulation.time();
-        // without a task there is no reward
-        recorder.record_with(&simulation, |drone| (0.0, Some(ways[drone].reference(t))))?;
+        // a simulation without a task has no reward
+        recorder.record_with(&simulation, |drone| (0.0, Some(paths[drone].reference(t))))?;
         if t > seconds - 0.5 * dt {
             break;
         }
-        let drones = controllers.iter_mut().zip(simulation.states().iter().zip(ways));
+        let drones = controllers.iter_mut().zip(simulation.states().iter().zip(paths));
         let commands: Vec<_> =
-            drones.map(|(controller, (state, way))| controller.control(dt, state, &way.reference(t)).rpm).collect();
+            drones.map(|(controller, (state, path))| controller.control(dt, state, &path.reference(t)).rpm).collect();
         simulation.step(&commands)?;
     }
     let flight = Flight::read(to)?;
     let name = to.file_name().unwrap_or_default().to_string_lossy();
     Plot::of_flight(&name, &flight)?.save(to.join("flight.svg"))?;
     Plot::of_paths(&name, &flight)?.save(to.join("path.svg"))?;
-    let errors = ways.iter().enumerate().map(|(i, way)| simulation.distance(i, &way.reference(seconds).position));
-    println!("{}: largest error at the end {:.2} cm", to.display(), 100.0 * errors.fold(0.0, f64::max));
+    let errors = paths.iter().enumerate().map(|(i, path)| simulation.distance(i, &path.reference(seconds).position));
+    println!("{}: largest position error at the end {:.2} cm", to.display(), 100.0 * errors.fold(0.0, f64::max));
     Ok(simulation)
 }
 
@@ -63,10 +63,10 @@ fn main() -> anyhow::Result<()> {
     let three = fly(&directory.join("swarm"), Physics::MjcGndDragDw, ControllerKind::Pid, &swarm, seconds)?;
 
     let size = ImageSize { width: 640, height: 480 };
-    let (mut renderer, mut picture) = (SceneRenderer::for_people(&three.scene())?, vec![0; 3 * size.pixels()]);
+    let (mut renderer, mut rgb) = (SceneRenderer::for_people(&three.scene())?, vec![0; 3 * size.pixels()]);
     renderer.update(three.states())?;
-    renderer.rgb(View::Track, size, &mut picture)?;
-    std::fs::write(directory.join("swarm.png"), png_rgb(size, &picture)?)?;
+    renderer.rgb(View::Track, size, &mut rgb)?;
+    std::fs::write(directory.join("swarm.png"), png_rgb(size, &rgb)?)?;
     println!("{}", directory.join("swarm.png").display());
     Ok(())
 }

@@ -1,7 +1,7 @@
-//! A trained policy flown: two laps of the race, from a file, without anything of the trainer.
+//! A trained policy flies two laps of Race from its file, without the trainer.
 //!
-//! `cargo run --release --example policy -- [DIRECTORY] [POLICY.safetensors]` (by default `assets/policies/race.safetensors`) writes the
-//! flight's way as `path.png` and prints when each gate was passed.
+//! `cargo run --release --example policy -- [DIRECTORY] [POLICY.safetensors]` writes the path as `path.png` and prints
+//! the time of each gate. Defaults: directory `out/policy`, policy `assets/policies/race.safetensors`.
 
 use mujoco_drones_gym::env::EnvConfig;
 use mujoco_drones_gym::policy::PolicyNetwork;

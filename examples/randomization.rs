@@ -1,7 +1,8 @@
-//! The paper's randomization figure: five draws of the same task, flown by the same controller.
+//! The paper's randomization figure: five episodes with sampled parameters under the same controller.
 //!
-//! `cargo run --release --example randomization -- [DIRECTORY] [SECONDS]` writes `randomization.png` (the five trails, seen
-//! from the front) and `randomization.svg` (by default to `out/randomization`, 6 s), and prints what was drawn.
+//! `cargo run --release --example randomization -- [DIRECTORY] [SECONDS]` writes `randomization.png` (front view of the
+//! five trails) and `randomization.svg`, and prints the sampled parameters. Defaults: directory `out/randomization`,
+//! 6 s.
 
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::prelude::*;
@@ -24,38 +25,38 @@ fn main() -> anyhow::Result<()> {
     let (mut heights, mut aside, mut trails) = (vec![], vec![], vec![]);
     println!(
         "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",
-        "draw", "mass", "thrust", "lag (ms)", "latency", "wind (m/s)", "end", "at the end"
+        "seed", "mass", "thrust", "lag (ms)", "latency", "wind (m/s)", "end", "error"
     );
     let mut pilot = ControllerPolicy::new(ControllerKind::Dsl, &env);
-    for draw in 0..5 {
+    for seed in 0..5 {
         let (mut z, mut y, mut trail) = (vec![], vec![], vec![]);
-        Rollout::start(&mut env, &mut pilot, Some(draw))?.finish(|env| {
+        Rollout::start(&mut env, &mut pilot, Some(seed))?.finish(|env| {
             let position = env.simulation().states()[0].position;
             trail.push(position);
             z.push((env.info().time, position.z));
             y.push((env.info().time, position.y));
         })?;
-        let name = format!("draw {draw}");
+        let name = format!("seed {seed}");
         heights.push(Series { name: name.clone(), points: z });
         aside.push(Series { name, points: y });
         trails.push(trail);
-        let (info, Some(drawn)) = (env.info(), env.sampled_params()) else { continue };
-        let (drone, end) = (&drawn.drones[0], info.end.map_or("", |end| end.name()));
-        let wind = drawn.wind.map_or(0.0, |wind| nalgebra::Vector3::from(wind.velocity).norm());
+        let (info, Some(sampled)) = (env.info(), env.sampled_params()) else { continue };
+        let (drone, end) = (&sampled.drones[0], info.end.map_or("", |end| end.name()));
+        let wind = sampled.wind.map_or(0.0, |wind| nalgebra::Vector3::from(wind.velocity).norm());
         let (lag, latency) = (1e3 * drone.actuators.lag, 1e3 * drone.actuators.latency);
         let (mass, thrust, error) = (drone.mass, drone.thrust, 100.0 * info.position_error);
-        println!("{draw:>5}{mass:>8.2}{thrust:>8.2}{lag:>10.0}{latency:>6.0} ms{wind:>13.2}{end:>12}{error:>8.1} cm");
+        println!("{seed:>5}{mass:>8.2}{thrust:>8.2}{lag:>10.0}{latency:>6.0} ms{wind:>13.2}{end:>12}{error:>8.1} cm");
     }
     renderer.set_stage([0.0, 0.0, 0.8], -0.1);
     renderer.update(env.simulation().states())?;
     for (trail, [r, g, b]) in trails.iter().zip(colours) {
         renderer.add_line(trail, 0.004, [r, g, b, 1.0]);
     }
-    let mut picture = vec![0; 3 * size.pixels()];
-    renderer.rgb(View::Front, size, &mut picture)?;
-    let plot = Plot::time_series("Five draws of hover", &[("z (m)", heights), ("y (m)", aside)])?;
+    let mut rgb = vec![0; 3 * size.pixels()];
+    renderer.rgb(View::Front, size, &mut rgb)?;
+    let plot = Plot::time_series("Hover with sampled parameters", &[("z (m)", heights), ("y (m)", aside)])?;
     plot.save(directory.join("randomization.svg"))?;
-    std::fs::write(directory.join("randomization.png"), png_rgb(size, &picture)?)?;
+    std::fs::write(directory.join("randomization.png"), png_rgb(size, &rgb)?)?;
     for name in ["randomization.svg", "randomization.png"] {
         println!("{}", directory.join(name).display());
     }

@@ -1,7 +1,7 @@
-//! The paper's vertical circle: 0.3 m, 8 s, in the YZ plane, flown by the SE(3) controller from hover on the circle.
+//! The paper's vertical circle: 0.3 m and 8 s in the YZ plane, flown by the SE(3) controller from rest on the circle.
 //!
-//! `cargo run --release --example vertical_circle -- [DIRECTORY] [SECONDS]` writes `vertical_circle.png` (by default to
-//! `out/vertical_circle`, 8 s): the planned ring in white dots, the flown curve in cyan, seen from the front camera.
+//! `cargo run --release --example vertical_circle -- [DIRECTORY] [SECONDS]` writes `vertical_circle.png`, a front view
+//! with the planned circle as white dots and the path in cyan. Defaults: directory `out/vertical_circle`, 8 s.
 
 use mujoco_drones_gym::control::GeometricControl;
 use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
@@ -30,16 +30,16 @@ fn main() -> anyhow::Result<()> {
     }
 
     let size = ImageSize { width: 800, height: 600 };
-    let mut picture = vec![0; 3 * size.pixels()];
+    let mut rgb = vec![0; 3 * size.pixels()];
     let mut renderer = SceneRenderer::for_people(&simulation.scene())?;
     renderer.set_stage([0.0, 0.0, 0.75], 0.0);
     renderer.update(simulation.states())?;
     let planned: Vec<_> = (0..80).map(|i| circle.reference(0.1 * f64::from(i)).position).collect();
     renderer.add_dots(&planned, 0.005, [1.0, 1.0, 1.0, 1.0]);
     renderer.add_line(&flown, 0.0025, [0.0, 0.85, 0.95, 1.0]);
-    renderer.rgb(View::Front, size, &mut picture)?;
+    renderer.rgb(View::Front, size, &mut rgb)?;
     let path = directory.join("vertical_circle.png");
-    std::fs::write(&path, png_rgb(size, &picture)?)?;
+    std::fs::write(&path, png_rgb(size, &rgb)?)?;
     println!("{}", path.display());
     let (mean, peak) = (errors.iter().sum::<f64>() / errors.len() as f64, errors.iter().copied().fold(0.0, f64::max));
     println!("position error: mean {:.3} cm, peak {:.3} cm", 100.0 * mean, 100.0 * peak);

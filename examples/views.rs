@@ -1,6 +1,6 @@
-//! Every view of a hovering Crazyflie, three drones together, and what an onboard camera measures.
+//! Every view of a Crazyflie and a racer, three drones in one scene, and depth and segmentation of an onboard camera.
 //!
-//! `cargo run --release --example views -- [DIRECTORY]` writes PNG files (by default to `out/views`).
+//! `cargo run --release --example views -- [DIRECTORY]` writes PNG files. Default: directory `out/views`.
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::picture;

@@ -1,8 +1,8 @@
-//! The paper's wind figure: a hover under combined wind, 0.9 m/s along +y and turbulence, by the paper's PID and by a
-//! controller with an integral.
+//! The paper's wind figure: hover in combined wind of 0.9 m/s along +y with turbulence, under the paper's PID and under
+//! a geometric controller with an integral term.
 //!
-//! `cargo run --release --example wind -- [DIRECTORY] [SECONDS]` writes `wind.png` (the PID's flight with its trail and an
-//! arrow along the wind) and `wind.svg` (by default to `out/wind`, 20 s).
+//! `cargo run --release --example wind -- [DIRECTORY] [SECONDS]` writes `wind.png` (trail of the PID and an arrow along
+//! the wind) and `wind.svg`. Defaults: directory `out/wind`, 20 s.
 
 use mujoco_drones_gym::control::{Bandwidths, GeometricControl};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
@@ -26,8 +26,8 @@ fn main() -> anyhow::Result<()> {
     let pid = ControllerPolicy::with_controllers([PidControl::new(&params)]);
     let geometric = ControllerPolicy::with_controllers([GeometricControl::with_bandwidths(&params, integral)]);
     let size = ImageSize { width: 800, height: 600 };
-    let (mut lines, mut picture) = (vec![], vec![0; 3 * size.pixels()]);
-    for (name, pilot) in [("the paper's PID", pid), ("SE(3) with an integral", geometric)] {
+    let (mut lines, mut rgb) = (vec![], vec![0; 3 * size.pixels()]);
+    for (name, pilot) in [("the paper's PID", pid), ("SE(3) with an integral term", geometric)] {
         let mut env = config.clone().build()?;
         let (mut trail, mut points) = (vec![], vec![]);
         Rollout::start(&mut env, pilot, Some(2))?.finish(|env| {
@@ -47,10 +47,10 @@ fn main() -> anyhow::Result<()> {
             let (from, along) = (Vector3::new(0.0, -0.25, 1.15), Vector3::from(wind.velocity) * 0.25);
             let arrow = Decor::Arrow { from: from.into(), to: (from + along).into(), radius: 0.008 };
             renderer.add(arrow, [0.0, 0.85, 0.95, 1.0]);
-            renderer.rgb(View::Front, size, &mut picture)?;
+            renderer.rgb(View::Front, size, &mut rgb)?;
         }
     }
-    std::fs::write(directory.join("wind.png"), png_rgb(size, &picture)?)?;
+    std::fs::write(directory.join("wind.png"), png_rgb(size, &rgb)?)?;
     Plot::time_series("Hover in combined wind", &[("y (m), downwind", lines)])?.save(directory.join("wind.svg"))?;
     for name in ["wind.svg", "wind.png"] {
         println!("{}", directory.join(name).display());

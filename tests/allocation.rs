@@ -1,6 +1,9 @@
-//! After construction, stepping and resetting allocate nothing in Rust (MuJoCo itself works on buffers of its own).
+//! Steps and resets do not allocate Rust memory after construction. MuJoCo has its own buffers, which are not counted.
+
+mod common;
 
 use allocation_counter::measure;
+use common::reset_batch;
 use mujoco_drones_gym::control::{ControllerKind, trajectory};
 use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
 use mujoco_drones_gym::prelude::*;
@@ -9,7 +12,7 @@ use mujoco_drones_gym::world::ObstacleConfig;
 use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumWrapper};
 
 #[test]
-fn a_step_of_the_simulation_allocates_nothing_in_the_air_and_on_the_floor() {
+fn steps_of_a_simulation_do_not_allocate_in_the_air_and_on_the_floor() {
     for count in [1, 12] {
         let mut simulation = Simulation::builder(DroneModel::Cf2x).num_drones(count).build().unwrap();
         let commands = vec![[9_000.0; 4]; count];
@@ -21,13 +24,13 @@ fn a_step_of_the_simulation_allocates_nothing_in_the_air_and_on_the_floor() {
             }
             simulation.reset().unwrap();
         });
-        assert!(touched > 100 * count, "the floor was reached");
+        assert!(touched > 100 * count, "{touched} contacts with the floor");
         assert_eq!(allocations.count_total, 0, "{count} drones");
     }
 }
 
 #[test]
-fn a_step_and_a_reset_of_the_environment_allocate_nothing() {
+fn steps_and_resets_of_an_environment_do_not_allocate() {
     let mut env = Hover::builder().build().unwrap();
     let mut pid = PidControl::new(env.simulation().params(0));
     env.reset(Some(1)).unwrap();
@@ -46,16 +49,16 @@ fn a_step_and_a_reset_of_the_environment_allocate_nothing() {
 }
 
 #[test]
-fn controllers_trajectories_and_every_action_type_allocate_nothing() {
+fn controllers_trajectories_and_action_types_do_not_allocate() {
     let params = DroneModel::Cf2x.params();
-    let way = trajectory::named("lemniscate").unwrap();
+    let path = trajectory::named("lemniscate").unwrap();
     for kind in ControllerKind::ALL {
         let mut control = kind.build(&params);
         let state = DroneState::default();
         let allocations = measure(|| {
             control.reset();
             for step in 0..100 {
-                let output = control.control(0.02, &state, &way.reference(0.02 * f64::from(step)));
+                let output = control.control(0.02, &state, &path.reference(0.02 * f64::from(step)));
                 assert!(output.rpm[0] >= 0.0);
             }
         });
@@ -75,7 +78,7 @@ fn controllers_trajectories_and_every_action_type_allocate_nothing() {
 }
 
 #[test]
-fn no_task_allocates_in_a_step_or_a_reset() {
+fn steps_and_resets_of_every_task_do_not_allocate() {
     for name in tasks::NAMES {
         let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw)).unwrap();
         env.reset(Some(1)).unwrap();
@@ -93,11 +96,11 @@ fn no_task_allocates_in_a_step_or_a_reset() {
 }
 
 #[test]
-fn wind_randomization_obstacles_and_a_curriculum_allocate_nothing_in_a_step() {
+fn steps_with_wind_randomization_obstacles_and_a_curriculum_do_not_allocate() {
     let field = ObstacleConfig { count: 60, arena: [8.0, 8.0, 2.0], new_layout: true, ..ObstacleConfig::default() };
     let config = EnvConfig::default()
         .initial_positions([[0.0, 0.0, 1.0]])
-        // the wind is sampled, too
+        // includes a sampled wind
         .randomization(Randomization::default())
         .obstacle_generator(field)
         .observation_type(ObservationType::KIN_RANGES);
@@ -115,14 +118,12 @@ fn wind_randomization_obstacles_and_a_curriculum_allocate_nothing_in_a_step() {
 }
 
 #[test]
-fn a_batch_allocates_nothing_after_its_first_steps() {
+fn a_batch_does_not_allocate_after_its_first_steps() {
     let randomized = Randomization::default();
     for builder in [Hover::builder(), Hover::builder().physics(Physics::MjcGndDragDw).randomization(randomized)] {
-        // on this thread, where allocations are counted
+        // with one thread, the batch runs on this thread, where allocations are counted
         let config = VecConfig { threads: 1, autoreset: Autoreset::SameStep, ..VecConfig::new(100) };
-        let mut env = VecAviary::new(builder, config).unwrap();
-        let mut buffers = VecBuffers::new(&env);
-        env.reset(Some(1), &mut buffers.observations).unwrap();
+        let (mut env, mut buffers) = reset_batch(builder, config, 1);
         let actions: Vec<f32> = (0..400).map(|i| 0.3 * (i as f32).sin() - 0.1).collect();
         let mut ended = 0;
         for _ in 0..30 {
@@ -134,29 +135,29 @@ fn a_batch_allocates_nothing_after_its_first_steps() {
                 ended += (0..100).filter(|&i| env.episode_summary(i).is_some()).count();
             }
         });
-        assert!(ended > 100, "with resets: {ended}");
+        assert!(ended > 100, "{ended} episodes ended");
         assert_eq!(allocations.count_total, 0);
     }
 }
 
 #[test]
-fn an_environment_of_a_batch_takes_less_than_two_kilobytes() {
+fn an_environment_of_a_batch_needs_less_than_1200_bytes_and_randomized_less_than_5000() {
     let count = 8192;
     let config = VecConfig { threads: 1, ..VecConfig::new(count) };
     let size = |builder: AviaryBuilder<Hover>| {
-        let mut said = 0;
+        let mut reported = 0;
         let allocations = measure(|| {
             let env = VecAviary::new(builder, config).unwrap();
-            said = env.bytes_per_env();
+            reported = env.bytes_per_env();
             std::mem::forget(env);
         });
         let measured = allocations.bytes_current as usize / count;
-        assert!(said.abs_diff(measured) < 200, "{said} said, {measured} taken");
+        assert!(reported.abs_diff(measured) < 200, "{reported} bytes reported, {measured} measured");
         measured
     };
     let plain = size(Hover::builder());
     assert!(plain < 1200, "{plain}");
-    // with a body, motors and sensors of its own
+    // environments with their own airframe, motors and sensors
     let own = size(Hover::builder().randomization(Randomization::default()));
     assert!(own < 5000, "{own}");
 }

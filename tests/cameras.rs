@@ -1,16 +1,16 @@
-//! Onboard cameras and views end to end. Where there is no OpenGL library these tests pass without drawing:
-//! everything else must work there.
+//! Onboard cameras and views. Without an OpenGL library these tests pass without rendering, because a machine without
+//! OpenGL is supported.
 
-use mujoco_drones_gym::mujoco::{Error, GeomId, ObjectId as _, gl_info};
+mod common;
+
+use common::no_gl;
+use mujoco_drones_gym::mujoco::{GeomId, ObjectId as _};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::vision::{CAMERA_SIZE, SceneRenderer, intrinsics};
 use mujoco_drones_gym::world::World;
 use nalgebra::Vector3;
 
-fn no_gl() -> bool {
-    matches!(gl_info(), Err(Error::NoGl { .. }))
-}
-
+/// Creates a Hover environment with a tilted drone.
 fn hovering(observation: ObservationType) -> Aviary<Hover> {
     Hover::builder()
         .initial_positions([[0.2, -0.3, 1.2]])
@@ -21,7 +21,7 @@ fn hovering(observation: ObservationType) -> Aviary<Hover> {
 }
 
 #[test]
-fn observations_have_the_papers_shapes() {
+fn image_observations_have_the_papers_shapes() {
     if no_gl() {
         return;
     }
@@ -44,15 +44,16 @@ fn observations_have_the_papers_shapes() {
     assert_eq!(space.segmentation_shape(), Some([1, 30, 100, 2]));
     assert!(space.contains(&observation) && observation.vector.len() == 12 && observation.depth.len() == 3000);
     let step = env.step(&[0.3; 4]).unwrap();
-    assert!(step.observation.depth != observation.depth, "the camera has moved");
+    assert!(step.observation.depth != observation.depth, "the depth image changes with the position of the camera");
 
     let error = Hover::builder().camera_size(ImageSize { width: 0, height: 48 }).build().unwrap_err();
     assert!(error.to_string().contains("0x48"));
 }
 
-/// The paper's camera: [0.02, 0, 0] in the body, along body x, body z up, 60° of vertical field.
+/// The paper's camera is at [0.02, 0, 0] m in the body frame, looks along body x with body z up, and has a vertical
+/// field of view of 60°.
 #[test]
-fn the_onboard_camera_sees_the_floor_where_its_pose_and_field_of_view_say() {
+fn depth_of_the_onboard_camera_matches_its_pose_and_field_of_view() {
     if no_gl() {
         return;
     }
@@ -65,7 +66,7 @@ fn the_onboard_camera_sees_the_floor_where_its_pose_and_field_of_view_say() {
     let mut seen = 0;
     for row in 0..48 {
         for column in 0..64 {
-            // right in the picture is −y of the body, down is −z
+            // image right is body −y, image down is body −z
             let (u, v) = ((f64::from(column) + 0.5 - cx) / fx, (f64::from(row) + 0.5 - cy) / fy);
             let ray = state.attitude * Vector3::new(1.0, -u, -v);
             let wanted = -eye.z / ray.z;
@@ -80,7 +81,7 @@ fn the_onboard_camera_sees_the_floor_where_its_pose_and_field_of_view_say() {
 }
 
 #[test]
-fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own() {
+fn segmentation_and_depth_match_ray_casts_and_exclude_the_own_drone() {
     if no_gl() {
         return;
     }
@@ -107,7 +108,7 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
     renderer.onboard_depth(0, size, &mut depth).unwrap();
     let data = renderer.data();
     let own = data.model().find(&World::drone_name(0)).unwrap();
-    // what is drawn: everything but the group of the collision geoms
+    // every group except the collision geoms is rendered
     let groups = std::array::from_fn(|group| group != World::COLLISION_GROUP);
     let state = simulation.states()[0];
     let eye = state.position + state.attitude * Vector3::from(World::CAMERA_POSITION);
@@ -121,7 +122,7 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
             hit.filter(|(_, t)| *t < 100.0).map_or([-1, -1], |(geom, _): (GeomId, f64)| [5, geom.get() as i32]);
         agree += usize::from(*object == wanted);
         let distance = hit.map_or(100.0, |(_, t)| t.min(100.0));
-        // far floor and silhouettes aside, depth is the ray's to a millimetre: propellers and pins included
+        // the tolerance for depth is 1 mm, or 0.1 % beyond 1 m; pixels of silhouettes may miss it
         near += usize::from((f64::from(depth[pixel]) - distance).abs() < 1e-3 * f64::max(1.0, distance));
     }
     for (what, count) in [("objects", agree), ("depth", near)] {
@@ -131,7 +132,7 @@ fn segmentation_names_the_parts_of_other_drones_that_rays_hit_and_never_ones_own
 }
 
 #[test]
-fn the_same_state_is_the_same_picture_in_every_environment_and_after_a_reset() {
+fn equal_states_give_equal_images_in_every_environment_and_after_a_reset() {
     if no_gl() {
         return;
     }
@@ -146,7 +147,7 @@ fn the_same_state_is_the_same_picture_in_every_environment_and_after_a_reset() {
 }
 
 #[test]
-fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
+fn every_external_view_shows_the_drone() {
     if no_gl() {
         return;
     }
@@ -163,7 +164,7 @@ fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
             let pixels = objects.iter().filter(|o| drones.contains(&o[1])).count();
             let expected = match view {
                 View::Fpv => 0..1,
-                // a drone that is alone fills a good part of the frame, from the front the thin side of it
+                // a single drone fills a large part of the frame; the front view shows its thin side
                 View::Track | View::Fixed | View::Top => 1000..60_000,
                 View::Front => 300..60_000,
             };
@@ -178,14 +179,15 @@ fn every_view_draws_a_picture_for_people_with_the_drone_in_it() {
         let mut colours: Vec<_> = rgb.chunks(3).collect();
         colours.sort();
         colours.dedup();
-        assert!(colours.len() > 50, "{view} is nearly empty");
+        assert!(colours.len() > 50, "{view} has {} colours", colours.len());
     }
     assert!(env.render(View::Track, size, &mut rgb[1..]).is_err());
 }
 
-/// Motor 0 is in front of a plus-frame Crazyflie and in front on the left of the other: so it is drawn, too.
+/// Rendered motors are at the angles of the motor layout: motor 0 of the plus frame is in front, motor 0 of the X frame
+/// in front on the left.
 #[test]
-fn airframes_are_drawn_the_way_their_motors_sit() {
+fn rendered_motors_match_the_motor_layout() {
     if no_gl() {
         return;
     }
@@ -195,7 +197,7 @@ fn airframes_are_drawn_the_way_their_motors_sit() {
         let mut renderer = SceneRenderer::for_observations(&simulation.scene()).unwrap();
         renderer.update(simulation.states()).unwrap();
         let data = renderer.data();
-        // drawn motors may sit further out than L (92 mm between opposite ones), but on the same lines
+        // rendered motors may be further from the centre than the arm length (92 mm between opposite motors)
         let hits = |angle: f64| {
             let groups = std::array::from_fn(|group| group == World::VISUAL_GROUP);
             (0..70).any(|step| {
@@ -205,15 +207,15 @@ fn airframes_are_drawn_the_way_their_motors_sit() {
             })
         };
         for [x, y] in params.motor_positions() {
-            assert!(hits(y.atan2(x)), "{model}: no motor is drawn towards ({x}, {y})");
-            assert!(!hits(y.atan2(x) + std::f64::consts::FRAC_PI_4), "{model}: a motor is drawn between two");
+            assert!(hits(y.atan2(x)), "{model}: no motor is rendered towards ({x}, {y})");
+            assert!(!hits(y.atan2(x) + std::f64::consts::FRAC_PI_4), "{model}: a motor is rendered between two motors");
         }
     }
 }
 
-/// The directory is read when the scene is made, in a process of its own: the variable is the process's.
+/// The scene reads the environment variable at construction. The test therefore starts child processes.
 #[test]
-fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
+fn a_directory_of_meshes_replaces_the_built_in_ones_and_missing_files_are_errors() {
     const CHILD: &str = "CAMERAS_TEST_OVERRIDE";
     if let Ok(expected) = std::env::var(CHILD) {
         let simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
@@ -228,7 +230,7 @@ fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
     }
     let run = |directory: &std::path::Path, expected: &str| {
         let status = std::process::Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named"])
+            .args(["--exact", "a_directory_of_meshes_replaces_the_built_in_ones_and_missing_files_are_errors"])
             .env(CHILD, expected)
             .env("MJ_DRONES_CF2_ASSETS", directory)
             .status()
@@ -244,9 +246,10 @@ fn another_directory_of_crazyflie_meshes_is_used_or_its_missing_file_named() {
     run(directory.path(), "28");
 }
 
-/// The drawn floor ended 1 km from the origin, and the depth of what is seen at 900 m was ten times as wrong as at the origin.
+/// Regression test: the rendered floor ended 1 km from the origin, and errors of depth at 900 m were ten times those at
+/// the origin.
 #[test]
-fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
+fn images_of_the_floor_are_equal_at_every_distance_from_the_origin() {
     if no_gl() {
         return;
     }
@@ -266,7 +269,7 @@ fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
         renderer.update(&states).unwrap();
         let (mut rgb, mut depth, mut objects) =
             (vec![0; 4 * size.pixels()], vec![0.0; size.pixels()], vec![[0; 2]; size.pixels()]);
-        // the last drone's first, so that the pictures of the first one are drawn after a camera elsewhere
+        // the other camera renders first, so that images of drone 0 follow a change of camera
         renderer.onboard_rgba(1, size, &mut rgb).unwrap();
         renderer.onboard_rgba(0, size, &mut rgb).unwrap();
         renderer.onboard_depth(0, size, &mut depth).unwrap();
@@ -283,30 +286,30 @@ fn the_floor_is_seen_the_same_however_far_a_drone_has_flown() {
                 seen += 1;
             }
         }
-        // rays of the visible scene meet the floor there too, where all drones are
+        // rays hit the floor below the drones, too
         let down =
             renderer.data().ray([eye.x, eye.y, 0.5], [0.0, 0.0, -1.0], [true, false, false, false, false, false], None);
         assert_eq!(down.unwrap().map(|(geom, distance)| (geom.index() as i32, distance)), Some((floor.index, 0.5)));
         (rgb, objects, worst, seen)
     };
     let (rgb, objects, worst, seen) = look([[0.0; 3]; 2]);
-    assert!(seen > 9000 && worst < 3e-4, "{seen} pixels of floor, depth wrong by {worst} m");
+    assert!(seen > 9000 && worst < 3e-4, "{seen} pixels of floor, largest error of depth {worst} m");
     for offset in [[900.0, 0.0, 0.0], [0.0, -1200.0, 0.0], [5000.0, -5000.0, 0.0]] {
         let there = look([offset; 2]);
-        assert!(there.2 < 3e-4, "{offset:?}: depth wrong by {} m", there.2);
+        assert!(there.2 < 3e-4, "{offset:?}: largest error of depth {} m", there.2);
         let other = objects.iter().zip(&there.1).filter(|(a, b)| a != b).count();
         assert!(other * 200 < objects.len(), "{offset:?}: {other} pixels show another object");
         let differing = rgb.iter().zip(&there.0).filter(|(a, b)| a.abs_diff(**b) > 8).count();
         assert!(differing * 50 < rgb.len(), "{offset:?}: {differing} values differ");
     }
-    // far from each other, each has its floor
+    // drones that are far apart see the same floor
     let apart = look([[0.0; 3], [90.0, 0.0, 0.0]]);
     assert_eq!(apart.3, look([[0.0; 3]; 2]).3);
 }
 
-/// Shadows ended 1.2 m beyond the drones' starts, and what stands higher than 2 m above them had none.
+/// Regression test: shadows ended 1.2 m from the initial positions, and objects more than 2 m above them had no shadow.
 #[test]
-fn far_and_high_gates_have_shadows() {
+fn distant_and_high_gates_have_shadows() {
     if no_gl() {
         return;
     }
@@ -317,7 +320,7 @@ fn far_and_high_gates_have_shadows() {
     let gate = Marker { name: "gate".into(), body: Obstacle::new(shape, place) };
     let env = Hover::builder().markers([gate]).build().unwrap();
     let size = ImageSize { width: 120, height: 120 };
-    let picture = |shadows| {
+    let render = |shadows| {
         let effects = VisualEffects { shadows, ..VisualEffects::default() };
         let quality = mujoco_drones_gym::mujoco::Quality::PRETTY;
         let mut renderer = SceneRenderer::new(&env.simulation().scene(), quality, effects).unwrap();
@@ -327,7 +330,7 @@ fn far_and_high_gates_have_shadows() {
         renderer.rgb(View::Top, size, &mut rgb).unwrap();
         rgb
     };
-    let (with, without) = (picture(true), picture(false));
+    let (with, without) = (render(true), render(false));
     let darker = with.iter().zip(&without).filter(|(a, b)| **a < b.saturating_sub(20)).count() / 3;
     assert!(darker > 100, "{darker} pixels of shadow");
 }

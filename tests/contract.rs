@@ -1,8 +1,10 @@
-//! The contract that all tasks keep, alone and as agents, in batches, behind wrappers and in recordings.
+//! The contract of environments and agents for all tasks, with wrappers and recordings.
 
+mod common;
+
+use common::{assert_contract, no_gl};
 use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
 use mujoco_drones_gym::env::{BoxSpace, EndReason, EnvConfig, TaskDefaults, check_env, check_independence};
-use mujoco_drones_gym::mujoco::{Error, gl_info};
 use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, check_parallel_env};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Recorded;
@@ -11,10 +13,10 @@ use mujoco_drones_gym::wrappers::SafetyWrapper;
 use mujoco_drones_gym::{Rng, SeedableRng};
 use nalgebra::Vector3;
 
-/// Rows of single precision are of their space where an angle is at its bound: π in single precision is larger than π. Every task,
-/// one environment and a batch, with rays of a range that single precision rounds up, on the first row and after steps.
+/// Rows in single precision are elements of their space if an angle is at its bound, although π in single precision is
+/// larger than π. The maximum range of 4.3 m is also larger in single precision.
 #[test]
-fn rows_of_single_precision_are_of_their_space_at_the_bounds_of_every_angle() {
+fn rows_in_single_precision_are_in_their_space_at_the_bounds_of_angles() {
     use mujoco_drones_gym::sensing::RangeConfig;
     use std::f64::consts::{FRAC_PI_2, PI};
     assert!(f64::from(PI as f32) > PI && f64::from(FRAC_PI_2 as f32) > FRAC_PI_2 && f64::from(4.3_f32) > 4.3);
@@ -52,11 +54,11 @@ fn rows_of_single_precision_are_of_their_space_at_the_bounds_of_every_angle() {
             }
         }
     }
-    assert!(at_bound > 30, "{at_bound} angles at their bounds");
+    assert!(at_bound > 30, "{at_bound} angles are at their bounds");
 }
 
 #[test]
-fn every_task_keeps_the_contract_with_every_action_type_and_number_of_drones() {
+fn every_task_keeps_the_contract_with_every_action_type_and_with_several_drones() {
     for name in tasks::NAMES {
         for action_type in ActionType::ALL {
             let config = EnvConfig::default().action_type(action_type).episode_seconds(5.0);
@@ -75,7 +77,7 @@ fn every_task_keeps_the_contract_with_every_action_type_and_number_of_drones() {
                 .observation_type(ObservationType::KIN_ADJACENCY)
                 .neighbourhood_radius(1.0)
         };
-        // four racers in a formation that has room for them
+        // four racers need a larger formation
         let build = || match name {
             "formation" => {
                 Box::new(config().with_task(Formation::default()).task(|task| task.radius = 0.6).build().unwrap())
@@ -89,8 +91,8 @@ fn every_task_keeps_the_contract_with_every_action_type_and_number_of_drones() {
 }
 
 #[test]
-fn cameras_keep_the_contract() {
-    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+fn environments_with_cameras_keep_the_contract() {
+    if no_gl() {
         return;
     }
     let all = "kin_rgb_depth_segmentation_adjacency".parse::<ObservationType>().unwrap();
@@ -106,8 +108,8 @@ fn cameras_keep_the_contract() {
 }
 
 #[test]
-fn the_checker_finds_what_is_wrong() {
-    /// A task with one fault.
+fn the_checker_finds_every_fault_of_a_task() {
+    /// Task with one fault.
     #[derive(Debug, Default, Clone)]
     struct Faulty {
         fault: &'static str,
@@ -159,9 +161,9 @@ fn the_checker_finds_what_is_wrong() {
             false
         }
     }
-    let mut sound = EnvConfig::default().with_task(Faulty::default()).build().unwrap();
-    check_env(&mut sound).unwrap();
-    for (fault, said) in [
+    let mut valid = EnvConfig::default().with_task(Faulty::default()).build().unwrap();
+    check_env(&mut valid).unwrap();
+    for (fault, message) in [
         ("memory", "two episodes with one seed differ"),
         ("nan", "a reward is NaN"),
         ("bounds", "observation[0]"),
@@ -172,19 +174,18 @@ fn the_checker_finds_what_is_wrong() {
         let task = Faulty { fault, ..Faulty::default() };
         let mut env = EnvConfig::default().with_task(task).build().unwrap();
         let error = check_env(&mut env).unwrap_err().to_string();
-        assert!(error.contains(said), "{fault}: {error}");
+        assert!(error.contains(message), "{fault}: {error}");
     }
 }
 
 #[test]
-fn the_safety_wrapper_keeps_the_contract_and_changes_nothing_that_is_safe() {
+fn the_safety_wrapper_keeps_the_contract_and_does_not_change_safe_actions() {
     for name in ["multi_hover", "antipodal", "formation"] {
         let build = || {
             let config = EnvConfig::default().action_type(ActionType::Vel).episode_seconds(2.0);
             SafetyWrapper::new(make(name, config).unwrap(), CollisionCone::new(0.2)).unwrap()
         };
-        check_env(&mut build()).unwrap();
-        check_independence(&mut build(), &mut build()).unwrap();
+        assert_contract(build);
     }
     let plain = || MultiHover::builder().num_drones(2).action_type(ActionType::Vel).build().unwrap();
     let mut bare = plain();
@@ -199,7 +200,7 @@ fn the_safety_wrapper_keeps_the_contract_and_changes_nothing_that_is_safe() {
 }
 
 #[test]
-fn equal_seeds_give_equal_bits_on_every_thread_and_others_differ() {
+fn equal_seeds_give_bit_identical_episodes_on_every_thread_and_other_seeds_differ() {
     let episode = |name: &str, seed: u64| {
         let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw)).unwrap();
         env.reset(Some(seed)).unwrap();
@@ -221,7 +222,7 @@ fn equal_seeds_give_equal_bits_on_every_thread_and_others_differ() {
         let there = std::thread::scope(|scope| scope.spawn(|| episode(name, 4)).join().unwrap());
         assert_eq!(here, there, "{name}");
     }
-    // the paper's tasks have nothing random but for the target velocity
+    // the target velocity is the only random quantity of the paper's tasks
     assert_ne!(episode("velocity", 4), episode("velocity", 5));
     let mut env = Velocity::builder().build().unwrap();
     let mut targets = Vec::new();
@@ -229,7 +230,11 @@ fn equal_seeds_give_equal_bits_on_every_thread_and_others_differ() {
     for _ in 0..200 {
         let seen = env.reset(None).unwrap().vector.clone();
         let (velocity, rate) = env.task().target(0);
-        assert_eq!((&seen[12..15], seen[15]), (velocity.as_slice(), rate), "what is seen is what is rewarded");
+        assert_eq!(
+            (&seen[12..15], seen[15]),
+            (velocity.as_slice(), rate),
+            "the observation has the target of the reward"
+        );
         assert!(velocity.amax() <= 0.5 && rate.abs() <= 0.25);
         targets.push(velocity.x);
     }
@@ -253,7 +258,7 @@ fn agents_keep_their_contract_in_every_task() {
 }
 
 #[test]
-fn an_agent_that_crashes_leaves_and_the_others_fly_on() {
+fn an_agent_that_crashes_leaves_and_the_others_continue() {
     let mut env = MultiAgentAviary::new(MultiHover::builder().num_drones(3).build().unwrap());
     let (observations, infos) = env.reset(Some(1)).unwrap();
     assert!(observations.iter().all(|(_, seen)| seen.vector.len() == 13));
@@ -291,7 +296,7 @@ fn an_agent_that_crashes_leaves_and_the_others_fly_on() {
 }
 
 #[test]
-fn a_recorded_environment_is_the_same_and_leaves_a_file_per_episode() {
+fn a_recorded_environment_behaves_the_same_and_writes_a_file_per_episode() {
     let directory = tempfile::tempdir().unwrap();
     let build = || Hover::builder().episode_seconds(1.0).build().unwrap();
     check_env(&mut Recorded::new(build(), directory.path().join("checked")).unwrap()).unwrap();
@@ -305,12 +310,12 @@ fn a_recorded_environment_is_the_same_and_leaves_a_file_per_episode() {
     }
     for episode in 0..3 {
         let text = std::fs::read_to_string(directory.path().join(format!("episode_000{episode}_drone0.csv"))).unwrap();
-        assert_eq!(text.lines().count(), 1 + 1 + 48, "a header, the start, and every step");
+        assert_eq!(text.lines().count(), 1 + 1 + 48, "a header, the initial state and every step");
     }
 }
 
 #[test]
-fn a_task_that_is_changed_is_checked_at_the_next_reset() {
+fn a_changed_task_is_validated_at_the_next_reset() {
     let mut env = FlyThrough::builder().build().unwrap();
     env.reset(Some(1)).unwrap();
     env.task_mut().waypoints.clear();

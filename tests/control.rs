@@ -1,7 +1,10 @@
-//! Controllers on MuJoCo's dynamics: what they promise to hold, follow and recover from, and what actions make of them.
+//! Controllers, trajectories and action types on MuJoCo's dynamics: tracking errors, recovery and invalid inputs.
+
+mod common;
 
 use std::f64::consts::FRAC_PI_2;
 
+use common::step_env;
 use mujoco_drones_gym::action::ActionLimits;
 use mujoco_drones_gym::control::trajectory::{Heading, PeriodicTrajectory, Plane, Steps, Trajectory, Waypoints, named};
 use mujoco_drones_gym::control::{Bandwidths, ControllerKind, GeometricControl};
@@ -12,36 +15,42 @@ use mujoco_drones_gym::state::{attitude_from_rpy, wrap_angle};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-/// A flight along a trajectory from rest at its start.
+/// Errors of a flight along a trajectory.
 struct Flight {
+    /// Mean position error, m.
     mean: f64,
+    /// Largest position error, m.
     peak: f64,
+    /// Position error at the end, m.
     last: f64,
-    /// Largest tilt, rad, and yaw error, rad.
+    /// Largest tilt, rad.
     tilt: f64,
+    /// Largest yaw error, rad.
     yaw: f64,
 }
 
-fn fly(mut simulation: Simulation, controller: &mut dyn Controller, way: &dyn Trajectory, seconds: f64) -> Flight {
+/// Flies a trajectory for some seconds and returns the errors.
+fn fly(mut simulation: Simulation, controller: &mut dyn Controller, path: &dyn Trajectory, seconds: f64) -> Flight {
     let dt = simulation.control_period();
     let mut flight = Flight { mean: 0.0, peak: 0.0, last: 0.0, tilt: 0.0, yaw: 0.0 };
     while simulation.time() < seconds - 0.5 * dt {
-        let output = controller.control(dt, &simulation.states()[0], &way.reference(simulation.time()));
+        let output = controller.control(dt, &simulation.states()[0], &path.reference(simulation.time()));
         simulation.step(&[output.rpm]).unwrap();
-        let (state, reference) = (simulation.states()[0], way.reference(simulation.time()));
+        let (state, reference) = (simulation.states()[0], path.reference(simulation.time()));
         flight.last = (state.position - reference.position).norm();
         flight.mean += flight.last;
         flight.peak = flight.peak.max(flight.last);
         flight.tilt = flight.tilt.max(state.tilt());
         flight.yaw = flight.yaw.max(wrap_angle(state.rpy().z - reference.yaw).abs());
-        assert!(simulation.contacts().is_empty(), "touched something at t = {}", simulation.time());
+        assert!(simulation.contacts().is_empty(), "contact at t = {} s", simulation.time());
     }
     flight.mean /= simulation.control_steps() as f64;
     flight
 }
 
-fn at_start(model: DroneModel, way: &dyn Trajectory) -> Simulation {
-    let start = way.start();
+/// Creates a simulation of a drone at rest at the start of a trajectory.
+fn at_start(model: DroneModel, path: &dyn Trajectory) -> Simulation {
+    let start = path.start();
     Simulation::builder(model)
         .initial_positions([start.position.into()])
         .initial_rpys([[0.0, 0.0, start.yaw]])
@@ -49,9 +58,9 @@ fn at_start(model: DroneModel, way: &dyn Trajectory) -> Simulation {
         .unwrap()
 }
 
-/// The paper: mean 0.7 cm, peak 3.5 cm.
+/// The paper reports a mean of 0.7 cm and a peak of 3.5 cm.
 #[test]
-fn the_papers_vertical_circle_is_followed_within_a_millimetre_on_average() {
+fn the_mean_error_on_the_papers_vertical_circle_is_below_one_millimetre() {
     let circle = PeriodicTrajectory::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
     for model in DroneModel::ALL {
         let mut control = GeometricControl::new(&model.params());
@@ -61,31 +70,31 @@ fn the_papers_vertical_circle_is_followed_within_a_millimetre_on_average() {
 }
 
 #[test]
-fn a_loop_goes_over_the_top_in_every_vertical_plane_and_at_every_yaw() {
+fn a_loop_is_flown_upside_down_in_every_vertical_plane_and_at_every_yaw() {
     for (x, y) in [(1.0, 0.0), (0.0, 1.0), (0.6, 0.8), (-0.6, 0.8), (0.02, 1.0), (1.0, -0.02)] {
         for yaw in [0.0, 0.7, -2.0] {
-            let way = PeriodicTrajectory::circle(1.0, 1.6)
+            let path = PeriodicTrajectory::circle(1.0, 1.6)
                 .and_then(|curve| curve.phase(-FRAC_PI_2)?.turns(1.0)?.ramp(0.8)?.heading(Heading::Fixed(yaw)))
                 .unwrap()
                 .plane(Plane::normal([x, y, 0.0]).unwrap())
                 .centre([0.0, 0.0, 2.0]);
             let mut control = GeometricControl::new(&DroneModel::Race.params());
-            let flight = fly(at_start(DroneModel::Race, &way), &mut control, &way, way.duration() + 1.0);
-            assert!(flight.tilt > 3.0, "upside down: {}", flight.tilt);
+            let flight = fly(at_start(DroneModel::Race, &path), &mut control, &path, path.duration() + 1.0);
+            assert!(flight.tilt > 3.0, "largest tilt of the loop: {} rad", flight.tilt);
             assert!(flight.peak < 0.05 && flight.last < 1e-3, "({x}, {y}) {yaw}: {} {}", flight.peak, flight.last);
         }
     }
 }
 
 #[test]
-fn a_lemniscate_at_three_metres_a_second_is_followed_looking_along_it() {
-    let way = PeriodicTrajectory::lemniscate_at(2.0, 1.0, 3.0)
+fn a_lemniscate_at_three_metres_per_second_is_tracked_with_a_forward_heading() {
+    let path = PeriodicTrajectory::lemniscate_at(2.0, 1.0, 3.0)
         .and_then(|curve| curve.turns(2.0)?.ramp(2.0)?.heading(Heading::Forward))
         .unwrap();
-    let fastest = (0..2000).map(|i| way.reference(f64::from(i) * 0.005).velocity.norm()).fold(0.0, f64::max);
+    let fastest = (0..2000).map(|i| path.reference(f64::from(i) * 0.005).velocity.norm()).fold(0.0, f64::max);
     assert!((fastest - 3.0).abs() < 1e-3, "{fastest}");
     for model in DroneModel::ALL {
-        let flight = fly(at_start(model, &way), &mut GeometricControl::new(&model.params()), &way, way.duration());
+        let flight = fly(at_start(model, &path), &mut GeometricControl::new(&model.params()), &path, path.duration());
         assert!(flight.peak < 0.01 && flight.yaw < 0.05, "{model}: {} {}", flight.peak, flight.yaw);
     }
 }
@@ -109,7 +118,7 @@ fn every_controller_settles_on_a_step_and_dsl_and_geometric_on_a_square() {
 }
 
 #[test]
-fn control_rates_from_24_to_240_hertz_and_slow_motors_are_flown_with_the_same_gains() {
+fn the_same_gains_fly_control_rates_from_24_to_240_hertz_and_slow_motors() {
     let circle = PeriodicTrajectory::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
     for (ctrl_freq, lag) in [(24, 0.0), (30, 0.0), (120, 0.0), (240, 0.0), (48, 0.03), (240, 0.03)] {
         for kind in [ControllerKind::Dsl, ControllerKind::Geometric] {
@@ -130,16 +139,16 @@ fn control_rates_from_24_to_240_hertz_and_slow_motors_are_flown_with_the_same_ga
 }
 
 #[test]
-fn an_integral_takes_away_what_a_wrong_mass_leaves() {
+fn an_integral_term_removes_the_static_error_of_a_wrong_mass() {
     let heavier = DroneParams { mass: 0.0297, ..DroneModel::Cf2x.params() };
-    let way = Steps::step([0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 12.0).unwrap();
+    let path = Steps::step([0.0, 0.0, 1.0], [0.0, 0.0, 1.0], 12.0).unwrap();
     let end = |integral| {
         let simulation = Simulation::builder(heavier.clone()).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
         let bandwidths = Bandwidths { integral, ..Bandwidths::default() };
         let mut control = GeometricControl::with_bandwidths(&DroneModel::Cf2x.params(), bandwidths);
-        fly(simulation, &mut control, &way, 12.0).last
+        fly(simulation, &mut control, &path, 12.0).last
     };
-    // a tenth of g over the stiffness of 11² 1/s²
+    // static error: 10 % of g divided by the stiffness of 11² 1/s²
     assert!((end(0.0) - 0.1 * 9.81 / 121.0).abs() < 1e-3, "{}", end(0.0));
     assert!(end(0.1) < 1e-4, "{}", end(0.1));
 }
@@ -147,7 +156,7 @@ fn an_integral_takes_away_what_a_wrong_mass_leaves() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
-    /// Thrown in any attitude, turning, far from where it should be: it comes home.
+    /// The geometric controller reaches its setpoint from any attitude, velocity and angular velocity.
     #[test]
     fn geometric_control_recovers_from_any_attitude(
         roll in -3.1..3.1, pitch in -1.5..1.5, yaw in -3.1..3.1, target in -3.1..3.1,
@@ -168,45 +177,46 @@ proptest! {
         for _ in 0..48 * 8 {
             let rpm = control.control(dt, &simulation.states()[0], &reference).rpm;
             simulation.step(&[rpm]).unwrap();
-            prop_assert!(simulation.contacts().is_empty(), "fell to the floor");
+            prop_assert!(simulation.contacts().is_empty(), "the drone hit the floor");
         }
         let state = simulation.states()[0];
         prop_assert!((state.position - reference.position).norm() < 0.01, "{}", state.position);
         prop_assert!(wrap_angle(state.rpy().z - target).abs() < 0.02, "{}", state.rpy().z);
     }
 
-    /// Through random waypoints, which are met on time, within the limits of speed and acceleration. (High up: polynomials
-    /// swing out beyond their waypoints.)
+    /// A trajectory passes random waypoints on time, within the limits of speed and acceleration. The waypoints are
+    /// high above the floor because the polynomials overshoot them.
     #[test]
-    fn waypoints_are_met_and_flown(
-        points in prop::collection::vec([-2.0..2.0, -2.0..2.0, 6.0..8.0], 2..7), yaws in prop::array::uniform7(-3.0..3.0),
+    fn waypoint_trajectories_pass_their_points_within_limits_and_are_tracked(
+        points in prop::collection::vec([-2.0..2.0, -2.0..2.0, 6.0..8.0], 2..7),
+        yaws in prop::array::uniform7(-3.0..3.0),
     ) {
-        let way = Waypoints::through(&points).yaws(&yaws[..points.len()]).limits(1.5, 3.0).build().unwrap();
-        for (point, &time) in points.iter().zip(way.times()) {
-            prop_assert!((way.reference(time).position - Vector3::from(*point)).norm() < 1e-6);
+        let path = Waypoints::through(&points).yaws(&yaws[..points.len()]).limits(1.5, 3.0).build().unwrap();
+        for (point, &time) in points.iter().zip(path.times()) {
+            prop_assert!((path.reference(time).position - Vector3::from(*point)).norm() < 1e-6);
         }
-        let samples = (0..=1000).map(|i| way.reference(way.duration() * f64::from(i) / 1000.0));
+        let samples = (0..=1000).map(|i| path.reference(path.duration() * f64::from(i) / 1000.0));
         for reference in samples {
             prop_assert!(reference.velocity.norm() < 1.51 && reference.acceleration.norm() < 3.02);
         }
         let mut control = GeometricControl::new(&DroneModel::Cf2x.params());
-        let flight = fly(at_start(DroneModel::Cf2x, &way), &mut control, &way, way.duration());
+        let flight = fly(at_start(DroneModel::Cf2x, &path), &mut control, &path, path.duration());
         prop_assert!(flight.peak < 0.02, "{}", flight.peak);
     }
 }
 
 #[test]
-fn ways_of_unequal_legs_do_not_swing_out_far() {
+fn trajectories_through_unequal_legs_overshoot_little() {
     let extent = |points: &[[f64; 3]], yaws: &[f64]| {
-        let way = Waypoints::through(points).yaws(yaws).build().unwrap();
-        let samples: Vec<_> = (0..=500).map(|i| way.reference(way.duration() * f64::from(i) / 500.0)).collect();
+        let path = Waypoints::through(points).yaws(yaws).build().unwrap();
+        let samples: Vec<_> = (0..=500).map(|i| path.reference(path.duration() * f64::from(i) / 500.0)).collect();
         let beyond = samples.iter().map(|r| {
             let low = points.iter().map(|p| Vector3::from(*p)).fold(Vector3::repeat(f64::MAX), |a, b| a.inf(&b));
             let high = points.iter().map(|p| Vector3::from(*p)).fold(Vector3::repeat(f64::MIN), |a, b| a.sup(&b));
             (r.position - r.position.sup(&low).inf(&high)).norm()
         });
         let turning = samples.iter().map(|r| r.yaw_rate.abs()).fold(0.0, f64::max);
-        (beyond.fold(0.0, f64::max), way.duration(), turning)
+        (beyond.fold(0.0, f64::max), path.duration(), turning)
     };
     for (points, max) in [
         (&[[0.0, 0.0, 0.1], [0.0, 0.0, 1.0], [5.0, 0.0, 1.0]][..], 20.0),
@@ -225,12 +235,12 @@ fn ways_of_unequal_legs_do_not_swing_out_far() {
 }
 
 #[test]
-fn a_helix_climbs_whichever_way_it_turns_and_a_heading_comes_to_rest_with_it() {
+fn a_helix_climbs_in_both_directions_and_its_heading_stops_at_the_end() {
     for period in [4.0, -4.0] {
-        let way = PeriodicTrajectory::helix(0.5, period, 0.2)
+        let path = PeriodicTrajectory::helix(0.5, period, 0.2)
             .and_then(|curve| curve.turns(5.0)?.heading(Heading::Turning { yaw: 0.1, rate: 0.3 }))
             .unwrap();
-        let [start, end, after] = [-1.0, 20.0, 30.0].map(|time| way.reference(time));
+        let [start, end, after] = [-1.0, 20.0, 30.0].map(|time| path.reference(time));
         assert!((end.position.z - start.position.z - 1.0).abs() < 1e-9);
         assert_eq!((start.yaw, start.yaw_rate), (0.1, 0.0));
         assert_eq!((after.yaw, after.yaw_rate, after.position), (end.yaw, 0.0, end.position));
@@ -240,7 +250,7 @@ fn a_helix_climbs_whichever_way_it_turns_and_a_heading_comes_to_rest_with_it() {
 }
 
 #[test]
-fn what_is_not_a_number_or_no_time_gives_no_speed() {
+fn invalid_numbers_and_control_periods_give_nan_motor_speeds() {
     let params = DroneModel::Cf2x.params();
     let state = DroneState::default();
     for kind in ControllerKind::ALL {
@@ -264,8 +274,8 @@ fn what_is_not_a_number_or_no_time_gives_no_speed() {
     }
 }
 
-/// The task is flown to its end through an action type, by an agent that sees the observation alone.
-fn hovers(action_type: ActionType, controller: ControllerKind, agent: impl Fn(&[f64]) -> Vec<f64>) {
+/// Asserts that an agent, a function of the observation, completes Hover through an action type.
+fn assert_hovers(action_type: ActionType, controller: ControllerKind, agent: impl Fn(&[f64]) -> Vec<f64>) {
     for model in DroneModel::ALL {
         let mut env = Hover::builder()
             .drone(model)
@@ -284,35 +294,35 @@ fn hovers(action_type: ActionType, controller: ControllerKind, agent: impl Fn(&[
     }
 }
 
-/// Acceleration wanted in the heading frame, m/s², for the agents below.
-fn wanted(o: &[f64]) -> [f64; 3] {
+/// Returns the desired acceleration of the agents below, heading frame, m/s².
+fn desired_acceleration(o: &[f64]) -> [f64; 3] {
     let (sin, cos) = o[5].sin_cos();
     let (x, y) = (-2.0 * o[0] - 2.4 * o[6], -2.0 * o[1] - 2.4 * o[7]);
     [(cos * x + sin * y).clamp(-3.0, 3.0), (cos * y - sin * x).clamp(-3.0, 3.0), 4.0 * (1.0 - o[2]) - 4.0 * o[8]]
 }
 
 #[test]
-fn every_action_type_flies_hover_through_its_own_interface() {
+fn every_action_type_flies_hover() {
     use ControllerKind::{Dsl, Geometric, Pid};
     for controller in [Pid, Dsl, Geometric] {
-        hovers(ActionType::Vel, controller, |o| {
+        assert_hovers(ActionType::Vel, controller, |o| {
             let (sin, cos) = o[5].sin_cos();
             let (x, y) = (-0.7 * o[0], -0.7 * o[1]);
             vec![cos * x + sin * y, cos * y - sin * x, 0.8 * (1.0 - o[2]), -o[5].clamp(-1.0, 1.0)]
         });
     }
     for controller in [Dsl, Geometric] {
-        hovers(ActionType::Pid, controller, |_| vec![0.0, 0.0, 1.0, 0.2]);
+        assert_hovers(ActionType::Pid, controller, |_| vec![0.0, 0.0, 1.0, 0.2]);
     }
-    // the paper's gains take longer than an episode from the side
-    hovers(ActionType::Pid, Pid, |o| vec![-0.3 * o[6] - 0.4 * o[0], -0.3 * o[7] - 0.4 * o[1], 1.01, 0.0]);
-    hovers(ActionType::Attitude, Pid, |o| {
-        let [x, y, z] = wanted(o);
+    // with the paper's gains, a sideways offset decays more slowly than an episode lasts
+    assert_hovers(ActionType::Pid, Pid, |o| vec![-0.3 * o[6] - 0.4 * o[0], -0.3 * o[7] - 0.4 * o[1], 1.01, 0.0]);
+    assert_hovers(ActionType::Attitude, Pid, |o| {
+        let [x, y, z] = desired_acceleration(o);
         let tilt = 30_f64.to_radians();
         vec![(z / 9.81).clamp(-1.0, 1.0), -y / 9.81 / tilt, x / 9.81 / tilt, -(o[5] / 3.0).clamp(-1.0, 1.0)]
     });
-    hovers(ActionType::Ctbr, Pid, |o| {
-        let [x, y, z] = wanted(o);
+    assert_hovers(ActionType::Ctbr, Pid, |o| {
+        let [x, y, z] = desired_acceleration(o);
         let (roll, pitch) = (-y / 9.81, x / 9.81);
         let rates = [8.0 * (roll - o[3]) / 10.0, 8.0 * (pitch - o[4]) / 10.0, -o[5] / 5.0];
         let mut action = vec![(z / 9.81).clamp(-1.0, 1.0)];
@@ -322,7 +332,7 @@ fn every_action_type_flies_hover_through_its_own_interface() {
 }
 
 #[test]
-fn raw_motor_speeds_and_normalized_ones_are_the_same_flight() {
+fn raw_and_normalized_motor_speeds_give_the_same_flight() {
     let flight = |action_type| {
         let mut env = Hover::builder().action_type(action_type).build().unwrap();
         let mut pid = PidControl::new(&DroneModel::Cf2x.params());
@@ -349,9 +359,9 @@ fn one_command_for_all_motors_holds_a_height() {
     assert!(fly_episode(&mut env, &mut policy, None).unwrap().success);
 }
 
-/// A velocity is one of the heading frame: forward is where the nose points, whatever the roll and pitch.
+/// Velocity commands are in the heading frame, which has the yaw of the body, and no roll or pitch.
 #[test]
-fn forward_is_where_the_nose_points_and_a_yaw_rate_turns_at_that_rate() {
+fn velocity_commands_follow_the_heading_and_yaw_rates_are_reached() {
     for yaw in [0.0, 1.2, -2.5] {
         let mut env = Hover::builder()
             .action_type(ActionType::Vel)
@@ -361,29 +371,23 @@ fn forward_is_where_the_nose_points_and_a_yaw_rate_turns_at_that_rate() {
             .build()
             .unwrap();
         env.reset(None).unwrap();
-        for _ in 0..96 {
-            env.step(&[0.5, 0.0, 0.0, 0.0]).unwrap();
-        }
+        step_env(&mut env, &[0.5, 0.0, 0.0, 0.0], 96);
         let state = env.simulation().states()[0];
         let expected = Vector3::new(yaw.cos(), yaw.sin(), 0.0) * 0.5;
         assert!((state.velocity - expected).norm() < 0.01, "{} at yaw {yaw}", state.velocity);
         env.reset(None).unwrap();
-        for _ in 0..144 {
-            env.step(&[1.0, 0.0, 0.0, 1.0]).unwrap();
-        }
+        step_env(&mut env, &[1.0, 0.0, 0.0, 1.0], 144);
         let state = env.simulation().states()[0];
         let ahead = Vector3::new(state.yaw().cos(), state.yaw().sin(), 0.0);
-        assert!((state.velocity - ahead).norm() < 0.12, "along a circle: {} {ahead}", state.velocity);
+        assert!((state.velocity - ahead).norm() < 0.12, "velocity {} on a circle, expected {ahead}", state.velocity);
         env.reset(None).unwrap();
-        for _ in 0..96 {
-            env.step(&[0.0, 0.0, 0.0, 1.0]).unwrap();
-        }
+        step_env(&mut env, &[0.0, 0.0, 0.0, 1.0], 96);
         assert!((env.simulation().states()[0].angular_velocity.z - 1.0).abs() < 0.02);
     }
 }
 
 #[test]
-fn attitudes_are_those_that_were_asked_for() {
+fn attitude_commands_are_reached() {
     let limits = ActionLimits { tilt: 0.4, yaw_rate: 1.0, ..ActionLimits::default() };
     let mut env = Hover::builder()
         .action_type(ActionType::Attitude)
@@ -395,18 +399,16 @@ fn attitudes_are_those_that_were_asked_for() {
     for (roll, pitch, turn) in [(0.5, 0.0, 0.0), (0.0, -0.5, 0.0), (-0.3, 0.7, 0.0), (1.0, 0.0, 1.0), (0.3, -1.0, -0.8)]
     {
         env.reset(None).unwrap();
-        for _ in 0..60 {
-            env.step(&[0.1, roll, pitch, turn]).unwrap();
-        }
+        step_env(&mut env, &[0.1, roll, pitch, turn], 60);
         let rpy = env.simulation().states()[0].rpy();
         let error = rpy - Vector3::new(0.4 * roll, 0.4 * pitch, 0.9 + turn * 60.0 / 48.0);
-        // turning, it is where it was a part of a step ago
+        // with a yaw rate, the yaw lags by a fraction of a control step
         assert!(error.xy().norm() < 0.012 && wrap_angle(error.z).abs() < 0.01 + 0.03 * turn.abs(), "{rpy}");
     }
 }
 
 #[test]
-fn actions_that_are_not_numbers_are_errors_and_those_out_of_bounds_are_clipped() {
+fn non_finite_actions_are_errors_and_actions_out_of_bounds_are_clipped() {
     for action_type in ActionType::ALL {
         let build = || Hover::builder().action_type(action_type).build().unwrap();
         let (mut env, mut twin) = (build(), build());
@@ -422,7 +424,7 @@ fn actions_that_are_not_numbers_are_errors_and_those_out_of_bounds_are_clipped()
         for length in [0, size - 1, size + 1] {
             assert!(matches!(env.step(&vec![0.0; length]), Err(EnvError::ActionLength { .. })));
         }
-        // nothing of that has moved anything; then far out of bounds is the bound
+        // the invalid actions moved nothing; the decoder clips actions to their bounds
         let space = env.action_space().clone();
         for (far, bound) in [(1e3, space.high()), (-1e3, space.low()), (1e3, space.high())] {
             let far: Vec<_> = bound.iter().map(|x| x + far * (1.0 + x.abs())).collect();
@@ -434,7 +436,7 @@ fn actions_that_are_not_numbers_are_errors_and_those_out_of_bounds_are_clipped()
 }
 
 #[test]
-fn a_reset_clears_what_controllers_remember() {
+fn a_reset_clears_the_state_of_controllers() {
     for action_type in [ActionType::Vel, ActionType::Pid, ActionType::Attitude] {
         for controller in ControllerKind::ALL {
             let mut env = Hover::builder().action_type(action_type).controller(controller).build().unwrap();
@@ -451,17 +453,17 @@ fn a_reset_clears_what_controllers_remember() {
 }
 
 #[test]
-fn named_trajectories_start_at_rest_where_they_begin_and_their_derivatives_are_those_of_their_positions() {
+fn named_trajectories_start_at_rest_and_their_derivatives_are_consistent() {
     for name in mujoco_drones_gym::control::trajectory::NAMES {
-        let way = named(name).unwrap();
-        assert!(way.reference(-1.0).velocity.norm() == 0.0 && way.duration() > 1.0);
+        let path = named(name).unwrap();
+        assert!(path.reference(-1.0).velocity.norm() == 0.0 && path.duration() > 1.0);
         if name == "square" {
             continue;
         }
         let h = 1e-4;
         for i in 1..200 {
-            let t = way.duration() * f64::from(i) / 201.0;
-            let [before, now, after] = [t - h, t, t + h].map(|t| way.reference(t));
+            let t = path.duration() * f64::from(i) / 201.0;
+            let [before, now, after] = [t - h, t, t + h].map(|t| path.reference(t));
             let close =
                 |a: Vector3<f64>, b: Vector3<f64>| assert!((a - b).norm() < 1e-3 * (1.0 + a.norm()), "{name} {t}");
             close((after.position - before.position) / (2.0 * h), now.velocity);
@@ -481,7 +483,10 @@ fn named_trajectories_start_at_rest_where_they_begin_and_their_derivatives_are_t
         assert!((wrap_angle(after.yaw - before.yaw) / (2.0 * h) - now.yaw_rate).abs() < 1e-3);
         assert!(((after.yaw_rate - before.yaw_rate) / (2.0 * h) - now.yaw_acceleration).abs() < 1e-3);
         if now.velocity.norm() > 0.1 {
-            assert!(wrap_angle(now.velocity.y.atan2(now.velocity.x) - now.yaw).abs() < 1e-9, "looks where it goes");
+            assert!(
+                wrap_angle(now.velocity.y.atan2(now.velocity.x) - now.yaw).abs() < 1e-9,
+                "the yaw follows the velocity"
+            );
         }
     }
 }

@@ -1,12 +1,15 @@
-//! The curriculum follows what its episodes bring, up and down, and can be saved and restored.
+//! Curriculum: changes of level by results of episodes, saving, restoring, and the contract of environments.
 
+mod common;
+
+use common::step_to_end;
 use mujoco_drones_gym::env::{Randomization, check_env};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::ObstacleConfig;
 use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumMetric, CurriculumState, CurriculumWrapper};
 
-/// The target rises by 20 cm with every level.
+/// Raises the target height by 20 cm per level.
 fn rise(env: &mut Aviary<Hover>, level: usize) -> Result<(), EnvError> {
     env.task_mut().target_height = 1.0 + 0.2 * level as f64;
     Ok(())
@@ -14,21 +17,20 @@ fn rise(env: &mut Aviary<Hover>, level: usize) -> Result<(), EnvError> {
 
 type Rising = CurriculumWrapper<Aviary<Hover>, fn(&mut Aviary<Hover>, usize) -> Result<(), EnvError>>;
 
+/// Creates a Hover environment with a curriculum of target heights.
 fn rising(config: CurriculumConfig) -> Rising {
     let hover = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(0.25).build().unwrap();
     CurriculumWrapper::new(hover, config, rise as fn(&mut Aviary<Hover>, usize) -> Result<(), EnvError>).unwrap()
 }
 
-/// An episode at hover: at the target on level 0, below it on the others.
+/// Flies an episode with a constant action. A drone that hovers reaches the target on level 0 only.
 fn episode(env: &mut Rising, action: f64) {
     env.reset(None).unwrap();
-    while env.info().end.is_none() {
-        env.step(&[action; 4]).unwrap();
-    }
+    step_to_end(env, &[action; 4]);
 }
 
 #[test]
-fn it_advances_on_success_after_a_whole_window_and_retreats_on_failure() {
+fn curriculum_advances_after_a_successful_window_and_retreats_after_a_failed_one() {
     let config =
         CurriculumConfig { levels: 3, window: 4, advance: 0.75, retreat: Some(0.25), ..CurriculumConfig::default() };
     let mut env = rising(config);
@@ -38,15 +40,15 @@ fn it_advances_on_success_after_a_whole_window_and_retreats_on_failure() {
     }
     episode(&mut env, 0.0);
     assert_eq!((env.state().level, env.state().advances, env.mean()), (1, 1, None));
-    // hovering where level 0 was is no success on level 1: four episodes later it is back
+    // hovering at the height of level 0 fails on level 1: the curriculum retreats after four episodes
     env.reset(None).unwrap();
-    assert!((env.reference(0).position.z - 1.2).abs() < 1e-12, "the difficulty has been set");
+    assert!((env.reference(0).position.z - 1.2).abs() < 1e-12, "level 1 raises the target");
     for _ in 0..4 {
         episode(&mut env, 0.0);
     }
     assert_eq!((env.state().level, env.state().retreats), (0, 1));
     assert_eq!((env.state().episodes, &env.state().episodes_per_level[..]), (8, &[4, 4, 0][..]));
-    // an episode that is left in its middle does not count
+    // an unfinished episode does not count
     env.reset(None).unwrap();
     env.step(&[0.0; 4]).unwrap();
     env.reset(None).unwrap();
@@ -54,12 +56,12 @@ fn it_advances_on_success_after_a_whole_window_and_retreats_on_failure() {
 }
 
 #[test]
-fn it_never_leaves_its_levels_and_goes_by_reward_or_length_as_well() {
+fn curriculum_level_stays_within_its_levels_for_reward_and_episode_length() {
     for (metric, advance) in [(CurriculumMetric::Reward, 5.0), (CurriculumMetric::EpisodeLength, 12.0)] {
         let config = CurriculumConfig { levels: 2, window: 2, metric, advance, retreat: None };
         let mut env = rising(config);
         for _ in 0..10 {
-            // 12 steps at the target: 0.5 each
+            // 12 steps at the target with a reward of 0.5 each
             episode(&mut env, 0.0);
             assert!(env.state().level < 2);
         }
@@ -68,7 +70,7 @@ fn it_never_leaves_its_levels_and_goes_by_reward_or_length_as_well() {
 }
 
 #[test]
-fn saved_and_restored_it_goes_on_as_if_nothing_had_happened() {
+fn a_restored_curriculum_continues_like_an_uninterrupted_one() {
     let config = CurriculumConfig { window: 3, ..CurriculumConfig::default() };
     let (mut whole, mut first, mut second) = (rising(config), rising(config), rising(config));
     for index in 0..7 {
@@ -89,7 +91,7 @@ fn saved_and_restored_it_goes_on_as_if_nothing_had_happened() {
 }
 
 #[test]
-fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
+fn a_curriculum_keeps_the_contract_with_wind_obstacles_and_randomization() {
     let blow = |env: &mut Box<dyn DroneEnv + Send>, level: usize| {
         let wind = WindConfig { velocity: [1.0 + level as f64, 0.0, 0.0], ..WindConfig::new(WindModel::Combined) };
         env.set_wind(Some(wind))
@@ -98,7 +100,7 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
         let env = make(name, EnvConfig::default().episode_seconds(2.0)).unwrap();
         check_env(&mut CurriculumWrapper::new(env, CurriculumConfig::default(), blow).unwrap()).unwrap();
     }
-    // and over everything else at once
+    // a curriculum with wind, obstacles and randomization together
     for name in mujoco_drones_gym::tasks::NAMES {
         let field = ObstacleConfig {
             count: 15,
@@ -109,9 +111,9 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
         };
         let mut env = make(name, EnvConfig::default().episode_seconds(2.0).obstacle_generator(field)).unwrap();
         env.set_wind(Some(WindConfig::new(WindModel::Combined))).unwrap();
-        // a drawn wind would replace the one that is set
-        let drawn = Randomization { environment: None, ..Randomization::default() };
-        env.set_randomization(Some(drawn)).unwrap();
+        // a sampled wind next to the configured wind is an error
+        let randomization = Randomization { environment: None, ..Randomization::default() };
+        env.set_randomization(Some(randomization)).unwrap();
         let easy = |_: &mut Box<dyn DroneEnv + Send>, _: usize| Ok(());
         check_env(&mut CurriculumWrapper::new(env, CurriculumConfig::default(), easy).unwrap()).unwrap();
     }
@@ -122,7 +124,7 @@ fn it_keeps_the_contract_and_its_difficulty_may_be_wind() {
 }
 
 #[test]
-fn impossible_curricula_are_refused() {
+fn invalid_curricula_are_errors() {
     let refused = |config: CurriculumConfig, text: &str| {
         assert!(config.validate().unwrap_err().to_string().contains(text));
     };

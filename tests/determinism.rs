@@ -1,8 +1,9 @@
-//! The same seed gives the same bits: again, after other episodes, and on another thread.
+//! Equal seeds give bit-identical flights in a used environment, after errors, and on other threads.
 
 use mujoco_drones_gym::prelude::*;
 
-/// A digest of a flight under a fixed pattern of commands that tumbles, falls and hits the floor.
+/// Flies a fixed sequence of actions, with a tumble, a fall and contacts with the floor, and returns the bits of all
+/// observations and rewards.
 fn flight(env: &mut Aviary<Hover>, seed: u64, steps: usize) -> Vec<u64> {
     let mut bits: Vec<u64> = env.reset(Some(seed)).unwrap().vector.iter().map(|x| x.to_bits()).collect();
     for k in 0..steps {
@@ -17,11 +18,11 @@ fn flight(env: &mut Aviary<Hover>, seed: u64, steps: usize) -> Vec<u64> {
     bits
 }
 
+/// Creates a Hover environment that continues after contacts with the floor.
 fn env() -> Aviary<Hover> {
     Hover::builder()
         .initial_positions([[0.0, 0.0, 0.8]])
         .initial_rpys([[0.2, -0.1, 2.0]])
-        // the contact with the floor shall be a part of the flight
         .task(|hover| {
             hover.crash.floor_contact = false;
             hover.crash.max_tilt = 4.0;
@@ -31,9 +32,9 @@ fn env() -> Aviary<Hover> {
 }
 
 #[test]
-fn a_reset_environment_flies_as_a_new_one_does() {
+fn a_reset_environment_is_bit_identical_to_a_new_one() {
     let fresh = flight(&mut env(), 5, 300);
-    assert!(fresh.len() > 12 + 13 * 200, "the flight ended early");
+    assert!(fresh.len() > 12 + 13 * 200, "the flight is too short: {} numbers", fresh.len());
     let mut used = env();
     for steps in [300, 7, 120] {
         let _ = flight(&mut used, 9, steps);
@@ -42,7 +43,7 @@ fn a_reset_environment_flies_as_a_new_one_does() {
 }
 
 #[test]
-fn another_thread_gives_the_same_bits() {
+fn flights_are_bit_identical_on_every_thread() {
     let here = flight(&mut env(), 5, 300);
     let threads: Vec<_> = (0..3).map(|_| std::thread::spawn(|| flight(&mut env(), 5, 300))).collect();
     for thread in threads {
@@ -51,7 +52,7 @@ fn another_thread_gives_the_same_bits() {
 }
 
 #[test]
-fn an_error_in_between_leaves_no_trace_after_a_reset() {
+fn a_reset_clears_all_effects_of_an_error() {
     let commands = |k: usize| [[9_000.0 + 40.0 * k as f64, 14_000.0, 13_000.0, 15_000.0]];
     let fly = |simulation: &mut Simulation| -> Vec<DroneState> {
         simulation.reset().unwrap();

@@ -1,16 +1,18 @@
-//! Every example runs, headless and short. `cargo test` builds them beside the tests.
+//! Short headless runs of all examples. `cargo test` builds the examples together with the tests.
 
-use std::path::PathBuf;
+mod common;
+
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use mujoco_drones_gym::mujoco::{Error, gl_info};
+use common::no_gl;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
 
-/// Runs an example and gives the directory that it wrote to; `None` where there is nothing to draw with or where this
-/// test alone was built.
+/// Runs an example and returns its output directory and its standard output. Returns `None` without OpenGL, or if the
+/// example was not built.
 fn run(name: &str, more: &[&str]) -> Option<(tempfile::TempDir, String)> {
-    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+    if no_gl() {
         return None;
     }
     let directory = tempfile::tempdir().unwrap();
@@ -19,7 +21,7 @@ fn run(name: &str, more: &[&str]) -> Option<(tempfile::TempDir, String)> {
     Some((directory, printed))
 }
 
-/// Runs an example and gives what it printed.
+/// Runs an example and returns its standard output, or `None` if the example was not built.
 fn print(name: &str, arguments: &[&str]) -> Option<String> {
     let mut program: PathBuf = std::env::current_exe().unwrap();
     program.pop();
@@ -33,19 +35,25 @@ fn print(name: &str, arguments: &[&str]) -> Option<String> {
     Some(String::from_utf8(output.stdout).unwrap())
 }
 
+/// Asserts that files of a directory are larger than `bytes`.
+fn assert_larger(directory: &Path, names: &[&str], bytes: u64) {
+    for name in names {
+        let length = directory.join(name).metadata().unwrap().len();
+        assert!(length > bytes, "{name} has {length} bytes");
+    }
+}
+
 #[test]
-fn views_draws_every_view() {
+fn views_writes_every_view() {
     let Some((directory, printed)) = run("views", &[]) else { return };
     let files = std::fs::read_dir(directory.path()).unwrap().count();
     assert_eq!((files, printed.lines().count()), (14, 14));
 }
 
 #[test]
-fn downwash_raises_the_lower_drones_thrust() {
+fn downwash_increases_the_thrust_of_the_lower_drone() {
     let Some((directory, printed)) = run("downwash", &["6"]) else { return };
-    for name in ["downwash.svg", "downwash.png"] {
-        assert!(directory.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
-    }
+    assert_larger(directory.path(), &["downwash.svg", "downwash.png"], 10_000);
     let line = printed.lines().last().unwrap();
     let thrusts: Vec<f64> =
         line.split([' ', ',']).filter_map(|word| word.parse().ok()).filter(|x: &f64| *x > 0.5).collect();
@@ -53,35 +61,31 @@ fn downwash_raises_the_lower_drones_thrust() {
 }
 
 #[test]
-fn hover_is_filmed_recorded_and_plotted() {
+fn hover_writes_an_animation_a_recording_and_plots() {
     let Some((directory, printed)) = run("hover", &["1"]) else { return };
-    for name in ["hover.gif", "hover.png", "flight.png", "path.png"] {
-        assert!(directory.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
-    }
+    assert_larger(directory.path(), &["hover.gif", "hover.png", "flight.png", "path.png"], 10_000);
     assert_eq!(Flight::read(directory.path()).unwrap().drones[0].len(), 49);
     assert_eq!(printed.lines().count(), 6, "{printed}");
 }
 
 #[test]
-fn a_formation_is_drawn_with_the_ways_of_its_drones() {
+fn formation_writes_an_image_and_the_plots_of_its_paths() {
     let Some((directory, printed)) = run("formation", &["6", "4"]) else { return };
-    for name in ["formation.png", "flight.svg", "path.svg"] {
-        assert!(directory.path().join(name).metadata().unwrap().len() > 10_000, "{name}");
-    }
+    assert_larger(directory.path(), &["formation.png", "flight.svg", "path.svg"], 10_000);
     let worst: f64 = printed.lines().last().unwrap().split_whitespace().rev().nth(1).unwrap().parse().unwrap();
     assert!(worst < 5.0, "{printed}");
 }
 
 #[test]
-fn a_batch_is_flown_and_its_heights_plotted() {
+fn batch_plots_the_heights_of_its_environments() {
     let directory = tempfile::tempdir().unwrap();
     let Some(printed) = print("batch", &[&directory.path().to_string_lossy(), "1", "256"]) else { return };
-    assert!(directory.path().join("batch.svg").metadata().unwrap().len() > 5_000);
-    assert!(printed.contains("million environment steps a second") && printed.contains("by the flight kernel"));
+    assert_larger(directory.path(), &["batch.svg"], 5_000);
+    assert!(printed.contains("million environment steps per second") && printed.contains("by the flight kernel"));
 }
 
 #[test]
-fn an_airframe_of_ones_own_flies() {
+fn custom_airframe_hovers() {
     let Some((directory, printed)) = run("custom_airframe", &["6"]) else { return };
     let courier = DroneParams::from_file(directory.path().join("courier.toml")).unwrap();
     assert!(printed.contains(&format!("{:.0} rpm", courier.hover_rpm())));
@@ -90,7 +94,7 @@ fn an_airframe_of_ones_own_flies() {
 }
 
 #[test]
-fn a_dataset_has_three_pictures_and_a_pose_for_every_frame() {
+fn camera_dataset_has_three_images_and_a_pose_per_frame() {
     let Some((directory, _)) = run("camera_dataset", &["3"]) else { return };
     for kind in ["rgb", "depth", "objects"] {
         for frame in 0..3 {
@@ -98,11 +102,11 @@ fn a_dataset_has_three_pictures_and_a_pose_for_every_frame() {
         }
     }
     assert_eq!(std::fs::read_to_string(directory.path().join("poses.csv")).unwrap().lines().count(), 4);
-    assert!(directory.path().join("sheet.png").metadata().unwrap().len() > 5_000);
+    assert_larger(directory.path(), &["sheet.png"], 5_000);
 }
 
 #[test]
-fn pid_flies_the_three_demos() {
+fn pid_records_and_plots_its_three_flights() {
     let Some((directory, printed)) = run("pid", &["3"]) else { return };
     for (name, drones) in [("hover", 1), ("square", 1), ("swarm", 3)] {
         let flight = Flight::read(directory.path().join(name)).unwrap();
@@ -114,27 +118,25 @@ fn pid_flies_the_three_demos() {
     assert!(directory.path().join("swarm.png").exists() && printed.lines().count() == 4);
 }
 
-/// The README tells what the wind example prints.
 #[test]
-fn the_drift_in_the_readme_is_what_the_example_prints() {
+fn the_guide_has_the_drift_that_the_wind_example_prints() {
     let Some((_directory, printed)) = run("wind", &[]) else { return };
-    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
+    let guide = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/conditions.md")).unwrap();
     for line in printed.lines().filter(|line| line.contains("downwind")) {
         let number = line.split(": ").nth(1).unwrap().split(" cm").next().unwrap();
-        assert!(readme.contains(&format!("{number} cm")), "{line}");
+        assert!(guide.contains(&format!("{number} cm")), "{line}");
     }
 }
 
 #[test]
-fn mppi_flies_to_its_waypoint_by_sampling_from_snapshots() {
+fn mppi_reaches_its_waypoint() {
     let Some(printed) = print("mppi", &[]) else { return };
     let error: f64 = printed.split(' ').next().unwrap().parse().unwrap();
     assert!(error < 0.1 && printed.contains("after 6 s") && printed.contains("a snapshot takes"), "{printed}");
 }
 
-/// Every example has a test in this file and is no longer than a screen or two.
 #[test]
-fn every_example_is_tested_and_short() {
+fn every_example_is_tested_and_shorter_than_80_lines() {
     let tests = include_str!("examples.rs");
     for entry in std::fs::read_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/examples")).unwrap() {
         let path = entry.unwrap().path();
@@ -145,46 +147,44 @@ fn every_example_is_tested_and_short() {
 }
 
 #[test]
-fn the_vertical_circle_is_drawn_and_its_errors_printed() {
+fn vertical_circle_writes_an_image_and_prints_its_errors() {
     let Some((directory, printed)) = run("vertical_circle", &["2"]) else { return };
-    assert!(directory.path().join("vertical_circle.png").metadata().unwrap().len() > 10_000);
+    assert_larger(directory.path(), &["vertical_circle.png"], 10_000);
     assert!(printed.contains("mean 0.0"), "{printed}");
 }
 
 #[test]
-fn a_task_of_ones_own_keeps_the_contract_and_is_flown() {
+fn custom_task_keeps_the_contract_and_succeeds() {
     let Some(printed) = print("custom_task", &[]) else { return };
     assert!(printed.contains("checked") && printed.contains("success: true"), "{printed}");
 }
 
 #[test]
-fn a_trained_policy_flies_two_laps_from_its_file() {
+fn policy_flies_two_laps() {
     let Some((directory, printed)) = run("policy", &[]) else { return };
-    assert!(directory.path().join("path.png").metadata().unwrap().len() > 10_000);
+    assert_larger(directory.path(), &["path.png"], 10_000);
     assert!(printed.contains("aviary train --task race") && printed.contains("success: true"), "{printed}");
 }
 
 #[test]
-fn antipodal_swaps_places_in_six_pictures() {
+fn antipodal_writes_six_images_and_its_minimum_distance() {
     let Some((directory, printed)) = run("antipodal", &["1.5"]) else { return };
-    assert!(directory.path().join("antipodal.png").metadata().unwrap().len() > 50_000);
+    assert_larger(directory.path(), &["antipodal.png"], 50_000);
     assert!(printed.contains("minimum distance: 0."), "{printed}");
 }
 
 #[test]
-fn wind_obstacles_and_randomization_are_drawn_and_reported() {
+fn wind_obstacles_and_randomization_write_images_and_results() {
     let Some((directory, printed)) = run("wind", &["3"]) else { return };
     assert!(directory.path().join("wind.png").exists() && printed.matches("downwind").count() == 2, "{printed}");
     let Some((directory, _)) = run("obstacles", &[]) else { return };
-    for kind in ["forest", "urban", "indoor", "random", "gates"] {
-        assert!(directory.path().join(kind).with_extension("png").metadata().unwrap().len() > 10_000, "{kind}");
-    }
+    assert_larger(directory.path(), &["forest.png", "urban.png", "indoor.png", "random.png", "gates.png"], 10_000);
     let Some((directory, printed)) = run("randomization", &["1"]) else { return };
     assert!(directory.path().join("randomization.svg").exists() && printed.lines().count() == 8, "{printed}");
 }
 
 #[test]
-fn the_table_of_tracking_errors_is_the_one_in_the_documentation() {
+fn the_guide_has_the_tracking_errors_that_the_example_prints() {
     let Some(printed) = print("tracking", &[]) else { return };
     let documented = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/control.md")).unwrap();
     for row in printed.lines().filter(|line| line.starts_with("| ")) {

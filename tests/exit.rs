@@ -1,4 +1,4 @@
-//! Programs that end after a batch has drawn on its threads.
+//! Exit of programs after a batch has rendered on its threads.
 
 use mujoco_drones_gym::mujoco::gl_info;
 use mujoco_drones_gym::prelude::*;
@@ -7,7 +7,7 @@ use mujoco_drones_gym::vector::VecPictures;
 #[path = "../mujoco-rs/tests/exit/mod.rs"]
 mod exit;
 
-/// A batch that has drawn on four threads.
+/// Creates a batch and renders its cameras on four threads.
 fn batch() -> VecAviary<Hover> {
     let size = ImageSize { width: 16, height: 12 };
     let builder = Hover::builder().observation_type(ObservationType::KIN_RGB).camera_size(size);
@@ -20,15 +20,16 @@ fn batch() -> VecAviary<Hover> {
     env
 }
 
-const PROGRAMS: [(&str, fn()); 2] = [("batch", || drop(batch())), ("batch that is kept", || std::mem::forget(batch()))];
+const PROGRAMS: [(&str, fn()); 2] = [("batch", || drop(batch())), ("leaked batch", || std::mem::forget(batch()))];
 
 fn backend() -> Option<String> {
     gl_info().ok().map(|info| info.backend.to_string())
 }
 
-/// It was a double free in 9 of 130 runs: threads of the batch ended while libEGL's exit handler freed what they had.
+/// Regression test: 9 of 130 runs ended in a double free, because threads of the batch exited while the exit handler of
+/// libEGL freed their data.
 ///
 /// `EXIT_RUNS=500 cargo test --test exit` takes half an hour.
 fn main() {
-    exit::main("a_program_ends_well_after_a_batch_has_drawn", backend, &PROGRAMS, 2);
+    exit::main("a_program_exits_successfully_after_a_batch_has_rendered", backend, &PROGRAMS, 2);
 }

@@ -1,5 +1,8 @@
-//! The hover task end to end: closed forms, the paper's rewards and ends, and the controller that flies it.
+//! Hover: closed forms, the paper's rewards and ends, and flights of the PID.
 
+mod common;
+
+use common::step_to_end;
 use mujoco_drones_gym::drone::GRAVITY;
 use mujoco_drones_gym::env::EndReason;
 use mujoco_drones_gym::prelude::*;
@@ -7,7 +10,7 @@ use mujoco_drones_gym::state::attitude_from_rpy;
 use mujoco_drones_gym::world::Integrator;
 use nalgebra::Vector3;
 
-/// Flies hover with the paper's PID and gives the heights and the largest distance from the axis.
+/// Flies Hover with the paper's PID and returns all heights and the largest horizontal distance from the origin.
 fn pid_flight(env: &mut Aviary<Hover>) -> (Vec<f64>, f64) {
     let mut pid = ControllerPolicy::new(ControllerKind::Pid, env);
     let (mut heights, mut sideways) = (Vec::new(), 0.0_f64);
@@ -37,7 +40,7 @@ fn pid_takes_off_and_holds_one_metre_on_every_airframe() {
 }
 
 #[test]
-fn pid_brings_a_tilted_turning_drone_back_at_any_yaw() {
+fn pid_recovers_from_tilt_and_rotation_at_any_yaw() {
     for yaw in [-2.5, -0.8, 0.0, 1.3, 3.0] {
         for model in DroneModel::ALL {
             let params = model.params();
@@ -55,7 +58,7 @@ fn pid_brings_a_tilted_turning_drone_back_at_any_yaw() {
                 simulation.step(&[output.rpm]).unwrap();
                 output = pid.control(1.0 / 48.0, &simulation.states()[0], &reference);
             }
-            // what is left is what the integral gathered on the way, which the paper's gains unwind slowly
+            // the paper's gains discharge the integral slowly, which leaves a position error
             assert!(output.position_error.norm() < 0.1, "{model} at yaw {yaw}: {}", output.position_error);
             assert!(output.yaw_error.abs() < 0.01, "{model} at yaw {yaw}: {}", output.yaw_error);
         }
@@ -63,7 +66,7 @@ fn pid_brings_a_tilted_turning_drone_back_at_any_yaw() {
 }
 
 #[test]
-fn motors_at_hover_speed_hold_a_drone_where_it_is() {
+fn hover_speed_holds_the_position_of_every_airframe() {
     for (sim_freq, ctrl_freq) in [(240, 48), (100, 100), (333, 37), (1000, 10)] {
         for model in DroneModel::ALL {
             let mut simulation = Simulation::builder(model)
@@ -84,7 +87,7 @@ fn motors_at_hover_speed_hold_a_drone_where_it_is() {
 }
 
 #[test]
-fn reward_is_the_papers_formula() {
+fn the_reward_matches_the_papers_formula() {
     let reward_after = |start: DroneState, action: [f64; 4]| {
         let mut env = Hover::builder()
             .initial_positions([start.position.into()])
@@ -97,29 +100,30 @@ fn reward_is_the_papers_formula() {
         (reward, terminated, env.simulation().states()[0])
     };
 
-    // at the target, hovering: only the bonus
+    // at rest at the target: the bonus alone
     let (reward, _, _) = reward_after(DroneState::at_rest(Vector3::z(), Vector3::zeros()), [0.0; 4]);
     assert!((reward - 0.5).abs() < 1e-9, "{reward}");
 
-    // free fall from (0.3, 0.4, 2), level: after one control step v = −g·t and z = 2 − g·t²/2
+    // free fall from (0.3, 0.4, 2) m: v = −g·t and z = 2 − g·t²/2 after one control step
     let (reward, _, _) = reward_after(DroneState::at_rest(Vector3::new(0.3, 0.4, 2.0), Vector3::zeros()), [-1.0; 4]);
     let t = 1.0 / 48.0;
     let by_hand = -(1.0 - 0.5 * GRAVITY * t * t) - 0.1 * 0.5 - 0.05 * GRAVITY * t;
     assert!((reward - by_hand).abs() < 1e-9, "{reward} {by_hand}");
 
-    // falling while rolled by 0.3 and pitched by −0.2: the angles stay, motors off
+    // free fall with a constant roll of 0.3 rad and pitch of −0.2 rad
     let tilted = DroneState::at_rest(Vector3::new(0.0, 0.0, 2.0), Vector3::new(0.3, -0.2, 1.0));
     let (reward, _, _) = reward_after(tilted, [-1.0; 4]);
     let by_hand = -(1.0 - 0.5 * GRAVITY * t * t) - 0.05 * GRAVITY * t - 0.05 * 0.5;
     assert!((reward - by_hand).abs() < 1e-9, "{reward} {by_hand}");
 
-    // upside down: a crash, −100
+    // upside down: a crash with −100
     let inverted = DroneState::at_rest(Vector3::new(0.0, 0.0, 2.0), Vector3::new(3.0, 0.0, 0.0));
     let (reward, terminated, _) = reward_after(inverted, [-1.0; 4]);
     let by_hand = -(1.0 - 0.5 * GRAVITY * t * t) - 0.05 * GRAVITY * t - 0.05 * 3.0 - 100.0;
     assert!(terminated && (reward - by_hand).abs() < 1e-9, "{reward} {by_hand}");
 }
 
+/// Flies an episode with a constant action and returns the end, the last reward and `terminated`.
 fn end_of(env: &mut Aviary<Hover>, action: [f64; 4]) -> (EndReason, f64, bool) {
     env.reset(None).unwrap();
     loop {
@@ -132,14 +136,14 @@ fn end_of(env: &mut Aviary<Hover>, action: [f64; 4]) -> (EndReason, f64, bool) {
 }
 
 #[test]
-fn episodes_end_as_the_paper_says() {
-    // motors off: it falls from 0.1 m, having been clear of the floor, and touches it
+fn episodes_end_by_the_papers_conditions() {
+    // motors off: the drone starts clear of the floor, falls 0.1 m and touches it
     let mut env = Hover::builder().build().unwrap();
     let (end, reward, terminated) = end_of(&mut env, [-1.0; 4]);
     assert!(end == EndReason::FloorContact && terminated && reward < -100.0);
     assert!(env.info().crashed() && env.info().contacts > 0 && !env.info().success);
 
-    // standing on the floor from the start is no crash, whatever the rate and the integrator
+    // a drone that starts on the floor does not crash, for any rate and integrator
     for (sim_freq, ctrl_freq) in [(240, 48), (240, 240), (1000, 1000), (100, 50)] {
         for integrator in [Integrator::Rk4, Integrator::Euler, Integrator::Implicit] {
             for height in [0.015, 0.0151, 0.02] {
@@ -156,16 +160,16 @@ fn episodes_end_as_the_paper_says() {
         }
     }
 
-    // full thrust: out through the top, which ends the episode but is no crash
+    // full thrust: the drone exceeds the maximum height, which ends the episode without a crash
     let mut env = Hover::builder().build().unwrap();
     let (end, reward, terminated) = end_of(&mut env, [1.0; 4]);
     assert!(end == EndReason::OutOfBounds && terminated && !env.info().crashed() && reward > -100.0);
 
-    // two motors faster than the others: it rolls past 90°
+    // two motors faster than the others: the drone rolls past 90°
     let mut env = Hover::builder().initial_positions([[0.0, 0.0, 2.0]]).build().unwrap();
     assert_eq!(end_of(&mut env, [0.1, 0.1, -0.1, -0.1]).0, EndReason::Tilt);
 
-    // without the floor's condition it lies there until the time is over
+    // without the floor condition, the drone rests on the floor until the time limit
     let mut env =
         Hover::builder().task(|hover| hover.crash.floor_contact = false).episode_seconds(2.0).build().unwrap();
     let (end, _, terminated) = end_of(&mut env, [-1.0; 4]);
@@ -174,7 +178,7 @@ fn episodes_end_as_the_paper_says() {
 }
 
 #[test]
-fn steps_outside_an_episode_and_bad_actions_are_errors_that_lose_nothing() {
+fn steps_outside_an_episode_and_invalid_actions_are_errors_that_change_nothing() {
     let mut env = Hover::builder().build().unwrap();
     assert!(matches!(env.step(&[0.0; 4]), Err(EnvError::NeedsReset { .. })));
     env.reset(Some(3)).unwrap();
@@ -186,17 +190,15 @@ fn steps_outside_an_episode_and_bad_actions_are_errors_that_lose_nothing() {
         assert!(text.starts_with(&format!("action[2] is {bad} at t = 0.0208")), "{text}");
     }
     assert_eq!(env.simulation().states()[0], before);
-    env.step(&[5.0; 4]).expect("out of range is clipped");
+    env.step(&[5.0; 4]).expect("actions out of range are clipped");
     assert_eq!(env.simulation().motor_speeds()[0], [DroneModel::Cf2x.params().max_rpm(); 4]);
-    while env.info().end.is_none() {
-        env.step(&[-1.0; 4]).unwrap();
-    }
+    step_to_end(&mut env, &[-1.0; 4]);
     let text = env.step(&[0.0; 4]).unwrap_err().to_string();
     assert!(text.contains("after the end of the episode"), "{text}");
 }
 
 #[test]
-fn impossible_options_are_errors_that_name_them() {
+fn invalid_options_are_errors_with_their_name() {
     let text = |result: Result<Aviary<Hover>, EnvError>| result.unwrap_err().to_string();
     assert!(text(Hover::builder().sim_freq(100).build()).contains("sim_freq is 100 Hz and ctrl_freq 48 Hz"));
     assert!(text(Hover::builder().ctrl_freq(0).build()).contains("ctrl_freq 0 Hz"));
@@ -211,7 +213,7 @@ fn impossible_options_are_errors_that_name_them() {
 }
 
 #[test]
-fn one_motor_speed_for_all_four_flies_straight_up_and_down() {
+fn one_motor_speed_for_all_four_rotors_moves_the_drone_vertically() {
     let mut env = Hover::builder().action_type(ActionType::OneDRpm).build().unwrap();
     assert_eq!(env.action_space().size(), 1);
     env.reset(None).unwrap();

@@ -1,8 +1,10 @@
-//! Markers of a task that move: what is drawn, touched and measured of them, alone and in batches, by both engines.
+//! Moving markers of a task: images, contacts and ranges, in single environments and batches, with both engines.
+
+mod common;
 
 use std::f64::consts::FRAC_PI_2;
 
-use mujoco_drones_gym::mujoco::{Error, gl_info};
+use common::{no_gl, reset_batch, step_env};
 use mujoco_drones_gym::nalgebra::Vector3;
 use mujoco_drones_gym::observation::{STATE_SIZE, state_vector};
 use mujoco_drones_gym::prelude::*;
@@ -10,12 +12,13 @@ use mujoco_drones_gym::tasks::{CrashConditions, CrashWatch};
 use mujoco_drones_gym::world::{MarkerPose, MovingMarker, Obstacle, Shape};
 use mujoco_drones_gym::{Rng, RngExt as _};
 
-/// Hover at 1 m while a ball comes along x, from an offset along y that is drawn, at 1 m/s.
+/// Hover at 1 m while a ball moves along −x at 1 m/s, with a sampled offset along y.
 #[derive(Debug, Clone)]
 struct Ball {
     solid: bool,
     /// Largest offset along y, m.
     spread: f64,
+    /// Sampled offset along y, m.
     offset: f64,
     watch: CrashWatch,
 }
@@ -77,7 +80,7 @@ impl Task for Ball {
     }
 }
 
-/// Flies an episode with motors at hover speed: states, and how it ended.
+/// Flies an episode with motors at hover speed and returns states, rewards and the end.
 fn hover(env: &mut Aviary<Ball>, seed: u64) -> (Vec<DroneState>, Vec<f64>, Option<EndReason>) {
     env.reset(Some(seed)).unwrap();
     let (mut states, mut rewards) = (Vec::new(), Vec::new());
@@ -89,13 +92,13 @@ fn hover(env: &mut Aviary<Ball>, seed: u64) -> (Vec<DroneState>, Vec<f64>, Optio
 }
 
 #[test]
-fn touching_a_solid_marker_is_a_crash_and_touching_another_is_not() {
+fn contact_with_a_solid_marker_is_a_crash_and_visible_markers_have_no_contacts() {
     for engine in [EngineKind::Mujoco, EngineKind::Hybrid] {
         let mut env = Ball::new(true, 0.0).engine(engine).build().unwrap();
         for episode in 0..2 {
             let (states, _, end) = hover(&mut env, 1);
             assert_eq!(end, Some(EndReason::ObstacleContact), "{engine} {episode}");
-            // 1.5 m less both radii, at 1 m/s, and up to two control steps until it is there and touched
+            // the ball travels 1.5 m minus both radii at 1 m/s; two control steps may pass until the contact
             let seconds = states.len() as f64 / 48.0;
             assert!((seconds - 1.36).abs() < 0.03, "{engine}: {seconds} s");
         }
@@ -104,13 +107,13 @@ fn touching_a_solid_marker_is_a_crash_and_touching_another_is_not() {
         assert_eq!((end, states.len()), (Some(EndReason::TimeLimit), 144));
         assert!(env.simulation().obstacles().is_empty());
         let marker = env.simulation().markers().pop().unwrap();
-        assert!((marker.body.position - Vector3::new(-1.5, 0.0, 1.0)).norm() < 1e-9, "it has gone by");
+        assert!((marker.body.position - Vector3::new(-1.5, 0.0, 1.0)).norm() < 1e-9, "the ball has passed the drone");
     }
 }
 
-/// Near misses, touches and hits: both engines fly the same, however the ball comes.
+/// Both engines agree for near misses, grazing contacts and hits.
 #[test]
-fn both_engines_meet_solid_markers_at_the_same_moment() {
+fn both_engines_report_contacts_with_solid_markers_at_the_same_step() {
     let build = |engine| Ball::new(true, 0.25).engine(engine).build().unwrap();
     let (mut mujoco, mut hybrid) = (build(EngineKind::Mujoco), build(EngineKind::Hybrid));
     let mut crashes = 0;
@@ -119,8 +122,8 @@ fn both_engines_meet_solid_markers_at_the_same_moment() {
         let (b, b_rewards, b_end) = hover(&mut hybrid, seed);
         assert_eq!((a.len(), a_end), (b.len(), b_end), "seed {seed}");
         crashes += usize::from(a_end == Some(EndReason::ObstacleContact));
-        // in the step that ends at the marker, MuJoCo's convex collisions stop at a tolerance of 1e-6 and carry rounding of the
-        // attitude into the contact (4e-8 m was seen; 1e-13 m with `mpr_tolerance` 1e-12)
+        // in the step with the contact, MuJoCo's convex collision stops at a tolerance of 1e-6 and amplifies rounding
+        // errors of the attitude (measured: 4e-8 m; 1e-13 m with `mpr_tolerance` 1e-12)
         let before = a.len() - usize::from(a_end == Some(EndReason::ObstacleContact));
         for (index, (a, b)) in a.iter().zip(&b).enumerate() {
             let bound = if index < before { 1e-9 } else { 1e-6 };
@@ -129,22 +132,20 @@ fn both_engines_meet_solid_markers_at_the_same_moment() {
         }
         assert!(a_rewards.iter().zip(&b_rewards).all(|(a, b)| (a - b).abs() < 1e-6));
     }
-    assert!((2..12).contains(&crashes), "{crashes} of 12 are hit");
-    // far from the ball, MuJoCo has nothing to do
+    assert!((2..12).contains(&crashes), "{crashes} of 12 episodes end in a hit");
+    // far from the ball, the flight kernel integrates
     let substeps = hybrid.simulation().engine_substeps();
     assert!(substeps.flight > substeps.mujoco, "{substeps:?}");
 }
 
-/// Environment i of a batch, for any number of threads, is the single environment with stream i: markers included.
+/// Environment i of a batch equals the single environment with stream i, for any number of threads.
 #[test]
-fn a_batch_moves_the_markers_of_every_environment_as_its_own() {
+fn markers_in_a_batch_move_as_in_single_environments() {
     const COUNT: usize = 11;
     for (threads, drones) in [(1, 1), (2, 2)] {
         let builder = Ball::new(true, 0.15).num_drones(drones).episode_seconds(1.7);
         let config = VecConfig { threads, autoreset: Autoreset::NextStep, ..VecConfig::new(COUNT) };
-        let mut batch = VecAviary::new(builder.clone(), config).unwrap();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(5), &mut buffers.observations).unwrap();
+        let (mut batch, mut buffers) = reset_batch(builder.clone(), config, 5);
         let mut single: Vec<_> = (0..COUNT as u64)
             .map(|stream| builder.clone().engine(EngineKind::Hybrid).stream(stream).build().unwrap())
             .collect();
@@ -170,27 +171,25 @@ fn a_batch_moves_the_markers_of_every_environment_as_its_own() {
                 assert!(seen.eq(buffers.observations[row * index..][..row].iter().copied()), "environment {index}");
             }
         }
-        assert!(ends > 3, "{ends} episodes ended at the ball");
+        assert!(ends > 3, "{ends} episodes ended in a hit");
     }
 }
 
 #[test]
-fn rangefinders_measure_solid_markers_and_none_of_the_others() {
+fn rangefinders_measure_solid_markers_alone() {
     for (solid, wanted) in [(true, 1.4 - 0.5), (false, 5.0)] {
         let mut env = Ball::new(solid, 0.0).observation_type(ObservationType::KIN_RANGES).build().unwrap();
         env.reset(Some(1)).unwrap();
-        for _ in 0..24 {
-            env.step(&[0.0; 4]).unwrap();
-        }
+        step_env(&mut env, &[0.0; 4], 24);
         let ahead = env.observation().ranges[0];
         assert!((ahead - wanted).abs() < 1e-2, "solid {solid}: {ahead}");
     }
 }
 
-/// What onboard cameras and people see, solid or not, alone and in a batch.
+/// Onboard cameras and views show solid and visible markers, in single environments and batches.
 #[test]
-fn moving_markers_are_drawn_where_they_are() {
-    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+fn moving_markers_are_rendered_at_their_positions() {
+    if no_gl() {
         return;
     }
     let red = |pixels: &[u8], bytes: usize| {
@@ -202,33 +201,29 @@ fn moving_markers_are_drawn_where_they_are() {
         let mut env = builder.clone().build().unwrap();
         env.reset(Some(1)).unwrap();
         let far = red(&env.observation().rgb, 4);
-        for _ in 0..48 {
-            env.step(&[0.0; 4]).unwrap();
-        }
+        step_env(&mut env, &[0.0; 4], 48);
         let near = red(&env.observation().rgb, 4);
         assert!(far > 10 && near > 4 * far, "solid {solid}: {far} pixels, then {near}");
         let mut rgb = vec![0; 3 * size.pixels()];
         env.render(View::Fixed, size, &mut rgb).unwrap();
         assert!(red(&rgb, 3) > 0, "solid {solid}");
 
-        let mut batch = VecAviary::new(builder, VecConfig::new(3)).unwrap();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        let (mut batch, mut buffers) = reset_batch(builder, VecConfig::new(3), 1);
         for _ in 0..48 {
             batch.step(&[0.0; 12], buffers.step()).unwrap();
         }
         let bytes = 4 * size.pixels();
-        let mut pictures = vec![0; 3 * bytes];
+        let mut images = vec![0; 3 * bytes];
         use mujoco_drones_gym::vector::VecPictures;
-        batch.pictures(VecPictures { rgb: &mut pictures, ..VecPictures::default() }).unwrap();
-        for picture in pictures.chunks_exact(bytes) {
-            assert_eq!(red(picture, 4), near, "solid {solid}");
+        batch.pictures(VecPictures { rgb: &mut images, ..VecPictures::default() }).unwrap();
+        for image in images.chunks_exact(bytes) {
+            assert_eq!(red(image, 4), near, "solid {solid}");
         }
     }
 }
 
 #[test]
-fn markers_may_stand_among_obstacles_that_are_placed_anew() {
+fn markers_move_among_obstacles_with_new_layouts() {
     use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
     let field = ObstacleConfig { count: 15, new_layout: true, ..ObstacleConfig::new(ObstacleKind::Forest) };
     let mut env = Ball::new(true, 0.0).obstacle_generator(field).build().unwrap();
@@ -239,9 +234,7 @@ fn markers_may_stand_among_obstacles_that_are_placed_anew() {
         assert_eq!(obstacles.len(), 16);
         assert_eq!(obstacles[15].position, Vector3::new(1.5, 0.0, 1.0));
         layouts.push(obstacles[0].position);
-        for _ in 0..5 {
-            env.step(&[0.0; 4]).unwrap();
-        }
+        step_env(&mut env, &[0.0; 4], 5);
         let ball = env.simulation().obstacles()[15].position;
         assert!((ball.x - (1.5 - 5.0 / 48.0)).abs() < 1e-12);
     }
@@ -249,7 +242,7 @@ fn markers_may_stand_among_obstacles_that_are_placed_anew() {
 }
 
 #[test]
-fn a_pose_that_is_none_is_an_error_by_the_name_of_the_marker() {
+fn a_non_finite_pose_is_an_error_with_the_name_of_the_marker() {
     let mut env = Ball::new(true, f64::NAN).build().unwrap();
     let error = env.reset(Some(1)).unwrap_err().to_string();
     assert!(error.contains("move_markers is NaN") && error.contains("`ball`"), "{error}");

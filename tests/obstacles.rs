@@ -1,8 +1,11 @@
-//! Obstacles keep their distance, move in place, are met where they stand, and are seen.
+//! Obstacles: generation, contacts, new layouts, rangefinders, rendering and invalid options.
 
+mod common;
+
+use common::{assert_contract, no_gl, step_simulation};
 use mujoco_drones_gym::engine::{Contact, Touched};
-use mujoco_drones_gym::env::{ConditionChoice, Conditions, EndReason, Randomization, check_env, check_independence};
-use mujoco_drones_gym::mujoco::{Error, Model, gl_info};
+use mujoco_drones_gym::env::{ConditionChoice, Conditions, EndReason, Randomization};
+use mujoco_drones_gym::mujoco::Model;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::sensing::{RangeConfig, Rangefinder};
@@ -16,19 +19,30 @@ use proptest::prelude::*;
 const KINDS: [ObstacleKind; 5] =
     [ObstacleKind::Forest, ObstacleKind::Urban, ObstacleKind::Indoor, ObstacleKind::Random, ObstacleKind::Gates];
 
-/// A field of each kind that has room for what is in it.
+/// Returns a configuration of a kind whose obstacles fit into the arena.
 fn config(kind: ObstacleKind) -> ObstacleConfig {
     let count = if kind == ObstacleKind::Gates { 4 } else { 10 };
     ObstacleConfig { count, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(kind) }
 }
 
+/// Creates a world with obstacles and one drone.
 fn world(obstacles: Vec<Obstacle>, start: [f64; 3]) -> World {
     let drone = DroneBody { params: DroneModel::Cf2x.params(), position: start.into(), rpy: Vector3::zeros() };
     World { obstacles, ..World::new(vec![drone]) }
 }
 
+/// Returns a shape by number: box, sphere, cylinder, capsule.
+fn shape(kind: usize, size: [f64; 3]) -> Shape {
+    match kind {
+        0 => Shape::Box { half_size: size },
+        1 => Shape::Sphere { radius: size[0] },
+        2 => Shape::Cylinder { radius: size[0], half_height: size[1] },
+        _ => Shape::Capsule { radius: size[0], half_height: size[1] },
+    }
+}
+
 #[test]
-fn a_thousand_seeds_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
+fn generated_obstacles_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
     let starts = [[0.0, 0.0, 0.1], [0.6, -0.3, 1.0]];
     for kind in KINDS {
         let config = config(kind);
@@ -39,7 +53,7 @@ fn a_thousand_seeds_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
                 let gap = obstacle.distance(&Vector3::from(*start));
                 assert!(gap >= config.safe_zone - 1e-9, "{kind:?} seed {seed}: {gap} m from a drone");
             }
-            // parts of one thing: four bars of a gate; walls may meet
+            // a gate consists of four bars; walls of a room may touch each other
             let (parts, walls) = match kind {
                 ObstacleKind::Gates => (4, 0),
                 ObstacleKind::Indoor => (1, obstacles.len() - config.count),
@@ -49,7 +63,7 @@ fn a_thousand_seeds_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
             for (i, one) in things.iter().enumerate() {
                 for other in &things[..i] {
                     for (a, b) in one.iter().flat_map(|a| other.iter().map(move |b| (a, b))) {
-                        // the middle of a bar is nearer to no other gate than the spacing, nor that of a piece of furniture
+                        // gates and furniture: the distance from the centre to the other object is at least the spacing
                         if matches!(kind, ObstacleKind::Gates | ObstacleKind::Indoor) {
                             let level = Vector3::new(a.position.x, a.position.y, b.position.z);
                             assert!(b.distance(&level) >= config.spacing - 1e-9, "{kind:?} seed {seed}");
@@ -79,7 +93,11 @@ fn a_thousand_seeds_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
                 }
             }
             let kinds: Vec<_> = obstacles.iter().map(|o| std::mem::discriminant(&o.shape)).collect();
-            assert_eq!(*shapes.get_or_insert_with(|| kinds.clone()), kinds, "the same shapes in the same order");
+            assert_eq!(
+                *shapes.get_or_insert_with(|| kinds.clone()),
+                kinds,
+                "the shapes and their order do not depend on the seed"
+            );
             if seed % 20 == 0 {
                 let world = world(obstacles, starts[0]);
                 Model::from_xml(&world.to_mjcf().unwrap()).unwrap();
@@ -90,7 +108,7 @@ fn a_thousand_seeds_of_every_kind_keep_safe_zones_and_spacing_and_compile() {
 }
 
 #[test]
-fn too_many_and_impossible_ones_are_refused() {
+fn too_many_and_invalid_obstacles_are_errors() {
     let refused = |config: ObstacleConfig, text: &str| {
         let error = config.generate(&[[0.0; 3]], &mut Rng::seed_from_u64(1)).unwrap_err().to_string();
         assert!(error.contains(text) && !error.contains('\n'), "{error}");
@@ -107,41 +125,39 @@ fn too_many_and_impossible_ones_are_refused() {
 }
 
 proptest! {
-    /// The distance from a surface is the length of the ray that goes straight to it, and no ray is shorter.
+    /// The distance to an obstacle is the length of the ray towards the nearest point, and no ray is shorter.
     #[test]
-    fn distances_are_those_of_rays(
+    fn distances_equal_the_lengths_of_rays(
         kind in 0..4_usize, size in prop::array::uniform3(0.1..0.5f64), rpy in prop::array::uniform3(-3.0..3.0f64),
-        at in prop::array::uniform3(-2.0..2.0f64), directions in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 30),
+        at in prop::array::uniform3(-2.0..2.0f64),
+        directions in prop::collection::vec(prop::array::uniform3(-1.0..1.0f64), 30),
     ) {
-        let shape = match kind {
-            0 => Shape::Box { half_size: size },
-            1 => Shape::Sphere { radius: size[0] },
-            2 => Shape::Cylinder { radius: size[0], half_height: size[1] },
-            _ => Shape::Capsule { radius: size[0], half_height: size[1] },
-        };
-        let obstacle = Obstacle { rpy: rpy.into(), ..Obstacle::new(shape, Vector3::new(0.3, -0.2, 3.0)) };
+        let obstacle = Obstacle { rpy: rpy.into(), ..Obstacle::new(shape(kind, size), Vector3::new(0.3, -0.2, 3.0)) };
         let here = obstacle.position + Vector3::from(at);
         let distance = obstacle.distance(&here);
         prop_assume!(distance > 0.05);
-        // the gradient leads away from the nearest point
+        // the gradient of the distance points away from the nearest point
         let h = 1e-6;
         let gradient = Vector3::from_fn(|axis, _| {
             let mut step = Vector3::zeros();
             step[axis] = h;
             (obstacle.distance(&(here + step)) - obstacle.distance(&(here - step))) / (2.0 * h)
         });
-        let rays = directions.iter().copied().chain([(-gradient).into()]).filter(|d| Vector3::from(*d).norm() > 0.1).collect();
-        let mut finder = Rangefinder::new(&world(vec![obstacle], here.into()), &RangeConfig { directions: rays, max_range: 50.0 }).unwrap();
+        let all = directions.iter().copied().chain([(-gradient).into()]);
+        let directions = all.filter(|d| Vector3::from(*d).norm() > 0.1).collect();
+        let config = RangeConfig { directions, max_range: 50.0 };
+        let mut finder = Rangefinder::new(&world(vec![obstacle], here.into()), &config).unwrap();
         let mut out = vec![0.0; finder.rays()];
         finder.measure(&[DroneState::at_rest(here, Vector3::zeros())], &mut out).unwrap();
-        prop_assert!((out[out.len() - 1] - distance).abs() < 1e-3 || gradient.norm() < 0.99, "{} {distance}", out[out.len() - 1]);
+        let last = out[out.len() - 1];
+        prop_assert!((last - distance).abs() < 1e-3 || gradient.norm() < 0.99, "{last} {distance}");
         let floor = here.z;
         prop_assert!(out.iter().all(|ray| *ray > distance.min(floor) - 1e-6), "{out:?} {distance}");
     }
 }
 
-/// Flies straight ahead into whatever is there; contacts and the states after so many steps.
-fn charge(simulation: &mut Simulation, speed: f64, steps: usize) -> (Vec<Contact>, DroneState) {
+/// Flies straight ahead at a speed, and returns the contacts and the final state.
+fn fly_ahead(simulation: &mut Simulation, speed: f64, steps: usize) -> (Vec<Contact>, DroneState) {
     let start = simulation.initial_states()[0];
     simulation.reset_to(&[DroneState { velocity: Vector3::new(speed, 0.0, 0.0), ..start }]).unwrap();
     let hover = DroneModel::Cf2x.params().hover_rpm();
@@ -153,9 +169,9 @@ fn charge(simulation: &mut Simulation, speed: f64, steps: usize) -> (Vec<Contact
     (met, simulation.states()[0])
 }
 
-/// In a forest of 200 trees a drone meets the very tree that it would meet if that one stood there alone.
+/// MuJoCo has fewer geoms than a forest of 200 trees. A flight into it equals the flight among the nearest trees alone.
 #[test]
-fn among_two_hundred_trees_the_near_ones_are_met_as_if_they_stood_alone() {
+fn contacts_among_two_hundred_trees_equal_contacts_among_the_nearest_trees() {
     let forest = ObstacleConfig { count: 200, arena: [12.0, 12.0, 2.0], ..ObstacleConfig::default() };
     let start = [0.0, 0.0, 1.0];
     let mut struck = 0;
@@ -165,10 +181,10 @@ fn among_two_hundred_trees_the_near_ones_are_met_as_if_they_stood_alone() {
             Simulation::builder(DroneModel::Cf2x).initial_positions([start]).obstacles(trees).build().unwrap()
         };
         let mut crowded = build(trees.clone());
-        let (met, end) = charge(&mut crowded, 4.0, 60);
+        let (met, end) = fly_ahead(&mut crowded, 4.0, 60);
         let Some(Touched::Obstacle(first)) = met.first().map(|contact| contact.with) else { continue };
         struck += 1;
-        // those that stand about the way, and no others
+        // the trees nearest to the end of the flight, including the one that it hit first
         let mut near: Vec<_> = (0..200).collect();
         near.sort_by(|&a, &b| trees[a].distance(&end.position).total_cmp(&trees[b].distance(&end.position)));
         near.truncate(9);
@@ -176,7 +192,7 @@ fn among_two_hundred_trees_the_near_ones_are_met_as_if_they_stood_alone() {
             near.push(first);
         }
         let mut few = build(near.iter().map(|&index| trees[index]).collect());
-        let (alone, same) = charge(&mut few, 4.0, 60);
+        let (alone, same) = fly_ahead(&mut few, 4.0, 60);
         let named: Vec<_> = alone
             .iter()
             .map(|contact| match contact.with {
@@ -186,15 +202,16 @@ fn among_two_hundred_trees_the_near_ones_are_met_as_if_they_stood_alone() {
             .collect();
         assert_eq!(named, met.iter().map(|contact| contact.with).collect::<Vec<_>>(), "seed {seed}");
         assert!((same.position - end.position).norm() < 1e-9, "seed {seed}: {} {}", same.position, end.position);
-        // and again, whatever the first flight has left
-        assert_eq!(charge(&mut crowded, 4.0, 60), (met, end));
+        // the flight is repeatable in the same simulation
+        assert_eq!(fly_ahead(&mut crowded, 4.0, 60), (met, end));
     }
     assert!(struck >= 4, "{struck} of 12 flights hit a tree");
 }
 
-/// More bricks than the scene has geoms: whatever the speed, the wall holds, and the drone meets the bricks before it.
+/// A wall has more bricks than the scene has geoms. At every speed the drone stops at it and touches the bricks in
+/// front.
 #[test]
-fn a_wall_of_many_bricks_holds_at_every_speed() {
+fn a_wall_of_many_bricks_stops_a_drone_at_every_speed() {
     let brick = |i: i32, j: i32| {
         let place = Vector3::new(2.0, 0.1 * f64::from(i), 0.1 * f64::from(j) + 0.05);
         Obstacle::new(Shape::Box { half_size: [0.1, 0.05, 0.05] }, place)
@@ -207,8 +224,8 @@ fn a_wall_of_many_bricks_holds_at_every_speed() {
             .sim_freq(480)
             .build()
             .unwrap();
-        let (met, end) = charge(&mut simulation, speed, (48.0 * 3.0 / speed) as usize);
-        assert!(end.position.x < 2.0, "{speed} m/s: through the wall to {}", end.position);
+        let (met, end) = fly_ahead(&mut simulation, speed, (48.0 * 3.0 / speed) as usize);
+        assert!(end.position.x < 2.0, "{speed} m/s: the drone passed the wall, position {}", end.position);
         assert!(!met.is_empty(), "{speed} m/s");
         for contact in met {
             let Touched::Obstacle(index) = contact.with else { continue };
@@ -217,9 +234,9 @@ fn a_wall_of_many_bricks_holds_at_every_speed() {
     }
 }
 
-/// What is compiled in the world's own frame moves all the same.
+/// An obstacle that is compiled at the origin of the world frame can be moved, too.
 #[test]
-fn an_obstacle_at_the_origin_stands_there_and_can_be_moved() {
+fn an_obstacle_at_the_origin_can_be_moved() {
     let ball = |x: f64, z: f64| Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(x, 0.0, z));
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .initial_positions([[0.0, 0.0, 0.5]])
@@ -228,19 +245,17 @@ fn an_obstacle_at_the_origin_stands_there_and_can_be_moved() {
         .unwrap();
     let fall = |simulation: &mut Simulation| {
         simulation.reset().unwrap();
-        for _ in 0..60 {
-            simulation.step(&[[0.0; 4]]).unwrap();
-        }
+        step_simulation(simulation, &[[0.0; 4]], 60);
         simulation.states()[0].position.z
     };
     let lands = fall(&mut simulation);
-    assert!((lands - 0.215).abs() < 0.01, "on top of the ball: {lands}");
+    assert!((lands - 0.215).abs() < 0.01, "height on top of the ball: {lands} m");
     simulation.set_obstacles(&[ball(3.0, 0.0)]).unwrap();
-    assert!((fall(&mut simulation) - 0.015).abs() < 0.005, "on the floor");
+    assert!((fall(&mut simulation) - 0.015).abs() < 0.005, "the drone lands on the floor");
 }
 
 #[test]
-fn a_layout_moved_in_place_is_the_one_compiled_afresh() {
+fn a_moved_layout_is_identical_to_a_compiled_one() {
     for (kind, count) in [(ObstacleKind::Random, 8), (ObstacleKind::Random, 60), (ObstacleKind::Forest, 40)] {
         let config = ObstacleConfig { count, arena: [6.0, 6.0, 2.0], ..ObstacleConfig::new(kind) };
         let start = [0.0, 0.0, 0.9];
@@ -249,11 +264,11 @@ fn a_layout_moved_in_place_is_the_one_compiled_afresh() {
             Simulation::builder(DroneModel::Cf2x).initial_positions([start]).obstacles(obstacles).build().unwrap()
         };
         let mut moved = build(layout(1));
-        charge(&mut moved, 3.0, 40);
+        fly_ahead(&mut moved, 3.0, 40);
         for seed in 2..6 {
             moved.set_obstacles(&layout(seed)).unwrap();
             let fresh = &mut build(layout(seed));
-            assert_eq!(charge(&mut moved, 3.0, 60), charge(fresh, 3.0, 60), "{kind:?} {count} seed {seed}");
+            assert_eq!(fly_ahead(&mut moved, 3.0, 60), fly_ahead(fresh, 3.0, 60), "{kind:?} {count} seed {seed}");
             assert_eq!(moved.obstacle_distance(0), fresh.obstacle_distance(0));
         }
         let mut wrong = layout(1);
@@ -265,7 +280,7 @@ fn a_layout_moved_in_place_is_the_one_compiled_afresh() {
 }
 
 #[test]
-fn every_task_keeps_its_contract_among_obstacles_that_move_and_are_measured() {
+fn every_task_keeps_its_contract_with_new_layouts_and_rangefinders() {
     for name in NAMES {
         let field = ObstacleConfig {
             count: 30,
@@ -279,13 +294,12 @@ fn every_task_keeps_its_contract_among_obstacles_that_move_and_are_measured() {
             .observation_type(ObservationType::KIN_RANGES)
             .episode_seconds(2.0);
         let build = || make(name, config.clone()).unwrap();
-        check_env(&mut *build()).unwrap_or_else(|error| panic!("{error}"));
-        check_independence(&mut *build(), &mut *build()).unwrap();
+        assert_contract(build);
     }
 }
 
 #[test]
-fn an_obstacle_touched_ends_the_episode_and_what_is_measured_says_how_near_it_was() {
+fn contact_with_an_obstacle_ends_the_episode_and_ranges_measure_its_distance() {
     let wall = Obstacle::new(Shape::Box { half_size: [0.1, 2.0, 1.0] }, Vector3::new(1.0, 0.0, 1.0));
     let mut env = Hover::builder()
         .initial_positions([[0.0, 0.0, 1.0]])
@@ -296,8 +310,11 @@ fn an_obstacle_touched_ends_the_episode_and_what_is_measured_says_how_near_it_wa
         .unwrap();
     let seen = env.reset(None).unwrap();
     assert!((seen.obstacle[0] - 0.9).abs() < 1e-12 && (seen.ranges[0] - 0.9).abs() < 1e-9, "{:?}", seen.ranges);
-    assert!((seen.ranges[9] - 1.0).abs() < 1e-9 && (seen.ranges[8] - 5.0).abs() < 1e-9, "floor below, nothing above");
-    assert!((seen.ranges[1] - 0.9 * 2_f64.sqrt()).abs() < 1e-9, "and at 45°");
+    assert!(
+        (seen.ranges[9] - 1.0).abs() < 1e-9 && (seen.ranges[8] - 5.0).abs() < 1e-9,
+        "ranges to the floor and upwards"
+    );
+    assert!((seen.ranges[1] - 0.9 * 2_f64.sqrt()).abs() < 1e-9, "range at 45°");
     while env.info().end.is_none() {
         let seen = &env.step(&[0.0; 4]).unwrap().observation;
         assert!(seen.obstacle[0] > 0.0);
@@ -307,8 +324,8 @@ fn an_obstacle_touched_ends_the_episode_and_what_is_measured_says_how_near_it_wa
 }
 
 #[test]
-fn what_has_moved_is_drawn_where_it_is() {
-    if matches!(gl_info(), Err(Error::NoGl { .. })) {
+fn moved_obstacles_are_rendered_at_their_positions() {
+    if no_gl() {
         return;
     }
     let config = ObstacleConfig { count: 3, ..ObstacleConfig::new(ObstacleKind::Random) };
@@ -332,12 +349,12 @@ fn what_has_moved_is_drawn_where_it_is() {
 }
 
 #[test]
-fn defaults_of_obstacles_depend_on_their_kind_alone() {
+fn default_obstacle_options_depend_on_the_kind_alone() {
     for kind in ObstacleKind::ALL {
         let text = format!("kind = \"{}\"\n", kind.name());
         let config: ObstacleConfig = toml::from_str(&text).unwrap();
         assert_eq!(config, ObstacleConfig::new(kind));
-        // and they fit
+        // the defaults fit into the arena
         for seed in 0..200 {
             config.generate(&[[0.0, 0.0, 0.1]], &mut Rng::seed_from_u64(seed)).unwrap();
         }
@@ -346,7 +363,7 @@ fn defaults_of_obstacles_depend_on_their_kind_alone() {
 }
 
 #[test]
-fn settings_of_obstacles_that_exclude_each_other_are_refused() {
+fn contradictory_obstacle_options_are_errors() {
     let refused = |text: &str, expected: &str| {
         let text = format!("[obstacles]\n{text}");
         let error = Conditions::from_toml(&text).unwrap_err().to_string();
@@ -365,10 +382,10 @@ fn settings_of_obstacles_that_exclude_each_other_are_refused() {
 }
 
 #[test]
-fn a_wind_beside_one_that_is_drawn_and_a_kind_beside_another_are_refused() {
-    let drawn = "[randomization.environment]\n";
+fn a_second_wind_or_wind_model_is_an_error() {
+    let randomized = "[randomization.environment]\n";
     let choice = ConditionChoice { wind: Some(WindModel::Constant), ..ConditionChoice::default() };
-    let error = Conditions::from_toml_with(drawn, &choice).unwrap_err().to_string();
+    let error = Conditions::from_toml_with(randomized, &choice).unwrap_err().to_string();
     assert!(error.contains("wind is constant, expected none next to a randomization"), "{error}");
     let calm = Conditions::from_toml_with("[randomization.environment]\nwind = [0.0, 0.0]\n", &choice).unwrap();
     assert_eq!(calm.wind.unwrap().model, WindModel::Constant);
@@ -384,13 +401,13 @@ fn a_wind_beside_one_that_is_drawn_and_a_kind_beside_another_are_refused() {
 }
 
 #[test]
-fn furniture_stands_clear_of_doorways() {
+fn furniture_is_clear_of_doorways() {
     let config = ObstacleConfig { arena: [6.0, 4.0, 2.0], count: 20, ..ObstacleConfig::new(ObstacleKind::Indoor) };
     let mut doorways = 0;
     for seed in 0..300 {
         let obstacles = config.generate(&[[0.0, 0.0, 0.1]], &mut Rng::seed_from_u64(seed)).unwrap();
         let (walls, furniture) = obstacles.split_at(obstacles.len() - config.count);
-        // after the four outer walls, two parts of every partition with the doorway between them
+        // four outer walls come first, then two parts of each partition with a doorway between them
         for pair in walls[4..].chunks_exact(2) {
             let [Shape::Box { half_size: below }, Shape::Box { half_size: above }] = [pair[0].shape, pair[1].shape]
             else {
@@ -400,7 +417,7 @@ fn furniture_stands_clear_of_doorways() {
             assert!((high - low - 0.8).abs() < 1e-9, "seed {seed}");
             doorways += 1;
             for piece in furniture {
-                // the doorway and 0.4 m before and behind it
+                // points of the doorway and up to 0.4 m on both sides of it
                 for x in [-0.4, -0.2, 0.0, 0.2, 0.4] {
                     for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
                         let place = Vector3::new(pair[0].position.x + x, low + share * (high - low), piece.position.z);
@@ -413,7 +430,7 @@ fn furniture_stands_clear_of_doorways() {
     assert_eq!(doorways, 900);
 }
 
-/// Sizes and places from a tenth of a micrometre to far beyond what is accepted.
+/// Returns obstacles with sizes and positions from 0.1 µm to far beyond the accepted range.
 fn any_obstacle() -> impl Strategy<Value = Obstacle> {
     let wide = || (-7.0..17.0f64).prop_map(|exponent| 10_f64.powf(exponent));
     let place = prop_oneof![-1.0..1.0f64, wide(), wide().prop_map(|x| -x)];
@@ -422,22 +439,18 @@ fn any_obstacle() -> impl Strategy<Value = Obstacle> {
     let size = prop_oneof![4 => prop::array::uniform3(near()), 1 => prop::array::uniform3(wide())];
     let position = prop_oneof![4 => prop::array::uniform3(-1.0..1.0f64), 1 => prop::array::uniform3(place)];
     (0..4_usize, size, position, prop::array::uniform3(-4.0..4.0f64), prop::array::uniform4(0.0..1.0f64)).prop_map(
-        |(kind, size, position, rpy, rgba)| {
-            let shape = match kind {
-                0 => Shape::Box { half_size: size },
-                1 => Shape::Sphere { radius: size[0] },
-                2 => Shape::Cylinder { radius: size[0], half_height: size[1] },
-                _ => Shape::Capsule { radius: size[0], half_height: size[1] },
-            };
-            Obstacle { rpy: rpy.into(), rgba, ..Obstacle::new(shape, position.into()) }
+        |(kind, size, position, rpy, rgba)| Obstacle {
+            rpy: rpy.into(),
+            rgba,
+            ..Obstacle::new(shape(kind, size), position.into())
         },
     )
 }
 
 proptest! {
-    /// What is accepted is compiled and stepped, whatever its size: MuJoCo's collision code does not end for 1e15 m.
+    /// Obstacles of every accepted size compile and can be stepped. MuJoCo's collision code does not end for 10¹⁵ m.
     #[test]
-    fn obstacles_that_are_accepted_are_flown_among(
+    fn accepted_obstacles_compile_and_can_be_stepped(
         obstacles in prop::collection::vec(any_obstacle(), 1..5),
         start in prop::array::uniform3(-1.0..1.0f64), rpy in prop::array::uniform3(-3.0..3.0f64),
         radius in -4.0..3.0f64,
@@ -451,7 +464,7 @@ proptest! {
             .build();
         match built {
             Ok(mut simulation) => for _ in 0..2 {
-                // pushed out of a wall too fast is an error, too
+                // a contact that pushes the drone out too fast may be an error
                 let _ = simulation.step(&[[12_000.0; 4]]);
             },
             Err(error) => prop_assert!(error.to_string().contains("obstacle"), "{error}"),
@@ -459,9 +472,10 @@ proptest! {
     }
 
     #[test]
-    fn obstacles_survive_being_written_as_toml(
+    fn obstacle_options_are_written_to_toml_and_read_back(
         custom in prop::collection::vec(any_obstacle(), 0..6), kind in prop::sample::select(ObstacleKind::ALL.to_vec()),
-        count in 0..2000_usize, arena in prop::array::uniform3(0.5..1e3f64), spacing in 0.0..1e3f64, safe_zone in 0.0..1e3f64,
+        count in 0..2000_usize, arena in prop::array::uniform3(0.5..1e3f64),
+        spacing in 0.0..1e3f64, safe_zone in 0.0..1e3f64,
         seed in prop::option::of(0..=i64::MAX as u64), new_layout in any::<bool>(),
     ) {
         let config = ObstacleConfig { kind, count, arena, spacing, safe_zone, new_layout, seed, custom };
@@ -470,9 +484,9 @@ proptest! {
     }
 }
 
-/// A rangefinder looked through obstacles that cannot be seen, which drones hit all the same.
+/// Regression test: rays passed through transparent obstacles, which drones collide with.
 #[test]
-fn transparent_obstacles_are_solid_for_rangefinders() {
+fn rangefinders_measure_transparent_obstacles() {
     for alpha in [1.0, 0.4, 0.0] {
         let mut pane = Obstacle::new(Shape::Box { half_size: [0.01, 1.0, 1.0] }, Vector3::new(1.51, 0.0, 1.0));
         pane.rgba[3] = alpha;

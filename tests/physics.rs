@@ -1,5 +1,8 @@
-//! Physics against closed forms, conservation laws and independent paths.
+//! Physics compared with closed forms, conservation laws and independent calculations.
 
+mod common;
+
+use common::step_simulation;
 use mujoco_drones_gym::drone::GRAVITY;
 use mujoco_drones_gym::engine::{Contact, Touched};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
@@ -9,7 +12,7 @@ use mujoco_drones_gym::state::attitude_from_rpy;
 use mujoco_drones_gym::world::{Forcing, Integrator, Medium, Obstacle, Shape};
 use nalgebra::Vector3;
 
-/// A start that turns and drifts at a yaw that is not zero.
+/// Returns an initial state with velocity, angular velocity and a nonzero yaw.
 fn tumbling() -> DroneState {
     DroneState {
         velocity: Vector3::new(0.5, -0.3, 0.8),
@@ -18,7 +21,7 @@ fn tumbling() -> DroneState {
     }
 }
 
-/// Half a second of a hard manoeuvre with constant motor speeds at this physics rate.
+/// Flies an aggressive manoeuvre of 0.5 s with constant motor speeds at a physics rate, and returns the final state.
 fn manoeuvre(configure: impl Fn(f64) -> (Physics, Forcing, Integrator), sim_freq: u32) -> DroneState {
     let (physics, forcing, integrator) = configure(f64::from(sim_freq));
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
@@ -31,19 +34,18 @@ fn manoeuvre(configure: impl Fn(f64) -> (Physics, Forcing, Integrator), sim_freq
         .unwrap();
     simulation.reset_to(&[tumbling()]).unwrap();
     let hover = DroneModel::Cf2x.params().hover_rpm();
-    for _ in 0..10 {
-        simulation.step(&[[1.06 * hover, 1.05 * hover, 1.04 * hover, 1.05 * hover]]).unwrap();
-    }
+    step_simulation(&mut simulation, &[[1.06 * hover, 1.05 * hover, 1.04 * hover, 1.05 * hover]], 10);
     simulation.states()[0]
 }
 
-/// log2 of how much smaller the error against `exact` becomes when the step is halved, over three halvings.
+/// Returns the observed orders of convergence to `exact`: log2 of the ratio of position errors at successive rates.
+/// Each rate is twice the previous one.
 fn orders(rates: &[u32], exact: Vector3<f64>, fly: impl Fn(u32) -> DroneState) -> Vec<f64> {
     let errors: Vec<_> = rates.iter().map(|&rate| (fly(rate).position - exact).norm()).collect();
     errors.windows(2).map(|pair| (pair[0] / pair[1]).log2()).collect()
 }
 
-/// A hard pull-up: the body turns faster and faster about one of its axes, at a yaw that is not zero.
+/// Flies a pull-up with increasing angular velocity about one body axis at a nonzero yaw, and returns the final state.
 fn pull_up(forcing: Forcing, sim_freq: u32) -> DroneState {
     let mut simulation =
         Simulation::builder(DroneModel::Cf2x).forcing(forcing).sim_freq(sim_freq).ctrl_freq(20).build().unwrap();
@@ -53,16 +55,14 @@ fn pull_up(forcing: Forcing, sim_freq: u32) -> DroneState {
     };
     simulation.reset_to(&[start]).unwrap();
     let hover = DroneModel::Cf2x.params().hover_rpm();
-    for _ in 0..10 {
-        simulation.step(&[[1.1 * hover, 1.11 * hover, 1.11 * hover, 1.1 * hover]]).unwrap();
-    }
+    step_simulation(&mut simulation, &[[1.1 * hover, 1.11 * hover, 1.11 * hover, 1.1 * hover]], 10);
     assert!(simulation.states()[0].angular_velocity.y > 3.0);
     simulation.states()[0]
 }
 
 #[test]
 #[allow(clippy::print_stdout)]
-fn position_under_a_turning_body_is_first_order_frozen_and_fourth_body_fixed() {
+fn rotation_about_one_axis_is_first_order_with_frozen_and_fourth_order_with_body_fixed_forcing() {
     let exact = pull_up(Forcing::BodyFixed, 8000).position;
     let fourth = orders(&[20, 40, 80, 160], exact, |rate| pull_up(Forcing::BodyFixed, rate));
     let first = orders(&[120, 240, 480, 960], exact, |rate| pull_up(Forcing::Frozen, rate));
@@ -70,15 +70,15 @@ fn position_under_a_turning_body_is_first_order_frozen_and_fourth_body_fixed() {
     assert!(fourth.iter().all(|order| (3.7..4.4).contains(order)), "{fourth:?}");
     assert!(first.iter().all(|order| (0.9..1.1).contains(order)), "{first:?}");
     let apart = (pull_up(Forcing::Frozen, 240).position - exact).norm();
-    println!("frozen at 240 Hz is off by {:.2} mm after half a second", 1000.0 * apart);
+    println!("position error of frozen forcing at 240 Hz after 0.5 s: {:.2} mm", 1000.0 * apart);
     assert!((1e-4..2e-2).contains(&apart));
 }
 
-/// MuJoCo's RK4 adds the stages' angular velocities as vectors, which is exact to fourth order only while the axis of
-/// rotation does not move in the body: a tumbling body is second order whatever acts on it.
+/// MuJoCo's RK4 adds the angular velocities of its stages as vectors. The result is fourth order only while the axis of
+/// rotation is fixed in the body; a tumbling body is second order under any forcing.
 #[test]
 #[allow(clippy::print_stdout)]
-fn a_tumble_about_a_moving_axis_is_second_order_body_fixed() {
+fn a_tumble_is_second_order_with_body_fixed_forcing() {
     let body_fixed = |rate| manoeuvre(|_| (Physics::Mjc, Forcing::BodyFixed, Integrator::Rk4), rate);
     let second = orders(&[40, 80, 160, 320], body_fixed(8000).position, body_fixed);
     println!("observed orders about a moving axis: body_fixed {second:.3?}");
@@ -87,7 +87,7 @@ fn a_tumble_about_a_moving_axis_is_second_order_body_fixed() {
 
 #[test]
 #[allow(clippy::print_stdout)]
-fn the_explicit_mode_converges_to_mujoco_at_first_order() {
+fn the_explicit_engine_converges_to_mujoco_at_first_order() {
     let exact = manoeuvre(|_| (Physics::Mjc, Forcing::BodyFixed, Integrator::Rk4), 8000);
     let explicit = |rate| manoeuvre(|_| (Physics::Dyn, Forcing::Frozen, Integrator::Rk4), rate);
     let observed = orders(&[240, 480, 960, 1920], exact.position, explicit);
@@ -99,7 +99,7 @@ fn the_explicit_mode_converges_to_mujoco_at_first_order() {
 }
 
 #[test]
-fn constant_thrust_of_a_body_that_does_not_turn_is_the_closed_form_in_every_engine() {
+fn constant_thrust_without_rotation_matches_its_closed_form_in_every_engine() {
     for model in DroneModel::ALL {
         let params = model.params();
         for engine in EngineKind::ALL {
@@ -119,11 +119,9 @@ fn constant_thrust_of_a_body_that_does_not_turn_is_the_closed_form_in_every_engi
                     let speed = 1.2 * params.hover_rpm();
                     let acceleration = attitude_from_rpy(rpy.into()) * Vector3::new(0.0, 0.0, 1.44 * GRAVITY)
                         - Vector3::new(0.0, 0.0, GRAVITY);
-                    for _ in 0..ctrl_freq {
-                        simulation.step(&[[speed; 4]]).unwrap();
-                    }
+                    step_simulation(&mut simulation, &[[speed; 4]], ctrl_freq as usize);
                     let (t, dt) = (simulation.time(), 1.0 / f64::from(sim_freq));
-                    // semi-implicit Euler is ahead by half a step's change of velocity, exactly
+                    // the position of semi-implicit Euler exceeds the closed form by exactly a·t·dt/2
                     let lead = if engine == EngineKind::Explicit { 0.5 * t * dt } else { 0.0 };
                     let wanted = Vector3::new(1.0, 2.0, 30.0)
                         + Vector3::new(0.5, 0.25, 1.0) * t
@@ -138,9 +136,9 @@ fn constant_thrust_of_a_body_that_does_not_turn_is_the_closed_form_in_every_engi
 
 #[test]
 #[allow(clippy::print_stdout)]
-fn a_torque_free_tumbling_body_keeps_its_angular_momentum_and_energy() {
+fn a_torque_free_tumble_conserves_angular_momentum_and_energy() {
     let mut params = DroneModel::Race.params();
-    // three different moments: the intermediate axis makes it tumble
+    // with three different moments of inertia, rotation about the intermediate axis is unstable
     params.inertia = [4.0e-4, 6.0e-4, 8.8e-4];
     let mut simulation = Simulation::builder(params.clone()).sim_freq(1000).ctrl_freq(100).build().unwrap();
     let start = DroneState {
@@ -163,14 +161,14 @@ fn a_torque_free_tumbling_body_keeps_its_angular_momentum_and_energy() {
         let l = momentum(&state);
         length = length.max((l.norm() / l0.norm() - 1.0).abs());
         direction = direction.max(l.angle(&l0));
-        // the energy of the rotation by itself is small beside that of the flight
+        // rotational energy is checked separately because it is a small part of the total
         drift = drift.max((energy(&state) / e0 - 1.0).abs()).max((rotation(&state) / rotation(&start) - 1.0).abs());
         turned_over |= state.angular_velocity.y < -3.0;
     }
     println!(
-        "over 10 s at 1 kHz: energy {drift:.1e}, angular momentum {length:.1e}, its direction {direction:.1e} rad"
+        "drift over 10 s at 1 kHz: energy {drift:.1e}, angular momentum {length:.1e}, its direction {direction:.1e} rad"
     );
-    assert!(turned_over, "the flight was to be a tumble about the intermediate axis");
+    assert!(turned_over, "the body tumbles about the intermediate axis");
     assert!(length < 1e-6 && drift < 1e-6 && direction < 1e-6);
 }
 
@@ -208,7 +206,7 @@ fn modes_differ_by_exactly_the_forces_of_their_effects() {
 }
 
 #[test]
-fn the_paper_names_six_of_the_combinations_and_contradictions_are_refused() {
+fn six_combinations_of_effects_and_engine_have_the_papers_names_and_contradictions_are_errors() {
     for bits in 0..8 {
         let effects = Effects { ground: bits & 1 > 0, drag: bits & 2 > 0, downwash: bits & 4 > 0 };
         assert_eq!(effects.to_string().parse(), Ok(effects));
@@ -237,9 +235,9 @@ fn the_paper_names_six_of_the_combinations_and_contradictions_are_refused() {
     assert!("".parse::<Effects>().is_err() && "ground,".parse::<Effects>().is_err());
 }
 
-/// The explicit engine integrates whatever forces there are: with drag it slows down by the force of the drag law.
+/// The explicit engine integrates the forces of the effects: drag changes the velocity by the force of the drag law.
 #[test]
-fn effects_act_in_the_explicit_engine() {
+fn the_explicit_engine_applies_the_forces_of_effects() {
     let fly = |effects| {
         let mut simulation = Simulation::builder(DroneModel::Cf2x)
             .engine(EngineKind::Explicit)
@@ -266,14 +264,12 @@ fn a_medium_slows_a_fall_and_vacuum_does_not() {
     let fall = |medium: Option<Medium>| {
         let mut simulation = Simulation::builder(DroneModel::Cf2x).medium(medium).build().unwrap();
         simulation.reset_to(&[DroneState::at_rest(Vector3::new(0.0, 0.0, 90.0), Vector3::zeros())]).unwrap();
-        for _ in 0..96 {
-            simulation.step(&[[0.0; 4]]).unwrap();
-        }
+        step_simulation(&mut simulation, &[[0.0; 4]], 96);
         simulation.states()[0].velocity.z
     };
     assert!((fall(None) + 2.0 * GRAVITY).abs() < 1e-9);
 
-    // MuJoCo's fluid forces on the box that has the body's inertia, integrated by hand for a level fall
+    // MuJoCo's fluid forces on the equivalent inertia box, integrated independently for a fall without rotation
     let params = DroneModel::Cf2x.params();
     let [x, y, z] = params.inertia;
     let side = |a: f64, b: f64, c: f64| (6.0 * (b + c - a) / params.mass).sqrt();
@@ -295,14 +291,12 @@ fn a_medium_slows_a_fall_and_vacuum_does_not() {
 }
 
 #[test]
-fn a_dropped_drone_comes_to_rest_on_its_collision_cylinder() {
+fn a_dropped_drone_rests_on_its_collision_cylinder() {
     for model in DroneModel::ALL {
         let half = 0.5 * model.params().collision_height;
         let mut simulation =
             Simulation::builder(model).initial_positions([[0.0, 0.0, 0.4 + half]]).sim_freq(480).build().unwrap();
-        for _ in 0..48 * 4 {
-            simulation.step(&[[0.0; 4]]).unwrap();
-        }
+        step_simulation(&mut simulation, &[[0.0; 4]], 48 * 4);
         let state = simulation.states()[0];
         assert!((state.position.z - half).abs() < 2e-3, "{model} rests at {} m", state.position.z);
         assert!(state.velocity.norm() < 1e-2 && state.tilt() < 0.02, "{model}");
@@ -311,12 +305,12 @@ fn a_dropped_drone_comes_to_rest_on_its_collision_cylinder() {
 }
 
 #[test]
-fn a_drone_flown_into_a_wall_stops_there_and_says_so() {
+fn a_drone_stops_at_a_wall_and_reports_the_contact() {
     let wall = |x: f64, yaw: f64| Obstacle {
         rpy: Vector3::new(0.0, 0.0, yaw),
         ..Obstacle::new(Shape::Box { half_size: [0.05, 2.0, 2.0] }, Vector3::new(x, 0.0, 1.0))
     };
-    // the second obstacle stands behind the first and is never reached
+    // obstacle 1 stands behind obstacle 0
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .initial_positions([[0.0, 0.0, 1.0]])
         .initial_rpys([[0.0, 0.0, 0.4]])
@@ -330,11 +324,11 @@ fn a_drone_flown_into_a_wall_stops_there_and_says_so() {
         simulation.step(&[[hover; 4]]).unwrap();
         touched.extend(simulation.contacts().iter().copied());
         let x = simulation.states()[0].position.x;
-        // face minus collision radius; MuJoCo's contacts are soft, and give 1.4 cm at 2 m/s
-        assert!(x < 1.0 - 0.05 - 0.06 + 0.02, "it went into the wall: {x}");
+        // face of the wall minus collision radius; MuJoCo's soft contacts allow a penetration of 1.4 cm at 2 m/s
+        assert!(x < 1.0 - 0.05 - 0.06 + 0.02, "the drone is inside the wall: x = {x} m");
     }
     let speed = simulation.states()[0].velocity.x;
-    assert!(speed.abs() < 0.2, "it stops there: {speed} m/s of 2");
+    assert!(speed.abs() < 0.2, "the drone still moves at {speed} m/s of 2");
     assert!(touched.contains(&Contact { drone: 0, with: Touched::Obstacle(0) }), "{touched:?}");
     assert!(!touched.contains(&Contact { drone: 0, with: Touched::Obstacle(1) }));
 
@@ -355,11 +349,11 @@ fn a_drone_flown_into_a_wall_stops_there_and_says_so() {
 }
 
 #[test]
-fn slow_and_inexact_motors_act_in_the_physics() {
+fn motor_lag_latency_and_gains_change_the_rotor_speeds_and_thrust() {
     let params = DroneModel::Cf2x.params();
     let hover = params.hover_rpm();
     let start = DroneState::at_rest(Vector3::new(0.0, 0.0, 20.0), Vector3::zeros());
-    // from hover speed to 1.2 times that: after one time constant thrust follows 63 % of the step in speed
+    // after one time constant, the rotor speed has completed 63 % of a step from hover speed to 1.2 times hover speed
     let lag = 0.05;
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .actuators(ActuatorParams { lag, ..ActuatorParams::default() })
@@ -373,20 +367,18 @@ fn slow_and_inexact_motors_act_in_the_physics() {
     assert!((share - (1.0 - (-1.0_f64).exp())).abs() < 1e-9, "{share}");
     assert_eq!(simulation.motor_speeds()[0], [1.2 * hover; 4]);
 
-    // half a second of latency: until then it hovers
+    // with a latency of 0.5 s, the drone hovers until the first command arrives
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .actuators(ActuatorParams { latency: 0.5, ..ActuatorParams::default() })
         .build()
         .unwrap();
     simulation.reset_to(&[start]).unwrap();
-    for _ in 0..24 {
-        simulation.step(&[[0.0; 4]]).unwrap();
-    }
+    step_simulation(&mut simulation, &[[0.0; 4]], 24);
     assert!((simulation.states()[0].position.z - 20.0).abs() < 1e-9);
     simulation.step(&[[0.0; 4]]).unwrap();
     assert!(simulation.states()[0].velocity.z < -0.1);
 
-    // one weak motor of four: its gain squared is missing from a quarter of the thrust
+    // a gain of 0.9 of one motor scales a quarter of the thrust by 0.9²
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .actuators(ActuatorParams { gains: [1.0, 1.0, 0.9, 1.0], ..ActuatorParams::default() })
         .ctrl_freq(240)
@@ -405,26 +397,22 @@ fn slow_and_inexact_motors_act_in_the_physics() {
 }
 
 #[test]
-fn the_explicit_mode_is_shown_in_mujoco_where_it_is() {
+fn the_explicit_engine_writes_its_state_to_mujoco_and_ignores_the_floor() {
     let mut simulation = Simulation::builder(DroneModel::Cf2p).physics(Physics::Dyn).build().unwrap();
     simulation.reset_to(&[tumbling()]).unwrap();
-    for _ in 0..20 {
-        simulation.step(&[[14_000.0, 14_100.0, 14_200.0, 14_300.0]]).unwrap();
-    }
+    step_simulation(&mut simulation, &[[14_000.0, 14_100.0, 14_200.0, 14_300.0]], 20);
     let state = simulation.states()[0];
     let data = simulation.mujoco().unwrap();
     assert_eq!(data.qpos()[..3], *state.position.as_slice());
-    assert!((data.xpos()[3] - state.position.x).abs() < 1e-12, "and what follows is computed");
-    // below the floor nothing stops it
+    assert!((data.xpos()[3] - state.position.x).abs() < 1e-12, "derived quantities are updated");
+    // the explicit engine has no contacts: the drone falls through the floor
     simulation.reset_to(&[DroneState::at_rest(Vector3::new(0.0, 0.0, 0.1), Vector3::zeros())]).unwrap();
-    for _ in 0..48 {
-        simulation.step(&[[0.0; 4]]).unwrap();
-    }
+    step_simulation(&mut simulation, &[[0.0; 4]], 48);
     assert!(simulation.states()[0].position.z < -1.0 && simulation.contacts().is_empty());
 }
 
 #[test]
-fn neighbours_are_those_within_the_radius() {
+fn adjacency_contains_the_drones_within_the_radius() {
     let simulation = Simulation::builder(DroneModel::Cf2x)
         .num_drones(3)
         .initial_positions([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])

@@ -1,8 +1,11 @@
-//! Domain randomization: what is drawn has its distribution, changes the simulated body, and comes back with the seed.
+//! Domain randomization: distributions, effects on the simulated body, and reproducibility from seeds.
+
+mod common;
 
 use std::f64::consts::PI;
 
-use mujoco_drones_gym::env::{Randomization, SampledParams, SensorRanges, check_env, check_independence};
+use common::{assert_contract, step_env};
+use mujoco_drones_gym::env::{Randomization, SampledParams, SensorRanges, check_env};
 use mujoco_drones_gym::mujoco::{Data, Model};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
@@ -11,8 +14,8 @@ use mujoco_drones_gym::tasks::NAMES;
 use mujoco_drones_gym::world::{DroneBody, Obstacle, Shape, World};
 use nalgebra::Vector3;
 
-/// Draws of so many episodes of two drones that hover high up.
-fn draws(config: Randomization, episodes: u64) -> Vec<SampledParams> {
+/// Returns the sampled parameters of episodes with two drones 2 m above the floor.
+fn samples_of_episodes(config: Randomization, episodes: u64) -> Vec<SampledParams> {
     let high = [[0.0, 0.0, 2.0], [3.0, 0.0, 2.0]];
     let mut env = MultiHover::builder().initial_positions(high).randomization(config).build().unwrap();
     (0..episodes)
@@ -23,7 +26,8 @@ fn draws(config: Randomization, episodes: u64) -> Vec<SampledParams> {
         .collect()
 }
 
-/// The Kolmogorov-Smirnov statistic times √n against a distribution function: above 1.95 once in a thousand times.
+/// Returns the Kolmogorov-Smirnov statistic times √n for a distribution function. It exceeds 1.95 with a probability of
+/// 0.001.
 fn kolmogorov_smirnov(mut samples: Vec<f64>, cdf: impl Fn(f64) -> f64) -> f64 {
     samples.sort_by(f64::total_cmp);
     let n = samples.len() as f64;
@@ -34,11 +38,12 @@ fn kolmogorov_smirnov(mut samples: Vec<f64>, cdf: impl Fn(f64) -> f64) -> f64 {
     gaps.fold(0.0, f64::max) * n.sqrt()
 }
 
+/// Returns the distribution function of a uniform distribution.
 fn uniform(low: f64, high: f64) -> impl Fn(f64) -> f64 {
     move |x| ((x - low) / (high - low)).clamp(0.0, 1.0)
 }
 
-/// The normal distribution function (Abramowitz and Stegun 7.1.26, to 1.5e-7).
+/// Returns the normal distribution function (Abramowitz and Stegun 7.1.26, error below 1.5e-7).
 fn normal(sigma: f64) -> impl Fn(f64) -> f64 {
     move |x| {
         let z = x.abs() / sigma / 2_f64.sqrt();
@@ -52,9 +57,9 @@ fn normal(sigma: f64) -> impl Fn(f64) -> f64 {
 
 #[test]
 fn every_parameter_has_the_papers_distribution() {
-    let draws = draws(Randomization::default(), 2000);
+    let episodes = samples_of_episodes(Randomization::default(), 2000);
     let each = |value: &dyn Fn(&mujoco_drones_gym::env::SampledDroneParams) -> f64| {
-        draws.iter().flat_map(|draw| &draw.drones).map(value).collect::<Vec<_>>()
+        episodes.iter().flat_map(|sampled| &sampled.drones).map(value).collect::<Vec<_>>()
     };
     let mut statistics = Vec::new();
     let mut test = |name: String, samples: Vec<f64>, cdf: &dyn Fn(f64) -> f64| {
@@ -85,30 +90,30 @@ fn every_parameter_has_the_papers_distribution() {
         for (what, sigma) in [0.01, 0.05, 1_f64.to_radians(), 0.05].into_iter().enumerate() {
             test(format!("bias {what} {axis}"), each(&|d| d.bias[what][axis]), &normal(sigma));
         }
-        let place = draws.iter().map(|draw| draw.drones[1].initial.position[axis] - [3.0, 0.0, 2.0][axis]).collect();
-        test(format!("position {axis}"), place, &uniform(-0.2, 0.2));
+        let offset = |sampled: &SampledParams| sampled.drones[1].initial.position[axis] - [3.0, 0.0, 2.0][axis];
+        test(format!("position {axis}"), episodes.iter().map(offset).collect(), &uniform(-0.2, 0.2));
         test(format!("velocity {axis}"), each(&|d| d.initial.velocity[axis]), &uniform(-0.5, 0.5));
     }
-    test("gravity".into(), draws.iter().map(|draw| draw.gravity).collect(), &uniform(0.98, 1.02));
-    test("sensor latency".into(), draws.iter().map(|draw| draw.sensor_latency).collect(), &uniform(0.0, 0.02));
-    let wind = |draw: &SampledParams| Vector3::from(draw.wind.unwrap().velocity);
-    test("wind".into(), draws.iter().map(|draw| wind(draw).norm()).collect(), &uniform(0.0, 1.0));
-    let around = |draw: &SampledParams| wind(draw).y.atan2(wind(draw).x);
-    test("wind's direction".into(), draws.iter().map(around).collect(), &uniform(-PI, PI));
+    test("gravity".into(), episodes.iter().map(|sampled| sampled.gravity).collect(), &uniform(0.98, 1.02));
+    test("sensor latency".into(), episodes.iter().map(|sampled| sampled.sensor_latency).collect(), &uniform(0.0, 0.02));
+    let wind = |sampled: &SampledParams| Vector3::from(sampled.wind.unwrap().velocity);
+    test("wind".into(), episodes.iter().map(|sampled| wind(sampled).norm()).collect(), &uniform(0.0, 1.0));
+    let direction = |sampled: &SampledParams| wind(sampled).y.atan2(wind(sampled).x);
+    test("direction of the wind".into(), episodes.iter().map(direction).collect(), &uniform(-PI, PI));
     for (name, statistic) in statistics {
         assert!(statistic < 1.95, "{name}: {statistic}");
     }
-    // and they are not one another
+    // mass and inertia are sampled independently
     let correlation: f64 = each(&|d| (d.mass - 1.0) * (d.inertia - 1.0) * 75.0).iter().sum::<f64>() / 4000.0;
     assert!(correlation.abs() < 0.06, "{correlation}");
 }
 
-/// One group alone, everything else nominal, nothing random but that.
+/// Returns a randomization with the groups of a TOML text; other parameters are nominal.
 fn only(toml: &str) -> Randomization {
     Randomization::from_toml(toml).unwrap()
 }
 
-/// The drone of a hover task high up, in an episode of this randomization.
+/// Creates a Hover environment with a randomization, 2 m above the floor, and starts an episode.
 fn hovering(config: Randomization) -> Aviary<Hover> {
     let mut env =
         Hover::builder().initial_positions([[0.0, 0.0, 2.0]]).ctrl_freq(240).randomization(config).build().unwrap();
@@ -117,30 +122,30 @@ fn hovering(config: Randomization) -> Aviary<Hover> {
 }
 
 #[test]
-fn a_heavier_body_falls_under_the_nominal_hover_speed_as_newton_says() {
+fn sampled_mass_thrust_and_gravity_accelerate_a_drone_by_newtons_law() {
     for factor in [0.8, 1.2] {
         let mut env = hovering(only(&format!("[body]\nmass = [{factor}, {factor}]\n")));
-        for _ in 0..24 {
-            env.step(&[0.0; 4]).unwrap();
-        }
+        step_env(&mut env, &[0.0; 4], 24);
         let acceleration = env.simulation().states()[0].velocity.z / 0.1;
         let expected = -9.81 * (1.0 - 1.0 / factor);
         assert!((acceleration / expected - 1.0).abs() < 0.01, "{acceleration}, expected {expected}");
     }
     let mut env = hovering(only("[aerodynamics]\nthrust = [1.1, 1.1]\n"));
-    for _ in 0..24 {
-        env.step(&[0.0; 4]).unwrap();
-    }
-    assert!((env.simulation().states()[0].velocity.z / 0.1 / 0.981 - 1.0).abs() < 0.01, "k_f a tenth larger: g/10 up");
+    step_env(&mut env, &[0.0; 4], 24);
+    assert!(
+        (env.simulation().states()[0].velocity.z / 0.1 / 0.981 - 1.0).abs() < 0.01,
+        "10 % more thrust accelerates by g/10 upwards"
+    );
     let mut env = hovering(only("[environment]\ngravity = [0.9, 0.9]\nwind = [0.0, 0.0]\n"));
-    for _ in 0..24 {
-        env.step(&[0.0; 4]).unwrap();
-    }
-    assert!((env.simulation().states()[0].velocity.z / 0.1 / 0.981 - 1.0).abs() < 0.01, "g a tenth smaller: g/10 up");
+    step_env(&mut env, &[0.0; 4], 24);
+    assert!(
+        (env.simulation().states()[0].velocity.z / 0.1 / 0.981 - 1.0).abs() < 0.01,
+        "10 % less gravity accelerates by g/10 upwards"
+    );
 }
 
 #[test]
-fn a_body_that_is_harder_to_turn_turns_less_and_a_weaker_motor_turns_it() {
+fn sampled_inertia_arm_length_and_motor_gains_change_the_angular_velocity() {
     let turned = |config: Randomization| {
         let mut env = hovering(config);
         env.step(&[0.2, 0.2, -0.2, -0.2]).unwrap();
@@ -153,19 +158,17 @@ fn a_body_that_is_harder_to_turn_turns_less_and_a_weaker_motor_turns_it() {
     assert!((long.x / 1.02 / nominal.x - 1.0).abs() < 1e-6);
     let mut env = hovering(only("[actuators]\ngain = [0.9, 1.1]\nlag = [0, 0]\nlatency = [0, 0]\n"));
     env.step(&[0.0; 4]).unwrap();
-    assert!(env.simulation().states()[0].angular_velocity.norm() > 0.05, "unequal motors turn a drone");
+    assert!(env.simulation().states()[0].angular_velocity.norm() > 0.05, "unequal motor gains turn the drone");
 }
 
-/// 63 % of a step in rotor speed after one time constant, and nothing before the latency is over.
+/// The rotor speed completes 63 % of a step in one time constant, and does not change during the latency.
 #[test]
-fn motors_lag_and_wait_as_drawn() {
+fn motors_have_the_sampled_lag_latency_and_maximum_speed() {
     let hover = DroneModel::Cf2x.params().hover_rpm();
     let step = 0.1 * (DroneModel::Cf2x.params().max_rpm() - hover);
     let answer = |config: &str, steps: usize| {
         let mut env = hovering(only(config));
-        for _ in 0..steps {
-            env.step(&[0.1; 4]).unwrap();
-        }
+        step_env(&mut env, &[0.1; 4], steps);
         (env.simulation().rotor_speeds(0)[0] - hover) / step
     };
     let rest = "gain = [1, 1]\nmax_rpm = [1, 1]\n";
@@ -181,19 +184,19 @@ fn motors_lag_and_wait_as_drawn() {
 }
 
 #[test]
-fn what_is_seen_is_noisy_biased_and_late_and_the_drone_itself_is_not() {
+fn observations_have_noise_bias_and_latency_and_true_states_do_not() {
     let quiet = |more: &str| {
         only(&format!("[sensors]\nposition = 0\nvelocity = 0\nattitude = 0\nangular_velocity = 0\nbias = 0\n{more}"))
     };
-    // five physics steps late, at one per control step
+    // a latency of five physics steps; a control step is one physics step
     let mut env = hovering(quiet("latency = [0.02083, 0.02083]\n"));
     let mut heights = vec![2.0; 6];
     for _ in 0..30 {
         let seen = env.step(&[0.5; 4]).unwrap().observation.vector[2];
         heights.push(env.simulation().states()[0].position.z);
-        assert_eq!(seen, heights[heights.len() - 6], "what was five steps ago");
+        assert_eq!(seen, heights[heights.len() - 6], "the height five steps ago");
     }
-    // noise about a bias that stays: mean and standard deviation over an episode
+    // noise with a constant bias: mean and standard deviation over an episode
     let config = only("[sensors]\nlatency = [0, 0]\nposition = 0.02\nvelocity = 0.1\n");
     let mut env = hovering(config);
     let bias = env.sampled_params().unwrap().drones[0].bias;
@@ -217,17 +220,17 @@ fn what_is_seen_is_noisy_biased_and_late_and_the_drone_itself_is_not() {
         assert!((mean - bias[what][axis]).abs() < 4.0 * sigma / n.sqrt(), "{what}: {mean} {}", bias[what][axis]);
         assert!((spread / sigma - 1.0).abs() < 0.08, "{what}: {spread}");
     }
-    assert!((env.simulation().states()[0].position.z - 2.0).abs() < 1e-3, "the drone hovers all the same");
-    // targets in the observation are exact: noise is on the state alone
+    assert!((env.simulation().states()[0].position.z - 2.0).abs() < 1e-3, "sensor noise does not move the drone");
+    // the target in the observation has no noise
     let mut env = Velocity::builder().randomization(only("[sensors]\n")).build().unwrap();
     env.reset(Some(1)).unwrap();
     let (target, rate) = env.task().target(0);
     assert_eq!((&env.observation().vector[12..15], env.observation().vector[15]), (target.as_slice(), rate));
 }
 
-/// MuJoCo's model of a patched drone is the one that it compiles for such an airframe.
+/// `set_airframe` changes MuJoCo's model to the one that MuJoCo compiles for the airframe.
 #[test]
-fn a_patched_model_is_the_compiled_one() {
+fn a_changed_airframe_gives_the_compiled_model() {
     let other = DroneParams { mass: 0.031, inertia: [1.7e-5, 1.6e-5, 2.9e-5], ..DroneModel::Cf2x.params() };
     let body = |params: &DroneParams, x: f64| DroneBody {
         params: params.clone(),
@@ -254,7 +257,7 @@ fn a_patched_model_is_the_compiled_one() {
 }
 
 #[test]
-fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
+fn every_task_keeps_its_contract_with_randomization_and_wind() {
     for name in NAMES {
         let config = || EnvConfig::default().physics(Physics::MjcGndDragDw).episode_seconds(3.0);
         let build = || {
@@ -262,8 +265,7 @@ fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
             env.set_randomization(Some(Randomization::default())).unwrap();
             env
         };
-        check_env(&mut build()).unwrap_or_else(|error| panic!("{error}"));
-        check_independence(&mut build(), &mut build()).unwrap();
+        assert_contract(build);
         let wind = WindConfig::new(WindModel::Combined);
         let some = only("[body]\n[actuators]\n[sensors]\n[initial]\n");
         let stacked = || {
@@ -276,29 +278,29 @@ fn every_task_keeps_its_contract_randomized_alone_and_in_the_wind() {
     }
 }
 
-/// It was ignored without a message, in whatever order the two were set.
+/// Regression test: the configured wind was ignored without an error, in both orders of the two calls.
 #[test]
-fn a_wind_next_to_a_drawn_wind_is_refused() {
+fn a_configured_wind_next_to_a_sampled_wind_is_an_error() {
     let wind = WindConfig::new(WindModel::Combined);
     let mut windy = Hover::builder().build().unwrap();
     windy.set_wind(Some(wind)).unwrap();
     let message = "wind is combined, expected none";
     let error = windy.set_randomization(Some(Randomization::default())).unwrap_err().to_string();
     assert!(error.contains(message), "{error}");
-    let mut drawn = Hover::builder().randomization(Randomization::default()).build().unwrap();
+    let mut randomized = Hover::builder().randomization(Randomization::default()).build().unwrap();
     for _ in 0..2 {
-        let error = drawn.set_wind(Some(wind)).unwrap_err().to_string();
+        let error = randomized.set_wind(Some(wind)).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
-        drawn.reset(Some(1)).unwrap();
+        randomized.reset(Some(1)).unwrap();
     }
-    drawn.set_wind(None).unwrap();
-    drawn.set_randomization(None).unwrap();
-    drawn.set_wind(Some(wind)).unwrap();
+    randomized.set_wind(None).unwrap();
+    randomized.set_randomization(None).unwrap();
+    randomized.set_wind(Some(wind)).unwrap();
 }
 
-/// The filter and the drag in still air are of no wind model: a wind that is drawn has them, too.
+/// The Dryden filter and still-air drag do not belong to a wind model: a sampled wind uses those of the configuration.
 #[test]
-fn a_drawn_wind_keeps_the_filter_of_the_settings() {
+fn a_sampled_wind_uses_the_configured_filter() {
     let settings = WindConfig { filter: DrydenFilter::MilF8785c, ..WindConfig::default() };
     let build = |settings| Hover::builder().wind(settings).randomization(only("[environment]\n")).build().unwrap();
     for (settings, filter) in [(settings, DrydenFilter::MilF8785c), (WindConfig::default(), DrydenFilter::FirstOrder)] {
@@ -311,7 +313,7 @@ fn a_drawn_wind_keeps_the_filter_of_the_settings() {
 }
 
 #[test]
-fn no_drone_starts_in_the_floor_or_in_another_one() {
+fn no_drone_starts_in_the_floor_or_in_another_drone() {
     let mut env =
         Formation::builder().task(|task| task.radius = 0.12).randomization(only("[initial]\n")).build().unwrap();
     let mut low = Hover::builder().randomization(only("[initial]\n")).build().unwrap();
@@ -331,9 +333,9 @@ fn no_drone_starts_in_the_floor_or_in_another_one() {
 }
 
 #[test]
-fn starts_lie_about_a_place_beside_the_environments_own() {
-    let beside = only("[initial]\nposition = 0.3\nvelocity = 0.0\nattitude = 0.0\noffset = [1.0, -2.0, 3.0]\n");
-    let mut env = MultiHover::builder().randomization(beside.clone()).build().unwrap();
+fn an_offset_moves_the_sampled_starts_and_not_the_reference() {
+    let shifted = only("[initial]\nposition = 0.3\nvelocity = 0.0\nattitude = 0.0\noffset = [1.0, -2.0, 3.0]\n");
+    let mut env = MultiHover::builder().randomization(shifted.clone()).build().unwrap();
     let mut sums = [0.0; 3];
     for seed in 0..200 {
         env.reset(Some(seed)).unwrap();
@@ -344,11 +346,11 @@ fn starts_lie_about_a_place_beside_the_environments_own() {
                 sums[axis] += off / 400.0;
             }
         }
-        // what the task wants is where it was
+        // the reference of the task does not move
         assert_eq!(env.reference(1).position.x, 1.0);
     }
     assert!(sums.iter().all(|mean| mean.abs() < 0.03), "{sums:?}");
-    // below the floor there is nothing
+    // a start below the floor is moved onto it
     let below = only("[initial]\noffset = [0.0, 0.0, -5.0]\n");
     let mut env = Hover::builder().randomization(below).build().unwrap();
     env.reset(Some(1)).unwrap();
@@ -358,11 +360,11 @@ fn starts_lie_about_a_place_beside_the_environments_own() {
         assert!(Randomization::from_toml(wrong).unwrap_err().to_string().contains("initial.offset"));
     }
     assert!(Randomization::from_toml("[initial]\noffset = [0.0, 1.0]\n").is_err());
-    assert!(MultiHover::builder().randomization(beside).build().is_ok());
+    assert!(MultiHover::builder().randomization(shifted).build().is_ok());
 }
 
 #[test]
-fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
+fn removing_randomization_restores_nominal_flights_and_a_seed_reproduces_its_sample() {
     let flight = |env: &mut Aviary<Hover>| {
         env.reset(Some(4)).unwrap();
         let mut seen = Vec::new();
@@ -374,14 +376,14 @@ fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
     let mut env = Hover::builder().build().unwrap();
     let nominal = flight(&mut env);
     env.set_randomization(Some(Randomization::default())).unwrap();
-    let drawn = flight(&mut env);
-    let draw = env.sampled_params().unwrap().clone();
-    assert_ne!(drawn, nominal);
+    let randomized = flight(&mut env);
+    let sampled = env.sampled_params().unwrap().clone();
+    assert_ne!(randomized, nominal);
     env.reset(None).unwrap();
-    assert_ne!(env.sampled_params().unwrap(), &draw);
-    assert_eq!(flight(&mut env), drawn);
-    assert_eq!(env.sampled_params().unwrap(), &draw);
-    assert_eq!(env.info_map()["drawn_mass"], draw.drones[0].mass);
+    assert_ne!(env.sampled_params().unwrap(), &sampled);
+    assert_eq!(flight(&mut env), randomized);
+    assert_eq!(env.sampled_params().unwrap(), &sampled);
+    assert_eq!(env.info_map()["drawn_mass"], sampled.drones[0].mass);
     env.set_randomization(None).unwrap();
     assert_eq!(flight(&mut env), nominal);
     assert!(env.sampled_params().is_none());
@@ -389,7 +391,7 @@ fn switched_off_it_leaves_nothing_behind_and_a_seed_brings_a_draw_back() {
 }
 
 #[test]
-fn impossible_ranges_are_refused_by_field_and_bad_toml_by_line() {
+fn invalid_ranges_are_errors_with_the_field_and_invalid_toml_with_the_line() {
     let error = |text: &str| Randomization::from_toml(text).unwrap_err().to_string();
     assert!(error("[body]\nmass = [1.2, 0.8]\n").contains("body.mass is [1.2, 0.8]"));
     assert!(error("[body]\nmass = [0.0, 1.0]\n").contains("body.mass"));
@@ -407,7 +409,7 @@ fn impossible_ranges_are_refused_by_field_and_bad_toml_by_line() {
 }
 
 #[test]
-fn what_was_configured_comes_back_when_randomization_goes() {
+fn configured_motors_and_wind_return_when_randomization_is_removed() {
     let motors = ActuatorParams { lag: 0.03, ..ActuatorParams::default() };
     let wind = WindConfig { velocity: [2.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
     let build = || Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).actuators(motors).wind(wind).build().unwrap();
@@ -427,7 +429,7 @@ fn what_was_configured_comes_back_when_randomization_goes() {
         assert_eq!(flight(&mut env), expected);
         assert_eq!(env.simulation().wind(), Some(&wind));
     }
-    // a drawn wind goes with the randomization
+    // a sampled wind is removed with the randomization
     let mut still = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).actuators(motors).build().unwrap();
     let expected = flight(&mut still);
     still.set_randomization(Some(Randomization::default())).unwrap();
@@ -439,7 +441,7 @@ fn what_was_configured_comes_back_when_randomization_goes() {
 }
 
 #[test]
-fn drones_that_stand_on_the_floor_or_beside_a_tree_start_in_neither() {
+fn sampled_starts_near_the_floor_and_a_tree_touch_neither() {
     let tree = Obstacle::new(Shape::Cylinder { radius: 0.1, half_height: 1.0 }, Vector3::new(0.25, 0.0, 1.0));
     let mut env = Hover::builder()
         .initial_positions([[0.0, 0.0, 0.0151]])

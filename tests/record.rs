@@ -1,9 +1,12 @@
-//! Flights in files: what is written reads back, is plotted, and outlives the program.
+//! Recorded flights: exact reading, plots, animations, and files that survive a crash of the program.
+
+mod common;
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use common::no_gl;
 use mujoco_drones_gym::control::ControllerKind;
 use mujoco_drones_gym::env::check_env;
 use mujoco_drones_gym::mujoco::Quality;
@@ -18,12 +21,12 @@ use mujoco_drones_gym::tasks::Antipodal;
 use mujoco_drones_gym::vision::{SceneRenderer, VisualEffects};
 use proptest::prelude::*;
 
-/// Actions that tumble a little.
+/// Returns an action of a slow tumble.
 fn action(step: usize, size: usize) -> Vec<f64> {
     (0..size).map(|i| 0.3 * (0.9 * step as f64 + 1.7 * i as f64).sin() + 0.05).collect()
 }
 
-/// Records some steps of an environment and gives what it saw itself: states, motor speeds, rewards.
+/// Records up to `steps` steps of an environment and returns the state, motor speeds and reward of every drone and row.
 fn fly(env: &mut dyn DroneEnv, to: &Path, steps: usize) -> Vec<Vec<(DroneState, [f64; 4], f64)>> {
     let (drones, size) = (env.simulation().num_drones(), env.action_space().size());
     let mut recorder = Recorder::create(to, drones).unwrap();
@@ -48,7 +51,7 @@ fn fly(env: &mut dyn DroneEnv, to: &Path, steps: usize) -> Vec<Vec<(DroneState, 
 }
 
 #[test]
-fn every_drone_of_any_environment_reads_back_to_the_same_bits() {
+fn recorded_flights_are_read_back_bit_identically() {
     let directory = tempfile::tempdir().unwrap();
     let wind = WindConfig::new(WindModel::Combined);
     let envs: [Box<dyn DroneEnv>; 4] = [
@@ -72,7 +75,7 @@ fn every_drone_of_any_environment_reads_back_to_the_same_bits() {
                 let change = before.state.velocity + sample.acceleration * dt;
                 assert!(
                     (change - sample.state.velocity).norm() < 1e-9,
-                    "the acceleration is what changed the velocity"
+                    "acceleration is the change of velocity over dt"
                 );
             }
         }
@@ -80,7 +83,7 @@ fn every_drone_of_any_environment_reads_back_to_the_same_bits() {
 }
 
 #[test]
-fn columns_are_those_of_every_table_and_other_programs_can_read_them() {
+fn csv_readers_read_the_documented_columns() {
     let directory = tempfile::tempdir().unwrap();
     let mut env = Hover::builder().initial_rpys([[0.2, -0.1, 1.0]]).build().unwrap();
     fly(&mut env, directory.path(), 10);
@@ -96,11 +99,11 @@ fn columns_are_those_of_every_table_and_other_programs_can_read_them() {
     assert_eq!([last("roll"), last("pitch"), last("yaw")], [rpy.x, rpy.y, rpy.z]);
     assert_eq!(last("wz"), state.angular_velocity.z);
     assert_eq!((last("z_ref"), last("t")), (1.0, 10.0 / 48.0));
-    assert_eq!(&rows[10][1], "0", "the drone's index");
+    assert_eq!(&rows[10][1], "0", "index of the drone");
 }
 
 #[test]
-fn episodes_of_a_wrapped_environment_lie_beside_each_other_and_nothing_is_overwritten() {
+fn a_recorded_environment_writes_a_new_file_per_episode_and_overwrites_none() {
     let directory = tempfile::tempdir().unwrap();
     let build = || MultiHover::builder().episode_seconds(0.25).build().unwrap();
     for first in [0, 2] {
@@ -117,7 +120,7 @@ fn episodes_of_a_wrapped_environment_lie_beside_each_other_and_nothing_is_overwr
             assert_eq!((flight.drones.len(), flight.drones[0].len()), (2, 13));
             for (i, reward) in rewards.iter().enumerate() {
                 let sum: f64 = flight.drones.iter().map(|samples| samples[i].reward).sum();
-                assert!((sum - reward).abs() < 1e-9, "rewards of the drones add up to the step's");
+                assert!((sum - reward).abs() < 1e-9, "the reward of the step is the sum over the drones");
             }
         }
     }
@@ -128,7 +131,7 @@ fn episodes_of_a_wrapped_environment_lie_beside_each_other_and_nothing_is_overwr
 }
 
 #[test]
-fn a_flight_after_a_restore_is_recorded_as_another_episode() {
+fn a_flight_after_a_restore_is_recorded_as_a_new_episode() {
     let directory = tempfile::tempdir().unwrap();
     let mut env = Recorded::new(Hover::builder().episode_seconds(0.25).build().unwrap(), directory.path()).unwrap();
     env.reset(Some(1)).unwrap();
@@ -136,7 +139,7 @@ fn a_flight_after_a_restore_is_recorded_as_another_episode() {
         env.step(&[0.1; 4]).unwrap();
     }
     let snapshot = env.snapshot();
-    // also when the first flight has ended meanwhile
+    // the first recording has ended before the restore
     while env.info().end.is_none() {
         env.step(&[0.3; 4]).unwrap();
     }
@@ -151,9 +154,10 @@ fn a_flight_after_a_restore_is_recorded_as_another_episode() {
     assert!(second.drones[0][1].time > second.drones[0][0].time && read("episode_0002_").is_err());
 }
 
-/// A recorder in a loop over episodes is made before the one of the episode before is dropped, which ended the program.
+/// Regression test: in a loop over episodes, the next recorder is created before the previous one is dropped.
+/// The old recorder then ended the program.
 #[test]
-fn a_flight_recorded_again_replaces_the_one_before() {
+fn a_new_recorder_in_a_directory_replaces_its_flight() {
     let directory = tempfile::tempdir().unwrap();
     let mut env = Hover::builder().build().unwrap();
     let mut recorder = Recorder::create(directory.path(), 1).unwrap();
@@ -171,9 +175,10 @@ fn a_flight_recorded_again_replaces_the_one_before() {
     assert_eq!(Flight::read(directory.path()).unwrap().drones[0].len(), 0);
 }
 
-/// Both took the same numbers, and a number that was free in between was followed by ones that were not.
+/// Regression test: two recorders used the same episode numbers, and a recorder overwrote existing files after a gap in
+/// the numbers.
 #[test]
-fn two_environments_may_be_recorded_into_one_directory() {
+fn two_environments_record_into_one_directory() {
     let directory = tempfile::tempdir().unwrap();
     let new = || Recorded::new(Hover::builder().build().unwrap(), directory.path()).unwrap();
     let rows = |episode: usize| {
@@ -201,7 +206,7 @@ fn two_environments_may_be_recorded_into_one_directory() {
 }
 
 #[test]
-fn rewards_that_are_no_numbers_read_back_as_they_are() {
+fn non_finite_rewards_are_read_back_unchanged() {
     let directory = tempfile::tempdir().unwrap();
     let simulation = Simulation::builder(DroneModel::Cf2x).build().unwrap();
     let mut recorder = Recorder::create(directory.path(), 1).unwrap();
@@ -214,9 +219,9 @@ fn rewards_that_are_no_numbers_read_back_as_they_are() {
     assert_eq!((rewards[3], flight.drones[0][3].reference), (1e-300, None));
 }
 
-/// What the two tests below start as a program of its own; by itself it does nothing.
+/// Program that the next two tests start as a child process. It returns at once without `RECORD_INTO`.
 #[test]
-fn a_program_that_records_and_ends_badly() {
+fn child_program_that_records_and_aborts() {
     let Ok(directory) = std::env::var("RECORD_INTO") else { return };
     let steps: usize = std::env::var("RECORD_STEPS").unwrap().parse().unwrap();
     let mut env = Hover::builder().build().unwrap();
@@ -236,7 +241,7 @@ fn a_program_that_records_and_ends_badly() {
 
 fn start(directory: &Path, steps: usize) -> std::process::Child {
     Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "a_program_that_records_and_ends_badly"])
+        .args(["--exact", "child_program_that_records_and_aborts"])
         .env("RECORD_INTO", directory)
         .env("RECORD_STEPS", steps.to_string())
         .stdout(Stdio::null())
@@ -252,20 +257,20 @@ fn a_program_that_aborts_has_written_every_row() {
         assert!(!start(directory.path(), steps).wait().unwrap().success());
         let flight = Flight::read(directory.path()).unwrap();
         assert_eq!(flight.drones[0].len(), steps + 1);
-        // any reader of CSV skips the empty lines at the end
+        // CSV readers skip the empty lines at the end
         let mut reader = csv::Reader::from_path(directory.path().join("drone0.csv")).unwrap();
         assert_eq!(reader.records().filter(|row| row.as_ref().unwrap().len() == COLUMNS.len()).count(), steps + 1);
     }
 }
 
 #[test]
-fn a_killed_program_leaves_what_can_be_read() {
+fn files_of_a_killed_program_are_readable() {
     for _ in 0..5 {
         let directory = tempfile::tempdir().unwrap();
         let mut child = start(directory.path(), usize::MAX);
         let rows = || Flight::read(directory.path()).map_or(0, |flight| flight.drones[0].len());
-        let begun = Instant::now();
-        while rows() < 300 && begun.elapsed() < Duration::from_secs(60) {
+        let started = Instant::now();
+        while rows() < 300 && started.elapsed() < Duration::from_secs(60) {
             std::thread::sleep(Duration::from_millis(2));
         }
         child.kill().unwrap();
@@ -276,7 +281,7 @@ fn a_killed_program_leaves_what_can_be_read() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
-    /// Whatever is done to a file, reading it is a result: the flight, its beginning, or an error that names the file.
+    /// A file with a changed byte and a new length is read in part, or refused by an error that contains its name.
     #[test]
     fn damaged_files_are_read_in_part_or_refused(cut in 0usize..6000, at in 0usize..6000, byte in any::<u8>()) {
         let directory = tempfile::tempdir().unwrap();
@@ -296,7 +301,7 @@ proptest! {
 }
 
 #[test]
-fn a_file_that_is_no_flight_is_refused_by_line_and_column() {
+fn invalid_flight_files_are_errors_with_line_and_column() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("drone0.csv");
     let refused = |text: &str| {
@@ -322,14 +327,14 @@ fn a_file_that_is_no_flight_is_refused_by_line_and_column() {
     let recorder = Recorder::create(directory.path(), 2).unwrap();
     drop(recorder);
     let mut wrong = Recorder::create(directory.path(), 1).unwrap();
-    assert!(!directory.path().join("drone1.csv").exists(), "files of the flight before are gone");
+    assert!(!directory.path().join("drone1.csv").exists(), "files of the previous flight are removed");
     let env = MultiHover::builder().build().unwrap();
     assert!(wrong.record(&env).unwrap_err().to_string().contains("2 drones, expected 1"));
 }
 
-/// Flies antipodal for a while and gives the last frame.
+/// Flies 1 s of Antipodal with an animation and returns the last frame, or `None` without OpenGL.
 fn last_frame(overlays: Overlays, view: View) -> Option<Vec<u8>> {
-    if mujoco_drones_gym::mujoco::gl_info().is_err() {
+    if no_gl() {
         return None;
     }
     let size = ImageSize { width: 320, height: 240 };
@@ -340,25 +345,25 @@ fn last_frame(overlays: Overlays, view: View) -> Option<Vec<u8>> {
         .build()
         .unwrap();
     env.reset(Some(1)).unwrap();
-    let mut film = FrameRecorder::new(&env, view, size, overlays).unwrap();
-    let mut gif = GifAnimation::new(Vec::new(), size, film.seconds_per_frame()).unwrap();
+    let mut frame_recorder = FrameRecorder::new(&env, view, size, overlays).unwrap();
+    let mut gif = GifAnimation::new(Vec::new(), size, frame_recorder.seconds_per_frame()).unwrap();
     let mut frames = 0;
     for step in 0..48 {
-        if let Some(rgb) = film.look(&env).unwrap() {
+        if let Some(rgb) = frame_recorder.look(&env).unwrap() {
             gif.frame(rgb).unwrap();
             frames += 1;
         }
         let gently: Vec<f64> = action(step, 16).iter().map(|x| 0.1 * x).collect();
         env.step(&gently).unwrap();
     }
-    assert_eq!(frames, 24, "24 frames a second");
-    assert!((film.seconds_per_frame() - 1.0 / 24.0).abs() < 1e-12);
+    assert_eq!(frames, 24, "24 frames per second");
+    assert!((frame_recorder.seconds_per_frame() - 1.0 / 24.0).abs() < 1e-12);
     assert!(gif.finish().unwrap().len() > 1000);
-    Some(film.frame(env.simulation(), |drone| Some(env.reference(drone))).unwrap().to_vec())
+    Some(frame_recorder.frame(env.simulation(), |drone| Some(env.reference(drone))).unwrap().to_vec())
 }
 
 #[test]
-fn every_overlay_is_seen() {
+fn every_overlay_changes_the_frame() {
     let Some(plain) = last_frame(Overlays::default(), View::Top) else { return };
     let none = Overlays::default();
     for (name, overlays) in [
@@ -375,15 +380,15 @@ fn every_overlay_is_seen() {
 }
 
 #[test]
-fn rings_and_gates_are_seen_where_they_are() {
-    if mujoco_drones_gym::mujoco::gl_info().is_err() {
+fn rings_and_gates_are_rendered_at_their_poses() {
+    if no_gl() {
         return;
     }
     let simulation = Simulation::builder(DroneModel::Cf2x).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
     let mut renderer = SceneRenderer::new(&simulation.scene(), Quality::FAST, VisualEffects::default()).unwrap();
     renderer.set_stage([0.0, 0.0, 1.0], 0.2);
     let size = ImageSize { width: 201, height: 201 };
-    // the middle of what is magenta, and how far it reaches across and down the picture
+    // centre, width and height of the magenta region, pixels
     let mut seen = |add: &dyn Fn(&mut SceneRenderer) -> bool| {
         renderer.update(simulation.states()).unwrap();
         assert!(add(&mut renderer));
@@ -400,39 +405,42 @@ fn rings_and_gates_are_seen_where_they_are() {
         (mean, reach(|p| p.0), reach(|p| p.1))
     };
     let magenta = [1.0, 0.0, 1.0, 1.0];
-    // from above x is to the right and y is up
+    // in the top view, x points right and y points up
     let level = seen(&|renderer| renderer.add_ring(Vector3::new(0.3, 0.2, 1.0), Vector3::z(), 0.2, 0.02, magenta));
     assert!(level.0.0 > 115.0 && level.0.1 < 90.0 && (level.1 - level.2).abs() < 4.0, "{level:?}");
     let upright = seen(&|renderer| renderer.add_ring(Vector3::new(0.0, 0.0, 1.0), Vector3::x(), 0.2, 0.02, magenta));
-    assert!(upright.2 > 5.0 * upright.1, "across x it is a line along y: {upright:?}");
+    assert!(upright.2 > 5.0 * upright.1, "a ring with its axis along x appears as a line along y: {upright:?}");
     let gate = seen(&|renderer| renderer.add_gate(Vector3::new(0.0, 0.0, 1.0), 0.0, 0.2, magenta));
-    assert!(gate.2 > 4.0 * gate.1, "flown through along x it stands across it: {gate:?}");
+    assert!(gate.2 > 4.0 * gate.1, "a gate with its axis along x appears as a line along y: {gate:?}");
 }
 
-/// It made no more pictures after the first episode, unless it was shown the moment of the reset.
+/// Regression test: the recorder made no frames after the first episode unless `look` was called right after the reset.
 #[test]
-fn a_film_goes_on_from_episode_to_episode() {
-    if mujoco_drones_gym::mujoco::gl_info().is_err() {
+fn a_frame_recorder_continues_over_several_episodes() {
+    if no_gl() {
         return;
     }
     let size = ImageSize { width: 32, height: 24 };
     let mut env = Hover::builder().ctrl_freq(40).build().unwrap();
     env.reset(Some(1)).unwrap();
-    let mut film = FrameRecorder::new(&env, View::Track, size, Overlays::ALL).unwrap();
-    assert!((film.seconds_per_frame() - 0.05).abs() < 1e-12, "20 a second are nearer to 24 than 40 are");
+    let mut frame_recorder = FrameRecorder::new(&env, View::Track, size, Overlays::ALL).unwrap();
+    assert!(
+        (frame_recorder.seconds_per_frame() - 0.05).abs() < 1e-12,
+        "20 frames per second are nearer to 24 than 40 are"
+    );
     for _ in 0..3 {
         env.reset(None).unwrap();
         let mut frames = 0;
         for _ in 0..40 {
             env.step(&[0.05; 4]).unwrap();
-            frames += usize::from(film.look(&env).unwrap().is_some());
+            frames += usize::from(frame_recorder.look(&env).unwrap().is_some());
         }
         assert_eq!(frames, 20);
     }
 }
 
 #[test]
-fn a_recorded_flight_is_plotted_as_it_was_flown() {
+fn a_recorded_flight_is_plotted_as_svg_and_png() {
     let directory = tempfile::tempdir().unwrap();
     let mut env = Formation::builder().build().unwrap();
     fly(&mut env, directory.path(), 60);

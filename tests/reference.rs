@@ -1,4 +1,4 @@
-//! Flights of an independent implementation of the paper's equations over another MuJoCo, flown again.
+//! Reference flights: an independent implementation of the paper's equations on another version of MuJoCo.
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::{Scenario, read_actions};
@@ -8,7 +8,13 @@ fn path(name: &str) -> String {
     format!("{}/tests/reference/{name}", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Flies a scenario and gives the largest difference of any number of the state from what is expected.
+/// Returns the contents of the first TOML block of a Markdown text that contains `word`.
+fn toml_block<'a>(markdown: &'a str, word: &str) -> &'a str {
+    let mut blocks = markdown.split("```toml").skip(1).filter_map(|rest| rest.split("```").next());
+    blocks.find(|block| block.contains(word)).expect("a TOML block with the word")
+}
+
+/// Flies a scenario and returns the largest absolute difference between any number of the state and its expected value.
 fn worst_difference(name: &str, engine: EngineKind) -> f64 {
     let text = std::fs::read_to_string(path(&format!("{name}.toml"))).unwrap();
     let mut scenario = Scenario::from_toml(&text).unwrap();
@@ -20,7 +26,7 @@ fn worst_difference(name: &str, engine: EngineKind) -> f64 {
     let expected: Vec<Vec<f64>> =
         reader.records().map(|row| row.unwrap().iter().map(|x| x.parse().unwrap()).collect()).collect();
     assert_eq!(expected.len(), actions.len() * scenario.num_drones);
-    assert!(actions.len() >= 24, "a flight of at least half a second");
+    assert!(actions.len() >= 24, "the flight takes at least 0.5 s");
 
     let mut worst: f64 = 0.0;
     for (action, expected) in actions.iter().zip(expected.chunks(scenario.num_drones)) {
@@ -40,7 +46,7 @@ fn worst_difference(name: &str, engine: EngineKind) -> f64 {
 }
 
 #[test]
-fn every_reference_flight_agrees_in_position_attitude_velocity_and_rate() {
+fn reference_flights_agree_in_position_attitude_velocity_and_angular_velocity() {
     for name in ["mjc_cf2x", "mjc_gnd_race", "mjc_dw_close", "dyn_cf2p", "body_fixed_cf2x"] {
         let explicit = name.starts_with("dyn");
         let engines = if explicit { &[EngineKind::Explicit][..] } else { &EngineKind::WITH_CONTACTS[..] };
@@ -51,9 +57,9 @@ fn every_reference_flight_agrees_in_position_attitude_velocity_and_rate() {
     }
 }
 
-/// The comparison can fail: the same flight under another mode does not agree.
+/// The comparison detects a wrong mode: the same flight without ground effect differs.
 #[test]
-fn another_mode_is_another_flight() {
+fn a_flight_without_ground_effect_differs_from_its_reference() {
     let text = std::fs::read_to_string(path("mjc_gnd_race.toml")).unwrap();
     let scenario = Scenario::from_toml(&text.replace("mjc_gnd", "mjc")).unwrap();
     let with = Scenario::from_toml(&text).unwrap();
@@ -66,31 +72,18 @@ fn another_mode_is_another_flight() {
     assert!(with.states()[0].position.z > without.states()[0].position.z + 1e-3);
 }
 
-/// The airframe in the documentation is one.
 #[test]
-fn the_airframe_of_the_guide_flies() {
-    let readme = include_str!("../docs/airframes.md");
-    let mut blocks = readme.split("```toml").skip(1).filter_map(|rest| rest.split("```").next());
-    let text = blocks.find(|block| block.contains("thrust_coefficient")).expect("an airframe");
+fn the_airframe_in_the_guide_hovers() {
+    let text = toml_block(include_str!("../docs/airframes.md"), "thrust_coefficient");
     let params = DroneParams::from_toml(text).unwrap();
-    let mut env = Hover::builder().drone(params.clone()).build().unwrap();
-    env.reset(None).unwrap();
-    let mut pid = PidControl::new(&params);
-    let mut action = [0.0; 4];
-    while env.info().end.is_none() {
-        let rpm = pid.control(1.0 / 48.0, &env.simulation().states()[0], &env.reference(0)).rpm;
-        env.action_of_motor_speeds(&[rpm], &mut action).unwrap();
-        env.step(&action).unwrap();
-    }
-    assert!(env.info().success);
+    let mut env = Hover::builder().drone(params).build().unwrap();
+    let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
+    assert!(fly_episode(&mut env, &mut pilot, None).unwrap().success);
 }
 
-/// So are its conditions.
 #[test]
-fn the_conditions_of_the_readme_are_read() {
-    let readme = include_str!("../README.md");
-    let mut blocks = readme.split("```toml").skip(1).filter_map(|rest| rest.split("```").next());
-    let text = blocks.find(|block| block.contains("[wind]")).expect("conditions");
+fn the_conditions_of_the_guide_are_valid() {
+    let text = toml_block(include_str!("../docs/conditions.md"), "[wind]");
     let conditions = mujoco_drones_gym::env::Conditions::from_toml(text).unwrap();
     let env = make("hover", EnvConfig::default().conditions(&conditions)).unwrap();
     assert_eq!(env.simulation().obstacles().len(), 15);

@@ -1,4 +1,4 @@
-//! The loop that flies episodes: bit-identical flights, and what it refuses.
+//! Rollouts: bit-identical episodes, errors, and wrappers.
 
 use mujoco_drones_gym::control::CollisionCone;
 use mujoco_drones_gym::policy::{PolicyError, PolicyNetwork};
@@ -7,8 +7,9 @@ use mujoco_drones_gym::rollout::from_fn;
 use mujoco_drones_gym::tasks::{NAMES, summary};
 use mujoco_drones_gym::wrappers::{SafetyWrapper, Wrapper};
 
-/// Sum of the rewards, control steps and last states of an episode that is flown by hand.
-fn by_hand(env: &mut dyn DroneEnv, kind: ControllerKind) -> (f64, u64, Vec<DroneState>) {
+/// Flies an episode with direct calls of the controllers. Returns the sum of rewards, the number of control steps and
+/// the final states.
+fn fly_with_direct_calls(env: &mut dyn DroneEnv, kind: ControllerKind) -> (f64, u64, Vec<DroneState>) {
     env.reset(Some(5)).unwrap();
     let drones = env.simulation().num_drones();
     let mut controllers: Vec<_> = (0..drones).map(|drone| kind.build(env.simulation().params(drone))).collect();
@@ -31,22 +32,22 @@ fn by_hand(env: &mut dyn DroneEnv, kind: ControllerKind) -> (f64, u64, Vec<Drone
 }
 
 #[test]
-fn every_task_is_flown_to_the_bits_of_controllers_that_are_called_by_hand() {
+fn a_rollout_is_bit_identical_to_direct_calls_of_the_controllers_in_every_task() {
     for name in NAMES {
         let mut env = make(name, EnvConfig::default().physics(Physics::MjcGndDragDw).episode_seconds(5.0)).unwrap();
         let kind = summary(name).unwrap().defaults.controller;
         let mut pilot = ControllerPolicy::new(kind, &env);
-        // memory of an episode before has no effect
+        // the state of the controllers after an earlier episode has no effect
         fly_episode(&mut env, &mut pilot, Some(4)).unwrap();
         let flown = fly_episode(&mut env, &mut pilot, Some(5)).unwrap();
         let states = env.simulation().states().to_vec();
-        assert_eq!((flown.reward, flown.steps, states), by_hand(&mut env, kind), "{name}");
+        assert_eq!((flown.reward, flown.steps, states), fly_with_direct_calls(&mut env, kind), "{name}");
         assert_eq!((flown.end, flown.success), (env.info().end, env.info().success), "{name}");
     }
 }
 
 #[test]
-fn velocities_behind_a_filter_are_commanded_where_actions_are_velocities() {
+fn a_controller_commands_velocities_through_the_safety_wrapper() {
     let task = Antipodal::builder().num_drones(4).action_type(ActionType::Vel).controller(ControllerKind::Geometric);
     let env = SafetyWrapper::new(task.build().unwrap(), CollisionCone::new(0.36)).unwrap();
     let pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
@@ -57,7 +58,7 @@ fn velocities_behind_a_filter_are_commanded_where_actions_are_velocities() {
 }
 
 #[test]
-fn errors_of_policies_and_of_environments_end_an_episode() {
+fn errors_of_policies_and_of_environments_end_a_rollout() {
     let mut env = MultiHover::builder().build().unwrap();
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/policies/hover.safetensors");
     let mut one = PolicyNetwork::load(path).unwrap();
@@ -72,17 +73,17 @@ fn errors_of_policies_and_of_environments_end_an_episode() {
     .unwrap();
     let error = rollout.finish(|_| {}).unwrap_err();
     assert!(matches!(error, RolloutError::Env(EnvError::Action { index: 5, .. })), "{error}");
-    // nothing has moved in the step that failed
+    // the failed step is not counted
     assert_eq!((rollout.summary().steps, rollout.is_over()), (3, false));
 }
 
-/// Shows one number less.
-struct Blind<E> {
+/// Wrapper that removes the last number of the observation.
+struct ShortObservation<E> {
     env: E,
     observation: Observation,
 }
 
-impl<E: DroneEnv> Wrapper for Blind<E> {
+impl<E: DroneEnv> Wrapper for ShortObservation<E> {
     type Inner = E;
 
     fn inner(this: &Self) -> &E {
@@ -106,9 +107,9 @@ impl<E: DroneEnv> Wrapper for Blind<E> {
 }
 
 #[test]
-fn a_wrapper_overrides_what_it_changes_and_forwards_the_rest() {
+fn a_wrapper_overrides_some_methods_and_forwards_the_others() {
     let plain = make("hover", EnvConfig::default()).unwrap();
-    let mut wrapped = Blind { observation: plain.observation().clone(), env: plain };
+    let mut wrapped = ShortObservation { observation: plain.observation().clone(), env: plain };
     let mut pilot = ControllerPolicy::new(ControllerKind::Pid, &wrapped);
     let flown = fly_episode(&mut wrapped, &mut pilot, Some(1)).unwrap();
     assert_eq!((wrapped.observation().vector.len(), wrapped.env.observation().vector.len()), (11, 12));

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 
 #[test]
-fn drones_that_do_not_meet_fly_as_they_would_alone() {
+fn separate_drones_fly_as_in_separate_simulations() {
     let airframes = [DroneModel::Cf2x, DroneModel::Race, DroneModel::Cf2p];
     let start = |i: usize| {
         let i = i as f64;
@@ -40,7 +40,7 @@ fn drones_that_do_not_meet_fly_as_they_would_alone() {
             for (i, simulation) in alone.iter_mut().enumerate() {
                 simulation.step(&[command(airframes[i], k)]).unwrap();
                 let offset = together.states()[i].position - simulation.states()[0].position;
-                assert!(offset.norm() < 1e-12, "drone {i} is off by {} m after {k} steps", offset.norm());
+                assert!(offset.norm() < 1e-12, "position error of drone {i} is {} m after {k} steps", offset.norm());
                 assert!(together.states()[i].attitude.angle_to(&simulation.states()[0].attitude) < 1e-7);
             }
         }
@@ -48,7 +48,7 @@ fn drones_that_do_not_meet_fly_as_they_would_alone() {
 }
 
 #[test]
-fn a_free_fall_is_the_closed_form_of_any_start() {
+fn free_fall_matches_its_closed_form() {
     let mut simulation = Simulation::builder(DroneModel::Race).sim_freq(500).ctrl_freq(50).build().unwrap();
     let start = DroneState {
         velocity: Vector3::new(1.0, -2.0, 3.0),
@@ -64,8 +64,8 @@ fn a_free_fall_is_the_closed_form_of_any_start() {
 }
 
 #[test]
-fn drones_report_what_they_touch_once_per_step() {
-    // one on top of another, and a third that stays clear
+fn each_contact_is_reported_once_per_step() {
+    // drone 1 lands on drone 0; drone 2 stays clear of both
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .num_drones(3)
         .initial_positions([[0.0, 0.0, 0.02], [0.0, 0.0, 0.06], [1.0, 0.0, 5.0]])
@@ -78,7 +78,7 @@ fn drones_report_what_they_touch_once_per_step() {
         now.sort();
         let length = now.len();
         now.dedup();
-        assert_eq!(now.len(), length, "reported twice");
+        assert_eq!(now.len(), length, "a contact is reported twice");
         seen = now;
     }
     let contact = |drone, with| Contact { drone, with };
@@ -89,7 +89,7 @@ fn drones_report_what_they_touch_once_per_step() {
 }
 
 #[test]
-fn a_hundred_drones_rest_on_the_floor_without_losing_a_contact() {
+fn a_hundred_drones_on_the_floor_keep_all_their_contacts() {
     use mujoco_drones_gym::mujoco::WarningKind;
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .num_drones(100)
@@ -106,7 +106,7 @@ fn a_hundred_drones_rest_on_the_floor_without_losing_a_contact() {
 }
 
 #[test]
-fn impossible_numbers_of_drones_are_errors() {
+fn invalid_numbers_of_drones_are_errors() {
     for count in [0, 257, usize::MAX] {
         let text = Simulation::builder(DroneModel::Cf2x).num_drones(count).build().unwrap_err().to_string();
         assert!(text.contains("expected 1 to 256"), "{text}");
@@ -114,7 +114,7 @@ fn impossible_numbers_of_drones_are_errors() {
 }
 
 #[test]
-fn bad_commands_are_errors_that_name_drone_motor_and_time() {
+fn invalid_commands_are_errors_with_drone_motor_and_time() {
     let mut simulation = Simulation::builder(DroneModel::Cf2x).num_drones(2).build().unwrap();
     simulation.step(&[[14_000.0; 4]; 2]).unwrap();
     let before = simulation.states().to_vec();
@@ -130,16 +130,17 @@ fn bad_commands_are_errors_that_name_drone_motor_and_time() {
 }
 
 #[test]
-fn a_simulation_that_diverges_says_which_drone_and_when_and_keeps_the_last_state() {
+fn divergence_is_an_error_with_drone_and_time_and_keeps_the_last_state() {
     let mut simulation = Simulation::builder(DroneModel::Cf2x).num_drones(2).build().unwrap();
     let fast = DroneState { velocity: Vector3::new(9.9e9, 0.0, 0.0), ..simulation.states()[1] };
     let calm = simulation.states()[0];
     simulation.reset_to(&[calm, DroneState { position: Vector3::new(9.9e9, 0.0, 5.0), ..fast }]).unwrap();
-    let error = (0..48).find_map(|_| simulation.step(&[[0.0; 4]; 2]).err()).expect("it leaves the range of numbers");
+    let error =
+        (0..48).find_map(|_| simulation.step(&[[0.0; 4]; 2]).err()).expect("the position leaves its valid range");
     assert!(matches!(error, SimulationError::Diverged { drone: 1, quantity: "position", .. }), "{error}");
     let last = simulation.states()[1].position.x;
-    assert!(last > 9.9e9 && last < 1e10, "the last good state can be read: {last}");
-    assert_eq!(simulation.step(&[[0.0; 4]; 2]).unwrap_err(), error, "until it is reset");
+    assert!(last > 9.9e9 && last < 1e10, "the last valid state is kept: {last}");
+    assert_eq!(simulation.step(&[[0.0; 4]; 2]).unwrap_err(), error, "the error persists until a reset");
     simulation.reset().unwrap();
     simulation.step(&[[0.0; 4]; 2]).unwrap();
     assert!(simulation.states()[0].position.z > 0.05);
@@ -148,9 +149,11 @@ fn a_simulation_that_diverges_says_which_drone_and_when_and_keeps_the_last_state
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
-    /// Whatever the commands, a flight stays finite and the quaternion of length one.
+    /// Any motor commands leave a finite state and a unit quaternion.
     #[test]
-    fn any_commands_leave_a_finite_state(commands in prop::collection::vec(prop::array::uniform4(-1e9..1e9), 1..60)) {
+    fn states_stay_finite_under_any_commands(
+        commands in prop::collection::vec(prop::array::uniform4(-1e9..1e9), 1..60),
+    ) {
         let mut simulation = Simulation::builder(DroneModel::Race).build().unwrap();
         for command in commands {
             simulation.step(&[command]).unwrap();
@@ -161,9 +164,9 @@ proptest! {
     }
 }
 
-/// More drones in one place than there can be contacts for: the step says so, and every step after it, until a reset.
+/// Every step with more contacts than the capacity of the scene fails, and so does every later step until a reset.
 #[test]
-fn contacts_beyond_the_buffer_are_an_error_of_the_step() {
+fn contacts_beyond_the_capacity_are_an_error_of_the_step() {
     let heap = |count: usize| {
         let place = move |i: usize| [1e-3 * i as f64, 0.0, 1.0];
         Simulation::builder(DroneModel::Cf2x)
@@ -174,7 +177,7 @@ fn contacts_beyond_the_buffer_are_an_error_of_the_step() {
     };
     let mut few = heap(8);
     few.step(&[[0.0; 4]; 8]).unwrap();
-    assert_eq!(few.contacts().len(), 8 * 7, "each pair, from both sides");
+    assert_eq!(few.contacts().len(), 8 * 7, "both drones of each pair report the contact");
     let mut many = heap(40);
     let error = many.step(&[[0.0; 4]; 40]).unwrap_err();
     assert!(error.to_string().contains("more than 320 contacts, the capacity of the scene"), "{error}");

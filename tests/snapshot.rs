@@ -1,5 +1,8 @@
-//! Snapshots: what follows a restore is bit-identical to what followed the snapshot, whatever the environment is made of.
+//! Snapshots: the flight after a restore is bit-identical to the flight after the snapshot, in every environment.
 
+mod common;
+
+use common::{step_simulation, step_to_end};
 use mujoco_drones_gym::action::ActionLimits;
 use mujoco_drones_gym::control::CollisionCone;
 use mujoco_drones_gym::env::{EnvSnapshot, Randomization};
@@ -16,7 +19,8 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-/// Everything that a step of an environment says, as bits.
+/// Steps an environment with a random action, or resets it after the end of an episode, and appends the bits of all
+/// outputs.
 fn step(env: &mut dyn DroneEnv, rng: &mut Rng, out: &mut Vec<u64>) {
     let action: Vec<f64> = (0..env.action_space().size()).map(|_| 0.6 * rng.random::<f64>() - 0.28).collect();
     if env.info().end.is_some() {
@@ -41,23 +45,28 @@ fn step(env: &mut dyn DroneEnv, rng: &mut Rng, out: &mut Vec<u64>) {
     out.extend(env.simulation().obstacles().iter().map(|obstacle| obstacle.position.x.to_bits()));
 }
 
+/// Steps an environment with random actions from a seed and returns the bits of all outputs.
 fn flight(env: &mut dyn DroneEnv, seed: u64, steps: usize) -> Vec<u64> {
     let (mut rng, mut out) = (Rng::seed_from_u64(seed), Vec::new());
     (0..steps).for_each(|_| step(env, &mut rng, &mut out));
     out
 }
 
-/// The same snapshot, written to JSON and read from it.
+/// Writes a snapshot to JSON and reads it back.
 fn written_and_read<V: Serialize + DeserializeOwned>(snapshot: &V) -> V {
     let text = serde_json::to_string(snapshot).unwrap();
     let read: V = serde_json::from_str(&text).unwrap();
-    assert_eq!(serde_json::to_string(&read).unwrap(), text, "written again");
+    assert_eq!(
+        serde_json::to_string(&read).unwrap(),
+        text,
+        "the snapshot changed when it was written to JSON and read"
+    );
     read
 }
 
-/// Flies to a snapshot and on, and again from the snapshot in the same environment and in another one, also from a snapshot that
-/// was written and read.
-fn check(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
+/// Asserts that a flight from a snapshot is repeated bit-identically from the snapshot in the same environment, in
+/// another one, and in a third one from its JSON text.
+fn assert_repeats(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
     let (mut env, mut other, mut third) = (build(), build(), build());
     for (seed, before) in [(1, 0), (2, 7), (3, 40)] {
         env.reset(Some(seed)).unwrap();
@@ -65,7 +74,7 @@ fn check(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
         let snapshot: EnvSnapshot = env.snapshot();
         let (seen, info) = (env.observation().clone(), env.info());
         let wanted = flight(&mut *env, 100 + seed, 90);
-        // what happens in between does not matter
+        // the other environment is in another episode before the restore
         other.reset(Some(9)).unwrap();
         flight(&mut *other, 5, 13);
         let read = written_and_read(&snapshot);
@@ -78,7 +87,7 @@ fn check(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
     }
 }
 
-/// Conditions of flights, each with its name.
+/// Returns conditions of flights with their names.
 fn conditions() -> Vec<(&'static str, EnvConfig)> {
     let config = EnvConfig::default;
     let forest = ObstacleConfig { new_layout: true, ..ObstacleConfig::new(ObstacleKind::Forest) };
@@ -96,29 +105,29 @@ fn conditions() -> Vec<(&'static str, EnvConfig)> {
 }
 
 #[test]
-fn every_task_goes_on_from_a_snapshot_bit_identically() {
+fn every_task_continues_bit_identically_from_a_snapshot() {
     for name in NAMES {
         for (condition, config) in conditions() {
             let explicit = condition == "explicit";
             let engines = if explicit { &[EngineKind::Explicit][..] } else { &EngineKind::WITH_CONTACTS[..] };
             for &engine in engines {
                 let config = config.clone().engine(engine).episode_seconds(1.5);
-                check(&format!("{name}, {condition}, {engine}"), &|| make(name, config.clone()).unwrap());
+                assert_repeats(&format!("{name}, {condition}, {engine}"), &|| make(name, config.clone()).unwrap());
             }
         }
     }
 }
 
 #[test]
-fn controllers_and_wrappers_go_on_from_a_snapshot_bit_identically() {
+fn controllers_and_wrappers_continue_bit_identically_from_a_snapshot() {
     for action_type in [ActionType::Vel, ActionType::Pid, ActionType::Attitude] {
         for controller in [ControllerKind::Pid, ControllerKind::Dsl, ControllerKind::Geometric] {
             let config = EnvConfig::default().action_type(action_type).controller(controller).episode_seconds(1.5);
             let config = config.randomization(Randomization::default());
-            check(&format!("{action_type} {controller}"), &|| make("multi_hover", config.clone()).unwrap());
+            assert_repeats(&format!("{action_type} {controller}"), &|| make("multi_hover", config.clone()).unwrap());
         }
     }
-    check("safety in a curriculum", &|| {
+    assert_repeats("safety in a curriculum", &|| {
         let env = Antipodal::builder().num_drones(3).action_type(ActionType::Vel).episode_seconds(1.0).build().unwrap();
         let env = SafetyWrapper::new(env, CollisionCone::new(0.4)).unwrap();
         let config = CurriculumConfig { window: 2, ..CurriculumConfig::default() };
@@ -126,9 +135,9 @@ fn controllers_and_wrappers_go_on_from_a_snapshot_bit_identically() {
     });
 }
 
-/// Between two snapshots of one flight, in any order and any number of times.
+/// Two snapshots of one flight can be restored in any order and any number of times.
 #[test]
-fn branches_of_a_flight_do_not_touch_each_other() {
+fn branches_of_a_flight_are_independent() {
     let mut env = make("race", EnvConfig::default().num_drones(2).engine(EngineKind::Hybrid)).unwrap();
     env.reset(Some(4)).unwrap();
     flight(&mut *env, 1, 5);
@@ -145,13 +154,13 @@ fn branches_of_a_flight_do_not_touch_each_other() {
 }
 
 #[test]
-fn a_simulation_goes_on_from_its_data_and_refuses_that_of_another() {
+fn a_simulation_continues_from_its_data_and_refuses_the_data_of_another_scene() {
     let build = |drones| {
         let builder = Simulation::builder(DroneModel::Cf2x).num_drones(drones).physics(Physics::MjcGndDragDw);
         builder.wind(WindConfig::new(WindModel::Dryden)).build().unwrap()
     };
     let mut simulation = build(3);
-    // on the floor, where MuJoCo's solver has a warm start
+    // the drones touch the floor, so that the warm start of MuJoCo's solver matters
     let fly = |simulation: &mut Simulation, from: u32| {
         for step in from..from + 50 {
             let rpm = 13_500.0 + 1_500.0 * f64::from(step).sin();
@@ -166,17 +175,16 @@ fn a_simulation_goes_on_from_its_data_and_refuses_that_of_another() {
         simulation.restore(data).unwrap();
         assert_eq!(fly(&mut simulation, 50), wanted);
     }
-    // read while its state is in the engine: no workspace takes it for its own
+    // data that was read from JSON is loaded even if the engine holds the same state
     let read = written_and_read(&simulation.snapshot());
     let on = fly(&mut simulation, 3);
     simulation.restore(&read).unwrap();
     assert_eq!(fly(&mut simulation, 3), on);
-    // obstacles of another shape
     let among = |shape| {
         let obstacle = Obstacle::new(shape, Vector3::new(3.0, 0.0, 1.0));
         Simulation::builder(DroneModel::Cf2x).obstacles([obstacle]).build().unwrap()
     };
-    // that have moved: others are the model's
+    // moved obstacles belong to the data, their shapes to the model
     let mut ball = among(Shape::Sphere { radius: 0.2 });
     ball.set_obstacles(&[Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(2.0, 0.0, 1.0))]).unwrap();
     let ball = ball.snapshot();
@@ -184,12 +192,15 @@ fn a_simulation_goes_on_from_its_data_and_refuses_that_of_another() {
     assert!(error.contains("another shape"), "{error}");
     let mut two = build(2);
     let states = two.states().to_vec();
-    assert!(two.restore(&data).unwrap_err().to_string().contains("the snapshot has 3 entries"), "two drones");
+    assert!(
+        two.restore(&data).unwrap_err().to_string().contains("the snapshot has 3 entries"),
+        "a simulation with two drones"
+    );
     assert_eq!(two.states(), states);
 }
 
 #[test]
-fn a_snapshot_of_another_environment_is_refused() {
+fn a_snapshot_of_another_kind_of_environment_is_refused() {
     let snapshot = |name: &str| {
         let mut env = make(name, EnvConfig::default()).unwrap();
         env.reset(Some(1)).unwrap();
@@ -200,8 +211,8 @@ fn a_snapshot_of_another_environment_is_refused() {
     let before = flight(&mut *make_reset("hover"), 3, 10);
     let error = hover.restore(&snapshot("race")).unwrap_err().to_string();
     assert!(error.contains("another kind of environment"), "{error}");
-    assert!(flight(&mut *hover, 3, 10) == before, "and nothing has changed");
-    // of the same task with other actions, or with other observations
+    assert!(flight(&mut *hover, 3, 10) == before, "a failed restore changes nothing");
+    // the same task with another action type or observation type
     for config in [
         EnvConfig::default().action_type(ActionType::Vel),
         EnvConfig::default().observation_type(ObservationType::KIN_RANGES),
@@ -212,8 +223,8 @@ fn a_snapshot_of_another_environment_is_refused() {
     }
     let mut multi = make("multi_hover", EnvConfig::default().num_drones(3)).unwrap();
     multi.reset(Some(1)).unwrap();
-    assert!(multi.restore(&snapshot("multi_hover")).is_err(), "two drones for three");
-    // velocities that another controller flies, or with other limits
+    assert!(multi.restore(&snapshot("multi_hover")).is_err(), "a snapshot with two drones for three drones");
+    // the same action type with another inner controller or other limits
     let velocities = EnvConfig::default().action_type(ActionType::Vel);
     let mut pid = make("hover", velocities.clone()).unwrap();
     pid.reset(Some(1)).unwrap();
@@ -223,7 +234,7 @@ fn a_snapshot_of_another_environment_is_refused() {
         other.reset(Some(1)).unwrap();
         assert!(pid.restore(&other.snapshot()).unwrap_err().to_string().contains("another kind of environment"));
     }
-    // a level that the curriculum does not have
+    // the snapshot has a level that the curriculum does not have
     let curriculum = |levels| {
         let config = CurriculumConfig { levels, window: 1, ..CurriculumConfig::default() };
         let hover = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(0.1).build().unwrap();
@@ -233,16 +244,14 @@ fn a_snapshot_of_another_environment_is_refused() {
     three.reset(Some(1)).unwrap();
     for _ in 0..5 {
         five.reset(Some(1)).unwrap();
-        while five.info().end.is_none() {
-            five.step(&[0.0; 4]).unwrap();
-        }
+        step_to_end(&mut five, &[0.0; 4]);
     }
     assert_eq!(five.state().level, 4);
     let error = Env::restore(&mut three, &five.snapshot()).unwrap_err().to_string();
     assert!(error.contains("level 4 of 5") && three.state().level == 0, "{error}");
 }
 
-/// A planner samples futures in threads, all from one snapshot.
+/// A planner samples flights from one snapshot on several threads.
 #[test]
 fn threads_share_a_snapshot_and_a_clone_outlives_it() {
     let mut env = make_reset("race");
@@ -264,7 +273,7 @@ fn threads_share_a_snapshot_and_a_clone_outlives_it() {
     assert!(futures.iter().all(|future| *future == own));
 }
 
-/// Sizes are equal, numbers of the model are not.
+/// Models with equal sizes and different parameters have different fingerprints.
 #[test]
 fn a_snapshot_of_another_model_is_refused() {
     let params = DroneModel::Cf2x.params();
@@ -294,7 +303,7 @@ fn a_snapshot_of_another_model_is_refused() {
         assert_eq!(stepped, Err(SimulationError::Model), "{what}");
     }
     assert_eq!(simulation.states(), before);
-    // equal configurations, built separately; wind and changed airframes are data
+    // equal configurations have equal fingerprints; wind and changed airframes belong to the data
     let mut other = builder().wind(WindConfig::new(WindModel::Dryden)).build().unwrap();
     other.set_airframe(0, DroneParams { mass: 0.03, ..params }).unwrap();
     simulation.restore(&written_and_read(&other.snapshot())).unwrap();
@@ -305,9 +314,9 @@ fn a_snapshot_of_another_model_is_refused() {
     assert_eq!(simulation.states(), other.states());
 }
 
-/// A flight that has failed stays so, with the numbers that made it fail.
+/// A failed simulation stays failed, with the same error, after its data was written and read.
 #[test]
-fn a_failed_simulation_is_written_and_read() {
+fn a_failed_simulation_keeps_its_error_through_json() {
     let mut params = DroneModel::Cf2x.params();
     params.thrust_coefficient = 1e3;
     params.thrust_to_weight = 1e3;
@@ -322,7 +331,7 @@ fn a_failed_simulation_is_written_and_read() {
     other.step(&[[0.0; 4]]).unwrap();
 }
 
-/// Calls `change` with every value in a JSON value, one after the other.
+/// Calls `try_out` with copies of a JSON value; each copy has one change at one place.
 fn every_change(value: &Value, changes: &[fn(&Value) -> Option<Value>], try_out: &mut dyn FnMut(Value)) {
     fn places(value: &Value, path: String, out: &mut Vec<String>) {
         match value {
@@ -348,9 +357,9 @@ fn every_change(value: &Value, changes: &[fn(&Value) -> Option<Value>], try_out:
     }
 }
 
-/// Data with any one value changed is read and flown, or refused; no change is a panic.
+/// Data with one changed value is flown or refused; no change leads to a panic.
 #[test]
-fn changed_data_is_refused_or_flown() {
+fn changed_data_is_refused_or_flown_without_a_panic() {
     let motors = ActuatorParams { lag: 0.03, latency: 0.02, ..ActuatorParams::default() };
     let ball = |x| Obstacle::new(Shape::Sphere { radius: 0.2 }, Vector3::new(x, 0.0, 1.0));
     let builder = Simulation::builder(DroneModel::Cf2x).num_drones(2).physics(Physics::MjcGndDragDw).actuators(motors);
@@ -358,9 +367,7 @@ fn changed_data_is_refused_or_flown() {
     let mut simulation = builder.build().unwrap();
     simulation.remember(0.01);
     simulation.set_obstacles(&[ball(2.0)]).unwrap();
-    for _ in 0..30 {
-        simulation.step(&[[9_000.0; 4]; 2]).unwrap();
-    }
+    step_simulation(&mut simulation, &[[9_000.0; 4]; 2], 30);
     let value = serde_json::to_value(simulation.snapshot()).unwrap();
     let changes: [fn(&Value) -> Option<Value>; 8] = [
         |_| Some(Value::Null),
@@ -378,7 +385,7 @@ fn changed_data_is_refused_or_flown() {
         match read.and_then(|data| simulation.restore(&data).map_err(|error| error.to_string())) {
             Ok(()) => {
                 flown += 1;
-                // may diverge
+                // the flight may diverge
                 let _ = (0..3).try_for_each(|_| simulation.step(&[[14_000.0; 4]; 2]));
             }
             Err(error) => {
@@ -390,7 +397,7 @@ fn changed_data_is_refused_or_flown() {
     assert!(refused > 400 && flown > 100, "{refused} {flown}");
 }
 
-/// The task of an environment trusts its own numbers.
+/// The checksum of a snapshot covers the state of the task, which the task does not check itself.
 #[test]
 fn a_changed_snapshot_of_an_environment_is_refused() {
     let config = EnvConfig::default().randomization(Randomization::default());
@@ -404,7 +411,7 @@ fn a_changed_snapshot_of_an_environment_is_refused() {
     });
     let snapshot: EnvSnapshot = serde_json::from_value(value).unwrap();
     env.restore(&snapshot).unwrap();
-    // of another task, of another number of drones, of another airframe
+    // another task, number of drones or airframe
     let race = |config: EnvConfig| make("race", config).unwrap();
     let heavy = DroneParams { mass: 0.26, ..DroneModel::Race.params() };
     for (mut other, expected) in [
@@ -418,7 +425,7 @@ fn a_changed_snapshot_of_an_environment_is_refused() {
     }
 }
 
-/// A task without `save`.
+/// Hover without `Task::save`.
 #[derive(Debug, Clone)]
 struct Unsaved(Hover);
 
@@ -469,7 +476,7 @@ impl Task for Unsaved {
 }
 
 #[test]
-fn a_task_that_cannot_be_saved_is_named() {
+fn a_task_without_save_is_named_in_the_error() {
     let mut env = AviaryBuilder::new(Unsaved(Hover::default())).build().unwrap();
     env.reset(Some(1)).unwrap();
     let snapshot = env.snapshot();
@@ -478,6 +485,7 @@ fn a_task_that_cannot_be_saved_is_named() {
     assert!(error.contains("`unsaved` cannot be saved") && error.contains("Task::save"), "{error}");
 }
 
+/// Creates an environment by name and resets it.
 fn make_reset(name: &str) -> Box<dyn DroneEnv + Send> {
     let mut env = make(name, EnvConfig::default()).unwrap();
     env.reset(Some(1)).unwrap();

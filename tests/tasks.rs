@@ -1,5 +1,8 @@
-//! The tasks: the paper's table and rewards, their ends, the flights of controllers through them, and their options.
+//! Tasks: the paper's table, rewards, ends of episodes, flights of controllers, and options.
 
+mod common;
+
+use common::step_env;
 use mujoco_drones_gym::control::trajectory::Trajectory;
 use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
 use mujoco_drones_gym::prelude::*;
@@ -9,14 +12,14 @@ use mujoco_drones_gym::wrappers::SafetyWrapper;
 use mujoco_drones_gym::{Rng, SeedableRng};
 use nalgebra::Vector3;
 
-/// Flies a task to its end with a controller, and gives its reward.
+/// Flies an episode with a controller and returns the sum of rewards.
 fn fly(env: &mut dyn DroneEnv, kind: ControllerKind, seed: u64) -> f64 {
     let mut pilot = ControllerPolicy::new(kind, env);
     fly_episode(env, &mut pilot, Some(seed)).unwrap().reward
 }
 
 #[test]
-fn the_table_is_the_papers() {
+fn drones_times_and_sizes_are_those_of_the_papers_table() {
     let table: Vec<_> = tasks::all()
         .iter()
         .map(|task| {
@@ -49,11 +52,11 @@ fn the_table_is_the_papers() {
 }
 
 #[test]
-fn every_task_is_flown_to_success_by_a_controller() {
+fn controllers_complete_every_task() {
     for name in tasks::NAMES {
         let summary = tasks::summary(name).unwrap();
         for model in DroneModel::ALL {
-            // the circle of twelve is flown behind a filter
+            // a test below flies antipodal behind the safety filter
             if name == "antipodal" {
                 continue;
             }
@@ -92,9 +95,9 @@ fn every_task_is_flown_to_success_by_a_controller() {
     }
 }
 
-/// Twelve swap places and nobody comes near another, in still air and in the others' wakes.
+/// Twelve drones swap places and stay more than 0.3 m apart, with and without downwash.
 #[test]
-fn twelve_drones_swap_places_behind_the_filter_with_and_without_downwash() {
+fn twelve_drones_swap_places_behind_the_safety_filter_with_and_without_downwash() {
     for physics in [Physics::Mjc, Physics::MjcDw] {
         let env = Antipodal::builder()
             .physics(physics)
@@ -113,8 +116,8 @@ fn twelve_drones_swap_places_behind_the_filter_with_and_without_downwash() {
     assert!(SafetyWrapper::new(rpm, CollisionCone::new(0.3)).unwrap_err().to_string().contains("expected vel"));
 }
 
-/// A simulation of so many drones that started where the task says and is now in these states.
-fn at(task: &dyn Task, states: &[DroneState]) -> Simulation {
+/// Creates a simulation with the initial positions of a task and these current states.
+fn simulation_at(task: &dyn Task, states: &[DroneState]) -> Simulation {
     let params = vec![DroneModel::Cf2x.params(); states.len()];
     let mut simulation = Simulation::builder(DroneModel::Cf2x)
         .num_drones(states.len())
@@ -125,10 +128,10 @@ fn at(task: &dyn Task, states: &[DroneState]) -> Simulation {
     simulation
 }
 
-/// Reward of all drones together when these states follow on these.
+/// Returns the sum of the rewards of all drones in a step from `before` to `after`.
 fn reward(task: &mut dyn Task, before: &[DroneState], after: &[DroneState], end: Option<EndReason>) -> f64 {
-    task.reset(at(task, before).view(), &mut Rng::seed_from_u64(1));
-    let simulation = at(task, after);
+    task.reset(simulation_at(task, before).view(), &mut Rng::seed_from_u64(1));
+    let simulation = simulation_at(task, after);
     task.update(simulation.view());
     (0..after.len()).map(|drone| task.reward(simulation.view(), drone, end)).sum()
 }
@@ -142,13 +145,14 @@ fn state(position: [f64; 3], rpy: [f64; 3], velocity: [f64; 3], rates: [f64; 3])
     }
 }
 
+/// Returns a level state at rest.
 fn still(position: [f64; 3]) -> DroneState {
     state(position, [0.0; 3], [0.0; 3], [0.0; 3])
 }
 
 #[test]
-fn rewards_are_the_papers_computed_by_hand() {
-    let close = |got: f64, expected: f64| assert!((got - expected).abs() < 1e-9, "{got}, by hand {expected}");
+fn rewards_match_the_papers_formulas() {
+    let close = |got: f64, expected: f64| assert!((got - expected).abs() < 1e-9, "{got}, expected {expected}");
     let crash = Some(EndReason::FloorContact);
 
     // |z − 1| = 0.5, ‖(3, 4)‖ = 5, ‖v‖ = 2, |φ| + |θ| = 0.3
@@ -160,7 +164,7 @@ fn rewards_are_the_papers_computed_by_hand() {
     close(reward(&mut hover, &[still([0.0; 3])], &[still([0.0, 0.06, 1.0])], None), -0.006);
     close(reward(&mut hover, &[leaning], &[still([0.0, 0.0, 3.5])], Some(EndReason::OutOfBounds)), -2.5);
 
-    // a target of zero: ‖v‖ = 2 (and 0.04), ω_z = 1
+    // target velocity zero: ‖v‖ = 2, then 0.04; ω_z = 1, then −0.2
     let mut velocity = Velocity::default();
     (velocity.max_speed, velocity.max_yaw_rate) = (0.0, 0.0);
     close(reward(&mut velocity, &[leaning], &[leaning], None), -2.0 - 0.1 - 0.015);
@@ -168,7 +172,7 @@ fn rewards_are_the_papers_computed_by_hand() {
     let slow = state([0.0, 0.0, 6.0], [0.0, 0.3, 0.0], [0.04, 0.0, 0.0], [0.0, 0.0, -0.2]);
     close(reward(&mut velocity, &[slow], &[slow], None), -0.04 - 0.02 - 0.015 + 0.5);
 
-    // ‖v‖ = 2, ‖ω‖ = √3; all but at rest; at rest
+    // ‖v‖ = 2, ‖ω‖ = √3; then ‖v‖ just above its bound for rest; then below it
     let mut stabilize = Stabilize::default();
     close(reward(&mut stabilize, &[leaning], &[leaning], None), -2.0 - 0.1 * 3.0_f64.sqrt() - 0.015);
     close(reward(&mut stabilize, &[leaning], &[slow], None), -0.04 - 0.02 - 0.015);
@@ -178,7 +182,7 @@ fn rewards_are_the_papers_computed_by_hand() {
     close(reward(&mut stabilize, &[leaning], &[resting], None), -0.05 - 0.006 - 0.01);
     close(reward(&mut stabilize, &[leaning], &[almost], None), -0.0018_f64.sqrt() - 0.006 - 0.01 + 0.5);
 
-    // a reference that stands at (0.5, 0, 1) m
+    // constant reference at (0.5, 0, 1) m
     let mut track = Track::default();
     track.speed = 0.0;
     close(reward(&mut track, &[leaning], &[leaning], None), -22.5_f64.sqrt() - 0.2 - 0.015);
@@ -186,7 +190,7 @@ fn rewards_are_the_papers_computed_by_hand() {
     close(reward(&mut track, &[leaning], &[still([0.5, 0.03, 0.96])], None), -0.05);
     close(reward(&mut track, &[leaning], &[still([0.5, 0.03, 0.98])], None), -0.0013_f64.sqrt() + 0.5);
 
-    // drone 0 at its 0.7 m; drone 1 (start x = 1 m, target 1.2 m) 0.3 m to the side and 0.2 m low, at 1 m/s
+    // drone 0 at its target of 0.7 m; drone 1 (start x = 1 m, target 1.2 m) 0.3 m to the side and 0.2 m low, at 1 m/s
     let mut multi = MultiHover::default();
     let pair = [still([0.0, 0.0, 0.7]), state([1.0, 0.3, 1.0], [0.0; 3], [1.0, 0.0, 0.0], [0.0; 3])];
     close(reward(&mut multi, &pair, &pair, None), 0.5 - 0.2 - 0.03 - 0.05);
@@ -194,21 +198,21 @@ fn rewards_are_the_papers_computed_by_hand() {
     let both = [still([0.0, 0.0, 0.7]), still([1.0, 0.0, 1.2])];
     close(reward(&mut multi, &both, &both, None), 1.0);
 
-    // first waypoint (0, 0, 1): 0.5 m away; then captured at 0.08 m, turning at 3 rad/s
+    // first waypoint (0, 0, 1) at a distance of 0.5 m; then captured at 0.08 m with 3 rad/s
     let mut through = FlyThrough::default();
     let turning = state([0.0, 0.08, 1.0], [0.0; 3], [0.0; 3], [0.0, 3.0, 0.0]);
     close(reward(&mut through, &[still([0.0, 0.0, 0.1])], &[still([0.0, 0.0, 0.5])], None), -0.05);
     close(reward(&mut through, &[still([0.0, 0.0, 0.5])], &[turning], None), 10.0 - 0.008 - 0.03);
     close(reward(&mut through, &[turning], &[still([0.0, 0.0, 1.4])], crash), 10.0 - 0.04 - 100.0);
 
-    // gate (1, 0, 1) 2 m ahead at 3 m/s; then passed with 4 m/s at 0.1 m
+    // gate (1, 0, 1) 2 m ahead at 3 m/s; then passed at 4 m/s, 0.1 m from its centre
     let mut race = Race::default();
     let fast = |x: f64, v: f64| state([x, 0.0, 1.0], [0.0; 3], [v, 0.0, 0.0], [0.0; 3]);
     close(reward(&mut race, &[fast(-1.1, 3.0)], &[fast(-1.0, 3.0)], None), 6.0 - 0.1);
     close(reward(&mut race, &[fast(0.7, 4.0)], &[fast(0.9, 4.0)], None), 20.0 + 8.0 - 0.005);
     close(reward(&mut race, &[fast(0.0, 4.0)], &[fast(2.0, 0.0)], crash), 20.0 - 0.05 - 100.0);
 
-    // three drones on their circle; then all of them 0.1 m too high; then one of them 0.3 m out along its radius
+    // three drones at their places; then all 0.1 m too high; then one 0.3 m too far out along its radius
     let mut formation = Formation::default();
     let place = |drone: f64, out: f64, up: f64| {
         let (sin, cos) = (std::f64::consts::TAU * drone / 3.0).sin_cos();
@@ -218,13 +222,13 @@ fn rewards_are_the_papers_computed_by_hand() {
     close(reward(&mut formation, &kept, &kept, None), 0.0);
     let high = [place(0.0, 0.0, 0.1), place(1.0, 0.0, 0.1), place(2.0, 0.0, 0.1)];
     close(reward(&mut formation, &kept, &high, None), -0.3);
-    // the two distances to it: √(0.6² + 0.3² + 0.6·0.3) where they should be 0.3·√3
+    // its two distances are √(0.6² + 0.3² + 0.6·0.3) instead of 0.3·√3
     let out = [place(0.0, 0.3, 0.0), place(1.0, 0.0, 0.0), place(2.0, 0.0, 0.0)];
     let longer = 0.63_f64.sqrt() - 0.3 * 3.0_f64.sqrt();
     close(reward(&mut formation, &kept, &out, None), -0.3 - 0.5 * 2.0 * longer);
     close(reward(&mut formation, &kept, &kept, crash), -300.0);
 
-    // 4 m from the goal; at the goal beside another one
+    // 4 m from the goals; then drone 0 at its goal with drone 1 at a distance of 0.2 m
     let mut antipodal = Antipodal::default();
     antipodal.stagger = 0.0;
     let apart = [still([2.0, 0.0, 1.0]), still([-2.0, 0.0, 1.0])];
@@ -236,17 +240,15 @@ fn rewards_are_the_papers_computed_by_hand() {
 }
 
 #[test]
-fn a_crash_costs_a_hundred_in_every_task_and_ends_it() {
+fn a_crash_costs_100_and_ends_the_episode_in_every_task() {
     for name in tasks::NAMES {
         let mut env = make(name, EnvConfig::default()).unwrap();
         env.reset(Some(1)).unwrap();
         let drones = env.simulation().num_drones();
         let rest = vec![0.0; 4 * drones];
         let mut last = env.step(&vec![1.0; 4 * drones]).unwrap().reward;
-        for _ in 0..12 {
-            env.step(&vec![1.0; 4 * drones]).unwrap();
-        }
-        // one motor stands still: over it goes
+        step_env(&mut *env, &vec![1.0; 4 * drones], 12);
+        // drone 0 turns over because one of its motors stops
         let mut action = rest.clone();
         action[0] = -1.0;
         loop {
@@ -261,12 +263,12 @@ fn a_crash_costs_a_hundred_in_every_task_and_ends_it() {
         }
         assert!(env.info().crashed() && !env.info().success, "{name}: {:?}", env.info());
         assert!(env.drone_end(0).is_some_and(EndReason::is_crash));
-        assert!((1..drones).all(|drone| env.drone_end(drone).is_none()), "{name}: the others are well");
+        assert!((1..drones).all(|drone| env.drone_end(drone).is_none()), "{name}: another drone has ended");
     }
 }
 
 #[test]
-fn a_captured_waypoint_is_seen_as_such_at_once_by_the_drone_that_captured_it() {
+fn the_observation_after_a_capture_has_the_next_waypoint_of_that_drone() {
     let mut env = FlyThrough::builder()
         .num_drones(2)
         .initial_positions([[0.0, 0.0, 0.85], [0.0, -0.5, 0.85]])
@@ -276,7 +278,7 @@ fn a_captured_waypoint_is_seen_as_such_at_once_by_the_drone_that_captured_it() {
         .unwrap();
     let first = env.reset(Some(1)).unwrap().vector.clone();
     assert_eq!(first[12..15], [0.0, 0.0, 1.0]);
-    // as seen from a drone that looks to the left a little: straight up all the same
+    // the offset is in the body frame; the yaw does not change its vertical component
     assert!((Vector3::new(first[15], first[16], first[17]) - Vector3::new(0.0, 0.0, 0.15)).norm() < 1e-12);
     let mut captured = 0;
     while captured == 0 {
@@ -285,35 +287,35 @@ fn a_captured_waypoint_is_seen_as_such_at_once_by_the_drone_that_captured_it() {
         captured = env.task().captured(0);
         assert_eq!(reward > 9.0, captured == 1);
         assert_eq!(seen[12..15], if captured == 1 { [1.0, 0.0, 1.0] } else { [0.0, 0.0, 1.0] });
-        assert_eq!(seen[18 + 12..18 + 15], [0.0, 0.0, 1.0], "the other one has it before it still");
+        assert_eq!(seen[18 + 12..18 + 15], [0.0, 0.0, 1.0], "drone 1 still has its first waypoint");
     }
     let (x, yaw) = (env.observation().vector[15], 1.0_f64);
-    assert!((x - yaw.cos()).abs() < 0.05, "seen in the body's frame");
+    assert!((x - yaw.cos()).abs() < 0.05, "the offset is in the body frame");
     assert!((env.info().progress - 0.1).abs() < 1e-12);
     assert_eq!(env.info_map()["waypoints_captured"], 1.0);
 }
 
 #[test]
-fn impossible_options_are_refused_by_name() {
-    let said = |result: Result<Box<dyn DroneEnv + Send>, EnvError>, text: &str| {
+fn invalid_options_are_errors_with_their_name() {
+    let refused = |result: Result<Box<dyn DroneEnv + Send>, EnvError>, text: &str| {
         let error = result.err().expect(text).to_string();
         assert!(error.contains(text) && !error.contains('\n'), "{error}");
     };
     let config = EnvConfig::default;
-    said(make("hover", config().num_drones(2)), "num_drones is 2, expected 1 in hover");
-    said(make("race", config().num_drones(0)), "drones");
-    said(make("race", config().episode_seconds(f64::NAN)), "episode_seconds is NaN s");
-    said(make("race", config().neighbourhood_radius(-1.0)), "neighbourhood");
-    said(make("formation", config().num_drones(40)), "m apart for drones of");
-    said(make("formation", config().drone(DroneModel::Race).num_drones(8)), "m apart for drones of");
-    said(make("antipodal", config().num_drones(60)), "with 60 drones");
+    refused(make("hover", config().num_drones(2)), "num_drones is 2, expected 1 in hover");
+    refused(make("race", config().num_drones(0)), "drones");
+    refused(make("race", config().episode_seconds(f64::NAN)), "episode_seconds is NaN s");
+    refused(make("race", config().neighbourhood_radius(-1.0)), "neighbourhood");
+    refused(make("formation", config().num_drones(40)), "m apart for drones of");
+    refused(make("formation", config().drone(DroneModel::Race).num_drones(8)), "m apart for drones of");
+    refused(make("antipodal", config().num_drones(60)), "with 60 drones");
     let boxed = |env: Result<Aviary<FlyThrough>, EnvError>| env.map(|env| Box::new(env) as Box<dyn DroneEnv + Send>);
-    said(
+    refused(
         boxed(FlyThrough::builder().task(|task| task.waypoints.clear()).build()),
         "waypoints is 0 points, expected 1 to 198",
     );
-    said(boxed(FlyThrough::builder().task(|task| task.radius = 0.0).build()), "radius is 0 m");
-    said(
+    refused(boxed(FlyThrough::builder().task(|task| task.radius = 0.0).build()), "radius is 0 m");
+    refused(
         boxed(FlyThrough::builder().task(|task| task.waypoints[2][1] = f64::NAN).build()),
         "waypoints is NaN m along an axis",
     );
@@ -324,23 +326,21 @@ fn impossible_options_are_refused_by_name() {
 }
 
 #[test]
-fn a_plan_goes_on_from_where_the_drone_is() {
+fn a_plan_starts_at_the_current_position() {
     let mut env = Race::builder().build().unwrap();
     env.reset(Some(1)).unwrap();
     let whole = env.plan(0).unwrap();
     fly(&mut env, ControllerKind::Geometric, 1);
-    assert!(env.plan(0).is_none(), "nothing is left to fly");
+    assert!(env.plan(0).is_none(), "there is no plan after the last gate");
     env.reset(Some(1)).unwrap();
-    for _ in 0..20 {
-        env.step(&[0.1; 4]).unwrap();
-    }
+    step_env(&mut env, &[0.1; 4], 20);
     let rest: Box<dyn Trajectory> = env.plan(0).unwrap();
     assert!((rest.start().position - env.simulation().states()[0].position).norm() < 1e-9);
     assert!((rest.duration() - whole.duration()).abs() < 3.0);
 }
 
 #[test]
-fn gates_are_in_the_picture_and_not_in_the_way() {
+fn gates_are_rendered_and_have_no_collisions() {
     let env = Race::builder().build().unwrap();
     let (visible, _) = env.simulation().world().to_visible_mjcf().unwrap();
     let physical = env.simulation().world().to_mjcf().unwrap();
@@ -349,7 +349,7 @@ fn gates_are_in_the_picture_and_not_in_the_way() {
 }
 
 #[test]
-fn stabilize_starts_anyhow_within_its_limits_and_track_anywhere_on_its_circle() {
+fn stabilize_and_track_sample_their_starts_within_limits() {
     let mut env = Stabilize::builder().num_drones(2).build().unwrap();
     let mut seen = Vec::new();
     for seed in 0..200 {
@@ -359,7 +359,7 @@ fn stabilize_starts_anyhow_within_its_limits_and_track_anywhere_on_its_circle() 
             assert!(state.velocity.amax() <= 1.0 && state.angular_velocity.amax() <= 2.0 && state.tilt() < 0.72);
         }
         env.reset(Some(seed)).unwrap();
-        assert_eq!(env.simulation().states(), states, "the same seed");
+        assert_eq!(env.simulation().states(), states, "the same seed gives the same states");
         seen.push(states[1]);
     }
     let max = |f: fn(&DroneState) -> f64| seen.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
@@ -367,12 +367,12 @@ fn stabilize_starts_anyhow_within_its_limits_and_track_anywhere_on_its_circle() 
     assert!(max(|s| s.rpy().x) > 0.4 && max(|s| -s.rpy().y) > 0.4 && max(|s| s.yaw()) > 3.0);
 
     let mut env = Track::builder().build().unwrap();
-    let mut ways = [0; 2];
+    let mut directions = [0; 2];
     for seed in 0..200 {
         let x = env.reset(Some(seed)).unwrap().vector.clone();
-        assert!((x[0].hypot(x[1]) - 0.5).abs() < 1e-12 && x[2] == 1.0, "on the circle");
-        assert!(x[12..18].iter().all(|x| x.abs() < 1e-12), "where the reference is, at rest");
-        // the reference is at its full speed after a second, in a circle, at right angles to the way from the middle
+        assert!((x[0].hypot(x[1]) - 0.5).abs() < 1e-12 && x[2] == 1.0, "the drone starts on the circle");
+        assert!(x[12..18].iter().all(|x| x.abs() < 1e-12), "the drone starts at the reference, which is at rest");
+        // after 1 s the reference moves at full speed, at right angles to the radius
         let mut reference = env.reference(0);
         for _ in 0..60 {
             env.step(&[0.0; 4]).unwrap();
@@ -384,8 +384,8 @@ fn stabilize_starts_anyhow_within_its_limits_and_track_anywhere_on_its_circle() 
         let (p, v) = (reference.position, reference.velocity);
         assert!((v.norm() - 0.5).abs() < 1e-12 && (p.x * v.x + p.y * v.y).abs() < 1e-12);
         let inwards = nalgebra::Vector3::z() - p;
-        assert!((reference.acceleration - inwards).norm() < 1e-12, "v²/r inwards");
-        ways[usize::from(p.x * v.y - p.y * v.x > 0.0)] += 1;
+        assert!((reference.acceleration - inwards).norm() < 1e-12, "the acceleration is v²/r towards the centre");
+        directions[usize::from(p.x * v.y - p.y * v.x > 0.0)] += 1;
     }
-    assert!(ways[0] > 60 && ways[1] > 60, "{ways:?}");
+    assert!(directions[0] > 60 && directions[1] > 60, "{directions:?}");
 }

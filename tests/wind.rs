@@ -1,7 +1,9 @@
-//! Wind does in the physics what it says: drift, hover, blades, and nothing that it should not.
+//! Wind: drift, drag in moving air, the medium, and the contract of environments in wind.
 
+mod common;
+
+use common::{assert_contract, reset_batch, step_env};
 use mujoco_drones_gym::control::{Bandwidths, GeometricControl};
-use mujoco_drones_gym::env::{check_env, check_independence};
 use mujoco_drones_gym::multi_agent::{ParallelAviary, check_parallel_env};
 use mujoco_drones_gym::physics::drag;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel, drag_law};
@@ -10,19 +12,20 @@ use mujoco_drones_gym::tasks::NAMES;
 use mujoco_drones_gym::world::Medium;
 use nalgebra::Vector3;
 
+/// Returns a constant wind.
 fn constant(velocity: [f64; 3]) -> WindConfig {
     WindConfig { velocity, ..WindConfig::new(WindModel::Constant) }
 }
 
-/// A combined wind of which the constant velocity alone is left.
+/// Returns a combined wind with a constant velocity alone.
 fn combined(velocity: [f64; 3]) -> WindConfig {
     let still = WindConfig { turbulence: 0.0, gust_force: 0.0, sinusoidal_force: 0.0, ..WindConfig::default() };
     WindConfig { model: WindModel::Combined, velocity, ..still }
 }
 
-/// A drone that hovers by motor speeds alone is carried away: v(t) = U·k·U·t/(1 + k·U·t), k = ρ·C_d·A/2m, and ends at U.
+/// The velocity of a drone at hover speed follows v(t) = U·k·U·t/(1 + k·U·t) with k = ρ·C_d·A/2m.
 #[test]
-fn a_drone_that_only_carries_its_weight_drifts_to_the_winds_velocity() {
+fn a_drone_at_hover_speed_drifts_towards_the_velocity_of_the_wind() {
     let wind = [6.0, -8.0, 0.0];
     for (physics, config) in
         [(Physics::Mjc, constant(wind)), (Physics::Dyn, constant(wind)), (Physics::Mjc, combined(wind))]
@@ -44,16 +47,16 @@ fn a_drone_that_only_carries_its_weight_drifts_to_the_winds_velocity() {
                 let velocity = simulation.states()[0].velocity;
                 assert!((velocity - expected).norm() < 0.01, "{model} {physics} at {t} s: {velocity} {expected}");
             }
-            // after a minute a good part of it
+            // after a minute the drone has more than half of the velocity of the wind
             assert!(simulation.states()[0].velocity.norm() > 5.0);
         }
     }
 }
 
-/// A drone that starts with the velocity of the air keeps it, and nothing acts on it: neither the drag law, nor blades, nor
-/// MuJoCo's medium, whose force the load cancels.
+/// A drone with the velocity of the air keeps it: the drag law, blade drag and MuJoCo's medium exert no force. The load
+/// cancels the force of the medium.
 #[test]
-fn a_drone_that_moves_with_the_air_feels_no_drag() {
+fn a_drone_that_moves_with_the_air_has_no_drag() {
     let wind = Vector3::new(3.0, -1.0, 0.5);
     let params = DroneModel::Cf2x.params();
     for config in [constant(wind.into()), combined(wind.into())] {
@@ -85,7 +88,7 @@ fn a_drone_that_moves_with_the_air_feels_no_drag() {
     }
 }
 
-/// In the medium a drone at rest in moving air feels what a drone feels that moves through still air the other way.
+/// The force of the medium on a drone at rest in moving air equals the force at the opposite velocity in still air.
 #[test]
 fn the_medium_moves_with_the_wind() {
     let wind = Vector3::new(2.0, 1.0, -0.5);
@@ -104,21 +107,21 @@ fn the_medium_moves_with_the_wind() {
         simulation.step(&[[0.0; 4]]).unwrap();
         simulation.states()[0].velocity - velocity
     };
-    // air without density for the drag law: the medium alone
+    // an air density of zero switches the drag law off
     let config = WindConfig { air_density: 0.0, ..constant(wind.into()) };
     for engine in EngineKind::WITH_CONTACTS {
         let moving = settle(Vector3::zeros(), Some(config), engine);
         let still = settle(-wind, None, engine);
         let gained = (still - settle(Vector3::zeros(), None, engine)).norm();
-        // the change in force is held over a physics step: first order in its length
+        // the force is constant in a physics step, which gives an error of first order in its length
         assert!((moving - still).norm() < 1e-3 * gained && gained > 1e-7, "{engine:?}: {moving} {still} {gained}");
     }
 }
 
-/// Constant wind of 0 m/s and combined wind with nothing in it are no wind, to the last bit: at any heading, for several
-/// drones, near the floor and above it, alone and in a batch.
+/// Flights in constant wind of 0 m/s and in combined wind without any part are bit-identical to flights without wind,
+/// in single environments and batches.
 #[test]
-fn a_wind_of_zero_velocity_is_a_flight_without_wind() {
+fn flights_in_wind_of_zero_velocity_are_bit_identical_to_flights_without_wind() {
     let task = MultiHover::builder()
         .initial_positions([[0.0, 0.0, 0.05], [0.5, 0.0, 1.0]])
         .initial_rpys([[0.0, 0.0, 2.0], [0.2, -0.1, -1.3]])
@@ -128,11 +131,8 @@ fn a_wind_of_zero_velocity_is_a_flight_without_wind() {
         .episode_seconds(1.0);
     let fly = |wind: Option<WindConfig>, engine| {
         let mut env = task.clone().engine(engine).wind(wind).build().unwrap();
-        let mut batch =
-            VecAviary::new(task.clone().engine(engine).wind(wind), VecConfig { threads: 1, ..VecConfig::new(9) })
-                .unwrap();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(5), &mut buffers.observations).unwrap();
+        let config = VecConfig { threads: 1, ..VecConfig::new(9) };
+        let (mut batch, mut buffers) = reset_batch(task.clone().engine(engine).wind(wind), config, 5);
         env.reset(Some(5)).unwrap();
         let mut bits = Vec::new();
         for step in 0..60 {
@@ -153,14 +153,14 @@ fn a_wind_of_zero_velocity_is_a_flight_without_wind() {
         for config in [WindConfig::default(), constant([0.0; 3]), combined([0.0; 3])] {
             assert!(fly(Some(config), engine) == none, "{engine:?} {config:?}");
         }
-        assert!(fly(Some(constant([1e-6, 0.0, 0.0])), engine) != none, "air that moves has drag");
+        assert!(fly(Some(constant([1e-6, 0.0, 0.0])), engine) != none, "moving air exerts drag");
         assert!(fly(Some(WindConfig { still_air_drag: true, ..WindConfig::default() }), engine) != none);
     }
 }
 
-/// Still-air drag by the law slows a drone as v/(1 + k·v·t), k = ρ·C_d·A/2m, whatever the model is whose air is still.
+/// Still-air drag gives a speed of v/(1 + k·v·t) with k = ρ·C_d·A/2m under every wind model.
 #[test]
-fn still_air_drag_slows_a_drone_by_its_closed_form() {
+fn still_air_drag_matches_its_closed_form() {
     let params = DroneModel::Cf2x.params();
     let k = 0.5 * 1.225 * params.drag_area() / params.mass;
     for config in [WindConfig::default(), constant([0.0; 3]), combined([0.0; 3])] {
@@ -179,9 +179,9 @@ fn still_air_drag_slows_a_drone_by_its_closed_form() {
     }
 }
 
-/// A changed airframe meets the wind with its own drag area.
+/// After `set_airframe`, the wind acts on the drag area of the new airframe.
 #[test]
-fn an_airframe_that_changes_changes_what_the_wind_pushes_against() {
+fn a_changed_airframe_changes_the_drag_area_in_wind() {
     let mut simulation = Simulation::builder(DroneModel::Cf2x).wind(constant([3.0, 0.0, 0.0])).build().unwrap();
     let large = DroneParams { drag_area_override: Some(0.02), ..DroneModel::Cf2x.params() };
     simulation.set_airframe(0, large).unwrap();
@@ -191,9 +191,9 @@ fn an_airframe_that_changes_changes_what_the_wind_pushes_against() {
     assert!((simulation.loads()[0].external.force_world.x / relative - 1.0).abs() < 0.05);
 }
 
-/// Two drones in one wind fly as each would alone: the clock does not run faster for more of them.
+/// The time of the wind advances once per step for any number of drones.
 #[test]
-fn several_drones_share_a_clock_and_not_their_gusts() {
+fn the_time_of_the_wind_does_not_depend_on_the_number_of_drones() {
     let config = WindConfig { sinusoidal_force: 0.05, ..WindConfig::new(WindModel::Sinusoidal) };
     let end = |count: usize| {
         let mut simulation = Simulation::builder(DroneModel::Cf2x)
@@ -213,9 +213,9 @@ fn several_drones_share_a_clock_and_not_their_gusts() {
     assert!(three.iter().all(|velocity| (velocity - one[0]).norm() < 1e-9));
 }
 
-/// Blades meet the air, not the ground: with drag on, the load is that of the drag law plus blades in the relative wind.
+/// Blade drag uses the velocity relative to the air. The load is the sum of the drag law and blade drag.
 #[test]
-fn blade_drag_is_against_the_moving_air() {
+fn blade_drag_uses_the_velocity_relative_to_the_air() {
     let wind = Vector3::new(2.0, 1.0, -0.5);
     let params = DroneModel::Cf2x.params();
     let start = DroneState {
@@ -237,7 +237,7 @@ fn blade_drag_is_against_the_moving_air() {
 }
 
 #[test]
-fn setting_the_wind_and_building_with_it_are_the_same_and_every_task_keeps_its_contract() {
+fn set_wind_equals_building_with_wind_and_every_task_keeps_its_contract() {
     let config = WindConfig::new(WindModel::Combined);
     for name in NAMES {
         let build = || {
@@ -245,8 +245,7 @@ fn setting_the_wind_and_building_with_it_are_the_same_and_every_task_keeps_its_c
             env.set_wind(Some(config)).unwrap();
             env
         };
-        check_env(&mut build()).unwrap_or_else(|error| panic!("{error}"));
-        check_independence(&mut build(), &mut build()).unwrap();
+        assert_contract(build);
     }
     let mut set = Hover::builder().build().unwrap();
     set.set_wind(Some(config)).unwrap();
@@ -255,33 +254,28 @@ fn setting_the_wind_and_building_with_it_are_the_same_and_every_task_keeps_its_c
     let mut flights = Vec::new();
     for env in [&mut set as &mut dyn DroneEnv, &mut built, &mut still] {
         env.reset(Some(3)).unwrap();
-        for _ in 0..100 {
-            env.step(&[0.05; 4]).unwrap();
-        }
+        step_env(env, &[0.05; 4], 100);
         flights.push(env.observation().vector.clone());
     }
     assert!(flights[0] == flights[1]);
-    assert_ne!(flights[1], flights[2], "and it does blow");
-    // another episode has another wind; none again is none
+    assert_ne!(flights[1], flights[2], "the wind changes the flight");
+    // the next episode has another sequence of gusts; without wind, the flight in still air is repeated
     set.reset(None).unwrap();
-    for _ in 0..100 {
-        set.step(&[0.05; 4]).unwrap();
-    }
+    step_env(&mut set, &[0.05; 4], 100);
     assert_ne!(*set.observation().vector, flights[1]);
     set.set_wind(None).unwrap();
     set.reset(Some(3)).unwrap();
-    for _ in 0..100 {
-        set.step(&[0.05; 4]).unwrap();
-    }
+    step_env(&mut set, &[0.05; 4], 100);
     assert_eq!(set.observation().vector, flights[2]);
     let bad = WindConfig { gust_force: f64::NAN, ..config };
     assert!(set.set_wind(Some(bad)).unwrap_err().to_string().contains("gust_force is NaN"));
     check_parallel_env(&mut ParallelAviary::new(MultiHover::builder().wind(config).build().unwrap()), 2).unwrap();
 }
 
-/// The paper's figure: combined wind, steady 0.9 m/s along +y. Its PID drifts; a controller with an integral stays.
+/// In the combined wind of the paper's figure (0.9 m/s along +y), the paper's PID drifts, and a geometric controller
+/// with an integral term does not.
 #[test]
-fn an_integral_holds_a_hover_in_the_papers_wind_and_the_papers_pid_is_off_by_centimetres() {
+fn in_the_papers_wind_the_pid_drifts_by_centimetres_and_an_integral_term_prevents_it() {
     let fly = |mut pilot: ControllerPolicy| {
         let wind = WindConfig::new(WindModel::Combined);
         let mut env =
@@ -302,6 +296,6 @@ fn an_integral_holds_a_hover_in_the_papers_wind_and_the_papers_pid_is_off_by_cen
     let pid = fly(ControllerPolicy::with_controllers([PidControl::new(&params)]));
     let integral = Bandwidths { integral: 0.1, ..Bandwidths::default() };
     let held = fly(ControllerPolicy::with_controllers([GeometricControl::with_bandwidths(&params, integral)]));
-    assert!(pid.y > 0.03, "downwind: {pid}");
-    assert!(held.norm() < 0.01 && held.norm() < 0.2 * pid.norm(), "{held} beside {pid}");
+    assert!(pid.y > 0.03, "mean offset of the PID: {pid}");
+    assert!(held.norm() < 0.01 && held.norm() < 0.2 * pid.norm(), "mean offset {held}, of the PID {pid}");
 }

@@ -1,4 +1,4 @@
-//! Every environment of a batch flies as it would alone.
+//! Bit-identity of batches and single environments.
 
 use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
@@ -8,10 +8,11 @@ use mujoco_drones_gym::tasks::{self, Antipodal};
 use mujoco_drones_gym::vector::VecPictures;
 use mujoco_drones_gym::world::{Forcing, Medium, ObstacleConfig, ObstacleKind};
 
-use super::{Wander, bits, compare, compare_as_built};
+use super::common::{reset_batch, step_env};
+use super::{Wander, bits, compare, compare_as_built, narrow, widen};
 
 #[test]
-fn every_task_is_what_its_environments_are_alone() {
+fn batches_of_every_task_are_bit_identical_to_single_environments() {
     fn all<T: Task + Clone + Send + Sync>(task: T, ended: &mut usize) {
         for (physics, autoreset, environments, threads) in [
             (Physics::Mjc, Autoreset::NextStep, 13, 1),
@@ -40,7 +41,7 @@ fn every_task_is_what_its_environments_are_alone() {
 }
 
 #[test]
-fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_alone() {
+fn conditions_and_controllers_in_a_batch_are_bit_identical_to_single_environments() {
     let hover =
         || Hover::builder().initial_positions([[0.0, 0.0, 0.6]]).physics(Physics::MjcGndDragDw).episode_seconds(1.4);
     let bodies = Randomization { sensors: None, environment: None, actuators: None, ..Randomization::default() };
@@ -68,17 +69,15 @@ fn wind_randomization_obstacles_slow_motors_and_controllers_are_what_they_are_al
 }
 
 #[test]
-fn mujoco_alone_makes_the_same_bits_in_a_batch_contacts_included() {
-    // on the floor, bouncing, without an end
+fn batches_of_the_mujoco_engine_are_bit_identical_with_contacts() {
+    // drones bounce on the floor, and contacts do not end the episode
     let builder = Hover::builder()
         .engine(EngineKind::Mujoco)
         .initial_positions([[0.0, 0.0, 0.3]])
         .task(|hover| (hover.crash.floor_contact, hover.crash.max_tilt) = (false, 4.0));
     for threads in [1, 2] {
-        let mut batch = VecAviary::new(builder.clone(), VecConfig { threads, ..VecConfig::new(9) }).unwrap();
+        let (mut batch, mut buffers) = reset_batch(builder.clone(), VecConfig { threads, ..VecConfig::new(9) }, 1);
         let mut alone: Vec<_> = (0..9).map(|_| builder.clone().build().unwrap()).collect();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(1), &mut buffers.observations).unwrap();
         alone.iter_mut().for_each(|env| {
             env.reset(Some(1)).unwrap();
         });
@@ -88,15 +87,13 @@ fn mujoco_alone_makes_the_same_bits_in_a_batch_contacts_included() {
             let actions: Vec<f32> = wander.next().iter().map(|x| x - 0.1).collect();
             batch.step(&actions, buffers.step()).unwrap();
             for (i, env) in alone.iter_mut().enumerate() {
-                let action: Vec<f64> = actions[4 * i..][..4].iter().map(|&x| f64::from(x)).collect();
                 if env.info().end.is_some() {
                     env.reset(None).unwrap();
                 } else {
-                    env.step(&action).unwrap();
+                    env.step(&widen(&actions[4 * i..][..4])).unwrap();
                 }
                 touched += env.info().contacts;
-                let seen: Vec<f32> = env.observation().vector.iter().map(|&x| x as f32).collect();
-                assert_eq!(bits(&seen), bits(&buffers.observations[12 * i..][..12]));
+                assert_eq!(bits(&narrow(&env.observation().vector)), bits(&buffers.observations[12 * i..][..12]));
             }
         }
         assert!(touched > 200, "{touched}");
@@ -104,7 +101,7 @@ fn mujoco_alone_makes_the_same_bits_in_a_batch_contacts_included() {
 }
 
 #[test]
-fn threads_change_no_bits() {
+fn results_are_bit_identical_for_any_number_of_threads() {
     let builder = || {
         MultiHover::builder()
             .num_drones(3)
@@ -113,9 +110,7 @@ fn threads_change_no_bits() {
     };
     let mut digests = Vec::new();
     for threads in [1, 2, 3, 5] {
-        let mut batch = VecAviary::new(builder(), VecConfig { threads, ..VecConfig::new(100) }).unwrap();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(3), &mut buffers.observations).unwrap();
+        let (mut batch, mut buffers) = reset_batch(builder(), VecConfig { threads, ..VecConfig::new(100) }, 3);
         let mut wander = Wander::new(4, 100, 12);
         let mut digest = Vec::new();
         for _ in 0..60 {
@@ -129,14 +124,12 @@ fn threads_change_no_bits() {
 }
 
 #[test]
-fn what_a_batch_observes_beside_vectors_stands_behind_them() {
+fn obstacle_distances_ranges_and_adjacency_follow_the_vector_in_a_row() {
     let field = ObstacleConfig { count: 4, arena: [4.0, 4.0, 2.0], ..ObstacleConfig::new(ObstacleKind::Forest) };
     let kind: ObservationType = "kin_obstacle_ranges_adjacency".parse().unwrap();
     let builder = MultiHover::builder().obstacle_generator(field).observation_type(kind);
-    let mut batch = VecAviary::new(builder.clone(), VecConfig::new(9)).unwrap();
+    let (mut batch, mut buffers) = reset_batch(builder.clone(), VecConfig::new(9), 1);
     assert_eq!(batch.observation_size(), 26 + 2 + 20 + 4);
-    let mut buffers = VecBuffers::new(&batch);
-    batch.reset(Some(1), &mut buffers.observations).unwrap();
     batch.step(&[0.1; 72], buffers.step()).unwrap();
     let mut env = builder.engine(EngineKind::Hybrid).build().unwrap();
     env.reset(Some(1)).unwrap();
@@ -150,7 +143,7 @@ fn what_a_batch_observes_beside_vectors_stands_behind_them() {
 }
 
 #[test]
-fn every_task_has_a_batch_by_name() {
+fn make_vec_creates_a_batch_of_every_task() {
     for name in tasks::NAMES {
         let mut env = make_vec(name, EnvConfig::default(), VecConfig::new(10)).unwrap();
         let mut buffers = VecBuffers::new(&*env);
@@ -165,7 +158,7 @@ fn every_task_has_a_batch_by_name() {
 }
 
 #[test]
-fn pictures_of_a_batch_are_those_of_its_environments_alone() {
+fn images_of_a_batch_are_identical_to_those_of_single_environments() {
     let builder = || {
         Hover::builder()
             .initial_positions([[0.0, 0.0, 0.4]])
@@ -175,7 +168,7 @@ fn pictures_of_a_batch_are_those_of_its_environments_alone() {
     let count = 9;
     let mut env = match VecAviary::new(builder(), VecConfig { threads: 2, ..VecConfig::new(count) }) {
         Ok(env) => env,
-        // nothing to draw with
+        // without OpenGL, the test passes without rendering
         Err(EnvError::Vision(_)) => return,
         Err(error) => panic!("{error}"),
     };
@@ -192,22 +185,23 @@ fn pictures_of_a_batch_are_those_of_its_environments_alone() {
     for i in [0, 4, 8] {
         let mut alone = builder().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap();
         alone.reset(Some(1)).unwrap();
-        let action: Vec<f64> = actions[4 * i..][..4].iter().map(|&x| f64::from(x)).collect();
-        for _ in 0..15 {
-            alone.step(&action).unwrap();
-        }
+        step_env(&mut alone, &widen(&actions[4 * i..][..4]), 15);
         let seen = alone.observation();
         assert_eq!(seen.rgb, rgb[4 * pixels * i..][..4 * pixels]);
         assert_eq!(seen.depth, depth[pixels * i..][..pixels]);
         assert_eq!(seen.segmentation, segmentation[pixels * i..][..pixels]);
     }
-    assert_ne!(rgb[..4 * pixels], rgb[4 * 8 * pixels..][..4 * pixels], "they are in different places");
+    assert_ne!(
+        rgb[..4 * pixels],
+        rgb[4 * 8 * pixels..][..4 * pixels],
+        "environments with different actions have different images"
+    );
     let error = env.pictures(VecPictures::default()).unwrap_err().to_string();
     assert!(error.contains("buffer of colours"), "{error}");
 }
 
 #[test]
-fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
+fn a_batch_with_the_safety_filter_is_bit_identical_to_wrapped_environments() {
     use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
     use mujoco_drones_gym::wrappers::SafetyWrapper;
     let builder =
@@ -221,7 +215,7 @@ fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
     batch.reset(Some(1), &mut buffers.observations).unwrap();
     alone.reset(Some(1)).unwrap();
     for _ in 0..120 {
-        // all straight to the middle
+        // all drones fly towards the centre
         let action: Vec<f32> = (0..4)
             .flat_map(|drone| {
                 let position = alone.simulation().states()[drone].position;
@@ -229,9 +223,8 @@ fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
             })
             .collect();
         batch.step(&action.repeat(10), buffers.step()).unwrap();
-        let action: Vec<f64> = action.iter().map(|&x| f64::from(x)).collect();
-        alone.step(&action).unwrap();
-        let seen: Vec<f32> = alone.observation().vector.iter().map(|&x| x as f32).collect();
+        alone.step(&widen(&action)).unwrap();
+        let seen = narrow(&alone.observation().vector);
         for row in buffers.observations.chunks_exact(seen.len()) {
             assert_eq!(bits(row), bits(&seen));
         }
@@ -241,9 +234,9 @@ fn a_batch_behind_the_safety_filter_is_its_environments_behind_it() {
     assert!(wrong.unwrap_err().to_string().contains("expected vel"));
 }
 
-/// Few environments, and the last ones of a batch, are computed in narrower registers than a full block.
+/// A batch that does not fill its last block of eight uses narrower registers for it.
 #[test]
-fn environments_that_fill_no_block_are_what_they_are_alone() {
+fn partial_blocks_are_bit_identical_to_single_environments() {
     let lag = ActuatorParams { lag: 0.03, ..ActuatorParams::default() };
     let mut ended = 0;
     for environments in [1, 2, 3, 5, 9] {

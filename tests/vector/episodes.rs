@@ -1,4 +1,4 @@
-//! Resets, ends and changes of single environments in a batch.
+//! Resets, ends and changes of individual environments of a batch.
 
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
@@ -6,15 +6,12 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
 
 use super::Wander;
+use super::common::reset_batch;
 
 #[test]
-fn a_mask_resets_those_that_it_names_and_leaves_the_others_alone() {
+fn a_masked_reset_changes_the_environments_in_the_mask_alone() {
     let config = VecConfig::new(20);
-    let make = || VecAviary::new(Velocity::builder(), config).unwrap();
-    let (mut one, mut other) = (make(), make());
-    let (mut a, mut b) = (VecBuffers::new(&one), VecBuffers::new(&other));
-    one.reset(Some(2), &mut a.observations).unwrap();
-    other.reset(Some(2), &mut b.observations).unwrap();
+    let [(mut one, mut a), (mut other, mut b)] = [(); 2].map(|()| reset_batch(Velocity::builder(), config, 2));
     let mut wander = Wander::new(1, 20, 4);
     for _ in 0..10 {
         let actions = wander.next();
@@ -36,19 +33,18 @@ fn a_mask_resets_those_that_it_names_and_leaves_the_others_alone() {
     for i in (0..20).filter(|&i| !mask[i]) {
         assert_eq!(a.observations[16 * i..][..16], b.observations[16 * i..][..16], "{i}");
     }
-    // a seed starts the streams of those that it names anew
+    // a seed restarts the random streams of the environments in the mask
     one.reset_where(&mask, Some(2), &mut a.observations).unwrap();
     let first = one.with(1, |env| env.task().target(0)).unwrap();
     other.reset(Some(2), &mut b.observations).unwrap();
     assert_eq!(first, other.with(1, |env| env.task().target(0)).unwrap());
-    assert_ne!(first, other.with(2, |env| env.task().target(0)).unwrap(), "every environment has a stream of its own");
+    assert_ne!(first, other.with(2, |env| env.task().target(0)).unwrap(), "each environment has its own random stream");
 }
 
 #[test]
-fn an_environment_can_be_changed_as_if_it_were_alone() {
-    let mut batch = VecAviary::new(Hover::builder().initial_positions([[0.0, 0.0, 2.0]]), VecConfig::new(10)).unwrap();
-    let mut buffers = VecBuffers::new(&batch);
-    batch.reset(Some(1), &mut buffers.observations).unwrap();
+fn with_changes_one_environment_of_a_batch() {
+    let builder = Hover::builder().initial_positions([[0.0, 0.0, 2.0]]);
+    let (mut batch, mut buffers) = reset_batch(builder, VecConfig::new(10), 1);
     let wind = WindConfig { velocity: [3.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
     batch.with(4, |env| env.set_wind(Some(wind))).unwrap().unwrap();
     let mut seen = 0;
@@ -66,11 +62,9 @@ fn an_environment_can_be_changed_as_if_it_were_alone() {
 }
 
 #[test]
-fn randomizing_one_environment_leaves_the_bodies_of_the_others_alone() {
+fn randomizing_one_environment_does_not_change_the_others() {
     let config = VecConfig { threads: 1, ..VecConfig::new(10) };
-    let mut batch = VecAviary::new(Hover::builder(), config).unwrap();
-    let mut buffers = VecBuffers::new(&batch);
-    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    let (mut batch, mut buffers) = reset_batch(Hover::builder(), config, 1);
     let bodies = Randomization { body: Some(Default::default()), ..Randomization::NONE };
     batch.with(4, |env| env.set_randomization(Some(bodies))).unwrap().unwrap();
     batch.reset(Some(1), &mut buffers.observations).unwrap();
@@ -80,21 +74,20 @@ fn randomizing_one_environment_leaves_the_bodies_of_the_others_alone() {
         let mass = batch.with(i, |env| env.simulation().params(0).mass).unwrap();
         assert_eq!(mass != nominal, i == 4, "{i}: {mass}");
     }
-    // and it can be taken back
+    // removing the randomization restores the nominal mass
     batch.with(4, |env| env.set_randomization(None)).unwrap().unwrap();
     batch.reset(Some(1), &mut buffers.observations).unwrap();
     assert_eq!(batch.with(4, |env| env.simulation().params(0).mass).unwrap(), nominal);
 }
 
-/// A hundred thousand environment steps here, a million with `--ignored`.
-fn long_run(steps: usize) {
+/// Flies environment steps with random actions and asserts that all numbers are finite and every step belongs to an
+/// episode.
+fn fly_random_actions(steps: usize) {
     let randomized = Randomization { sensors: None, environment: None, ..Randomization::default() };
     for builder in [Hover::builder(), Hover::builder().physics(Physics::MjcGndDragDw).randomization(randomized)] {
         let count = 500;
         let config = VecConfig { autoreset: Autoreset::SameStep, ..VecConfig::new(count) };
-        let mut env = VecAviary::new(builder, config).unwrap();
-        let mut buffers = VecBuffers::new(&env);
-        env.reset(Some(1), &mut buffers.observations).unwrap();
+        let (mut env, mut buffers) = reset_batch(builder, config, 1);
         let mut rng = Rng::seed_from_u64(2);
         let (mut ended, mut lengths) = (vec![0_u64; count], 0);
         let mut actions = vec![0.0_f32; 4 * count];
@@ -109,7 +102,7 @@ fn long_run(steps: usize) {
                 }
             }
         }
-        // none is lost: every step of every environment belongs to an episode that has ended or is still running
+        // every step belongs to an episode that has ended or is still running
         let running: u64 = (0..count).map(|i| env.with(i, |env| env.simulation().control_steps()).unwrap()).sum();
         assert_eq!((lengths + running) as usize, steps / 2);
         let all = ended.iter().sum::<u64>() as usize;
@@ -118,18 +111,18 @@ fn long_run(steps: usize) {
 }
 
 #[test]
-fn random_actions_for_long_lose_no_environment_and_make_no_nan() {
-    long_run(100_000);
+fn a_hundred_thousand_random_steps_stay_finite_and_belong_to_episodes() {
+    fly_random_actions(100_000);
 }
 
 #[test]
 #[ignore = "a million steps"]
-fn a_million_random_steps_lose_no_environment_and_make_no_nan() {
-    long_run(1_000_000);
+fn a_million_random_steps_stay_finite_and_belong_to_episodes() {
+    fly_random_actions(1_000_000);
 }
 
 #[test]
-fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
+fn a_curriculum_of_a_batch_counts_the_episodes_of_all_environments() {
     use mujoco_drones_gym::vector::VecCurriculum;
     use mujoco_drones_gym::wrappers::{CurriculumConfig, CurriculumMetric};
     let config = CurriculumConfig {
@@ -139,7 +132,7 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
         advance: 9.5,
         retreat: None,
     };
-    // an episode of ten steps in the air; higher on every level
+    // episodes of ten steps; the target height rises with the level
     let builder = || Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(10.0 / 48.0);
     let raise = |env: &mut Aviary<Hover>, level: usize| {
         env.task_mut().target_height = 1.0 + 0.5 * level as f64;
@@ -153,11 +146,11 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
     let mut levels = Vec::new();
     for _ in 0..40 {
         env.step(&actions, buffers.step()).unwrap();
-        // episodes that have ended do not count again when the next step is refused
+        // a refused step does not count ended episodes a second time
         assert!(env.step(&[f32::NAN; 64], buffers.step()).is_err());
         levels.push(env.curriculum().level());
     }
-    // sixteen episodes end together: one level and six episodes of the next, which are too few
+    // 16 episodes end together: ten complete a level, and six are too few for the next one
     assert_eq!((levels[8], levels[9], levels[20], levels[39]), (0, 1, 2, 2));
     assert_eq!(env.curriculum().state().episodes, 48);
     for i in 0..16 {
@@ -167,15 +160,11 @@ fn a_curriculum_of_a_batch_follows_the_episodes_of_all_environments() {
     assert!(VecCurriculum::new(same, config, raise).is_err());
 }
 
-/// Hover with something else in its `update`, and the thrust of the last physics step as reward.
-
 #[test]
-fn looking_at_an_environment_shows_its_own_commands_and_end_and_changes_nothing() {
-    let make = || VecAviary::new(Hover::builder(), VecConfig { threads: 1, ..VecConfig::new(10) }).unwrap();
-    let (mut looked, mut other) = (make(), make());
-    let mut buffers = [VecBuffers::new(&looked), VecBuffers::new(&other)];
-    looked.reset(Some(1), &mut buffers[0].observations).unwrap();
-    other.reset(Some(1), &mut buffers[1].observations).unwrap();
+fn reading_an_environment_returns_its_commands_and_end_and_changes_nothing() {
+    let config = VecConfig { threads: 1, ..VecConfig::new(10) };
+    let [(mut looked, first), (mut other, second)] = [(); 2].map(|()| reset_batch(Hover::builder(), config, 1));
+    let mut buffers = [first, second];
     let actions: Vec<f32> = (0..40).map(|i| if i / 4 == 7 { -1.0 } else { 0.002 * (i / 4) as f32 }).collect();
     for step in 0..30 {
         looked.step(&actions, buffers[0].step()).unwrap();
@@ -197,7 +186,7 @@ fn looking_at_an_environment_shows_its_own_commands_and_end_and_changes_nothing(
             }
         }
     }
-    // an end that is known already is not another one
+    // a fault after the end of an episode is not reported as another end
     let config = VecConfig { autoreset: Autoreset::Disabled, on_fault: OnFault::Truncate, ..VecConfig::new(1) };
     let mut batch = VecAviary::new(Hover::builder(), config).unwrap();
     let mut buffers = VecBuffers::new(&batch);

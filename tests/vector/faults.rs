@@ -1,31 +1,29 @@
-//! What goes wrong in one environment of a batch, and tasks that are odd.
+//! Faults of single environments of a batch, and unusual tasks.
 
 use mujoco_drones_gym::Rng;
 use mujoco_drones_gym::env::{AviaryBuilder, BoxSpace, EndReason, TaskDefaults};
 use mujoco_drones_gym::prelude::*;
 
+use super::common::reset_batch;
 use super::{Wander, compare};
 
 #[test]
-fn a_poisoned_action_concerns_its_own_environment_alone() {
+fn a_non_finite_action_affects_its_own_environment_alone() {
     for (engine, poison) in
         [(EngineKind::Hybrid, f32::NAN), (EngineKind::Mujoco, f32::INFINITY), (EngineKind::Hybrid, f32::NEG_INFINITY)]
     {
         let builder = || Hover::builder().engine(engine).initial_positions([[0.0, 0.0, 1.0]]);
-        let make = |on_fault| VecAviary::new(builder(), VecConfig { on_fault, ..VecConfig::new(12) }).unwrap();
-        let (mut clean, mut strict, mut lenient) =
-            (make(OnFault::Error), make(OnFault::Error), make(OnFault::Truncate));
-        let mut buffers = [(); 3].map(|()| VecBuffers::new(&clean));
-        clean.reset(Some(1), &mut buffers[0].observations).unwrap();
-        strict.reset(Some(1), &mut buffers[1].observations).unwrap();
-        lenient.reset(Some(1), &mut buffers[2].observations).unwrap();
+        let batch = |on_fault| reset_batch(builder(), VecConfig { on_fault, ..VecConfig::new(12) }, 1);
+        let [(mut clean, first), (mut strict, second), (mut lenient, third)] =
+            [OnFault::Error, OnFault::Error, OnFault::Truncate].map(batch);
+        let mut buffers = [first, second, third];
         let mut wander = Wander::new(9, 12, 4);
         for step in 0..40 {
             let good = wander.next().to_vec();
             let mut bad = good.clone();
             if step == 20 {
                 bad[4 * 5 + 2] = poison;
-                // nothing moves
+                // the refused step changes nothing
                 let before = buffers[1].clone();
                 let error = strict.step(&bad, buffers[1].step()).unwrap_err().to_string();
                 assert!(error.starts_with("environment 5: action[2] is"), "{error}");
@@ -48,14 +46,14 @@ fn a_poisoned_action_concerns_its_own_environment_alone() {
                 assert!(lenient.faults().is_empty());
             }
             if step == 21 {
-                assert_eq!(buffers[2].observations[12 * 5 + 2], 1.0, "it began anew");
+                assert_eq!(buffers[2].observations[12 * 5 + 2], 1.0, "environment 5 has been reset");
             }
         }
     }
 }
 
 #[test]
-fn mistakes_are_errors_that_lose_nothing() {
+fn invalid_calls_are_errors_that_change_nothing() {
     let make = |config| VecAviary::new(Hover::builder(), config);
     assert!(make(VecConfig::new(0)).unwrap_err().to_string().contains("environments is 0"));
     let mut batch = make(VecConfig { autoreset: Autoreset::Disabled, ..VecConfig::new(10) }).unwrap();
@@ -79,12 +77,15 @@ fn mistakes_are_errors_that_lose_nothing() {
     batch.step(&actions, buffers.step()).unwrap();
 }
 
+/// Hover with a function in `update`, invalid starts, and loads and commands in the reward.
 #[derive(Debug, Clone)]
 struct Odd {
     hover: Hover,
+    /// Function that `update` calls.
     update: fn(SimView<'_>),
-    /// True if the n-th call of `start` gives an impossible state.
+    /// Returns true if the n-th call of `start` gives an invalid state.
     impossible: fn(u32) -> bool,
+    /// Calls of `start`.
     starts: u32,
 }
 
@@ -145,12 +146,13 @@ impl Task for Odd {
     }
 }
 
+/// Creates a builder with a function for `update` and valid starts.
 fn odd(update: fn(SimView<'_>)) -> AviaryBuilder<Odd> {
     AviaryBuilder::new(Odd { hover: Hover::default(), update, impossible: |_| false, starts: 0 })
 }
 
 #[test]
-fn a_task_may_use_threads_of_its_own_and_sees_loads_and_commands() {
+fn a_task_may_use_rayon_and_read_loads_and_commands() {
     fn busy(simulation: SimView<'_>) {
         let (time, states) = (simulation.time(), simulation.states());
         let (a, b) = rayon::join(|| time + 0.0, || states[0].position.z);
@@ -158,9 +160,7 @@ fn a_task_may_use_threads_of_its_own_and_sees_loads_and_commands() {
     }
     let config = VecConfig { threads: 2, ..VecConfig::new(600) };
     let builder = odd(busy).physics(Physics::MjcGndDragDw).initial_positions([[0.0, 0.0, 0.4]]);
-    let mut batch = VecAviary::new(builder, config).unwrap();
-    let mut buffers = VecBuffers::new(&batch);
-    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    let (mut batch, mut buffers) = reset_batch(builder, config, 1);
     for _ in 0..20 {
         batch.step(&[0.01; 2400], buffers.step()).unwrap();
     }
@@ -169,13 +169,11 @@ fn a_task_may_use_threads_of_its_own_and_sees_loads_and_commands() {
 }
 
 #[test]
-fn a_task_that_panicked_is_an_error_ever_after() {
+fn every_call_after_a_panic_of_a_task_is_an_error() {
     fn panics(simulation: SimView<'_>) {
         assert!(simulation.control_steps() < 3, "on purpose");
     }
-    let mut batch = VecAviary::new(odd(panics), VecConfig { threads: 2, ..VecConfig::new(40) }).unwrap();
-    let mut buffers = VecBuffers::new(&batch);
-    batch.reset(Some(1), &mut buffers.observations).unwrap();
+    let (mut batch, mut buffers) = reset_batch(odd(panics), VecConfig { threads: 2, ..VecConfig::new(40) }, 1);
     let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         for _ in 0..5 {
             batch.step(&[0.0; 160], buffers.step()).unwrap();
@@ -187,9 +185,9 @@ fn a_task_that_panicked_is_an_error_ever_after() {
 }
 
 #[test]
-fn a_state_that_leaves_the_numbers_is_the_fault_that_it_is_alone() {
+fn divergence_in_a_batch_is_the_same_fault_as_in_a_single_environment() {
     use mujoco_drones_gym::world::Medium;
-    // falling in a liquid so dense that a step overshoots
+    // a fall in a dense liquid, where the drag of one step reverses the velocity
     let builder = |speed: f64| {
         Hover::builder()
             .medium(Medium { density: 1000.0, viscosity: 1.8e-5 })
@@ -201,9 +199,7 @@ fn a_state_that_leaves_the_numbers_is_the_fault_that_it_is_alone() {
     for speed in [1.0, 4.0, 6.0, 8.0, 10.0, 12.0, 20.0] {
         let mut alone = builder(speed).engine(EngineKind::Hybrid).build().unwrap();
         let config = VecConfig { on_fault: OnFault::Truncate, ..VecConfig::new(3) };
-        let mut batch = VecAviary::new(builder(speed), config).unwrap();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        let (mut batch, mut buffers) = reset_batch(builder(speed), config, 1);
         alone.reset(Some(1)).unwrap();
         for _ in 0..20 {
             let outcome = alone.step(&[0.0; 4]).map(|step| step.terminated).map_err(|error| error.to_string());
@@ -230,18 +226,16 @@ fn a_state_that_leaves_the_numbers_is_the_fault_that_it_is_alone() {
 }
 
 #[test]
-fn a_step_that_could_not_start_an_episode_is_no_step_of_an_episode() {
+fn a_step_that_fails_to_start_an_episode_is_not_counted() {
     for autoreset in [Autoreset::SameStep, Autoreset::NextStep] {
         let config = VecConfig { autoreset, on_fault: OnFault::Truncate, ..VecConfig::new(9) };
-        // two episodes in a row cannot start, and another one; each start is tried 20 times
+        // episodes 2, 3 and 6 cannot start; each start is tried 20 times
         let impossible = |start| (2..42).contains(&start) || (44..64).contains(&start);
         let builder = odd(|_| {}).episode_seconds(0.25).task(move |odd| odd.impossible = impossible);
-        let mut batch = VecAviary::new(builder, config).unwrap();
-        let mut buffers = VecBuffers::new(&batch);
-        batch.reset(Some(1), &mut buffers.observations).unwrap();
+        let (mut batch, mut buffers) = reset_batch(builder, config, 1);
         let (mut ends, mut steps, mut faults) = (Vec::new(), 0, 0);
         for _ in 0..65 {
-            // with NextStep, the step after an end starts the next episode
+            // with `NextStep`, the step after an end starts the next episode
             let starts = autoreset == Autoreset::NextStep && batch.episode_summary(8).is_some();
             batch.step(&[0.01; 36], buffers.step()).unwrap();
             assert_eq!(batch.episode_summary(0), batch.episode_summary(8));
@@ -264,6 +258,10 @@ fn a_step_that_could_not_start_an_episode_is_no_step_of_an_episode() {
         assert_eq!(faults, 3 * 9);
         let running = batch.with(8, |env| env.simulation().control_steps()).unwrap() as u32;
         let wholes = ends.iter().filter(|end| **end == whole).count() as u32;
-        assert_eq!(steps, 12 * wholes + running, "{autoreset:?}: every other step belongs to an episode");
+        assert_eq!(
+            steps,
+            12 * wholes + running,
+            "{autoreset:?}: every step that starts no episode belongs to an episode"
+        );
     }
 }

@@ -1,4 +1,7 @@
-//! A batch flies every environment to the bits that it would fly alone, whatever the number of threads.
+//! Every environment of a batch is bit-identical to a single environment, for any number of threads.
+
+#[path = "../common/mod.rs"]
+mod common;
 
 mod alone;
 mod episodes;
@@ -8,7 +11,7 @@ use mujoco_drones_gym::env::AviaryBuilder;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
 
-/// Actions that wander, so that drones fly, tumble and crash: row after row.
+/// Random actions that change slowly, one row per environment: drones fly, tumble and crash.
 struct Wander {
     rng: Rng,
     held: Vec<f32>,
@@ -22,7 +25,7 @@ impl Wander {
 
     fn next(&mut self) -> &[f32] {
         for row in self.held.chunks_exact_mut(self.size) {
-            // most of it common to all motors: drones stay in the air for a while
+            // most of the change is common to all motors, so that drones stay in the air for some time
             let common = 0.3 * (self.rng.random::<f32>() - 0.45);
             for x in row {
                 *x = (0.8 * *x + common + 0.01 * (self.rng.random::<f32>() - 0.5)).clamp(-1.2, 1.2);
@@ -32,16 +35,28 @@ impl Wander {
     }
 }
 
+/// Returns the bits of a row.
 fn bits(row: &[f32]) -> Vec<u32> {
     row.iter().map(|x| x.to_bits()).collect()
 }
 
-/// Compares a batch of the hybrid engine with its environments.
+/// Returns a row in double precision.
+fn widen(row: &[f32]) -> Vec<f64> {
+    row.iter().map(|&x| f64::from(x)).collect()
+}
+
+/// Returns a row in single precision, rounded to nearest.
+fn narrow(row: &[f64]) -> Vec<f32> {
+    row.iter().map(|&x| x as f32).collect()
+}
+
+/// Compares a batch with single environments, all with the hybrid engine.
 fn compare<T: Task + Clone + Send + Sync>(builder: &AviaryBuilder<T>, config: VecConfig, steps: usize) -> usize {
     compare_as_built(&builder.clone().engine(EngineKind::Hybrid), config, steps)
 }
 
-/// Flies a batch and each of its environments alone and compares every number; says how many episodes ended.
+/// Flies a batch and single environments with the same actions, compares every number, and returns the number of
+/// episodes that ended.
 fn compare_as_built<T: Task + Clone + Send + Sync>(
     builder: &AviaryBuilder<T>,
     config: VecConfig,
@@ -74,8 +89,7 @@ fn compare_as_built<T: Task + Clone + Send + Sync>(
                 over[i] = false;
                 continue;
             }
-            let action: Vec<f64> = actions[i * a..][..a].iter().map(|&x| f64::from(x)).collect();
-            let Step { observation, reward, terminated, truncated } = env.step(&action).unwrap();
+            let Step { observation, reward, terminated, truncated } = env.step(&widen(&actions[i * a..][..a])).unwrap();
             space.write_f32(&observation.vector, &mut row);
             assert_eq!(got, (reward as f32, terminated, truncated), "step {step} of {i}");
             let ends = terminated || truncated;
