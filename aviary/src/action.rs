@@ -223,8 +223,8 @@ impl ActionDecoder {
         Ok(Self { kind, limits: *limits, scale: MotorScale::new(params), loops })
     }
 
-    /// Returns true if both decoders convert equal actions into equal commands, given equal controller states: action
-    /// type, controller, limits and motor scale are equal.
+    /// Returns true if both decoders convert equal actions into equal commands for equal airframes, given equal
+    /// controller states: action type, controller and limits are equal.
     pub(crate) fn is_like(&self, other: &Self) -> bool {
         let controller = |decoder: &Self| match &decoder.loops {
             Loops::Velocity { controller, .. } | Loops::Waypoint { controller } => {
@@ -233,7 +233,6 @@ impl ActionDecoder {
             _ => None,
         };
         (self.kind, self.limits, controller(self)) == (other.kind, other.limits, controller(other))
-            && self.scale == other.scale
     }
 
     /// Returns the scale of normalized motor speeds.
