@@ -32,14 +32,14 @@ fn main() -> anyhow::Result<()> {
     let mut lines = quantiles.map(|(name, _)| Series { name: name.into(), points: vec![] });
     let (steps, mut spent) = ((48.0 * seconds) as usize, 0.0);
     for step in 0..=steps {
-        let mut heights: Vec<f32> = buffers.observations.chunks_exact(size).map(|seen| seen[2]).collect();
+        let mut heights: Vec<f32> = buffers.observations.chunks_exact(size).map(|observation| observation[2]).collect();
         heights.sort_by(f32::total_cmp);
         for (line, (_, share)) in lines.iter_mut().zip(quantiles) {
             let height = heights[(share * (environments - 1) as f64).round() as usize];
             line.points.push((step as f64 / 48.0, height.into()));
         }
-        for (action, seen) in actions.chunks_exact_mut(4).zip(buffers.observations.chunks_exact(size)) {
-            action.fill(0.5 * (1.0 - seen[2]) - 0.4 * seen[8]);
+        for (action, observation) in actions.chunks_exact_mut(4).zip(buffers.observations.chunks_exact(size)) {
+            action.fill(0.5 * (1.0 - observation[2]) - 0.4 * observation[8]);
         }
         let start = Instant::now();
         env.step(&actions, buffers.step())?;

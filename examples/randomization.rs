@@ -22,7 +22,7 @@ fn main() -> anyhow::Result<()> {
     let mut env = config.randomization(Randomization::default()).build()?;
     let size = ImageSize { width: 800, height: 600 };
     let mut renderer = SceneRenderer::for_people(&env.simulation().scene())?;
-    let (mut heights, mut aside, mut trails) = (vec![], vec![], vec![]);
+    let (mut heights, mut offsets, mut trails) = (vec![], vec![], vec![]);
     println!(
         "{:>5}{:>8}{:>8}{:>10}{:>9}{:>13}{:>8}{:>11}",
         "seed", "mass", "thrust", "lag (ms)", "latency", "wind (m/s)", "end", "error"
@@ -38,7 +38,7 @@ fn main() -> anyhow::Result<()> {
         })?;
         let name = format!("seed {seed}");
         heights.push(Series { name: name.clone(), points: z });
-        aside.push(Series { name, points: y });
+        offsets.push(Series { name, points: y });
         trails.push(trail);
         let (info, Some(sampled)) = (env.info(), env.sampled_params()) else { continue };
         let (drone, end) = (&sampled.drones[0], info.end.map_or("", |end| end.name()));
@@ -54,7 +54,7 @@ fn main() -> anyhow::Result<()> {
     }
     let mut rgb = vec![0; 3 * size.pixels()];
     renderer.rgb(View::Front, size, &mut rgb)?;
-    let plot = Plot::time_series("Hover with sampled parameters", &[("z (m)", heights), ("y (m)", aside)])?;
+    let plot = Plot::time_series("Hover with sampled parameters", &[("z (m)", heights), ("y (m)", offsets)])?;
     plot.save(directory.join("randomization.svg"))?;
     std::fs::write(directory.join("randomization.png"), png_rgb(size, &rgb)?)?;
     for name in ["randomization.svg", "randomization.png"] {

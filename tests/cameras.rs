@@ -63,21 +63,21 @@ fn depth_of_the_onboard_camera_matches_its_pose_and_field_of_view() {
     let eye = state.position + state.attitude * Vector3::new(0.02, 0.0, 0.0);
     let [fx, fy, cx, cy] = intrinsics(CAMERA_SIZE);
     assert!((2.0 * (24.0 / fy).atan() - 60_f64.to_radians()).abs() < 1e-12);
-    let mut seen = 0;
+    let mut floor_pixels = 0;
     for row in 0..48 {
         for column in 0..64 {
             // image right is body −y, image down is body −z
             let (u, v) = ((f64::from(column) + 0.5 - cx) / fx, (f64::from(row) + 0.5 - cy) / fy);
             let ray = state.attitude * Vector3::new(1.0, -u, -v);
-            let wanted = -eye.z / ray.z;
-            if ray.z < 0.0 && wanted < 10.0 {
+            let expected = -eye.z / ray.z;
+            if ray.z < 0.0 && expected < 10.0 {
                 let got = f64::from(depth[row as usize * 64 + column as usize]);
-                assert!((got - wanted).abs() < 1e-3, "({column}, {row}): {got} {wanted}");
-                seen += 1;
+                assert!((got - expected).abs() < 1e-3, "({column}, {row}): {got} {expected}");
+                floor_pixels += 1;
             }
         }
     }
-    assert!(seen > 1500, "{seen} pixels of floor");
+    assert!(floor_pixels > 1500, "{floor_pixels} pixels of floor");
 }
 
 #[test]
@@ -98,11 +98,11 @@ fn segmentation_and_depth_match_ray_casts_and_exclude_the_own_drone() {
     renderer.onboard_segmentation(0, size, &mut objects).unwrap();
     let names = renderer.objects();
     let name = |index: i32| names.iter().find(|object| object.index == index).map_or("?", |object| &object.name);
-    let seen: std::collections::BTreeSet<_> = objects.iter().filter(|o| o[0] == 5).map(|o| name(o[1])).collect();
+    let visible: std::collections::BTreeSet<_> = objects.iter().filter(|o| o[0] == 5).map(|o| name(o[1])).collect();
     for part in ["floor", "drone1_frame", "drone1_propellers", "drone2_frame", "drone2_propellers"] {
-        assert!(seen.contains(part), "{part} is not in {seen:?}");
+        assert!(visible.contains(part), "{part} is not in {visible:?}");
     }
-    assert!(!seen.iter().any(|name| name.starts_with("drone0") || *name == "?"), "{seen:?}");
+    assert!(!visible.iter().any(|name| name.starts_with("drone0") || *name == "?"), "{visible:?}");
 
     let mut depth = vec![0.0; size.pixels()];
     renderer.onboard_depth(0, size, &mut depth).unwrap();
@@ -118,9 +118,9 @@ fn segmentation_and_depth_match_ray_casts_and_exclude_the_own_drone() {
         let (column, row) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
         let ray = state.attitude * Vector3::new(1.0, -(column - cx) / fx, -(row - cy) / fy);
         let hit = data.ray(eye.into(), ray.into(), groups, Some(own)).unwrap();
-        let wanted =
+        let expected =
             hit.filter(|(_, t)| *t < 100.0).map_or([-1, -1], |(geom, _): (GeomId, f64)| [5, geom.get() as i32]);
-        agree += usize::from(*object == wanted);
+        agree += usize::from(*object == expected);
         let distance = hit.map_or(100.0, |(_, t)| t.min(100.0));
         // the tolerance for depth is 1 mm, or 0.1 % beyond 1 m; pixels of silhouettes may miss it
         near += usize::from((f64::from(depth[pixel]) - distance).abs() < 1e-3 * f64::max(1.0, distance));
@@ -276,24 +276,24 @@ fn images_of_the_floor_are_equal_at_every_distance_from_the_origin() {
         renderer.onboard_segmentation(0, size, &mut objects).unwrap();
         let state = &states[0];
         let eye = state.position + state.attitude * Vector3::from(World::CAMERA_POSITION);
-        let (mut worst, mut seen): (f64, usize) = (0.0, 0);
+        let (mut worst, mut floor_pixels): (f64, usize) = (0.0, 0);
         for (pixel, object) in objects.iter().enumerate() {
             let (column, row) = ((pixel % 160) as f64 + 0.5, (pixel / 160) as f64 + 0.5);
             let ray = state.attitude * Vector3::new(1.0, -(column - cx) / fx, -(row - cy) / fy);
             let distance = -eye.z / ray.z;
             if *object == [5, floor.index] && distance < 5.0 {
                 worst = worst.max((f64::from(depth[pixel]) - distance).abs());
-                seen += 1;
+                floor_pixels += 1;
             }
         }
         // rays hit the floor below the drones, too
         let down =
             renderer.data().ray([eye.x, eye.y, 0.5], [0.0, 0.0, -1.0], [true, false, false, false, false, false], None);
         assert_eq!(down.unwrap().map(|(geom, distance)| (geom.index() as i32, distance)), Some((floor.index, 0.5)));
-        (rgb, objects, worst, seen)
+        (rgb, objects, worst, floor_pixels)
     };
-    let (rgb, objects, worst, seen) = look([[0.0; 3]; 2]);
-    assert!(seen > 9000 && worst < 3e-4, "{seen} pixels of floor, largest error of depth {worst} m");
+    let (rgb, objects, worst, floor_pixels) = look([[0.0; 3]; 2]);
+    assert!(floor_pixels > 9000 && worst < 3e-4, "{floor_pixels} pixels of floor, largest error of depth {worst} m");
     for offset in [[900.0, 0.0, 0.0], [0.0, -1200.0, 0.0], [5000.0, -5000.0, 0.0]] {
         let there = look([offset; 2]);
         assert!(there.2 < 3e-4, "{offset:?}: largest error of depth {} m", there.2);

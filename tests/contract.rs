@@ -228,10 +228,10 @@ fn equal_seeds_give_bit_identical_episodes_on_every_thread_and_other_seeds_diffe
     let mut targets = Vec::new();
     env.reset(Some(1)).unwrap();
     for _ in 0..200 {
-        let seen = env.reset(None).unwrap().vector.clone();
+        let observation = env.reset(None).unwrap().vector.clone();
         let (velocity, rate) = env.task().target(0);
         assert_eq!(
-            (&seen[12..15], seen[15]),
+            (&observation[12..15], observation[15]),
             (velocity.as_slice(), rate),
             "the observation has the target of the reward"
         );
@@ -261,7 +261,7 @@ fn agents_keep_their_contract_in_every_task() {
 fn an_agent_that_crashes_leaves_and_the_others_continue() {
     let mut env = MultiAgentAviary::new(MultiHover::builder().num_drones(3).build().unwrap());
     let (observations, infos) = env.reset(Some(1)).unwrap();
-    assert!(observations.iter().all(|(_, seen)| seen.vector.len() == 13));
+    assert!(observations.iter().all(|(_, observation)| observation.vector.len() == 13));
     assert!(infos.iter().all(|(_, info)| info.end.is_none()));
     assert_eq!(env.state().len(), 36);
     let mut pids: Vec<_> = (0..3).map(|_| PidControl::new(&DroneModel::Cf2x.params())).collect();

@@ -353,8 +353,8 @@ fn raw_and_normalized_motor_speeds_give_the_same_flight() {
 fn one_command_for_all_motors_holds_a_height() {
     let mut env = Hover::builder().action_type(ActionType::OneDRpm).build().unwrap();
     let mut policy = from_fn(|env, action| {
-        let seen = &env.observation().vector;
-        action[0] = (1.2 * (1.0 - seen[2]) - 0.7 * seen[8]).clamp(-1.0, 1.0);
+        let observation = &env.observation().vector;
+        action[0] = (1.2 * (1.0 - observation[2]) - 0.7 * observation[8]).clamp(-1.0, 1.0);
     });
     assert!(fly_episode(&mut env, &mut policy, None).unwrap().success);
 }

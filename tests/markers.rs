@@ -167,8 +167,11 @@ fn markers_in_a_batch_move_as_in_single_environments() {
                     assert_eq!(buffers.rewards[index], step.reward as f32, "environment {index}");
                     ends += usize::from(step.terminated);
                 }
-                let seen = env.observation().vector.iter().map(|&x| x as f32);
-                assert!(seen.eq(buffers.observations[row * index..][..row].iter().copied()), "environment {index}");
+                let observation = env.observation().vector.iter().map(|&x| x as f32);
+                assert!(
+                    observation.eq(buffers.observations[row * index..][..row].iter().copied()),
+                    "environment {index}"
+                );
             }
         }
         assert!(ends > 3, "{ends} episodes ended in a hit");
@@ -177,12 +180,12 @@ fn markers_in_a_batch_move_as_in_single_environments() {
 
 #[test]
 fn rangefinders_measure_solid_markers_alone() {
-    for (solid, wanted) in [(true, 1.4 - 0.5), (false, 5.0)] {
+    for (solid, expected) in [(true, 1.4 - 0.5), (false, 5.0)] {
         let mut env = Ball::new(solid, 0.0).observation_type(ObservationType::KIN_RANGES).build().unwrap();
         env.reset(Some(1)).unwrap();
         step_env(&mut env, &[0.0; 4], 24);
         let ahead = env.observation().ranges[0];
-        assert!((ahead - wanted).abs() < 1e-2, "solid {solid}: {ahead}");
+        assert!((ahead - expected).abs() < 1e-2, "solid {solid}: {ahead}");
     }
 }
 

@@ -308,16 +308,20 @@ fn contact_with_an_obstacle_ends_the_episode_and_ranges_measure_its_distance() {
         .observation_type(ObservationType::KIN_RANGES)
         .build()
         .unwrap();
-    let seen = env.reset(None).unwrap();
-    assert!((seen.obstacle[0] - 0.9).abs() < 1e-12 && (seen.ranges[0] - 0.9).abs() < 1e-9, "{:?}", seen.ranges);
+    let observation = env.reset(None).unwrap();
     assert!(
-        (seen.ranges[9] - 1.0).abs() < 1e-9 && (seen.ranges[8] - 5.0).abs() < 1e-9,
+        (observation.obstacle[0] - 0.9).abs() < 1e-12 && (observation.ranges[0] - 0.9).abs() < 1e-9,
+        "{:?}",
+        observation.ranges
+    );
+    assert!(
+        (observation.ranges[9] - 1.0).abs() < 1e-9 && (observation.ranges[8] - 5.0).abs() < 1e-9,
         "ranges to the floor and upwards"
     );
-    assert!((seen.ranges[1] - 0.9 * 2_f64.sqrt()).abs() < 1e-9, "range at 45°");
+    assert!((observation.ranges[1] - 0.9 * 2_f64.sqrt()).abs() < 1e-9, "range at 45°");
     while env.info().end.is_none() {
-        let seen = &env.step(&[0.0; 4]).unwrap().observation;
-        assert!(seen.obstacle[0] > 0.0);
+        let observation = &env.step(&[0.0; 4]).unwrap().observation;
+        assert!(observation.obstacle[0] > 0.0);
     }
     assert_eq!(env.info().end, Some(EndReason::ObstacleContact));
     assert!(env.observation().obstacle[0] < 0.07);
@@ -332,7 +336,7 @@ fn moved_obstacles_are_rendered_at_their_positions() {
     let layout = |seed| config.generate(&[[0.0, 0.0, 1.0]], &mut Rng::seed_from_u64(seed)).unwrap();
     let size = ImageSize { width: 160, height: 120 };
     let state = DroneState::at_rest(Vector3::new(0.0, 0.0, 1.0), Vector3::zeros());
-    let draw = |renderer: &mut SceneRenderer| {
+    let render = |renderer: &mut SceneRenderer| {
         renderer.update(&[state]).unwrap();
         let mut rgb = vec![0; 3 * size.pixels()];
         renderer.rgb(View::Fixed, size, &mut rgb).unwrap();
@@ -340,11 +344,11 @@ fn moved_obstacles_are_rendered_at_their_positions() {
     };
     let renderer = |seed| SceneRenderer::for_observations(&world(layout(seed), [0.0, 0.0, 1.0])).unwrap();
     let mut moved = renderer(1);
-    let before = draw(&mut moved);
+    let before = render(&mut moved);
     for seed in 2..4 {
         moved.set_obstacles(&layout(seed)).unwrap();
-        let after = draw(&mut moved);
-        assert!(after != before && after == draw(&mut renderer(seed)), "seed {seed}");
+        let after = render(&mut moved);
+        assert!(after != before && after == render(&mut renderer(seed)), "seed {seed}");
     }
 }
 

@@ -123,11 +123,11 @@ fn constant_thrust_without_rotation_matches_its_closed_form_in_every_engine() {
                     let (t, dt) = (simulation.time(), 1.0 / f64::from(sim_freq));
                     // the position of semi-implicit Euler exceeds the closed form by exactly a·t·dt/2
                     let lead = if engine == EngineKind::Explicit { 0.5 * t * dt } else { 0.0 };
-                    let wanted = Vector3::new(1.0, 2.0, 30.0)
+                    let expected = Vector3::new(1.0, 2.0, 30.0)
                         + Vector3::new(0.5, 0.25, 1.0) * t
                         + acceleration * (0.5 * t * t + lead);
-                    let off = simulation.distance(0, &wanted);
-                    assert!(off < 1e-10, "{model} {engine} {forcing:?} at {sim_freq} Hz: {off:e}");
+                    let error = simulation.distance(0, &expected);
+                    assert!(error < 1e-10, "{model} {engine} {forcing:?} at {sim_freq} Hz: {error:e}");
                 }
             }
         }

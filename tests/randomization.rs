@@ -192,9 +192,9 @@ fn observations_have_noise_bias_and_latency_and_true_states_do_not() {
     let mut env = hovering(quiet("latency = [0.02083, 0.02083]\n"));
     let mut heights = vec![2.0; 6];
     for _ in 0..30 {
-        let seen = env.step(&[0.5; 4]).unwrap().observation.vector[2];
+        let measured = env.step(&[0.5; 4]).unwrap().observation.vector[2];
         heights.push(env.simulation().states()[0].position.z);
-        assert_eq!(seen, heights[heights.len() - 6], "the height five steps ago");
+        assert_eq!(measured, heights[heights.len() - 6], "the height five steps ago");
     }
     // noise with a constant bias: mean and standard deviation over an episode
     let config = only("[sensors]\nlatency = [0, 0]\nposition = 0.02\nvelocity = 0.1\n");
@@ -203,12 +203,12 @@ fn observations_have_noise_bias_and_latency_and_true_states_do_not() {
     let mut differences = Vec::new();
     for _ in 0..2000 {
         let truth = env.simulation().states()[0];
-        let seen = &env.observation().vector;
+        let measured = &env.observation().vector;
         differences.push([
-            seen[0] - truth.position.x,
-            seen[6] - truth.velocity.x,
-            seen[5] - truth.yaw(),
-            seen[9] - truth.angular_velocity.x,
+            measured[0] - truth.position.x,
+            measured[6] - truth.velocity.x,
+            measured[5] - truth.yaw(),
+            measured[9] - truth.angular_velocity.x,
         ]);
         env.step(&[0.0; 4]).unwrap();
     }
@@ -367,11 +367,11 @@ fn an_offset_moves_the_sampled_starts_and_not_the_reference() {
 fn removing_randomization_restores_nominal_flights_and_a_seed_reproduces_its_sample() {
     let flight = |env: &mut Aviary<Hover>| {
         env.reset(Some(4)).unwrap();
-        let mut seen = Vec::new();
-        while seen.len() < 100 && env.info().end.is_none() {
-            seen.push(env.step(&[0.03; 4]).unwrap().observation.vector.clone());
+        let mut observations = Vec::new();
+        while observations.len() < 100 && env.info().end.is_none() {
+            observations.push(env.step(&[0.03; 4]).unwrap().observation.vector.clone());
         }
-        seen
+        observations
     };
     let mut env = Hover::builder().build().unwrap();
     let nominal = flight(&mut env);

@@ -30,12 +30,12 @@ fn action(step: usize, size: usize) -> Vec<f64> {
 fn fly(env: &mut dyn DroneEnv, to: &Path, steps: usize) -> Vec<Vec<(DroneState, [f64; 4], f64)>> {
     let (drones, size) = (env.simulation().num_drones(), env.action_space().size());
     let mut recorder = Recorder::create(to, drones).unwrap();
-    let mut seen = vec![Vec::new(); drones];
+    let mut rows = vec![Vec::new(); drones];
     let mut note = |env: &dyn DroneEnv| {
         recorder.record(env).unwrap();
-        for (drone, seen) in seen.iter_mut().enumerate() {
+        for (drone, rows) in rows.iter_mut().enumerate() {
             let simulation = env.simulation();
-            seen.push((simulation.states()[drone], simulation.motor_speeds()[drone], env.drone_reward(drone)));
+            rows.push((simulation.states()[drone], simulation.motor_speeds()[drone], env.drone_reward(drone)));
         }
     };
     env.reset(Some(3)).unwrap();
@@ -47,7 +47,7 @@ fn fly(env: &mut dyn DroneEnv, to: &Path, steps: usize) -> Vec<Vec<(DroneState, 
             break;
         }
     }
-    seen
+    rows
 }
 
 #[test]
@@ -62,13 +62,13 @@ fn recorded_flights_are_read_back_bit_identically() {
     ];
     for (index, mut env) in envs.into_iter().enumerate() {
         let to = directory.path().join(index.to_string());
-        let seen = fly(&mut *env, &to, 60);
+        let expected = fly(&mut *env, &to, 60);
         let flight = Flight::read(&to).unwrap();
-        assert_eq!((flight.drones.len(), files(&to).len()), (seen.len(), seen.len()));
+        assert_eq!((flight.drones.len(), files(&to).len()), (expected.len(), expected.len()));
         let dt = env.simulation().control_period();
-        for (samples, seen) in flight.drones.iter().zip(&seen) {
-            assert_eq!(samples.len(), seen.len());
-            for (i, (sample, (state, motors, reward))) in samples.iter().zip(seen).enumerate() {
+        for (samples, expected) in flight.drones.iter().zip(&expected) {
+            assert_eq!(samples.len(), expected.len());
+            for (i, (sample, (state, motors, reward))) in samples.iter().zip(expected).enumerate() {
                 assert_eq!((sample.state, sample.motor_speeds, sample.reward), (*state, *motors, *reward));
                 assert!((sample.time - i as f64 * dt).abs() < 1e-12);
                 let before = &samples[i.saturating_sub(1)];
@@ -389,7 +389,7 @@ fn rings_and_gates_are_rendered_at_their_poses() {
     renderer.set_stage([0.0, 0.0, 1.0], 0.2);
     let size = ImageSize { width: 201, height: 201 };
     // centre, width and height of the magenta region, pixels
-    let mut seen = |add: &dyn Fn(&mut SceneRenderer) -> bool| {
+    let mut extent = |add: &dyn Fn(&mut SceneRenderer) -> bool| {
         renderer.update(simulation.states()).unwrap();
         assert!(add(&mut renderer));
         let mut rgb = vec![0; 3 * size.pixels()];
@@ -406,11 +406,11 @@ fn rings_and_gates_are_rendered_at_their_poses() {
     };
     let magenta = [1.0, 0.0, 1.0, 1.0];
     // in the top view, x points right and y points up
-    let level = seen(&|renderer| renderer.add_ring(Vector3::new(0.3, 0.2, 1.0), Vector3::z(), 0.2, 0.02, magenta));
+    let level = extent(&|renderer| renderer.add_ring(Vector3::new(0.3, 0.2, 1.0), Vector3::z(), 0.2, 0.02, magenta));
     assert!(level.0.0 > 115.0 && level.0.1 < 90.0 && (level.1 - level.2).abs() < 4.0, "{level:?}");
-    let upright = seen(&|renderer| renderer.add_ring(Vector3::new(0.0, 0.0, 1.0), Vector3::x(), 0.2, 0.02, magenta));
+    let upright = extent(&|renderer| renderer.add_ring(Vector3::new(0.0, 0.0, 1.0), Vector3::x(), 0.2, 0.02, magenta));
     assert!(upright.2 > 5.0 * upright.1, "a ring with its axis along x appears as a line along y: {upright:?}");
-    let gate = seen(&|renderer| renderer.add_gate(Vector3::new(0.0, 0.0, 1.0), 0.0, 0.2, magenta));
+    let gate = extent(&|renderer| renderer.add_gate(Vector3::new(0.0, 0.0, 1.0), 0.0, 0.2, magenta));
     assert!(gate.2 > 4.0 * gate.1, "a gate with its axis along x appears as a line along y: {gate:?}");
 }
 

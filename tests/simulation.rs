@@ -58,8 +58,8 @@ fn free_fall_matches_its_closed_form() {
     for _ in 0..100 {
         simulation.step(&[[0.0; 4]]).unwrap();
         let t = simulation.time();
-        let wanted = start.position + start.velocity * t - Vector3::new(0.0, 0.0, 0.5 * GRAVITY * t * t);
-        assert!(simulation.distance(0, &wanted) < 1e-11);
+        let expected = start.position + start.velocity * t - Vector3::new(0.0, 0.0, 0.5 * GRAVITY * t * t);
+        assert!(simulation.distance(0, &expected) < 1e-11);
     }
 }
 
@@ -71,7 +71,7 @@ fn each_contact_is_reported_once_per_step() {
         .initial_positions([[0.0, 0.0, 0.02], [0.0, 0.0, 0.06], [1.0, 0.0, 5.0]])
         .build()
         .unwrap();
-    let mut seen = Vec::new();
+    let mut contacts = Vec::new();
     for _ in 0..24 {
         simulation.step(&[[0.0; 4]; 3]).unwrap();
         let mut now = simulation.contacts().to_vec();
@@ -79,10 +79,10 @@ fn each_contact_is_reported_once_per_step() {
         let length = now.len();
         now.dedup();
         assert_eq!(now.len(), length, "a contact is reported twice");
-        seen = now;
+        contacts = now;
     }
     let contact = |drone, with| Contact { drone, with };
-    assert_eq!(seen, [contact(0, Touched::Floor), contact(0, Touched::Drone(1)), contact(1, Touched::Drone(0))],);
+    assert_eq!(contacts, [contact(0, Touched::Floor), contact(0, Touched::Drone(1)), contact(1, Touched::Drone(0))],);
     simulation.reset().unwrap();
     assert!(simulation.contacts().is_empty());
     simulation.engine().contacts(|contact| panic!("{contact:?} after a reset"));

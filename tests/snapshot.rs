@@ -72,17 +72,17 @@ fn assert_repeats(what: &str, build: &dyn Fn() -> Box<dyn DroneEnv>) {
         env.reset(Some(seed)).unwrap();
         flight(&mut *env, seed, before);
         let snapshot: EnvSnapshot = env.snapshot();
-        let (seen, info) = (env.observation().clone(), env.info());
-        let wanted = flight(&mut *env, 100 + seed, 90);
+        let (observation, info) = (env.observation().clone(), env.info());
+        let expected = flight(&mut *env, 100 + seed, 90);
         // the other environment is in another episode before the restore
         other.reset(Some(9)).unwrap();
         flight(&mut *other, 5, 13);
         let read = written_and_read(&snapshot);
         for (env, snapshot) in [(&mut env, &snapshot), (&mut other, &snapshot), (&mut third, &read)] {
             env.restore(snapshot).unwrap();
-            assert_eq!((env.observation(), env.info()), (&seen, info), "{what}, seed {seed}");
+            assert_eq!((env.observation(), env.info()), (&observation, info), "{what}, seed {seed}");
             let got = flight(&mut **env, 100 + seed, 90);
-            assert!(got == wanted, "{what}, seed {seed} after {before} steps");
+            assert!(got == expected, "{what}, seed {seed} after {before} steps");
         }
     }
 }
@@ -170,10 +170,10 @@ fn a_simulation_continues_from_its_data_and_refuses_the_data_of_another_scene() 
     };
     fly(&mut simulation, 0);
     let data = simulation.snapshot();
-    let wanted = fly(&mut simulation, 50);
+    let expected = fly(&mut simulation, 50);
     for data in [&data, &data, &written_and_read(&data)] {
         simulation.restore(data).unwrap();
-        assert_eq!(fly(&mut simulation, 50), wanted);
+        assert_eq!(fly(&mut simulation, 50), expected);
     }
     // data that was read from JSON is loaded even if the engine holds the same state
     let read = written_and_read(&simulation.snapshot());

@@ -283,11 +283,11 @@ fn the_observation_after_a_capture_has_the_next_waypoint_of_that_drone() {
     let mut captured = 0;
     while captured == 0 {
         let step = env.step(&[0.0; 8]).unwrap();
-        let (seen, reward) = (step.observation.vector.clone(), step.reward);
+        let (observation, reward) = (step.observation.vector.clone(), step.reward);
         captured = env.task().captured(0);
         assert_eq!(reward > 9.0, captured == 1);
-        assert_eq!(seen[12..15], if captured == 1 { [1.0, 0.0, 1.0] } else { [0.0, 0.0, 1.0] });
-        assert_eq!(seen[18 + 12..18 + 15], [0.0, 0.0, 1.0], "drone 1 still has its first waypoint");
+        assert_eq!(observation[12..15], if captured == 1 { [1.0, 0.0, 1.0] } else { [0.0, 0.0, 1.0] });
+        assert_eq!(observation[18 + 12..18 + 15], [0.0, 0.0, 1.0], "drone 1 still has its first waypoint");
     }
     let (x, yaw) = (env.observation().vector[15], 1.0_f64);
     assert!((x - yaw.cos()).abs() < 0.05, "the offset is in the body frame");
@@ -351,7 +351,7 @@ fn gates_are_rendered_and_have_no_collisions() {
 #[test]
 fn stabilize_and_track_sample_their_starts_within_limits() {
     let mut env = Stabilize::builder().num_drones(2).build().unwrap();
-    let mut seen = Vec::new();
+    let mut starts = Vec::new();
     for seed in 0..200 {
         env.reset(Some(seed)).unwrap();
         let states = env.simulation().states().to_vec();
@@ -360,9 +360,9 @@ fn stabilize_and_track_sample_their_starts_within_limits() {
         }
         env.reset(Some(seed)).unwrap();
         assert_eq!(env.simulation().states(), states, "the same seed gives the same states");
-        seen.push(states[1]);
+        starts.push(states[1]);
     }
-    let max = |f: fn(&DroneState) -> f64| seen.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
+    let max = |f: fn(&DroneState) -> f64| starts.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
     assert!(max(|s| s.velocity.x) > 0.9 && max(|s| -s.velocity.z) > 0.9 && max(|s| s.angular_velocity.y) > 1.8);
     assert!(max(|s| s.rpy().x) > 0.4 && max(|s| -s.rpy().y) > 0.4 && max(|s| s.yaw()) > 3.0);
 

@@ -134,9 +134,10 @@ fn obstacle_distances_ranges_and_adjacency_follow_the_vector_in_a_row() {
     let mut env = builder.engine(EngineKind::Hybrid).build().unwrap();
     env.reset(Some(1)).unwrap();
     env.step(&[0.1_f32 as f64; 8]).unwrap();
-    let seen = env.observation();
-    let mut row: Vec<f32> = seen.vector.iter().chain(&seen.obstacle).chain(&seen.ranges).map(|&x| x as f32).collect();
-    row.extend(seen.adjacency.iter().map(|&near| f32::from(u8::from(near))));
+    let observation = env.observation();
+    let mut row: Vec<f32> =
+        observation.vector.iter().chain(&observation.obstacle).chain(&observation.ranges).map(|&x| x as f32).collect();
+    row.extend(observation.adjacency.iter().map(|&near| f32::from(u8::from(near))));
     for i in 0..9 {
         assert_eq!(bits(&row), bits(&buffers.observations[52 * i..][..52]), "{i}");
     }
@@ -186,10 +187,10 @@ fn images_of_a_batch_are_identical_to_those_of_single_environments() {
         let mut alone = builder().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap();
         alone.reset(Some(1)).unwrap();
         step_env(&mut alone, &widen(&actions[4 * i..][..4]), 15);
-        let seen = alone.observation();
-        assert_eq!(seen.rgb, rgb[4 * pixels * i..][..4 * pixels]);
-        assert_eq!(seen.depth, depth[pixels * i..][..pixels]);
-        assert_eq!(seen.segmentation, segmentation[pixels * i..][..pixels]);
+        let observation = alone.observation();
+        assert_eq!(observation.rgb, rgb[4 * pixels * i..][..4 * pixels]);
+        assert_eq!(observation.depth, depth[pixels * i..][..pixels]);
+        assert_eq!(observation.segmentation, segmentation[pixels * i..][..pixels]);
     }
     assert_ne!(
         rgb[..4 * pixels],
@@ -224,9 +225,9 @@ fn a_batch_with_the_safety_filter_is_bit_identical_to_wrapped_environments() {
             .collect();
         batch.step(&action.repeat(10), buffers.step()).unwrap();
         alone.step(&widen(&action)).unwrap();
-        let seen = narrow(&alone.observation().vector);
-        for row in buffers.observations.chunks_exact(seen.len()) {
-            assert_eq!(bits(row), bits(&seen));
+        let expected = narrow(&alone.observation().vector);
+        for row in buffers.observations.chunks_exact(expected.len()) {
+            assert_eq!(bits(row), bits(&expected));
         }
     }
     assert!(alone.interventions() > 30, "{}", alone.interventions());

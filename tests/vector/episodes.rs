@@ -47,11 +47,11 @@ fn with_changes_one_environment_of_a_batch() {
     let (mut batch, mut buffers) = reset_batch(builder, VecConfig::new(10), 1);
     let wind = WindConfig { velocity: [3.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
     batch.with(4, |env| env.set_wind(Some(wind))).unwrap().unwrap();
-    let mut seen = 0;
-    batch.with_env(7, &mut |env| seen = env.episode_steps()).unwrap();
+    let mut episode_steps = 0;
+    batch.with_env(7, &mut |env| episode_steps = env.episode_steps()).unwrap();
     let error = batch.with(10, |_| ()).unwrap_err().to_string();
     assert_eq!(error, "environment 10 does not exist, expected an index from 0 to 9");
-    assert_eq!(seen, 480);
+    assert_eq!(episode_steps, 480);
     for _ in 0..48 {
         batch.step(&[0.0; 40], buffers.step()).unwrap();
     }
@@ -181,8 +181,8 @@ fn reading_an_environment_returns_its_commands_and_end_and_changes_nothing() {
             let ended = end.is_some();
             assert!(ended == (crashed && i == 7), "{i}: {end:?}");
             if i != 7 {
-                let wanted = 14_475.8 + f64::from(0.002 * i as f32) * (21_713.7 - 14_475.8);
-                assert!((speeds[0] - wanted).abs() < 2.0 && rpm == speeds, "{i}: {speeds:?} {rpm:?}");
+                let expected = 14_475.8 + f64::from(0.002 * i as f32) * (21_713.7 - 14_475.8);
+                assert!((speeds[0] - expected).abs() < 2.0 && rpm == speeds, "{i}: {speeds:?} {rpm:?}");
             }
         }
     }

@@ -80,11 +80,11 @@ fn compare_as_built<T: Task + Clone + Send + Sync>(
         let actions = wander.next().to_vec();
         batch.step(&actions, buffers.step()).unwrap();
         for (i, env) in alone.iter_mut().enumerate() {
-            let seen = &buffers.observations[i * o..][..o];
+            let in_batch = &buffers.observations[i * o..][..o];
             let got = (buffers.rewards[i], buffers.terminated[i], buffers.truncated[i]);
             if over[i] {
                 space.write_f32(&env.reset(None).unwrap().vector, &mut row);
-                assert_eq!(bits(&row), bits(seen), "next reset of {i}");
+                assert_eq!(bits(&row), bits(in_batch), "next reset of {i}");
                 assert_eq!(got, (0.0, false, false));
                 over[i] = false;
                 continue;
@@ -107,7 +107,7 @@ fn compare_as_built<T: Task + Clone + Send + Sync>(
             } else {
                 over[i] = ends;
             }
-            assert_eq!(bits(&row), bits(seen), "step {step} of {i}");
+            assert_eq!(bits(&row), bits(in_batch), "step {step} of {i}");
         }
     }
     ended
