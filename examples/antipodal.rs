@@ -1,4 +1,5 @@
-//! The paper's antipodal figure: twelve drones on a circle swap places behind a collision-cone safety filter.
+//! Antipodal figure of the *MuJoCo-Drones-Gym* paper (Tayal): twelve drones on a circle swap places behind a
+//! collision-cone safety filter.
 //!
 //! `cargo run --release --example antipodal -- [DIRECTORY] [SECONDS]` writes `antipodal.png`: six top views with safety
 //! rings and goals. Defaults: directory `out/antipodal`, last view after 7.5 s.

@@ -1,4 +1,5 @@
-//! The paper's downwash figure: a Crazyflie flies over another one, whose thrust rises in the wake.
+//! Downwash figure of the *MuJoCo-Drones-Gym* paper (Tayal): a Crazyflie flies over another one, whose thrust rises
+//! in the wake.
 //!
 //! `cargo run --release --example downwash -- [DIRECTORY] [SECONDS]` writes `downwash.svg` and `downwash.png`.
 //! Defaults: directory `out/downwash`, 10 s.

@@ -1,4 +1,5 @@
-//! The paper's formation figure: drones on a circle with a moving centre, with the path of each drone.
+//! Formation figure of the *MuJoCo-Drones-Gym* paper (Tayal): drones on a circle with a moving centre, with the path
+//! of each drone.
 //!
 //! `cargo run --release --example formation -- [DIRECTORY] [SECONDS] [DRONES]` writes `formation.png`, `flight.svg` and
 //! `path.svg`. Defaults: directory `out/formation`, 30 s, three drones.

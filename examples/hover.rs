@@ -1,4 +1,5 @@
-//! The paper's first figure: a Crazyflie under the paper's PID takes off and hovers at 1 m, in the track view.
+//! First figure of the *MuJoCo-Drones-Gym* paper (Tayal): a Crazyflie under the paper's PID takes off and hovers at
+//! 1 m, in the track view.
 //!
 //! `cargo run --release --example hover -- [DIRECTORY] [SECONDS]` writes `hover.gif`, `hover.png`, the flight as
 //! `drone0.csv` and its plots `flight.png` and `path.png`. Defaults: directory `out/hover`, 10 s.

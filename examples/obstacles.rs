@@ -1,4 +1,5 @@
-//! The paper's obstacle figure: forest, urban, indoor, random and gate obstacles from a seed.
+//! Obstacle figure of the *MuJoCo-Drones-Gym* paper (Tayal): forest, urban, indoor, random and gate obstacles from a
+//! seed.
 //!
 //! `cargo run --release --example obstacles -- [DIRECTORY] [SEED]` writes one PNG file per kind. Defaults: directory
 //! `out/obstacles`, seed 3.

@@ -1,5 +1,5 @@
-//! The paper's three PID demos: a hover with the PID, a square of waypoints with the DSL-PID, and three drones at
-//! staggered heights with ground effect, drag and downwash.
+//! Three PID demos of the *MuJoCo-Drones-Gym* paper (Tayal): a hover with the PID, a square of waypoints with the
+//! DSL-PID, and three drones at staggered heights with ground effect, drag and downwash.
 //!
 //! `cargo run --release --example pid -- [DIRECTORY] [SECONDS]` writes a directory per flight with CSV logs and plots
 //! (`flight.svg`, `path.svg`), and an image of the three drones. Defaults: directory `out/pid`, 16 s.

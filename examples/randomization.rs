@@ -1,4 +1,5 @@
-//! The paper's randomization figure: five episodes with sampled parameters under the same controller.
+//! Randomization figure of the *MuJoCo-Drones-Gym* paper (Tayal): five episodes with sampled parameters under the
+//! same controller.
 //!
 //! `cargo run --release --example randomization -- [DIRECTORY] [SECONDS]` writes `randomization.png` (front view of the
 //! five trails) and `randomization.svg`, and prints the sampled parameters. Defaults: directory `out/randomization`,

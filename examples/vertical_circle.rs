@@ -1,4 +1,5 @@
-//! The paper's vertical circle: 0.3 m and 8 s in the YZ plane, flown by the SE(3) controller from rest on the circle.
+//! Vertical circle of the *MuJoCo-Drones-Gym* paper (Tayal): 0.3 m and 8 s in the YZ plane, flown by the SE(3)
+//! controller from rest on the circle.
 //!
 //! `cargo run --release --example vertical_circle -- [DIRECTORY] [SECONDS]` writes `vertical_circle.png`, a front view
 //! with the planned circle as white dots and the path in cyan. Defaults: directory `out/vertical_circle`, 8 s.

@@ -1,5 +1,5 @@
-//! The paper's wind figure: hover in combined wind of 0.9 m/s along +y with turbulence, under the paper's PID and under
-//! a geometric controller with an integral term.
+//! Wind figure of the *MuJoCo-Drones-Gym* paper (Tayal): hover in combined wind of 0.9 m/s along +y with turbulence,
+//! under the paper's PID and under a geometric controller with an integral term.
 //!
 //! `cargo run --release --example wind -- [DIRECTORY] [SECONDS]` writes `wind.png` (trail of the PID and an arrow along
 //! the wind) and `wind.svg`. Defaults: directory `out/wind`, 20 s.

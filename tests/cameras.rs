@@ -1,5 +1,7 @@
 //! Onboard cameras and views. Without an OpenGL library these tests pass without rendering, because a machine without
 //! OpenGL is supported.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

@@ -1,4 +1,6 @@
 //! The contract of environments and agents for all tasks, with wrappers and recordings.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

@@ -1,4 +1,6 @@
 //! Controllers, trajectories and action types on MuJoCo's dynamics: tracking errors, recovery and invalid inputs.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

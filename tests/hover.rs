@@ -1,4 +1,6 @@
 //! Hover: closed forms, the paper's rewards and ends, and flights of the PID.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

@@ -1,4 +1,6 @@
 //! Physics compared with closed forms, conservation laws and independent calculations.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

@@ -1,4 +1,6 @@
 //! Domain randomization: distributions, effects on the simulated body, and reproducibility from seeds.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

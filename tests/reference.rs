@@ -1,4 +1,6 @@
 //! Reference flights: an independent implementation of the paper's equations on another version of MuJoCo.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::{Scenario, read_actions};

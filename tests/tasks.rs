@@ -1,4 +1,6 @@
 //! Tasks: the paper's table, rewards, ends of episodes, flights of controllers, and options.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 

@@ -1,4 +1,6 @@
 //! Wind: drift, drag in moving air, the medium, and the contract of environments in wind.
+//!
+//! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod common;
 
