@@ -19,9 +19,9 @@ use crate::pilot::Pilot;
 /// Write camera observations of a flight: RGB, depth, segmentation and states
 ///
 /// frames.csv has one row per frame and drone: the state and the names of the images. Depth
-/// images are 16-bit PNG in millimetres; 0 is no surface within 65.5 m. Segmentation images are
-/// 16-bit PNG of ids, which segmentation.json maps to objects. camera.json has the intrinsics
-/// and the pose of the camera in the body frame.
+/// images are 16-bit PNG in millimetres, with 0 for no surface within 65.5 m. Segmentation
+/// images are 16-bit PNG of ids, which segmentation.json maps to objects. camera.json has the
+/// intrinsics and the pose of the camera in the body frame.
 ///
 /// After the end of an episode, the next one begins with another start and another layout of
 /// the obstacles; see --vary. The command replaces an earlier capture in the directory. It

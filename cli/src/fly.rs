@@ -37,7 +37,7 @@ pub struct Fly {
     ///
     /// The log is drone0.csv, drone1.csv, …, one file per drone. Each row is written during
     /// the flight, so that the log survives a crash of the program. scenario.toml is the
-    /// scenario that `aviary replay` reads. summary.json is the output of --json.
+    /// scenario that `aviary replay` reads. summary.json has the results of the flight.
     #[arg(long, verbatim_doc_comment, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
     /// Plots of the flight over time and of its path

@@ -23,8 +23,8 @@ use crate::parse::{self, NameOrFile};
 ///
 /// Episodes start within ±0.2 m, ±0.1 rad and ±0.5 m/s of the task's start, or within the ranges
 /// of --config; the starts of antipodal are fixed. Task, airframe, number of drones, action type
-/// and rates are those of the training, unless options or --config change them. The default is
-/// still air without obstacles; --as-trained restores the conditions of the training. Animations
+/// and rates are those of the training, unless options or --config change them. The default has
+/// no wind and no obstacles; --as-trained restores the conditions of the training. Animations
 /// show the first episode.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
@@ -59,7 +59,7 @@ pub struct Play {
     /// Physics mode: mjc, mjc_gnd, mjc_drag, mjc_dw, mjc_gnd_drag_dw, dyn
     ///
     /// A physics mode is the name of an engine and its aerodynamic effects in the paper. The
-    /// default is mjc.
+    /// default is the mode of --config, or mjc.
     #[arg(
         long,
         verbatim_doc_comment,

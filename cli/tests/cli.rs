@@ -482,9 +482,13 @@ fn the_hybrid_engine_computes_the_same_flight_as_mujoco() {
 fn the_json_of_the_benchmark_has_all_keys() {
     let bench = json(&["bench", "--quick"]);
     assert!(bench["machine"].is_string() && bench["threads"].as_u64().unwrap() > 0);
+    let instructions = bench["instructions"].as_str().unwrap();
     let mj_step = bench["mj_step_per_second"].as_f64().unwrap();
     assert!(mj_step > 1e3);
     let rows = bench["rows"].as_array().unwrap();
+    // the last rows of the kernel use the widest instruction set
+    let kernel = rows.iter().rfind(|row| row["engine"] == "flight").unwrap();
+    assert!(kernel["name"].as_str().unwrap().starts_with(&format!("kernel, {instructions},")), "{kernel}");
     for row in rows {
         for key in ["name", "engine", "task", "physics"] {
             assert!(row[key].is_string(), "{key}: {row}");

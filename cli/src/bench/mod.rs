@@ -90,7 +90,7 @@ impl Bench {
                 "rows": list,
             }));
         }
-        let mut text = format!("{}, {}, {}\n", machine(), aviary::count(cores(), "thread"), Width::best().name());
+        let mut text = title();
         let _ = writeln!(text, "bare mj_step: {mj_step:.0} per second ({:.2} µs)\n", 1e6 / mj_step);
         let _ = writeln!(
             text,
@@ -204,6 +204,11 @@ impl Row {
         }
         text.push('\n');
     }
+}
+
+/// Returns the first line of the table: processor, threads and the instruction set of the flight kernel.
+fn title() -> String {
+    format!("{}, {}, instruction set {}\n", machine(), aviary::count(cores(), "thread"), Width::best().name())
 }
 
 fn cores() -> usize {
@@ -513,4 +518,15 @@ fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
         resident_bytes: None,
         frames_per_second: Some(measured.rate * per_call),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_names_the_processor_and_the_instruction_set() {
+        let title = title();
+        assert!(title.starts_with(&machine()) && title.ends_with(&format!("set {}\n", Width::best().name())), "{title}");
+    }
 }
