@@ -527,6 +527,9 @@ mod tests {
     #[test]
     fn the_table_names_the_processor_and_the_instruction_set() {
         let title = title();
-        assert!(title.starts_with(&machine()) && title.ends_with(&format!("set {}\n", Width::best().name())), "{title}");
+        assert!(
+            title.starts_with(&machine()) && title.ends_with(&format!("set {}\n", Width::best().name())),
+            "{title}"
+        );
     }
 }
