@@ -7,7 +7,7 @@
 use mujoco_drones_gym::control::CollisionCone;
 use mujoco_drones_gym::mujoco::Quality;
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::tasks::Antipodal;
 use mujoco_drones_gym::vision::{SceneRenderer, VisualEffects};
 use mujoco_drones_gym::wrappers::SafetyWrapper;

@@ -8,7 +8,7 @@ use mujoco_drones_gym::control::GeometricControl;
 use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Trajectory};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::CsvLog;
-use mujoco_drones_gym::record::picture::{
+use mujoco_drones_gym::record::images::{
     depth_in_colour, png_depth, png_rgb, png_segmentation, segmentation_in_colour,
 };
 use mujoco_drones_gym::vision::SceneRenderer;

@@ -5,7 +5,7 @@
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::record::plot::Plot;
 
 const COURIER: &str = r#"

@@ -6,7 +6,7 @@
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::Flight;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, colour_of};
 use mujoco_drones_gym::vision::SceneRenderer;
 

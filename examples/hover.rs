@@ -6,7 +6,7 @@
 
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::record::animation::{Animation, GifAnimation};
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::record::plot::Plot;
 use mujoco_drones_gym::record::{Flight, FrameRecorder, Overlays, Recorder};
 

@@ -5,7 +5,7 @@
 //! `out/obstacles`, seed 3.
 
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::vision::SceneRenderer;
 use mujoco_drones_gym::world::{ObstacleConfig, ObstacleKind};
 

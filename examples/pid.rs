@@ -9,7 +9,7 @@ use std::path::Path;
 use mujoco_drones_gym::control::ControllerKind;
 use mujoco_drones_gym::control::trajectory::{Steps, Trajectory};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::record::plot::Plot;
 use mujoco_drones_gym::record::{Flight, Recorder};
 use mujoco_drones_gym::vision::SceneRenderer;

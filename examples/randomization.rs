@@ -7,7 +7,7 @@
 
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, Series};
 use mujoco_drones_gym::vision::SceneRenderer;
 

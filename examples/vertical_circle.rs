@@ -7,7 +7,7 @@
 use mujoco_drones_gym::control::GeometricControl;
 use mujoco_drones_gym::control::trajectory::{PeriodicTrajectory, Plane, Trajectory};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::vision::SceneRenderer;
 
 #[allow(clippy::print_stdout)]

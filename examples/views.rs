@@ -3,7 +3,7 @@
 //! `cargo run --release --example views -- [DIRECTORY]` writes PNG files. Default: directory `out/views`.
 
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture;
+use mujoco_drones_gym::record::images;
 use mujoco_drones_gym::vision::{ImageSize, SceneRenderer, View};
 
 const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
@@ -26,7 +26,7 @@ fn main() -> anyhow::Result<()> {
         renderer.update(simulation.states())?;
         for view in View::ALL {
             renderer.rgb(view, SIZE, &mut rgb)?;
-            save(format!("{model}_{view}.png"), picture::png_rgb(SIZE, &rgb)?)?;
+            save(format!("{model}_{view}.png"), images::png_rgb(SIZE, &rgb)?)?;
         }
     }
 
@@ -37,17 +37,17 @@ fn main() -> anyhow::Result<()> {
     let mut renderer = SceneRenderer::for_people(&three.scene())?;
     renderer.update(three.states())?;
     renderer.rgb(View::Track, SIZE, &mut rgb)?;
-    save("three_track.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
+    save("three_track.png".into(), images::png_rgb(SIZE, &rgb)?)?;
 
     let mut renderer = SceneRenderer::for_observations(&three.scene())?;
     renderer.update(three.states())?;
     renderer.rgb(View::Fpv, SIZE, &mut rgb)?;
-    save("three_fpv.png".into(), picture::png_rgb(SIZE, &rgb)?)?;
+    save("three_fpv.png".into(), images::png_rgb(SIZE, &rgb)?)?;
     let mut depth = vec![0.0; SIZE.pixels()];
     renderer.depth(View::Fpv, SIZE, &mut depth)?;
-    save("three_fpv_depth.png".into(), picture::png_rgb(SIZE, &picture::depth_in_colour(&depth, 100.0))?)?;
+    save("three_fpv_depth.png".into(), images::png_rgb(SIZE, &images::depth_in_colour(&depth, 100.0))?)?;
     let mut objects = vec![[0; 2]; SIZE.pixels()];
     renderer.segmentation(View::Fpv, SIZE, &mut objects)?;
-    save("three_fpv_segmentation.png".into(), picture::png_rgb(SIZE, &picture::segmentation_in_colour(&objects))?)?;
+    save("three_fpv_segmentation.png".into(), images::png_rgb(SIZE, &images::segmentation_in_colour(&objects))?)?;
     Ok(())
 }

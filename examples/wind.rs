@@ -7,7 +7,7 @@
 use mujoco_drones_gym::control::{Bandwidths, GeometricControl};
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::record::picture::png_rgb;
+use mujoco_drones_gym::record::images::png_rgb;
 use mujoco_drones_gym::record::plot::{Plot, Series};
 use mujoco_drones_gym::vision::{Decor, SceneRenderer};
 use nalgebra::Vector3;

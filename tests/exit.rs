@@ -2,7 +2,7 @@
 
 use mujoco_drones_gym::mujoco::gl_info;
 use mujoco_drones_gym::prelude::*;
-use mujoco_drones_gym::vector::VecPictures;
+use mujoco_drones_gym::vector::VecImages;
 
 #[path = "../mujoco-rs/tests/exit/mod.rs"]
 mod exit;
@@ -15,7 +15,7 @@ fn batch() -> VecAviary<Hover> {
     let mut buffers = VecBuffers::new(&env);
     env.reset(Some(1), &mut buffers.observations).unwrap();
     let mut rgb = vec![0; env.num_envs() * 4 * size.pixels()];
-    env.pictures(VecPictures { rgb: &mut rgb, ..VecPictures::default() }).unwrap();
+    env.render_images(VecImages { rgb: &mut rgb, ..VecImages::default() }).unwrap();
     assert!(rgb.iter().any(|&value| value > 0 && value < 255));
     env
 }

@@ -217,8 +217,8 @@ fn moving_markers_are_rendered_at_their_positions() {
         }
         let bytes = 4 * size.pixels();
         let mut images = vec![0; 3 * bytes];
-        use mujoco_drones_gym::vector::VecPictures;
-        batch.pictures(VecPictures { rgb: &mut images, ..VecPictures::default() }).unwrap();
+        use mujoco_drones_gym::vector::VecImages;
+        batch.render_images(VecImages { rgb: &mut images, ..VecImages::default() }).unwrap();
         for image in images.chunks_exact(bytes) {
             assert_eq!(red(image, 4), near, "solid {solid}");
         }

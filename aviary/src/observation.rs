@@ -260,7 +260,7 @@ impl Observation {
     ///
     /// # Panics
     /// If the buffers have images of more drones than the renderer.
-    pub fn take_pictures(&mut self, renderer: &mut SceneRenderer, size: ImageSize) -> Result<(), Error> {
+    pub fn take_images(&mut self, renderer: &mut SceneRenderer, size: ImageSize) -> Result<(), Error> {
         // a size of zero has no images
         let pixels = size.pixels().max(1);
         for (drone, rgb) in self.rgb.chunks_exact_mut(4 * pixels).enumerate() {

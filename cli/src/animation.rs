@@ -114,7 +114,7 @@ impl AnimationOptions {
         }
         for drone in 0..simulation.num_drones() {
             if let Some(path) = path(drone) {
-                recorder.set_way(drone, path);
+                recorder.set_path(drone, path);
             }
         }
         let seconds = recorder.seconds_per_frame();

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
 use append_file::AppendFile;
-use aviary::record::{STATE_COLUMNS, picture, state_numbers};
+use aviary::record::{STATE_COLUMNS, images, state_numbers};
 use aviary::vision::{CAMERA_SIZE, ImageSize, SceneRenderer, intrinsics};
 use aviary::world::World;
 use clap::{Args, ValueHint};
@@ -102,9 +102,9 @@ impl Capture {
                 renderer.onboard_segmentation(drone, self.size, &mut objects).map_err(vision_failure)?;
                 let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
                 let files = ["rgb", "depth", "segmentation"].map(|kind| format!("{kind}/{frame:06}_{drone}.png"));
-                out.write(&files[0], &picture::png_rgb(self.size, &rgb).map_err(Failure::work)?)?;
-                out.write(&files[1], &picture::png_depth(self.size, &depth).map_err(Failure::work)?)?;
-                out.write(&files[2], &picture::png_segmentation(self.size, &objects).map_err(Failure::work)?)?;
+                out.write(&files[0], &images::png_rgb(self.size, &rgb).map_err(Failure::work)?)?;
+                out.write(&files[1], &images::png_depth(self.size, &depth).map_err(Failure::work)?)?;
+                out.write(&files[2], &images::png_segmentation(self.size, &objects).map_err(Failure::work)?)?;
 
                 let numbers = state_numbers(state);
                 seen.note(&rgb, &numbers);

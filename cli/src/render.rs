@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use anyhow::anyhow;
-use aviary::record::picture;
+use aviary::record::images;
 use aviary::vision::{ImageKind, ImageSize, SceneRenderer, View};
 use aviary::world::World;
 use clap::{Args, ValueHint};
@@ -127,14 +127,14 @@ impl Render {
             ImageKind::Depth => {
                 let mut depth = vec![0.0; pixels];
                 renderer.depth(view, self.size, &mut depth).map_err(vision_failure)?;
-                picture::depth_in_colour(&depth, World::CLIP_PLANES[1] as f32)
+                images::depth_in_colour(&depth, World::CLIP_PLANES[1] as f32)
             }
             ImageKind::Segmentation => {
                 let mut objects = vec![[0; 2]; pixels];
                 renderer.segmentation(view, self.size, &mut objects).map_err(vision_failure)?;
-                picture::segmentation_in_colour(&objects)
+                images::segmentation_in_colour(&objects)
             }
         };
-        picture::png_rgb(self.size, &rgb).map_err(Failure::work)
+        images::png_rgb(self.size, &rgb).map_err(Failure::work)
     }
 }

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use aviary::env::{Conditions, DroneEnv, Env, EnvConfig};
-use aviary::record::{Flight, STATE_COLUMNS, picture};
+use aviary::record::{Flight, STATE_COLUMNS, images};
 use aviary::tasks;
 use aviary::vision::{ImageSize, SceneRenderer};
 use serde_json::Value;
@@ -405,7 +405,7 @@ fn images_of_the_first_episode_show_the_layout_of_its_reset() {
     renderer.update(simulation.states()).unwrap();
     let mut objects = vec![[0; 2]; size.pixels()];
     renderer.onboard_segmentation(0, size, &mut objects).unwrap();
-    let expected = picture::png_segmentation(size, &objects).unwrap();
+    let expected = images::png_segmentation(size, &objects).unwrap();
 
     let common = ["--task", "hover", "--config", text(&config), "--seed", "3", "--size", "64x48"];
     let set = dir.join("set");
@@ -414,8 +414,8 @@ fn images_of_the_first_episode_show_the_layout_of_its_reset() {
     let image = dir.join("segmentation.png");
     let render = ["render", "--at", "0", "--camera", "fpv", "--kind", "segmentation", "--out", text(&image)];
     run(&[&render[..], &common[..]].concat());
-    let colours = picture::segmentation_in_colour(&objects);
-    assert!(std::fs::read(&image).unwrap() == picture::png_rgb(size, &colours).unwrap());
+    let colours = images::segmentation_in_colour(&objects);
+    assert!(std::fs::read(&image).unwrap() == images::png_rgb(size, &colours).unwrap());
 }
 
 /// Asserts that every row of a dataset has its images, and every id its object. Returns the number of rows.

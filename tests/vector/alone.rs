@@ -5,7 +5,7 @@ use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{self, Antipodal};
-use mujoco_drones_gym::vector::VecPictures;
+use mujoco_drones_gym::vector::VecImages;
 use mujoco_drones_gym::world::{Forcing, Medium, ObstacleConfig, ObstacleKind};
 
 use super::common::{reset_batch, step_env};
@@ -182,7 +182,7 @@ fn images_of_a_batch_are_identical_to_those_of_single_environments() {
     for _ in 0..15 {
         env.step(&actions, buffers.step()).unwrap();
     }
-    env.pictures(VecPictures { rgb: &mut rgb, depth: &mut depth, segmentation: &mut segmentation }).unwrap();
+    env.render_images(VecImages { rgb: &mut rgb, depth: &mut depth, segmentation: &mut segmentation }).unwrap();
     for i in [0, 4, 8] {
         let mut alone = builder().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap();
         alone.reset(Some(1)).unwrap();
@@ -197,7 +197,7 @@ fn images_of_a_batch_are_identical_to_those_of_single_environments() {
         rgb[4 * 8 * pixels..][..4 * pixels],
         "environments with different actions have different images"
     );
-    let error = env.pictures(VecPictures::default()).unwrap_err().to_string();
+    let error = env.render_images(VecImages::default()).unwrap_err().to_string();
     assert!(error.contains("rgb has 0 entries"), "{error}");
 }
 

@@ -207,7 +207,7 @@ impl<T: Task> EnvParts<'_, T> {
                 cameras.set_markers(&self.data.markers(self.sim_model))?;
             }
             cameras.update(self.data.states())?;
-            observation.take_pictures(cameras, self.model.observation_space.camera_size)?;
+            observation.take_images(cameras, self.model.observation_space.camera_size)?;
         }
         Ok(())
     }

@@ -129,7 +129,7 @@ impl FrameRecorder {
         for (drone, plan) in env.plans().into_iter().enumerate() {
             self.paths[drone].clear();
             if let Some(plan) = plan {
-                self.set_way(drone, &*plan);
+                self.set_path(drone, &*plan);
             }
         }
     }
@@ -162,7 +162,7 @@ impl FrameRecorder {
     ///
     /// # Panics
     /// If no drone has the index.
-    pub fn set_way(&mut self, drone: usize, path: &dyn Trajectory) {
+    pub fn set_path(&mut self, drone: usize, path: &dyn Trajectory) {
         const POINTS: u32 = 479;
         let at = |i: u32| path.reference(path.duration() * f64::from(i) / f64::from(POINTS)).position;
         self.paths[drone] = (0..=POINTS).map(at).collect();

@@ -8,8 +8,8 @@ pub mod animation;
 mod files;
 mod flight;
 mod frame_recorder;
+pub mod images;
 mod log;
-pub mod picture;
 pub mod plot;
 mod recorded;
 mod recorder;
@@ -88,7 +88,7 @@ pub enum RecordError {
     Plot(String),
     /// A buffer whose length does not match the size of the image.
     #[error("an image of {size} has {got} values, expected {expected}")]
-    Picture {
+    Image {
         /// Size of the image.
         size: ImageSize,
         /// Length of the buffer.

@@ -3,7 +3,7 @@ use std::sync::PoisonError;
 use super::pool::WorkerPool;
 use super::shard::{BatchModel, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
 use super::worker::Worker;
-use super::{Autoreset, OnFault, VecConfig, VecEnv, VecPictures, VecStep};
+use super::{Autoreset, OnFault, VecConfig, VecEnv, VecImages, VecStep};
 use crate::control::CollisionCone;
 use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, Width};
 use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
@@ -420,7 +420,7 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
         self.take_faults(fatal)
     }
 
-    fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError> {
+    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
         let (count, [rgb, depth, objects]) = (self.num_envs(), self.model.images);
         check_len("rgb", out.rgb.len(), count * rgb)?;
         check_len("depth", out.depth.len(), count * depth)?;

@@ -1,4 +1,4 @@
-use super::{Autoreset, VecAviary, VecEnv, VecPictures, VecStep};
+use super::{Autoreset, VecAviary, VecEnv, VecImages, VecStep};
 use crate::engine::Substeps;
 use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, ObservationSpace, Task};
 use crate::wrappers::{Curriculum, CurriculumConfig};
@@ -152,8 +152,8 @@ where
         done
     }
 
-    fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError> {
-        self.env.pictures(out)
+    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
+        self.env.render_images(out)
     }
 
     fn final_observations(&self) -> &[f32] {

@@ -156,7 +156,7 @@ pub struct VecStep<'a> {
 /// ```
 /// use aviary::observation::ObservationType;
 /// use aviary::tasks::Hover;
-/// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecPictures};
+/// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecImages};
 ///
 /// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // no OpenGL
 /// let builder = Hover::builder().observation_type(ObservationType::KIN_RGB);
@@ -164,12 +164,12 @@ pub struct VecStep<'a> {
 /// let mut buffers = VecBuffers::new(&env);
 /// env.reset(Some(1), &mut buffers.observations)?;
 /// let mut rgb = vec![0; 2 * 4 * env.camera_size().pixels()];
-/// env.pictures(VecPictures { rgb: &mut rgb, ..VecPictures::default() })?;
+/// env.render_images(VecImages { rgb: &mut rgb, ..VecImages::default() })?;
 /// assert!(rgb.chunks_exact(4).all(|pixel| pixel[3] == 255));
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 #[derive(Debug, Default)]
-pub struct VecPictures<'a> {
+pub struct VecImages<'a> {
     /// RGBA bytes, M × N × height × width × 4.
     pub rgb: &'a mut [u8],
     /// Depth along the camera's axis, m, M × N × height × width.
@@ -413,7 +413,7 @@ pub trait VecEnv: Send {
     /// # Errors
     /// [`EnvError::Buffer`] for a buffer of the wrong length, [`EnvError::InBatch`] around an [`EnvError::Vision`]
     /// if an image cannot be rendered, and [`EnvError::Panicked`] after a panic in a task.
-    fn pictures(&mut self, out: VecPictures<'_>) -> Result<(), EnvError>;
+    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError>;
 
     /// Returns the last observations of the episodes that ended in the last step, in the rows of their
     /// environments, M × [`observation_size`](Self::observation_size). The slice is empty unless the batch uses

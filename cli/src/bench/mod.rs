@@ -18,7 +18,7 @@ use aviary::physics::ground_effect::GroundEffect;
 use aviary::physics::rotor::RotorModel;
 use aviary::state::DroneState;
 use aviary::tasks::{Hover, MultiHover, make};
-use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecPictures};
+use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecImages};
 use aviary::world::Medium;
 use clap::Args;
 use nalgebra::Vector3;
@@ -498,7 +498,7 @@ fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
         let action = policy.act(&buffers.observations);
         let begin = Instant::now();
         env.step(action, buffers.step())?;
-        env.pictures(VecPictures { rgb: &mut rgb, ..VecPictures::default() })?;
+        env.render_images(VecImages { rgb: &mut rgb, ..VecImages::default() })?;
         Ok(begin.elapsed())
     })?;
     let per_call = size as f64;

@@ -5,7 +5,7 @@ use gif::{DisposalMethod, Encoder, Frame, Repeat};
 
 use super::{Animation, check_time};
 use crate::record::RecordError;
-use crate::record::picture::check;
+use crate::record::images::check;
 use crate::vision::ImageSize;
 
 /// An animated GIF that repeats forever. Frames are encoded as they are added.
@@ -58,7 +58,7 @@ impl<W: Write> GifAnimation<W> {
     /// such that the total duration stays correct.
     ///
     /// # Errors
-    /// [`RecordError::Picture`] for a size that GIF does not support, and [`RecordError::FrameTime`] for an invalid
+    /// [`RecordError::Image`] for a size that GIF does not support, and [`RecordError::FrameTime`] for an invalid
     /// time.
     pub fn new(target: W, size: ImageSize, seconds_per_frame: f64) -> Result<Self, RecordError> {
         sides(size)?;
@@ -242,7 +242,7 @@ fn distance(a: &[u8], b: &[u8]) -> u32 {
 fn sides(size: ImageSize) -> Result<[u16; 2], RecordError> {
     match (u16::try_from(size.width), u16::try_from(size.height)) {
         (Ok(width), Ok(height)) if width > 0 && height > 0 => Ok([width, height]),
-        _ => Err(RecordError::Picture { size, got: 0, expected: size.pixels() }),
+        _ => Err(RecordError::Image { size, got: 0, expected: size.pixels() }),
     }
 }
 

@@ -20,7 +20,7 @@ pub trait Animation {
     /// Adds a frame: RGB, three bytes per pixel, top row first.
     ///
     /// # Errors
-    /// [`RecordError::Picture`] for a buffer of the wrong length, and other variants if the frame cannot be encoded
+    /// [`RecordError::Image`] for a buffer of the wrong length, and other variants if the frame cannot be encoded
     /// or written.
     fn frame(&mut self, rgb: &[u8]) -> Result<(), RecordError>;
 }

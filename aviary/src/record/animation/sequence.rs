@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use super::Animation;
 use crate::record::RecordError;
-use crate::record::picture::png_rgb;
+use crate::record::images::png_rgb;
 use crate::vision::ImageSize;
 
 /// Numbered PNG files in a directory: `00000.png`, `00001.png`, …

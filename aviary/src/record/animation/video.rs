@@ -6,7 +6,7 @@ use std::thread::JoinHandle;
 
 use super::{Animation, check_time};
 use crate::record::RecordError;
-use crate::record::picture::check;
+use crate::record::images::check;
 use crate::vision::ImageSize;
 
 /// A video in an MP4 file, encoded by the program `ffmpeg`.

@@ -10,7 +10,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::{Plot, rgb};
 use crate::record::RecordError;
-use crate::record::picture::png_rgb;
+use crate::record::images::png_rgb;
 use crate::vision::ImageSize;
 
 /// Drawing backend of plots.
