@@ -1,13 +1,12 @@
 //! Images, animations and plots, and machines without OpenGL.
 
-use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
 
 mod common;
 
-use common::{aviary, directory, entries, has_gl, json, refused, run, text};
+use common::{directory, entries, has_gl, json, refused, run, text};
 
 #[test]
 fn render_writes_every_kind_of_image_from_every_camera() {
