@@ -152,17 +152,8 @@ const NEAR: f64 = 0.01;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::scenario::tests::SCENARIO;
     use proptest::prelude::*;
-
-    const SCENARIO: &str = r#"
-drone_model = "cf2x"
-physics = "mjc"
-num_drones = 1
-sim_freq = 240
-ctrl_freq = 48
-initial_xyzs = [[0.0, 0.0, 1.0]]
-initial_rpys = [[0.0, 0.0, 0.0]]
-"#;
 
     #[test]
     fn invalid_actions_are_errors_with_their_line() {

@@ -231,7 +231,7 @@ const FIELDS: [&str; 16] = [
 ];
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::drone::DroneModel;
     use crate::physics::wind::WindModel;
@@ -242,7 +242,8 @@ mod tests {
     use nalgebra::Vector3;
     use proptest::prelude::*;
 
-    const SCENARIO: &str = r#"
+    /// One drone at rest.
+    pub(in crate::record) const SCENARIO: &str = r#"
 drone_model = "cf2x"
 physics = "mjc"
 num_drones = 1
