@@ -97,15 +97,14 @@ pub fn toml_message(text: &str, error: &toml::de::Error) -> String {
     }
 }
 
-/// Returns a message of serde with its floating-point number in exponent form if the number has more than 24
-/// characters.
+/// Returns a message of serde with its floating-point number in the form of [`number`] if that is an exponent form.
 fn with_short_numbers(message: String) -> String {
     const BEFORE: &str = "floating point `";
     let number_text = || {
         let (before, rest) = message.split_once(BEFORE)?;
         let (digits, after) = rest.split_once('`')?;
-        let x = digits.parse().ok().filter(|_| digits.len() > 24)?;
-        Some(format!("{before}{BEFORE}{}`{after}", number(x)))
+        let short = digits.parse().ok().map(number).filter(|text| text.contains('e'))?;
+        Some(format!("{before}{BEFORE}{short}`{after}"))
     };
     number_text().unwrap_or(message)
 }

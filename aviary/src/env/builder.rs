@@ -416,7 +416,7 @@ fn check_starts(simulation: &Simulation) -> Result<(), EnvError> {
         let lowest = cylinder.floor_clearance(state);
         if lowest < -1e-3 {
             let z = state.position.z;
-            let got = format!("z = {z:.3} m for drone {drone}, whose lowest point is at {lowest:.3} m");
+            let got = format!("z = {z:.3} m for drone {drone} (lowest point {lowest:.3} m)");
             return wrong(got, "a start above the floor");
         }
         for (other, place) in simulation.initial_states()[..drone].iter().enumerate() {

@@ -238,19 +238,21 @@ impl Randomization {
             }
         }
         let s = self.sensors.unwrap_or_default();
-        for (option, [low, high], max) in [
-            ("the randomized aerodynamics.drag", a.drag, 1e2),
-            ("the randomized aerodynamics.ground", a.ground, 1e2),
-            ("the randomized aerodynamics.downwash", a.downwash, 1e2),
-            ("the randomized actuators.gain", m.gain, 1e2),
-            ("the randomized actuators.lag", m.lag, 10.0),
-            ("the randomized actuators.latency", m.latency, ActuatorParams::MAX_LATENCY),
-            ("the randomized sensors.latency", s.latency, 1.0),
-            ("the randomized environment.gravity", e.gravity, 1e2),
-            ("the randomized environment.wind", e.wind, 1e2),
+        let factor = (1e2, "a range of factors from 0 to 100");
+        let latency = (ActuatorParams::MAX_LATENCY, "a range from 0 to 1 s");
+        for (option, [low, high], (max, expected)) in [
+            ("the randomized aerodynamics.drag", a.drag, factor),
+            ("the randomized aerodynamics.ground", a.ground, factor),
+            ("the randomized aerodynamics.downwash", a.downwash, factor),
+            ("the randomized actuators.gain", m.gain, factor),
+            ("the randomized actuators.lag", m.lag, (10.0, "a range from 0 to 10 s")),
+            ("the randomized actuators.latency", m.latency, latency),
+            ("the randomized sensors.latency", s.latency, (1.0, latency.1)),
+            ("the randomized environment.gravity", e.gravity, factor),
+            ("the randomized environment.wind", e.wind, (1e2, "a range from 0 to 100 m/s")),
         ] {
             if !(low >= 0.0 && high >= low && high <= max) {
-                return wrong(option, range_text([low, high]), "a range that starts at 0 or above and is not too wide");
+                return wrong(option, range_text([low, high]), expected);
             }
         }
         let i = self.initial.unwrap_or_default();
