@@ -128,7 +128,9 @@ pub fn did_you_mean(name: &str, names: &[&str]) -> String {
 /// The message leaves a long list of names out if there is a suggestion, and cuts it otherwise.
 fn with_suggestion(message: &str) -> String {
     /// Columns that the name of a short file, the line and the column leave of 120.
-    const MAX: usize = 80;
+    const MAX: usize = 75;
+    /// Columns of a space, two backquotes, a comma and the ellipsis.
+    const AROUND: usize = 6;
     // serde quotes the unknown name and then every known one
     let quoted: Vec<_> = message.split('`').skip(1).step_by(2).collect();
     let [name, names @ ..] = &quoted[..] else { return message.to_string() };
@@ -142,7 +144,7 @@ fn with_suggestion(message: &str) -> String {
     }
     let mut cut = format!("{wrong}, expected one of");
     for name in names {
-        if cut.chars().count() + name.len() > MAX {
+        if cut.chars().count() + name.len() + AROUND > MAX {
             break;
         }
         cut += &format!(" `{name}`,");

@@ -137,5 +137,5 @@ pub enum SimulationError {
 
 /// Returns the engines that a physics mode allows.
 fn engines(physics: Physics) -> &'static str {
-    if physics.is_explicit() { "the explicit engine" } else { "mujoco or hybrid" }
+    if physics.is_explicit() { "explicit" } else { "mujoco or hybrid" }
 }

@@ -213,7 +213,7 @@ impl Randomization {
         if !self.draws_wind() || wind.model == WindModel::None {
             return Ok(());
         }
-        let expected = "none next to a randomization of the wind, which environment.wind = [0, 0] switches off";
+        let expected = "none, or a randomization with environment.wind = [0, 0]";
         Err(EnvError::Option { option: "wind", got: wind.model.to_string(), expected })
     }
 

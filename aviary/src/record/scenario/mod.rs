@@ -305,7 +305,7 @@ initial_rpys = [[0.0, 0.0, 0.0]]
         let hybrid = SCENARIO.replace("\"mjc\"", "\"dyn\"") + "engine = \"hybrid\"\n";
         let error = Scenario::from_toml(&hybrid).unwrap().simulation().unwrap_err().to_string();
         assert!(
-            error.starts_with("line 9: engine: engine is hybrid and physics dyn, which implies the explicit engine"),
+            error.starts_with("line 9: engine: engine is hybrid and physics dyn, which implies explicit"),
             "{error}"
         );
         let airframe = include_str!("../../../../assets/airframes/race.toml");
