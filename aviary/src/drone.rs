@@ -464,7 +464,7 @@ mod tests {
         refused(DroneParams { thrust_coefficient: f64::INFINITY, ..good() }, "thrust_coefficient");
         refused(DroneParams { drag_coefficients: [0.0, -1.0, 0.0], ..good() }, "drag_coefficients[1]");
         refused(DroneParams { name: "a<b".into(), ..good() }, "name");
-        refused(DroneParams { arm_length: 1e-300, ..good() }, "arm_length is 0.00");
+        refused(DroneParams { arm_length: 1e-300, ..good() }, "arm_length is 1e-300");
         refused(DroneParams { mass: 27e9, ..good() }, "mass is 27000000000, expected 1e-6 to 1e6");
         refused(DroneParams { inertia: [0.1e-5, 0.2e-5, 3.000_000_000_000_001e-6], ..good() }, "inertia[2]");
         assert!(DroneParams { inertia: [1e-5, 1e-5, 2e-5], ..good() }.validate().is_ok(), "a flat plate");
