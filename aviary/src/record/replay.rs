@@ -124,7 +124,7 @@ pub fn read_motor_speeds(
             if (step - expected as f64).abs() >= NEAR {
                 let (time, seconds) = (row.time, expected as f64 / f64::from(ctrl_freq));
                 return Err(wrong(format!(
-                    "t is {}, expected {seconds} (control step {expected} at {ctrl_freq} Hz)",
+                    "t is {}, expected {seconds} (step {expected} at {ctrl_freq} Hz)",
                     crate::number(time)
                 )));
             }
