@@ -265,9 +265,9 @@ impl CollisionCone {
         Ok(())
     }
 
-    /// Refines a solution that the solver left inexact, by accelerated projected gradient steps on the same cost without
-    /// slack variables (Nesterov 2004, *Introductory Lectures on Convex Optimization*, §2.2, constant step scheme). Pairs
-    /// of the constraints are indices into `wishes` and `solution`.
+    /// Refines a solution that the solver left inexact, by accelerated projected gradient steps on the same cost
+    /// without slack variables (Nesterov 2004, *Introductory Lectures on Convex Optimization*, §2.2, constant step
+    /// scheme). Pairs of the constraints are indices into `wishes` and `solution`.
     fn refine(&self, conditions: &[Condition], wishes: &[Vector2<f64>], solution: &mut [Vector2<f64>]) {
         let mut degrees = vec![0.0_f64; wishes.len()];
         for condition in conditions {

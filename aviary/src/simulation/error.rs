@@ -44,7 +44,8 @@ pub enum SimulationError {
     },
     /// Invalid physics and control rates.
     #[error(
-        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, expected ctrl_freq > 0 and a multiple of it up to {} Hz",
+        "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, \
+         expected ctrl_freq > 0 and a multiple of it up to {} Hz",
         Simulation::MAX_SIM_FREQ
     )]
     Rates {
