@@ -30,7 +30,7 @@ impl TimeLaw {
             "period",
             TAU / rate,
             rate.is_finite() && (1e-6..=1e6).contains(&rate.abs()),
-            "a number of seconds from 1e-5 to 6e6, negative to reverse the direction",
+            "1e-5 to 6e6 s, negative to reverse the direction",
         )?;
         TrajectoryError::validate("ramp", ramp, (0.0..=1e6).contains(&ramp), "zero or a positive number of seconds")?;
         TrajectoryError::validate("turns", turns, turns > 0.0, "a positive number")?;
