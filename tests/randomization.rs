@@ -385,7 +385,7 @@ fn removing_randomization_restores_nominal_flights_and_a_seed_reproduces_its_sam
     assert_ne!(env.sampled_params().unwrap(), &sampled);
     assert_eq!(flight(&mut env), randomized);
     assert_eq!(env.sampled_params().unwrap(), &sampled);
-    assert_eq!(env.info_map()["drawn_mass"], sampled.drones[0].mass);
+    assert_eq!(env.info_map()["sampled_mass"], sampled.drones[0].mass);
     env.set_randomization(None).unwrap();
     assert_eq!(flight(&mut env), nominal);
     assert!(env.sampled_params().is_none());

@@ -210,8 +210,8 @@ fn metric(name: &str, value: f64) -> String {
         "minimum_distance" | "mean_formation_error" | "tracking_error" => format!("{number} m"),
         "speed" | "velocity_error" => format!("{number} m/s"),
         "body_rate" => format!("{number} rad/s"),
-        "drawn_lag" | "drawn_latency" => format!("{number} s"),
-        name if name.starts_with("drawn_") => format!("{number} × nominal"),
+        "sampled_lag" | "sampled_latency" => format!("{number} s"),
+        name if name.starts_with("sampled_") => format!("{number} × nominal"),
         _ => number,
     }
 }

@@ -438,7 +438,7 @@ fn options_and_files_set_wind_obstacles_and_randomization() {
     let output = aviary(&["fly", "--task", "hover", "--controller", "geometric", "--json", "--config", text(&path)]);
     let flight: Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!((&flight["wind"], &flight["obstacles"]), (&"constant".into(), &1.into()));
-    assert_eq!(flight["info"]["drawn_mass"], 1.1);
+    assert_eq!(flight["info"]["sampled_mass"], 1.1);
     assert!(flight["drones"][0]["final_position"][0].as_f64().unwrap() > 0.0, "downwind");
     let refuse = |content: &str, texts: &[&str]| {
         write(content);

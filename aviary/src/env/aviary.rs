@@ -335,14 +335,14 @@ impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
         if let Some(draw) = self.sampled_params() {
             let first = &draw.drones[0];
             for (name, value) in [
-                ("drawn_mass", first.mass),
-                ("drawn_inertia", first.inertia),
-                ("drawn_arm_length", first.arm_length),
-                ("drawn_thrust", first.thrust),
-                ("drawn_torque", first.torque),
-                ("drawn_lag", first.actuators.lag),
-                ("drawn_latency", first.actuators.latency),
-                ("drawn_gravity", draw.gravity),
+                ("sampled_mass", first.mass),
+                ("sampled_inertia", first.inertia),
+                ("sampled_arm_length", first.arm_length),
+                ("sampled_thrust", first.thrust),
+                ("sampled_torque", first.torque),
+                ("sampled_lag", first.actuators.lag),
+                ("sampled_latency", first.actuators.latency),
+                ("sampled_gravity", draw.gravity),
             ] {
                 report(name, value);
             }
