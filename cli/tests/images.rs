@@ -157,8 +157,8 @@ fn plots_and_animations_are_in_the_list_of_files() {
 #[test]
 fn impossible_animations_are_refused_before_the_flight() {
     for (more, texts) in [
-        (&["--gif", "film.png"][..], &["--gif is `film.png`", "ends in .gif"][..]),
-        (&["--video", "film.avi"], &["--video is `film.avi`", "ends in .mp4"]),
+        (&["--gif", "flight.png"][..], &["--gif is `flight.png`", "ends in .gif"][..]),
+        (&["--video", "flight.avi"], &["--video is `flight.avi`", "ends in .mp4"]),
         (&["--gif", "a.gif", "--overlay", "trials"], &["no overlay `trials`", "did you mean `trails`?"]),
         (&["--gif", "a.gif", "--camera", "trak"], &["--camera is `trak`", "did you mean `track`?"]),
         (&["--overlay", "trails"], &["--gif or --video or --png is missing"]),
