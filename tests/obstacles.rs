@@ -390,7 +390,7 @@ fn a_second_wind_or_wind_model_is_an_error() {
     let randomized = "[randomization.environment]\n";
     let choice = ConditionChoice { wind: Some(WindModel::Constant), ..ConditionChoice::default() };
     let error = Conditions::from_toml_with(randomized, &choice).unwrap_err().to_string();
-    assert!(error.contains("wind is constant, expected none next to a randomization"), "{error}");
+    assert!(error.contains("wind is constant, expected none, or a randomization with environment.wind"), "{error}");
     let calm = Conditions::from_toml_with("[randomization.environment]\nwind = [0.0, 0.0]\n", &choice).unwrap();
     assert_eq!(calm.wind.unwrap().model, WindModel::Constant);
     let built = Hover::builder().wind(WindConfig::new(WindModel::Gust)).randomization(Randomization::default()).build();
