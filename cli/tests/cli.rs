@@ -449,7 +449,7 @@ fn options_and_files_set_wind_obstacles_and_randomization() {
     refuse("[obstacles]\nkind = \"forest\"\ncount = 900\n", &["of 900 obstacles fit"]);
     refuse(
         "[obstacles]\nkind = \"custom\"\n[[obstacles.custom]]\nshape = \"box\"\nsize = [1]\nposition = [0, 0, 0]\n",
-        &["1 sizes"],
+        &["size has 1 number, expected 3 for a box"],
     );
     refuse("[randomization.body]\nmass = [2, 1]\n", &["body.mass"]);
     refused(&["fly", "--task", "hover", "--wind", "combine"], 2, &["did you mean `combined`"]);

@@ -173,9 +173,9 @@ impl TryFrom<Stored> for Obstacle {
             (StoredShape::Cylinder, &[radius, half_height]) => Shape::Cylinder { radius, half_height },
             (StoredShape::Capsule, &[radius, half_height]) => Shape::Capsule { radius, half_height },
             (_, sizes) => {
-                let count = sizes.len();
+                let count = crate::count(sizes.len(), "number");
                 return Err(format!(
-                    "size has {count} numbers, expected 3 for a box, 1 for a sphere, 2 for a cylinder or capsule"
+                    "size has {count}, expected 3 for a box, 1 for a sphere, 2 for a cylinder or capsule"
                 ));
             }
         };
