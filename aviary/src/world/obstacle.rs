@@ -174,9 +174,7 @@ impl TryFrom<Stored> for Obstacle {
             (StoredShape::Capsule, &[radius, half_height]) => Shape::Capsule { radius, half_height },
             (_, sizes) => {
                 let count = crate::count(sizes.len(), "number");
-                return Err(format!(
-                    "size has {count}, expected 3 for a box, 1 for a sphere, 2 for a cylinder or capsule"
-                ));
+                return Err(format!("size has {count}, expected 3 for a box, 1 for a sphere, otherwise 2"));
             }
         };
         let plain = Self::new(shape, stored.position.into());
