@@ -143,8 +143,8 @@ fn with_suggestion(message: &str) -> String {
         return format!("{wrong}{near}");
     }
     let mut cut = format!("{wrong}, expected one of");
-    for name in names {
-        if cut.chars().count() + name.len() + AROUND > MAX {
+    for (index, name) in names.iter().enumerate() {
+        if index > 0 && cut.chars().count() + name.len() + AROUND > MAX {
             break;
         }
         cut += &format!(" `{name}`,");

@@ -21,7 +21,8 @@ use crate::world::{Marker, MarkerPose, Obstacle};
 ///
 /// A clone is a snapshot. [`step`](super::step) advances a clone and the original bit-identically, in any
 /// [`Workspace`](super::Workspace) of the same [`SimModel`]. The same holds for data that was serialized and
-/// deserialized, also in another process, in a format that keeps doubles exactly.
+/// deserialized by the same version of this crate, also in another process, in a self-describing format that keeps
+/// doubles exactly, such as JSON with serde_json's feature `float_roundtrip`.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -206,8 +207,39 @@ impl SimData {
         data
     }
 
+    /// Checks that the data belongs to a model.
+    ///
+    /// # Errors
+    /// See [`Simulation::restore`](super::Simulation::restore).
+    pub(super) fn validate(&self, model: &SimModel) -> Result<(), SimulationError> {
+        let (got, expected) = (self.states.len(), model.num_drones());
+        if got != expected {
+            return Err(SimulationError::Length { what: "the snapshot", got, expected, of: "drone" });
+        }
+        let (own, of_model) = (self.obstacles(model), &model.world.obstacles);
+        if own.len() != of_model.len() {
+            let (got, expected) = (own.len(), of_model.len());
+            let what = "the list of obstacles of the snapshot";
+            return Err(SimulationError::Length { what, got, expected, of: "obstacle" });
+        }
+        let mut shapes = own.iter().zip(of_model);
+        if let Some(index) = shapes.position(|(own, of_model)| own.shape.kind() != of_model.shape.kind()) {
+            return Err(SimulationError::Obstacle { index });
+        }
+        let (got, expected) = (self.markers_needed(), model.world.markers.len());
+        if got > expected {
+            let what = "the list of markers of the snapshot";
+            return Err(SimulationError::Length { what, got, expected, of: "marker" });
+        }
+        if self.model == model.fingerprint { Ok(()) } else { Err(SimulationError::Model) }
+    }
+
     /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
+    ///
+    /// # Panics
+    /// If the data belongs to another model.
     pub fn reset(&mut self, model: &SimModel) {
+        assert!(self.model == model.fingerprint, "data is reset with the model that it belongs to");
         self.states.copy_from_slice(&model.initial);
         self.restart();
     }
@@ -307,6 +339,9 @@ impl SimData {
     /// [`SimulationError::Length`] if their number differs, [`SimulationError::Obstacle`] if a shape differs,
     /// [`SimulationError::Build`] for a number out of range; the data is unchanged.
     pub fn set_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+        if self.model != model.fingerprint {
+            return Err(SimulationError::Model);
+        }
         let old = self.obstacles(model);
         if obstacles.len() != old.len() {
             let (got, expected) = (obstacles.len(), old.len());

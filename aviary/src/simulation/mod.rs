@@ -132,35 +132,7 @@ impl Simulation {
     /// markers. [`SimulationError::Obstacle`] if the shape of an obstacle differs. [`SimulationError::Model`] for
     /// any other difference between the models. The simulation is unchanged after an error.
     pub fn restore(&mut self, snapshot: &SimData) -> Result<(), SimulationError> {
-        let (got, expected) = (snapshot.states.len(), self.data.states.len());
-        if got != expected {
-            return Err(SimulationError::Length { what: "the snapshot", got, expected, of: "drone" });
-        }
-        let (got, expected) = (snapshot.obstacles(&self.model).len(), self.obstacles().len());
-        if got != expected {
-            return Err(SimulationError::Length {
-                what: "the list of obstacles of the snapshot",
-                got,
-                expected,
-                of: "obstacle",
-            });
-        }
-        let mut shapes = snapshot.obstacles(&self.model).iter().zip(self.obstacles());
-        if let Some(index) = shapes.position(|(new, own)| new.shape.kind() != own.shape.kind()) {
-            return Err(SimulationError::Obstacle { index });
-        }
-        let (got, expected) = (snapshot.markers_needed(), self.model.world.markers.len());
-        if got > expected {
-            return Err(SimulationError::Length {
-                what: "the list of markers of the snapshot",
-                got,
-                expected,
-                of: "marker",
-            });
-        }
-        if snapshot.model != self.model.fingerprint {
-            return Err(SimulationError::Model);
-        }
+        snapshot.validate(&self.model)?;
         self.data.copy_from(snapshot);
         // deserialized data lacks the quantities that are derived from parameters
         self.data.refresh(&self.model);

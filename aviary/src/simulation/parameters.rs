@@ -98,6 +98,9 @@ impl SimData {
     ///
     /// # Errors
     /// [`SimulationError::Drone`] for invalid parameters; the data is unchanged.
+    ///
+    /// # Panics
+    /// If the drone does not exist.
     pub fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
         let before = self.drones[drone].params.clone();
         if let Err(error) = self.change(drone, |own| *own = params) {
@@ -111,13 +114,19 @@ impl SimData {
     /// Replaces the motor parameters of a drone and resets its motors.
     ///
     /// # Errors
-    /// [`SimulationError::Option`] naming an invalid setting.
+    /// [`SimulationError::Option`] naming an invalid setting, [`SimulationError::Model`] for data of another model.
+    ///
+    /// # Panics
+    /// If the drone does not exist.
     pub fn set_actuators(
         &mut self,
         model: &SimModel,
         drone: usize,
         actuators: &ActuatorParams,
     ) -> Result<(), SimulationError> {
+        if self.model != model.fingerprint {
+            return Err(SimulationError::Model);
+        }
         actuators.validate()?;
         self.drones[drone].actuators = *actuators;
         // the motors stay those of the airframe that the drone was built with

@@ -98,6 +98,10 @@ pub fn step(
     if data.model != model.fingerprint {
         return Err(SimulationError::Model);
     }
+    if data.stamp == 0 {
+        // data from a file may have been edited
+        data.validate(model)?;
+    }
     if let Some(error) = &data.failed {
         return Err(error.clone());
     }

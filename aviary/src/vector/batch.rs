@@ -411,12 +411,12 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
         if fatal {
             self.check_actions(actions)?;
         }
-        self.steps += 1;
         let VecStep { observations, rewards, terminated, truncated } = out;
         let (model, envs) = (&self.model, self.environments.slices());
         let step = StepSlices { actions, observations, rewards, terminated, truncated };
         let shard = Shard { first: 0, mask: &[], envs, step, images: ImageSlices::default() };
         self.pool.run(model, shard, &|worker, shard, faults| worker.step(model, shard, faults))?;
+        self.steps += 1;
         self.take_faults(fatal)
     }
 
