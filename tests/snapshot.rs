@@ -380,8 +380,14 @@ fn changed_data_is_refused_or_flown_without_a_panic() {
         |old| old.is_string().then(|| Value::from("x")),
     ];
     let (mut refused, mut flown) = (0, 0);
+    let model = simulation.model().clone();
+    let mut workspace = model.workspace().unwrap();
     every_change(&value, &changes, &mut |changed| {
         let read = serde_json::from_value::<SimData>(changed).map_err(|error| error.to_string());
+        if let Ok(data) = &read {
+            // also without a simulation
+            let _ = step_data(&model, &mut workspace, &mut data.clone(), &[[14_000.0; 4]; 2]);
+        }
         match read.and_then(|data| simulation.restore(&data).map_err(|error| error.to_string())) {
             Ok(()) => {
                 flown += 1;
