@@ -402,7 +402,14 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const AIR: bool> WithSimd for S
 pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, count: usize, steps: u32) {
     macro_rules! go {
         ($fixed:literal, $medium:literal, $air:literal) => {
-            flow.width.run(count, Substeps::<$fixed, $medium, $air> { lanes, lane_params, count, dt: flow.dt, steps })
+            // a full block has a kernel of its own, whose loop over the registers is unrolled
+            if count == LANES {
+                let work = Substeps::<$fixed, $medium, $air> { lanes, lane_params, count: LANES, dt: flow.dt, steps };
+                flow.width.run(LANES, work)
+            } else {
+                flow.width
+                    .run(count, Substeps::<$fixed, $medium, $air> { lanes, lane_params, count, dt: flow.dt, steps })
+            }
         };
     }
     // the most common flight has a specialized kernel; the others multiply unused effects by zero
