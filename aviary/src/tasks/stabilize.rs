@@ -11,7 +11,7 @@ use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDe
 use crate::simulation::SimView;
 use crate::state::{DroneState, attitude_from_rpy};
 
-/// Task: a drone comes to rest from a random motion (the `stabilize` task of the paper's vectorised back end,
+/// Task: a drone comes to rest from a random motion (the `stabilize` task of the paper's vectorized back end,
 /// §3.6).
 ///
 /// | | |

@@ -13,7 +13,7 @@ use crate::simulation::SimView;
 use crate::state::DroneState;
 use crate::world::placement::max_collision_radius;
 
-/// Task: a drone follows a point on a circle (the `track` task of the paper's vectorised back end, §3.6).
+/// Task: a drone follows a point on a circle (the `track` task of the paper's vectorized back end, §3.6).
 ///
 /// | | |
 /// | --- | --- |
