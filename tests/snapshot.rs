@@ -251,6 +251,33 @@ fn a_snapshot_of_another_kind_of_environment_is_refused() {
     assert!(error.contains("level 4 of 5") && three.state().level == 0, "{error}");
 }
 
+#[test]
+fn data_of_another_model_and_missing_drones_are_errors_of_every_function() {
+    let build = |drones| Simulation::builder(DroneModel::Cf2x).num_drones(drones).build().unwrap();
+    let (mut two, three) = (build(2), build(3));
+    let (mut data, model) = (two.snapshot(), three.model());
+    let motors = ActuatorParams::default();
+    let errors = [
+        data.reset(model),
+        data.set_obstacles(model, &[]),
+        data.set_actuators(model, 0, &motors),
+        step_data(model, &mut model.workspace().unwrap(), &mut data, &[[0.0; 4]; 3]),
+    ];
+    for error in errors {
+        assert_eq!(error.unwrap_err(), SimulationError::Model);
+    }
+    data.reset(two.model()).unwrap();
+    let params = DroneModel::Cf2x.params();
+    for error in [
+        data.set_params(2, params.clone()),
+        data.set_actuators(two.model(), 2, &motors),
+        two.set_airframe(usize::MAX, params),
+        two.set_actuators(2, &motors),
+    ] {
+        assert!(error.unwrap_err().to_string().ends_with("does not exist, expected an index from 0 to 1"));
+    }
+}
+
 /// A planner samples flights from one snapshot on several threads.
 #[test]
 fn threads_share_a_snapshot_and_a_clone_outlives_it() {

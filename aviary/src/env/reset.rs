@@ -42,7 +42,7 @@ impl<T: Task> EnvParts<'_, T> {
             Some(randomizer) => {
                 randomizer.begin(self.sim_model, self.data, &mut self.episode.rng, moves_obstacles)?;
             }
-            None => self.data.reset(self.sim_model),
+            None => self.data.reset_unchecked(self.sim_model),
         }
         self.apply_task_start()?;
         if moves_obstacles {

@@ -40,7 +40,7 @@ use crate::world::{Marker, MarkerPose, Obstacle};
 ///     }
 /// }
 /// assert!(windy.states()[0].position.x > calm.states()[0].position.x + 0.01);
-/// windy.reset(&model);
+/// windy.reset(&model)?;
 /// assert_eq!(windy.states(), model.initial_states());
 /// # Ok::<(), aviary::simulation::SimulationError>(())
 /// ```
@@ -203,7 +203,7 @@ impl SimData {
             in_mujoco: false,
             stamp: 0,
         };
-        data.reset(model);
+        data.reset_unchecked(model);
         data
     }
 
@@ -238,10 +238,18 @@ impl SimData {
 
     /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
     ///
-    /// # Panics
-    /// If the data belongs to another model.
-    pub fn reset(&mut self, model: &SimModel) {
-        assert!(self.model == model.fingerprint, "data is reset with the model that it belongs to");
+    /// # Errors
+    /// [`SimulationError::Model`] for data of another model; the data is unchanged.
+    pub fn reset(&mut self, model: &SimModel) -> Result<(), SimulationError> {
+        if self.model != model.fingerprint {
+            return Err(SimulationError::Model);
+        }
+        self.reset_unchecked(model);
+        Ok(())
+    }
+
+    /// Resets as [`reset`](Self::reset) does, for data that is known to belong to the model.
+    pub(crate) fn reset_unchecked(&mut self, model: &SimModel) {
         self.states.copy_from_slice(&model.initial);
         self.restart();
     }

@@ -42,6 +42,14 @@ pub enum SimulationError {
         #[source]
         error: DroneError,
     },
+    /// An index that no drone has.
+    #[error("drone {got} does not exist, expected an index from 0 to {}", drones - 1)]
+    NoDrone {
+        /// The index.
+        got: usize,
+        /// Number of drones.
+        drones: usize,
+    },
     /// Invalid physics and control rates.
     #[error(
         "sim_freq is {sim_freq} Hz and ctrl_freq {ctrl_freq} Hz, \

@@ -144,7 +144,7 @@ impl Simulation {
     /// # Errors
     /// [`SimulationError::Engine`] if MuJoCo cannot recover from an earlier error.
     pub fn reset(&mut self) -> Result<(), SimulationError> {
-        self.data.reset(&self.model);
+        self.data.reset_unchecked(&self.model);
         self.workspace.load(&self.model, &self.data)
     }
 
@@ -162,10 +162,8 @@ impl Simulation {
     /// The maximum motor speed and the collision cylinder stay those of the airframe that the drone was built with.
     ///
     /// # Errors
-    /// [`SimulationError::Drone`] for invalid parameters; the simulation is unchanged.
-    ///
-    /// # Panics
-    /// If `drone` is out of range.
+    /// [`SimulationError::Drone`] for invalid parameters, [`SimulationError::NoDrone`] for an index out of range; the
+    /// simulation is unchanged.
     pub fn set_airframe(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
         self.data.set_params(drone, params)
     }
@@ -173,10 +171,7 @@ impl Simulation {
     /// Replaces the motor parameters of a drone and resets its motors.
     ///
     /// # Errors
-    /// [`SimulationError::Option`] naming an invalid setting.
-    ///
-    /// # Panics
-    /// If `drone` is out of range.
+    /// [`SimulationError::Option`] naming an invalid setting, [`SimulationError::NoDrone`] for an index out of range.
     pub fn set_actuators(&mut self, drone: usize, actuators: &ActuatorParams) -> Result<(), SimulationError> {
         self.data.set_actuators(&self.model, drone, actuators)
     }

@@ -94,14 +94,18 @@ impl SimData {
         self.change(drone, change).map_err(|error| SimulationError::Drone { drone, error })
     }
 
+    fn check_drone(&self, drone: usize) -> Result<(), SimulationError> {
+        let drones = self.drones.len();
+        if drone < drones { Ok(()) } else { Err(SimulationError::NoDrone { got: drone, drones }) }
+    }
+
     /// Replaces the parameters of a drone's airframe, from the next step on.
     ///
     /// # Errors
-    /// [`SimulationError::Drone`] for invalid parameters; the data is unchanged.
-    ///
-    /// # Panics
-    /// If the drone does not exist.
+    /// [`SimulationError::Drone`] for invalid parameters, [`SimulationError::NoDrone`] for an index out of range; the
+    /// data is unchanged.
     pub fn set_params(&mut self, drone: usize, params: DroneParams) -> Result<(), SimulationError> {
+        self.check_drone(drone)?;
         let before = self.drones[drone].params.clone();
         if let Err(error) = self.change(drone, |own| *own = params) {
             // the previous parameters were valid
@@ -114,10 +118,8 @@ impl SimData {
     /// Replaces the motor parameters of a drone and resets its motors.
     ///
     /// # Errors
-    /// [`SimulationError::Option`] naming an invalid setting, [`SimulationError::Model`] for data of another model.
-    ///
-    /// # Panics
-    /// If the drone does not exist.
+    /// [`SimulationError::Option`] naming an invalid setting, [`SimulationError::Model`] for data of another model,
+    /// [`SimulationError::NoDrone`] for an index out of range.
     pub fn set_actuators(
         &mut self,
         model: &SimModel,
@@ -127,6 +129,7 @@ impl SimData {
         if self.model != model.fingerprint {
             return Err(SimulationError::Model);
         }
+        self.check_drone(drone)?;
         actuators.validate()?;
         self.drones[drone].actuators = *actuators;
         // the motors stay those of the airframe that the drone was built with

@@ -300,7 +300,7 @@ impl Randomizer {
             }
             data.reset_to(&self.measured)
         } else {
-            data.reset(model);
+            data.reset_unchecked(model);
             Ok(())
         }
     }
