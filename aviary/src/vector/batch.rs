@@ -5,7 +5,7 @@ use super::shard::{BatchModel, EnvSlot, Environments, ImageSlices, Shard, StepSl
 use super::worker::Worker;
 use super::{Autoreset, OnFault, VecConfig, VecEnv, VecImages, VecStep};
 use crate::control::CollisionCone;
-use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, Width};
+use crate::engine::flight::{Flow, LANES, LaneParams, Lanes};
 use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
 use crate::env::{
     Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, EpisodeSummary, ObservationSpace, Phase, Task,
@@ -234,7 +234,7 @@ fn batch_model<T: Task>(first: &Aviary<T>, config: &VecConfig, flies: bool) -> B
             body_fixed: world.forcing == Forcing::BodyFixed,
             medium: world.medium.is_some(),
             air: effects.ground || effects.drag || effects.downwash || lag,
-            width: Width::best(),
+            width: config.width,
         }),
         downwash: effects.downwash,
         substeps: simulation.substeps(),

@@ -19,6 +19,7 @@ pub use batch::VecAviary;
 pub use curriculum::VecCurriculum;
 
 use crate::engine::Substeps;
+use crate::engine::flight::Width;
 use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, ObservationSpace};
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
@@ -106,6 +107,9 @@ pub struct VecConfig {
     pub autoreset: Autoreset,
     /// Handling of environments that fail.
     pub on_fault: OnFault,
+    /// Instruction set of the flight kernel; default the widest of the machine. The results are bit-identical for
+    /// all of them. The kernel runs with the baseline if the machine lacks the selected one.
+    pub width: Width,
 }
 
 impl VecConfig {

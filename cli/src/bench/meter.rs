@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use aviary::drone::DroneModel;
+use aviary::engine::flight::Width;
 use aviary::env::EnvError;
 use aviary::world::{DroneBody, World};
 use mujoco_rs::{Data, Model};
@@ -49,19 +50,23 @@ pub(super) struct Meter {
     rounds: usize,
     turn: Duration,
     pub(super) seed: u64,
+    /// Instruction set of the batches.
+    pub(super) width: Width,
 }
 
 /// Result of a measurement: medians over the rounds of the calls per second, and of their ratio to bare MuJoCo steps.
 pub(super) struct Measured {
     pub(super) rate: f64,
     pub(super) over_bare: f64,
+    /// Spread of the ratio, see [`spread`].
+    pub(super) spread: f64,
 }
 
 impl Meter {
     pub(super) fn new(options: &Bench) -> Result<Self, Failure> {
         let (rounds, turn) = if options.quick { (5, 60) } else { (9, 200) };
         let bare = Bare::new(20.0, 1.0).map_err(Failure::work)?;
-        Ok(Self { bare, rates: Vec::new(), rounds, turn: Duration::from_millis(turn), seed: options.seed })
+        Ok(Self { bare, rates: Vec::new(), rounds, turn: Duration::from_millis(turn), seed: options.seed, width: options.width() })
     }
 
     pub(super) fn bare_rate(&mut self) -> f64 {
@@ -73,24 +78,63 @@ impl Meter {
         &mut self,
         mut work: impl FnMut() -> Result<Duration, EnvError>,
     ) -> Result<Measured, EnvError> {
-        let (mut rates, mut ratios) = (Vec::new(), Vec::new());
-        work()?;
-        for _ in 0..self.rounds {
-            let before = self.bare.rate(4000)?;
-            let (mut spent, mut calls) = (Duration::ZERO, 0_u32);
-            let start = Instant::now();
-            while start.elapsed() < self.turn || calls == 0 {
-                spent += work()?;
-                calls += 1;
-            }
-            let after = self.bare.rate(4000)?;
-            let (rate, bare) = (f64::from(calls) / spent.as_secs_f64(), 0.5 * (before + after));
-            self.rates.push(bare);
-            rates.push(rate);
-            ratios.push(rate / bare);
-        }
-        Ok(Measured { rate: median(&mut rates), over_bare: median(&mut ratios) })
+        let mut measured = self.measure_in_turns(1, |_| work())?;
+        measured.pop().ok_or(EnvError::Panicked)
     }
+
+    /// Calls `work` repeatedly with every index below `count`; it returns the time to count. Every round measures
+    /// all of them, one after another.
+    pub(super) fn measure_in_turns(
+        &mut self,
+        count: usize,
+        mut work: impl FnMut(usize) -> Result<Duration, EnvError>,
+    ) -> Result<Vec<Measured>, EnvError> {
+        let rounds = self.rounds_in_turns(count, &mut work)?;
+        let measured = |index: usize| {
+            let of = |pick: fn(&[f64; 2]) -> f64| rounds.iter().map(|round| pick(&round[index])).collect::<Vec<_>>();
+            let mut ratios = of(|[_, ratio]| *ratio);
+            let spread = spread(&ratios);
+            Measured { rate: median(&mut of(|[rate, _]| *rate)), over_bare: median(&mut ratios), spread }
+        };
+        Ok((0..count).map(measured).collect())
+    }
+
+    /// Measures as [`measure_in_turns`](Self::measure_in_turns) does, and returns the calls per second and their
+    /// ratio to bare MuJoCo steps of every round and index.
+    pub(super) fn rounds_in_turns(
+        &mut self,
+        count: usize,
+        mut work: impl FnMut(usize) -> Result<Duration, EnvError>,
+    ) -> Result<Vec<Vec<[f64; 2]>>, EnvError> {
+        for index in 0..count {
+            work(index)?;
+        }
+        let mut rounds = Vec::new();
+        for _ in 0..self.rounds {
+            let mut round = Vec::new();
+            for index in 0..count {
+                let before = self.bare.rate(4000)?;
+                let (mut spent, mut calls) = (Duration::ZERO, 0_u32);
+                let start = Instant::now();
+                while start.elapsed() < self.turn || calls == 0 {
+                    spent += work(index)?;
+                    calls += 1;
+                }
+                let after = self.bare.rate(4000)?;
+                let (rate, bare) = (f64::from(calls) / spent.as_secs_f64(), 0.5 * (before + after));
+                self.rates.push(bare);
+                round.push([rate, rate / bare]);
+            }
+            rounds.push(round);
+        }
+        Ok(rounds)
+    }
+}
+
+/// Returns the largest minus the smallest value, relative to the median.
+pub(super) fn spread(values: &[f64]) -> f64 {
+    let (min, max) = values.iter().fold((f64::INFINITY, 0.0_f64), |(min, max), &x| (min.min(x), max.max(x)));
+    (max - min) / median(&mut values.to_vec())
 }
 
 pub(super) fn median(values: &mut [f64]) -> f64 {

@@ -16,6 +16,13 @@ named_enum! {
     }
 }
 
+/// The widest instruction set of the machine.
+impl Default for Width {
+    fn default() -> Self {
+        Self::best()
+    }
+}
+
 impl Width {
     /// Returns the instruction sets that this machine supports, narrowest first.
     pub fn available() -> impl Iterator<Item = Self> {
