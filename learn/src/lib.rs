@@ -10,6 +10,7 @@ mod config;
 mod curve;
 mod error;
 mod evaluation;
+mod gradient;
 mod network;
 mod optimizer;
 mod ppo;

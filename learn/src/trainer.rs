@@ -126,7 +126,7 @@ impl Trainer {
         checkpoint.validate(&run, &best).map_err(|message| wrong(TrainError::Checkpoint { message }))?;
         let Checkpoint { state, parameters, moments, curve, .. } = checkpoint;
         trainer.ppo.parameters = parameters;
-        trainer.ppo.optimizer.restore(&moments);
+        trainer.ppo.optimizer = moments;
         trainer.ppo.rate = state.rate;
         trainer.ppo.observations = state.observations;
         trainer.ppo.rewards = state.rewards;
@@ -289,7 +289,7 @@ impl Trainer {
     /// [`TrainError::Policy`] if serialization fails.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
         let ppo = &self.ppo;
-        let moments = ppo.optimizer.moments(ppo.parameters.len());
+        let moments = ppo.optimizer.clone();
         let state = State {
             config: self.config.clone(),
             command: self.command.clone(),

@@ -1,35 +1,28 @@
 //! Loss of PPO and its gradient over a shard of a minibatch.
-//!
-//! burn's autodiff computes the gradients; inference uses [`Mlp`](aviary::policy::Mlp).
 
-use aviary::policy::Activation;
-use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use std::cell::RefCell;
 
+use aviary::engine::flight::Width;
+use pulp::{Simd, WithSimd};
+
+use crate::gradient::{Aligned, Network, Pass, TILE, padded, run};
 use crate::network::NetworkShape;
 
 /// Bound of the absolute log-ratio of new and old action probabilities. A row beyond it has the ratio exp(±20) and
 /// no gradient; without the bound, exp overflows at 88.
 const MAX_LOG_RATIO: f32 = 20.0;
 
-/// Rows of a part of a minibatch.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Shard {
-    pub observations: Vec<f32>,
-    pub actions: Vec<f32>,
+/// Rows of experience.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Samples<'a> {
+    /// Normalized observations.
+    pub observations: &'a [f32],
+    pub actions: &'a [f32],
     /// Log-probabilities of the actions under the policy that sampled them.
-    pub log_probs: Vec<f32>,
-    pub advantages: Vec<f32>,
-    pub returns: Vec<f32>,
-}
-
-impl Shard {
-    pub fn clear(&mut self) {
-        let Self { observations, actions, log_probs, advantages, returns } = self;
-        for list in [observations, actions, log_probs, advantages, returns] {
-            list.clear();
-        }
-    }
+    pub log_probs: &'a [f32],
+    /// Normalized advantages.
+    pub advantages: &'a [f32],
+    pub returns: &'a [f32],
 }
 
 /// Coefficients of the loss (Schulman et al. 2017, eq. 9).
@@ -39,6 +32,8 @@ pub(super) struct Loss {
     pub clip_range: f32,
     /// Weight of the value loss.
     pub value: f32,
+    /// Number of rows of the minibatch, over which the loss is a mean.
+    pub rows: usize,
 }
 
 /// Sums over the rows of a shard.
@@ -52,88 +47,180 @@ pub(super) struct Sums {
     pub clipped: f64,
 }
 
-/// Returns the gradient of the loss over a shard of a minibatch of `size` rows, and the shard's sums. The gradients
-/// of the shards add up to the minibatch's. The entropy bonus depends on no row, so that the caller adds its
-/// gradient once.
-pub(super) fn gradient(
-    shape: &NetworkShape,
-    parameters: &[f32],
-    shard: &Shard,
-    loss: &Loss,
-    size: usize,
-) -> (Vec<f32>, Sums) {
-    let device = Device::flex().autodiff();
-    let rows = shard.returns.len();
-    let tensor =
-        |data: &[f32], shape: [usize; 2]| Tensor::<2>::from_data(TensorData::new(data.to_vec(), shape), &device);
-    let leaf = |data: &[f32], shape: [usize; 2]| tensor(data, shape).require_grad();
-    let leaves = |sizes: &[usize], parameters: &[f32]| {
-        let (mut leaves, mut left) = (Vec::new(), parameters);
-        for pair in sizes.windows(2) {
-            let (weights, rest) = left.split_at(pair[0] * pair[1]);
-            let (biases, rest) = rest.split_at(pair[1]);
-            left = rest;
-            leaves.extend([leaf(weights, [pair[0], pair[1]]), leaf(biases, [1, pair[1]])]);
-        }
-        leaves
-    };
-    let (actor, critic, deviations) = shape.split(parameters);
-    let (actor, critic) = (leaves(&shape.actor, actor), leaves(&shape.critic, critic));
-    let deviations = leaf(deviations, [1, shape.action()]);
-    let forward = |leaves: &[Tensor<2>], x| forward(shape.activation, leaves, x);
-    let observations = tensor(&shard.observations, [rows, shape.observation()]);
-    let column = |data: &[f32]| tensor(data, [rows, 1]);
-    let advantages = column(&shard.advantages);
-
-    let off = (tensor(&shard.actions, [rows, shape.action()]) - forward(&actor, observations.clone()))
-        * (deviations.clone() * -1.0).exp();
-    let half_log_tau = 0.5 * std::f32::consts::TAU.ln() * shape.action() as f32;
-    let log_probs = (off.clone() * off).sum_dim(1) * -0.5 - deviations.clone().sum_dim(1) - half_log_tau;
-    let log_ratio = (log_probs - column(&shard.log_probs)).clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
-    let ratio = log_ratio.clone().exp();
-    let clipped = ratio.clone().clamp(1.0 - loss.clip_range, 1.0 + loss.clip_range);
-    let gain = (ratio.clone() * advantages.clone()).min_pair(clipped * advantages).sum();
-    let error = forward(&critic, observations) - column(&shard.returns);
-    let total = ((error.clone() * error).sum() * (0.5 * loss.value) - gain) * (1.0 / size as f32);
-
-    let gradients = total.backward();
-    let mut gradient = Vec::with_capacity(shape.count());
-    for leaf in actor.iter().chain(&critic).chain([&deviations]) {
-        gradient.extend(numbers(leaf.grad(&gradients).unwrap_or_else(|| leaf.clone().inner().zeros_like())));
-    }
-    let mut sums = Sums { loss: f64::from(numbers(total.inner())[0]), ..Sums::default() };
-    for (log_ratio, ratio) in numbers(log_ratio.inner()).into_iter().zip(numbers(ratio.inner())) {
-        // (r − 1) − log r is never negative, and its mean estimates the KL divergence (Schulman 2020)
-        sums.approx_kl += f64::from(ratio - 1.0 - log_ratio);
-        sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > loss.clip_range));
-    }
-    (gradient, sums)
+/// Actor and critic, arranged for gradients.
+#[derive(Debug)]
+pub(super) struct Networks {
+    shape: NetworkShape,
+    width: Width,
+    actor: Network,
+    critic: Network,
+    log_deviations: Vec<f32>,
+    /// Reciprocals of the standard deviations.
+    precisions: Vec<f32>,
 }
 
-/// Computes a network's outputs for rows of inputs, as [`Mlp`] does, with autodiff. The leaves are the weights and
-/// biases of each layer.
-fn forward(activation: Activation, leaves: &[Tensor<2>], mut x: Tensor<2>) -> Tensor<2> {
-    let last = leaves.len() / 2 - 1;
-    for (layer, pair) in leaves.chunks_exact(2).enumerate() {
-        x = x.matmul(pair[0].clone()) + pair[1].clone();
-        if layer < last {
-            x = match activation {
-                Activation::Relu => relu(x),
-                Activation::Softsign => x.clone() / (x.abs() + 1.0),
+impl Networks {
+    pub fn new(shape: &NetworkShape, width: Width) -> Self {
+        Self {
+            actor: Network::new(&shape.actor, shape.activation),
+            critic: Network::new(&shape.critic, shape.activation),
+            log_deviations: vec![0.0; shape.action()],
+            precisions: vec![1.0; shape.action()],
+            shape: shape.clone(),
+            width,
+        }
+    }
+
+    /// Sets the parameters.
+    pub fn set(&mut self, parameters: &[f32]) {
+        let (actor, critic, log_deviations) = self.shape.split(parameters);
+        self.actor.set(actor);
+        self.critic.set(critic);
+        self.log_deviations.copy_from_slice(log_deviations);
+        self.precisions.clear();
+        self.precisions.extend(log_deviations.iter().map(|log| (-log).exp()));
+    }
+
+    /// Writes the gradient of the loss over rows of a minibatch, and returns the sums of these rows. The gradients of
+    /// the shards add up to the minibatch's. The entropy bonus depends on no row, so that the caller adds its gradient
+    /// once.
+    pub fn gradient(&self, samples: &Samples<'_>, entries: &[u32], loss: &Loss, out: &mut [f32]) -> Sums {
+        SCRATCH.with_borrow_mut(|scratch| {
+            let scratch = match scratch {
+                Some(scratch) if scratch.shape == self.shape => scratch,
+                _ => scratch.insert(Scratch::new(&self.shape)),
             };
-        }
+            run(self.width, Shard { networks: self, samples, entries, loss, scratch, out })
+        })
     }
-    x
 }
 
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().unwrap_or_default()
+/// Buffers of a thread.
+#[derive(Debug)]
+struct Scratch {
+    shape: NetworkShape,
+    /// Observations of a tile.
+    input: Aligned,
+    actor: Pass,
+    critic: Pass,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Option<Scratch>> = const { RefCell::new(None) };
+}
+
+impl Scratch {
+    fn new(shape: &NetworkShape) -> Self {
+        Self {
+            input: Aligned::new(TILE * padded(shape.observation())),
+            actor: Pass::new(&shape.actor),
+            critic: Pass::new(&shape.critic),
+            shape: shape.clone(),
+        }
+    }
+}
+
+/// Gradient over a shard of a minibatch, tile by tile.
+struct Shard<'a> {
+    networks: &'a Networks,
+    samples: &'a Samples<'a>,
+    /// Rows of the shard.
+    entries: &'a [u32],
+    loss: &'a Loss,
+    scratch: &'a mut Scratch,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for Shard<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Sums {
+        let Self { networks, samples, entries, loss, scratch, out } = self;
+        let Scratch { input, actor, critic, .. } = scratch;
+        actor.clear();
+        critic.clear();
+        let size = networks.shape.observation();
+        let (rest, log_gradients) = out.split_at_mut(out.len() - networks.shape.action());
+        log_gradients.fill(0.0);
+        let mut sums = Sums::default();
+        for entries in entries.chunks(TILE) {
+            for (row, &entry) in input.chunks_exact_mut(padded(size)).zip(entries) {
+                row[..size].copy_from_slice(&samples.observations[entry as usize * size..][..size]);
+            }
+            actor.forward(simd, &networks.actor, entries.len(), input);
+            critic.forward(simd, &networks.critic, entries.len(), input);
+            networks.differentiate(samples, entries, loss, actor.ends(), critic.ends(), log_gradients, &mut sums);
+            actor.backward(simd, &networks.actor, entries.len(), input);
+            critic.backward(simd, &networks.critic, entries.len(), input);
+        }
+        let rest = actor.write(rest);
+        critic.write(rest);
+        sums
+    }
+}
+
+impl Networks {
+    /// Computes the loss of the rows of a tile, and writes its gradient with respect to the outputs of the networks.
+    /// Adds the gradient with respect to the log standard deviations.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments)]
+    fn differentiate(
+        &self,
+        samples: &Samples<'_>,
+        entries: &[u32],
+        loss: &Loss,
+        (means, mean_gradients): (&[f32], &mut [f32]),
+        (values, value_gradients): (&[f32], &mut [f32]),
+        log_gradients: &mut [f32],
+        sums: &mut Sums,
+    ) {
+        let acts = self.log_deviations.len();
+        let wide = padded(acts);
+        let share = 1.0 / loss.rows as f32;
+        let constant: f32 = self.log_deviations.iter().map(|log| log + 0.5 * std::f32::consts::TAU.ln()).sum();
+        let (low, high) = (1.0 - loss.clip_range, 1.0 + loss.clip_range);
+        let mut total = 0.0;
+        for (row, &entry) in entries.iter().enumerate() {
+            let entry = entry as usize;
+            let actions = &samples.actions[entry * acts..][..acts];
+            let means = &means[row * wide..][..acts];
+            let mean_gradients = &mut mean_gradients[row * wide..][..acts];
+            // the distances from the means in standard deviations, z
+            let mut squares = 0.0;
+            for (((z, action), mean), precision) in
+                mean_gradients.iter_mut().zip(actions).zip(means).zip(&self.precisions)
+            {
+                *z = (action - mean) * precision;
+                squares += *z * *z;
+            }
+            let free = -0.5 * squares - constant - samples.log_probs[entry];
+            let log_ratio = free.clamp(-MAX_LOG_RATIO, MAX_LOG_RATIO);
+            let ratio = log_ratio.exp();
+            let advantage = samples.advantages[entry];
+            let gain = ratio * advantage;
+            let clipped_gain = ratio.clamp(low, high) * advantage;
+            // d log p / d mean = z / σ, and d log p / d log σ = z² − 1
+            let slope = if gain <= clipped_gain && free == log_ratio { -share * gain } else { 0.0 };
+            for ((z, precision), log) in mean_gradients.iter_mut().zip(&self.precisions).zip(&mut *log_gradients) {
+                *log += slope * (*z * *z - 1.0);
+                *z *= slope * precision;
+            }
+            let error = values[row * padded(1)] - samples.returns[entry];
+            value_gradients[row * padded(1)] = share * loss.value * error;
+            total += f64::from(0.5 * loss.value * error * error - gain.min(clipped_gain));
+            // (r − 1) − log r is never negative, and its mean estimates the KL divergence (Schulman 2020)
+            sums.approx_kl += f64::from(ratio - 1.0 - log_ratio);
+            sums.clipped += f64::from(u8::from((ratio - 1.0).abs() > loss.clip_range));
+        }
+        sums.loss += total / loss.rows as f64;
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use aviary::env::Rng;
-    use aviary::policy::Mlp;
+    use aviary::policy::{Activation, Mlp};
     use proptest::prelude::*;
     use rand::SeedableRng as _;
     use rand_distr::StandardNormal;
@@ -141,8 +228,46 @@ mod tests {
     use super::*;
     use crate::network::LOG_DEVIATIONS;
 
+    /// Rows of a minibatch.
+    struct Rows {
+        observations: Vec<f32>,
+        actions: Vec<f32>,
+        log_probs: Vec<f32>,
+        advantages: Vec<f32>,
+        returns: Vec<f32>,
+    }
+
+    impl Rows {
+        fn samples(&self) -> Samples<'_> {
+            let Self { observations, actions, log_probs, advantages, returns } = self;
+            Samples { observations, actions, log_probs, advantages, returns }
+        }
+    }
+
+    /// Returns the gradient over some of the rows.
+    fn gradient_of(
+        width: Width,
+        shape: &NetworkShape,
+        parameters: &[f32],
+        rows: &Rows,
+        entries: &[u32],
+        loss: &Loss,
+    ) -> (Vec<f32>, Sums) {
+        let mut networks = Networks::new(shape, width);
+        networks.set(parameters);
+        let mut gradient = vec![f32::NAN; shape.count()];
+        let sums = networks.gradient(&rows.samples(), entries, loss, &mut gradient);
+        (gradient, sums)
+    }
+
+    /// Returns the gradient over all rows, in order.
+    fn gradient(shape: &NetworkShape, parameters: &[f32], rows: &Rows, loss: &Loss) -> (Vec<f32>, Sums) {
+        let entries: Vec<u32> = (0..rows.returns.len() as u32).collect();
+        gradient_of(Width::best(), shape, parameters, rows, &entries, loss)
+    }
+
     /// Computes the loss as in the papers, in double precision, with textbook networks.
-    fn loss(shape: &NetworkShape, parameters: &[f64], shard: &Shard, weights: &Loss, size: usize) -> f64 {
+    fn loss(shape: &NetworkShape, parameters: &[f64], shard: &Rows, weights: &Loss) -> f64 {
         let run = |sizes: &[usize], parameters: &[f64], input: &[f32]| {
             let mut here: Vec<f64> = input.iter().map(|&x| f64::from(x)).collect();
             let mut left = parameters;
@@ -178,10 +303,10 @@ mod tests {
             let error = run(&shape.critic, critic, seen)[0] - f64::from(shard.returns[row]);
             total += 0.5 * f64::from(weights.value) * error * error;
         }
-        total / size as f64
+        total / weights.rows as f64
     }
 
-    fn shard(shape: &NetworkShape, parameters: &[f32], rows: usize, rng: &mut Rng) -> Shard {
+    fn shard(shape: &NetworkShape, parameters: &[f32], rows: usize, rng: &mut Rng) -> Rows {
         let mut normals = |count: usize| -> Vec<f32> { (0..count).map(|_| rng.sample(StandardNormal)).collect() };
         let observations = normals(rows * shape.observation());
         let (actions, noise) = (normals(rows * shape.action()), normals(rows));
@@ -200,7 +325,7 @@ mod tests {
             each.sum()
         };
         let log_probs = (0..rows).map(|row| log_prob(row) + 0.3 * noise[row]).collect();
-        Shard { observations, actions, log_probs, advantages: normals(rows), returns: normals(rows) }
+        Rows { observations, actions, log_probs, advantages: normals(rows), returns: normals(rows) }
     }
 
     proptest! {
@@ -221,15 +346,15 @@ mod tests {
                 *parameter += 0.1 * rng.sample::<f32, _>(StandardNormal);
             }
             let shard = shard(&shape, &parameters, rows, &mut rng);
-            let weights = Loss { clip_range: 0.2, value: 0.7 };
-            let (found, sums) = gradient(&shape, &parameters, &shard, &weights, 10);
+            let weights = Loss { clip_range: 0.2, value: 0.7, rows: 10 };
+            let (found, sums) = gradient(&shape, &parameters, &shard, &weights);
             let exact: Vec<f64> = parameters.iter().map(|&x| f64::from(x)).collect();
             let at = |index: usize, by: f64| {
                 let mut moved = exact.clone();
                 moved[index] += by;
-                loss(&shape, &moved, &shard, &weights, 10)
+                loss(&shape, &moved, &shard, &weights)
             };
-            let expected = loss(&shape, &exact, &shard, &weights, 10);
+            let expected = loss(&shape, &exact, &shard, &weights);
             prop_assert!((sums.loss - expected).abs() < 1e-4 * (1.0 + sums.loss.abs()));
             for (index, &found) in found.iter().enumerate() {
                 let [small, large] = [1e-6, 1e-5].map(|by| (at(index, by) - at(index, -by)) / (2.0 * by));
@@ -244,30 +369,163 @@ mod tests {
         }
     }
 
+    /// Textbook backpropagation in double precision, row by row.
+    fn in_double_precision(
+        shape: &NetworkShape,
+        parameters: &[f32],
+        rows: &Rows,
+        entries: &[u32],
+        loss: &Loss,
+    ) -> Vec<f64> {
+        let parameters: Vec<f64> = parameters.iter().map(|&x| f64::from(x)).collect();
+        let (actor, critic) = (Mlp::count(&shape.actor), Mlp::count(&shape.critic));
+        let logs = &parameters[actor + critic..];
+        let mut gradient = vec![0.0; parameters.len()];
+        let forward = |sizes: &[usize], mut start: usize, input: &[f32]| {
+            let mut layers: Vec<Vec<f64>> = vec![input.iter().map(|&x| f64::from(x)).collect()];
+            for (layer, pair) in sizes.windows(2).enumerate() {
+                let weight = |i: usize, j: usize| parameters[start + i * pair[1] + j];
+                let here = &layers[layer];
+                let sum = |j: usize| weight(pair[0], j) + (0..pair[0]).map(|i| here[i] * weight(i, j)).sum::<f64>();
+                let act = |x: f64| match shape.activation {
+                    _ if layer + 2 == sizes.len() => x,
+                    Activation::Relu => x.max(0.0),
+                    Activation::Softsign => x / (1.0 + x.abs()),
+                };
+                let next = (0..pair[1]).map(|j| act(sum(j))).collect();
+                layers.push(next);
+                start += (pair[0] + 1) * pair[1];
+            }
+            layers
+        };
+        let backward = |sizes: &[usize], start: usize, layers: &[Vec<f64>], end: Vec<f64>, gradient: &mut [f64]| {
+            let (mut delta, mut start) = (end, start + Mlp::count(sizes));
+            for (layer, pair) in sizes.windows(2).enumerate().rev() {
+                start -= (pair[0] + 1) * pair[1];
+                let mut before = vec![0.0; pair[0]];
+                for (j, &delta) in delta.iter().enumerate() {
+                    for i in 0..pair[0] {
+                        gradient[start + i * pair[1] + j] += layers[layer][i] * delta;
+                        before[i] += parameters[start + i * pair[1] + j] * delta;
+                    }
+                    gradient[start + pair[0] * pair[1] + j] += delta;
+                }
+                for (x, y) in before.iter_mut().zip(&layers[layer]) {
+                    *x *= match shape.activation {
+                        Activation::Relu => f64::from(u8::from(*y > 0.0)),
+                        Activation::Softsign => (1.0 - y.abs()).powi(2),
+                    };
+                }
+                delta = before;
+            }
+        };
+        let (share, clip) = (1.0 / loss.rows as f64, f64::from(loss.clip_range));
+        for row in entries.iter().map(|&entry| entry as usize) {
+            let (size, acts) = (shape.observation(), shape.action());
+            let seen = &rows.observations[row * size..][..size];
+            let layers = forward(&shape.actor, 0, seen);
+            let z = |j: usize| (f64::from(rows.actions[row * acts + j]) - layers[layers.len() - 1][j]) / logs[j].exp();
+            let log_prob: f64 =
+                (0..acts).map(|j| -0.5 * z(j).powi(2) - logs[j] - 0.5 * std::f64::consts::TAU.ln()).sum();
+            let (ratio, advantage) =
+                ((log_prob - f64::from(rows.log_probs[row])).exp(), f64::from(rows.advantages[row]));
+            let clipped = if advantage > 0.0 { ratio > 1.0 + clip } else { ratio < 1.0 - clip };
+            let slope = if clipped { 0.0 } else { -share * ratio * advantage };
+            for j in 0..acts {
+                gradient[actor + critic + j] += slope * (z(j).powi(2) - 1.0);
+            }
+            let end = (0..acts).map(|j| slope * z(j) / logs[j].exp()).collect();
+            backward(&shape.actor, 0, &layers, end, &mut gradient);
+            let layers = forward(&shape.critic, actor, seen);
+            let error = layers[layers.len() - 1][0] - f64::from(rows.returns[row]);
+            backward(&shape.critic, actor, &layers, vec![share * f64::from(loss.value) * error], &mut gradient);
+        }
+        gradient
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn gradients_of_any_size_match_backpropagation_in_double_precision(
+            seed in 0..10_000_u64,
+            smooth in any::<bool>(),
+            (observation, action) in (1..40_usize, 1..20_usize),
+            hidden in proptest::collection::vec(1..70_usize, 0..4),
+            count in 1..230_usize,
+        ) {
+            let activation = if smooth { Activation::Softsign } else { Activation::Relu };
+            let shape = NetworkShape::new(observation, action, &hidden, activation);
+            let mut rng = Rng::seed_from_u64(seed);
+            let mut parameters = shape.initial(0.4, &mut rng);
+            for parameter in &mut parameters {
+                *parameter += 0.1 * rng.sample::<f32, _>(StandardNormal);
+            }
+            let rows = shard(&shape, &parameters, count, &mut rng);
+            // rows in any order, some of them twice
+            let entries: Vec<u32> = (0..count as u32).map(|k| (k * 7 + 3) % count as u32).collect();
+            let loss = Loss { clip_range: 0.2, value: 0.7, rows: count };
+            let expected = in_double_precision(&shape, &parameters, &rows, &entries, &loss);
+            let scale = expected.iter().fold(0.0_f64, |largest, x| largest.max(x.abs()));
+            let mut fused = Vec::new();
+            for width in Width::available() {
+                let (found, sums) = gradient_of(width, &shape, &parameters, &rows, &entries, &loss);
+                for (index, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                    prop_assert!(
+                        (f64::from(*found) - expected).abs() < 2e-3 * (0.01 * scale + expected.abs()),
+                        "{} parameter {}: {} and {}", width, index, found, expected
+                    );
+                }
+                if width != Width::Portable {
+                    fused.push((found, sums));
+                }
+            }
+            prop_assert!(fused.windows(2).all(|pair| pair[0] == pair[1]), "AVX2 and AVX-512 differ");
+        }
+    }
+
     #[test]
     fn inference_matches_the_network_of_training() {
         for activation in [Activation::Relu, Activation::Softsign] {
             let mut rng = Rng::seed_from_u64(5);
-            let sizes = [21, 64, 64, 4];
-            let mut draw = |count: usize, by: f32| -> Vec<f32> {
-                (0..count).map(|_| by * rng.sample::<f32, _>(StandardNormal)).collect()
-            };
-            let (parameters, input) = (draw(Mlp::count(&sizes), 0.2), draw(300 * 21, 2.0));
-            let mut flown = vec![0.0; 300 * 4];
-            Mlp::new(&sizes, activation, &parameters).unwrap().forward(&input, &mut flown);
-            let device = Device::flex();
-            let (mut leaves, mut left) = (Vec::new(), &parameters[..]);
-            for pair in sizes.windows(2) {
-                for shape in [[pair[0], pair[1]], [1, pair[1]]] {
-                    let (data, rest) = left.split_at(shape[0] * shape[1]);
-                    left = rest;
-                    leaves.push(Tensor::from_data(TensorData::new(data.to_vec(), shape), &device));
+            let shape = NetworkShape::new(21, 4, &[64, 64], activation);
+            let mut parameters = shape.initial(0.3, &mut rng);
+            for parameter in &mut parameters {
+                *parameter += 0.1 * rng.sample::<f32, _>(StandardNormal);
+            }
+            let input: Vec<f32> = (0..TILE * 21).map(|_| 2.0 * rng.sample::<f32, _>(StandardNormal)).collect();
+            let mut flown = vec![0.0; TILE * 4];
+            let (actor, ..) = shape.split(&parameters);
+            Mlp::new(&shape.actor, activation, actor).unwrap().forward(&input, &mut flown);
+            for width in Width::available() {
+                let mut network = Network::new(&shape.actor, activation);
+                network.set(actor);
+                let mut pass = Pass::new(&shape.actor);
+                let mut rows = Aligned::new(TILE * padded(21));
+                for (row, input) in rows.chunks_exact_mut(padded(21)).zip(input.chunks_exact(21)) {
+                    row[..21].copy_from_slice(input);
+                }
+                run(width, Forward { pass: &mut pass, network: &network, input: &rows });
+                for (flown, trained) in flown.chunks_exact(4).zip(pass.ends().0.chunks_exact(padded(4))) {
+                    for (flown, trained) in flown.iter().zip(trained) {
+                        assert!((flown - trained).abs() < 1e-5 * (1.0 + trained.abs()), "{flown} {trained}");
+                    }
                 }
             }
-            let trained = forward(activation, &leaves, Tensor::from_data(TensorData::new(input, [300, 21]), &device));
-            for (flown, trained) in flown.iter().zip(numbers(trained)) {
-                assert!((flown - trained).abs() < 1e-5 * (1.0 + trained.abs()), "{flown} {trained}");
-            }
+        }
+    }
+
+    struct Forward<'a> {
+        pass: &'a mut Pass,
+        network: &'a Network,
+        input: &'a [f32],
+    }
+
+    impl WithSimd for Forward<'_> {
+        type Output = ();
+
+        fn with_simd<S: Simd>(self, simd: S) {
+            self.pass.forward(simd, self.network, TILE, self.input);
         }
     }
 
@@ -277,16 +535,12 @@ mod tests {
         let mut rng = Rng::seed_from_u64(3);
         let parameters = shape.initial(0.3, &mut rng);
         let whole = shard(&shape, &parameters, 100, &mut rng);
-        let weights = Loss { clip_range: 0.2, value: 1.0 };
-        let (all, sums) = gradient(&shape, &parameters, &whole, &weights, 100);
-        let part = |rows: std::ops::Range<usize>| Shard {
-            observations: whole.observations[rows.start * 12..rows.end * 12].to_vec(),
-            actions: whole.actions[rows.start * 4..rows.end * 4].to_vec(),
-            log_probs: whole.log_probs[rows.clone()].to_vec(),
-            advantages: whole.advantages[rows.clone()].to_vec(),
-            returns: whole.returns[rows].to_vec(),
+        let loss = Loss { clip_range: 0.2, value: 1.0, rows: 100 };
+        let (all, sums) = gradient(&shape, &parameters, &whole, &loss);
+        let part = |rows: std::ops::Range<u32>| {
+            gradient_of(Width::best(), &shape, &parameters, &whole, &rows.collect::<Vec<_>>(), &loss)
         };
-        let parts = [part(0..37), part(37..100)].map(|part| gradient(&shape, &parameters, &part, &weights, 100));
+        let parts = [part(0..37), part(37..100)];
         for (index, all) in all.iter().enumerate() {
             let sum = parts[0].0[index] + parts[1].0[index];
             assert!((all - sum).abs() < 1e-5, "{index}: {all} {sum}");
@@ -308,15 +562,15 @@ mod tests {
             // log-ratios of up to ±4e19; exp overflows beyond 88
             for (action, log_prob) in [(1e5, 0.0), (0.0, -1e5), (0.1, 1e5), (1e5, -1e30)] {
                 for advantage in [1.0, -1.0] {
-                    let shard = Shard {
+                    let shard = Rows {
                         observations: vec![0.5; 6],
                         actions: vec![action; 4],
                         log_probs: vec![log_prob; 2],
                         advantages: vec![advantage; 2],
                         returns: vec![0.0; 2],
                     };
-                    let weights = Loss { clip_range: 0.2, value: 1.0 };
-                    let (found, sums) = gradient(&shape, &parameters, &shard, &weights, 2);
+                    let weights = Loss { clip_range: 0.2, value: 1.0, rows: 2 };
+                    let (found, sums) = gradient(&shape, &parameters, &shard, &weights);
                     assert!(found.iter().all(|x| x.is_finite()), "{log_deviation} {action} {log_prob}: {found:?}");
                     assert!(sums.loss.is_finite() && sums.approx_kl.is_finite(), "{sums:?}");
                     assert!(sums.approx_kl > 0.0);

@@ -20,6 +20,7 @@ mod update;
 
 use std::time::{Duration, Instant};
 
+use aviary::engine::flight::Width;
 use aviary::env::{EnvError, Rng};
 use aviary::policy::Mlp;
 use rand::{RngExt as _, SeedableRng as _};
@@ -28,18 +29,18 @@ use serde::{Deserialize, Serialize};
 pub(crate) use config::PartialPpo;
 pub use config::PpoConfig;
 
-use self::loss::Shard;
+use self::loss::{Networks, Sums};
 use self::rollout::Experience;
 use crate::agents::{Agents, Outcome};
 use crate::network::NetworkShape;
-use crate::optimizer::Optimizer;
+use crate::optimizer::Moments;
 use crate::scale::{RewardScale, Running};
 
 /// Number of rows that share a random stream.
 const BLOCK: usize = 64;
 
-/// Rows of a shard; chosen to fit into a core's cache.
-const SHARD: usize = 512;
+/// Rows of a shard of a minibatch: the work of one thread.
+const SHARD: usize = 256;
 
 /// Bound of normalized observations and scaled rewards.
 const CLIP: f32 = 10.0;
@@ -88,7 +89,7 @@ pub(crate) struct Ppo {
     pub config: PpoConfig,
     pub shape: NetworkShape,
     pub parameters: Vec<f32>,
-    pub optimizer: Optimizer,
+    pub optimizer: Moments,
     pub rate: f64,
     pub observations: Running,
     pub rewards: RewardScale,
@@ -107,7 +108,10 @@ pub(crate) struct Ppo {
     sums: Vec<f64>,
     outcome: Outcome,
     experience: Experience,
-    shards: Vec<Shard>,
+    networks: Networks,
+    width: Width,
+    /// Gradient and sums of every shard of a minibatch.
+    shards: Vec<(Vec<f32>, Sums)>,
 }
 
 impl Ppo {
@@ -124,6 +128,7 @@ impl Ppo {
         });
         let (actor, critic, _) = shape.split(&parameters);
         let shard_count = config.minibatch.div_ceil(SHARD);
+        let width = Width::best();
         Ok(Self {
             actor: Mlp::new(&shape.actor, shape.activation, actor)?,
             critic: Mlp::new(&shape.critic, shape.activation, critic)?,
@@ -135,8 +140,10 @@ impl Ppo {
             sums: vec![0.0; agents.rows()],
             outcome: Outcome::new(agents.rows(), observation),
             experience: Experience::default(),
-            shards: vec![Shard::default(); shard_count],
-            optimizer: Optimizer::new(),
+            shards: vec![(vec![0.0; parameters.len()], Sums::default()); shard_count],
+            networks: Networks::new(&shape, width),
+            width,
+            optimizer: Moments::new(parameters.len()),
             rate: config.learning_rate,
             observations: Running::new(observation),
             rewards: RewardScale::new(),

@@ -8,7 +8,7 @@ use rand::seq::SliceRandom as _;
 use rayon::prelude::*;
 
 use super::advantage::moments;
-use super::loss::{Loss, Shard, Sums, gradient};
+use super::loss::{Loss, Samples, Sums};
 use super::{Ppo, Report, SHARD};
 use crate::agents::Next;
 use crate::network::LOG_DEVIATIONS;
@@ -16,13 +16,23 @@ use crate::network::LOG_DEVIATIONS;
 impl Ppo {
     /// Updates the parameters in several epochs over the rollout.
     pub(super) fn update(&mut self, seed: u64, report: &mut Report) -> Result<(), crate::TrainError> {
-        let (size, acts) = (self.shape.observation(), self.shape.action());
-        let experience = &self.experience;
+        let began = Instant::now();
+        let acts = self.shape.action();
+        let experience = &mut self.experience;
         let mut order: Vec<u32> = (0..experience.next.len() as u32)
             .filter(|&entry| experience.next[entry as usize] != Next::Absent)
             .collect();
         let (mean, deviation) = moments(order.iter().map(|&entry| experience.advantages[entry as usize]));
-        let loss = Loss { clip_range: self.config.clip_range as f32, value: self.config.value_coef as f32 };
+        for advantage in &mut experience.advantages {
+            *advantage = (*advantage - mean) / (deviation + 1e-8);
+        }
+        let samples = Samples {
+            observations: &experience.observations,
+            actions: &experience.actions,
+            log_probs: &experience.log_probs,
+            advantages: &experience.advantages,
+            returns: &experience.returns,
+        };
         let entropy = self.config.entropy_coef as f32;
         let mut rng = Rng::seed_from_u64(seed);
         let (mut totals, mut minibatches, mut seen) = (Sums::default(), 0, 0);
@@ -35,50 +45,39 @@ impl Ppo {
                 .chunks(self.config.minibatch)
                 .filter(|part| 2 * part.len() >= self.config.minibatch.min(order.len()));
             for minibatch in minibatches_of {
-                let began = Instant::now();
-                let parts: Vec<(&[u32], &mut Shard)> = minibatch.chunks(SHARD).zip(&mut self.shards).collect();
-                let (shape, parameters) = (&self.shape, &self.parameters);
-                let parts: Vec<(Vec<f32>, Sums)> = parts
-                    .into_par_iter()
-                    .map(|(entries, shard)| {
-                        shard.clear();
-                        for entry in entries.iter().map(|&entry| entry as usize) {
-                            shard.observations.extend_from_slice(&experience.observations[entry * size..][..size]);
-                            shard.actions.extend_from_slice(&experience.actions[entry * acts..][..acts]);
-                            shard.log_probs.push(experience.log_probs[entry]);
-                            shard.advantages.push((experience.advantages[entry] - mean) / (deviation + 1e-8));
-                            shard.returns.push(experience.returns[entry]);
-                        }
-                        gradient(shape, parameters, shard, &loss, minibatch.len())
-                    })
-                    .collect();
-                let mut sum = vec![0.0; self.parameters.len()];
-                let mut sums = Sums::default();
-                for (part, add) in &parts {
-                    for (sum, x) in sum.iter_mut().zip(part) {
+                let loss = Loss {
+                    clip_range: self.config.clip_range as f32,
+                    value: self.config.value_coef as f32,
+                    rows: minibatch.len(),
+                };
+                self.networks.set(&self.parameters);
+                let networks = &self.networks;
+                (minibatch.par_chunks(SHARD).zip(&mut self.shards)).for_each(|(entries, (gradient, sums))| {
+                    *sums = networks.gradient(&samples, entries, &loss, gradient);
+                });
+                let (first, others) = self.shards[..minibatch.len().div_ceil(SHARD)].split_at_mut(1);
+                let (gradient, mut sums) = (&mut first[0].0, first[0].1);
+                for (other, add) in others {
+                    for (sum, x) in gradient.iter_mut().zip(&*other) {
                         *sum += x;
                     }
                     sums.loss += add.loss;
                     sums.approx_kl += add.approx_kl;
                     sums.clipped += add.clipped;
                 }
-                let first_log = sum.len() - acts;
-                for x in &mut sum[first_log..] {
+                let first_log = gradient.len() - acts;
+                for x in &mut gradient[first_log..] {
                     *x -= entropy;
                 }
-                let norm = sum.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
+                let norm = gradient.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
                 if !norm.is_finite() {
                     return Err(crate::TrainError::Diverged);
                 }
                 let shrink = (self.config.max_grad_norm / (norm + 1e-6)).min(1.0) as f32;
-                for x in &mut sum {
-                    *x *= shrink;
-                }
-                self.optimizer.step(self.rate, &mut self.parameters, &sum);
+                self.optimizer.step(self.width, self.rate, &mut self.parameters, gradient, shrink);
                 for log in &mut self.parameters[first_log..] {
                     *log = log.clamp(*LOG_DEVIATIONS.start(), *LOG_DEVIATIONS.end());
                 }
-                self.clock.gradient += began.elapsed();
                 totals.loss += sums.loss;
                 totals.approx_kl += sums.approx_kl;
                 totals.clipped += sums.clipped;
@@ -86,6 +85,7 @@ impl Ppo {
                 seen += minibatch.len();
             }
         }
+        self.clock.gradient += began.elapsed();
         let count = seen.max(1) as f64;
         report.loss = totals.loss / f64::from(minibatches.max(1));
         report.approx_kl = totals.approx_kl / count;
