@@ -11,7 +11,7 @@ const DECAY: [f32; 2] = [0.9, 0.999];
 /// Lower bound of the step's denominator, ε.
 const EPSILON: f32 = 1e-5;
 
-/// Parameters of Adam's step: number of steps, first and second moments.
+/// State of Adam: number of steps, first and second moments.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Moments {
     pub time: usize,

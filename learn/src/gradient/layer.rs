@@ -1,7 +1,7 @@
 use aviary::policy::Activation;
 use pulp::Simd;
 
-use super::product::{Registers, Rows, Transpose, add_rows, multiply};
+use super::product::{Ends, Product, Rows, Transpose, add_rows};
 use super::{Aligned, padded};
 
 /// Linear layer. Rows of all matrices are padded with zeros.
@@ -61,26 +61,19 @@ impl Layer {
         input: &[f32],
         out: &mut [f32],
     ) {
-        let wide = padded(self.outputs);
-        let left = Rows { data: input, stride: padded(self.inputs), depth: self.inputs };
-        let right = Registers::new::<S>(&self.weights, wide);
-        let (biases, _) = S::as_simd_f32s(&self.biases);
-        let begin = |column: usize, _| biases[column];
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let (shape, out) = ((rows, self.outputs), (out, wide));
-        match activation {
-            None => multiply(simd, shape, &left, right, out, begin, |_, sum| sum),
-            Some(Activation::Relu) => {
-                multiply(simd, shape, &left, right, out, begin, |_, sum| simd.max_f32s(zero, sum));
-            }
-            Some(Activation::Softsign) => multiply(simd, shape, &left, right, out, begin, |_, sum| {
-                simd.div_f32s(sum, simd.add_f32s(one, simd.abs_f32s(sum)))
-            }),
-        }
+        let product = Product {
+            simd,
+            shape: (rows, self.outputs),
+            left: Rows { data: input, stride: padded(self.inputs), depth: self.inputs },
+            right: &self.weights,
+            stride: padded(self.outputs),
+            ends: Activate::<S> { biases: S::as_simd_f32s(&self.biases).0, activation },
+        };
+        product.write(out);
     }
 
     /// Computes the gradient with respect to the sums of the layer before from the one with respect to this layer's
-    /// outputs. `input` are the activations between the layers.
+    /// sums. `input` are the activations between the layers.
     #[inline(always)]
     pub fn backward<S: Simd>(
         &self,
@@ -91,36 +84,81 @@ impl Layer {
         input: &[f32],
         out: &mut [f32],
     ) {
-        let long = padded(self.inputs);
-        let left = Rows { data: gradient, stride: padded(self.outputs), depth: self.outputs };
-        let right = Registers::new::<S>(&self.transpose, long);
-        let (input, _) = S::as_simd_f32s(input);
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let (shape, out) = ((rows, self.inputs), (out, long));
-        match activation {
-            Activation::Relu => multiply(
-                simd,
-                shape,
-                &left,
-                right,
-                out,
-                |_, _| zero,
-                |index, sum| simd.select_f32s(simd.less_than_f32s(zero, input[index]), sum, zero),
-            ),
-            // y = x / (1 + |x|) has the derivative (1 − |y|)²
-            Activation::Softsign => multiply(
-                simd,
-                shape,
-                &left,
-                right,
-                out,
-                |_, _| zero,
-                |index, sum| {
-                    let root = simd.sub_f32s(one, simd.abs_f32s(input[index]));
-                    simd.mul_f32s(sum, simd.mul_f32s(root, root))
-                },
-            ),
+        let product = Product {
+            simd,
+            shape: (rows, self.inputs),
+            left: Rows { data: gradient, stride: padded(self.outputs), depth: self.outputs },
+            right: &self.transpose,
+            stride: padded(self.inputs),
+            ends: Differentiate::<S> { values: S::as_simd_f32s(input).0, activation },
+        };
+        product.write(out);
+    }
+}
+
+/// Sums that begin with the biases; the results are activations.
+#[derive(Clone, Copy)]
+struct Activate<'a, S: Simd> {
+    biases: &'a [S::f32s],
+    activation: Option<Activation>,
+}
+
+impl<S: Simd> Ends<S> for Activate<'_, S> {
+    #[inline(always)]
+    fn begin(self, _: S, column: usize, _: S::f32s) -> S::f32s {
+        self.biases[column]
+    }
+
+    #[inline(always)]
+    fn end(self, simd: S, _: usize, sum: S::f32s) -> S::f32s {
+        match self.activation {
+            None => sum,
+            Some(Activation::Relu) => simd.max_f32s(simd.splat_f32s(0.0), sum),
+            Some(Activation::Softsign) => simd.div_f32s(sum, simd.add_f32s(simd.splat_f32s(1.0), simd.abs_f32s(sum))),
         }
+    }
+}
+
+/// Sums that begin with zero; the results are multiplied by the derivatives of the activations.
+#[derive(Clone, Copy)]
+struct Differentiate<'a, S: Simd> {
+    values: &'a [S::f32s],
+    activation: Activation,
+}
+
+impl<S: Simd> Ends<S> for Differentiate<'_, S> {
+    #[inline(always)]
+    fn begin(self, simd: S, _: usize, _: S::f32s) -> S::f32s {
+        simd.splat_f32s(0.0)
+    }
+
+    #[inline(always)]
+    fn end(self, simd: S, index: usize, sum: S::f32s) -> S::f32s {
+        let (value, zero) = (self.values[index], simd.splat_f32s(0.0));
+        match self.activation {
+            Activation::Relu => simd.select_f32s(simd.less_than_f32s(zero, value), sum, zero),
+            // y = x / (1 + |x|) has the derivative (1 − |y|)²
+            Activation::Softsign => {
+                let root = simd.sub_f32s(simd.splat_f32s(1.0), simd.abs_f32s(value));
+                simd.mul_f32s(sum, simd.mul_f32s(root, root))
+            }
+        }
+    }
+}
+
+/// Sums that continue those of the output.
+#[derive(Clone, Copy)]
+struct Continue;
+
+impl<S: Simd> Ends<S> for Continue {
+    #[inline(always)]
+    fn begin(self, _: S, _: usize, out: S::f32s) -> S::f32s {
+        out
+    }
+
+    #[inline(always)]
+    fn end(self, _: S, _: usize, sum: S::f32s) -> S::f32s {
+        sum
     }
 }
 
@@ -141,19 +179,28 @@ impl LayerGradient {
     #[inline(always)]
     pub fn add<S: Simd>(&mut self, simd: S, rows: usize, input: &[f32], gradient: &[f32]) {
         let (long, wide) = (padded(self.inputs), padded(self.outputs));
-        let (inputs, gradients) = (
-            Transpose { data: input, stride: long, depth: rows },
-            Transpose { data: gradient, stride: wide, depth: rows },
-        );
-        let (begin, finish) = (|_, sum| sum, |_, sum| sum);
         if self.transposed {
-            let (shape, out) = ((self.outputs, self.inputs), (&mut *self.weights, long));
-            multiply(simd, shape, &gradients, Registers::new::<S>(input, long), out, begin, finish);
+            let product = Product {
+                simd,
+                shape: (self.outputs, self.inputs),
+                left: Transpose { data: gradient, stride: wide, depth: rows },
+                right: input,
+                stride: long,
+                ends: Continue,
+            };
+            product.write(&mut self.weights);
         } else {
-            let (shape, out) = ((self.inputs, self.outputs), (&mut *self.weights, wide));
-            multiply(simd, shape, &inputs, Registers::new::<S>(gradient, wide), out, begin, finish);
+            let product = Product {
+                simd,
+                shape: (self.inputs, self.outputs),
+                left: Transpose { data: input, stride: long, depth: rows },
+                right: gradient,
+                stride: wide,
+                ends: Continue,
+            };
+            product.write(&mut self.weights);
         }
-        add_rows(simd, rows, Registers::new::<S>(gradient, wide), &mut self.biases);
+        add_rows(simd, rows, gradient, &mut self.biases);
     }
 
     /// Writes the gradient of the weights, inputs × outputs, and of the biases. Returns the rest of `out`.
