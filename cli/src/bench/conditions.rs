@@ -45,8 +45,7 @@ impl Batch {
     fn step(&mut self, calls: usize) -> Result<Duration, EnvError> {
         let mut spent = Duration::ZERO;
         for _ in 0..calls {
-            let action =
-                if self.random { self.policy.random() } else { self.policy.act(&self.buffers.observations) };
+            let action = if self.random { self.policy.random() } else { self.policy.act(&self.buffers.observations) };
             let begin = Instant::now();
             self.env.step(action, self.buffers.step())?;
             spent += begin.elapsed();

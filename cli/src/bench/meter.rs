@@ -66,7 +66,14 @@ impl Meter {
     pub(super) fn new(options: &Bench) -> Result<Self, Failure> {
         let (rounds, turn) = if options.quick { (5, 60) } else { (9, 200) };
         let bare = Bare::new(20.0, 1.0).map_err(Failure::work)?;
-        Ok(Self { bare, rates: Vec::new(), rounds, turn: Duration::from_millis(turn), seed: options.seed, width: options.width() })
+        Ok(Self {
+            bare,
+            rates: Vec::new(),
+            rounds,
+            turn: Duration::from_millis(turn),
+            seed: options.seed,
+            width: options.width(),
+        })
     }
 
     pub(super) fn bare_rate(&mut self) -> f64 {
