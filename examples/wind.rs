@@ -30,7 +30,7 @@ fn main() -> anyhow::Result<()> {
     for (name, pilot) in [("the paper's PID", pid), ("SE(3) with an integral term", geometric)] {
         let mut env = config.clone().build()?;
         let (mut trail, mut points) = (vec![], vec![]);
-        Rollout::start(&mut env, pilot, Some(2))?.finish(|env| {
+        Rollout::start(&mut env, pilot, Some(4))?.finish(|env| {
             trail.push(env.simulation().states()[0].position);
             points.push((env.info().time, env.simulation().states()[0].position.y));
         })?;

@@ -1,4 +1,7 @@
-//! Random number generator of the simulator.
+//! Random number generators of the simulator: a sequential one for everything that happens at resets ([`Rng`]), and a
+//! counter-based one for noise in every step ([`counter`]).
+
+pub(crate) mod counter;
 
 use rand::{Rng as _, RngExt as _};
 

@@ -49,21 +49,6 @@ pub(crate) mod vector_list {
     }
 }
 
-/// Serializes a pair of a `Vector3` and a number.
-pub(crate) mod vector_and_number {
-    use super::*;
-    use nalgebra::Vector3;
-
-    pub(crate) fn serialize<S: Serializer>(pair: &(Vector3<f64>, f64), serializer: S) -> Result<S::Ok, S::Error> {
-        (<[f64; 3]>::from(pair.0), pair.1).serialize(serializer)
-    }
-
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(Vector3<f64>, f64), D::Error> {
-        let (vector, number) = <([f64; 3], f64)>::deserialize(deserializer)?;
-        Ok((vector.into(), number))
-    }
-}
-
 /// Serializes a list of pairs of a `Vector3` and a number.
 pub(crate) mod vectors_and_numbers {
     use super::*;

@@ -7,7 +7,7 @@ mod checker;
 mod conditions;
 mod episode;
 mod moving;
-mod randomization;
+pub(crate) mod randomization;
 mod reset;
 mod snapshot;
 mod space;

@@ -1,6 +1,6 @@
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
 
-use super::Real;
+use super::{Bits, Real};
 
 /// Difference between π/2 and the double closest to it.
 const FRAC_PI_2_REST: f64 = 6.123_233_995_736_766e-17;
@@ -10,7 +10,7 @@ const TAN_PI_8: f64 = 0.414_213_562_373_095_03;
 
 /// Evaluates a polynomial by Horner's method, with the coefficient of the highest power first.
 #[inline(always)]
-fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
+pub(crate) fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
     let mut sum = x.all(coefficients[0]);
     for &coefficient in &coefficients[1..] {
         sum = sum * x + coefficient;
@@ -72,7 +72,7 @@ pub(crate) fn asin<R: Real>(sine: R) -> R {
 }
 
 /// Rounding constant 1.5 · 2⁵²: adding it to a number below 2⁵¹ leaves the nearest integer in the low bits.
-const ROUND: f64 = 6_755_399_441_055_744.0;
+pub(super) const ROUND: f64 = 6_755_399_441_055_744.0;
 
 /// Returns e^x for x ≤ 0.
 #[inline(always)]
@@ -90,6 +90,50 @@ pub(crate) fn exp_of_negative<R: Real>(x: R) -> R {
     // two factors, because one alone would underflow where the result is subnormal
     let first = (whole * 0.5 + ROUND) - ROUND;
     fraction * (first + ROUND).power_of_two() * ((whole - first) + ROUND).power_of_two()
+}
+
+/// Bound of the arguments for which [`decay`] needs no general exponential function.
+pub(crate) const SHORT: f64 = 0.031_25;
+
+/// Returns e^(−x) for x ≥ 0, faster than [`exp_of_negative`] if all lanes are below [`SHORT`].
+#[inline(always)]
+pub(crate) fn decay<R: Real>(x: R) -> R {
+    // Taylor polynomial with full double precision
+    let short = polynomial(x, [-1.0 / 5040.0, 1.0 / 720.0, -1.0 / 120.0, 1.0 / 24.0, -1.0 / 6.0, 0.5, -1.0, 1.0]);
+    let is_short = x.less(x.all(SHORT));
+    if R::any(!is_short) { R::choose(is_short, short, exp_of_negative(-x)) } else { short }
+}
+
+/// Returns the natural logarithm of a positive normal number.
+///
+/// With x = m·2^k, √½ ≤ m < √2 and s = (m − 1)/(m + 1), ln x = k·ln 2 + 2·artanh s.
+#[inline(always)]
+pub(crate) fn ln<R: Real>(x: R) -> R {
+    const EXPONENT: u64 = 0x7ff << 52;
+    const ONE: u64 = 1.0_f64.to_bits();
+    // adding the distance from √½ to 1 carries into the exponent where the mantissa is above √2
+    let bits = x.bits();
+    let exponent = bits.plus(bits.all(ONE - FRAC_1_SQRT_2.to_bits())).and(EXPONENT);
+    let m = R::of_bits(bits.plus(bits.all(ONE)).minus(exponent));
+    // the upper half of the exponent is (k + 1023)·2²⁰
+    let k = (R::of_integer(exponent.swap_halves()) - 1023.0 * 1_048_576.0) * (1.0 / 1_048_576.0);
+    let s = (m - 1.0) / (m + 1.0);
+    let square = s * s;
+    // minimax polynomial of (2·artanh(s)/s − 2)/s², relative error 5e-16
+    let tail = polynomial(
+        square,
+        [
+            1.461_701_084_787_323e-1,
+            1.533_167_305_995_739e-1,
+            1.818_289_069_887_174_8e-1,
+            2.222_221_111_129_927_5e-1,
+            2.857_142_862_613_391_6e-1,
+            3.999_999_999_989_911_6e-1,
+            6.666_666_666_666_67e-1,
+        ],
+    );
+    // ln 2 in two parts; the product with the first one is exact
+    k * 6.931_457_519_531_25e-1 + (s * (square * tail + 2.0) + k * 1.428_606_820_309_417_3e-6)
 }
 
 /// Square of the largest half angle for which [`half_angle`] is accurate, rad²: (0.25 rad)².
@@ -123,6 +167,7 @@ pub(crate) fn half_angle<R: Real>(a_squared: R) -> (R, R) {
 mod tests {
     use super::*;
     use proptest::prelude::*;
+    use std::f64::consts::LN_2;
 
     /// Returns the difference of two numbers, in units of the last place of the larger one.
     fn apart(a: f64, b: f64) -> f64 {
@@ -155,6 +200,21 @@ mod tests {
         }
 
         #[test]
+        fn decay_matches_the_standard_library(x in 0.0..800.0f64, scale in -300.0..0.0f64) {
+            for x in [x, x / 12_800.0, 10f64.powf(scale)] {
+                let (got, wanted) = (decay(x), (-x).exp());
+                prop_assert!(apart(got, wanted) < 3.0 || (got - wanted).abs() <= 5e-324, "{x}: {got} {wanted}");
+            }
+        }
+
+        #[test]
+        fn ln_matches_the_standard_library(m in 0.5..2.0f64, scale in -307.0..308.0f64, near in 0.0..16.0f64) {
+            for x in [m, 10f64.powf(scale), 1.0 + 10f64.powf(-near), 1.0 - 0.5 * 10f64.powf(-near)] {
+                prop_assert!(apart(ln(x), x.ln()) < 4.0, "{x}: {} {}", ln(x), x.ln());
+            }
+        }
+
+        #[test]
         fn half_angle_is_accurate_within_its_range(a in -0.25..0.25f64) {
             let (cos, sinc) = half_angle(a * a);
             prop_assert!(apart(cos, a.cos()) < 3.0);
@@ -172,6 +232,10 @@ mod tests {
         }
         assert!(atan2(f64::NAN, 1.0).is_nan() && asin(f64::NAN).is_nan());
         assert_eq!([asin(1.0), asin(-1.0), asin(2.0), asin(0.0)], [FRAC_PI_2, -FRAC_PI_2, FRAC_PI_2, 0.0]);
+        assert_eq!(
+            [decay(0.0), decay(f64::INFINITY), ln(1.0), ln(0.5), ln(1024.0)],
+            [1.0, 0.0, 0.0, -LN_2, 10.0 * LN_2]
+        );
         assert_eq!([exp_of_negative(0.0), exp_of_negative(f64::NEG_INFINITY)], [1.0, 0.0]);
     }
 }

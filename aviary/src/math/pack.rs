@@ -1,14 +1,27 @@
-use std::ops::{Add, BitAnd, Div, Mul, Neg, Sub};
+use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
 use pulp::Simd;
 
-use super::Real;
+use super::{Bits, Real};
+
+/// Number of drones in one set of lanes.
+pub(crate) const LANES: usize = 8;
+
+/// One value per lane.
+pub(crate) type Row<T = f64> = [T; LANES];
 
 /// A SIMD register of doubles.
 #[derive(Clone, Copy)]
 pub(crate) struct Pack<S: Simd> {
     simd: S,
     values: S::f64s,
+}
+
+/// A SIMD register of 64-bit integers.
+#[derive(Clone, Copy)]
+pub(crate) struct PackBits<S: Simd> {
+    simd: S,
+    values: S::u64s,
 }
 
 /// A SIMD register of booleans.
@@ -33,6 +46,83 @@ impl<S: Simd> Pack<S> {
     #[inline(always)]
     pub(crate) fn values(self) -> S::f64s {
         self.values
+    }
+
+    /// Loads the register with this index from a row.
+    #[inline(always)]
+    pub(crate) fn load(simd: S, row: &Row, index: usize) -> Self {
+        Self { simd, values: S::as_simd_f64s(row).0[index] }
+    }
+
+    /// Stores the register with this index in a row.
+    #[inline(always)]
+    pub(crate) fn store(self, row: &mut Row, index: usize) {
+        S::as_mut_simd_f64s(row).0[index] = self.values;
+    }
+}
+
+impl<S: Simd> PackBits<S> {
+    /// Loads the register with this index from a row.
+    #[inline(always)]
+    pub(crate) fn load(simd: S, row: &Row<u64>, index: usize) -> Self {
+        Self { simd, values: S::as_simd_u64s(row).0[index] }
+    }
+
+    /// Stores the register with this index in a row.
+    #[inline(always)]
+    pub(crate) fn store(self, row: &mut Row<u64>, index: usize) {
+        S::as_mut_simd_u64s(row).0[index] = self.values;
+    }
+}
+
+impl<S: Simd> std::fmt::Debug for PackBits<S> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.values.fmt(f)
+    }
+}
+
+impl<S: Simd> Bits for PackBits<S> {
+    #[inline(always)]
+    fn all(self, x: u64) -> Self {
+        Self { values: self.simd.splat_u64s(x), ..self }
+    }
+
+    #[inline(always)]
+    fn and(self, mask: u64) -> Self {
+        Self { values: self.simd.and_u64s(self.values, self.simd.splat_u64s(mask)), ..self }
+    }
+
+    #[inline(always)]
+    fn or(self, bits: u64) -> Self {
+        Self { values: self.simd.or_u64s(self.values, self.simd.splat_u64s(bits)), ..self }
+    }
+
+    #[inline(always)]
+    fn xor(self, other: Self) -> Self {
+        Self { values: self.simd.xor_u64s(self.values, other.values), ..self }
+    }
+
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        Self { values: self.simd.add_u64s(self.values, other.values), ..self }
+    }
+
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        Self { values: self.simd.sub_u64s(self.values, other.values), ..self }
+    }
+
+    #[inline(always)]
+    fn lower_times(self, factor: u32) -> Self {
+        // a product of two numbers below 2³² is one instruction
+        let lower = self.and(0xffff_ffff).values;
+        Self { values: self.simd.mul_u64s(lower, self.simd.splat_u64s(u64::from(factor))), ..self }
+    }
+
+    #[inline(always)]
+    fn swap_halves(self) -> Self {
+        let halves: S::c32s = pulp::cast(self.values);
+        Self { values: pulp::cast(self.simd.swap_re_im_c32s(halves)), ..self }
     }
 }
 
@@ -83,8 +173,27 @@ impl<S: Simd> BitAnd for PackMask<S> {
     }
 }
 
+impl<S: Simd> BitOr for PackMask<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn bitor(self, other: Self) -> Self {
+        Self { values: self.simd.or_m64s(self.values, other.values), ..self }
+    }
+}
+
+impl<S: Simd> Not for PackMask<S> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn not(self) -> Self {
+        Self { values: self.simd.not_m64s(self.values), ..self }
+    }
+}
+
 impl<S: Simd> Real for Pack<S> {
     type Mask = PackMask<S>;
+    type Bits = PackBits<S>;
 
     #[inline(always)]
     fn all(self, x: f64) -> Self {
@@ -129,5 +238,15 @@ impl<S: Simd> Real for Pack<S> {
         // the product is a shift by 52 bits
         let shifted = simd.mul_u64s(biased, simd.splat_u64s(1 << 52));
         Self { values: simd.transmute_f64s_u64s(shifted), ..self }
+    }
+
+    #[inline(always)]
+    fn bits(self) -> PackBits<S> {
+        PackBits { simd: self.simd, values: self.simd.transmute_u64s_f64s(self.values) }
+    }
+
+    #[inline(always)]
+    fn of_bits(bits: PackBits<S>) -> Self {
+        Self { simd: bits.simd, values: bits.simd.transmute_f64s_u64s(bits.values) }
     }
 }

@@ -3,7 +3,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::{Real, asin, atan2};
+use super::{Real, asin, atan2, sin_cos_of_turns};
 use crate::state::{attitude_from_wxyz, wxyz};
 
 /// A vector of three numbers.
@@ -105,6 +105,21 @@ pub(crate) struct Turn<R> {
 }
 
 impl<R: Real> Turn<R> {
+    /// Creates a rotation from roll, pitch and yaw, rad: yaw about z, then pitch about y', then roll about x''.
+    #[inline(always)]
+    pub fn from_rpy(rpy: V3<R>) -> Self {
+        const HALF_TURNS: f64 = 0.5 / TAU;
+        let (sr, cr) = sin_cos_of_turns(rpy.x * HALF_TURNS);
+        let (sp, cp) = sin_cos_of_turns(rpy.y * HALF_TURNS);
+        let (sy, cy) = sin_cos_of_turns(rpy.z * HALF_TURNS);
+        let (upright, inverted) = (cr * cp, sr * sp);
+        let (rolled, pitched) = (sr * cp, cr * sp);
+        Self {
+            w: upright * cy + inverted * sy,
+            v: V3::new(rolled * cy - pitched * sy, pitched * cy + rolled * sy, upright * sy - inverted * cy),
+        }
+    }
+
     /// Rotates a vector from the rotated frame (body) to the fixed frame (world).
     #[inline(always)]
     pub fn forth(&self, v: V3<R>) -> V3<R> {
@@ -211,5 +226,22 @@ impl From<Turn<f64>> for UnitQuaternion<f64> {
     #[inline(always)]
     fn from(turn: Turn<f64>) -> Self {
         attitude_from_wxyz([turn.w, turn.v.x, turn.v.y, turn.v.z])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::attitude_from_rpy;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_rotation_from_rpy_is_that_of_the_state(rpy in prop::array::uniform3(-10.0..10.0f64)) {
+            let turn = Turn::from_rpy(V3::from(&Vector3::from(rpy)));
+            let expected = Turn::from(&attitude_from_rpy(rpy.into()));
+            prop_assert!((turn.w - expected.w).abs() < 2e-15 && (turn.v - expected.v).norm() < 4e-15);
+            prop_assert!((turn.w * turn.w + turn.v.dot(turn.v) - 1.0).abs() < 2e-15);
+        }
     }
 }

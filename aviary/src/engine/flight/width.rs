@@ -51,7 +51,7 @@ impl Width {
     /// On AVX-512, up to four lanes run in the lower halves of the registers, on which the machine executes twice as
     /// many instructions per cycle.
     #[inline]
-    pub(super) fn run<W: WithSimd>(self, count: usize, work: W) -> W::Output {
+    pub(crate) fn run<W: WithSimd>(self, count: usize, work: W) -> W::Output {
         #[cfg(target_arch = "x86_64")]
         match self {
             Self::Avx512 => {

@@ -2,9 +2,13 @@
 
 mod ranges;
 mod sampling;
+#[cfg_attr(not(test), allow(dead_code, reason = "for batches"))]
+mod sensors;
 
 pub use ranges::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range, SensorRanges,
 };
-pub(super) use sampling::Randomizer;
+pub(crate) use sampling::Randomizer;
 pub use sampling::{SampledDroneParams, SampledParams};
+#[allow(unused_imports, reason = "for batches")]
+pub(crate) use sensors::{Sensed, SensorLanes};

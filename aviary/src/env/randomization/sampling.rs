@@ -3,11 +3,14 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use rand::RngExt as _;
 
+use super::sensors::{Sensed, SensorParams};
 use super::{InitialRanges, Randomization, Range};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::EnvError;
+use crate::math::{Turn, V3};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::{WindConfig, WindModel};
+use crate::random::counter::Key;
 use crate::random::{Rng, normals};
 use crate::simulation::{SimData, SimModel, SimView, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy};
@@ -71,13 +74,13 @@ pub struct SampledParams {
 
 /// Samples the parameters of a [`Randomization`] and applies them.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
-pub(in crate::env) struct Randomizer {
+pub(crate) struct Randomizer {
     // the environments of a batch share these
     #[serde(with = "crate::serial::shared")]
     pub(in crate::env) config: Arc<Randomization>,
     pub(in crate::env) draw: SampledParams,
-    /// Random stream of the sensor noise.
-    noise: Rng,
+    /// Seed of the sensor noise in this episode.
+    noise_seed: u64,
     #[serde(with = "crate::serial::shared")]
     nominal: Arc<[DroneParams]>,
     /// Motor parameters and wind without randomization.
@@ -134,12 +137,11 @@ impl Randomizer {
             sensor_latency: 0.0,
             drones: initial.iter().map(still).collect(),
         };
-        use rand::SeedableRng as _;
         let motors = (0..nominal.len()).map(|drone| *simulation.actuator_params(drone)).collect();
         Ok(Self {
             config: Arc::new(config),
             draw,
-            noise: Rng::seed_from_u64(0),
+            noise_seed: 0,
             nominal,
             motors,
             wind,
@@ -228,7 +230,7 @@ impl Randomizer {
                 self.draw.drones[drone].initial = state;
             }
         }
-        self.noise = streams[3].clone();
+        self.noise_seed = streams[3].random();
     }
 
     /// Samples an initial state around `start` outside the floor, the obstacles and the drones already placed.
@@ -323,27 +325,35 @@ impl Randomizer {
         Ok(())
     }
 
+    /// Returns the errors of a drone's sensors and the key of their noise; `None` if the sensors are exact.
+    pub(in crate::env) fn sensors(&self, drone: usize) -> Option<(SensorParams<f64>, Key)> {
+        let ranges = self.config.sensors.as_ref()?;
+        let sigmas = [ranges.position, ranges.velocity, ranges.attitude, ranges.angular_velocity];
+        let params = SensorParams { sigmas, biases: self.draw.drones[drone].bias.map(Into::into) };
+        Some((params, Key::new(self.noise_seed, drone)))
+    }
+
     /// Computes the measured states (delayed, biased, noisy) and returns them with their roll, pitch and yaw;
     /// `None` if the sensors are exact.
     pub(in crate::env) fn measure(&mut self, data: &SimData) -> Option<(&[DroneState], &[Vector3<f64>])> {
-        let ranges = self.config.sensors.as_ref()?;
-        let draws = &self.draw.drones;
-        for ((measured, truth), draw) in self.measured.iter_mut().zip(data.remembered()).zip(draws) {
-            // twelve normal samples, in pairs
-            let n: [[f64; 2]; 6] = std::array::from_fn(|_| normals(&mut self.noise));
-            let position = ranges.position * Vector3::new(n[0][0], n[0][1], n[1][0]);
-            let velocity = ranges.velocity * Vector3::new(n[1][1], n[2][0], n[2][1]);
-            let rpy = ranges.attitude * Vector3::new(n[3][0], n[3][1], n[4][0]);
-            let rates = ranges.angular_velocity * Vector3::new(n[4][1], n[5][0], n[5][1]);
-            *measured = DroneState {
-                position: truth.position + position + draw.bias[0],
-                velocity: truth.velocity + velocity + draw.bias[1],
-                attitude: attitude_from_rpy(truth.rpy() + rpy + draw.bias[2]),
-                angular_velocity: truth.angular_velocity + rates + draw.bias[3],
+        for (drone, truth) in data.remembered().iter().enumerate() {
+            let (params, key) = self.sensors(drone)?;
+            let attitude = Turn::from(&truth.attitude);
+            let truth = Sensed {
+                position: V3::from(&truth.position),
+                attitude,
+                rpy: attitude.rpy(),
+                velocity: V3::from(&truth.velocity),
+                rate: V3::from(&truth.angular_velocity),
             };
-        }
-        for (rpy, state) in self.measured_rpys.iter_mut().zip(&self.measured) {
-            *rpy = state.rpy();
+            let measured = params.measure(key.at(data.control_steps()), &truth);
+            self.measured[drone] = DroneState {
+                position: measured.position.into(),
+                attitude: measured.attitude.into(),
+                velocity: measured.velocity.into(),
+                angular_velocity: measured.rate.into(),
+            };
+            self.measured_rpys[drone] = measured.rpy.into();
         }
         Some((&self.measured, &self.measured_rpys))
     }

@@ -4,6 +4,9 @@ use crate::error::OptionError;
 use serde::{Deserialize, Serialize};
 
 use super::DrydenFilter;
+use super::dryden::SIGMA_OF_WIND;
+use super::local::WindParams;
+use crate::math::ln;
 use crate::names::named_enum;
 
 named_enum! {
@@ -120,6 +123,32 @@ impl WindConfig {
             OptionError::check(option, got, 0.0..=1e3, "0 to 1000")?;
         }
         Ok(())
+    }
+
+    /// Returns the settings at a drone with a drag area of 1 m², for physics steps of `dt` seconds.
+    pub(super) fn params(&self, dt: f64) -> WindParams<f64> {
+        let has = |part, number: f64| if self.model.has(part) { number } else { 0.0 };
+        // adding zero removes the sign of a zero
+        let mean = self.velocity.map(|x| x + 0.0);
+        let [x, y, _] = mean;
+        let level = (x * x + y * y).sqrt();
+        let sigma = has(WindModel::Dryden, SIGMA_OF_WIND * self.turbulence);
+        let second_order = sigma > 0.0 && self.filter == DrydenFilter::MilF8785c;
+        let gusts = self.gust_force > 0.0 && self.model.has(WindModel::Gust);
+        let probability = if gusts { self.gust_rate * dt } else { 0.0 };
+        WindParams {
+            mean,
+            constant: mean.map(|x| has(WindModel::Constant, x)),
+            along: if level > 1e-9 { [x / level, y / level] } else { [1.0, 0.0] },
+            sigma,
+            second_order: f64::from(u8::from(second_order)),
+            drag: if self.has_drag() { 0.5 * self.air_density } else { 0.0 },
+            gust_force: has(WindModel::Gust, self.gust_force),
+            gust_hazard: if probability < 1.0 { -ln(1.0 - probability) + 0.0 } else { f64::INFINITY },
+            gust_share: dt / self.gust_duration,
+            sinusoidal_force: has(WindModel::Sinusoidal, self.sinusoidal_force),
+            sinusoidal_turns: self.sinusoidal_frequency * dt / std::f64::consts::TAU,
+        }
     }
 
     /// Returns true if the drag law applies: in moving air, or in still air if

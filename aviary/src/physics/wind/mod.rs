@@ -7,7 +7,12 @@
 mod config;
 mod dryden;
 mod field;
+#[cfg_attr(not(test), allow(dead_code, reason = "for the flight kernel"))]
+mod lanes;
+mod local;
 
 pub use config::{WindConfig, WindModel};
 pub use dryden::{DrydenFilter, dryden};
 pub use field::{WindField, drag_law};
+#[allow(unused_imports, reason = "for the flight kernel")]
+pub(crate) use lanes::WindLanes;

@@ -1,5 +1,6 @@
 use super::*;
 use crate::drone::DroneModel;
+use crate::physics::wind::{DrydenFilter, WindModel, dryden};
 use proptest::prelude::*;
 use std::f64::consts::TAU;
 
@@ -102,13 +103,13 @@ fn gusts_have_their_rate_a_half_sine_profile_and_uniform_directions() {
         assert_eq!(air, Vector3::zeros());
         assert!(force.norm() <= config.gust_force);
         // the force at the start of a gust is zero
-        if field.locals[0].gust.1 < 1.0 {
+        if field.locals[0].state.elapsed < 1.0 {
             current.push(force);
             continue;
         }
         idle += 1;
         if !current.is_empty() {
-            let peak = field.locals[0].gust.0;
+            let peak = Vector3::from(field.locals[0].state.peak);
             assert_eq!(current.len(), 60, "0.25 s at 240 Hz");
             for (step, force) in current.iter().enumerate() {
                 let envelope = (std::f64::consts::PI * step as f64 / 60.0).sin();
@@ -181,8 +182,9 @@ proptest! {
         // the force at the start of a gust is zero
         prop_assert!((total - law(air) - turning.advance(DT, 0, &state).0).norm() < 1e-15);
         let (total, air) = all.advance(DT, 0, &state);
-        let (peak, over) = all.locals[0].gust;
-        let gust = if over < 1.0 { peak * (std::f64::consts::PI * over).sin() } else { Vector3::zeros() };
+        let WindState { peak, elapsed, .. } = all.locals[0].state;
+        let phase = std::f64::consts::PI * elapsed;
+        let gust = if elapsed < 1.0 { Vector3::from(peak) * phase.sin() } else { Vector3::zeros() };
         prop_assert!((total - law(air) - gust - turning.advance(DT, 0, &state).0).norm() < 1e-15);
     }
 
