@@ -333,6 +333,11 @@ impl MotorScale {
         Self { hover_rpm: params.hover_rpm(), max_rpm: params.max_rpm() }
     }
 
+    /// Returns the hover speed and the maximum speed, rpm.
+    pub(crate) fn speeds(&self) -> [f64; 2] {
+        [self.hover_rpm, self.max_rpm]
+    }
+
     /// Returns the motor speed (rpm) of a normalized command, which the function clamps to [−1, 1].
     #[inline]
     pub fn rpm(&self, command: f64) -> f64 {

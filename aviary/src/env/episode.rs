@@ -75,6 +75,12 @@ impl<T> Episode<T> {
         self.randomizer.is_some() || self.next_randomization.is_some()
     }
 
+    /// Returns true if the observed states may differ from the true ones, in this episode or in the next one.
+    pub(crate) fn has_noisy_sensors(&self) -> bool {
+        let next = self.next_randomization.iter().flatten().any(|config| config.sensors.is_some());
+        next || self.randomizer.as_ref().is_some_and(|randomizer| randomizer.config.sensors.is_some())
+    }
+
     /// Returns an error unless an episode is running.
     pub(crate) fn check_running(&self) -> Result<(), EnvError> {
         match self.phase {

@@ -6,6 +6,7 @@ mod builder;
 mod checker;
 mod conditions;
 mod episode;
+mod lane_task;
 mod moving;
 pub(crate) mod randomization;
 mod reset;
@@ -21,6 +22,9 @@ pub use builder::{AviaryBuilder, EnvConfig};
 pub use checker::{CheckFailure, CheckReport, check_env, check_independence};
 pub use conditions::{ConditionChoice, Conditions};
 pub(crate) use episode::{Episode, Phase};
+#[doc(hidden)]
+pub use lane_task::LaneFunctions;
+pub(crate) use lane_task::{LaneRows, LaneScene, LaneStep, LaneTask};
 pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range,
     SampledDroneParams, SampledParams, SensorRanges,

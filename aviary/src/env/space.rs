@@ -117,6 +117,20 @@ impl BoxSpace {
         }
     }
 
+    /// Returns the entries that [`round_inside`](Self::round_inside) may change, with the smallest and the largest
+    /// number that single precision keeps inside the space. Clamping to them before the rounding has the same result.
+    pub(crate) fn bounds_before_rounding(&self) -> Vec<(usize, f64, f64)> {
+        let limits = |bound: &Outward| {
+            let inside = f64::from(bound.inside);
+            if bound.inside < bound.rounded {
+                (bound.entry, f64::NEG_INFINITY, inside)
+            } else {
+                (bound.entry, inside, f64::INFINITY)
+            }
+        };
+        self.outward.iter().map(limits).collect()
+    }
+
     /// Returns the number of entries.
     pub fn size(&self) -> usize {
         self.low.len()

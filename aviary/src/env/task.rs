@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 
-use super::{BoxSpace, EndReason, EnvError, Rng, Saved};
+use super::{BoxSpace, EndReason, EnvError, LaneFunctions, Rng, Saved};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -204,6 +204,16 @@ pub trait Task: std::fmt::Debug + 'static {
     fn load(&mut self, saved: &Saved) -> Result<(), EnvError> {
         let _ = saved;
         Err(EnvError::SavedSnapshot { message: format!("the task `{}` cannot be loaded", self.name()) })
+    }
+
+    /// Returns the SIMD form of the task, which batches evaluate eight environments at a time with. Only the tasks of
+    /// this crate have one. A batch evaluates other tasks one environment at a time.
+    #[doc(hidden)]
+    fn lane_functions() -> Option<LaneFunctions<Self>>
+    where
+        Self: Sized,
+    {
+        None
     }
 
     /// Returns true if an entry of a drone's observation may stay constant during an episode, as a target does.

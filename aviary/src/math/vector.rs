@@ -40,6 +40,12 @@ impl<R: Real> V3<R> {
         Self { x: self.x * other.x, y: self.y * other.y, z: self.z * other.z }
     }
 
+    /// Returns the norm of the x and y components.
+    #[inline(always)]
+    pub fn level_norm(self) -> R {
+        (self.x * self.x + self.y * self.y).sqrt()
+    }
+
     #[inline(always)]
     pub fn norm(self) -> R {
         self.dot(self).sqrt()

@@ -150,6 +150,11 @@ impl Actuators {
         self.max_rpm
     }
 
+    /// Returns the factors on the commanded speeds.
+    pub(crate) fn gains(&self) -> &[f64; 4] {
+        &self.gains
+    }
+
     /// Returns the fraction of the remaining speed difference that the lag closes in one physics step; 1 without lag.
     #[inline]
     pub fn share(&self) -> f64 {

@@ -305,6 +305,11 @@ impl SimData {
         &self.states
     }
 
+    /// Returns the motor speeds commanded to all drones during the last control step, rpm.
+    pub(crate) fn motor_speeds(&self) -> &[[f64; 4]] {
+        &self.motor_speeds
+    }
+
     /// Returns the number of control steps since the last reset.
     pub fn control_steps(&self) -> u64 {
         self.control_steps

@@ -28,26 +28,10 @@ impl SimData {
             && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params)
     }
 
-    /// Clips and stores the command of a drone (rpm) and returns the target speeds of its rotors.
-    #[inline]
-    pub(crate) fn command(&mut self, drone: usize, command: &[f64; 4]) -> [f64; 4] {
-        let speeds = command.map(|rpm| rpm.clamp(0.0, self.drones[drone].max_rpm));
-        self.motor_speeds[drone] = speeds;
-        self.actuators[drone].target(&speeds)
-    }
-
     /// Copies an environment from a lane after `control_steps` steps: states, motor speeds, loads, and, if MuJoCo
-    /// made the last step, the warm start of its solver. With exact motors, the commands are the rotors' target
-    /// speeds; otherwise the data has them already.
+    /// made the last step, the warm start of its solver.
     #[inline]
-    pub(crate) fn read_lane(
-        &mut self,
-        lanes: &[Lanes],
-        lane: usize,
-        control_steps: u64,
-        exact_motors: bool,
-        warm_start: Option<&[f64]>,
-    ) {
+    pub(crate) fn read_lane(&mut self, lanes: &[Lanes], lane: usize, control_steps: u64, warm_start: Option<&[f64]>) {
         (self.control_steps, self.stamp, self.in_mujoco) = (control_steps, 0, warm_start.is_some());
         if let Some(warm_start) = warm_start {
             self.warm_start.copy_from_slice(warm_start);
@@ -57,9 +41,7 @@ impl SimData {
         for (drone, lanes) in lanes.iter().enumerate() {
             self.states[drone] = lanes.state(lane);
             self.rpys[drone] = lanes.rpy(lane);
-            if exact_motors {
-                self.motor_speeds[drone] = lanes.target(lane);
-            }
+            self.motor_speeds[drone] = lanes.command(lane);
             self.actuators[drone].set_rpm(&lanes.rpm(lane));
             let (rotors, force_world) = lanes.push(lane);
             self.loads[drone] = Load { rotors, external: Wrench { force_world, ..Wrench::ZERO } };
@@ -74,8 +56,9 @@ impl SimData {
     /// Writes states, motor speeds and loads to a lane.
     pub(crate) fn write_lane(&self, lanes: &mut [Lanes], lane: usize) {
         for (drone, lanes) in lanes.iter_mut().enumerate() {
-            let actuators = &self.actuators[drone];
-            lanes.set(lane, &self.states[drone], actuators.rpm(), &actuators.target(&self.motor_speeds[drone]));
+            lanes.set(lane, &self.states[drone], self.actuators[drone].rpm(), &[0.0; 4]);
+            lanes.set_command(lane, &self.motor_speeds[drone]);
+            lanes.set_rpy(lane, &self.rpys[drone]);
             let load = &self.loads[drone];
             lanes.set_push(lane, &load.rotors, &load.external.force_world);
         }

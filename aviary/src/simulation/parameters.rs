@@ -197,6 +197,9 @@ impl SimData {
             drag: if effects.drag { params.drag_coefficients.into() } else { nalgebra::Vector3::zeros() },
             wake: if effects.downwash { self.wakes[drone] } else { Wake::default() },
             share: self.actuators[drone].share(),
+            max_command: self.drones[drone].max_rpm,
+            gains: *self.actuators[drone].gains(),
+            max_rpm: self.actuators[drone].max_rpm(),
             reach_bound: self.bodies.drones[drone].reach_bound,
         }
     }

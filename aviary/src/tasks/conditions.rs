@@ -1,10 +1,13 @@
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 
+use pulp::Simd;
 use smallvec::SmallVec;
 
 use crate::drone::DroneParams;
 use crate::engine::Touched;
-use crate::env::{EndReason, EnvError};
+use crate::engine::flight::FlightState;
+use crate::env::{EndReason, EnvError, LaneRows};
+use crate::math::{Pack, Real};
 use crate::simulation::SimView;
 use crate::state::DroneState;
 use crate::world::placement::CollisionCylinder;
@@ -145,6 +148,45 @@ impl CrashWatch {
             }
             self.found[drone] = found;
         }
+    }
+
+    /// Number of rows in lanes.
+    pub(super) const ROWS: usize = 5;
+
+    /// Writes the rows of a drone: whether it is airborne, radius and height of its collision cylinder, the
+    /// height of the floor condition, and the limit of the world z component of body z.
+    pub(super) fn write_rows(
+        &self,
+        conditions: &CrashConditions,
+        simulation: SimView<'_>,
+        drone: usize,
+        rows: &mut [f64],
+    ) {
+        /// Margin for rounding.
+        const SLACK: f64 = 1e-9;
+        let cylinder = CollisionCylinder::from(simulation.params(drone));
+        let airborne = self.airborne.get(drone).copied().unwrap_or_default();
+        let lowest = if conditions.below_floor { 0.0 } else { f64::NEG_INFINITY };
+        let upright = if conditions.max_tilt < PI { conditions.max_tilt.cos() + SLACK } else { f64::NEG_INFINITY };
+        let airborne = f64::from(u8::from(airborne));
+        rows.copy_from_slice(&[airborne, cylinder.radius, cylinder.height, lowest, upright]);
+    }
+
+    /// Reads the state of a drone from its rows, after steps without contacts.
+    pub(super) fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        (self.airborne[drone], self.found[drone]) = (rows[0] > 0.0, None);
+    }
+
+    /// Updates the rows of a drone in flight, and returns a number above 0 where it may have crashed.
+    #[inline(always)]
+    pub(super) fn update_rows<S: Simd>(state: &FlightState<Pack<S>>, rows: &mut LaneRows<'_, S>) -> Pack<S> {
+        let (airborne, up, height) = (rows.get(0), state.attitude.up().z, state.position.z);
+        let (zero, one) = (airborne.all(0.0), airborne.all(1.0));
+        let cylinder = CollisionCylinder { radius: rows.get(1), height: rows.get(2) };
+        let clear = airborne.all(CLEAR_OF_FLOOR).less(cylinder.clearance(height, up));
+        rows.put(0, Real::choose(clear, one, airborne));
+        let below = Real::choose(height.less(rows.get(3)), one, zero);
+        Real::choose(up.less(rows.get(4)), one, below)
     }
 
     /// Returns how a drone crashed during the last control step, if it did; `None` if `drone` is out of range.

@@ -1,12 +1,17 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::engine::flight::FlightState;
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task, TaskDefaults,
+};
+use crate::math::{Pack, Real, V3};
 use crate::simulation::SimView;
 
 /// Task: a drone takes off and hovers (paper, §4.1 `HoverAviary`).
@@ -129,21 +134,68 @@ impl Task for Hover {
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
-        self.watch.end(drone).is_none() && at_target(&simulation.states()[drone].position, &self.target())
+        self.watch.end(drone).is_none()
+            && at_target(V3::from(&simulation.states()[drone].position), V3::from(&self.target()))
     }
 
     fn reference(&self, _simulation: SimView<'_>, _drone: usize) -> Reference {
         Reference::hover(self.target(), 0.0)
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// The rows of a drone are those of [`CrashWatch`], the target height and the maximum height.
+impl LaneTask for Hover {
+    const ROWS: usize = CrashWatch::ROWS + 2;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        own.copy_from_slice(&[self.target_height, self.max_height]);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, rows);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut LaneRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let state = scene.state(drone);
+        let crashed = CrashWatch::update_rows(&state, rows);
+        let [height, max_height] = [0, 1].map(|index| rows.get(CrashWatch::ROWS + index));
+        let too_high = Real::choose(max_height.less(state.position.z), height.all(1.0), height.all(0.0));
+        let target = V3::new(height.all(0.0), height.all(0.0), height);
+        (flight_reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, _: &LaneRows<'_, S>, out: &mut LaneRows<'_, S>) {
+        scene.observe_state(drone, out);
+    }
 }
 
 /// Vertical and horizontal distance from the target within which a drone is at the target, m.
 const AT_TARGET: f64 = 0.05;
 
-pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool {
-    (position.z - target.z).abs() < AT_TARGET && (position - target).xy().norm() < AT_TARGET
+/// Returns true at the target. Scalar or SIMD.
+#[inline(always)]
+pub(super) fn at_target<R: Real>(position: V3<R>, target: V3<R>) -> R::Mask {
+    let (apart, limit) = (position - target, position.x.all(AT_TARGET));
+    apart.z.abs().less(limit) & apart.level_norm().less(limit)
+}
+
+/// Returns the reward of [`hover_reward`] without the penalty for a crash. Scalar or SIMD.
+#[inline(always)]
+pub(super) fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, target: V3<R>) -> R {
+    let apart = state.position - target;
+    let zero = apart.z.all(0.0);
+    -apart.z.abs() - apart.level_norm() * 0.1 - state.velocity.norm() * 0.05 - (rpy.x.abs() + rpy.y.abs()) * 0.05
+        + R::choose(at_target(state.position, target), zero.all(0.5), zero)
 }
 
 /// Returns the paper's reward for hovering at a target (world frame, m) in the last control step: the formula of
@@ -152,11 +204,6 @@ pub(super) fn at_target(position: &Vector3<f64>, target: &Vector3<f64>) -> bool 
 /// # Panics
 /// If `drone` is out of range.
 pub fn hover_reward(simulation: SimView<'_>, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
-    let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
-    -(state.position.z - target.z).abs()
-        - 0.1 * (state.position - target).xy().norm()
-        - 0.05 * state.velocity.norm()
-        - 0.05 * (rpy.x.abs() + rpy.y.abs())
-        + if at_target(&state.position, target) { 0.5 } else { 0.0 }
-        - crash_penalty(end)
+    let (state, rpy) = (FlightState::from(&simulation.states()[drone]), V3::from(simulation.rpy(drone)));
+    flight_reward(&state, rpy, V3::from(target)) - crash_penalty(end)
 }

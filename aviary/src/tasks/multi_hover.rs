@@ -8,6 +8,7 @@ use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::math::V3;
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::placement::max_collision_radius;
@@ -157,7 +158,7 @@ impl Task for MultiHover {
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         let target = self.target(simulation, drone);
-        self.watch.end(drone).is_none() && at_target(&simulation.states()[drone].position, &target)
+        self.watch.end(drone).is_none() && at_target(V3::from(&simulation.states()[drone].position), V3::from(&target))
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {

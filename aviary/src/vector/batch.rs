@@ -1,14 +1,16 @@
 use std::sync::PoisonError;
 
 use super::pool::WorkerPool;
-use super::shard::{BatchModel, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
+use super::shard::{BatchModel, Block, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
 use super::worker::Worker;
 use super::{Autoreset, OnFault, VecConfig, VecEnv, VecImages, VecStep};
+use crate::action::{ActionDecoder, ActionType};
 use crate::control::CollisionCone;
-use crate::engine::flight::{Flow, LANES, LaneParams, Lanes};
+use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes};
 use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
 use crate::env::{
-    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, EpisodeSummary, ObservationSpace, Phase, Task,
+    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, EpisodeSummary, LaneFunctions, ObservationSpace, Phase,
+    Task,
 };
 use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
@@ -92,14 +94,15 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let quick = flies && !space.kind.has_images() && !space.kind.ranges;
         let per_thread = if requested == 0 && quick { WORTH_A_THREAD } else { LANES };
         let threads = threads.min(count.div_ceil(per_thread));
-        let model = batch_model(&first, &config, flies);
+        let functions = lane_functions(&first, flies);
+        let model = batch_model(&first, &config, flies, functions);
         let environments = Environments::of(&first, &model, count);
         let (name, episode_steps, control_period) =
             (first.name(), first.episode_steps(), first.simulation.control_period());
         let (observation_space, action_space) = (space.clone(), first.action_space().clone());
-        let mut workers = vec![Worker::new(first)];
+        let mut workers = vec![Worker::new(first, functions)];
         while workers.len() < threads {
-            workers.push(Worker::new(make()?));
+            workers.push(Worker::new(make()?, functions));
         }
         Ok(Self {
             model,
@@ -127,6 +130,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         for worker in &mut self.pool.workers {
             let worker = worker.get_mut().unwrap_or_else(PoisonError::into_inner);
             let action_type = worker.env.action_type();
+            // the filter changes the actions of one environment at a time
+            self.model.decoding = None;
             worker.velocity_filter = Some(VelocityFilter::new(filter, response, action_type, self.model.drones)?);
         }
         Ok(self)
@@ -158,13 +163,15 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
         // the lock is poisoned if `look` panics
         let Ok(mut worker) = pool.workers[0].lock() else { return Err(EnvError::Panicked) };
+        let functions = worker.functions;
         let env = &mut worker.env;
         let shares = environments.slots[environment].data.is_none();
         if shares {
-            let mut data = Box::new(env.simulation.snapshot());
-            environments.slices().load(model, environment, &mut data);
-            environments.slots[environment].data = Some(data);
+            environments.slots[environment].data = Some(Box::new(env.simulation.snapshot()));
         }
+        // `data` belongs to the environment now, so that nothing is loaded into the shared data
+        environments.slices().load(model, environment, &mut env.simulation.data);
+        environments.slices().load_task(model, functions, environment);
         let slot = &mut environments.slots[environment];
         let mut exchange = |env: &mut Aviary<T>| {
             std::mem::swap(&mut env.episode, &mut slot.episode);
@@ -189,6 +196,10 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
         let mut envs = environments.slices();
         envs.store(model, environment, None, Some(&env.simulation));
+        if let Some(data) = envs.slots[environment].data.take() {
+            envs.store_task(model, functions, environment, SimView::new(&env.simulation.model, &data));
+            envs.slots[environment].data = Some(data);
+        }
         envs.forget_clearances(model, environment);
         let slot = &mut envs.slots[environment];
         if unchanged {
@@ -211,7 +222,20 @@ fn flies_in_lanes(simulation: &Simulation) -> bool {
     matches!(simulation.engine(), Engine::Hybrid(engine) if engine.can_fly())
 }
 
-fn batch_model<T: Task>(first: &Aviary<T>, config: &VecConfig, flies: bool) -> BatchModel {
+/// Returns the SIMD form of the task if the batch can evaluate its environments with it.
+fn lane_functions<T: Task>(first: &Aviary<T>, flies: bool) -> Option<LaneFunctions<T>> {
+    let kind = first.model.observation_space.kind;
+    let only_numbers_of_the_task = kind.kinematic && !kind.adjacency && !kind.obstacle && !kind.ranges;
+    let usable = flies && only_numbers_of_the_task && first.workspace.moving.is_empty();
+    T::lane_functions().filter(|_| usable)
+}
+
+fn batch_model<T: Task>(
+    first: &Aviary<T>,
+    config: &VecConfig,
+    flies: bool,
+    functions: Option<LaneFunctions<T>>,
+) -> BatchModel {
     let simulation = &first.simulation;
     let (drones, effects, world) = (simulation.num_drones(), simulation.effects(), simulation.world());
     let lag = (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0) || first.episode.is_randomized();
@@ -236,11 +260,28 @@ fn batch_model<T: Task>(first: &Aviary<T>, config: &VecConfig, flies: bool) -> B
             air: effects.ground || effects.drag || effects.downwash || lag,
             width: config.width,
         }),
-        downwash: effects.downwash,
+        width: config.width,
+        downwash: effects.downwash && drones > 1,
+        decoding: decoding(first),
+        one_action: first.model.action_type == ActionType::OneDRpm,
+        control_period: simulation.control_period(),
+        episode_steps: first.model.episode_steps,
+        bounds: first.model.row_space.bounds_before_rounding(),
+        task_rows: functions.map_or(0, |functions| functions.rows * drones),
         substeps: simulation.substeps(),
         lane_params: (0..drones).map(|drone| LaneParams::all(&simulation.data.airframe(drone, effects))).collect(),
         images: [on(kind.rgb, 4 * pixels), on(kind.depth, pixels), on(kind.segmentation, pixels)],
     }
+}
+
+/// Returns the decoding of the actions in lanes, if decoders have no control loops.
+fn decoding<T>(first: &Aviary<T>) -> Option<Vec<Decoding>> {
+    let decoding = |decoder: &ActionDecoder| match first.model.action_type {
+        ActionType::Rpm | ActionType::OneDRpm => Some(Decoding::Scaled(decoder.scale().speeds())),
+        ActionType::RawRpm => Some(Decoding::Raw),
+        _ => None,
+    };
+    first.decoders.iter().map(decoding).collect()
 }
 
 impl<T: Task + Clone> Environments<T> {
@@ -259,16 +300,13 @@ impl<T: Task + Clone> Environments<T> {
                 episode,
                 data: individual.then(|| Box::new(simulation.snapshot())),
                 decoders: if memory { first.decoders.clone() } else { Vec::new() },
-                control_steps: 0,
                 started: false,
                 start_failed: false,
-                reward: 0.0,
                 summary: None,
-                in_mujoco: false,
-                fits_lanes: flies && simulation.data.fits_lanes(),
             }
         };
         let blocks = count.div_ceil(LANES);
+        let block = Block { fits_lanes: [flies && simulation.data.fits_lanes(); LANES], ..Block::default() };
         let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
@@ -278,6 +316,8 @@ impl<T: Task + Clone> Environments<T> {
         let finals = if model.autoreset == Autoreset::SameStep { model.observation_size * count } else { 0 };
         Self {
             slots: (0..count).map(slot).collect(),
+            blocks: vec![block; blocks],
+            task_rows: vec![[0.0; LANES]; blocks * model.task_rows],
             lanes,
             lane_params: if individual { model.lane_params.repeat(blocks) } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
@@ -343,17 +383,17 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             for (environment, slot) in self.environments.slots.iter().enumerate() {
                 let bad_entry = row(environment).iter().position(|x| !x.is_finite());
                 if let (Some(index), Phase::Running) = (bad_entry, slot.episode.phase) {
-                    let (got, time) = (f64::from(row(environment)[index]), self.time_of(slot));
+                    let (got, time) = (f64::from(row(environment)[index]), self.time_of(environment));
                     return bad(environment, EnvError::Action { index, got, time });
                 }
             }
             return Ok(());
         }
-        bad(environment, EnvError::Action { index, got: f64::from(actions[entry]), time: self.time_of(slot) })
+        bad(environment, EnvError::Action { index, got: f64::from(actions[entry]), time: self.time_of(environment) })
     }
 
-    fn time_of(&self, slot: &EnvSlot<T>) -> f64 {
-        slot.control_steps as f64 * self.control_period
+    fn time_of(&self, environment: usize) -> f64 {
+        self.environments.blocks[environment / LANES].steps[environment % LANES] * self.control_period
     }
 }
 
@@ -437,7 +477,8 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {
-        self.environments.slots.get(environment)?.summary.as_ref()
+        let slot = self.environments.slots.get(environment)?;
+        slot.summary.as_ref().filter(|_| self.environments.blocks[environment / LANES].ended[environment % LANES])
     }
 
     fn faults(&self) -> &[(usize, EnvError)] {

@@ -1,11 +1,13 @@
 //! Environments of a batch and the slices of them that a worker processes.
 
+use smallvec::SmallVec;
+
 use super::{Autoreset, OnFault};
 use crate::action::ActionDecoder;
 use crate::engine::ClearanceCache;
-use crate::engine::flight::{Flow, LANES, LaneParams, Lanes};
-use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, Phase, Task};
-use crate::simulation::{SimData, Simulation};
+use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, Row, Width};
+use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
+use crate::simulation::{SimData, SimView, Simulation};
 
 /// Constants that all environments of a batch share.
 #[derive(Debug, Clone)]
@@ -17,9 +19,23 @@ pub(super) struct BatchModel {
     pub on_fault: OnFault,
     /// Settings of the flight kernel; `None` if no environment flies in lanes.
     pub flow: Option<Flow>,
+    /// Instruction set.
+    pub width: Width,
     pub downwash: bool,
+    /// Decoding of each drone's actions in lanes; `None` if the decoders have control loops or a filter changes the actions.
+    pub decoding: Option<Vec<Decoding>>,
+    /// True if one action commands all four motors of a drone.
+    pub one_action: bool,
     /// Physics steps of a control step.
     pub substeps: u32,
+    /// Length of a control step, s.
+    pub control_period: f64,
+    /// Control steps of an episode.
+    pub episode_steps: u64,
+    /// Bounds of the observations, see [`LaneStep::bounds`](crate::env::LaneStep::bounds).
+    pub bounds: Vec<(usize, f64, f64)>,
+    /// Number of rows of the task per block; 0 if the task is not evaluated in lanes.
+    pub task_rows: usize,
     /// Parameters of each drone if all environments share them.
     pub lane_params: Vec<LaneParams>,
     /// Entries in the images of one environment: bytes of RGBA, pixels of depth, pixels of segmentation.
@@ -34,18 +50,32 @@ pub(super) struct EnvSlot<T> {
     pub data: Option<Box<SimData>>,
     /// Own decoders if decoders have memory.
     pub decoders: Vec<ActionDecoder>,
-    pub control_steps: u64,
     /// True if the environment has ever started an episode.
     pub started: bool,
     /// True if the last attempt to start an episode failed.
     pub start_failed: bool,
-    /// Sum of the rewards of the current episode.
-    pub reward: f64,
+    /// Summary of the last episode that ended; see [`Block::ended`].
     pub summary: Option<EpisodeSummary>,
-    /// True if MuJoCo computed the last physics step, so that the warm start of its solver is valid.
-    pub in_mujoco: bool,
+}
+
+/// State of a block of environments that every step reads and writes, as a structure of arrays.
+#[derive(Debug, Clone, Default)]
+#[repr(align(64))]
+pub(super) struct Block {
+    /// Control steps since the start of the episode.
+    pub steps: Row,
+    /// Sum of the rewards of the current episode.
+    pub rewards: Row,
+    /// True while an episode runs.
+    pub running: [bool; LANES],
     /// True if a lane can represent the environment. Obstacles and contacts are checked separately.
-    pub fits_lanes: bool,
+    pub fits_lanes: [bool; LANES],
+    /// True if the observed states differ from the true ones.
+    pub noisy: [bool; LANES],
+    /// True if MuJoCo computed the last physics step, so that the warm start of its solver is valid.
+    pub in_mujoco: [bool; LANES],
+    /// True if the last step ended an episode.
+    pub ended: [bool; LANES],
 }
 
 impl<T> EnvSlot<T> {
@@ -86,6 +116,9 @@ impl<T: Task> EnvSlot<T> {
 #[derive(Debug)]
 pub(super) struct Environments<T> {
     pub slots: Vec<EnvSlot<T>>,
+    pub blocks: Vec<Block>,
+    /// Rows of the task, block by block and drone by drone.
+    pub task_rows: Vec<Row>,
     pub lanes: Vec<Lanes>,
     /// Parameters of every environment's drones if environments differ; otherwise empty.
     pub lane_params: Vec<LaneParams>,
@@ -100,6 +133,8 @@ impl<T> Environments<T> {
     pub fn slices(&mut self) -> EnvSlices<'_, T> {
         EnvSlices {
             slots: &mut self.slots,
+            blocks: &mut self.blocks,
+            task_rows: &mut self.task_rows,
             lanes: &mut self.lanes,
             lane_params: &mut self.lane_params,
             warm_starts: &mut self.warm_starts,
@@ -110,11 +145,13 @@ impl<T> Environments<T> {
 
     /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
-        let Self { slots, lanes, lane_params, warm_starts, clearance_caches, finals } = self;
+        let Self { slots, blocks, task_rows, lanes, lane_params, warm_starts, clearance_caches, finals } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
             + slots.iter().map(|slot| size_of_val(&slot.decoders[..])).sum::<usize>()
+            + size_of_val(&blocks[..])
+            + size_of_val(&task_rows[..])
             + size_of_val(&lanes[..])
             + size_of_val(&lane_params[..])
             + size_of_val(&warm_starts[..])
@@ -137,6 +174,8 @@ pub(super) struct Shard<'a, T> {
 /// Slices of the state that environments keep between steps.
 pub(super) struct EnvSlices<'a, T> {
     pub slots: &'a mut [EnvSlot<T>],
+    pub blocks: &'a mut [Block],
+    pub task_rows: &'a mut [Row],
     pub lanes: &'a mut [Lanes],
     pub lane_params: &'a mut [LaneParams],
     pub warm_starts: &'a mut [f64],
@@ -198,15 +237,19 @@ impl<'a, T> EnvSlices<'a, T> {
     fn split(self, model: &BatchModel, count: usize) -> (Self, Self) {
         let (drones, blocks) = (model.drones, count.div_ceil(LANES));
         let (slots, slots2) = cut(self.slots, count);
+        let (block_states, block_states2) = cut(self.blocks, blocks);
+        let (task_rows, task_rows2) = cut(self.task_rows, blocks * model.task_rows);
         let (lanes, lanes2) = cut(self.lanes, blocks * drones);
         let (lane_params, lane_params2) = cut(self.lane_params, blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
         let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
         (
-            Self { slots, lanes, lane_params, warm_starts, clearance_caches, finals },
+            Self { slots, blocks: block_states, task_rows, lanes, lane_params, warm_starts, clearance_caches, finals },
             Self {
                 slots: slots2,
+                blocks: block_states2,
+                task_rows: task_rows2,
                 lanes: lanes2,
                 lane_params: lane_params2,
                 warm_starts: warm_starts2,
@@ -220,18 +263,20 @@ impl<'a, T> EnvSlices<'a, T> {
     /// the motors, the solver's warm start and, if environments differ, the parameters.
     pub fn store(&mut self, model: &BatchModel, index: usize, data: Option<&SimData>, parameters: Option<&Simulation>) {
         let (drones, lane) = (model.drones, index % LANES);
-        let slot = &mut self.slots[index];
+        let (slot, block) = (&mut self.slots[index], &mut self.blocks[index / LANES]);
+        block.running[lane] = slot.episode.phase == Phase::Running;
         let Some(data) = slot.data.as_deref().or(data) else { return };
         let lanes = &mut self.lanes[index / LANES * drones..][..drones];
         data.write_lane(lanes, lane);
-        slot.control_steps = data.control_steps();
+        block.steps[lane] = data.control_steps() as f64;
         let warm_start = data.warm_start();
-        slot.in_mujoco = warm_start.is_some();
+        block.in_mujoco[lane] = warm_start.is_some();
         if let Some(warm_start) = warm_start {
             self.warm_starts[6 * drones * index..][..6 * drones].copy_from_slice(warm_start);
         }
         if let Some(simulation) = parameters {
-            slot.fits_lanes = model.flow.is_some() && data.fits_lanes();
+            block.noisy[lane] = slot.episode.has_noisy_sensors();
+            block.fits_lanes[lane] = model.flow.is_some() && data.fits_lanes();
             if !self.lane_params.is_empty() {
                 let lane_params = &mut self.lane_params[index / LANES * drones..][..drones];
                 data.write_lane_params(&simulation.model, lane_params, lane);
@@ -239,13 +284,40 @@ impl<'a, T> EnvSlices<'a, T> {
         }
     }
 
-    /// Reads the data of an environment without its own data from its lane.
-    pub fn load(&self, model: &BatchModel, index: usize, data: &mut SimData) {
-        let (drones, slot) = (model.drones, &self.slots[index]);
+    /// Reads the data of an environment from its lane, into its own data or into `shared`.
+    pub fn load(&mut self, model: &BatchModel, index: usize, shared: &mut SimData) {
+        let (drones, lane, block) = (model.drones, index % LANES, &self.blocks[index / LANES]);
         let lanes = &self.lanes[index / LANES * drones..][..drones];
-        let warm_start = slot.in_mujoco.then(|| &self.warm_starts[6 * drones * index..][..6 * drones]);
-        data.read_lane(lanes, index % LANES, slot.control_steps, true, warm_start);
-        data.update_rpys();
+        let warm_start = block.in_mujoco[lane].then(|| &self.warm_starts[6 * drones * index..][..6 * drones]);
+        let data = self.slots[index].data.as_deref_mut().unwrap_or(shared);
+        data.read_lane(lanes, lane, block.steps[lane] as u64, warm_start);
+    }
+
+    /// Writes the task of an environment to its rows.
+    pub fn store_task(
+        &mut self,
+        model: &BatchModel,
+        functions: Option<LaneFunctions<T>>,
+        index: usize,
+        view: SimView<'_>,
+    ) {
+        let Some(functions) = functions else { return };
+        let rows = &mut self.task_rows[index / LANES * model.task_rows..][..model.task_rows];
+        let mut numbers = SmallVec::<[f64; 32]>::from_elem(0.0, functions.rows);
+        for (drone, rows) in rows.chunks_exact_mut(functions.rows).enumerate() {
+            (functions.write_rows)(&self.slots[index].episode.task, view, drone, &mut numbers);
+            rows.iter_mut().zip(&numbers).for_each(|(row, number)| row[index % LANES] = *number);
+        }
+    }
+
+    /// Reads the task of an environment from its rows.
+    pub fn load_task(&mut self, model: &BatchModel, functions: Option<LaneFunctions<T>>, index: usize) {
+        let Some(functions) = functions else { return };
+        let rows = &self.task_rows[index / LANES * model.task_rows..][..model.task_rows];
+        for (drone, rows) in rows.chunks_exact(functions.rows).enumerate() {
+            let numbers: SmallVec<[f64; 32]> = rows.iter().map(|row| row[index % LANES]).collect();
+            (functions.read_rows)(&mut self.slots[index].episode.task, drone, &numbers);
+        }
     }
 
     /// Clears the cached obstacle distances of an environment's drones.

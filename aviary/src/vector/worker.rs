@@ -6,9 +6,11 @@ use std::sync::{Mutex, PoisonError};
 
 use super::shard::{BatchModel, Shard};
 use super::{Autoreset, OnFault};
-use crate::engine::flight::{Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
-use crate::env::{Aviary, EndReason, EnvError, EpisodeSummary, Phase, Task};
-use crate::simulation::SimData;
+use crate::engine::flight::{
+    Flow, LANES, LaneParams, Lanes, Row, advance, compute_downwash, compute_rpys, find_clear, set_commands, set_targets,
+};
+use crate::env::{Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Task};
+use crate::simulation::{SimData, SimView};
 use crate::state::DroneState;
 use crate::wrappers::VelocityFilter;
 
@@ -33,10 +35,10 @@ pub(super) struct Worker<T> {
     pub env: Aviary<T>,
     /// Data of the environments of a block that advance in MuJoCo and have no own data.
     grounded: Vec<SimData>,
-    /// Motor speeds of every environment and drone of a block, rpm.
-    commands: Vec<[f64; 4]>,
-    /// Saved lanes of environments that do not fly in lanes: state, rotor speeds and target speeds.
-    saved: Vec<(DroneState, [f64; 4], [f64; 4])>,
+    /// Actions of a block: four rows per drone.
+    actions: Vec<[Row; 4]>,
+    /// Lanes of a block before the step, for environments that do not fly in lanes.
+    saved: Vec<Lanes>,
     step_kinds: [StepKind; LANES],
     /// Errors of the environments of a block that fail.
     errors: [Option<EnvError>; LANES],
@@ -46,22 +48,28 @@ pub(super) struct Worker<T> {
     pub velocity_filter: Option<VelocityFilter>,
     /// Scratch buffer for the filtered action.
     action: Vec<f64>,
+    /// SIMD form of the task, if the batch evaluates its task in lanes.
+    pub functions: Option<LaneFunctions<T>>,
+    /// Observations of a block, a row per entry.
+    observations: Vec<Row>,
     /// Number of physics steps computed in lanes.
     pub flown: u64,
 }
 
 impl<T: Task> Worker<T> {
-    pub fn new(env: Aviary<T>) -> Self {
+    pub fn new(env: Aviary<T>, functions: Option<LaneFunctions<T>>) -> Self {
         let drones = env.simulation.num_drones();
         Self {
             grounded: vec![env.simulation.snapshot(); LANES],
-            commands: vec![[0.0; 4]; LANES * drones],
-            saved: vec![(DroneState::default(), [0.0; 4], [0.0; 4]); LANES * drones],
+            actions: vec![[[0.0; LANES]; 4]; drones],
+            saved: vec![Lanes::default(); drones],
             step_kinds: [StepKind::Fly; LANES],
             errors: Default::default(),
             states: vec![DroneState::default(); drones],
             velocity_filter: None,
             action: Vec::new(),
+            functions,
+            observations: vec![[0.0; LANES]; drones * env.model.block],
             flown: 0,
             env,
         }
@@ -75,7 +83,8 @@ impl<T: Task> Worker<T> {
             let fits_lanes = self.decode(model, shard, range.clone());
             let clear = self.find_clear(model, shard, range.clone(), &fits_lanes);
             self.advance(model, shard, range.clone(), &clear);
-            for index in range {
+            let done = self.evaluate_lanes(model, shard, range.clone(), &clear);
+            for index in range.filter(|index| !done[index % LANES]) {
                 self.evaluate(model, shard, index, clear[index % LANES], faults);
             }
         }
@@ -84,28 +93,60 @@ impl<T: Task> Worker<T> {
     /// Stage 1: selects the action of every environment of a block and decodes the commands of flying environments
     /// to motor speeds. Returns true for environments that a lane can represent.
     fn decode(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, range: Range<usize>) -> [bool; LANES] {
-        let mut fits_lanes = [false; LANES];
+        let (count, start, size) = (range.len(), range.start, model.action_size);
+        let block = &mut shard.envs.blocks[start / LANES];
+        block.ended = [false; LANES];
+        let mut fits_lanes = block.fits_lanes;
+        fits_lanes[count..].fill(false);
+        // with `OnFault::Error`, `check_actions` has rejected actions that are not finite before the step
+        let usual = model.on_fault == OnFault::Error && block.running[..count].iter().all(|running| *running);
+        self.step_kinds = [StepKind::Fly; LANES];
+        if !usual {
+            for index in range.clone() {
+                let action = &shard.step.actions[size * index..][..size];
+                let kind = self.step_kind(model, shard, index, action);
+                self.step_kinds[index % LANES] = kind;
+                fits_lanes[index % LANES] &= kind == StepKind::Fly;
+            }
+        }
+        if let Some(decoding) = &model.decoding {
+            let actions = &shard.step.actions[size * start..][..size * count];
+            transpose_actions(actions, size, model.one_action, &mut self.actions);
+            if !usual {
+                // environments that do not fly may have actions that are not finite
+                let grounded = (0..count).filter(|&lane| self.step_kinds[lane] != StepKind::Fly);
+                grounded.for_each(|lane| self.actions.iter_mut().flatten().for_each(|row| row[lane] = 0.0));
+            }
+            let (lanes, lane_params) = lanes_and_params(model, shard, start);
+            let drones = lanes.iter_mut().zip(lane_params).zip(decoding);
+            for (((lanes, lane_params), decoding), actions) in drones.zip(&self.actions) {
+                set_commands(model.width, *decoding, lanes, lane_params, count, actions);
+            }
+            return fits_lanes;
+        }
         for index in range {
             let lane = index % LANES;
-            let action = &shard.step.actions[model.action_size * index..][..model.action_size];
-            self.step_kinds[lane] = self.step_kind(model, shard, index, action);
-            shard.envs.slots[index].summary = None;
             if self.step_kinds[lane] != StepKind::Fly {
                 continue;
             }
+            let action = &shard.step.actions[size * index..][..size];
             if let Err(error) = self.decode_one(model, shard, index, action) {
                 (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
+                fits_lanes[lane] = false;
                 continue;
             }
-            let (commands, slot) = (&self.env.workspace.commands, &mut shard.envs.slots[index]);
+            let commands = &self.env.workspace.commands;
             // the scalar path reports commands that are not finite
-            fits_lanes[lane] = slot.fits_lanes && commands.iter().flatten().all(|rpm| rpm.is_finite());
-            let data = slot.data.as_deref_mut().unwrap_or(&mut self.env.simulation.data);
-            let lanes = &mut shard.envs.lanes[index / LANES * model.drones..][..model.drones];
-            for (drone, (command, lanes)) in commands.iter().zip(lanes).enumerate() {
-                self.commands[lane * model.drones + drone] = *command;
-                lanes.set_target(lane, &data.command(drone, command));
+            fits_lanes[lane] &= commands.iter().flatten().all(|rpm| rpm.is_finite());
+            let (lanes, lane_params) = lanes_and_params(model, shard, start);
+            for ((lanes, lane_params), command) in lanes.iter_mut().zip(lane_params).zip(commands) {
+                let max = lane_params.max_command(lane);
+                lanes.set_command(lane, &command.map(|rpm| rpm.clamp(0.0, max)));
             }
+        }
+        let (lanes, lane_params) = lanes_and_params(model, shard, start);
+        for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
+            set_targets(model.width, lanes, lane_params, count);
         }
         fits_lanes
     }
@@ -119,7 +160,8 @@ impl<T: Task> Worker<T> {
             Phase::Running => match action.iter().position(|x| !x.is_finite()) {
                 None => return StepKind::Fly,
                 Some(entry) => {
-                    let time = slot.control_steps as f64 * self.env.simulation.control_period();
+                    let steps = shard.envs.blocks[index / LANES].steps[index % LANES];
+                    let time = steps * model.control_period;
                     EnvError::Action { index: entry, got: f64::from(action[entry]), time }
                 }
             },
@@ -205,11 +247,9 @@ impl<T: Task> Worker<T> {
                 continue;
             }
             let shared = &mut self.grounded[lane];
-            if shard.envs.slots[index].data.is_none() {
-                shard.envs.load(model, index, shared);
-            }
+            shard.envs.load(model, index, shared);
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
-            parts.workspace.commands.copy_from_slice(&self.commands[lane * model.drones..][..model.drones]);
+            parts.workspace.commands.copy_from_slice(parts.data.motor_speeds());
             if let Err(error) = parts.advance() {
                 (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
             }
@@ -226,17 +266,13 @@ impl<T: Task> Worker<T> {
         range: Range<usize>,
         clear: &[bool; LANES],
     ) {
-        let drones = model.drones;
-        let flying = clear.iter().filter(|clear| **clear).count();
-        let count = range.len();
-        let (lanes, lane_params) = lanes_and_params(model, shard, range.start);
-        // the kernel advances all lanes, therefore the lanes of environments that are not clear are restored
-        // afterwards
-        let grounded = range.map(|index| index % LANES).filter(|&lane| !clear[lane]);
-        for lane in grounded.clone() {
-            for (drone, lanes) in lanes.iter().enumerate() {
-                self.saved[lane * drones + drone] = (lanes.state(lane), lanes.rpm(lane), lanes.target(lane));
-            }
+        let (start, count) = (range.start, range.len());
+        let all_clear = clear[..count].iter().all(|clear| *clear);
+        let (lanes, lane_params) = lanes_and_params(model, shard, start);
+        if !all_clear {
+            // the kernel advances all lanes, therefore the lanes of environments that are not clear are restored
+            // afterwards
+            self.saved.clone_from_slice(lanes);
         }
         if model.downwash {
             for _ in 0..model.substeps {
@@ -250,42 +286,110 @@ impl<T: Task> Worker<T> {
                 advance(flow, lanes, lane_params, count, model.substeps);
             }
         }
-        for lane in grounded {
-            for (drone, lanes) in lanes.iter_mut().enumerate() {
-                let (state, rpm, target) = &self.saved[lane * drones + drone];
-                lanes.set(lane, state, rpm, target);
+        if !all_clear {
+            for lane in (0..count).filter(|&lane| !clear[lane]) {
+                lanes.iter_mut().zip(&self.saved).for_each(|(lanes, saved)| lanes.copy_lane(lane, saved));
             }
         }
-        for lanes in lanes {
-            compute_rpys(flow.width, lanes, count);
+        let block = &mut shard.envs.blocks[start / LANES];
+        for lane in (0..count).filter(|&lane| clear[lane]) {
+            block.steps[lane] += 1.0;
+            block.in_mujoco[lane] = false;
+            self.flown += u64::from(model.substeps);
         }
-        self.flown += u64::from(model.substeps) * flying as u64;
     }
 
-    /// Stage 3: updates the task of an environment and writes its reward, end and observation.
+    /// Stage 3 in lanes: evaluates the task of the environments that flew in lanes and writes their rewards and
+    /// observations. Returns true for the environments whose step is complete.
+    fn evaluate_lanes(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        range: Range<usize>,
+        clear: &[bool; LANES],
+    ) -> [bool; LANES] {
+        let mut done = [false; LANES];
+        if !clear.contains(&true) {
+            return done;
+        }
+        let (start, count) = (range.start, range.len());
+        let Some(functions) = self.functions else {
+            let (lanes, _) = lanes_and_params(model, shard, start);
+            lanes.iter_mut().for_each(|lanes| compute_rpys(model.width, lanes, count));
+            return done;
+        };
+        let (mut rewards, mut events) = ([0.0; LANES], [0.0; LANES]);
+        let block = &mut shard.envs.blocks[start / LANES];
+        (functions.evaluate)(LaneStep {
+            width: model.width,
+            count,
+            lanes: &mut shard.envs.lanes[start / LANES * model.drones..][..model.drones],
+            rows: &mut shard.envs.task_rows[start / LANES * model.task_rows..][..model.task_rows],
+            steps: &block.steps,
+            period: model.control_period,
+            episode_steps: model.episode_steps as f64,
+            bounds: &model.bounds,
+            rewards: &mut rewards,
+            events: &mut events,
+            observation: &mut self.observations,
+        });
+        for lane in 0..count {
+            done[lane] = clear[lane] && !block.noisy[lane] && events[lane] <= 0.0;
+        }
+        let size = model.observation_size;
+        if done[..count].iter().all(|done| *done) {
+            for (lane, reward) in rewards[..count].iter().enumerate() {
+                block.rewards[lane] += reward;
+                shard.step.rewards[start + lane] = *reward as f32;
+            }
+            shard.step.terminated[range.clone()].fill(false);
+            shard.step.truncated[range].fill(false);
+            let rows = &mut shard.step.observations[size * start..][..size * count];
+            for (entry, numbers) in self.observations.iter().enumerate() {
+                for (row, number) in rows.chunks_exact_mut(size).zip(numbers) {
+                    row[entry] = *number as f32;
+                }
+            }
+            return done;
+        }
+        for lane in (0..count).filter(|&lane| done[lane]) {
+            block.rewards[lane] += rewards[lane];
+            shard.step.write(start + lane, rewards[lane], false, false);
+            let row = shard.step.observation(model, start + lane);
+            row.iter_mut().zip(&self.observations).for_each(|(out, numbers)| *out = numbers[lane] as f32);
+        }
+        done
+    }
+
+    /// Stage 3 of one environment: updates its task and writes its reward, end and observation.
     fn evaluate(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool, faults: &Faults) {
         let lane = index % LANES;
         match self.step_kinds[lane] {
             StepKind::Fly => {
-                let grounded = self.read(model, shard, index, clear);
-                let shared = grounded.then(|| &mut self.grounded[lane]);
+                if clear {
+                    shard.envs.load(model, index, &mut self.grounded[lane]);
+                }
+                shard.envs.load_task(model, self.functions, index);
                 let slot = &mut shard.envs.slots[index];
-                let mut parts = slot.parts(&mut self.env, shared);
+                let mut parts = slot.parts(&mut self.env, Some(&mut self.grounded[lane]));
                 if let Err(error) = parts.update_task() {
-                    return self.fail(model, shard, index, grounded, error, faults);
+                    return self.fail(model, shard, index, error, faults);
                 }
                 let outcome = parts.outcome();
                 let end = outcome.end.map(|end| (end, parts.episode.is_success(parts.view(), Some(end))));
                 let moved = parts.workspace.moving.has_solid();
-                slot.reward += outcome.reward;
+                shard.envs.blocks[index / LANES].rewards[lane] += outcome.reward;
                 shard.step.write(index, outcome.reward, outcome.terminated, outcome.truncated);
                 if moved {
                     // moved obstacles invalidate the cached distances
                     shard.envs.forget_clearances(model, index);
                 }
                 match end {
-                    Some((reason, success)) => self.end(model, shard, index, grounded, reason, success, faults),
-                    None => self.observe(model, shard, index, grounded, faults),
+                    Some((reason, success)) => self.end(model, shard, index, reason, success, faults),
+                    None => {
+                        self.observe(model, shard, index, Some(lane), faults);
+                        self.store_task(model, shard, index, Some(lane));
+                    }
                 }
             }
             StepKind::Begin => {
@@ -298,51 +402,49 @@ impl<T: Task> Worker<T> {
                 }
             }
             StepKind::Fail => {
-                let grounded = shard.envs.slots[index].data.is_none();
-                if grounded {
-                    shard.envs.load(model, index, &mut self.grounded[lane]);
-                }
+                shard.envs.load(model, index, &mut self.grounded[lane]);
                 if let Some(error) = self.errors[lane].take() {
-                    self.fail(model, shard, index, grounded, error, faults);
+                    self.fail(model, shard, index, error, faults);
                 }
             }
         }
     }
 
-    /// Reads the state of an environment from its lane to the data that the task reads. Returns true if a MuJoCo
-    /// step has left that data in the worker's `grounded` data.
-    fn read(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool) -> bool {
-        let slot = &mut shard.envs.slots[index];
-        if !clear {
-            return slot.data.is_none();
+    /// Writes the task of an environment to its rows. `grounded` is the lane of an environment whose data is the
+    /// worker's `grounded` data, if it has no own data.
+    fn store_task(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, grounded: Option<usize>) {
+        if self.functions.is_none() {
+            return;
         }
-        slot.control_steps += 1;
-        slot.in_mujoco = false;
-        let lanes = &shard.envs.lanes[index / LANES * model.drones..][..model.drones];
-        match slot.data.as_deref_mut() {
-            Some(own) => own.read_lane(lanes, index % LANES, slot.control_steps, false, None),
-            None => self.env.simulation.data.read_lane(lanes, index % LANES, slot.control_steps, true, None),
-        }
-        false
+        let own = shard.envs.slots[index].data.take();
+        let simulation = &self.env.simulation;
+        let data = match (&own, grounded) {
+            (Some(own), _) => own,
+            (None, Some(lane)) => &self.grounded[lane],
+            (None, None) => &simulation.data,
+        };
+        shard.envs.store_task(model, self.functions, index, SimView::new(&simulation.model, data));
+        shard.envs.slots[index].data = own;
     }
 
     /// Ends an episode.
-    #[expect(clippy::too_many_arguments, reason = "an environment at hand and what its last step brought")]
     fn end(
         &mut self,
         model: &BatchModel,
         shard: &mut Shard<'_, T>,
         index: usize,
-        grounded: bool,
         reason: EndReason,
         success: bool,
         faults: &Faults,
     ) {
+        let (lane, block) = (index % LANES, &mut shard.envs.blocks[index / LANES]);
+        let (steps, reward) = (block.steps[lane] as u64, block.rewards[lane]);
+        (block.ended[lane], block.running[lane]) = (true, false);
         let slot = &mut shard.envs.slots[index];
-        slot.summary =
-            Some(EpisodeSummary { end: Some(reason), success, steps: slot.control_steps, reward: slot.reward });
+        slot.summary = Some(EpisodeSummary { end: Some(reason), success, steps, reward });
         slot.episode.finish(reason);
-        self.observe(model, shard, index, grounded, faults);
+        self.observe(model, shard, index, Some(lane), faults);
+        self.store_task(model, shard, index, Some(lane));
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
             self.reset(model, shard, index, None, faults);
@@ -354,14 +456,23 @@ impl<T: Task> Worker<T> {
         shard.step.truncated[index] = true;
         let summary = EpisodeSummary { end: Some(EndReason::Fault), success: false, steps: 0, reward: 0.0 };
         shard.envs.slots[index].summary = Some(summary);
+        shard.envs.blocks[index / LANES].ended[index % LANES] = true;
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
         }
     }
 
-    /// Writes an environment's observation.
-    fn observe(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, grounded: bool, faults: &Faults) {
-        let shared = grounded.then(|| &mut self.grounded[index % LANES]);
+    /// Writes an environment's observation. `grounded` is the lane of an environment whose data is the worker's
+    /// `grounded` data, if it has no own data.
+    fn observe(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        index: usize,
+        grounded: Option<usize>,
+        faults: &Faults,
+    ) {
+        let shared = grounded.map(|lane| &mut self.grounded[lane]);
         let mut parts = shard.envs.slots[index].parts(&mut self.env, shared);
         let observed = parts.observe_numbers();
         parts.workspace.write_row(parts.model, shard.step.observation(model, index));
@@ -371,22 +482,14 @@ impl<T: Task> Worker<T> {
     }
 
     /// Ends the running episode of an environment that has failed.
-    fn fail(
-        &mut self,
-        model: &BatchModel,
-        shard: &mut Shard<'_, T>,
-        index: usize,
-        grounded: bool,
-        error: EnvError,
-        faults: &Faults,
-    ) {
+    fn fail(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, error: EnvError, faults: &Faults) {
         report(faults, shard.first + index, error);
         // an episode that has already ended is not truncated again
         let slot = &shard.envs.slots[index];
         let running = slot.started && slot.episode.end.is_none() && slot.episode.phase != Phase::New;
         shard.step.write(index, 0.0, false, running);
         if running {
-            self.end(model, shard, index, grounded, EndReason::Fault, false, faults);
+            self.end(model, shard, index, EndReason::Fault, false, faults);
         }
     }
 
@@ -400,12 +503,13 @@ impl<T: Task> Worker<T> {
         faults: &Faults,
     ) {
         shard.envs.forget_clearances(model, index);
+        shard.envs.blocks[index / LANES].rewards[index % LANES] = 0.0;
         let slot = &mut shard.envs.slots[index];
-        (slot.reward, slot.started) = (0.0, true);
+        slot.started = true;
         let started = slot.parts(&mut self.env, None).begin(seed);
         slot.start_failed = started.is_err();
         match started {
-            Ok(()) => self.observe(model, shard, index, false, faults),
+            Ok(()) => self.observe(model, shard, index, None, faults),
             Err(error) => {
                 slot.episode.phase = Phase::New;
                 report(faults, shard.first + index, error);
@@ -417,13 +521,14 @@ impl<T: Task> Worker<T> {
             None => simulation.data.refresh(&simulation.model),
         }
         shard.envs.store(model, index, Some(&simulation.data), Some(simulation));
+        self.store_task(model, shard, index, None);
     }
 
     /// Starts an episode in every environment that the mask selects.
     pub fn reset_where(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, seed: Option<u64>, faults: &Faults) {
         for index in 0..shard.envs.slots.len() {
             if shard.mask[index] {
-                shard.envs.slots[index].summary = None;
+                shard.envs.blocks[index / LANES].ended[index % LANES] = false;
                 self.reset(model, shard, index, seed, faults);
             }
         }
@@ -434,9 +539,7 @@ impl<T: Task> Worker<T> {
         let [rgb, depth, segmentation] = model.images;
         for index in 0..shard.envs.slots.len() {
             let shared = &mut self.grounded[index % LANES];
-            if shard.envs.slots[index].data.is_none() {
-                shard.envs.load(model, index, shared);
-            }
+            shard.envs.load(model, index, shared);
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
             if let Err(error) = parts.observe_images() {
                 report(faults, shard.first + index, error);
@@ -453,6 +556,22 @@ impl<T: Task> Worker<T> {
 
 fn report(faults: &Faults, environment: usize, error: EnvError) {
     faults.lock().unwrap_or_else(PoisonError::into_inner).push((environment, error));
+}
+
+/// Writes the actions of a block, `size` numbers per environment, to four rows per drone. With `one`, one number
+/// commands all motors of a drone.
+fn transpose_actions(actions: &[f32], size: usize, one: bool, rows: &mut [[Row; 4]]) {
+    for (lane, action) in actions.chunks_exact(size).enumerate() {
+        if one {
+            for (rows, &x) in rows.iter_mut().zip(action) {
+                rows.iter_mut().for_each(|row| row[lane] = f64::from(x));
+            }
+        } else {
+            for (row, &x) in rows.as_flattened_mut().iter_mut().zip(action) {
+                row[lane] = f64::from(x);
+            }
+        }
+    }
 }
 
 /// Returns the lanes of the block that starts at an environment, and the parameters of their drones.

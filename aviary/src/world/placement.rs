@@ -10,11 +10,11 @@ use crate::state::DroneState;
 
 /// Collision cylinder of a drone, centred on the body, with its axis along body z.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct CollisionCylinder {
+pub(crate) struct CollisionCylinder<R = f64> {
     /// Radius, m.
-    pub radius: f64,
+    pub radius: R,
     /// Height, m.
-    pub height: f64,
+    pub height: R,
 }
 
 impl From<&DroneParams> for CollisionCylinder {
@@ -23,16 +23,29 @@ impl From<&DroneParams> for CollisionCylinder {
     }
 }
 
+#[allow(private_bounds)] // scalar or SIMD
+impl<R: Real> CollisionCylinder<R> {
+    /// Returns the depth of the lowest point of the cylinder below its centre, m, for the cosine and the sine of the
+    /// angle between its axis and the vertical.
+    #[inline(always)]
+    fn depth(&self, cos: R, sin: R) -> R {
+        self.height * 0.5 * cos.abs() + self.radius * sin
+    }
+
+    /// Computes [`floor_clearance`](CollisionCylinder::floor_clearance) from the height (m) of the centre and the
+    /// world z component of body z, scalar or SIMD.
+    #[inline(always)]
+    pub(crate) fn clearance(&self, height: R, up: R) -> R {
+        // without trigonometric functions, because the hybrid engine calls this before physics steps
+        let square = -(up * up) + 1.0;
+        height - self.depth(up, square.greater(up.all(0.0)).sqrt())
+    }
+}
+
 impl CollisionCylinder {
     /// Returns the radius of the bounding sphere of the cylinder, m.
     pub(crate) fn bounding_radius(&self) -> f64 {
         self.radius.hypot(0.5 * self.height)
-    }
-
-    /// Returns the depth of the lowest point of the cylinder below its centre, m, for the cosine and the sine of the
-    /// angle between its axis and the vertical.
-    fn depth(&self, cos: f64, sin: f64) -> f64 {
-        0.5 * self.height * cos.abs() + self.radius * sin
     }
 
     /// Returns the depth of the lowest point of the cylinder below its centre at a tilt (rad), m.
@@ -45,9 +58,7 @@ impl CollisionCylinder {
 
     /// Returns the height of the lowest point of the cylinder above the floor, m; negative below the floor.
     pub(crate) fn floor_clearance(&self, state: &DroneState) -> f64 {
-        // without trigonometric functions, because the hybrid engine calls this before physics steps
-        let cos = state.up().z;
-        state.position.z - self.depth(cos, (1.0 - cos * cos).max(0.0).sqrt())
+        self.clearance(state.position.z, state.up().z)
     }
 
     /// Returns true if two upright cylinders overlap, at an offset of their centres of `apart`, m.

@@ -49,6 +49,9 @@ pub(super) fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 drag: if air { params.drag_coefficients.into() } else { Vector3::zeros() },
                 wake: Wake::new(&params),
                 share: 1.0,
+                max_command: params.max_rpm(),
+                gains: [1.0; 4],
+                max_rpm: params.max_rpm(),
                 reach_bound: ReachBound::default(),
             };
             let frames = LaneParams::all(&airframe);

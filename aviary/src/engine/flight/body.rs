@@ -36,7 +36,7 @@ pub(super) struct Fluid<R = f64> {
 
 /// [`DroneState`] of one drone or of a register of drones.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct FlightState<R> {
+pub(crate) struct FlightState<R> {
     pub position: V3<R>,
     pub attitude: Turn<R>,
     pub velocity: V3<R>,

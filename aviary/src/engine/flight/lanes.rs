@@ -16,7 +16,7 @@ use crate::world::placement::{sphere_clearance, sphere_floor_clearance};
 pub const LANES: usize = 8;
 
 /// One number per lane.
-type Row = [f64; LANES];
+pub(crate) type Row = [f64; LANES];
 
 /// Parameters of one drone in [`LaneParams`]; constant during a control step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -33,6 +33,12 @@ pub struct Airframe {
     pub wake: Wake,
     /// Fraction of the remaining speed difference that the rotors close in one physics step; 1 without lag.
     pub share: f64,
+    /// Largest commanded motor speed, rpm.
+    pub max_command: f64,
+    /// Factors on the commanded speeds of the motors.
+    pub gains: [f64; 4],
+    /// Speed at which the rotors saturate, rpm.
+    pub max_rpm: f64,
     /// Bound of the distance that the drone can travel.
     pub reach_bound: ReachBound,
 }
@@ -55,6 +61,9 @@ pub struct LaneParams {
     drag: [Row; 3],
     wake: [Row; 4],
     share: Row,
+    max_command: Row,
+    gains: [Row; 4],
+    max_rpm: Row,
     reach_bound: [Row; 8],
 }
 
@@ -66,6 +75,8 @@ pub struct Lanes {
     attitude: [Row; 4],
     velocity: [Row; 3],
     rate: [Row; 3],
+    /// Commanded motor speeds of the last control step, rpm.
+    command: [Row; 4],
     /// Target speeds of the rotors, rpm.
     target: [Row; 4],
     /// Speeds of the rotors, rpm.
@@ -105,9 +116,14 @@ impl LaneParams {
         all
     }
 
+    /// Returns the largest commanded motor speed of a lane, rpm.
+    pub(crate) fn max_command(&self, lane: usize) -> f64 {
+        self.max_command[lane]
+    }
+
     /// Sets the parameters of a lane.
     pub fn set(&mut self, lane: usize, airframe: &Airframe) {
-        let Airframe { body, rotors, ground, drag, wake, share, reach_bound } = airframe;
+        let Airframe { body, rotors, ground, drag, wake, share, max_command, gains, max_rpm, reach_bound } = airframe;
         self.inverse_mass[lane] = body.inverse_mass;
         self.gravity[lane] = body.gravity;
         put(&mut self.inverse_inertia, lane, body.inverse_inertia);
@@ -124,6 +140,9 @@ impl LaneParams {
         put(&mut self.drag, lane, (*drag).into());
         put(&mut self.wake, lane, [wake.strength, wake.spread, wake.offset, wake.cap]);
         self.share[lane] = *share;
+        self.max_command[lane] = *max_command;
+        put(&mut self.gains, lane, *gains);
+        self.max_rpm[lane] = *max_rpm;
         put(&mut self.reach_bound, lane, reach_bound.numbers());
     }
 }
@@ -132,6 +151,7 @@ impl Lanes {
     /// Sets the state of a lane, and the current and target speeds of its rotors, rpm.
     #[inline]
     pub fn set(&mut self, lane: usize, state: &DroneState, rpm: &[f64; 4], target: &[f64; 4]) {
+        put(&mut self.command, lane, *target);
         put(&mut self.position, lane, state.position.into());
         put(&mut self.attitude, lane, wxyz(&state.attitude));
         put(&mut self.velocity, lane, state.velocity.into());
@@ -140,16 +160,35 @@ impl Lanes {
         put(&mut self.target, lane, *target);
     }
 
-    /// Sets the target speeds of a lane's rotors, rpm.
+    /// Sets the commanded motor speeds of a lane, rpm; [`set_targets`] computes the target speeds of the rotors.
     #[inline]
-    pub fn set_target(&mut self, lane: usize, target: &[f64; 4]) {
-        put(&mut self.target, lane, *target);
+    pub fn set_command(&mut self, lane: usize, command: &[f64; 4]) {
+        put(&mut self.command, lane, *command);
     }
 
-    /// Returns the target speeds of a lane's rotors, rpm.
+    /// Returns the commanded motor speeds of a lane in the last control step, rpm.
     #[inline]
-    pub fn target(&self, lane: usize) -> [f64; 4] {
-        take(&self.target, lane)
+    pub fn command(&self, lane: usize) -> [f64; 4] {
+        take(&self.command, lane)
+    }
+
+    /// Copies a lane of other lanes.
+    pub(crate) fn copy_lane(&mut self, lane: usize, other: &Self) {
+        for (row, from) in self.rows_mut().zip(other.rows()) {
+            row[lane] = from[lane];
+        }
+    }
+
+    fn rows(&self) -> impl Iterator<Item = &Row> {
+        let Self { position, attitude, velocity, rate, command, target, rpm, force, air, downwash, rpy, push } = self;
+        let (triples, quads) = ([position, velocity, rate, force, air, rpy], [attitude, command, target, rpm]);
+        triples.into_iter().flatten().chain(quads.into_iter().flatten()).chain([downwash]).chain(push)
+    }
+
+    fn rows_mut(&mut self) -> impl Iterator<Item = &mut Row> {
+        let Self { position, attitude, velocity, rate, command, target, rpm, force, air, downwash, rpy, push } = self;
+        let (triples, quads) = ([position, velocity, rate, force, air, rpy], [attitude, command, target, rpm]);
+        triples.into_iter().flatten().chain(quads.into_iter().flatten()).chain([downwash]).chain(push)
     }
 
     /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) in a lane. The air
@@ -176,6 +215,11 @@ impl Lanes {
         take(&self.rpy, lane).into()
     }
 
+    /// Sets roll, pitch and yaw of a lane, rad.
+    pub(crate) fn set_rpy(&mut self, lane: usize, rpy: &Vector3<f64>) {
+        put(&mut self.rpy, lane, (*rpy).into());
+    }
+
     /// Returns the load of a lane in the last physics step: the rotors' wrench and the external force (world frame,
     /// N).
     #[inline(always)]
@@ -198,8 +242,8 @@ impl Lanes {
 }
 
 /// Accessor of one SIMD register in every row.
-#[derive(Clone, Copy)]
-struct Part<S: Simd> {
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Part<S: Simd> {
     simd: S,
     index: usize,
 }
@@ -207,32 +251,32 @@ struct Part<S: Simd> {
 impl<S: Simd> Part<S> {
     /// Returns the accessors of the registers that hold the first `count` lanes.
     #[inline(always)]
-    fn first(simd: S, count: usize) -> impl Iterator<Item = Self> {
+    pub(crate) fn first(simd: S, count: usize) -> impl Iterator<Item = Self> {
         (0..count.min(LANES).div_ceil(S::F64_LANES)).map(move |index| Self { simd, index })
     }
 
     #[inline(always)]
-    fn get(self, row: &Row) -> Pack<S> {
+    pub(crate) fn get(self, row: &Row) -> Pack<S> {
         Pack::new(self.simd, S::as_simd_f64s(row).0[self.index])
     }
 
     #[inline(always)]
-    fn get3(self, rows: &[Row; 3]) -> V3<Pack<S>> {
+    pub(crate) fn get3(self, rows: &[Row; 3]) -> V3<Pack<S>> {
         V3::new(self.get(&rows[0]), self.get(&rows[1]), self.get(&rows[2]))
     }
 
     #[inline(always)]
-    fn get4(self, rows: &[Row; 4]) -> [Pack<S>; 4] {
+    pub(crate) fn get4(self, rows: &[Row; 4]) -> [Pack<S>; 4] {
         [self.get(&rows[0]), self.get(&rows[1]), self.get(&rows[2]), self.get(&rows[3])]
     }
 
     #[inline(always)]
-    fn put(self, row: &mut Row, value: Pack<S>) {
+    pub(crate) fn put(self, row: &mut Row, value: Pack<S>) {
         S::as_mut_simd_f64s(row).0[self.index] = value.values();
     }
 
     #[inline(always)]
-    fn put3(self, rows: &mut [Row; 3], value: V3<Pack<S>>) {
+    pub(crate) fn put3(self, rows: &mut [Row; 3], value: V3<Pack<S>>) {
         let [x, y, z] = rows;
         self.put(x, value.x);
         self.put(y, value.y);
@@ -240,13 +284,13 @@ impl<S: Simd> Part<S> {
     }
 
     #[inline(always)]
-    fn turn(self, lanes: &Lanes) -> Turn<Pack<S>> {
+    pub(crate) fn turn(self, lanes: &Lanes) -> Turn<Pack<S>> {
         let [w, x, y, z] = self.get4(&lanes.attitude);
         Turn { w, v: V3::new(x, y, z) }
     }
 
     #[inline(always)]
-    fn motion(self, lanes: &Lanes) -> FlightState<Pack<S>> {
+    pub(crate) fn motion(self, lanes: &Lanes) -> FlightState<Pack<S>> {
         FlightState {
             position: self.get3(&lanes.position),
             attitude: self.turn(lanes),
@@ -298,6 +342,30 @@ impl<S: Simd> Part<S> {
     fn wake(self, lane_params: &LaneParams) -> Wake<Pack<S>> {
         let [strength, spread, offset, cap] = self.get4(&lane_params.wake);
         Wake { strength, spread, offset, cap }
+    }
+
+    /// Returns roll, pitch and yaw of the last [`update_rpy`](Self::update_rpy), rad.
+    #[inline(always)]
+    pub(crate) fn rpy(self, lanes: &Lanes) -> V3<Pack<S>> {
+        self.get3(&lanes.rpy)
+    }
+
+    /// Computes roll, pitch and yaw.
+    #[inline(always)]
+    pub(crate) fn update_rpy(self, lanes: &mut Lanes) {
+        let rpy = self.turn(lanes).rpy();
+        self.put3(&mut lanes.rpy, rpy);
+    }
+
+    /// Computes the target speeds of the rotors as
+    /// [`Actuators::target`](crate::physics::actuators::Actuators::target) does.
+    #[inline(always)]
+    fn set_targets(self, lanes: &mut Lanes, lane_params: &LaneParams) {
+        let max = self.get(&lane_params.max_rpm);
+        for motor in 0..4 {
+            let speed = self.get(&lanes.command[motor]) * self.get(&lane_params.gains[motor]);
+            self.put(&mut lanes.target[motor], clamped(speed, max.all(0.0), max));
+        }
     }
 
     #[inline(always)]
@@ -422,6 +490,90 @@ pub fn advance(flow: &Flow, lanes: &mut Lanes, lane_params: &LaneParams, count: 
     }
 }
 
+/// Normalized motor speeds of a control step; see [`set_commands`].
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Decoding {
+    /// Normalized speeds with the speeds of 0 and 1, rpm.
+    Scaled([f64; 2]),
+    /// Speeds, rpm.
+    Raw,
+}
+
+struct Commands<'a> {
+    lanes: &'a mut Lanes,
+    lane_params: &'a LaneParams,
+    count: usize,
+    decoding: Decoding,
+    actions: &'a [Row; 4],
+}
+
+impl WithSimd for Commands<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { lanes, lane_params, count, decoding, actions } = self;
+        for part in Part::first(simd, count) {
+            let max = part.get(&lane_params.max_command);
+            for (motor, row) in actions.iter().enumerate() {
+                let action = part.get(row);
+                let speed = match decoding {
+                    Decoding::Scaled([hover, full]) => {
+                        let action = clamped(action, action.all(-1.0), action.all(1.0));
+                        let (below, above) = ((action + 1.0) * hover, action * (full - hover) + hover);
+                        Real::choose(action.all(0.0).less(action), above, below)
+                    }
+                    Decoding::Raw => action,
+                };
+                part.put(&mut lanes.command[motor], clamped(speed, max.all(0.0), max));
+            }
+            part.set_targets(lanes, lane_params);
+        }
+    }
+}
+
+/// Decodes actions to the commanded motor speeds of the first `count` lanes, and computes the target speeds of the
+/// rotors. `actions` has a row per motor.
+pub(crate) fn set_commands(
+    width: Width,
+    decoding: Decoding,
+    lanes: &mut Lanes,
+    lane_params: &LaneParams,
+    count: usize,
+    actions: &[Row; 4],
+) {
+    width.run(count, Commands { lanes, lane_params, count, decoding, actions });
+}
+
+struct Targets<'a> {
+    lanes: &'a mut Lanes,
+    lane_params: &'a LaneParams,
+    count: usize,
+}
+
+impl WithSimd for Targets<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for part in Part::first(simd, self.count) {
+            part.set_targets(self.lanes, self.lane_params);
+        }
+    }
+}
+
+/// Computes the target speeds of the rotors from the commanded speeds, in the first `count` lanes.
+pub(crate) fn set_targets(width: Width, lanes: &mut Lanes, lane_params: &LaneParams, count: usize) {
+    width.run(count, Targets { lanes, lane_params, count });
+}
+
+/// Clamps a number as [`f64::clamp`] does, lane by lane.
+#[inline(always)]
+fn clamped<R: Real>(x: R, min: R, max: R) -> R {
+    let above = Real::choose(x.less(min), min, x);
+    Real::choose(max.less(above), max, above)
+}
+
 struct Downwash<'a> {
     drones: &'a mut [Lanes],
     lane_params: &'a [LaneParams],
@@ -480,8 +632,7 @@ impl WithSimd for Rpys<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         for part in Part::first(simd, self.count) {
-            let rpy = part.turn(self.lanes).rpy();
-            part.put3(&mut self.lanes.rpy, rpy);
+            part.update_rpy(self.lanes);
         }
     }
 }

@@ -11,7 +11,9 @@ mod lanes;
 mod reach_bound;
 mod width;
 
+pub(crate) use body::FlightState;
 pub use body::FreeBody;
 pub use lanes::{Airframe, Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
+pub(crate) use lanes::{Decoding, Part, Row, set_commands, set_targets};
 pub use reach_bound::ReachBound;
 pub use width::Width;

@@ -1,0 +1,209 @@
+//! Tasks in SIMD lanes: reward, end and observation of eight environments at once, from the lanes of a batch.
+//!
+//! The built-in tasks have this form next to their scalar one. A batch evaluates flying environments with it and
+//! leaves rare events, such as a crash or a reached waypoint, to the scalar form: the lanes only detect that an event
+//! is possible.
+
+use pulp::{Simd, WithSimd};
+
+use super::Task;
+use crate::engine::flight::{FlightState, Lanes, Part, Row, Width};
+use crate::math::{Pack, Real, V3};
+use crate::simulation::SimView;
+
+/// Task with a form in SIMD lanes.
+///
+/// Each drone has [`ROWS`](Self::ROWS) rows: the options and the state of the task that the evaluation reads. While
+/// environments fly in lanes, the rows hold the state of the task, and the scalar task is behind.
+pub(crate) trait LaneTask: Task {
+    /// Number of rows of one drone.
+    const ROWS: usize;
+
+    /// Writes the rows of a drone from the task.
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]);
+
+    /// Reads the state of a drone from its rows.
+    fn read_rows(&mut self, drone: usize, rows: &[f64]);
+
+    /// Updates the rows of a drone after a control step, and returns its reward without the penalty for a crash, and
+    /// a number above 0 where the scalar task must evaluate the step: where a drone may have ended or completed its
+    /// part. In those lanes the rows keep what [`read_rows`](Self::read_rows) needs for a second evaluation.
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut LaneRows<'_, S>) -> (Pack<S>, Pack<S>);
+
+    /// Writes the observation of a drone.
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &LaneRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    );
+}
+
+/// States of the drones in one register of lanes.
+pub(crate) struct LaneScene<'a, S: Simd> {
+    part: Part<S>,
+    lanes: &'a [Lanes],
+    /// Control steps since the start of the episode.
+    pub steps: Pack<S>,
+    /// Length of a control step, s.
+    pub period: f64,
+}
+
+impl<S: Simd> LaneScene<'_, S> {
+    /// Returns the number of drones.
+    #[inline(always)]
+    pub fn num_drones(&self) -> usize {
+        self.lanes.len()
+    }
+
+    /// Returns the state of a drone.
+    #[inline(always)]
+    pub fn state(&self, drone: usize) -> FlightState<Pack<S>> {
+        self.part.motion(&self.lanes[drone])
+    }
+
+    /// Returns roll, pitch and yaw of a drone, rad.
+    #[inline(always)]
+    pub fn rpy(&self, drone: usize) -> V3<Pack<S>> {
+        self.part.rpy(&self.lanes[drone])
+    }
+
+    /// Writes the twelve entries of [`SimView::state_vector`].
+    #[inline(always)]
+    pub fn observe_state(&self, drone: usize, out: &mut LaneRows<'_, S>) {
+        let (state, rpy) = (self.state(drone), self.rpy(drone));
+        for (index, part) in [state.position, rpy, state.velocity, state.rate].into_iter().enumerate() {
+            out.put3(3 * index, part);
+        }
+    }
+}
+
+/// Rows of one drone, seen through one register.
+pub(crate) struct LaneRows<'a, S: Simd> {
+    part: Part<S>,
+    rows: &'a mut [Row],
+}
+
+impl<S: Simd> LaneRows<'_, S> {
+    #[inline(always)]
+    pub fn get(&self, index: usize) -> Pack<S> {
+        self.part.get(&self.rows[index])
+    }
+
+    #[inline(always)]
+    pub fn put(&mut self, index: usize, value: Pack<S>) {
+        self.part.put(&mut self.rows[index], value);
+    }
+
+    #[inline(always)]
+    pub fn get3(&self, index: usize) -> V3<Pack<S>> {
+        V3::new(self.get(index), self.get(index + 1), self.get(index + 2))
+    }
+
+    #[inline(always)]
+    pub fn put3(&mut self, index: usize, value: V3<Pack<S>>) {
+        self.put(index, value.x);
+        self.put(index + 1, value.y);
+        self.put(index + 2, value.z);
+    }
+}
+
+/// A step of one block of environments to evaluate.
+pub(crate) struct LaneStep<'a> {
+    /// Instruction set.
+    pub width: Width,
+    /// Number of environments.
+    pub count: usize,
+    /// Lanes of every drone.
+    pub lanes: &'a mut [Lanes],
+    /// Rows of the task, drone by drone.
+    pub rows: &'a mut [Row],
+    /// Control steps since the start of the episode.
+    pub steps: &'a Row,
+    /// Length of a control step, s.
+    pub period: f64,
+    /// Control steps of an episode.
+    pub episode_steps: f64,
+    /// Entry, smallest and largest number of the observations that single precision would round out of bounds.
+    pub bounds: &'a [(usize, f64, f64)],
+    /// Receives the reward of every environment.
+    pub rewards: &'a mut Row,
+    /// Receives a number above 0 for every environment that the scalar task must evaluate.
+    pub events: &'a mut Row,
+    /// Receives the observation, a row per entry.
+    pub observation: &'a mut [Row],
+}
+
+struct Evaluation<'a, T> {
+    step: LaneStep<'a>,
+    task: std::marker::PhantomData<T>,
+}
+
+impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let LaneStep { count, lanes, rows, steps, period, episode_steps, bounds, rewards, events, observation, .. } =
+            self.step;
+        let block = observation.len() / lanes.len();
+        for part in Part::first(simd, count) {
+            for lanes in &mut *lanes {
+                part.update_rpy(lanes);
+            }
+            let scene = LaneScene { part, lanes: &*lanes, steps: part.get(steps), period };
+            let (zero, one) = (scene.steps.all(0.0), scene.steps.all(1.0));
+            let mut event = Real::choose(scene.steps.less(one.all(episode_steps)), zero, one);
+            let mut sum = zero;
+            for drone in 0..scene.num_drones() {
+                let mut own = LaneRows { part, rows: &mut rows[T::ROWS * drone..][..T::ROWS] };
+                let (reward, own_event) = T::evaluate(&scene, drone, &mut own);
+                sum = if drone == 0 { reward } else { sum + reward };
+                event = event.greater(own_event);
+                let mut out = LaneRows { part, rows: &mut observation[block * drone..][..block] };
+                T::observe_lanes(&scene, drone, &own, &mut out);
+            }
+            for &(entry, low, high) in bounds {
+                let x = part.get(&observation[entry]);
+                part.put(&mut observation[entry], one.all(low).greater(x).lesser(one.all(high)));
+            }
+            part.put(rewards, sum);
+            part.put(events, event);
+        }
+    }
+}
+
+/// SIMD form of a task in a batch. Only the tasks of this crate have one.
+pub struct LaneFunctions<T> {
+    pub(crate) rows: usize,
+    pub(crate) write_rows: fn(&T, SimView<'_>, usize, &mut [f64]),
+    pub(crate) read_rows: fn(&mut T, usize, &[f64]),
+    pub(crate) evaluate: fn(LaneStep<'_>),
+}
+
+impl<T> Clone for LaneFunctions<T> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<T> Copy for LaneFunctions<T> {}
+
+impl<T> std::fmt::Debug for LaneFunctions<T> {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("LaneFunctions").field("rows", &self.rows).finish_non_exhaustive()
+    }
+}
+
+#[allow(private_bounds)] // only the tasks of this crate
+impl<T: LaneTask> LaneFunctions<T> {
+    /// Returns the functions of a task.
+    pub(crate) fn of() -> Self {
+        Self {
+            rows: T::ROWS,
+            write_rows: T::write_rows,
+            read_rows: T::read_rows,
+            evaluate: |step| step.width.run(step.count, Evaluation::<T> { step, task: std::marker::PhantomData }),
+        }
+    }
+}
