@@ -73,7 +73,13 @@ fn tumbling_lanes_match_mj_step_in_every_simd_width() {
                     lanes.set_target(lane, &tumbling(&params, lane, step));
                 }
                 let (body_fixed, medium) = (forcing == Forcing::BodyFixed, medium.is_some());
-                advance(&Flow { dt, body_fixed, medium, air: false, width: *width }, lanes, &frames, LANES, 1);
+                advance(
+                    &Flow { dt, body_fixed, medium, lag: false, lag: false, air: false, width: *width },
+                    lanes,
+                    &frames,
+                    LANES,
+                    1,
+                );
             }
         }
         for lane in 0..LANES {
@@ -142,7 +148,7 @@ fn the_first_lanes_are_bit_identical_alone_and_among_eight() {
             first.set(lane, &start(lane, 50.0), &[14_000.0; 4], &tumbling(&params, lane, 3));
         }
         let fly = |width, count| {
-            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium: medium.is_some(), air, width };
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium: medium.is_some(), lag: air, air, width };
             let mut lanes = first.clone();
             advance(&flow, &mut lanes, &frames, count, 5);
             compute_rpys(width, &mut lanes, count);
@@ -216,7 +222,7 @@ fn lanes_in_wind_and_medium_are_bit_identical_to_single_drones() {
                     lanes.set_wind(lane, &force, &air);
                 }
             }
-            let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), air: true, width };
+            let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), lag: true, air: true, width };
             advance(&flow, &mut lanes, &frames, LANES, 1);
             for lane in 0..LANES {
                 let state = start(lane, 50.0);

@@ -117,9 +117,8 @@ impl HybridEngine {
     fn is_free(&mut self, bodies: &Bodies, loads: &[Load], states: &[DroneState]) -> bool {
         let dt = self.dt;
         let motion = |drone: usize| {
-            let (Body { reach_bound, free, mass, .. }, load) = (&bodies.drones[drone], &loads[drone]);
-            let force = load.rotors.thrust.abs() + load.external.force_world.norm() + mass * bodies.gravity.abs();
-            reach_bound.one_step(dt, free, force, load.rotors.torque_body.norm(), &states[drone])
+            let (Body { reach_bound, free, .. }, load) = (&bodies.drones[drone], &loads[drone]);
+            reach_bound.one_step(dt, free, &load.rotors, &load.external.force_world, &states[drone])
         };
         let cylinders = std::mem::take(&mut self.cylinders);
         let free = self.has_room(

@@ -67,7 +67,7 @@ impl SimData {
     /// Writes parameters to a lane.
     pub(crate) fn write_lane_params(&self, model: &SimModel, lane_params: &mut [LaneParams], lane: usize) {
         for (drone, lane_params) in lane_params.iter_mut().enumerate() {
-            lane_params.set(lane, &self.airframe(drone, model.effects));
+            lane_params.set(lane, &self.airframe(model, drone));
         }
     }
 
@@ -85,6 +85,24 @@ impl SimData {
             let state = lanes.state(lane);
             let room = body.reach_bound.radius(dt, substeps, &state);
             cache.has_room(obstacles, &state.position, room + drift)
+        })
+    }
+
+    /// Returns true if the drones of a lane do not reach an obstacle while they travel at most these distances (m)
+    /// from their states in `lanes`.
+    pub(crate) fn travels_clear_of_obstacles(
+        &self,
+        model: &SimModel,
+        lanes: &[Lanes],
+        lane: usize,
+        travels: impl Iterator<Item = f64>,
+        caches: &mut [crate::engine::ClearanceCache],
+    ) -> bool {
+        let (obstacles, drift) = (self.obstacles(model), self.bodies.obstacle_drift);
+        let bodies = self.bodies.drones.iter();
+        lanes.iter().zip(caches).zip(bodies).zip(travels).all(|(((lanes, cache), body), travel)| {
+            let room = body.reach_bound.reach() + travel + drift;
+            cache.has_room(obstacles, &lanes.state(lane).position, room)
         })
     }
 

@@ -5,7 +5,6 @@ use super::{SimData, SimModel, SimulationError};
 use crate::drone::{DroneError, DroneParams};
 use crate::engine::Body;
 use crate::engine::flight::{Airframe, FreeBody, ReachBound};
-use crate::physics::Effects;
 use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
@@ -188,7 +187,10 @@ impl SimData {
     }
 
     /// Returns the parameters of a drone for the lanes of the flight kernel.
-    pub(crate) fn airframe(&self, drone: usize, effects: Effects) -> Airframe {
+    pub(crate) fn airframe(&self, model: &SimModel, drone: usize) -> Airframe {
+        let effects = model.effects;
+        // collision cylinders always keep the size that the scene was built with
+        let cylinder = CollisionCylinder::from(model.nominal_params(drone));
         let Drone { params, rotors, ground, .. } = &self.drones[drone];
         Airframe {
             body: self.bodies.drones[drone].free,
@@ -200,6 +202,7 @@ impl SimData {
             max_command: self.drones[drone].max_rpm,
             gains: *self.actuators[drone].gains(),
             max_rpm: self.actuators[drone].max_rpm(),
+            cylinder: [cylinder.radius, cylinder.height],
             reach_bound: self.bodies.drones[drone].reach_bound,
         }
     }

@@ -211,7 +211,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
                 let view = SimView::new(&env.simulation.model, data);
                 (0..view.num_drones()).any(|drone| view.actuator_params(drone).lag > 0.0)
             };
-            flow.air |= slot.data.as_deref().is_some_and(lag) || slot.episode.is_randomized();
+            flow.lag |= slot.data.as_deref().is_some_and(lag) || slot.episode.is_randomized();
         }
         Ok(result)
     }
@@ -257,7 +257,8 @@ fn batch_model<T: Task>(
             dt: world.timestep,
             body_fixed: world.forcing == Forcing::BodyFixed,
             medium: world.medium.is_some(),
-            air: effects.ground || effects.drag || effects.downwash || lag,
+            lag,
+            air: effects.ground || effects.drag || effects.downwash && drones > 1,
             width: config.width,
         }),
         width: config.width,
@@ -269,7 +270,9 @@ fn batch_model<T: Task>(
         bounds: first.model.row_space.bounds_before_rounding(),
         task_rows: functions.map_or(0, |functions| functions.rows * drones),
         substeps: simulation.substeps(),
-        lane_params: (0..drones).map(|drone| LaneParams::all(&simulation.data.airframe(drone, effects))).collect(),
+        lane_params: (0..drones)
+            .map(|drone| LaneParams::all(&simulation.data.airframe(&simulation.model, drone)))
+            .collect(),
         images: [on(kind.rgb, 4 * pixels), on(kind.depth, pixels), on(kind.segmentation, pixels)],
     }
 }

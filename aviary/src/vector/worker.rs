@@ -7,7 +7,8 @@ use std::sync::{Mutex, PoisonError};
 use super::shard::{BatchModel, Shard};
 use super::{Autoreset, OnFault};
 use crate::engine::flight::{
-    Flow, LANES, LaneParams, Lanes, Row, advance, compute_downwash, compute_rpys, find_clear, set_commands, set_targets,
+    Extras, Flow, LANES, LaneParams, Lanes, Row, advance_with, compute_downwash, compute_rpys, find_apart, find_clear,
+    set_commands, set_targets,
 };
 use crate::env::{Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Task};
 use crate::simulation::{SimData, SimView};
@@ -39,6 +40,8 @@ pub(super) struct Worker<T> {
     actions: Vec<[Row; 4]>,
     /// Lanes of a block before the step, for environments that do not fly in lanes.
     saved: Vec<Lanes>,
+    /// Bound of the travel of every drone of a block, m; see [`Extras::travel`].
+    travels: Vec<Row>,
     step_kinds: [StepKind; LANES],
     /// Errors of the environments of a block that fail.
     errors: [Option<EnvError>; LANES],
@@ -63,6 +66,7 @@ impl<T: Task> Worker<T> {
             grounded: vec![env.simulation.snapshot(); LANES],
             actions: vec![[[0.0; LANES]; 4]; drones],
             saved: vec![Lanes::default(); drones],
+            travels: vec![[0.0; LANES]; drones],
             step_kinds: [StepKind::Fly; LANES],
             errors: Default::default(),
             states: vec![DroneState::default(); drones],
@@ -81,11 +85,10 @@ impl<T: Task> Worker<T> {
         for block in 0..count.div_ceil(LANES) {
             let range = block * LANES..count.min((block + 1) * LANES);
             let fits_lanes = self.decode(model, shard, range.clone());
-            let clear = self.find_clear(model, shard, range.clone(), &fits_lanes);
-            self.advance(model, shard, range.clone(), &clear);
-            let done = self.evaluate_lanes(model, shard, range.clone(), &clear);
+            let flew = self.advance(model, shard, range.clone(), &fits_lanes);
+            let done = self.evaluate_lanes(model, shard, range.clone(), &flew);
             for index in range.filter(|index| !done[index % LANES]) {
-                self.evaluate(model, shard, index, clear[index % LANES], faults);
+                self.evaluate(model, shard, index, flew[index % LANES], faults);
             }
         }
     }
@@ -205,16 +208,16 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Returns true for the environments of a block that cannot touch anything during the control step and
-    /// therefore fly in lanes.
+    /// Returns true for the environments of a block that cannot touch anything during the control step, whatever
+    /// their motors do.
     fn find_clear(
         &mut self,
         model: &BatchModel,
+        flow: &Flow,
         shard: &mut Shard<'_, T>,
         range: Range<usize>,
         fits_lanes: &[bool; LANES],
     ) -> [bool; LANES] {
-        let Some(flow) = model.flow.as_ref().filter(|_| fits_lanes.contains(&true)) else { return [false; LANES] };
         let drones = model.drones;
         let (lanes, lane_params) = lanes_and_params(model, shard, range.start);
         let mut clear = find_clear(flow, lanes, lane_params, range.len(), model.substeps);
@@ -236,12 +239,52 @@ impl<T: Task> Worker<T> {
         clear
     }
 
-    /// Stage 2: advances the physics of a block, of all clear environments in lanes and of the others in MuJoCo.
-    fn advance(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, range: Range<usize>, clear: &[bool; LANES]) {
-        if let Some(flow) = model.flow.as_ref().filter(|_| clear.contains(&true)) {
-            self.advance_lanes(model, flow, shard, range.clone(), clear);
+    /// Returns true for the environments of a block that have not touched anything during the control step, from
+    /// the bounds of their travel in `travels` and the states in `saved`.
+    fn find_untouched(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        range: Range<usize>,
+        fits_lanes: &[bool; LANES],
+    ) -> [bool; LANES] {
+        let drones = model.drones;
+        let (_, lane_params) = lanes_and_params(model, shard, range.start);
+        let mut free = find_apart(&self.saved, lane_params, &self.travels, range.len());
+        free.iter_mut().zip(fits_lanes).for_each(|(free, fits)| *free &= fits);
+        if shard.envs.clearance_caches.is_empty() {
+            return free;
         }
-        for index in range.filter(|index| !clear[index % LANES]) {
+        let simulation = &self.env.simulation;
+        for index in range {
+            let lane = index % LANES;
+            if !free[lane] {
+                continue;
+            }
+            let data = shard.envs.slots[index].data.as_deref().unwrap_or(&simulation.data);
+            let caches = &mut shard.envs.clearance_caches[drones * index..][..drones];
+            let travels = self.travels.iter().map(|row| row[lane]);
+            free[lane] = data.travels_clear_of_obstacles(&simulation.model, &self.saved, lane, travels, caches);
+        }
+        free
+    }
+
+    /// Stage 2: advances the physics of a block, in lanes where nothing is in reach, otherwise one environment at a
+    /// time. Returns true for the environments that flew in lanes.
+    fn advance(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        range: Range<usize>,
+        fits_lanes: &[bool; LANES],
+    ) -> [bool; LANES] {
+        let flew = match &model.flow {
+            Some(flow) if fits_lanes.contains(&true) => {
+                self.advance_lanes(model, flow, shard, range.clone(), fits_lanes)
+            }
+            _ => [false; LANES],
+        };
+        for index in range.filter(|index| !flew[index % LANES]) {
             let lane = index % LANES;
             if self.step_kinds[lane] != StepKind::Fly {
                 continue;
@@ -255,48 +298,62 @@ impl<T: Task> Worker<T> {
             }
             shard.envs.store(model, index, Some(shared), None);
         }
+        flew
     }
 
-    /// Advances the clear environments of a block in lanes.
+    /// Advances the environments of a block in lanes. Returns true for those whose drones have touched nothing; the
+    /// other lanes are as before, but for the commands.
     fn advance_lanes(
         &mut self,
         model: &BatchModel,
         flow: &Flow,
         shard: &mut Shard<'_, T>,
         range: Range<usize>,
-        clear: &[bool; LANES],
-    ) {
+        fits_lanes: &[bool; LANES],
+    ) -> [bool; LANES] {
         let (start, count) = (range.start, range.len());
-        let all_clear = clear[..count].iter().all(|clear| *clear);
+        let clear = self.find_clear(model, flow, shard, range.clone(), fits_lanes);
+        let checked = clear != *fits_lanes;
         let (lanes, lane_params) = lanes_and_params(model, shard, start);
-        if !all_clear {
-            // the kernel advances all lanes, therefore the lanes of environments that are not clear are restored
-            // afterwards
+        let all = !checked && fits_lanes[..count].iter().all(|fits| *fits);
+        if !all {
+            // the kernel advances all lanes, therefore the others are restored afterwards
             self.saved.clone_from_slice(lanes);
+            self.travels.fill([0.0; LANES]);
         }
+        let mut advance = |lanes: &mut [Lanes], steps: Range<u32>| {
+            for (drone, (lanes, lane_params)) in lanes.iter_mut().zip(lane_params).enumerate() {
+                let travel = checked.then_some(&mut self.travels[drone]);
+                let mut extras = Extras { travel, ..Extras::default() };
+                advance_with(flow, lanes, lane_params, &mut extras, count, steps.clone());
+            }
+        };
         if model.downwash {
-            for _ in 0..model.substeps {
+            for step in 0..model.substeps {
                 compute_downwash(flow.width, lanes, lane_params, count);
-                for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
-                    advance(flow, lanes, lane_params, count, 1);
-                }
+                advance(lanes, step..step + 1);
             }
         } else {
-            for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
-                advance(flow, lanes, lane_params, count, model.substeps);
-            }
+            advance(lanes, 0..model.substeps);
         }
-        if !all_clear {
-            for lane in (0..count).filter(|&lane| !clear[lane]) {
+        let mut flew = *fits_lanes;
+        if checked {
+            let free = self.find_untouched(model, shard, range, fits_lanes);
+            flew = std::array::from_fn(|lane| clear[lane] || free[lane]);
+        }
+        if !all {
+            let (lanes, _) = lanes_and_params(model, shard, start);
+            for lane in (0..count).filter(|&lane| !flew[lane]) {
                 lanes.iter_mut().zip(&self.saved).for_each(|(lanes, saved)| lanes.copy_lane(lane, saved));
             }
         }
         let block = &mut shard.envs.blocks[start / LANES];
-        for lane in (0..count).filter(|&lane| clear[lane]) {
+        for lane in (0..count).filter(|&lane| flew[lane]) {
             block.steps[lane] += 1.0;
             block.in_mujoco[lane] = false;
             self.flown += u64::from(model.substeps);
         }
+        flew
     }
 
     /// Stage 3 in lanes: evaluates the task of the environments that flew in lanes and writes their rewards and
@@ -306,10 +363,10 @@ impl<T: Task> Worker<T> {
         model: &BatchModel,
         shard: &mut Shard<'_, T>,
         range: Range<usize>,
-        clear: &[bool; LANES],
+        flew: &[bool; LANES],
     ) -> [bool; LANES] {
         let mut done = [false; LANES];
-        if !clear.contains(&true) {
+        if !flew.contains(&true) {
             return done;
         }
         let (start, count) = (range.start, range.len());
@@ -334,7 +391,7 @@ impl<T: Task> Worker<T> {
             observation: &mut self.observations,
         });
         for lane in 0..count {
-            done[lane] = clear[lane] && !block.noisy[lane] && events[lane] <= 0.0;
+            done[lane] = flew[lane] && !block.noisy[lane] && events[lane] <= 0.0;
         }
         let size = model.observation_size;
         if done[..count].iter().all(|done| *done) {
@@ -362,11 +419,11 @@ impl<T: Task> Worker<T> {
     }
 
     /// Stage 3 of one environment: updates its task and writes its reward, end and observation.
-    fn evaluate(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, clear: bool, faults: &Faults) {
+    fn evaluate(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, flew: bool, faults: &Faults) {
         let lane = index % LANES;
         match self.step_kinds[lane] {
             StepKind::Fly => {
-                if clear {
+                if flew {
                     shard.envs.load(model, index, &mut self.grounded[lane]);
                 }
                 shard.envs.load_task(model, self.functions, index);

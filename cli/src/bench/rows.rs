@@ -52,6 +52,7 @@ pub(super) fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 max_command: params.max_rpm(),
                 gains: [1.0; 4],
                 max_rpm: params.max_rpm(),
+                cylinder: [params.collision_radius, params.collision_height],
                 reach_bound: ReachBound::default(),
             };
             let frames = LaneParams::all(&airframe);
@@ -65,7 +66,7 @@ pub(super) fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                     lanes.set(lane, &state, &[hover; 4], &[hover; 4]);
                 }
             }
-            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, air, width };
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, lag: false, air, width };
             let mut all = start.clone();
             let measured = meter.measure(|| {
                 all.clone_from(&start);

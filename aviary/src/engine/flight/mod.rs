@@ -7,13 +7,16 @@
 //! are bit-identical for all instruction sets.
 
 mod body;
+mod kernel;
 mod lanes;
 mod reach_bound;
 mod width;
 
 pub(crate) use body::FlightState;
 pub use body::FreeBody;
-pub use lanes::{Airframe, Flow, LANES, LaneParams, Lanes, advance, compute_downwash, compute_rpys, find_clear};
-pub(crate) use lanes::{Decoding, Part, Row, set_commands, set_targets};
+pub(crate) use kernel::{Decoding, Extras, LateCommands, Record, advance_with, find_apart, set_commands, set_targets};
+pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
+pub use lanes::{Airframe, LANES, LaneParams, Lanes};
+pub(crate) use lanes::{Part, Row};
 pub use reach_bound::ReachBound;
 pub use width::Width;

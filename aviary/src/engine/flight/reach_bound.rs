@@ -1,7 +1,11 @@
+use nalgebra::Vector3;
+
 use super::FreeBody;
-use super::body::FlightState;
+use super::body::{FlightState, Push};
 use crate::math::{Real, V3};
+use crate::physics::rotor::RotorWrench;
 use crate::state::DroneState;
+use crate::world::placement::{CollisionCylinder, sphere_floor_clearance};
 
 /// Upper bound of the distance that a drone can travel within a time, whatever its motors do; scalar or SIMD.
 ///
@@ -22,6 +26,9 @@ pub struct ReachBound<R = f64> {
     /// Largest angular acceleration by the rotors, rad/s².
     turning: R,
 }
+
+/// Largest coordinate (m) and speed (m/s) with a finite bound.
+const FAR: f64 = 1e6;
 
 /// Margin for rounding, m.
 const SLACK: f64 = 1e-9;
@@ -62,16 +69,17 @@ impl ReachBound {
     }
 
     /// Returns upper bounds of the distance (m) and the rotation angle (rad) in one physics step of `dt` seconds
-    /// under a known force (N, weight included) and torque (N·m).
-    pub(crate) fn one_step(&self, dt: f64, body: &FreeBody, force: f64, torque: f64, state: &DroneState) -> (f64, f64) {
-        let known = Self {
-            acceleration: force * body.inverse_mass,
-            turning: torque * body.inverse_inertia.into_iter().fold(0.0, f64::max),
-            ..*self
-        };
-        let (speed, rate) = (V3::from(&state.velocity).norm(), V3::from(&state.angular_velocity).norm());
-        let turn = known.turn_rate(dt, rate) * dt;
-        (known.travel(dt, speed) + SLACK, if known.is_stable(dt, dt, speed, rate) { turn } else { f64::INFINITY })
+    /// under a known load of the rotors and an external force (world frame, N).
+    pub(crate) fn one_step(
+        &self,
+        dt: f64,
+        body: &FreeBody,
+        rotors: &RotorWrench,
+        force_world: &Vector3<f64>,
+        state: &DroneState,
+    ) -> (f64, f64) {
+        let push = Push { thrust: rotors.thrust, torque: V3::from(&rotors.torque_body), force: V3::from(force_world) };
+        self.step_under(dt, body, &push, V3::from(&state.velocity), V3::from(&state.angular_velocity))
     }
 
     pub(super) fn numbers(&self) -> [f64; 8] {
@@ -87,11 +95,53 @@ impl<R: Real> ReachBound<R> {
         Self { reach, acceleration, slowing: [linear, quadratic], braking: [viscous, drag], growth, turning }
     }
 
+    /// Computes [`one_step`](ReachBound::one_step), scalar or SIMD.
+    #[inline(always)]
+    pub(super) fn step_under(
+        &self,
+        dt: f64,
+        body: &FreeBody<R>,
+        push: &Push<R>,
+        velocity: V3<R>,
+        body_rate: V3<R>,
+    ) -> (R, R) {
+        let [x, y, z] = body.inverse_inertia;
+        let force = push.thrust.abs() + push.force.norm();
+        let known = Self {
+            acceleration: force * body.inverse_mass + body.gravity.abs(),
+            turning: push.torque.norm() * x.greater(y).greater(z),
+            ..*self
+        };
+        let (speed, rate) = (velocity.norm(), body_rate.norm());
+        let turn = known.turn_rate(dt, rate) * dt;
+        let stable = known.is_stable(dt, dt, speed, rate);
+        (known.travel(dt, speed) + SLACK, R::choose(stable, turn, turn.all(f64::INFINITY)))
+    }
+
+    /// Returns a bound of the distance that a drone travels in one physics step under a load, m; infinite where it
+    /// may touch the floor, or may rotate too fast for the kernel.
+    #[inline(always)]
+    pub(super) fn free_travel(
+        &self,
+        dt: f64,
+        body: &FreeBody<R>,
+        push: &Push<R>,
+        cylinder: &CollisionCylinder<R>,
+        motion: &FlightState<R>,
+    ) -> R {
+        let (travel, turn) = self.step_under(dt, body, push, motion.velocity, motion.rate);
+        let V3 { x, y, z } = motion.position;
+        let ball = sphere_floor_clearance(motion.position, self.reach + travel);
+        let lowest = cylinder.clearance(z, motion.attitude.up().z) - (travel + turn * self.reach);
+        let (zero, far) = (z.all(0.0), z.all(FAR));
+        let free = zero.less(ball.greater(lowest)) & turn.less(z.all(FreeBody::MAX_TURN));
+        let sane = x.abs().less(far) & y.abs().less(far) & z.abs().less(far) & motion.velocity.norm().less(far);
+        R::choose(free & sane, travel, z.all(f64::INFINITY))
+    }
+
     /// Computes [`radius`](ReachBound::radius), scalar or SIMD.
     #[inline(always)]
     pub(super) fn ball(&self, dt: f64, steps: u32, motion: &FlightState<R>) -> R {
-        /// Largest coordinate (m) and speed (m/s) with a finite bound.
-        const FAR: f64 = 1e6;
         let time = dt * f64::from(steps);
         let (speed, rate) = (motion.velocity.norm(), motion.rate.norm());
         let slow_enough = (self.turn_rate(time, rate) * dt).less(rate.all(FreeBody::MAX_TURN));
