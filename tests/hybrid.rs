@@ -74,7 +74,7 @@ fn tumbling_lanes_match_mj_step_in_every_simd_width() {
                 }
                 let (body_fixed, medium) = (forcing == Forcing::BodyFixed, medium.is_some());
                 advance(
-                    &Flow { dt, body_fixed, medium, lag: false, lag: false, air: false, width: *width },
+                    &Flow { dt, body_fixed, medium, lag: false, air: false, width: *width },
                     lanes,
                     &frames,
                     LANES,

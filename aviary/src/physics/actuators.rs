@@ -150,6 +150,18 @@ impl Actuators {
         self.max_rpm
     }
 
+    /// Returns the commands that arrive in the next physics steps, as many as the latency, and the initial command.
+    pub(crate) fn queued(&self) -> (impl ExactSizeIterator<Item = [f64; 4]>, f64) {
+        let count = self.queue.len();
+        ((0..count).map(move |index| self.queue[(self.next + index) % count]), self.initial_rpm)
+    }
+
+    /// Replaces the commands that arrive in the next physics steps.
+    pub(crate) fn set_queue(&mut self, queue: impl Iterator<Item = [f64; 4]>) {
+        self.next = 0;
+        self.queue.iter_mut().zip(queue).for_each(|(own, command)| *own = command);
+    }
+
     /// Returns the factors on the commanded speeds.
     pub(crate) fn gains(&self) -> &[f64; 4] {
         &self.gains

@@ -95,12 +95,15 @@ pub(super) struct Drone {
     pub actuators: ActuatorParams,
 }
 
-/// Ring buffer of the states of earlier physics steps.
+/// Ring buffer of earlier states. Observations come at the end of a control step, so that one state per control step
+/// is recorded.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Memory {
+    /// Delay, physics steps.
+    pub delay: u32,
+    /// States of all drones for each of the last control steps; the index is the control step modulo their number.
+    /// Empty without a delay.
     pub states: Vec<DroneState>,
-    /// Index of the oldest entry, in multiples of the number of drones.
-    pub oldest: usize,
 }
 
 /// Returns a number that no other call returns.
@@ -215,6 +218,12 @@ impl SimData {
         let (got, expected) = (self.states.len(), model.num_drones());
         if got != expected {
             return Err(SimulationError::Length { what: "the snapshot", got, expected, of: "drone" });
+        }
+        let expected = self.memory.length(model.substeps());
+        let got = self.memory.states.len() / self.states.len();
+        if got != expected {
+            let what = "the memory of the snapshot";
+            return Err(SimulationError::Length { what, got, expected, of: "control step" });
         }
         if let Some(own) = &self.obstacles {
             let of_model = &model.world.obstacles;
@@ -388,15 +397,20 @@ impl SimData {
 
     /// Sets the delay of the remembered states, rounded to whole physics steps.
     pub(crate) fn remember(&mut self, model: &SimModel, seconds: f64) {
-        let steps = (seconds.clamp(0.0, super::Simulation::MAX_MEMORY) / model.world.timestep).round() as usize;
-        self.memory.states.resize(steps * self.states.len(), DroneState::default());
+        let delay = (seconds.clamp(0.0, super::Simulation::MAX_MEMORY) / model.world.timestep).round() as u32;
+        self.memory.delay = delay;
+        let entries = self.memory.length(model.substeps());
+        self.memory.states.resize(entries * self.states.len(), DroneState::default());
         self.memory.forget(&self.states);
     }
 
     /// Returns the states as they were one delay ago, or the oldest that the memory has.
     pub(crate) fn remembered(&self) -> &[DroneState] {
         let (count, memory) = (self.states.len(), &self.memory);
-        memory.states.get(memory.oldest * count..(memory.oldest + 1) * count).unwrap_or(&self.states)
+        match memory.entry(count, self.control_steps) {
+            Some(entry) => &memory.states[entry],
+            None => &self.states,
+        }
     }
 
     /// Clips the motor commands and stores them.
@@ -418,20 +432,34 @@ impl SimData {
 }
 
 impl Memory {
+    /// Returns the number of control steps that are kept.
+    pub fn length(&self, substeps: u32) -> usize {
+        if self.delay > 0 { (self.delay / substeps) as usize + 1 } else { 0 }
+    }
+
     /// Fills the buffer with the present states.
     pub fn forget(&mut self, states: &[DroneState]) {
-        self.oldest = 0;
         for list in self.states.chunks_exact_mut(states.len()) {
             list.copy_from_slice(states);
         }
     }
 
-    /// Stores the states of a physics step.
-    pub fn note(&mut self, states: &[DroneState]) {
-        if !self.states.is_empty() {
-            let count = states.len();
-            self.states[self.oldest * count..][..count].copy_from_slice(states);
-            self.oldest = (self.oldest + 1) % (self.states.len() / count);
+    /// Returns the entries of a control step for `drones` drones, if there is a delay. After `control_steps` steps,
+    /// the entries of the next step are the oldest, which are observed.
+    fn entry(&self, drones: usize, control_step: u64) -> Option<std::ops::Range<usize>> {
+        let count = (self.states.len() / drones) as u64;
+        let index = control_step.checked_rem(count)? as usize;
+        Some(index * drones..(index + 1) * drones)
+    }
+
+    /// Records the states at the start of a physics step of a control step, if an observation needs them. The end of
+    /// the control step is its step number `substeps`.
+    pub fn note(&mut self, states: &[DroneState], control_step: u64, substep: u32, substeps: u32) {
+        if self.delay > 0
+            && substep == substeps - self.delay % substeps
+            && let Some(entry) = self.entry(states.len(), control_step)
+        {
+            self.states[entry].copy_from_slice(states);
         }
     }
 }

@@ -6,17 +6,53 @@ use crate::engine::flight::{LaneParams, Lanes};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::wind::WindField;
+use crate::state::DroneState;
 
 impl SimData {
-    /// Returns true if lanes can advance these drones for a whole control step.
-    pub(crate) fn fits_lanes(&self) -> bool {
-        self.wind.is_none() && self.memory.states.is_empty() && self.actuators.iter().all(Actuators::is_prompt)
-    }
-
     /// Returns true if all environments can share these parameters: they stay constant in flight, and the motors
     /// are exact.
     pub(crate) fn is_nominal(&self) -> bool {
-        self.fits_lanes() && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
+        self.wind.is_none()
+            && self.memory.states.is_empty()
+            && self.actuators.iter().all(Actuators::is_prompt)
+            && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
+    }
+
+    /// Returns the commands that arrive at a drone's motors in the next physics steps, as many as the latency, and the
+    /// command before the first one, rpm.
+    pub(crate) fn queued_commands(&self, drone: usize) -> (impl ExactSizeIterator<Item = [f64; 4]>, f64) {
+        self.actuators[drone].queued()
+    }
+
+    /// Replaces the commands that arrive at a drone's motors in the next physics steps.
+    pub(crate) fn set_queued_commands(&mut self, drone: usize, queue: impl Iterator<Item = [f64; 4]>) {
+        self.actuators[drone].set_queue(queue);
+    }
+
+    /// Returns the delay of the observed states, physics steps, and a drone's recorded states by control step.
+    pub(crate) fn recorded_states(&self, drone: usize) -> (u32, impl Iterator<Item = &DroneState>) {
+        (self.memory.delay, self.memory.states.iter().skip(drone).step_by(self.states.len()))
+    }
+
+    /// Replaces a drone's recorded states.
+    pub(crate) fn set_recorded_states(&mut self, drone: usize, states: impl Iterator<Item = DroneState>) {
+        let own = self.memory.states.iter_mut().skip(drone).step_by(self.states.len());
+        own.zip(states).for_each(|(own, state)| *own = state);
+    }
+
+    /// Returns the largest latencies of motors and observations, physics steps.
+    pub(crate) fn latencies(&self) -> [u32; 2] {
+        [self.actuators.iter().map(|motors| motors.queued().0.len() as u32).max().unwrap_or(0), self.memory.delay]
+    }
+
+    /// Returns the wind.
+    pub(crate) fn wind_field(&self) -> Option<&WindField> {
+        self.wind.as_ref()
+    }
+
+    /// Returns the wind, for changes of its state.
+    pub(crate) fn wind_field_mut(&mut self) -> Option<&mut WindField> {
+        self.wind.as_mut()
     }
 
     /// Returns true if both environments have the same parameters and obstacles.

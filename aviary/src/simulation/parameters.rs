@@ -141,7 +141,8 @@ impl SimData {
     /// allocate.
     pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
         let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
-        let (motors, states) = (steps(motors), self.states.len() * steps(sensors));
+        let entries = steps(sensors) / model.substeps() as usize + 1;
+        let (motors, states) = (steps(motors), self.states.len() * entries);
         self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
         self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
     }

@@ -115,7 +115,7 @@ pub fn step(
         return Err(fail(model, workspace, data, 0, error));
     }
     for substep in 0..model.substeps() {
-        data.memory.note(&data.states);
+        data.memory.note(&data.states, data.control_steps, substep, model.substeps());
         compute_loads(model, workspace, data);
         workspace.previous.copy_from_slice(&data.states);
         let (loads, states) = (&data.loads, &mut data.states);
@@ -130,6 +130,7 @@ pub fn step(
         check_states(model, workspace, data, substep, advanced)?;
         note_contacts(workspace, data);
     }
+    data.memory.note(&data.states, data.control_steps, model.substeps(), model.substeps());
     data.control_steps += 1;
     data.update_rpys();
     workspace.leave(data);

@@ -35,7 +35,10 @@ struct Stored {
     gravity: f64,
     wind: Option<WindField>,
     wind_seed: u64,
-    /// States of earlier physics steps, oldest first, grouped by step.
+    /// Delay of the observed states, physics steps.
+    #[serde(default)]
+    delay: u32,
+    /// Recorded states of the last control steps, grouped by step.
     memory: Vec<DroneState>,
     obstacles: Option<Vec<Obstacle>>,
     obstacle_drift: f64,
@@ -76,7 +79,6 @@ impl From<&SimData> for Stored {
             let (a, b, c) = (rotors.torque_body, external.force_world, external.torque_world);
             [rotors.thrust, a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z].map(Extended)
         };
-        let (newer, older) = data.memory.states.split_at(data.memory.oldest * data.states.len());
         Self {
             model: data.model,
             control_steps: data.control_steps,
@@ -90,7 +92,8 @@ impl From<&SimData> for Stored {
             gravity: data.bodies.gravity,
             wind: data.wind.clone(),
             wind_seed: data.wind_seed,
-            memory: [older, newer].concat(),
+            delay: data.memory.delay,
+            memory: data.memory.states.clone(),
             obstacles: data.obstacles.as_deref().map(<[_]>::to_vec),
             obstacle_drift: data.bodies.obstacle_drift,
             markers: data.marker_poses.clone(),
@@ -140,7 +143,7 @@ impl TryFrom<Stored> for SimData {
             },
             wind: stored.wind,
             wind_seed: stored.wind_seed,
-            memory: Memory { states: stored.memory, oldest: 0 },
+            memory: Memory { delay: stored.delay, states: stored.memory },
             motor_speeds: stored.motor_speeds,
             changed: true,
             // no workspace has loaded these obstacles
@@ -177,7 +180,8 @@ impl Stored {
                 return Err(format!("`{field}` has {}, expected {expected}", crate::count(got, "entry")));
             }
         }
-        if !self.memory.len().is_multiple_of(count) {
+        // the number of control steps depends on the model, see `SimData::validate`
+        if !self.memory.len().is_multiple_of(count) || self.memory.is_empty() != (self.delay == 0) {
             return Err(format!("`memory` has {} states, expected a multiple of {count}", self.memory.len()));
         }
         let is_invalid =

@@ -123,6 +123,12 @@ impl LaneParams {
         self.max_command[lane]
     }
 
+    /// Returns the target speeds (rpm) of the rotors of a lane under a command (rpm), as `set_targets` computes them.
+    pub(crate) fn target(&self, lane: usize, command: &[f64; 4]) -> [f64; 4] {
+        let max = self.max_rpm[lane];
+        std::array::from_fn(|motor| clamped(command[motor] * self.gains[motor][lane], 0.0, max))
+    }
+
     /// Returns the radius of the sphere around the drone of a lane, m.
     pub(crate) fn reach(&self, lane: usize) -> f64 {
         self.reach_bound[0][lane]
@@ -185,6 +191,13 @@ impl Lanes {
     #[inline]
     pub fn command(&self, lane: usize) -> [f64; 4] {
         take(&self.command, lane)
+    }
+
+    /// Sets position 3, quaternion 4, velocity 3 and angular velocity 3 of a lane.
+    pub(crate) fn set_numbers(&mut self, lane: usize, numbers: &[f64; 13]) {
+        let Self { position, attitude, velocity, rate, .. } = self;
+        let rows = position.iter_mut().chain(attitude).chain(velocity).chain(rate);
+        rows.zip(numbers).for_each(|(row, number)| row[lane] = *number);
     }
 
     /// Copies a lane of other lanes.
