@@ -75,10 +75,15 @@ impl<T> Episode<T> {
         self.randomizer.is_some() || self.next_randomization.is_some()
     }
 
-    /// Returns true if the observed states may differ from the true ones, in this episode or in the next one.
-    pub(crate) fn has_noisy_sensors(&self) -> bool {
-        let next = self.next_randomization.iter().flatten().any(|config| config.sensors.is_some());
-        next || self.randomizer.as_ref().is_some_and(|randomizer| randomizer.config.sensors.is_some())
+    /// Returns the randomizations of this episode and of the next one.
+    pub(crate) fn randomizations(&self) -> impl Iterator<Item = &Randomization> {
+        let next = self.next_randomization.iter().flatten().map(|config| &**config);
+        self.randomizer.iter().map(|randomizer| &*randomizer.config).chain(next)
+    }
+
+    /// Returns the sampled parameters, if there are any.
+    pub(crate) fn randomizer(&self) -> Option<&Randomizer> {
+        self.randomizer.as_deref()
     }
 
     /// Returns an error unless an episode is running.

@@ -7,8 +7,9 @@
 use pulp::{Simd, WithSimd};
 
 use super::Task;
-use crate::engine::flight::{FlightState, Lanes, Part, Row, Width};
-use crate::math::{Pack, Real, V3};
+use super::randomization::{Sensed, SensorLanes};
+use crate::engine::flight::{FlightState, Lanes, Part, Width};
+use crate::math::{Pack, Real, Row, V3};
 use crate::simulation::SimView;
 
 /// Task with a form in SIMD lanes.
@@ -119,7 +120,9 @@ pub(crate) struct LaneStep<'a> {
     /// Rows of the task, drone by drone.
     pub rows: &'a mut [Row],
     /// Control steps since the start of the episode.
-    pub steps: &'a Row,
+    pub steps: &'a Row<u64>,
+    /// Measured states, if they differ from the true ones.
+    pub sensing: Option<Sensing<'a>>,
     /// Length of a control step, s.
     pub period: f64,
     /// Control steps of an episode.
@@ -134,6 +137,30 @@ pub(crate) struct LaneStep<'a> {
     pub observation: &'a mut [Row],
 }
 
+/// Measurement of the states of one block.
+pub(crate) struct Sensing<'a> {
+    /// Errors of the sensors of every drone.
+    pub sensors: &'a [SensorLanes],
+    /// States that the sensors observe, with their latency; receives the measured ones.
+    pub seen: &'a mut [Lanes],
+}
+
+impl Sensing<'_> {
+    /// Replaces the observed states of a register by the measured ones.
+    #[inline(always)]
+    fn measure<S: Simd>(&mut self, part: Part<S>, steps: &Row<u64>) {
+        for (sensors, seen) in self.sensors.iter().zip(&mut *self.seen) {
+            part.update_rpy(seen);
+            let FlightState { position, attitude, velocity, rate } = part.motion(seen);
+            let truth = Sensed { position, attitude, rpy: part.rpy(seen), velocity, rate };
+            let (simd, index) = part.register();
+            let Sensed { position, attitude, rpy, velocity, rate } = sensors.measure(simd, index, steps, &truth);
+            part.put_motion(seen, &FlightState { position, attitude, velocity, rate });
+            part.put_rpy(seen, rpy);
+        }
+    }
+}
+
 struct Evaluation<'a, T> {
     step: LaneStep<'a>,
     task: std::marker::PhantomData<T>,
@@ -144,14 +171,15 @@ impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let LaneStep { count, lanes, rows, steps, period, episode_steps, bounds, rewards, events, observation, .. } =
-            self.step;
+        let LaneStep { count, lanes, rows, steps, mut sensing, period, episode_steps, bounds, .. } = self.step;
+        let LaneStep { rewards, events, observation, .. } = self.step;
+        let control_steps = steps.map(|step| step as f64);
         let block = observation.len() / lanes.len();
         for part in Part::first(simd, count) {
             for lanes in &mut *lanes {
                 part.update_rpy(lanes);
             }
-            let scene = LaneScene { part, lanes: &*lanes, steps: part.get(steps), period };
+            let scene = LaneScene { part, lanes: &*lanes, steps: part.get(&control_steps), period };
             let (zero, one) = (scene.steps.all(0.0), scene.steps.all(1.0));
             let mut event = Real::choose(scene.steps.less(one.all(episode_steps)), zero, one);
             let mut sum = zero;
@@ -160,6 +188,14 @@ impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
                 let (reward, own_event) = T::evaluate(&scene, drone, &mut own);
                 sum = if drone == 0 { reward } else { sum + reward };
                 event = event.greater(own_event);
+            }
+            if let Some(sensing) = &mut sensing {
+                sensing.measure(part, steps);
+            }
+            let lanes = sensing.as_ref().map_or(&*lanes, |sensing| &*sensing.seen);
+            let scene = LaneScene { part, lanes, steps: part.get(&control_steps), period };
+            for drone in 0..scene.num_drones() {
+                let own = LaneRows { part, rows: &mut rows[T::ROWS * drone..][..T::ROWS] };
                 let mut out = LaneRows { part, rows: &mut observation[block * drone..][..block] };
                 T::observe_lanes(&scene, drone, &own, &mut out);
             }

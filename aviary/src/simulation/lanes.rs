@@ -4,20 +4,10 @@ use super::{SimData, SimModel};
 use crate::engine::Load;
 use crate::engine::flight::{LaneParams, Lanes};
 use crate::physics::Wrench;
-use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::wind::WindField;
 use crate::state::DroneState;
 
 impl SimData {
-    /// Returns true if all environments can share these parameters: they stay constant in flight, and the motors
-    /// are exact.
-    pub(crate) fn is_nominal(&self) -> bool {
-        self.wind.is_none()
-            && self.memory.states.is_empty()
-            && self.actuators.iter().all(Actuators::is_prompt)
-            && self.drones.iter().all(|drone| drone.actuators == ActuatorParams::default())
-    }
-
     /// Returns the commands that arrive at a drone's motors in the next physics steps, as many as the latency, and the
     /// command before the first one, rpm.
     pub(crate) fn queued_commands(&self, drone: usize) -> (impl ExactSizeIterator<Item = [f64; 4]>, f64) {
@@ -57,11 +47,12 @@ impl SimData {
 
     /// Returns true if both environments have the same parameters and obstacles.
     pub(crate) fn has_parameters_of(&self, other: &Self) -> bool {
-        self.is_nominal()
-            && other.is_nominal()
+        let wind = |data: &Self| data.wind.as_ref().map(|wind| *wind.config());
+        wind(self) == wind(other)
+            && self.memory.delay == other.memory.delay
             && self.bodies == other.bodies
             && self.obstacle_revision == other.obstacle_revision
-            && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params)
+            && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params && a.actuators == b.actuators)
     }
 
     /// Copies an environment from a lane after `control_steps` steps: states, motor speeds, loads, and, if MuJoCo

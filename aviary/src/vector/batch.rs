@@ -1,5 +1,6 @@
 use std::sync::PoisonError;
 
+use super::conditions::{ConditionLanes, Needs};
 use super::pool::WorkerPool;
 use super::shard::{BatchModel, Block, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
 use super::worker::Worker;
@@ -9,8 +10,8 @@ use crate::control::CollisionCone;
 use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes};
 use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
 use crate::env::{
-    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, EpisodeSummary, LaneFunctions, ObservationSpace, Phase,
-    Task,
+    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, Episode, EpisodeSummary, LaneFunctions, ObservationSpace,
+    Phase, Task,
 };
 use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
@@ -194,6 +195,11 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         if !unchanged && environments.lane_params.is_empty() {
             environments.lane_params = model.lane_params.repeat(count.div_ceil(LANES));
         }
+        if let (Some(_), Some(data)) = (&model.flow, environments.slots[environment].data.as_deref()) {
+            let needs = Needs::of(&environments.slots[environment].episode, data, model.dt);
+            let steps: Vec<_> = environments.blocks.iter().map(|block| block.steps).collect();
+            environments.conditions.extend(needs, model, &steps);
+        }
         let mut envs = environments.slices();
         envs.store(model, environment, None, Some(&env.simulation));
         if let Some(data) = envs.slots[environment].data.take() {
@@ -211,10 +217,15 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
                 let view = SimView::new(&env.simulation.model, data);
                 (0..view.num_drones()).any(|drone| view.actuator_params(drone).lag > 0.0)
             };
-            flow.lag |= slot.data.as_deref().is_some_and(lag) || slot.episode.is_randomized();
+            flow.lag |= slot.data.as_deref().is_some_and(lag) || randomizes_lag(&slot.episode);
         }
         Ok(result)
     }
+}
+
+/// Returns true if the lag of the motors may be sampled.
+fn randomizes_lag<T>(episode: &Episode<T>) -> bool {
+    episode.randomizations().any(|config| config.actuators.is_some())
 }
 
 /// Returns true if the engine of a simulation can fly in lanes.
@@ -238,7 +249,7 @@ fn batch_model<T: Task>(
 ) -> BatchModel {
     let simulation = &first.simulation;
     let (drones, effects, world) = (simulation.num_drones(), simulation.effects(), simulation.world());
-    let lag = (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0) || first.episode.is_randomized();
+    let lag = (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0) || randomizes_lag(&first.episode);
     let space = &first.model.observation_space;
     let numbers = space.vector.size()
         + if space.kind.obstacle { drones } else { 0 }
@@ -265,6 +276,7 @@ fn batch_model<T: Task>(
         downwash: effects.downwash && drones > 1,
         decoding: decoding(first),
         one_action: first.model.action_type == ActionType::OneDRpm,
+        dt: world.timestep,
         control_period: simulation.control_period(),
         episode_steps: first.model.episode_steps,
         bounds: first.model.row_space.bounds_before_rounding(),
@@ -291,10 +303,8 @@ impl<T: Task + Clone> Environments<T> {
     /// Creates copies of the first environment, each with its own random stream.
     fn of(first: &Aviary<T>, model: &BatchModel, count: usize) -> Self {
         let (simulation, drones, flies) = (&first.simulation, model.drones, model.flow.is_some());
-        let individual = first.episode.is_randomized()
-            || first.model.moves_obstacles()
-            || !first.workspace.moving.is_empty()
-            || !simulation.data.is_nominal();
+        let individual =
+            first.episode.is_randomized() || first.model.moves_obstacles() || !first.workspace.moving.is_empty();
         let memory = first.decoders.iter().any(|decoder| decoder.has_memory());
         let slot = |index: usize| {
             let mut episode = first.episode.clone();
@@ -309,7 +319,11 @@ impl<T: Task + Clone> Environments<T> {
             }
         };
         let blocks = count.div_ceil(LANES);
-        let block = Block { fits_lanes: [flies && simulation.data.fits_lanes(); LANES], ..Block::default() };
+        let mut conditions = ConditionLanes::default();
+        if flies {
+            let needs = Needs::of(&first.episode, &simulation.data, model.dt);
+            conditions.extend(needs, model, &vec![[0; LANES]; blocks]);
+        }
         let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
@@ -319,9 +333,10 @@ impl<T: Task + Clone> Environments<T> {
         let finals = if model.autoreset == Autoreset::SameStep { model.observation_size * count } else { 0 };
         Self {
             slots: (0..count).map(slot).collect(),
-            blocks: vec![block; blocks],
+            blocks: vec![Block::default(); blocks],
             task_rows: vec![[0.0; LANES]; blocks * model.task_rows],
             lanes,
+            conditions,
             lane_params: if individual { model.lane_params.repeat(blocks) } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
@@ -396,7 +411,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     }
 
     fn time_of(&self, environment: usize) -> f64 {
-        self.environments.blocks[environment / LANES].steps[environment % LANES] * self.control_period
+        let steps = self.environments.blocks[environment / LANES].steps[environment % LANES];
+        steps as f64 * self.control_period
     }
 }
 

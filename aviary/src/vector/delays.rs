@@ -5,7 +5,8 @@
 
 use nalgebra::Vector3;
 
-use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record, Row};
+use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record};
+use crate::math::Row;
 use crate::simulation::SimData;
 use crate::state::{DroneState, attitude_from_wxyz, wxyz};
 
@@ -26,6 +27,17 @@ impl MotorDelays {
     /// Creates memory for latencies up to `max` physics steps, with `substeps` physics steps per control step.
     pub fn new(max: u32, substeps: u32) -> Self {
         Self { ring: vec![[[0.0; LANES]; 4]; (max / substeps) as usize + 2], ..Self::default() }
+    }
+
+    /// Makes room for latencies up to `max` physics steps after `steps` control steps.
+    pub fn grow(&mut self, max: u32, substeps: u32, steps: &Row<u64>) {
+        let mut grown = Self { ring: Self::new(max, substeps).ring, ..self.clone() };
+        for (lane, &step) in steps.iter().enumerate() {
+            for step in step.saturating_sub(self.ring.len() as u64)..step {
+                grown.put(lane, step, &self.get(lane, Some(step)));
+            }
+        }
+        *self = grown;
     }
 
     /// Returns true if a lane has a latency.
@@ -75,9 +87,16 @@ impl MotorDelays {
 
     /// Stores the commands of a control step, and computes the target speeds of the rotors from the commands that
     /// arrive during it. `steps` are the control steps before this one.
-    pub fn arrive(&mut self, lanes: &mut Lanes, lane_params: &LaneParams, steps: &Row, count: usize, substeps: u32) {
+    pub fn arrive(
+        &mut self,
+        lanes: &mut Lanes,
+        lane_params: &LaneParams,
+        steps: &Row<u64>,
+        count: usize,
+        substeps: u32,
+    ) {
         for lane in 0..count {
-            let step = steps[lane] as u64;
+            let step = steps[lane];
             self.put(lane, step, &lanes.command(lane));
             let (whole, rest) = (u64::from(self.steps[lane] / substeps), self.steps[lane] % substeps);
             let now = lane_params.target(lane, &self.get(lane, step.checked_sub(whole)));
@@ -118,6 +137,11 @@ impl StateDelays {
         self.steps != [0; LANES]
     }
 
+    /// Makes room for latencies up to `max` physics steps.
+    pub fn grow(&mut self, max: u32, substeps: u32) {
+        self.ring.resize((max / substeps) as usize + 1, [[0.0; LANES]; 13]);
+    }
+
     fn length(&self, lane: usize, substeps: u32) -> u64 {
         u64::from(self.steps[lane] / substeps) + 1
     }
@@ -149,12 +173,11 @@ impl StateDelays {
 
     /// Stores the recorded states of the lanes that flew a control step, and writes the late states to `seen`, which
     /// has the present ones. `steps` are the control steps including this one.
-    pub fn observe(&mut self, lanes: &Lanes, seen: &mut Lanes, steps: &Row, flew: &[bool; LANES], substeps: u32) {
+    pub fn observe(&mut self, lanes: &Lanes, seen: &mut Lanes, steps: &Row<u64>, flew: &[bool; LANES], substeps: u32) {
         for lane in (0..LANES).filter(|&lane| flew[lane] && self.steps[lane] > 0) {
-            let (length, step) = (self.length(lane, substeps), steps[lane] as u64);
-            let at_end = self.steps[lane] % substeps == 0;
-            let state =
-                if at_end { numbers(&lanes.state(lane)) } else { self.record.state.map(|row| row[lane]) };
+            let (length, step) = (self.length(lane, substeps), steps[lane]);
+            let at_end = self.steps[lane].is_multiple_of(substeps);
+            let state = if at_end { numbers(&lanes.state(lane)) } else { self.record.state.map(|row| row[lane]) };
             let newest = &mut self.ring[((step - 1) % length) as usize];
             newest.iter_mut().zip(state).for_each(|(row, number)| row[lane] = number);
             let oldest = &self.ring[(step % length) as usize];

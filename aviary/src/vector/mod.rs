@@ -10,7 +10,9 @@
 //! environments and their division among the workers.
 
 mod batch;
+mod conditions;
 mod curriculum;
+mod delays;
 mod pool;
 mod shard;
 mod worker;

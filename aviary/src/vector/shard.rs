@@ -2,11 +2,13 @@
 
 use smallvec::SmallVec;
 
+use super::conditions::{ConditionLanes, ConditionSlices};
 use super::{Autoreset, OnFault};
 use crate::action::ActionDecoder;
 use crate::engine::ClearanceCache;
-use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, Row, Width};
+use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, Width};
 use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
+use crate::math::Row;
 use crate::simulation::{SimData, SimView, Simulation};
 
 /// Constants that all environments of a batch share.
@@ -28,6 +30,8 @@ pub(super) struct BatchModel {
     pub one_action: bool,
     /// Physics steps of a control step.
     pub substeps: u32,
+    /// Length of a physics step, s.
+    pub dt: f64,
     /// Length of a control step, s.
     pub control_period: f64,
     /// Control steps of an episode.
@@ -63,15 +67,11 @@ pub(super) struct EnvSlot<T> {
 #[repr(align(64))]
 pub(super) struct Block {
     /// Control steps since the start of the episode.
-    pub steps: Row,
+    pub steps: Row<u64>,
     /// Sum of the rewards of the current episode.
     pub rewards: Row,
     /// True while an episode runs.
     pub running: [bool; LANES],
-    /// True if a lane can represent the environment. Obstacles and contacts are checked separately.
-    pub fits_lanes: [bool; LANES],
-    /// True if the observed states differ from the true ones.
-    pub noisy: [bool; LANES],
     /// True if MuJoCo computed the last physics step, so that the warm start of its solver is valid.
     pub in_mujoco: [bool; LANES],
     /// True if the last step ended an episode.
@@ -122,6 +122,7 @@ pub(super) struct Environments<T> {
     pub lanes: Vec<Lanes>,
     /// Parameters of every environment's drones if environments differ; otherwise empty.
     pub lane_params: Vec<LaneParams>,
+    pub conditions: ConditionLanes,
     pub warm_starts: Vec<f64>,
     pub clearance_caches: Vec<ClearanceCache>,
     /// Last observations of the episodes that ended in the last step.
@@ -137,6 +138,7 @@ impl<T> Environments<T> {
             task_rows: &mut self.task_rows,
             lanes: &mut self.lanes,
             lane_params: &mut self.lane_params,
+            conditions: self.conditions.slices(),
             warm_starts: &mut self.warm_starts,
             clearance_caches: &mut self.clearance_caches,
             finals: &mut self.finals,
@@ -145,7 +147,8 @@ impl<T> Environments<T> {
 
     /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
-        let Self { slots, blocks, task_rows, lanes, lane_params, warm_starts, clearance_caches, finals } = self;
+        let Self { slots, blocks, task_rows, lanes, lane_params, conditions, warm_starts, .. } = self;
+        let Self { clearance_caches, finals, .. } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
@@ -154,6 +157,7 @@ impl<T> Environments<T> {
             + size_of_val(&task_rows[..])
             + size_of_val(&lanes[..])
             + size_of_val(&lane_params[..])
+            + conditions.bytes()
             + size_of_val(&warm_starts[..])
             + size_of_val(&clearance_caches[..])
             + size_of_val(&finals[..]);
@@ -178,6 +182,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub task_rows: &'a mut [Row],
     pub lanes: &'a mut [Lanes],
     pub lane_params: &'a mut [LaneParams],
+    pub conditions: ConditionSlices<'a>,
     pub warm_starts: &'a mut [f64],
     pub clearance_caches: &'a mut [ClearanceCache],
     pub finals: &'a mut [f32],
@@ -202,7 +207,7 @@ pub(super) struct ImageSlices<'a> {
 }
 
 /// Splits a slice at an index. Both parts of an empty slice are empty.
-fn cut<X>(slice: &mut [X], at: usize) -> (&mut [X], &mut [X]) {
+pub(super) fn cut<X>(slice: &mut [X], at: usize) -> (&mut [X], &mut [X]) {
     let at = at.min(slice.len());
     slice.split_at_mut(at)
 }
@@ -217,6 +222,17 @@ impl<'a, T> Shard<'a, T> {
     pub fn keep_final(&mut self, model: &BatchModel, index: usize) {
         let row = model.observation_size * index..model.observation_size * (index + 1);
         self.envs.finals[row.clone()].copy_from_slice(&self.step.observations[row]);
+    }
+
+    /// Computes the commands that reach the motors of a block during a control step, if any arrive late.
+    pub fn delay_commands(&mut self, model: &BatchModel, block: usize, count: usize) {
+        let range = block * model.drones..(block + 1) * model.drones;
+        let EnvSlices { lanes, lane_params, conditions, blocks, .. } = &mut self.envs;
+        let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[range.clone()] };
+        let motors = conditions.block(block, model.drones).motors.iter_mut();
+        for ((motors, lanes), lane_params) in motors.zip(&mut lanes[range]).zip(lane_params) {
+            motors.arrive(lanes, lane_params, &blocks[block].steps, count, model.substeps);
+        }
     }
 
     /// Splits `blocks` blocks off the front.
@@ -241,17 +257,29 @@ impl<'a, T> EnvSlices<'a, T> {
         let (task_rows, task_rows2) = cut(self.task_rows, blocks * model.task_rows);
         let (lanes, lanes2) = cut(self.lanes, blocks * drones);
         let (lane_params, lane_params2) = cut(self.lane_params, blocks * drones);
+        let (conditions, conditions2) = self.conditions.split(blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
         let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
         (
-            Self { slots, blocks: block_states, task_rows, lanes, lane_params, warm_starts, clearance_caches, finals },
+            Self {
+                slots,
+                blocks: block_states,
+                task_rows,
+                lanes,
+                lane_params,
+                conditions,
+                warm_starts,
+                clearance_caches,
+                finals,
+            },
             Self {
                 slots: slots2,
                 blocks: block_states2,
                 task_rows: task_rows2,
                 lanes: lanes2,
                 lane_params: lane_params2,
+                conditions: conditions2,
                 warm_starts: warm_starts2,
                 clearance_caches: clearance_caches2,
                 finals: finals2,
@@ -268,19 +296,19 @@ impl<'a, T> EnvSlices<'a, T> {
         let Some(data) = slot.data.as_deref().or(data) else { return };
         let lanes = &mut self.lanes[index / LANES * drones..][..drones];
         data.write_lane(lanes, lane);
-        block.steps[lane] = data.control_steps() as f64;
+        block.steps[lane] = data.control_steps();
         let warm_start = data.warm_start();
         block.in_mujoco[lane] = warm_start.is_some();
         if let Some(warm_start) = warm_start {
             self.warm_starts[6 * drones * index..][..6 * drones].copy_from_slice(warm_start);
         }
-        if let Some(simulation) = parameters {
-            block.noisy[lane] = slot.episode.has_noisy_sensors();
-            block.fits_lanes[lane] = model.flow.is_some() && data.fits_lanes();
-            if !self.lane_params.is_empty() {
-                let lane_params = &mut self.lane_params[index / LANES * drones..][..drones];
-                data.write_lane_params(&simulation.model, lane_params, lane);
-            }
+        let mut conditions = self.conditions.block(index / LANES, drones);
+        conditions.set(lane, data, &slot.episode, model.substeps, parameters.is_some());
+        if let Some(simulation) = parameters
+            && !self.lane_params.is_empty()
+        {
+            let lane_params = &mut self.lane_params[index / LANES * drones..][..drones];
+            data.write_lane_params(&simulation.model, lane_params, lane);
         }
     }
 
@@ -290,7 +318,9 @@ impl<'a, T> EnvSlices<'a, T> {
         let lanes = &self.lanes[index / LANES * drones..][..drones];
         let warm_start = block.in_mujoco[lane].then(|| &self.warm_starts[6 * drones * index..][..6 * drones]);
         let data = self.slots[index].data.as_deref_mut().unwrap_or(shared);
-        data.read_lane(lanes, lane, block.steps[lane] as u64, warm_start);
+        data.read_lane(lanes, lane, block.steps[lane], warm_start);
+        let conditions = self.conditions.block(index / LANES, drones);
+        conditions.read(lane, data, block.steps[lane], model.substeps);
     }
 
     /// Writes the task of an environment to its rows.

@@ -4,13 +4,19 @@
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-use super::shard::{BatchModel, Shard};
+use super::conditions::ConditionSlices;
+use super::delays::StateDelays;
+use super::shard::{BatchModel, EnvSlices, Shard};
 use super::{Autoreset, OnFault};
 use crate::engine::flight::{
-    Extras, Flow, LANES, LaneParams, Lanes, Row, advance_with, compute_downwash, compute_rpys, find_apart, find_clear,
+    Extras, Flow, LANES, LaneParams, Lanes, advance_with, compute_downwash, compute_rpys, find_apart, find_clear,
     set_commands, set_targets,
 };
-use crate::env::{Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Task};
+use crate::env::{
+    Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Sensing, SensorLanes, Task,
+};
+use crate::math::Row;
+use crate::physics::wind::WindLanes;
 use crate::simulation::{SimData, SimView};
 use crate::state::DroneState;
 use crate::wrappers::VelocityFilter;
@@ -40,6 +46,10 @@ pub(super) struct Worker<T> {
     actions: Vec<[Row; 4]>,
     /// Lanes of a block before the step, for environments that do not fly in lanes.
     saved: Vec<Lanes>,
+    /// Wind of a block before the step.
+    saved_wind: Vec<WindLanes>,
+    /// States of a block that the sensors observe.
+    seen: Vec<Lanes>,
     /// Bound of the travel of every drone of a block, m; see [`Extras::travel`].
     travels: Vec<Row>,
     step_kinds: [StepKind; LANES],
@@ -66,6 +76,8 @@ impl<T: Task> Worker<T> {
             grounded: vec![env.simulation.snapshot(); LANES],
             actions: vec![[[0.0; LANES]; 4]; drones],
             saved: vec![Lanes::default(); drones],
+            saved_wind: Vec::new(),
+            seen: vec![Lanes::default(); drones],
             travels: vec![[0.0; LANES]; drones],
             step_kinds: [StepKind::Fly; LANES],
             errors: Default::default(),
@@ -85,6 +97,7 @@ impl<T: Task> Worker<T> {
         for block in 0..count.div_ceil(LANES) {
             let range = block * LANES..count.min((block + 1) * LANES);
             let fits_lanes = self.decode(model, shard, range.clone());
+            shard.delay_commands(model, block, range.len());
             let flew = self.advance(model, shard, range.clone(), &fits_lanes);
             let done = self.evaluate_lanes(model, shard, range.clone(), &flew);
             for index in range.filter(|index| !done[index % LANES]) {
@@ -99,8 +112,8 @@ impl<T: Task> Worker<T> {
         let (count, start, size) = (range.len(), range.start, model.action_size);
         let block = &mut shard.envs.blocks[start / LANES];
         block.ended = [false; LANES];
-        let mut fits_lanes = block.fits_lanes;
-        fits_lanes[count..].fill(false);
+        let mut fits_lanes = [false; LANES];
+        fits_lanes[..count].fill(model.flow.is_some());
         // with `OnFault::Error`, `check_actions` has rejected actions that are not finite before the step
         let usual = model.on_fault == OnFault::Error && block.running[..count].iter().all(|running| *running);
         self.step_kinds = [StepKind::Fly; LANES];
@@ -164,7 +177,7 @@ impl<T: Task> Worker<T> {
                 None => return StepKind::Fly,
                 Some(entry) => {
                     let steps = shard.envs.blocks[index / LANES].steps[index % LANES];
-                    let time = steps * model.control_period;
+                    let time = steps as f64 * model.control_period;
                     EnvError::Action { index: entry, got: f64::from(action[entry]), time }
                 }
             },
@@ -314,17 +327,27 @@ impl<T: Task> Worker<T> {
         let (start, count) = (range.start, range.len());
         let clear = self.find_clear(model, flow, shard, range.clone(), fits_lanes);
         let checked = clear != *fits_lanes;
-        let (lanes, lane_params) = lanes_and_params(model, shard, start);
+        let drones = model.drones;
+        let block_range = start / LANES * drones..(start / LANES + 1) * drones;
+        let EnvSlices { lanes, lane_params, conditions, .. } = &mut shard.envs;
+        let lanes = &mut lanes[block_range.clone()];
+        let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[block_range] };
+        let ConditionSlices { wind, motors, states, .. } = conditions.block(start / LANES, drones);
         let all = !checked && fits_lanes[..count].iter().all(|fits| *fits);
         if !all {
             // the kernel advances all lanes, therefore the others are restored afterwards
             self.saved.clone_from_slice(lanes);
+            wind.clone_into(&mut self.saved_wind);
             self.travels.fill([0.0; LANES]);
         }
         let mut advance = |lanes: &mut [Lanes], steps: Range<u32>| {
             for (drone, (lanes, lane_params)) in lanes.iter_mut().zip(lane_params).enumerate() {
-                let travel = checked.then_some(&mut self.travels[drone]);
-                let mut extras = Extras { travel, ..Extras::default() };
+                let mut extras = Extras {
+                    wind: wind.get_mut(drone).filter(|wind| wind.is_windy()),
+                    late: motors.get(drone).filter(|motors| motors.is_late()).map(|motors| &motors.late),
+                    record: states.get_mut(drone).filter(|states| states.is_late()).map(|states| &mut states.record),
+                    travel: checked.then_some(&mut self.travels[drone]),
+                };
                 advance_with(flow, lanes, lane_params, &mut extras, count, steps.clone());
             }
         };
@@ -346,10 +369,14 @@ impl<T: Task> Worker<T> {
             for lane in (0..count).filter(|&lane| !flew[lane]) {
                 lanes.iter_mut().zip(&self.saved).for_each(|(lanes, saved)| lanes.copy_lane(lane, saved));
             }
+            let wind = shard.envs.conditions.block(start / LANES, drones).wind;
+            for lane in (0..count).filter(|&lane| !flew[lane]) {
+                wind.iter_mut().zip(&self.saved_wind).for_each(|(wind, saved)| wind.copy_lane(lane, saved));
+            }
         }
         let block = &mut shard.envs.blocks[start / LANES];
         for lane in (0..count).filter(|&lane| flew[lane]) {
-            block.steps[lane] += 1.0;
+            block.steps[lane] += 1;
             block.in_mujoco[lane] = false;
             self.flown += u64::from(model.substeps);
         }
@@ -370,6 +397,21 @@ impl<T: Task> Worker<T> {
             return done;
         }
         let (start, count) = (range.start, range.len());
+        let conditions = shard.envs.conditions.block(start / LANES, model.drones);
+        let noisy = conditions.sensors.iter().any(SensorLanes::is_inexact);
+        let late = conditions.states.iter().any(StateDelays::is_late);
+        let (lanes, _) = lanes_and_params(model, shard, start);
+        if noisy || late {
+            self.seen.clone_from_slice(lanes);
+        }
+        if late {
+            let steps = shard.envs.blocks[start / LANES].steps;
+            let lanes = &shard.envs.lanes[start / LANES * model.drones..][..model.drones];
+            let states = shard.envs.conditions.block(start / LANES, model.drones).states;
+            for ((states, lanes), seen) in states.iter_mut().zip(lanes).zip(&mut self.seen) {
+                states.observe(lanes, seen, &steps, flew, model.substeps);
+            }
+        }
         let Some(functions) = self.functions else {
             let (lanes, _) = lanes_and_params(model, shard, start);
             lanes.iter_mut().for_each(|lanes| compute_rpys(model.width, lanes, count));
@@ -377,7 +419,10 @@ impl<T: Task> Worker<T> {
         };
         let (mut rewards, mut events) = ([0.0; LANES], [0.0; LANES]);
         let block = &mut shard.envs.blocks[start / LANES];
+        let sensors = shard.envs.conditions.block(start / LANES, model.drones).sensors;
+        let sensing = (noisy || late).then_some(Sensing { sensors, seen: &mut self.seen });
         (functions.evaluate)(LaneStep {
+            sensing,
             width: model.width,
             count,
             lanes: &mut shard.envs.lanes[start / LANES * model.drones..][..model.drones],
@@ -391,7 +436,7 @@ impl<T: Task> Worker<T> {
             observation: &mut self.observations,
         });
         for lane in 0..count {
-            done[lane] = flew[lane] && !block.noisy[lane] && events[lane] <= 0.0;
+            done[lane] = flew[lane] && events[lane] <= 0.0;
         }
         let size = model.observation_size;
         if done[..count].iter().all(|done| *done) {
@@ -495,7 +540,7 @@ impl<T: Task> Worker<T> {
         faults: &Faults,
     ) {
         let (lane, block) = (index % LANES, &mut shard.envs.blocks[index / LANES]);
-        let (steps, reward) = (block.steps[lane] as u64, block.rewards[lane]);
+        let (steps, reward) = (block.steps[lane], block.rewards[lane]);
         (block.ended[lane], block.running[lane]) = (true, false);
         let slot = &mut shard.envs.slots[index];
         slot.summary = Some(EpisodeSummary { end: Some(reason), success, steps, reward });

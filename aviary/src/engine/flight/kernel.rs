@@ -4,11 +4,12 @@ use pulp::{Simd, WithSimd};
 
 use super::Width;
 use super::body::Push;
-use super::lanes::{LANES, LaneParams, Lanes, Part, Row, clamped};
-use crate::math::{Pack, Real, V3};
+use super::lanes::{LANES, LaneParams, Lanes, Part, clamped};
+use crate::math::{Pack, Real, Row, V3};
 use crate::physics::downwash::Wake;
 use crate::physics::drag;
 use crate::physics::ground_effect::GroundEffect;
+use crate::physics::wind::WindLanes;
 use crate::world::placement::{sphere_clearance, sphere_floor_clearance};
 
 /// Options of [`advance`].
@@ -31,6 +32,8 @@ pub struct Flow {
 /// What only some flights need in addition to [`Flow`], for one drone of a block.
 #[derive(Debug, Default)]
 pub(crate) struct Extras<'a> {
+    /// Wind.
+    pub wind: Option<&'a mut WindLanes>,
     /// Commands that arrive late.
     pub late: Option<&'a LateCommands>,
     /// Receives the state at one of the physics steps.
@@ -89,7 +92,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
         let Self { flow, lanes, lane_params, extras, count, steps } = self;
         let general = MODE == mode::GENERAL;
         let with_lag = MODE == mode::LAG || general && flow.lag;
-        let with_air = MODE == mode::AIR || general && flow.air;
+        let with_air = MODE == mode::AIR || general && (flow.air || extras.wind.is_some());
         for part in Part::first(simd, count) {
             let (body, rotors) = (part.body(lane_params), part.rotors(lane_params));
             let target = part.get4(&lanes.target);
@@ -133,7 +136,13 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                         coefficient: part.get(&lane_params.ground[0]),
                         clip: part.get(&lane_params.ground[1]),
                     };
-                    let (mut sum, air) = (part.get3(&lanes.force), part.get3(&lanes.air));
+                    let (mut sum, air) = match &mut extras.wind {
+                        Some(wind) if general => {
+                            let (simd, index) = part.register();
+                            wind.advance(simd, index, motion.position.z, motion.velocity)
+                        }
+                        _ => (part.get3(&lanes.force), part.get3(&lanes.air)),
+                    };
                     if MEDIUM && <Pack<S> as Real>::any(none.less(air.dot(air))) {
                         sum = sum + body.medium_change(&motion.attitude, motion.velocity, air);
                     }
@@ -188,7 +197,7 @@ pub(crate) fn advance_with(
             }
         }};
     }
-    let usual = extras.late.is_none() && extras.record.is_none() && extras.travel.is_none();
+    let usual = extras.wind.is_none() && extras.late.is_none() && extras.record.is_none() && extras.travel.is_none();
     // the most common flights have specialized kernels
     match (flow.body_fixed, flow.medium) {
         (false, false) if usual && !flow.air && !flow.lag => go!(false, false, mode::PLAIN),

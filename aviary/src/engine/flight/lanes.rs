@@ -4,7 +4,7 @@ use pulp::Simd;
 use super::FreeBody;
 use super::body::{FlightState, Fluid, Push};
 use super::reach_bound::ReachBound;
-use crate::math::{Pack, Real, Turn, V3};
+use crate::math::{Pack, Real, Row, Turn, V3};
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
@@ -12,10 +12,7 @@ use crate::state::{DroneState, wxyz};
 use crate::world::placement::CollisionCylinder;
 
 /// Number of drones in one set of lanes.
-pub const LANES: usize = 8;
-
-/// One number per lane.
-pub(crate) type Row = [f64; LANES];
+pub const LANES: usize = crate::math::LANES;
 
 /// Parameters of one drone in [`LaneParams`]; constant during a control step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -277,6 +274,12 @@ pub(crate) struct Part<S: Simd> {
 }
 
 impl<S: Simd> Part<S> {
+    /// Returns the instruction set and the index of the register.
+    #[inline(always)]
+    pub(crate) fn register(self) -> (S, usize) {
+        (self.simd, self.index)
+    }
+
     /// Returns the accessors of the registers that hold the first `count` lanes.
     #[inline(always)]
     pub(crate) fn first(simd: S, count: usize) -> impl Iterator<Item = Self> {
@@ -328,7 +331,7 @@ impl<S: Simd> Part<S> {
     }
 
     #[inline(always)]
-    pub(super) fn put_motion(self, lanes: &mut Lanes, motion: &FlightState<Pack<S>>) {
+    pub(crate) fn put_motion(self, lanes: &mut Lanes, motion: &FlightState<Pack<S>>) {
         self.put3(&mut lanes.position, motion.position);
         let [w, x, y, z] = &mut lanes.attitude;
         self.put(w, motion.attitude.w);
@@ -376,6 +379,12 @@ impl<S: Simd> Part<S> {
     #[inline(always)]
     pub(crate) fn rpy(self, lanes: &Lanes) -> V3<Pack<S>> {
         self.get3(&lanes.rpy)
+    }
+
+    /// Writes roll, pitch and yaw, rad.
+    #[inline(always)]
+    pub(crate) fn put_rpy(self, lanes: &mut Lanes, rpy: V3<Pack<S>>) {
+        self.put3(&mut lanes.rpy, rpy);
     }
 
     /// Computes roll, pitch and yaw.

@@ -16,7 +16,7 @@ pub(crate) use body::FlightState;
 pub use body::FreeBody;
 pub(crate) use kernel::{Decoding, Extras, LateCommands, Record, advance_with, find_apart, set_commands, set_targets};
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
+pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};
-pub(crate) use lanes::{Part, Row};
 pub use reach_bound::ReachBound;
 pub use width::Width;

@@ -71,6 +71,12 @@ impl WindLanes {
         field.set_local(drone, self.state.map(|row| row[lane]), self.steps[lane]);
     }
 
+    /// Copies the state and the clock of a lane of other lanes.
+    pub fn copy_lane(&mut self, lane: usize, other: &Self) {
+        self.state.update(&other.state.map(|row| row[lane]), |row, number| row[lane] = number);
+        self.steps[lane] = other.steps[lane];
+    }
+
     /// Returns true if any lane has wind. Without wind the results of [`advance`](Self::advance) are zero.
     pub fn is_windy(&self) -> bool {
         self.windy.contains(&true)

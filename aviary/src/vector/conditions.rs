@@ -1,0 +1,173 @@
+//! Conditions in lanes that only some batches have: wind, sensor errors, latencies.
+
+use super::delays::{MotorDelays, StateDelays};
+use super::shard::{BatchModel, cut};
+use crate::env::{Episode, SensorLanes};
+use crate::math::Row;
+use crate::physics::wind::WindLanes;
+use crate::simulation::SimData;
+
+/// Conditions that environments need.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Needs {
+    pub wind: bool,
+    pub sensors: bool,
+    /// Largest latency of the motors, physics steps.
+    pub motors: u32,
+    /// Largest latency of the observed states, physics steps.
+    pub states: u32,
+}
+
+impl Needs {
+    /// Returns the needs of an environment, in this episode and in those that its randomization can sample.
+    pub fn of<T>(episode: &Episode<T>, data: &SimData, dt: f64) -> Self {
+        let [motors, states] = data.latencies();
+        let mut needs = Self { wind: data.wind_field().is_some(), sensors: false, motors, states };
+        let steps = |seconds: f64| (seconds / dt).round() as u32;
+        for config in episode.randomizations() {
+            needs.wind |= config.draws_wind();
+            needs.motors = needs.motors.max(config.actuators.map_or(0, |ranges| steps(ranges.latency[1])));
+            if let Some(ranges) = &config.sensors {
+                needs.sensors = true;
+                needs.states = needs.states.max(steps(ranges.latency[1]));
+            }
+        }
+        needs
+    }
+
+    /// Returns the needs of both.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            wind: self.wind || other.wind,
+            sensors: self.sensors || other.sensors,
+            motors: self.motors.max(other.motors),
+            states: self.states.max(other.states),
+        }
+    }
+}
+
+/// Conditions of every block and drone. A list is empty if no environment needs it.
+#[derive(Debug, Default)]
+pub(super) struct ConditionLanes {
+    pub needs: Needs,
+    wind: Vec<WindLanes>,
+    sensors: Vec<SensorLanes>,
+    motors: Vec<MotorDelays>,
+    states: Vec<StateDelays>,
+}
+
+impl ConditionLanes {
+    /// Extends the lists for more needs. `steps` are the control steps of every block.
+    pub fn extend(&mut self, needs: Needs, model: &BatchModel, steps: &[Row<u64>]) {
+        let (count, substeps) = (steps.len() * model.drones, model.substeps);
+        let needs = self.needs.and(needs);
+        if needs.wind {
+            self.wind.resize_with(count, || WindLanes::new(model.dt));
+        }
+        if needs.sensors {
+            self.sensors.resize_with(count, SensorLanes::default);
+        }
+        if needs.motors > self.needs.motors {
+            self.motors.resize_with(count, || MotorDelays::new(0, substeps));
+            for (motors, steps) in self.motors.chunks_exact_mut(model.drones).zip(steps) {
+                motors.iter_mut().for_each(|motors| motors.grow(needs.motors, substeps, steps));
+            }
+        }
+        if needs.states > self.needs.states {
+            self.states.resize_with(count, || StateDelays::new(0, substeps));
+            self.states.iter_mut().for_each(|states| states.grow(needs.states, substeps));
+        }
+        self.needs = needs;
+    }
+
+    pub fn slices(&mut self) -> ConditionSlices<'_> {
+        let Self { wind, sensors, motors, states, .. } = self;
+        ConditionSlices { wind, sensors, motors, states }
+    }
+
+    /// Returns the size in bytes.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&self.wind[..])
+            + size_of_val(&self.sensors[..])
+            + size_of_val(&self.motors[..])
+            + size_of_val(&self.states[..])
+            + self.motors.iter().map(MotorDelays::bytes).sum::<usize>()
+            + self.states.iter().map(StateDelays::bytes).sum::<usize>()
+    }
+}
+
+/// Slices of [`ConditionLanes`].
+pub(super) struct ConditionSlices<'a> {
+    pub wind: &'a mut [WindLanes],
+    pub sensors: &'a mut [SensorLanes],
+    pub motors: &'a mut [MotorDelays],
+    pub states: &'a mut [StateDelays],
+}
+
+impl<'a> ConditionSlices<'a> {
+    pub fn split(self, at: usize) -> (Self, Self) {
+        let (wind, wind2) = cut(self.wind, at);
+        let (sensors, sensors2) = cut(self.sensors, at);
+        let (motors, motors2) = cut(self.motors, at);
+        let (states, states2) = cut(self.states, at);
+        (
+            Self { wind, sensors, motors, states },
+            Self { wind: wind2, sensors: sensors2, motors: motors2, states: states2 },
+        )
+    }
+
+    /// Returns the conditions of one block.
+    pub fn block(&mut self, block: usize, drones: usize) -> ConditionSlices<'_> {
+        fn part<X>(list: &mut [X], block: usize, drones: usize) -> &mut [X] {
+            if list.is_empty() { list } else { &mut list[block * drones..][..drones] }
+        }
+        ConditionSlices {
+            wind: part(self.wind, block, drones),
+            sensors: part(self.sensors, block, drones),
+            motors: part(self.motors, block, drones),
+            states: part(self.states, block, drones),
+        }
+    }
+
+    /// Sets a lane of one block to the state of an environment: wind and latencies, and, if `parameters` is set, also
+    /// the sensors.
+    pub fn set<T>(&mut self, lane: usize, data: &SimData, episode: &Episode<T>, substeps: u32, parameters: bool) {
+        for (drone, wind) in self.wind.iter_mut().enumerate() {
+            match data.wind_field() {
+                Some(field) => wind.set(lane, field, drone),
+                None if parameters => wind.clear(lane),
+                None => {}
+            }
+        }
+        for (drone, motors) in self.motors.iter_mut().enumerate() {
+            motors.set(lane, data, drone, substeps);
+        }
+        for (drone, states) in self.states.iter_mut().enumerate() {
+            states.set(lane, data, drone, substeps);
+        }
+        if parameters {
+            for (drone, sensors) in self.sensors.iter_mut().enumerate() {
+                match episode.randomizer() {
+                    Some(randomizer) => sensors.set(lane, randomizer, drone),
+                    None => sensors.clear(lane),
+                }
+            }
+        }
+    }
+
+    /// Reads wind and latencies of a lane of one block.
+    pub fn read(&self, lane: usize, data: &mut SimData, control_steps: u64, substeps: u32) {
+        if let Some(field) = data.wind_field_mut() {
+            for (drone, wind) in self.wind.iter().enumerate() {
+                wind.read(lane, field, drone);
+            }
+        }
+        for (drone, motors) in self.motors.iter().enumerate() {
+            data.set_queued_commands(drone, motors.queue(lane, control_steps, substeps));
+        }
+        for (drone, states) in self.states.iter().enumerate() {
+            data.set_recorded_states(drone, states.states(lane, substeps));
+        }
+    }
+}
