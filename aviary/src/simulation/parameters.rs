@@ -28,7 +28,7 @@ impl SimData {
             let (rpm, rotors) = (motors.max_rpm(), &drone.rotors);
             let speeds = [rpm; 4];
             let mut force = rotors.wrench(&speeds).thrust;
-            let slowing = if effects.drag {
+            let mut slowing = if effects.drag {
                 let slope = params.drag_coefficients.into_iter().fold(0.0, f64::max);
                 slope * 4.0 * rpm * (std::f64::consts::TAU / 60.0) / params.mass
             } else {
@@ -40,9 +40,13 @@ impl SimData {
             if effects.downwash {
                 force += wakes;
             }
-            if self.wind.is_some() {
-                // the force of a gust has no useful bound
-                force = f64::INFINITY;
+            let mut quadratic = 0.0;
+            if let Some(wind) = &self.wind {
+                let bound = wind.config().bound(params.drag_area());
+                // a moving medium exerts further forces
+                force += if world.medium.is_some() { f64::INFINITY } else { bound[0] };
+                slowing += bound[1] / params.mass;
+                quadratic = bound[2] / params.mass;
             }
             let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
             let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
@@ -50,7 +54,7 @@ impl SimData {
                 mass: params.mass,
                 inertia,
                 free,
-                reach_bound: ReachBound::new(&free, 0.0, force / params.mass, torque, slowing),
+                reach_bound: ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]),
             }
         };
         self.bodies.drones.clear();

@@ -81,7 +81,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             return Err(EnvError::Option { option: "threads", got, expected: "up to 1024" });
         }
         /// Number of environments in lanes that keeps a thread busy for longer than it takes to wake.
-        const WORTH_A_THREAD: usize = 256;
+        const WORTH_A_THREAD: usize = 64;
         let builder = builder.engine_or(EngineKind::Hybrid);
         let make = || -> Result<Aviary<T>, EnvError> {
             let mut env = builder.clone().build()?;

@@ -15,6 +15,7 @@ mod curriculum;
 mod delays;
 mod pool;
 mod shard;
+mod threads;
 mod worker;
 
 pub use batch::VecAviary;

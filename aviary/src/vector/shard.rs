@@ -342,7 +342,8 @@ impl<'a, T> EnvSlices<'a, T> {
 
     /// Reads the task of an environment from its rows.
     pub fn load_task(&mut self, model: &BatchModel, functions: Option<LaneFunctions<T>>, index: usize) {
-        let Some(functions) = functions else { return };
+        // a task without an episode has no state
+        let Some(functions) = functions.filter(|_| self.slots[index].started) else { return };
         let rows = &self.task_rows[index / LANES * model.task_rows..][..model.task_rows];
         for (drone, rows) in rows.chunks_exact(functions.rows).enumerate() {
             let numbers: SmallVec<[f64; 32]> = rows.iter().map(|row| row[index % LANES]).collect();

@@ -92,7 +92,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
         let Self { flow, lanes, lane_params, extras, count, steps } = self;
         let general = MODE == mode::GENERAL;
         let with_lag = MODE == mode::LAG || general && flow.lag;
-        let with_air = MODE == mode::AIR || general && (flow.air || extras.wind.is_some());
+        let with_air = MODE == mode::AIR || general && flow.air;
         for part in Part::first(simd, count) {
             let (body, rotors) = (part.body(lane_params), part.rotors(lane_params));
             let target = part.get4(&lanes.target);
@@ -131,11 +131,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                     rpm = arrived;
                 }
                 (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
-                if with_air {
-                    let ground = GroundEffect {
-                        coefficient: part.get(&lane_params.ground[0]),
-                        clip: part.get(&lane_params.ground[1]),
-                    };
+                if with_air || general && extras.wind.is_some() {
                     let (mut sum, air) = match &mut extras.wind {
                         Some(wind) if general => {
                             let (simd, index) = part.register();
@@ -146,10 +142,16 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                     if MEDIUM && <Pack<S> as Real>::any(none.less(air.dot(air))) {
                         sum = sum + body.medium_change(&motion.attitude, motion.velocity, air);
                     }
-                    sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
-                    let relative = motion.velocity - air;
-                    sum = sum + drag::push(part.get3(&lane_params.drag), &motion.attitude, &rpm, relative);
-                    sum.z = sum.z + part.get(&lanes.downwash);
+                    if with_air {
+                        let ground = GroundEffect {
+                            coefficient: part.get(&lane_params.ground[0]),
+                            clip: part.get(&lane_params.ground[1]),
+                        };
+                        sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
+                        let relative = motion.velocity - air;
+                        sum = sum + drag::push(part.get3(&lane_params.drag), &motion.attitude, &rpm, relative);
+                        sum.z = sum.z + part.get(&lanes.downwash);
+                    }
                     push.force = sum;
                 }
                 if general && let Some(travel) = &mut extras.travel {

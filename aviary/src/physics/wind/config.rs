@@ -159,6 +159,22 @@ impl WindConfig {
             || self.model.has(WindModel::Dryden) && self.turbulence > 0.0
     }
 
+    /// Returns coefficients that bound the force (N) on an airframe of a drag area (m²) at a speed v (m/s):
+    /// c₀ + c₁·v + c₂·v². They are infinite for turbulence, whose velocity has no useful bound.
+    pub(crate) fn bound(&self, drag_area: f64) -> [f64; 3] {
+        let has = |part| self.model.has(part);
+        if has(WindModel::Dryden) && self.turbulence > 0.0 {
+            return [f64::INFINITY, 0.0, 0.0];
+        }
+        let air = if has(WindModel::Constant) { nalgebra::Vector3::from(self.velocity).norm() } else { 0.0 };
+        let drag = if self.has_drag() { 0.5 * self.air_density * drag_area } else { 0.0 };
+        let gust = if has(WindModel::Gust) { self.gust_force } else { 0.0 };
+        // A·(sin, cos, 0.6·sin·cos) is at most A·√1.09 long
+        let sinusoidal = if has(WindModel::Sinusoidal) { 1.05 * self.sinusoidal_force } else { 0.0 };
+        // a margin for rounding
+        [drag * air * air + gust + sinusoidal, 2.0 * drag * air, drag].map(|x| x * 1.000_001)
+    }
+
     /// Returns true if a flight with these settings is equal to a flight without wind.
     ///
     /// ```
