@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use rand::SeedableRng as _;
 use smallvec::SmallVec;
 
@@ -79,6 +81,12 @@ impl<T> Episode<T> {
     pub(crate) fn randomizations(&self) -> impl Iterator<Item = &Randomization> {
         let next = self.next_randomization.iter().flatten().map(|config| &**config);
         self.randomizer.iter().map(|randomizer| &*randomizer.config).chain(next)
+    }
+
+    /// Returns true if this episode and the next one have the same randomization as another episode.
+    pub(crate) fn shares_randomization(&self, other: &Self) -> bool {
+        let config = |episode: &Self| episode.randomizer.as_ref().map(|randomizer| Arc::as_ptr(&randomizer.config));
+        self.next_randomization.is_none() && config(self) == config(other)
     }
 
     /// Returns the sampled parameters, if there are any.

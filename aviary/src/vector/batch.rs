@@ -168,10 +168,13 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let env = &mut worker.env;
         let shares = environments.slots[environment].data.is_none();
         if shares {
-            environments.slots[environment].data = Some(Box::new(env.simulation.snapshot()));
+            let mut data = Box::new(env.simulation.snapshot());
+            environments.slices().load(model, &env.simulation.model, environment, &mut data);
+            environments.slots[environment].data = Some(data);
+        } else {
+            environments.slices().load(model, &env.simulation.model, environment, &mut env.simulation.data);
         }
-        // `data` belongs to the environment now, so that nothing is loaded into the shared data
-        environments.slices().load(model, environment, &mut env.simulation.data);
+        let before = environments.slots[environment].data.clone().filter(|_| shares);
         environments.slices().load_task(model, functions, environment);
         let slot = &mut environments.slots[environment];
         let mut exchange = |env: &mut Aviary<T>| {
@@ -189,16 +192,18 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         if let Some(own) = &mut slot.data {
             own.refresh(&env.simulation.model);
         }
-        let same = shares && slot.data.as_ref().is_some_and(|own| own.has_parameters_of(&env.simulation.data));
-        // the next reset writes sampled parameters, which must not reach the shared data
-        let unchanged = same && !slot.episode.is_randomized();
+        let same = |before: &SimData| slot.data.as_ref().is_some_and(|own| own.has_parameters_of(before));
+        // the next reset of a changed randomization writes parameters that must not reach the shared data
+        let unchanged = before.is_some_and(|before| same(&before)) && slot.episode.shares_randomization(&env.episode);
         if !unchanged && environments.lane_params.is_empty() {
             environments.lane_params = model.lane_params.repeat(count.div_ceil(LANES));
         }
         if let (Some(_), Some(data)) = (&model.flow, environments.slots[environment].data.as_deref()) {
             let needs = Needs::of(&environments.slots[environment].episode, data, model.dt);
-            let steps: Vec<_> = environments.blocks.iter().map(|block| block.steps).collect();
-            environments.conditions.extend(needs, model, &steps);
+            if environments.conditions.needs.and(needs) != environments.conditions.needs {
+                let steps: Vec<_> = environments.blocks.iter().map(|block| block.steps).collect();
+                environments.conditions.extend(needs, model, &steps);
+            }
         }
         let mut envs = environments.slices();
         envs.store(model, environment, None, Some(&env.simulation));
@@ -303,8 +308,10 @@ impl<T: Task + Clone> Environments<T> {
     /// Creates copies of the first environment, each with its own random stream.
     fn of(first: &Aviary<T>, model: &BatchModel, count: usize) -> Self {
         let (simulation, drones, flies) = (&first.simulation, model.drones, model.flow.is_some());
-        let individual =
-            first.episode.is_randomized() || first.model.moves_obstacles() || !first.workspace.moving.is_empty();
+        let randomized = first.episode.is_randomized();
+        let individual = first.model.moves_obstacles()
+            || !first.workspace.moving.is_empty()
+            || randomized && !simulation.obstacles().is_empty();
         let memory = first.decoders.iter().any(|decoder| decoder.has_memory());
         let slot = |index: usize| {
             let mut episode = first.episode.clone();
@@ -337,7 +344,7 @@ impl<T: Task + Clone> Environments<T> {
             task_rows: vec![[0.0; LANES]; blocks * model.task_rows],
             lanes,
             conditions,
-            lane_params: if individual { model.lane_params.repeat(blocks) } else { Vec::new() },
+            lane_params: if individual || randomized { model.lane_params.repeat(blocks) } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
             finals: vec![0.0; finals],

@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record};
+use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record, Width, limit_late_targets};
 use crate::math::Row;
 use crate::simulation::SimData;
 use crate::state::{DroneState, attitude_from_wxyz, wxyz};
@@ -82,13 +82,14 @@ impl MotorDelays {
     /// Returns the command of a control step, or the initial one.
     fn get(&self, lane: usize, step: Option<u64>) -> [f64; 4] {
         let index = |step: u64| (step % self.ring.len() as u64) as usize;
-        step.map_or([self.initial[lane]; 4], |step| self.ring[index(step)].map(|row| row[lane]))
+        step.map_or([self.initial[lane]; 4], |step| lane_of(&self.ring[index(step)], lane))
     }
 
     /// Stores the commands of a control step, and computes the target speeds of the rotors from the commands that
     /// arrive during it. `steps` are the control steps before this one.
     pub fn arrive(
         &mut self,
+        width: Width,
         lanes: &mut Lanes,
         lane_params: &LaneParams,
         steps: &Row<u64>,
@@ -99,12 +100,13 @@ impl MotorDelays {
             let step = steps[lane];
             self.put(lane, step, &lanes.command(lane));
             let (whole, rest) = (u64::from(self.steps[lane] / substeps), self.steps[lane] % substeps);
-            let now = lane_params.target(lane, &self.get(lane, step.checked_sub(whole)));
-            let before = lane_params.target(lane, &self.get(lane, step.checked_sub(whole + 1)));
+            let now = self.get(lane, step.checked_sub(whole));
+            let before = self.get(lane, step.checked_sub(whole + 1));
             lanes.set_target(lane, &now);
             self.late.arrival[lane] = f64::from(rest);
             self.late.early.iter_mut().zip(before).for_each(|(row, speed)| row[lane] = speed);
         }
+        limit_late_targets(width, lanes, &mut self.late, lane_params, count);
     }
 
     /// Returns the size on the heap in bytes.
@@ -161,7 +163,7 @@ impl StateDelays {
     pub fn states(&self, lane: usize, substeps: u32) -> impl Iterator<Item = DroneState> {
         let count = if self.steps[lane] == 0 { 0 } else { self.length(lane, substeps) as usize };
         self.ring[..count].iter().map(move |rows| {
-            let [px, py, pz, w, x, y, z, vx, vy, vz, a, b, c] = rows.map(|row| row[lane]);
+            let [px, py, pz, w, x, y, z, vx, vy, vz, a, b, c] = lane_of(rows, lane);
             DroneState {
                 position: Vector3::new(px, py, pz),
                 attitude: attitude_from_wxyz([w, x, y, z]),
@@ -177,11 +179,11 @@ impl StateDelays {
         for lane in (0..LANES).filter(|&lane| flew[lane] && self.steps[lane] > 0) {
             let (length, step) = (self.length(lane, substeps), steps[lane]);
             let at_end = self.steps[lane].is_multiple_of(substeps);
-            let state = if at_end { numbers(&lanes.state(lane)) } else { self.record.state.map(|row| row[lane]) };
+            let state = if at_end { numbers(&lanes.state(lane)) } else { lane_of(&self.record.state, lane) };
             let newest = &mut self.ring[((step - 1) % length) as usize];
             newest.iter_mut().zip(state).for_each(|(row, number)| row[lane] = number);
             let oldest = &self.ring[(step % length) as usize];
-            seen.set_numbers(lane, &oldest.map(|row| row[lane]));
+            seen.set_numbers(lane, &lane_of(oldest, lane));
         }
     }
 
@@ -189,6 +191,12 @@ impl StateDelays {
     pub fn bytes(&self) -> usize {
         size_of_val(&self.ring[..])
     }
+}
+
+/// Returns the numbers of a lane. (The method `map` of arrays would copy all lanes.)
+#[inline]
+fn lane_of<const N: usize>(rows: &[Row; N], lane: usize) -> [f64; N] {
+    std::array::from_fn(|index| rows[index][lane])
 }
 
 fn numbers(state: &DroneState) -> [f64; 13] {

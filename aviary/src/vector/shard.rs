@@ -9,7 +9,7 @@ use crate::engine::ClearanceCache;
 use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, Width};
 use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
 use crate::math::Row;
-use crate::simulation::{SimData, SimView, Simulation};
+use crate::simulation::{SimData, SimModel, SimView, Simulation};
 
 /// Constants that all environments of a batch share.
 #[derive(Debug, Clone)]
@@ -231,7 +231,7 @@ impl<'a, T> Shard<'a, T> {
         let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[range.clone()] };
         let motors = conditions.block(block, model.drones).motors.iter_mut();
         for ((motors, lanes), lane_params) in motors.zip(&mut lanes[range]).zip(lane_params) {
-            motors.arrive(lanes, lane_params, &blocks[block].steps, count, model.substeps);
+            motors.arrive(model.width, lanes, lane_params, &blocks[block].steps, count, model.substeps);
         }
     }
 
@@ -312,12 +312,24 @@ impl<'a, T> EnvSlices<'a, T> {
         }
     }
 
-    /// Reads the data of an environment from its lane, into its own data or into `shared`.
-    pub fn load(&mut self, model: &BatchModel, index: usize, shared: &mut SimData) {
+    /// Reads the data of an environment from its lane, into its own data or into `shared`. Sampled parameters of
+    /// environments without their own data are applied anew.
+    pub fn load(&mut self, model: &BatchModel, sim_model: &SimModel, index: usize, shared: &mut SimData) {
         let (drones, lane, block) = (model.drones, index % LANES, &self.blocks[index / LANES]);
         let lanes = &self.lanes[index / LANES * drones..][..drones];
         let warm_start = block.in_mujoco[lane].then(|| &self.warm_starts[6 * drones * index..][..6 * drones]);
-        let data = self.slots[index].data.as_deref_mut().unwrap_or(shared);
+        let slot = &mut self.slots[index];
+        let data = match slot.data.as_deref_mut() {
+            Some(own) => own,
+            None => {
+                if let Some(randomizer) = slot.episode.randomizer().filter(|_| slot.started) {
+                    // the start of the episode has accepted the parameters
+                    let _ = randomizer.apply(sim_model, shared);
+                    shared.refresh(sim_model);
+                }
+                shared
+            }
+        };
         data.read_lane(lanes, lane, block.steps[lane], warm_start);
         let conditions = self.conditions.block(index / LANES, drones);
         conditions.read(lane, data, block.steps[lane], model.substeps);

@@ -303,7 +303,7 @@ impl<T: Task> Worker<T> {
                 continue;
             }
             let shared = &mut self.grounded[lane];
-            shard.envs.load(model, index, shared);
+            shard.envs.load(model, &self.env.simulation.model, index, shared);
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
             parts.workspace.commands.copy_from_slice(parts.data.motor_speeds());
             if let Err(error) = parts.advance() {
@@ -469,7 +469,7 @@ impl<T: Task> Worker<T> {
         match self.step_kinds[lane] {
             StepKind::Fly => {
                 if flew {
-                    shard.envs.load(model, index, &mut self.grounded[lane]);
+                    shard.envs.load(model, &self.env.simulation.model, index, &mut self.grounded[lane]);
                 }
                 shard.envs.load_task(model, self.functions, index);
                 let slot = &mut shard.envs.slots[index];
@@ -504,7 +504,7 @@ impl<T: Task> Worker<T> {
                 }
             }
             StepKind::Fail => {
-                shard.envs.load(model, index, &mut self.grounded[lane]);
+                shard.envs.load(model, &self.env.simulation.model, index, &mut self.grounded[lane]);
                 if let Some(error) = self.errors[lane].take() {
                     self.fail(model, shard, index, error, faults);
                 }
@@ -641,7 +641,7 @@ impl<T: Task> Worker<T> {
         let [rgb, depth, segmentation] = model.images;
         for index in 0..shard.envs.slots.len() {
             let shared = &mut self.grounded[index % LANES];
-            shard.envs.load(model, index, shared);
+            shard.envs.load(model, &self.env.simulation.model, index, shared);
             let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
             if let Err(error) = parts.observe_images() {
                 report(faults, shard.first + index, error);

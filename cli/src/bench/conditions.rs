@@ -54,18 +54,21 @@ impl Batch {
     }
 }
 
-/// Measures a row of every condition.
-pub(super) fn rows(meter: &mut Meter) -> Result<Vec<Row>, EnvError> {
+/// Measures a row of every condition that is wanted, and of plain flight.
+pub(super) fn rows(meter: &mut Meter, wanted: impl Fn(&str) -> bool) -> Result<Vec<Row>, EnvError> {
     /// Control steps of a measurement.
     const CALLS: usize = 4;
     /// Control steps before the measurements: a second, in which the drones take off.
     const WARM_UP: usize = 48;
     let mut batches = Vec::new();
-    for (name, builder) in conditions() {
+    for (index, (name, builder)) in conditions().into_iter().enumerate() {
+        if index > 0 && !wanted(name) {
+            continue;
+        }
         let mut env = VecAviary::new(builder, VecConfig { threads: 1, width: meter.width, ..VecConfig::new(SIZE) })?;
         let mut buffers = VecBuffers::new(&env);
         env.reset(Some(1), &mut buffers.observations)?;
-        let policy = LinearPolicy::new(meter.seed, SIZE, 1, env.observation_size());
+        let policy = LinearPolicy::new(meter.seed, SIZE, 1, env.observation_size()).gentle();
         let mut batch = Batch { env, buffers, policy, random: name.ends_with("random_actions") };
         batch.step(WARM_UP)?;
         batches.push((name, batch));
@@ -79,6 +82,7 @@ pub(super) fn rows(meter: &mut Meter) -> Result<Vec<Row>, EnvError> {
         let mut ratios = of(&|round| round[index][1]);
         let mut to_plain = of(&|round| round[index][0] / round[0][0]);
         let rate = median(&mut of(&|round| round[index][0])) * per_call;
+        let steps = batch.env.engine_substeps();
         Row {
             name: (*name).into(),
             engine: "hybrid",
@@ -91,6 +95,7 @@ pub(super) fn rows(meter: &mut Meter) -> Result<Vec<Row>, EnvError> {
             physics_steps_per_second: rate * substeps,
             spread: spread(&ratios),
             ratio: median(&mut ratios) * per_call * substeps,
+            mujoco_share: Some(steps.mujoco as f64 / (steps.mujoco + steps.flight) as f64),
             ratio_to_plain: Some([median(&mut to_plain), spread(&to_plain)]),
             ratio_in_contact: None,
             bytes_per_environment: batch.env.bytes_per_env(),

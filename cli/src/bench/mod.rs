@@ -80,6 +80,8 @@ struct Row {
     spread: f64,
     /// Ratio to the row `conditions/plain`, and its spread.
     ratio_to_plain: Option<[f64; 2]>,
+    /// Share of the physics steps that MuJoCo computed.
+    mujoco_share: Option<f64>,
     /// Ratio to bare `mj_step` calls with the same contacts, for the row of resting drones.
     ratio_in_contact: Option<f64>,
     bytes_per_environment: usize,
@@ -145,7 +147,8 @@ impl Bench {
             self.hover_rows(meter, threads, &mut rows)?;
         }
         if self.wants("conditions/") {
-            rows.extend(conditions::rows(meter)?);
+            let wanted = |name: &str| self.only.as_ref().is_none_or(|text| name.contains(text.as_str()));
+            rows.extend(conditions::rows(meter, wanted)?);
         }
         if cores() > 1 && self.wants("processes") {
             let sizes: &[usize] = if self.quick { &[4096] } else { &[64, 256, 1024, 4096] };
@@ -224,6 +227,9 @@ impl Row {
             value["ratio_to_plain"] = json!(ratio);
             value["spread_of_ratio_to_plain"] = json!(spread);
         }
+        if let Some(share) = self.mujoco_share {
+            value["mujoco_share"] = json!(share);
+        }
         if let Some(bytes) = self.resident_bytes {
             value["resident_bytes_per_environment"] = json!(bytes);
         }
@@ -247,7 +253,12 @@ impl Row {
             self.name, self.drones, self.threads, steps, self.physics_steps_per_second, self.ratio, self.spread, bytes
         );
         if let Some([ratio, _]) = self.ratio_to_plain {
-            let _ = write!(text, "  ({ratio:.3} of plain)");
+            let _ = write!(text, "  ({ratio:.3} of plain");
+            let share = self.mujoco_share.unwrap_or(0.0);
+            text.push_str(if share > 0.0 { ", " } else { ")" });
+            if share > 0.0 {
+                let _ = write!(text, "{:.3} % of the steps in MuJoCo)", 100.0 * share);
+            }
         }
         if let Some(ratio) = self.ratio_in_contact {
             let _ = write!(text, "  ({ratio:.2} of mj_step with the same contacts)");

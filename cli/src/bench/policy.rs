@@ -11,6 +11,16 @@ pub(super) struct LinearPolicy {
     noise: u64,
     drones: usize,
     block: usize,
+    gains: Gains,
+}
+
+/// Gains of a linear policy.
+#[derive(Clone, Copy)]
+struct Gains {
+    /// Position and velocity to roll and pitch.
+    level: [f32; 2],
+    /// Roll and pitch, and their rates, to differences of the motors.
+    tilt: [f32; 2],
 }
 
 impl LinearPolicy {
@@ -21,7 +31,13 @@ impl LinearPolicy {
             noise: seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1,
             drones,
             block,
+            gains: Gains { level: [0.2, 0.2], tilt: [0.12, 0.03] },
         }
+    }
+
+    /// Selects gains that are low enough for lag and latencies of 0.1 s altogether.
+    pub(super) fn gentle(self) -> Self {
+        Self { gains: Gains { level: [0.06, 0.1], tilt: [0.012, 0.008] }, ..self }
     }
 
     /// Samples a number uniformly from ±1 (Marsaglia's xorshift).
@@ -58,11 +74,12 @@ impl LinearPolicy {
             let o = &observations[self.block * index..][..12];
             let [x, y, height] =
                 if self.drones == 1 { [0.0, 0.0, 1.0] } else { place(index % self.drones).map(|x| x as f32) };
-            let roll = 0.2 * (o[1] - y) + 0.2 * o[7];
-            let pitch = -0.2 * (o[0] - x) - 0.2 * o[6];
+            let Gains { level: [p, v], tilt: [angle, rate] } = self.gains;
+            let roll = p * (o[1] - y) + v * o[7];
+            let pitch = -p * (o[0] - x) - v * o[6];
             let lift = 0.5 * (height - o[2]) - 0.4 * o[8];
-            let about_x = 0.12 * (roll - o[3]) - 0.03 * o[9];
-            let about_y = 0.12 * (pitch - o[4]) - 0.03 * o[10];
+            let about_x = angle * (roll - o[3]) - rate * o[9];
+            let about_y = angle * (pitch - o[4]) - rate * o[10];
             let about_z = -0.05 * o[5] - 0.05 * o[11];
             for (motor, [x, y, z]) in
                 [[1.0, -1.0, -1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]].into_iter().enumerate()

@@ -115,6 +115,7 @@ pub(super) fn row(meter: &mut Meter, size: usize, count: usize) -> Result<Row, E
         ratio: measured.over_bare * per_call * substeps,
         spread: measured.spread,
         ratio_to_plain: None,
+        mujoco_share: None,
         ratio_in_contact: None,
         bytes_per_environment: 0,
         resident_bytes: None,

@@ -188,8 +188,8 @@ pub(crate) fn advance_with(
 ) {
     macro_rules! go {
         ($fixed:literal, $medium:literal, $mode:expr) => {{
-            // a full block has a kernel of its own, whose loop over the registers is unrolled
-            if count == LANES {
+            // a full block of the usual flights has a kernel of its own, whose loop over the registers is unrolled
+            if count == LANES && $mode != mode::GENERAL {
                 let count = LANES;
                 let work = Substeps::<$fixed, $medium, { $mode }> { flow, lanes, lane_params, extras, count, steps };
                 flow.width.run(LANES, work)
@@ -210,6 +210,41 @@ pub(crate) fn advance_with(
         (true, false) => go!(true, false, mode::GENERAL),
         (true, true) => go!(true, true, mode::GENERAL),
     }
+}
+
+struct LateTargets<'a> {
+    lanes: &'a mut Lanes,
+    late: &'a mut LateCommands,
+    lane_params: &'a LaneParams,
+    count: usize,
+}
+
+impl WithSimd for LateTargets<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { lanes, late, lane_params, count } = self;
+        for part in Part::first(simd, count) {
+            for rows in [&mut lanes.target, &mut late.early] {
+                for (motor, row) in rows.iter_mut().enumerate() {
+                    let target = part.target(lane_params, motor, part.get(row));
+                    part.put(row, target);
+                }
+            }
+        }
+    }
+}
+
+/// Replaces the commands in the rows of target speeds, and the late ones, by the target speeds of the rotors.
+pub(crate) fn limit_late_targets(
+    width: Width,
+    lanes: &mut Lanes,
+    late: &mut LateCommands,
+    lane_params: &LaneParams,
+    count: usize,
+) {
+    width.run(count, LateTargets { lanes, late, lane_params, count });
 }
 
 /// Normalized motor speeds of a control step; see [`set_commands`].

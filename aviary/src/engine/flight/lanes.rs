@@ -120,12 +120,6 @@ impl LaneParams {
         self.max_command[lane]
     }
 
-    /// Returns the target speeds (rpm) of the rotors of a lane under a command (rpm), as `set_targets` computes them.
-    pub(crate) fn target(&self, lane: usize, command: &[f64; 4]) -> [f64; 4] {
-        let max = self.max_rpm[lane];
-        std::array::from_fn(|motor| clamped(command[motor] * self.gains[motor][lane], 0.0, max))
-    }
-
     /// Returns the radius of the sphere around the drone of a lane, m.
     pub(crate) fn reach(&self, lane: usize) -> f64 {
         self.reach_bound[0][lane]
@@ -398,11 +392,17 @@ impl<S: Simd> Part<S> {
     /// [`Actuators::target`](crate::physics::actuators::Actuators::target) does.
     #[inline(always)]
     pub(super) fn set_targets(self, lanes: &mut Lanes, lane_params: &LaneParams) {
-        let max = self.get(&lane_params.max_rpm);
         for motor in 0..4 {
-            let speed = self.get(&lanes.command[motor]) * self.get(&lane_params.gains[motor]);
-            self.put(&mut lanes.target[motor], clamped(speed, max.all(0.0), max));
+            let target = self.target(lane_params, motor, self.get(&lanes.command[motor]));
+            self.put(&mut lanes.target[motor], target);
         }
+    }
+
+    /// Returns the target speed of a rotor under a command, rpm.
+    #[inline(always)]
+    pub(super) fn target(self, lane_params: &LaneParams, motor: usize, command: Pack<S>) -> Pack<S> {
+        let max = self.get(&lane_params.max_rpm);
+        clamped(command * self.get(&lane_params.gains[motor]), max.all(0.0), max)
     }
 
     /// Writes the load of the last physics step.

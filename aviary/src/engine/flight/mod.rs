@@ -14,7 +14,9 @@ mod width;
 
 pub(crate) use body::FlightState;
 pub use body::FreeBody;
-pub(crate) use kernel::{Decoding, Extras, LateCommands, Record, advance_with, find_apart, set_commands, set_targets};
+pub(crate) use kernel::{
+    Decoding, Extras, LateCommands, Record, advance_with, find_apart, limit_late_targets, set_commands, set_targets,
+};
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
 pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};

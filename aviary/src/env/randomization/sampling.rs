@@ -273,6 +273,20 @@ impl Randomizer {
         obstacles_move: bool,
     ) -> Result<(), SimulationError> {
         self.draw(SimView::new(model, data), rng, obstacles_move);
+        self.apply(model, data)?;
+        if self.config.initial.is_some() {
+            for (state, draw) in self.measured.iter_mut().zip(&self.draw.drones) {
+                *state = draw.initial;
+            }
+            data.reset_to(&self.measured)
+        } else {
+            data.reset_unchecked(model);
+            Ok(())
+        }
+    }
+
+    /// Applies the sampled parameters to data with the parameters of any episode.
+    pub(crate) fn apply(&self, model: &SimModel, data: &mut SimData) -> Result<(), SimulationError> {
         let max = |ranges: Option<Range>| ranges.map_or(0.0, |[_, max]| max);
         data.reserve(
             model,
@@ -296,15 +310,7 @@ impl Randomizer {
         if self.config.sensors.is_some() {
             data.remember(model, self.draw.sensor_latency);
         }
-        if self.config.initial.is_some() {
-            for (state, draw) in self.measured.iter_mut().zip(&self.draw.drones) {
-                *state = draw.initial;
-            }
-            data.reset_to(&self.measured)
-        } else {
-            data.reset_unchecked(model);
-            Ok(())
-        }
+        Ok(())
     }
 
     /// Restores the nominal parameters.

@@ -191,9 +191,11 @@ impl WindField {
         (WindParams { drag: params.drag * local.drag_area, ..params }, local.key.at(self.steps), &local.state)
     }
 
-    /// Replaces the state of the wind at a drone and the number of physics steps since the start of the episode.
-    pub(super) fn set_local(&mut self, drone: usize, state: WindState<f64>, steps: u64) {
-        (self.locals[drone].state, self.steps) = (state, steps);
+    /// Replaces the random numbers and the state of the wind at a drone, and the number of physics steps since the
+    /// start of the episode.
+    pub(super) fn set_local(&mut self, drone: usize, key: Key, state: WindState<f64>, steps: u64) {
+        let local = &mut self.locals[drone];
+        (local.key, local.state, self.steps) = (key, state, steps);
     }
 }
 

@@ -66,9 +66,10 @@ impl WindLanes {
         self.update_parts();
     }
 
-    /// Copies the state and the clock of a lane to the wind at a drone.
+    /// Copies the random numbers, the state and the clock of a lane to the wind at a drone.
     pub fn read(&self, lane: usize, field: &mut WindField, drone: usize) {
-        field.set_local(drone, self.state.map(|row| row[lane]), self.steps[lane]);
+        let key = Key([self.key[0][lane], self.key[1][lane]]);
+        field.set_local(drone, key, self.state.map(|row| row[lane]), self.steps[lane]);
     }
 
     /// Copies the state and the clock of a lane of other lanes.
