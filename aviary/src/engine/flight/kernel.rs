@@ -1,5 +1,7 @@
 //! SIMD form of a control step: commands, physics steps, wakes, attitude angles, room.
 
+use std::hint::black_box;
+
 use pulp::{Simd, WithSimd};
 
 use super::Width;
@@ -91,16 +93,20 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { flow, lanes, lane_params, extras, count, steps } = self;
         let general = MODE == mode::GENERAL;
-        let with_lag = MODE == mode::LAG || general && flow.lag;
-        let with_air = MODE == mode::AIR || general && flow.air;
         for part in Part::first(simd, count) {
             let (body, rotors) = (part.body(lane_params), part.rotors(lane_params));
             let target = part.get4(&lanes.target);
             let mut motion = part.motion(lanes);
-            let mut rpm = if with_lag { part.get4(&lanes.rpm) } else { target };
+            let mut rpm = if MODE == mode::PLAIN || MODE == mode::AIR { target } else { part.get4(&lanes.rpm) };
             let none = target[0].all(0.0);
             let mut push = Push { thrust: none, torque: V3::new(none, none, none), force: V3::new(none, none, none) };
             for step in steps.clone() {
+                // the compiler must not know that the options are constant: it would make a copy of the loop for each
+                // of their combinations
+                let (flow, extras) =
+                    if general { (black_box(flow), black_box(&mut *extras)) } else { (flow, &mut *extras) };
+                let with_lag = MODE == mode::LAG || general && flow.lag;
+                let with_air = MODE == mode::AIR || general && flow.air;
                 let mut arrived = target;
                 if general {
                     let now = none.all(f64::from(step));
