@@ -47,7 +47,7 @@ pub use id::{
     ActuatorId, BodyId, CameraId, GeomId, JointId, LightId, MaterialId, MeshId, ObjectId, ObjectKind, SensorId, SiteId,
     TextureId,
 };
-pub use model::{Assets, Integrator, Model, ModelMut};
+pub use model::{Assets, ConstraintOptions, Integrator, Model, ModelMut};
 pub use renderer::{ImageSize, Quality, Renderer};
 pub use runtime::{HEADER_VERSION, check_library, library_version};
 pub use scene::{Camera, Decor, Scene, VisualEffects};

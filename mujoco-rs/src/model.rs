@@ -1,4 +1,5 @@
 mod assets;
+mod options;
 mod patch;
 
 use std::collections::BTreeSet;
@@ -17,6 +18,7 @@ use crate::runtime::{check_library, guarded};
 
 pub use assets::Assets;
 use assets::FileSystem;
+pub use options::ConstraintOptions;
 pub use patch::ModelMut;
 
 /// Compiled scene; MuJoCo's `mjModel`.
