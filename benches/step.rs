@@ -6,8 +6,12 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use criterion::{Criterion, criterion_group};
+use mujoco_drones_gym::engine::flight::{FreeBody, ReachBound};
+use mujoco_drones_gym::engine::{Bodies, Body, Engine, HybridEngine, Load, MujocoEngine};
 use mujoco_drones_gym::env::Randomization;
 use mujoco_drones_gym::mujoco::{Data, Model};
+use mujoco_drones_gym::physics::Wrench;
+use mujoco_drones_gym::physics::rotor::RotorModel;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{DroneBody, ObstacleConfig, World};
@@ -199,6 +203,94 @@ fn conditions() {
     println!("reset with newly sampled parameters: {:.1} µs", start.elapsed().as_secs_f64() / 1000.0 * 1e6);
 }
 
+/// A drone on the floor in one engine, which starts again every 24 physics steps.
+struct OnFloor {
+    engine: Engine,
+    bodies: Bodies,
+    load: Load,
+    start: DroneState,
+    state: [DroneState; 1],
+}
+
+impl OnFloor {
+    fn new(kind: EngineKind, start: DroneState, speeds: [f64; 4]) -> Self {
+        let params = DroneModel::Cf2x.params();
+        let world =
+            World::new(vec![DroneBody { params: params.clone(), position: Vector3::z(), rpy: Vector3::zeros() }]);
+        let engine = match kind {
+            EngineKind::Hybrid => Engine::Hybrid(HybridEngine::new(&world).expect("a scene")),
+            _ => Engine::Mujoco(MujocoEngine::new(&world).expect("a scene")),
+        };
+        let (mass, inertia) = (params.mass, params.inertia_vector());
+        let free = FreeBody::new(mass, &inertia, world.gravity, None);
+        let reach = params.collision_radius.hypot(0.5 * params.collision_height);
+        let reach_bound = ReachBound::new(&free, reach, 30.0, 0.01, 0.0);
+        let bodies = vec![Body { mass, inertia, free, reach_bound }];
+        let load = Load { rotors: RotorModel::new(&params).wrench(&speeds), external: Wrench::ZERO };
+        Self {
+            engine,
+            bodies: Bodies { drones: bodies, gravity: world.gravity, obstacle_drift: 0.0 },
+            load,
+            start,
+            state: [start],
+        }
+    }
+
+    fn steps(&mut self) {
+        self.state = [self.start];
+        self.engine.reset(&self.state).expect("a reset");
+        for _ in 0..24 {
+            let (load, bodies) = ([self.load], &self.bodies);
+            self.engine.begin(bodies, &self.state, 1).expect("a step");
+            match &mut self.engine {
+                Engine::Hybrid(engine) => engine.advance(bodies, &load, &mut self.state).expect("a step"),
+                Engine::Mujoco(engine) => engine.advance(&load, &mut self.state).expect("a step"),
+                Engine::Explicit(_) => {}
+            }
+        }
+    }
+}
+
+/// Prints the time of a physics step in contact with the floor in the kernel and in MuJoCo.
+#[allow(clippy::print_stdout)]
+fn contacts() {
+    println!("physics step in contact with the floor, Crazyflie: kernel, mj_step, ratio");
+    let tilted = |roll: f64, z: f64| DroneState::at_rest(Vector3::new(0.0, 0.0, z), Vector3::new(roll, 0.1, 0.3));
+    let moving = DroneState {
+        velocity: Vector3::new(0.7, -0.4, -0.3),
+        angular_velocity: Vector3::new(3.0, -2.0, 4.0),
+        ..tilted(0.3, 0.03)
+    };
+    for (name, start, speeds) in [
+        ("resting", DroneState::at_rest(Vector3::new(0.0, 0.0, 0.0149), Vector3::zeros()), [0.0; 4]),
+        ("slow rotors", tilted(-0.05, 0.018), [3000.0, 4000.0, 5000.0, 2000.0]),
+        ("sliding", DroneState { velocity: Vector3::new(1.0, 0.5, 0.0), ..tilted(0.0, 0.0149) }, [0.0; 4]),
+        ("tumbling", moving, [9000.0, 8000.0, 6000.0, 8000.0]),
+    ] {
+        let [mut kernel, mut mujoco] =
+            [EngineKind::Hybrid, EngineKind::Mujoco].map(|kind| OnFloor::new(kind, start, speeds));
+        let mut times: Vec<[f64; 2]> = Vec::new();
+        for _ in 0..101 {
+            let start = Instant::now();
+            (0..20).for_each(|_| kernel.steps());
+            let middle = start.elapsed().as_secs_f64();
+            (0..20).for_each(|_| mujoco.steps());
+            times.push([middle, start.elapsed().as_secs_f64() - middle]);
+        }
+        let best = |i: usize| times.iter().map(|t| t[i]).fold(f64::INFINITY, f64::min) / 480.0;
+        let (kernel_time, mujoco_time) = (best(0), best(1));
+        let substeps = kernel.engine.substeps();
+        println!(
+            "{name:>14}: {:6.0} ns {:6.2} µs {:6.1} ({} of {} steps in MuJoCo)",
+            kernel_time * 1e9,
+            mujoco_time * 1e6,
+            mujoco_time / kernel_time,
+            substeps.mujoco,
+            substeps.mujoco + substeps.flight,
+        );
+    }
+}
+
 /// Returns the plain configuration of a drone high above the floor.
 fn plain() -> EnvConfig {
     EnvConfig::default().initial_positions([place(0)]).episode_seconds(1e6)
@@ -219,6 +311,10 @@ fn timings(c: &mut Criterion) {
 criterion_group!(benches, timings);
 
 fn main() {
+    contacts();
+    if std::env::args().any(|argument| argument == "contacts") {
+        return;
+    }
     ratios();
     conditions();
     benches();
