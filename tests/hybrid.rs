@@ -394,7 +394,7 @@ fn a_landing_and_a_second_take_off_are_identical_with_both_engines() {
                 .unwrap()
         });
         let hover = drone.params().hover_rpm();
-        let (mut contact, mut worst) = (None, 0.0_f64);
+        let (mut contact, mut contacts, mut worst) = (None, 0, 0.0_f64);
         for step in 0..240 {
             let throttle = if step < 60 { 0.8 } else { 1.06 };
             for simulation in &mut simulations {
@@ -404,6 +404,7 @@ fn a_landing_and_a_second_take_off_are_identical_with_both_engines() {
             if contact.is_none() && !a.contacts().is_empty() {
                 contact = Some(step);
             }
+            contacts += usize::from(!b.contacts().is_empty());
             if contact.is_none_or(|first| step < first + 48) {
                 worst = worst.max(apart(&a.states()[0], &b.states()[0]));
             }
@@ -412,7 +413,7 @@ fn a_landing_and_a_second_take_off_are_identical_with_both_engines() {
         let [a, b] = &simulations;
         assert!(a.states()[0].position.z > 1.0 && b.states()[0].position.z > 1.0, "the drone takes off again");
         let substeps = b.engine_substeps();
-        assert!(substeps.flight > 300 && substeps.mujoco > 50, "{substeps:?}");
+        assert!(contacts > 10 && substeps.mujoco == 0, "the kernel computes {contacts} steps in contact: {substeps:?}");
     }
 }
 

@@ -1,17 +1,19 @@
-//! Hybrid engine: the flight kernel while no drone can touch anything, MuJoCo otherwise. The kernel agrees with
-//! MuJoCo to rounding, and so does a flight of the hybrid engine.
+//! Hybrid engine: the flight kernel while no drone can touch anything but the floor, MuJoCo otherwise. The kernel
+//! agrees with MuJoCo to rounding, and so does a flight of the hybrid engine.
 //!
-//! The engine tests for possible contacts at two levels. At the start of a control step, a ball around every drone
+//! The engine tests for possible contacts at three levels. At the start of a control step, a ball around every drone
 //! contains all its positions until the end of the step, whatever its motors do. If these balls meet nothing, the
 //! kernel integrates the whole control step. Otherwise the engine tests before every physics step, with the known
-//! forces and the short distance that a drone can travel in it.
+//! forces and the short distance that a drone can travel in it. If only the floor is in reach, the kernel computes
+//! the contacts with it ([`FloorKernel`]). It returns the step to MuJoCo if a contact has thrown a drone farther than
+//! the tested distance, and if an acceleration is beyond MuJoCo's limit.
 
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
 
-use super::flight::FreeBody;
+use super::flight::{FloorKernel, FloorModel, FreeBody, StepKind};
 use super::mujoco::{BuildError, MujocoEngine};
-use super::{Bodies, Body, Contact, Load, Substeps};
+use super::{Bodies, Body, Contact, Load, Substeps, Touched};
 use crate::math::V3;
 use crate::state::DroneState;
 use crate::world::placement::{CollisionCylinder, obstacle_distance, sphere_clearance, sphere_floor_clearance};
@@ -21,9 +23,9 @@ use crate::world::{Forcing, Integrator, Obstacle, World};
 #[derive(Debug)]
 pub struct HybridEngine {
     mujoco: MujocoEngine,
-    dt: f64,
-    forcing: Forcing,
-    medium: bool,
+    kind: StepKind,
+    /// Kernel of contacts with the floor; `None` if the scene has settings that it lacks.
+    floor: Option<Box<FloorKernel>>,
     /// True if the kernel can replace MuJoCo: it implements RK4 only.
     able: bool,
     cylinders: Vec<CollisionCylinder>,
@@ -33,9 +35,23 @@ pub struct HybridEngine {
     clear: bool,
     /// True if MuJoCo has the bodies of this control step.
     informed: bool,
-    /// True if MuJoCo computed the last physics step.
-    in_mujoco: bool,
+    last: Last,
+    /// Accelerations of the last stage in contact with the floor: the solver's warm start, as in MuJoCo's
+    /// `qacc_warmstart`. Valid after [`Last::Floor`].
+    warm_starts: Vec<f64>,
+    /// Distance around each drone without obstacles and other drones, m; a scratch buffer.
+    rooms: Vec<f64>,
     flown: u64,
+}
+
+/// Part of the engine that computed the last physics step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Last {
+    /// Free flight: there were no contacts, and there is no warm start.
+    Flight,
+    /// The kernel of contacts with the floor, or an environment was resumed with a warm start.
+    Floor,
+    Mujoco,
 }
 
 /// Cached distance from a position to the nearest obstacle. At another position the distance is smaller by at most
@@ -45,6 +61,14 @@ pub(crate) struct ClearanceCache {
     place: Vector3<f64>,
     /// Distance, m; zero if it was not computed.
     distance: f64,
+}
+
+/// What drones can touch in a physics step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Reachable {
+    Nothing,
+    Floor,
+    Anything,
 }
 
 impl ClearanceCache {
@@ -62,24 +86,41 @@ impl ClearanceCache {
     }
 }
 
+/// Returns a bound of the rounding error of MuJoCo's contact points, m.
+///
+/// MuJoCo divides a rounded difference by the sine of the tilt, unless it is below 1e-15. The error is a micrometre at
+/// a tilt of 1e-10 rad and the radius at 1e-15 rad.
+fn rounding_of_contacts(cylinder: &CollisionCylinder, state: &DroneState) -> f64 {
+    let up = state.up();
+    let sine = up.x.hypot(up.y);
+    if sine < 5e-16 { 0.0 } else { cylinder.radius * (2e-15 / sine).min(1.0) }
+}
+
 impl HybridEngine {
     /// Creates the engine of a world.
     ///
     /// # Errors
     /// [`BuildError`] if the scene is invalid or MuJoCo refuses it.
     pub fn new(world: &World) -> Result<Self, BuildError> {
+        let mujoco = MujocoEngine::new(world)?;
+        let drones = world.drones.len();
         Ok(Self {
-            mujoco: MujocoEngine::new(world)?,
-            dt: world.timestep,
-            forcing: world.forcing,
-            medium: world.medium.is_some(),
+            floor: FloorModel::read(mujoco.data().model(), world).map(|model| Box::new(FloorKernel::new(model))),
+            mujoco,
+            kind: StepKind {
+                dt: world.timestep,
+                body_fixed: world.forcing == Forcing::BodyFixed,
+                medium: world.medium.is_some(),
+            },
             able: world.integrator == Integrator::Rk4,
             cylinders: world.drones.iter().map(|drone| CollisionCylinder::from(&drone.params)).collect(),
             obstacles: world.obstacles.clone(),
-            clearance_caches: vec![ClearanceCache::default(); world.drones.len()],
+            clearance_caches: vec![ClearanceCache::default(); drones],
             clear: false,
             informed: false,
-            in_mujoco: false,
+            last: Last::Flight,
+            warm_starts: vec![0.0; 6 * drones],
+            rooms: vec![0.0; drones],
             flown: 0,
         })
     }
@@ -90,7 +131,7 @@ impl HybridEngine {
     }
 
     pub(super) fn reset(&mut self, states: &[DroneState]) -> Result<(), Error> {
-        self.in_mujoco = false;
+        self.last = Last::Flight;
         self.mujoco.reset(states)
     }
 
@@ -108,14 +149,14 @@ impl HybridEngine {
 
     /// Returns true if no drone can touch anything for `steps` physics steps, whatever its motors do.
     fn is_clear(&mut self, bodies: &Bodies, states: &[DroneState], steps: u32) -> bool {
-        let dt = self.dt;
+        let dt = self.kind.dt;
         let radius = |drone: usize| bodies.drones[drone].reach_bound.radius(dt, steps, &states[drone]);
         self.has_room(states, bodies.obstacle_drift, radius, |_, _| false)
     }
 
-    /// Returns true if no drone can touch anything in the next physics step.
-    fn is_free(&mut self, bodies: &Bodies, loads: &[Load], states: &[DroneState]) -> bool {
-        let dt = self.dt;
+    /// Returns the obstacles that drones can reach in the next physics step.
+    fn reachable(&mut self, bodies: &Bodies, loads: &[Load], states: &[DroneState]) -> Reachable {
+        let dt = self.kind.dt;
         let motion = |drone: usize| {
             let (Body { reach_bound, free, .. }, load) = (&bodies.drones[drone], &loads[drone]);
             reach_bound.one_step(dt, free, &load.rotors, &load.external.force_world, &states[drone])
@@ -135,13 +176,38 @@ impl HybridEngine {
             },
             |drone, state| {
                 let (travel, turn) = motion(drone);
+                let cylinder = &cylinders[drone];
                 turn < FreeBody::MAX_TURN
-                    && cylinders[drone].floor_clearance(state)
+                    && cylinder.floor_clearance(state) - rounding_of_contacts(cylinder, state)
                         > travel + turn * bodies.drones[drone].reach_bound.reach()
             },
         );
         self.cylinders = cylinders;
-        free
+        if free {
+            return Reachable::Nothing;
+        }
+        if self.floor.is_none() {
+            return Reachable::Anything;
+        }
+        let mut rooms = std::mem::take(&mut self.rooms);
+        let mut known = true;
+        for (drone, room) in rooms.iter_mut().enumerate() {
+            let (travel, turn) = motion(drone);
+            let reach = bodies.drones[drone].reach_bound.reach();
+            *room = 2.0 * travel + dt * states[drone].angular_velocity.norm() * reach + 0.05 * reach;
+            // the kernel of the floor has no limit of the rotation
+            let near_floor = sphere_floor_clearance(V3::from(&states[drone].position), reach + *room) <= 0.0;
+            known &= turn < FreeBody::MAX_TURN || (turn.is_finite() && near_floor);
+        }
+        let alone = known
+            && self.has_room(
+                states,
+                bodies.obstacle_drift,
+                |drone| bodies.drones[drone].reach_bound.reach() + rooms[drone],
+                |_, _| true,
+            );
+        self.rooms = rooms;
+        if alone { Reachable::Floor } else { Reachable::Anything }
     }
 
     /// Returns true if the balls of these radii around the drones meet neither the floor, nor each other, nor an
@@ -173,9 +239,19 @@ impl HybridEngine {
     pub fn advance(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> Result<(), Error> {
         // in the kernel only the rotors exert torques
         let able = self.able && loads.iter().all(|load| load.external.torque_world == Vector3::zeros());
-        if able && (self.clear || self.is_free(bodies, loads, states)) {
+        let reachable = match able {
+            true if self.clear => Reachable::Nothing,
+            true => self.reachable(bodies, loads, states),
+            false => Reachable::Anything,
+        };
+        if reachable == Reachable::Nothing {
             self.fly(bodies, loads, states);
-            self.in_mujoco = false;
+            self.last = Last::Flight;
+            self.flown += 1;
+            return Ok(());
+        }
+        if reachable == Reachable::Floor && self.land(bodies, loads, states) {
+            self.last = Last::Floor;
             self.flown += 1;
             return Ok(());
         }
@@ -183,39 +259,69 @@ impl HybridEngine {
             self.mujoco.begin(bodies)?;
             self.informed = true;
         }
-        if !self.in_mujoco {
-            // without contacts there is no warm start of the solver
-            self.mujoco.resume(states, None)?;
-            self.in_mujoco = true;
+        if self.last != Last::Mujoco {
+            let warm_start = (self.last == Last::Floor).then_some(&self.warm_starts[..]);
+            self.mujoco.resume(states, warm_start)?;
+            self.last = Last::Mujoco;
         }
         self.mujoco.advance(loads, states)
     }
 
     fn fly(&self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) {
         for ((state, body), load) in states.iter_mut().zip(&bodies.drones).zip(loads) {
-            let (dt, free, rotors, force) = (self.dt, &body.free, &load.rotors, &load.external.force_world);
-            *state = match (self.forcing, self.medium) {
-                (Forcing::Frozen, false) => free.step::<false, false>(dt, rotors, force, state),
-                (Forcing::Frozen, true) => free.step::<false, true>(dt, rotors, force, state),
-                (Forcing::BodyFixed, false) => free.step::<true, false>(dt, rotors, force, state),
-                (Forcing::BodyFixed, true) => free.step::<true, true>(dt, rotors, force, state),
+            let (dt, free, rotors, force) = (self.kind.dt, &body.free, &load.rotors, &load.external.force_world);
+            *state = match (self.kind.body_fixed, self.kind.medium) {
+                (false, false) => free.step::<false, false>(dt, rotors, force, state),
+                (false, true) => free.step::<false, true>(dt, rotors, force, state),
+                (true, false) => free.step::<true, false>(dt, rotors, force, state),
+                (true, true) => free.step::<true, true>(dt, rotors, force, state),
             };
         }
     }
 
-    pub(super) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) -> Result<(), Error> {
+    /// Computes a step in which drones touch at most the floor. Returns false if MuJoCo must compute it.
+    fn land(&mut self, bodies: &Bodies, loads: &[Load], states: &mut [DroneState]) -> bool {
+        let Some(floor) = &mut self.floor else { return false };
+        match self.last {
+            // without contacts there is no warm start of the solver
+            Last::Flight => self.warm_starts.fill(0.0),
+            Last::Floor => {}
+            Last::Mujoco => {
+                self.mujoco.leave(&mut self.warm_starts);
+            }
+        }
+        floor.step(&self.kind, &bodies.drones, loads, states, &self.rooms, &mut self.warm_starts)
+    }
+
+    pub(super) fn resume(&mut self, left: Option<&[f64]>) {
         self.clearance_caches.fill(ClearanceCache::default());
-        self.in_mujoco = left.is_some();
-        if left.is_some() { self.mujoco.resume(states, left) } else { Ok(()) }
+        self.last = Last::Flight;
+        if let Some(left) = left {
+            self.warm_starts.copy_from_slice(left);
+            self.last = Last::Floor;
+        }
     }
 
     pub(super) fn leave(&self, warm_start: &mut [f64]) -> bool {
-        self.in_mujoco && self.mujoco.leave(warm_start)
+        match self.last {
+            Last::Flight => false,
+            Last::Floor => {
+                warm_start.copy_from_slice(&self.warm_starts);
+                true
+            }
+            Last::Mujoco => self.mujoco.leave(warm_start),
+        }
     }
 
-    pub(super) fn contacts(&self, found: impl FnMut(Contact)) {
-        if self.in_mujoco {
-            self.mujoco.contacts(found);
+    pub(super) fn contacts(&self, mut found: impl FnMut(Contact)) {
+        match (self.last, &self.floor) {
+            (Last::Mujoco, _) => self.mujoco.contacts(found),
+            (Last::Floor, Some(floor)) => {
+                for (drone, points) in floor.points().enumerate() {
+                    (0..points).for_each(|_| found(Contact { drone, with: Touched::Floor }));
+                }
+            }
+            _ => {}
         }
     }
 
@@ -225,9 +331,12 @@ impl HybridEngine {
 
     pub(super) fn mujoco(&mut self, bodies: &Bodies, states: &[DroneState]) -> Result<&Data, Error> {
         self.mujoco.begin(bodies)?;
-        if self.in_mujoco {
+        if self.last == Last::Mujoco {
             return Ok(self.mujoco.data());
         }
+        // the accelerations that MuJoCo shows must not depend on an earlier environment
+        let warm_start = (self.last == Last::Floor).then_some(&self.warm_starts[..]);
+        self.mujoco.resume(states, warm_start)?;
         self.mujoco.show(states)
     }
 

@@ -98,7 +98,7 @@ named_enum! {
         /// MuJoCo's `mj_step` for every physics step.
         #[default]
         Mujoco = "mujoco",
-        /// The flight kernel while no drone can touch anything, MuJoCo otherwise.
+        /// The flight kernel while no drone can touch anything but the floor, MuJoCo otherwise.
         Hybrid = "hybrid",
         /// Semi-implicit Euler steps of free bodies: the engine of the physics mode `dyn`. It has no contacts and
         /// ignores MuJoCo's medium, integrators and body-fixed forcing.
@@ -114,7 +114,7 @@ impl EngineKind {
 /// Number of physics steps by integrator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Substeps {
-    /// Physics steps of the flight kernel.
+    /// Physics steps of the flight kernel, those in contact with the floor included.
     pub flight: u64,
     /// Physics steps of MuJoCo.
     pub mujoco: u64,
@@ -135,7 +135,7 @@ impl std::ops::AddAssign for Substeps {
 pub enum Engine {
     /// MuJoCo's `mj_step` for every physics step.
     Mujoco(MujocoEngine),
-    /// The flight kernel while no drone can touch anything, `mj_step` otherwise.
+    /// The flight kernel while no drone can touch anything but the floor, `mj_step` otherwise.
     Hybrid(HybridEngine),
     /// Semi-implicit Euler steps of free bodies.
     Explicit(ExplicitEngine),
@@ -197,7 +197,10 @@ impl Engine {
     pub(crate) fn resume(&mut self, states: &[DroneState], left: Option<&[f64]>) -> Result<(), Error> {
         match self {
             Self::Mujoco(engine) => engine.resume(states, left),
-            Self::Hybrid(engine) => engine.resume(states, left),
+            Self::Hybrid(engine) => {
+                engine.resume(left);
+                Ok(())
+            }
             Self::Explicit(_) => Ok(()),
         }
     }
@@ -212,8 +215,8 @@ impl Engine {
         }
     }
 
-    /// Calls `found` once for every contact point and touching drone of the last step. The explicit engine and the
-    /// flight kernel have no contacts.
+    /// Calls `found` once for every contact point and touching drone of the last step. The explicit engine has no
+    /// contacts.
     pub fn contacts(&self, found: impl FnMut(Contact)) {
         match self {
             Self::Mujoco(engine) => engine.contacts(found),

@@ -76,9 +76,9 @@ pub struct SimData {
     pub(super) obstacle_revision: u64,
     /// Indices and poses of the markers that have moved.
     pub(super) marker_poses: Vec<(usize, MarkerPose)>,
-    /// Warm start of MuJoCo's solver.
+    /// Warm start of the solver for contacts, in MuJoCo and in the kernel of the floor.
     pub(super) warm_start: Vec<f64>,
-    /// True if MuJoCo made the last physics step, so that `warm_start` is valid.
+    /// True if MuJoCo or the kernel of the floor made the last physics step, so that `warm_start` is valid.
     pub(super) in_mujoco: bool,
     /// Unique mark of the state that a workspace left behind; 0 for none.
     pub(super) stamp: u64,

@@ -197,7 +197,7 @@ impl<R: Real> FreeBody<R> {
 
     /// Returns the angular acceleration by Euler's equations, body frame, rad/s².
     #[inline(always)]
-    fn angular_acceleration<const MEDIUM: bool>(&self, torque: V3<R>, rate: V3<R>) -> V3<R> {
+    pub(super) fn angular_acceleration<const MEDIUM: bool>(&self, torque: V3<R>, rate: V3<R>) -> V3<R> {
         let ([jx, jy, jz], [gx, gy, gz]) = (self.inverse_inertia, self.gyration);
         let V3 { x, y, z } = rate;
         let free = V3::new(torque.x * jx + gx * (y * z), torque.y * jy + gy * (z * x), torque.z * jz + gz * (x * y));
@@ -280,7 +280,7 @@ impl Fluid {
 impl<R: Real> Fluid<R> {
     /// Returns the drag acceleration at a velocity, both body frame.
     #[inline(always)]
-    fn slowing(&self, v: V3<R>) -> V3<R> {
+    pub(super) fn slowing(&self, v: V3<R>) -> V3<R> {
         let [x, y, z] = self.quadratic;
         let viscous = self.viscous;
         V3::new(axis_drag(viscous, x, v.x), axis_drag(viscous, y, v.y), axis_drag(viscous, z, v.z))

@@ -5,8 +5,13 @@
 //! equations of motion ([`FreeBody::step`]) are generic over scalars and SIMD registers. [`Lanes`] hold eight drones
 //! as a structure of arrays; the kernel advances as many of them at once as the instruction set allows. The results
 //! are bit-identical for all instruction sets.
+//!
+//! [`FloorKernel`] computes a step of drones that touch the floor, as `mj_step` does.
 
 mod body;
+mod contact_solver;
+mod floor;
+mod floor_model;
 mod kernel;
 mod lanes;
 mod reach_bound;
@@ -20,5 +25,7 @@ pub(crate) use kernel::{
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
 pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};
+pub(super) use floor::{FloorKernel, StepKind};
+pub(super) use floor_model::FloorModel;
 pub use reach_bound::ReachBound;
 pub use width::Width;
