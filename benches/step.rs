@@ -224,7 +224,7 @@ impl OnFloor {
         let (mass, inertia) = (params.mass, params.inertia_vector());
         let free = FreeBody::new(mass, &inertia, world.gravity, None);
         let reach = params.collision_radius.hypot(0.5 * params.collision_height);
-        let reach_bound = ReachBound::new(&free, reach, 30.0, 0.01, 0.0);
+        let reach_bound = ReachBound::new(&free, reach, 30.0, 0.01, [0.0; 2]);
         let bodies = vec![Body { mass, inertia, free, reach_bound }];
         let load = Load { rotors: RotorModel::new(&params).wrench(&speeds), external: Wrench::ZERO };
         Self {

@@ -47,6 +47,7 @@ pub(crate) struct LaneScene<'a, S: Simd> {
     /// Control steps since the start of the episode.
     pub steps: Pack<S>,
     /// Length of a control step, s.
+    #[allow(dead_code)] // for tasks that depend on time
     pub period: f64,
 }
 
@@ -96,6 +97,7 @@ impl<S: Simd> LaneRows<'_, S> {
         self.part.put(&mut self.rows[index], value);
     }
 
+    #[allow(dead_code)] // for tasks with vectors in their rows
     #[inline(always)]
     pub fn get3(&self, index: usize) -> V3<Pack<S>> {
         V3::new(self.get(index), self.get(index + 1), self.get(index + 2))
