@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::anyhow;
+use aviary::engine::flight::Width;
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks::{self, TaskSummary};
 use clap::{ArgGroup, Args, ValueHint};
@@ -86,6 +87,9 @@ pub struct Train {
     /// Configuration as TOML on standard output, without training
     #[arg(long, conflicts_with_all = ["resume", "all"])]
     show: bool,
+    /// Widest instruction set of simulation and gradients: portable, avx2, avx512; default the machine's
+    #[arg(long, value_name = "SET", value_parser = crate::bench::instructions, conflicts_with = "resume")]
+    instructions: Option<Width>,
     /// JSON output instead of a table
     ///
     /// With --json, standard error has neither notes nor evaluations.
@@ -170,6 +174,7 @@ impl Train {
         config.steps = self.trial(self.steps, TRIAL.0).unwrap_or(config.steps);
         config.ppo.environments = self.trial(self.envs, TRIAL.1).unwrap_or(config.ppo.environments);
         config.until_success = self.until_success;
+        config.width = self.instructions.unwrap_or(config.width);
         config.validate().map_err(Failure::input)?;
         Ok(config)
     }

@@ -6,6 +6,7 @@ use aviary::SystemError;
 use aviary::action::ActionType;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::EngineKind;
+use aviary::engine::flight::Width;
 use aviary::env::{ConditionChoice, Conditions, EnvConfig, EnvError, InitialRanges, Randomization};
 use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
@@ -54,7 +55,7 @@ pub struct TrainConfig {
     pub until_success: bool,
     /// Iterations between two evaluations.
     pub evaluate_every: u64,
-    /// Episodes of an evaluation.
+    /// Episodes of an evaluation. If none of the first quarter succeeds, the evaluation consists of this quarter.
     pub episodes: usize,
     /// Iterations between two checkpoints, where all environments are reset.
     pub checkpoint_every: u64,
@@ -73,6 +74,10 @@ pub struct TrainConfig {
     pub conditions: Conditions,
     /// Settings of PPO.
     pub ppo: PpoConfig,
+    /// Instruction set of simulation and gradients, not recorded; default the widest of the machine. The results of
+    /// AVX2 and AVX-512 are bit-identical. The baseline rounds gradients differently.
+    #[serde(skip, default = "Width::best")]
+    pub width: Width,
 }
 
 /// Initial states and length of some training episodes.
@@ -424,6 +429,7 @@ impl TrainConfig {
             let config = VecConfig {
                 autoreset: Autoreset::SameStep,
                 on_fault: OnFault::Truncate,
+                width: self.width,
                 ..VecConfig::new(environments)
             };
             let course = self.course.and_then(|rewards| CourseTask::of_name(&self.task, rewards));

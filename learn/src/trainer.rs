@@ -93,7 +93,7 @@ impl Trainer {
     pub fn with(config: TrainConfig, command: &str, agents: Box<dyn Agents>, arena: Arena) -> Result<Self, TrainError> {
         let began = Instant::now();
         config.validate()?;
-        let ppo = Ppo::new(config.ppo.clone(), &*agents, config.seed)?;
+        let ppo = Ppo::new(config.ppo.clone(), config.width, &*agents, config.seed)?;
         let best = (policy_of(&config, command, &*agents, &ppo, 0)?, None);
         let (command, curve) = (command.to_string(), Vec::new());
         let (iteration, first, stop, fresh) = (0, 0, None, true);
@@ -226,6 +226,12 @@ impl Trainer {
     /// # Errors
     /// [`TrainError::Diverged`], and the environments' errors.
     pub fn advance(&mut self) -> Result<&Point, TrainError> {
+        // on a thread of the pool, which distributes work without a change of threads
+        rayon::scope(|_| self.iterate())?;
+        Ok(&self.curve[self.curve.len() - 1])
+    }
+
+    fn iterate(&mut self) -> Result<(), TrainError> {
         if self.is_checkpoint() || self.fresh {
             // a resumed run starts here, too
             self.fresh = false;
@@ -243,7 +249,7 @@ impl Trainer {
         let due = self.iteration.is_multiple_of(self.config.evaluate_every) || self.stop.is_some();
         let score = if due { Some(self.evaluate()?) } else { None };
         self.curve.push(Point { iteration: self.iteration, steps: self.steps(), report, score, rate: self.ppo.rate });
-        Ok(&self.curve[self.curve.len() - 1])
+        Ok(())
     }
 
     /// Returns true if the next iteration resets all environments, so that a run resumed from here is
@@ -255,13 +261,24 @@ impl Trainer {
     fn evaluate(&mut self) -> Result<Score, TrainError> {
         let began = Instant::now();
         let policy = self.policy()?;
-        let score = Score::of(&self.arena.fly(&policy, EVALUATION_SEED, self.config.episodes)?);
+        // a quarter of the episodes shows whether a policy succeeds at all
+        let first = self.config.episodes.div_ceil(4);
+        let mut episodes = self.arena.fly(&policy, EVALUATION_SEED, first)?;
+        if episodes.iter().any(|episode| episode.success) {
+            let others = self.config.episodes - first;
+            episodes.extend(self.arena.fly(&policy, EVALUATION_SEED + first as u64, others)?);
+        }
+        let score = Score::of(&episodes);
         let better = self.best.1.is_none_or(|best| score.beats(&best));
         let mut confirmed = false;
         if score.success == 1.0 && self.config.until_success {
             // a policy may pass one evaluation by chance
-            let again = Score::of(&self.arena.fly(&policy, CONFIRMATION_SEED, 4 * self.config.episodes)?);
-            confirmed = again.success == 1.0;
+            let episodes = self.config.episodes;
+            let mut seeds = (0..4).map(|part| CONFIRMATION_SEED + part * episodes as u64);
+            confirmed = seeds.try_fold(true, |confirmed, seed| -> Result<_, TrainError> {
+                let passed = |flown: Vec<Episode>| flown.iter().all(|episode| episode.success);
+                Ok(confirmed && passed(self.arena.fly(&policy, seed, episodes)?))
+            })?;
         }
         if better || confirmed {
             self.best = (policy, Some(score));

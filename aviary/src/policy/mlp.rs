@@ -158,22 +158,33 @@ impl WithSimd for Forward<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let (inputs, outputs) = (self.net.inputs(), self.net.outputs());
         let groups = self.input.chunks(ROWS * inputs).zip(self.output.chunks_mut(ROWS * outputs));
+        // a layer reads only what the layer before has written
+        let mut buffers = [[[0.0; Mlp::MAX_WIDTH]; ROWS]; 2];
         for (input, output) in groups {
             if input.len() == ROWS * inputs {
-                rows::<S, ROWS>(simd, self.net, input, output);
+                rows::<S, ROWS>(simd, self.net, &mut buffers, input, output);
             } else {
+                let mut buffers = [[[0.0; Mlp::MAX_WIDTH]]; 2];
                 for (input, output) in input.chunks_exact(inputs).zip(output.chunks_exact_mut(outputs)) {
-                    rows::<S, 1>(simd, self.net, input, output);
+                    rows::<S, 1>(simd, self.net, &mut buffers, input, output);
                 }
             }
         }
     }
 }
 
+/// Activations of R rows.
+type Activations<const R: usize> = [[f32; Mlp::MAX_WIDTH]; R];
+
 #[inline(always)]
-fn rows<S: Simd, const R: usize>(simd: S, net: &Mlp, input: &[f32], output: &mut [f32]) {
-    let mut here = [[0.0_f32; Mlp::MAX_WIDTH]; R];
-    let mut next = [[0.0_f32; Mlp::MAX_WIDTH]; R];
+fn rows<S: Simd, const R: usize>(
+    simd: S,
+    net: &Mlp,
+    [first, second]: &mut [Activations<R>; 2],
+    input: &[f32],
+    output: &mut [f32],
+) {
+    let (mut here, mut next) = (first, second);
     for (row, input) in here.iter_mut().zip(input.chunks_exact(net.inputs())) {
         row[..input.len()].copy_from_slice(input);
     }
@@ -187,11 +198,11 @@ fn rows<S: Simd, const R: usize>(simd: S, net: &Mlp, input: &[f32], output: &mut
         let activation = (!rest.is_empty()).then_some(net.activation);
         let mut column = 0;
         while column + 2 <= wide {
-            columns::<S, R, 2>(simd, layer, wide, column, pair[0], activation, &here, &mut next);
+            columns::<S, R, 2>(simd, layer, wide, column, pair[0], activation, here, next);
             column += 2;
         }
         if column < wide {
-            columns::<S, R, 1>(simd, layer, wide, column, pair[0], activation, &here, &mut next);
+            columns::<S, R, 1>(simd, layer, wide, column, pair[0], activation, here, next);
         }
         std::mem::swap(&mut here, &mut next);
     }
@@ -210,8 +221,8 @@ fn columns<S: Simd, const R: usize, const C: usize>(
     column: usize,
     inputs: usize,
     activation: Option<Activation>,
-    here: &[[f32; Mlp::MAX_WIDTH]; R],
-    next: &mut [[f32; Mlp::MAX_WIDTH]; R],
+    here: &Activations<R>,
+    next: &mut Activations<R>,
 ) {
     let mut sums = [std::array::from_fn::<_, C, _>(|c| layer[column + c]); R];
     for (input, weights) in layer[wide..].chunks_exact(wide).enumerate().take(inputs) {

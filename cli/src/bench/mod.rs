@@ -59,7 +59,8 @@ pub struct Bench {
     process: Option<usize>,
 }
 
-fn instructions(text: &str) -> Result<Width, String> {
+/// Parses an instruction set that this machine has.
+pub(crate) fn instructions(text: &str) -> Result<Width, String> {
     let width: Width = text.parse().map_err(|error: aviary::UnknownName| error.to_string())?;
     if width.is_available() { Ok(width) } else { Err(format!("this machine lacks {width}")) }
 }

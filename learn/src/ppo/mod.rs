@@ -115,7 +115,12 @@ pub(crate) struct Ppo {
 }
 
 impl Ppo {
-    pub fn new(config: PpoConfig, agents: &dyn Agents, seed: u64) -> Result<Self, aviary::policy::PolicyError> {
+    pub fn new(
+        config: PpoConfig,
+        width: Width,
+        agents: &dyn Agents,
+        seed: u64,
+    ) -> Result<Self, aviary::policy::PolicyError> {
         let (observation, actions) = (agents.observation_space().size(), agents.action_space());
         let shape = NetworkShape::new(observation, actions.size(), &config.hidden, config.activation);
         let parameters = shape.initial(config.initial_std as f32, &mut Rng::seed_from_u64(seed));
@@ -128,7 +133,6 @@ impl Ppo {
         });
         let (actor, critic, _) = shape.split(&parameters);
         let shard_count = config.minibatch.div_ceil(SHARD);
-        let width = Width::best();
         Ok(Self {
             actor: Mlp::new(&shape.actor, shape.activation, actor)?,
             critic: Mlp::new(&shape.critic, shape.activation, critic)?,

@@ -69,7 +69,7 @@ impl Ppo {
                 for x in &mut gradient[first_log..] {
                     *x -= entropy;
                 }
-                let norm = gradient.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>().sqrt();
+                let norm = norm(gradient);
                 if !norm.is_finite() {
                     return Err(crate::TrainError::Diverged);
                 }
@@ -98,6 +98,18 @@ impl Ppo {
         report.action_std = logs.iter().map(|log| f64::from(log.exp())).sum::<f64>() / acts as f64;
         Ok(())
     }
+}
+
+/// Returns the length of a vector, from eight partial sums.
+fn norm(vector: &[f32]) -> f64 {
+    let (chunks, rest) = vector.as_chunks::<8>();
+    let mut squares = [0.0_f64; 8];
+    for chunk in chunks {
+        for (sum, x) in squares.iter_mut().zip(chunk) {
+            *sum += f64::from(*x) * f64::from(*x);
+        }
+    }
+    (squares.iter().sum::<f64>() + rest.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>()).sqrt()
 }
 
 /// Returns the adapted learning rate: lower if the KL divergence exceeds twice the target, higher, up to `max`,
