@@ -364,6 +364,7 @@ mod tests {
 
     use super::*;
     use crate::agents::Outcome;
+    use crate::evaluation::Success;
 
     /// Agents that observe 1000 ± 50, independently of their actions.
     struct Far {
@@ -409,6 +410,20 @@ mod tests {
 
         fn restart(&mut self, _: &mut [bool], _: &mut [f32]) -> Result<(), EnvError> {
             Ok(())
+        }
+    }
+
+    #[test]
+    fn evaluations_without_success_end_after_a_quarter_of_the_episodes() {
+        for (within, episodes) in [(1e-3, 2), (50.0, 8)] {
+            let mut config = TrainConfig::of_task("hover").unwrap();
+            (config.ppo.environments, config.ppo.horizon) = (8, 4);
+            (config.evaluate_every, config.episodes, config.episode_seconds) = (1, 8, Some(0.1));
+            config.success = Success::Near { seconds: 0.1, within };
+            let mut trainer = Trainer::new(config, "a test").unwrap();
+            trainer.advance().unwrap();
+            let flown = trainer.fly(EVALUATION_SEED, episodes).unwrap();
+            assert_eq!(trainer.best_score(), Some(Score::of(&flown)));
         }
     }
 
