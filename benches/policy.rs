@@ -82,7 +82,7 @@ fn iterations(c: &mut Criterion) {
         let mut config = TrainConfig::of_task("hover").expect("a task");
         (config.evaluate_every, config.steps) = (u64::MAX >> 1, u64::MAX >> 1);
         config.ppo.hidden = vec![hidden; 2];
-        let space = |size, bound| BoxSpace::new(vec![[-bound, bound]; size]);
+        let space = |size, bound: f64| BoxSpace::new(vec![[-bound, bound]; size]);
         let agents =
             Still { rows: config.ppo.environments, observations: space(12, 10.0), actions: space(4, 1.0), steps: 0 };
         let arena = Arena::new(config.success, || config.environment()).expect("an environment");

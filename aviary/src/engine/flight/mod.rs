@@ -19,13 +19,13 @@ mod width;
 
 pub(crate) use body::FlightState;
 pub use body::FreeBody;
+pub(super) use floor::{FloorKernel, StepKind};
+pub(super) use floor_model::FloorModel;
 pub(crate) use kernel::{
     Decoding, Extras, LateCommands, Record, advance_with, find_apart, limit_late_targets, set_commands, set_targets,
 };
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
 pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};
-pub(super) use floor::{FloorKernel, StepKind};
-pub(super) use floor_model::FloorModel;
 pub use reach_bound::ReachBound;
 pub use width::Width;
