@@ -33,7 +33,7 @@ impl Pair {
         let inertia = params.inertia_vector().component_mul(&Vector3::from(scale.1));
         let free = FreeBody::new(mass, &inertia, world.gravity, world.medium);
         let reach = params.collision_radius.hypot(0.5 * params.collision_height);
-        let reach_bound = ReachBound::new(&free, reach, 100.0, 1.0, 0.0);
+        let reach_bound = ReachBound::new(&free, reach, 100.0, 1.0, [0.0; 2]);
         let body = Body { mass, inertia, free, reach_bound };
         Self {
             mujoco: Engine::Mujoco(MujocoEngine::new(&world).unwrap()),
