@@ -141,7 +141,9 @@ impl StateDelays {
 
     /// Makes room for latencies up to `max` physics steps.
     pub fn grow(&mut self, max: u32, substeps: u32) {
-        self.ring.resize((max / substeps) as usize + 1, [[0.0; LANES]; 13]);
+        let length = (max / substeps) as usize + 1;
+        self.ring.reserve_exact(length.saturating_sub(self.ring.len()));
+        self.ring.resize(length, [[0.0; LANES]; 13]);
     }
 
     fn length(&self, lane: usize, substeps: u32) -> u64 {
