@@ -63,7 +63,7 @@ pub(crate) struct ClearanceCache {
     distance: f64,
 }
 
-/// What drones can touch in a physics step.
+/// Objects that drones can touch in a physics step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Reachable {
     Nothing,

@@ -24,7 +24,8 @@ pub(super) struct BatchModel {
     /// Instruction set.
     pub width: Width,
     pub downwash: bool,
-    /// Decoding of each drone's actions in lanes; `None` if the decoders have control loops or a filter changes the actions.
+    /// Decoding of each drone's actions in lanes; `None` if the decoders have control loops or a filter changes the
+    /// actions.
     pub decoding: Option<Vec<Decoding>>,
     /// True if one action commands all four motors of a drone.
     pub one_action: bool,
@@ -312,8 +313,8 @@ impl<'a, T> EnvSlices<'a, T> {
         }
     }
 
-    /// Reads the data of an environment from its lane, into its own data or into `shared`. Sampled parameters of
-    /// environments without their own data are applied anew.
+    /// Reads the data of an environment from its lane, into its own data or into `shared`. Applies the
+    /// sampled parameters of environments without their own data.
     pub fn load(&mut self, model: &BatchModel, sim_model: &SimModel, index: usize, shared: &mut SimData) {
         let (drones, lane, block) = (model.drones, index % LANES, &self.blocks[index / LANES]);
         let lanes = &self.lanes[index / LANES * drones..][..drones];

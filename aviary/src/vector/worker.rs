@@ -315,7 +315,7 @@ impl<T: Task> Worker<T> {
     }
 
     /// Advances the environments of a block in lanes. Returns true for those whose drones have touched nothing; the
-    /// other lanes are as before, but for the commands.
+    /// other lanes keep everything except the commands.
     fn advance_lanes(
         &mut self,
         model: &BatchModel,

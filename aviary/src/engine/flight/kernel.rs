@@ -31,7 +31,7 @@ pub struct Flow {
     pub width: Width,
 }
 
-/// What only some flights need in addition to [`Flow`], for one drone of a block.
+/// Options of [`advance_with`] in addition to [`Flow`], for one drone of a block.
 #[derive(Debug, Default)]
 pub(crate) struct Extras<'a> {
     /// Wind.

@@ -35,8 +35,8 @@ const SLACK: f64 = 1e-9;
 
 impl ReachBound {
     /// Creates the bound of a drone of radius `reach` (m) with this body. `acceleration` (m/s², without gravity) and
-    /// `torque` (N·m) bound the rotors and the surroundings. `slowing` bounds the accelerations that grow with the speed:
-    /// blade drag and wind, linear (1/s) and quadratic (1/m).
+    /// `torque` (N·m) bound the rotors and the surroundings. `slowing` bounds the accelerations by blade drag and wind,
+    /// which grow with the speed: linear (1/s) and quadratic (1/m).
     pub fn new(body: &FreeBody, reach: f64, acceleration: f64, torque: f64, slowing: [f64; 2]) -> Self {
         let [x, y, z] = body.inverse_inertia;
         let (max, min) = (x.max(y).max(z), x.min(y).min(z));
