@@ -6,6 +6,7 @@ mod common;
 mod alone;
 mod episodes;
 mod faults;
+mod tasks;
 
 use mujoco_drones_gym::env::AviaryBuilder;
 use mujoco_drones_gym::prelude::*;

@@ -9,8 +9,11 @@ use pulp::{Simd, WithSimd};
 use super::Task;
 use super::randomization::{Sensed, SensorLanes};
 use crate::engine::flight::{FlightState, Lanes, Part, Width};
-use crate::math::{Pack, Real, Row, V3};
+use crate::math::{LANES, Pack, Real, Row, V3};
 use crate::simulation::SimView;
+
+/// Register of lanes that are true or false.
+pub(crate) type LaneMask<S> = <Pack<S> as Real>::Mask;
 
 /// Task with a form in SIMD lanes.
 ///
@@ -20,22 +23,31 @@ pub(crate) trait LaneTask: Task {
     /// Number of rows of one drone.
     const ROWS: usize;
 
-    /// Writes the rows of a drone from the task.
+    /// Writes the rows of a drone from the task, during an episode.
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]);
 
-    /// Reads the state of a drone from its rows.
+    /// Reads the state of a drone from its rows, after at least one step that the lanes have completed. The batch
+    /// calls this function for every drone, in order.
     fn read_rows(&mut self, drone: usize, rows: &[f64]);
 
-    /// Updates the rows of a drone after a control step, and returns its reward without the penalty for a crash, and
-    /// a number above 0 where the scalar task must evaluate the step: where a drone may have ended or completed its
-    /// part. In those lanes the rows keep what [`read_rows`](Self::read_rows) needs for a second evaluation.
-    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut LaneRows<'_, S>) -> (Pack<S>, Pack<S>);
+    /// Evaluates a control step of a drone. Returns its reward without the penalty for a crash, and 1 in lanes where
+    /// the scalar task must evaluate the step instead, 0 elsewhere: where a drone may have ended or reached something.
+    /// Calls are in the order of the drones. Rows may change here only if a second evaluation of the same step, also
+    /// by the scalar task, does not depend on the change.
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>);
+
+    /// Writes the state of the task after a control step to the rows of all drones, in the lanes that have completed
+    /// the step, those of the mask.
+    #[inline(always)]
+    fn complete<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>, completed: LaneMask<S>) {
+        let _ = (scene, rows, completed);
+    }
 
     /// Writes the observation of a drone.
     fn observe_lanes<S: Simd>(
         scene: &LaneScene<'_, S>,
         drone: usize,
-        rows: &LaneRows<'_, S>,
+        rows: &mut TaskRows<'_, S>,
         out: &mut LaneRows<'_, S>,
     );
 }
@@ -45,10 +57,9 @@ pub(crate) struct LaneScene<'a, S: Simd> {
     part: Part<S>,
     lanes: &'a [Lanes],
     /// Control steps since the start of the episode.
-    pub steps: Pack<S>,
-    /// Length of a control step, s.
-    #[allow(dead_code)] // for tasks that depend on time
-    pub period: f64,
+    steps: Pack<S>,
+    /// Control rate, Hz.
+    rate: f64,
 }
 
 impl<S: Simd> LaneScene<'_, S> {
@@ -64,6 +75,18 @@ impl<S: Simd> LaneScene<'_, S> {
         self.part.motion(&self.lanes[drone])
     }
 
+    /// Returns the position of a drone, world frame, m.
+    #[inline(always)]
+    pub fn position(&self, drone: usize) -> V3<Pack<S>> {
+        self.state(drone).position
+    }
+
+    /// Returns the time since the start of the episode, s, as [`SimView::time`] computes it.
+    #[inline(always)]
+    pub fn time(&self) -> Pack<S> {
+        self.steps / self.steps.all(self.rate)
+    }
+
     /// Returns roll, pitch and yaw of a drone, rad.
     #[inline(always)]
     pub fn rpy(&self, drone: usize) -> V3<Pack<S>> {
@@ -77,6 +100,22 @@ impl<S: Simd> LaneScene<'_, S> {
         for (index, part) in [state.position, rpy, state.velocity, state.rate].into_iter().enumerate() {
             out.put3(3 * index, part);
         }
+    }
+}
+
+/// Rows of the task in all drones, seen through one register.
+pub(crate) struct TaskRows<'a, S: Simd> {
+    part: Part<S>,
+    rows: &'a mut [Row],
+    /// Number of rows of one drone.
+    size: usize,
+}
+
+impl<S: Simd> TaskRows<'_, S> {
+    /// Returns the rows of a drone.
+    #[inline(always)]
+    pub fn drone(&mut self, drone: usize) -> LaneRows<'_, S> {
+        LaneRows { part: self.part, rows: &mut self.rows[self.size * drone..][..self.size] }
     }
 }
 
@@ -123,6 +162,8 @@ pub(crate) struct LaneStep<'a> {
     pub rows: &'a mut [Row],
     /// Control steps since the start of the episode.
     pub steps: &'a Row<u64>,
+    /// True for environments that flew in lanes. The others have no step to evaluate here.
+    pub flew: &'a [bool; LANES],
     /// Measured states, if they differ from the true ones.
     pub sensing: Option<Sensing<'a>>,
     /// Length of a control step, s.
@@ -174,32 +215,35 @@ impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let LaneStep { count, lanes, rows, steps, mut sensing, period, episode_steps, bounds, .. } = self.step;
-        let LaneStep { rewards, events, observation, .. } = self.step;
+        let LaneStep { flew, rewards, events, observation, .. } = self.step;
         let control_steps = steps.map(|step| step as f64);
+        let grounded = flew.map(|flew| if flew { 0.0 } else { 1.0 });
+        // control rates are integers
+        let rate = (1.0 / period).round();
         let block = observation.len() / lanes.len();
         for part in Part::first(simd, count) {
             for lanes in &mut *lanes {
                 part.update_rpy(lanes);
             }
-            let scene = LaneScene { part, lanes: &*lanes, steps: part.get(&control_steps), period };
+            let scene = LaneScene { part, lanes: &*lanes, steps: part.get(&control_steps), rate };
             let (zero, one) = (scene.steps.all(0.0), scene.steps.all(1.0));
-            let mut event = Real::choose(scene.steps.less(one.all(episode_steps)), zero, one);
+            let mut rows = TaskRows { part, rows: &mut *rows, size: T::ROWS };
+            let mut event = Real::choose(scene.steps.less(one.all(episode_steps)), part.get(&grounded), one);
             let mut sum = zero;
             for drone in 0..scene.num_drones() {
-                let mut own = LaneRows { part, rows: &mut rows[T::ROWS * drone..][..T::ROWS] };
-                let (reward, own_event) = T::evaluate(&scene, drone, &mut own);
+                let (reward, own_event) = T::evaluate(&scene, drone, &mut rows);
                 sum = if drone == 0 { reward } else { sum + reward };
                 event = event.greater(own_event);
             }
+            T::complete(&scene, &mut rows, event.less(one));
             if let Some(sensing) = &mut sensing {
                 sensing.measure(part, steps);
             }
             let lanes = sensing.as_ref().map_or(&*lanes, |sensing| &*sensing.seen);
-            let scene = LaneScene { part, lanes, steps: part.get(&control_steps), period };
+            let scene = LaneScene { part, lanes, steps: part.get(&control_steps), rate };
             for drone in 0..scene.num_drones() {
-                let own = LaneRows { part, rows: &mut rows[T::ROWS * drone..][..T::ROWS] };
                 let mut out = LaneRows { part, rows: &mut observation[block * drone..][..block] };
-                T::observe_lanes(&scene, drone, &own, &mut out);
+                T::observe_lanes(&scene, drone, &mut rows, &mut out);
             }
             for &(entry, low, high) in bounds {
                 let x = part.get(&observation[entry]);

@@ -24,7 +24,7 @@ pub use conditions::{ConditionChoice, Conditions};
 pub(crate) use episode::{Episode, Phase};
 #[doc(hidden)]
 pub use lane_task::LaneFunctions;
-pub(crate) use lane_task::{LaneRows, LaneScene, LaneStep, LaneTask, Sensing};
+pub(crate) use lane_task::{LaneMask, LaneRows, LaneScene, LaneStep, LaneTask, Sensing, TaskRows};
 pub(crate) use randomization::SensorLanes;
 pub use randomization::{
     ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range,

@@ -30,6 +30,9 @@ pub struct TaskDefaults {
 /// `observe` after every control step. A change in `update`, such as a reached waypoint, is visible in all later
 /// calls.
 ///
+/// Batches evaluate the tasks of this crate for eight environments at a time, in SIMD registers. They evaluate other
+/// tasks one environment at a time, which adds about 100 ns to the step of an environment.
+///
 /// A task is `Clone`: batches and snapshots copy it with its state. Snapshots in files also need
 /// [`save`](Self::save) and [`load`](Self::load).
 ///

@@ -1,12 +1,17 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
+};
+use crate::math::{Pack, Real, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
@@ -102,6 +107,14 @@ impl Antipodal {
         self.nearest
     }
 
+    /// Returns the reward without the penalty for a crash from the distance to the goal (m) and the number of drones
+    /// that are too close. Scalar or SIMD.
+    #[inline(always)]
+    fn flight_reward<R: Real>(distance: R, close: R) -> R {
+        let zero = distance.all(0.0);
+        distance * -0.1 + R::choose(distance.less(zero.all(Self::AT_GOAL)), zero.all(0.5), zero) - close
+    }
+
     fn at_goal(&self, simulation: SimView<'_>, drone: usize) -> bool {
         simulation.distance(drone, &self.goal(simulation, drone)) < Self::AT_GOAL
     }
@@ -173,11 +186,10 @@ impl Task for Antipodal {
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let here = simulation.states()[drone].position;
-        let near = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
-        -0.1 * simulation.distance(drone, &self.goal(simulation, drone))
-            + if self.at_goal(simulation, drone) { 0.5 } else { 0.0 }
-            - (0..simulation.num_drones()).filter(near).count() as f64
-            - crash_penalty(end)
+        let close = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
+        let close = (0..simulation.num_drones()).filter(close).count() as f64;
+        let distance = simulation.distance(drone, &self.goal(simulation, drone));
+        Self::flight_reward(distance, close) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
@@ -205,5 +217,84 @@ impl Task for Antipodal {
         (12..15).contains(&entry)
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// The rows of a drone are those of [`CrashWatch`], the goal, the safety radius, the number of drones that are too
+/// close, and the smallest distance between two drones so far, which only the first drone uses.
+impl LaneTask for Antipodal {
+    const ROWS: usize = CrashWatch::ROWS + 6;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        let goal = self.goal(simulation, drone);
+        own.copy_from_slice(&[goal.x, goal.y, goal.z, self.safety_radius, 0.0, self.nearest]);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+        if drone == 0 {
+            self.nearest = rows[Self::NEAREST];
+        }
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        if drone == 0 {
+            Self::compare_pairs(scene, rows);
+        }
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let distance = (state.position - own.get3(CrashWatch::ROWS)).norm();
+        (Self::flight_reward(distance, own.get(Self::CLOSE)), crashed)
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        let goal = rows.drone(drone).get3(CrashWatch::ROWS);
+        scene.observe_state(drone, out);
+        out.put3(STATE_SIZE, goal);
+        out.put3(STATE_SIZE + 3, goal - scene.position(drone));
+    }
+}
+
+impl Antipodal {
+    /// Row of the number of drones that are too close.
+    const CLOSE: usize = CrashWatch::ROWS + 4;
+
+    /// Row of the smallest distance between two drones.
+    const NEAREST: usize = CrashWatch::ROWS + 5;
+
+    /// Counts the drones that are too close to every drone, and updates the smallest distance between two drones. A
+    /// second evaluation of the same step has the same result.
+    #[inline(always)]
+    fn compare_pairs<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>) {
+        let (mut nearest, safety_radius) = (rows.drone(0).get(Self::NEAREST), rows.drone(0).get(CrashWatch::ROWS + 3));
+        let (zero, one) = (nearest.all(0.0), nearest.all(1.0));
+        for i in 0..scene.num_drones() {
+            let here = scene.position(i);
+            let mut count = zero;
+            for j in 0..i {
+                let distance = (here - scene.position(j)).norm();
+                let close = Real::choose(distance.less(safety_radius), one, zero);
+                count = count + close;
+                let mut other = rows.drone(j);
+                let sum = other.get(Self::CLOSE) + close;
+                other.put(Self::CLOSE, sum);
+                nearest = distance.lesser(nearest);
+            }
+            rows.drone(i).put(Self::CLOSE, count);
+        }
+        rows.drone(0).put(Self::NEAREST, nearest);
+    }
 }

@@ -1,14 +1,19 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::waypoint_progress::{self, WaypointProgress};
+use super::waypoint_progress::{self, WaypointProgress, in_body_frame};
 use super::{STATE_BOUNDS, UNBOUNDED, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
+};
+use crate::math::{Pack, Real, Turn, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
@@ -145,17 +150,16 @@ impl Task for FlyThrough {
             return -crash_penalty(end);
         }
         let capture = if self.progress.just_passed(drone) { self.capture_reward } else { 0.0 };
-        capture
-            - self.distance_penalty * self.progress.distance(drone)
-            - 0.01 * simulation.states()[drone].angular_velocity.norm()
-            - crash_penalty(end)
+        let rate = V3::from(&simulation.states()[drone].angular_velocity);
+        flight_reward(capture, self.distance_penalty, self.progress.distance(drone), rate) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, target) = (&simulation.states()[drone], self.target(drone));
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(target.as_slice());
-        out[15..18].copy_from_slice(state.attitude.inverse_transform_vector(&(target - state.position)).as_slice());
+        let seen = in_body_frame(&Turn::from(&state.attitude), V3::from(&(target - state.position)));
+        out[15..18].copy_from_slice(&[seen.x, seen.y, seen.z]);
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
@@ -192,5 +196,68 @@ impl Task for FlyThrough {
         (12..15).contains(&entry)
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// Returns the reward of a drone before its last capture, without the penalty for a crash, from the reward for a
+/// capture in this step, the penalty and the distance, and the angular velocity. Scalar or SIMD.
+#[inline(always)]
+fn flight_reward<R: Real>(capture: R, penalty: R, distance: R, rate: V3<R>) -> R {
+    capture - penalty * distance - rate.norm() * 0.01
+}
+
+impl FlyThrough {
+    /// First row of the options.
+    const OPTIONS: usize = CrashWatch::ROWS + WaypointProgress::ROWS;
+}
+
+/// The rows of a drone are those of [`CrashWatch`] and of [`WaypointProgress`], and the penalty for the distance.
+impl LaneTask for FlyThrough {
+    const ROWS: usize = Self::OPTIONS + 1;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        let (progress, options) = own.split_at_mut(WaypointProgress::ROWS);
+        self.progress.write_rows(drone, &self.waypoints, 1, self.radius, &self.target(drone), progress);
+        options[0] = self.distance_penalty;
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+        self.progress.read_rows(drone, &rows[CrashWatch::ROWS..Self::OPTIONS]);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let (distance, flying, event) = WaypointProgress::evaluate_rows(state.position, &own, CrashWatch::ROWS);
+        let zero = distance.all(0.0);
+        let reward = flight_reward(zero, own.get(Self::OPTIONS), distance, state.rate);
+        (Real::choose(flying, reward, -zero), crashed.greater(event))
+    }
+
+    #[inline(always)]
+    fn complete<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>, completed: LaneMask<S>) {
+        WaypointProgress::complete_rows(scene, rows, CrashWatch::ROWS, completed);
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        let (state, own) = (scene.state(drone), rows.drone(drone));
+        let target = WaypointProgress::point_in_lanes(&own, CrashWatch::ROWS);
+        scene.observe_state(drone, out);
+        out.put3(STATE_SIZE, target);
+        out.put3(STATE_SIZE + 3, in_body_frame(&state.attitude, target - state.position));
+    }
 }

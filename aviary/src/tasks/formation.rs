@@ -1,12 +1,17 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults, path_points};
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows, path_points,
+};
+use crate::math::{Pack, Real, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
@@ -73,6 +78,12 @@ impl Formation {
     /// Mean distance from the slots below which the task succeeds, m.
     const KEPT: f64 = 0.05;
 
+    /// Length of the path below which the centre stands still, m.
+    const MIN_LAP: f64 = 1e-6;
+
+    /// Distance from the start of a side within which the lanes leave the step to the scalar task, m.
+    const MARGIN: f64 = 1e-6;
+
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
@@ -89,21 +100,52 @@ impl Formation {
         }
     }
 
-    /// Returns the position and the velocity of the centre at a time.
-    fn centre(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
+    /// Returns the side of the path on which the centre is after a distance, m.
+    fn side(&self, distance: f64) -> Side<f64> {
         let sides = self.path.iter().zip(self.path.iter().cycle().skip(1));
         let sides = sides.map(|(from, to)| (Vector3::from(*from), Vector3::from(*to)));
-        let length: f64 = sides.clone().map(|(from, to)| (to - from).norm()).sum();
-        let mut travelled = if length > 0.0 { (self.speed * time).rem_euclid(length) } else { 0.0 };
-        for (from, to) in sides {
-            let side = (to - from).norm();
-            if travelled < side {
-                let direction = (to - from) / side;
-                return (from + direction * travelled, direction * self.speed);
-            }
-            travelled -= side;
+        let lap: f64 = sides.clone().map(|(from, to)| (to - from).norm()).sum();
+        let stand = Side { from: V3::from(&Vector3::from(self.path[0])), ..Side::STAND };
+        if lap < Self::MIN_LAP {
+            return stand;
         }
-        (self.path[0].into(), Vector3::zeros())
+        let mut side = Side { lap, low: f64::NEG_INFINITY, high: 0.0, ..stand };
+        for (from, to) in sides {
+            let length = (to - from).norm();
+            if side.travelled(distance) < length {
+                return Side {
+                    high: length,
+                    from: V3::from(&from),
+                    direction: V3::from(&((to - from) / length)),
+                    ..side
+                };
+            }
+            (side.start, side.low) = (side.start + length, Self::MARGIN);
+        }
+        // rounding at the end of a lap
+        Side { start: 0.0, high: 0.0, ..side }
+    }
+
+    /// Returns the position and the velocity of the centre at a time.
+    fn centre(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
+        let distance = self.speed * time;
+        let side = self.side(distance);
+        (side.point(distance).into(), Vector3::from(side.direction) * self.speed)
+    }
+
+    /// Returns the reward without the penalty for a crash, from the distance to the slot and the sum of the errors
+    /// of the distances to the other drones, m. Scalar or SIMD.
+    #[inline(always)]
+    fn flight_reward<R: Real>(error: R, deviations: R) -> R {
+        // each pair occurs in the rewards of both its drones
+        -error - deviations * 0.25
+    }
+
+    /// Returns the error of the distance between two drones, from their difference of positions and of slots, m.
+    /// Scalar or SIMD.
+    #[inline(always)]
+    fn deviation<R: Real>(apart: V3<R>, desired: V3<R>) -> R {
+        (apart.norm() - desired.norm()).abs()
     }
 
     fn slot(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
@@ -199,12 +241,12 @@ impl Task for Formation {
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let (states, count) = (simulation.states(), simulation.num_drones());
         let (here, own) = (states[drone].position, self.offset(drone, count));
-        let others = (0..count).filter(|&other| other != drone).map(|other| {
-            let desired = (self.offset(other, count) - own).norm();
-            ((states[other].position - here).norm() - desired).abs()
+        let deviations = (0..count).filter(|&other| other != drone).fold(0.0, |sum, other| {
+            let (apart, desired) = (states[other].position - here, self.offset(other, count) - own);
+            sum + Self::deviation(V3::from(&apart), V3::from(&desired))
         });
-        // each pair occurs in the rewards of both its drones
-        -simulation.distance(drone, &self.slot(simulation, drone)) - 0.25 * others.sum::<f64>() - crash_penalty(end)
+        let error = simulation.distance(drone, &self.slot(simulation, drone));
+        Self::flight_reward(error, deviations) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
@@ -238,5 +280,155 @@ impl Task for Formation {
         (12..15).contains(&entry)
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// Side of the path of the centre. Scalar or SIMD.
+#[derive(Debug, Clone, Copy)]
+struct Side<R> {
+    /// Length of the path, m.
+    lap: R,
+    /// Distance from the start of the path to the start of the side, m.
+    start: R,
+    /// Range of the distance travelled on the side in which the side is certainly the present one, m.
+    low: R,
+    high: R,
+    /// Start of the side, world frame, m.
+    from: V3<R>,
+    /// Direction, as a unit vector.
+    direction: V3<R>,
+}
+
+impl Side<f64> {
+    /// Side on which the centre stays.
+    const STAND: Self = {
+        let zero = V3 { x: 0.0, y: 0.0, z: 0.0 };
+        Self { lap: f64::MAX, start: 0.0, low: f64::NEG_INFINITY, high: f64::INFINITY, from: zero, direction: zero }
+    };
+
+    fn numbers(&self) -> [f64; 10] {
+        let Self { lap, start, low, high, from, direction } = *self;
+        [lap, start, low, high, from.x, from.y, from.z, direction.x, direction.y, direction.z]
+    }
+}
+
+impl<R: Real> Side<R> {
+    /// Returns the distance travelled on the side, m, from the distance travelled in all laps.
+    #[inline(always)]
+    fn travelled(&self, distance: R) -> R {
+        let laps = distance / self.lap;
+        let nearest = laps.rounded();
+        let whole = R::choose(laps.less(nearest), nearest - 1.0, nearest);
+        distance - whole * self.lap - self.start
+    }
+
+    /// Returns the position of the centre, world frame, m.
+    #[inline(always)]
+    fn point(&self, distance: R) -> V3<R> {
+        self.from + self.direction * self.travelled(distance)
+    }
+}
+
+impl Formation {
+    /// Row of the slot relative to the centre.
+    const OFFSET: usize = CrashWatch::ROWS;
+
+    /// Row of the sum of the distances from the slots, and of the number of summands. Only the first drone uses them.
+    const ERRORS: usize = Self::OFFSET + 3;
+
+    /// Row of the speed of the centre, and of its side of the path.
+    const CENTRE: usize = Self::ERRORS + 2;
+
+    /// Returns the distance that the centre has travelled, m, and its side of the path.
+    #[inline(always)]
+    fn side_in_lanes<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Side<Pack<S>>) {
+        let first = rows.drone(0);
+        let row = |index| first.get(Self::CENTRE + index);
+        let (from, direction) = (first.get3(Self::CENTRE + 5), first.get3(Self::CENTRE + 8));
+        let side = Side { lap: row(1), start: row(2), low: row(3), high: row(4), from, direction };
+        (row(0) * scene.time(), side)
+    }
+
+    /// Returns the slot of a drone, world frame, m.
+    #[inline(always)]
+    fn slot_in_lanes<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> V3<Pack<S>> {
+        let (distance, side) = Self::side_in_lanes(scene, rows);
+        side.point(distance) + rows.drone(drone).get3(Self::OFFSET)
+    }
+}
+
+/// The rows of a drone are those of [`CrashWatch`], its slot relative to the centre, the sum and the number of errors,
+/// the speed of the centre, and its side of the path.
+impl LaneTask for Formation {
+    const ROWS: usize = Self::CENTRE + 11;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        self.watch.write_rows(&self.crash, simulation, drone, &mut rows[..CrashWatch::ROWS]);
+        rows[Self::OFFSET..Self::ERRORS].copy_from_slice(self.offset(drone, simulation.num_drones()).as_slice());
+        rows[Self::ERRORS..Self::CENTRE].copy_from_slice(&[self.errors.0, self.errors.1]);
+        rows[Self::CENTRE] = self.speed;
+        rows[Self::CENTRE + 1..].copy_from_slice(&self.side(self.speed * simulation.time()).numbers());
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+        if drone == 0 {
+            self.errors = (rows[Self::ERRORS], rows[Self::ERRORS + 1]);
+        }
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let state = scene.state(drone);
+        let mut event = CrashWatch::update_rows(&state, &mut rows.drone(drone));
+        let (zero, one) = (event.all(0.0), event.all(1.0));
+        if drone == 0 {
+            // the scalar task finds the next side
+            let (distance, side) = Self::side_in_lanes(scene, rows);
+            let travelled = side.travelled(distance);
+            let inside = side.low.less(travelled) & travelled.less(side.high);
+            event = Real::choose(inside, event, one);
+        }
+        let own = rows.drone(drone).get3(Self::OFFSET);
+        let mut deviations = zero;
+        for other in 0..scene.num_drones() {
+            if other == drone {
+                continue;
+            }
+            let desired = rows.drone(other).get3(Self::OFFSET) - own;
+            deviations = deviations + Self::deviation(scene.position(other) - state.position, desired);
+        }
+        let error = (state.position - Self::slot_in_lanes(scene, drone, rows)).norm();
+        (Self::flight_reward(error, deviations), event)
+    }
+
+    #[inline(always)]
+    fn complete<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>, completed: LaneMask<S>) {
+        let before = [0, 1].map(|index| rows.drone(0).get(Self::ERRORS + index));
+        let [mut sum, mut count] = before;
+        for drone in 0..scene.num_drones() {
+            sum = sum + (scene.position(drone) - Self::slot_in_lanes(scene, drone, rows)).norm();
+            count = count + 1.0;
+        }
+        let mut first = rows.drone(0);
+        first.put(Self::ERRORS, Real::choose(completed, sum, before[0]));
+        first.put(Self::ERRORS + 1, Real::choose(completed, count, before[1]));
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        let slot = Self::slot_in_lanes(scene, drone, rows);
+        scene.observe_state(drone, out);
+        out.put3(STATE_SIZE, slot);
+        out.put3(STATE_SIZE + 3, slot - scene.position(drone));
+    }
 }

@@ -9,7 +9,8 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::engine::flight::FlightState;
 use crate::env::{
-    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task, TaskDefaults,
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
 };
 use crate::math::{Pack, Real, V3};
 use crate::simulation::SimView;
@@ -164,17 +165,22 @@ impl LaneTask for Hover {
     }
 
     #[inline(always)]
-    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut LaneRows<'_, S>) -> (Pack<S>, Pack<S>) {
-        let state = scene.state(drone);
-        let crashed = CrashWatch::update_rows(&state, rows);
-        let [height, max_height] = [0, 1].map(|index| rows.get(CrashWatch::ROWS + index));
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let [height, max_height] = [0, 1].map(|index| own.get(CrashWatch::ROWS + index));
         let too_high = Real::choose(max_height.less(state.position.z), height.all(1.0), height.all(0.0));
         let target = V3::new(height.all(0.0), height.all(0.0), height);
         (flight_reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
     }
 
     #[inline(always)]
-    fn observe_lanes<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, _: &LaneRows<'_, S>, out: &mut LaneRows<'_, S>) {
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        _: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
         scene.observe_state(drone, out);
     }
 }

@@ -1,14 +1,18 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch};
-use super::hover::{at_target, hover_reward};
+use super::hover::{at_target, flight_reward, hover_reward};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
-use crate::math::V3;
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
+};
+use crate::math::{Pack, Real, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::placement::max_collision_radius;
@@ -165,5 +169,45 @@ impl Task for MultiHover {
         Reference::hover(self.target(simulation, drone), simulation.initial_states()[drone].yaw())
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// The rows of a drone are those of [`CrashWatch`], the target and the maximum height.
+impl LaneTask for MultiHover {
+    const ROWS: usize = CrashWatch::ROWS + 4;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        let target = self.target(simulation, drone);
+        own.copy_from_slice(&[target.x, target.y, target.z, self.max_height]);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let (target, max_height) = (own.get3(CrashWatch::ROWS), own.get(CrashWatch::ROWS + 3));
+        let too_high = Real::choose(max_height.less(state.position.z), crashed.all(1.0), crashed.all(0.0));
+        (flight_reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        scene.observe_state(drone, out);
+        out.put(STATE_SIZE, rows.drone(drone).get(CrashWatch::ROWS + 2));
+    }
 }

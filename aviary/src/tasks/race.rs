@@ -1,12 +1,17 @@
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::waypoint_progress::{self, WaypointProgress};
+use super::waypoint_progress::{self, WaypointProgress, in_body_frame};
 use super::{STATE_BOUNDS, UNBOUNDED, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
+};
+use crate::math::{Pack, Real, Turn, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
@@ -184,19 +189,23 @@ impl Task for Race {
             return -crash_penalty(end);
         }
         let gate = if self.progress.just_passed(drone) { self.gate_reward } else { 0.0 };
-        gate + self.speed_reward * simulation.states()[drone].velocity.norm()
-            - self.distance_penalty * self.progress.distance(drone)
+        let (velocity, distance) = (&simulation.states()[drone].velocity, self.progress.distance(drone));
+        flight_reward(gate, [self.speed_reward, self.distance_penalty], V3::from(velocity), distance)
             - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let state = &simulation.states()[drone];
         let (next, second) = (self.gate(drone, 0), self.gate(drone, 1));
-        let seen = |point: Vector3<f64>| state.attitude.inverse_transform_vector(&(point - state.position));
+        let attitude = Turn::from(&state.attitude);
+        let seen = |point: Vector3<f64>| {
+            let V3 { x, y, z } = in_body_frame(&attitude, V3::from(&(point - state.position)));
+            [x, y, z]
+        };
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(next.as_slice());
-        out[15..18].copy_from_slice(seen(next).as_slice());
-        out[18..21].copy_from_slice(seen(second).as_slice());
+        out[15..18].copy_from_slice(&seen(next));
+        out[18..21].copy_from_slice(&seen(second));
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
@@ -235,5 +244,72 @@ impl Task for Race {
         (12..15).contains(&entry)
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// Returns the reward of a drone before its last gate, without the penalty for a crash, from the reward for a gate in
+/// this step, the reward for the speed and the penalty for the distance, the velocity, and the distance. Scalar or
+/// SIMD.
+#[inline(always)]
+fn flight_reward<R: Real>(gate: R, [speed_reward, distance_penalty]: [R; 2], velocity: V3<R>, distance: R) -> R {
+    gate + speed_reward * velocity.norm() - distance_penalty * distance
+}
+
+impl Race {
+    /// First row of the gate after the next and of the options.
+    const OPTIONS: usize = CrashWatch::ROWS + WaypointProgress::ROWS;
+}
+
+/// The rows of a drone are those of [`CrashWatch`] and of [`WaypointProgress`], the gate after the next, the reward for
+/// the speed and the penalty for the distance.
+impl LaneTask for Race {
+    const ROWS: usize = Self::OPTIONS + 5;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        let (progress, options) = own.split_at_mut(WaypointProgress::ROWS);
+        self.progress.write_rows(drone, &self.gates, self.laps, self.radius, &self.gate(drone, 0), progress);
+        let second = self.gate(drone, 1);
+        options.copy_from_slice(&[second.x, second.y, second.z, self.speed_reward, self.distance_penalty]);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+        self.progress.read_rows(drone, &rows[CrashWatch::ROWS..Self::OPTIONS]);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let (distance, flying, event) = WaypointProgress::evaluate_rows(state.position, &own, CrashWatch::ROWS);
+        let (zero, weights) = (distance.all(0.0), [3, 4].map(|index| own.get(Self::OPTIONS + index)));
+        let reward = flight_reward(zero, weights, state.velocity, distance);
+        (Real::choose(flying, reward, -zero), crashed.greater(event))
+    }
+
+    #[inline(always)]
+    fn complete<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>, completed: LaneMask<S>) {
+        WaypointProgress::complete_rows(scene, rows, CrashWatch::ROWS, completed);
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        let (state, own) = (scene.state(drone), rows.drone(drone));
+        let (next, second) = (WaypointProgress::point_in_lanes(&own, CrashWatch::ROWS), own.get3(Self::OPTIONS));
+        scene.observe_state(drone, out);
+        out.put3(STATE_SIZE, next);
+        out.put3(STATE_SIZE + 3, in_body_frame(&state.attitude, next - state.position));
+        out.put3(STATE_SIZE + 6, in_body_frame(&state.attitude, second - state.position));
+    }
 }

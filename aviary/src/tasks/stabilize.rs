@@ -1,13 +1,19 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::Vector3;
+use pulp::Simd;
 use rand::RngExt as _;
 
 use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::engine::flight::FlightState;
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
+};
+use crate::math::{Pack, Real, V3};
 use crate::simulation::SimView;
 use crate::state::{DroneState, attitude_from_rpy};
 
@@ -78,8 +84,19 @@ impl Stabilize {
         AviaryBuilder::new(Self::default())
     }
 
-    fn at_rest(state: &DroneState) -> bool {
-        state.velocity.norm() < Self::STILL && state.angular_velocity.norm() < Self::STEADY
+    /// Returns true at rest. Scalar or SIMD.
+    #[inline(always)]
+    fn at_rest<R: Real>(state: &FlightState<R>) -> R::Mask {
+        let (speed, rate) = (state.velocity.norm(), state.rate.norm());
+        speed.less(speed.all(Self::STILL)) & rate.less(rate.all(Self::STEADY))
+    }
+
+    /// Returns the reward without the penalty for a crash. Scalar or SIMD.
+    #[inline(always)]
+    fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>) -> R {
+        let zero = rpy.x.all(0.0);
+        -state.velocity.norm() - state.rate.norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
+            + R::choose(Self::at_rest(state), zero.all(0.5), zero)
     }
 }
 
@@ -139,10 +156,8 @@ impl Task for Stabilize {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = (&simulation.states()[drone], simulation.rpy(drone));
-        -state.velocity.norm() - 0.1 * state.angular_velocity.norm() - 0.05 * (rpy.x.abs() + rpy.y.abs())
-            + if Self::at_rest(state) { 0.5 } else { 0.0 }
-            - crash_penalty(end)
+        let state = FlightState::from(&simulation.states()[drone]);
+        Self::flight_reward(&state, V3::from(simulation.rpy(drone))) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
@@ -150,7 +165,7 @@ impl Task for Stabilize {
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
-        self.watch.end(drone).is_none() && Self::at_rest(&simulation.states()[drone])
+        self.watch.end(drone).is_none() && Self::at_rest(&FlightState::from(&simulation.states()[drone]))
     }
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
@@ -171,5 +186,39 @@ impl Task for Stabilize {
         report("body_rate", rates.fold(0.0, f64::max));
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// The rows of a drone are those of [`CrashWatch`].
+impl LaneTask for Stabilize {
+    const ROWS: usize = CrashWatch::ROWS;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        self.watch.write_rows(&self.crash, simulation, drone, rows);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, rows);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let state = scene.state(drone);
+        let crashed = CrashWatch::update_rows(&state, &mut rows.drone(drone));
+        (Self::flight_reward(&state, scene.rpy(drone)), crashed)
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        _: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        scene.observe_state(drone, out);
+    }
 }

@@ -1,13 +1,19 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use nalgebra::Vector3;
+use pulp::Simd;
 use rand::RngExt as _;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults, path_points};
+use crate::engine::flight::FlightState;
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows, path_points,
+};
+use crate::math::{Pack, Real, V3, sin_cos_of_turns};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::state::DroneState;
@@ -80,9 +86,6 @@ impl Track {
     /// Distance below which the reference is tracked, m.
     const TRACKED: f64 = 0.05;
 
-    /// Duration of the acceleration at the start, s.
-    const RAMP: f64 = 1.0;
-
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
@@ -90,22 +93,27 @@ impl Track {
 
     /// Returns the reference of a drone at a time (s) of the episode.
     fn target(&self, drone: usize, time: f64) -> Reference {
-        let full = self.speed / self.radius;
-        // constant angular acceleration
-        let (angle, rate, gain) = if time < Self::RAMP {
-            (0.5 * full * time * time / Self::RAMP, full * time / Self::RAMP, full / Self::RAMP)
-        } else {
-            (full * (time - 0.5 * Self::RAMP), full, 0.0)
-        };
-        let (sin, cos) = (self.phase + self.direction * angle).sin_cos();
-        let outwards = Vector3::new(cos, sin, 0.0);
-        let along = self.direction * Vector3::new(-sin, cos, 0.0);
-        let centre = Vector3::new(0.0, -(4.0 * self.radius + 1.0) * drone as f64, self.height);
+        let circle = self.circle(drone);
+        let [position, velocity, acceleration] = circle.motion(time);
         Reference {
-            velocity: along * (self.radius * rate),
-            acceleration: along * (self.radius * gain) - outwards * (self.radius * rate * rate),
-            ..Reference::hover(centre + outwards * self.radius, 0.0)
+            velocity: velocity.into(),
+            acceleration: acceleration.into(),
+            ..Reference::hover(position.into(), 0.0)
         }
+    }
+
+    fn circle(&self, drone: usize) -> Circle<f64> {
+        let Self { radius, height, phase, direction, .. } = *self;
+        let y = -(4.0 * radius + 1.0) * drone as f64;
+        Circle { y, height, radius, rate: self.speed / radius, phase, direction }
+    }
+
+    /// Returns the reward without the penalty for a crash. Scalar or SIMD.
+    #[inline(always)]
+    fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, position: V3<R>, velocity: V3<R>) -> R {
+        let (error, zero) = ((state.position - position).norm(), rpy.x.all(0.0));
+        -error - (state.velocity - velocity).norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
+            + R::choose(error.less(zero.all(Self::TRACKED)), zero.all(0.5), zero)
     }
 
     fn now(&self, simulation: SimView<'_>, drone: usize) -> Reference {
@@ -173,11 +181,9 @@ impl Task for Track {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy, target) = (&simulation.states()[drone], simulation.rpy(drone), self.now(simulation, drone));
-        let error = (state.position - target.position).norm();
-        -error - 0.1 * (state.velocity - target.velocity).norm() - 0.05 * (rpy.x.abs() + rpy.y.abs())
-            + if error < Self::TRACKED { 0.5 } else { 0.0 }
-            - crash_penalty(end)
+        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), V3::from(simulation.rpy(drone)));
+        let [position, velocity, _] = self.circle(drone).motion(simulation.time());
+        Self::flight_reward(&state, rpy, position, velocity) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
@@ -211,5 +217,99 @@ impl Task for Track {
         entry >= STATE_SIZE
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// Circle of the reference. Scalar or SIMD.
+#[derive(Debug, Clone, Copy)]
+struct Circle<R> {
+    /// y of the centre, m; x is 0.
+    y: R,
+    /// Height, m.
+    height: R,
+    /// Radius, m.
+    radius: R,
+    /// Angular speed after the acceleration, rad/s.
+    rate: R,
+    /// Initial angle, rad.
+    phase: R,
+    /// 1 counterclockwise, −1 clockwise.
+    direction: R,
+}
+
+impl<R: Real> Circle<R> {
+    /// Duration of the acceleration at the start, s.
+    const RAMP: f64 = 1.0;
+
+    /// Returns position, velocity and acceleration of the reference at a time (s) of the episode.
+    #[inline(always)]
+    fn motion(&self, time: R) -> [V3<R>; 3] {
+        let Self { y, height, radius, rate: full, phase, direction } = *self;
+        let zero = time.all(0.0);
+        // constant angular acceleration
+        let starting = time.less(zero.all(Self::RAMP));
+        let gain = full * (1.0 / Self::RAMP);
+        let angle = R::choose(starting, gain * 0.5 * time * time, full * (time - 0.5 * Self::RAMP));
+        let (rate, gain) = (R::choose(starting, gain * time, full), R::choose(starting, gain, zero));
+        let (sin, cos) = sin_cos_of_turns((phase + direction * angle) * (1.0 / TAU));
+        let (outwards, along) = (V3::new(cos, sin, zero), V3::new(direction * -sin, direction * cos, zero));
+        [
+            V3::new(zero, y, height) + outwards * radius,
+            along * (radius * rate),
+            along * (radius * gain) - outwards * (radius * rate * rate),
+        ]
+    }
+}
+
+impl Track {
+    /// Returns the circle from the rows of a drone.
+    #[inline(always)]
+    fn circle_in_lanes<S: Simd>(own: &LaneRows<'_, S>) -> Circle<Pack<S>> {
+        let row = |index| own.get(CrashWatch::ROWS + index);
+        Circle { y: row(0), height: row(1), radius: row(2), rate: row(3), phase: row(4), direction: row(5) }
+    }
+}
+
+/// The rows of a drone are those of [`CrashWatch`], the circle and the maximum distance.
+impl LaneTask for Track {
+    const ROWS: usize = CrashWatch::ROWS + 7;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        let Circle { y, height, radius, rate, phase, direction } = self.circle(drone);
+        own.copy_from_slice(&[y, height, radius, rate, phase, direction, self.max_distance]);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let [position, velocity, _] = Self::circle_in_lanes(&own).motion(scene.time());
+        let max_distance = own.get(CrashWatch::ROWS + 6);
+        let far = max_distance.less((state.position - position).norm());
+        let event = Real::choose(far, crashed.all(1.0), crashed);
+        (Self::flight_reward(&state, scene.rpy(drone), position, velocity), event)
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        let [position, velocity, _] = Self::circle_in_lanes(&rows.drone(drone)).motion(scene.time());
+        scene.observe_state(drone, out);
+        out.put3(STATE_SIZE, position - scene.position(drone));
+        out.put3(STATE_SIZE + 3, velocity);
+    }
 }

@@ -1,13 +1,19 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::Vector3;
+use pulp::Simd;
 use rand::RngExt as _;
 
 use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, Rng, Task, TaskDefaults};
+use crate::engine::flight::FlightState;
+use crate::env::{
+    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
+    TaskDefaults, TaskRows,
+};
+use crate::math::{Pack, Real, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::state::wrap_angle;
@@ -90,6 +96,14 @@ impl Velocity {
     fn error(&self, simulation: SimView<'_>, drone: usize) -> f64 {
         (simulation.states()[drone].velocity - self.targets[drone].0).norm()
     }
+
+    /// Returns the reward without the penalty for a crash. Scalar or SIMD.
+    #[inline(always)]
+    fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, velocity: V3<R>, yaw_rate: R) -> R {
+        let (error, zero) = ((state.velocity - velocity).norm(), yaw_rate.all(0.0));
+        -error - (state.rate.z - yaw_rate).abs() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
+            + R::choose(error.less(zero.all(Self::TRACKED)), zero.all(0.5), zero)
+    }
 }
 
 impl Task for Velocity {
@@ -141,11 +155,9 @@ impl Task for Velocity {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let state = &simulation.states()[drone];
-        let (rpy, error) = (simulation.rpy(drone), self.error(simulation, drone));
-        -error - 0.1 * (state.angular_velocity.z - self.targets[drone].1).abs() - 0.05 * (rpy.x.abs() + rpy.y.abs())
-            + if error < Self::TRACKED { 0.5 } else { 0.0 }
-            - crash_penalty(end)
+        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), V3::from(simulation.rpy(drone)));
+        let (velocity, yaw_rate) = &self.targets[drone];
+        Self::flight_reward(&state, rpy, V3::from(velocity), *yaw_rate) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
@@ -182,5 +194,46 @@ impl Task for Velocity {
         report("velocity_error", errors.fold(0.0, f64::max));
     }
 
+    fn lane_functions() -> Option<LaneFunctions<Self>> {
+        Some(LaneFunctions::of())
+    }
+
     super::saved_by_serde!();
+}
+
+/// The rows of a drone are those of [`CrashWatch`], the target velocity and the target yaw rate.
+impl LaneTask for Velocity {
+    const ROWS: usize = CrashWatch::ROWS + 4;
+
+    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
+        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
+        self.watch.write_rows(&self.crash, simulation, drone, watch);
+        let (velocity, yaw_rate) = self.targets[drone];
+        own.copy_from_slice(&[velocity.x, velocity.y, velocity.z, yaw_rate]);
+    }
+
+    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
+    }
+
+    #[inline(always)]
+    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
+        let (state, mut own) = (scene.state(drone), rows.drone(drone));
+        let crashed = CrashWatch::update_rows(&state, &mut own);
+        let (velocity, yaw_rate) = (own.get3(CrashWatch::ROWS), own.get(CrashWatch::ROWS + 3));
+        (Self::flight_reward(&state, scene.rpy(drone), velocity, yaw_rate), crashed)
+    }
+
+    #[inline(always)]
+    fn observe_lanes<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        drone: usize,
+        rows: &mut TaskRows<'_, S>,
+        out: &mut LaneRows<'_, S>,
+    ) {
+        let own = rows.drone(drone);
+        scene.observe_state(drone, out);
+        out.put3(STATE_SIZE, own.get3(CrashWatch::ROWS));
+        out.put(STATE_SIZE + 3, own.get(CrashWatch::ROWS + 3));
+    }
 }

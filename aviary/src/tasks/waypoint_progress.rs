@@ -1,9 +1,11 @@
 use nalgebra::Vector3;
+use pulp::Simd;
 
 use crate::control::Reference;
 use crate::control::trajectory::{Trajectory, Waypoints};
 use crate::drone::{DroneParams, GRAVITY};
-use crate::env::{EnvError, path_points};
+use crate::env::{EnvError, LaneMask, LaneRows, LaneScene, TaskRows, path_points};
+use crate::math::{Pack, Real, Turn, V3};
 use crate::simulation::SimView;
 
 /// Progress of each drone along a list of points, over a number of laps.
@@ -44,7 +46,8 @@ impl WaypointProgress {
             self.flying[drone] = self.passed[drone] < points.len() * laps;
             if let Some(point) = next(points, self.passed[drone], laps) {
                 self.distance[drone] = (state.position - point).norm();
-                if distance_to_leg(&self.before[drone], &state.position, &point) <= radius {
+                let leg = [&self.before[drone], &state.position, &point].map(V3::from);
+                if distance_to_leg(leg[0], leg[1], leg[2]) <= radius {
                     self.passed[drone] += 1;
                     self.fresh[drone] = true;
                 }
@@ -69,6 +72,82 @@ impl WaypointProgress {
 
     pub(super) fn distance(&self, drone: usize) -> f64 {
         self.distance[drone]
+    }
+
+    /// Number of rows of a drone in lanes.
+    pub(super) const ROWS: usize = 8;
+
+    /// Writes the rows of a drone: its position before the last control step, the observed point, the distance
+    /// within which the scalar task must evaluate a step, and 1 if the drone has a point left.
+    pub(super) fn write_rows(
+        &self,
+        drone: usize,
+        points: &[[f64; 3]],
+        laps: usize,
+        radius: f64,
+        observed: &Vector3<f64>,
+        rows: &mut [f64],
+    ) {
+        let (passed, total) = (self.passed(drone), points.len() * laps);
+        let before = &self.before[drone];
+        let limit = if self.passed.iter().all(|&passed| passed == total) {
+            // the episode ends in the next step
+            f64::INFINITY
+        } else if passed < total {
+            radius
+        } else {
+            f64::NEG_INFINITY
+        };
+        rows[..3].copy_from_slice(before.as_slice());
+        rows[3..6].copy_from_slice(observed.as_slice());
+        rows[6..].copy_from_slice(&[limit, f64::from(u8::from(passed < total))]);
+    }
+
+    /// Reads the state of a drone from its rows, after a step in which it passed no point.
+    pub(super) fn read_rows(&mut self, drone: usize, rows: &[f64]) {
+        let [before, point] = [&rows[..3], &rows[3..6]].map(Vector3::from_column_slice);
+        (self.before[drone], self.fresh[drone], self.flying[drone]) = (before, false, rows[7] > 0.0);
+        if self.flying[drone] {
+            self.distance[drone] = (before - point).norm();
+        }
+    }
+
+    /// Returns the point that a drone observes.
+    #[inline(always)]
+    pub(super) fn point_in_lanes<S: Simd>(own: &LaneRows<'_, S>, first_row: usize) -> V3<Pack<S>> {
+        own.get3(first_row + 3)
+    }
+
+    /// Returns the distance of a drone from its next point, a mask of the drones that have a next point, and 1 where a
+    /// drone may have passed it or the episode may have ended, 0 elsewhere.
+    #[inline(always)]
+    pub(super) fn evaluate_rows<S: Simd>(
+        position: V3<Pack<S>>,
+        own: &LaneRows<'_, S>,
+        first_row: usize,
+    ) -> (Pack<S>, LaneMask<S>, Pack<S>) {
+        let (before, point) = (own.get3(first_row), Self::point_in_lanes(own, first_row));
+        let (limit, left) = (own.get(first_row + 6), own.get(first_row + 7));
+        let (zero, one) = (limit.all(0.0), limit.all(1.0));
+        let clear = limit.less(distance_to_leg(before, position, point));
+        ((position - point).norm(), zero.less(left), Real::choose(clear, zero, one))
+    }
+
+    /// Updates the rows of all drones after a control step in which they passed no point.
+    #[inline(always)]
+    pub(super) fn complete_rows<S: Simd>(
+        scene: &LaneScene<'_, S>,
+        rows: &mut TaskRows<'_, S>,
+        first_row: usize,
+        completed: LaneMask<S>,
+    ) {
+        for drone in 0..scene.num_drones() {
+            let (position, mut own) = (scene.position(drone), rows.drone(drone));
+            let before = own.get3(first_row);
+            own.put(first_row, Real::choose(completed, position.x, before.x));
+            own.put(first_row + 1, Real::choose(completed, position.y, before.y));
+            own.put(first_row + 2, Real::choose(completed, position.z, before.z));
+        }
     }
 
     /// Plans a smooth path for each drone from its present position through its remaining points, at the speed
@@ -241,12 +320,24 @@ fn limits(params: &DroneParams) -> (f64, f64) {
     ((0.25 * params.max_speed).clamp(0.3, 4.0), 0.4 * GRAVITY * spare)
 }
 
-/// Returns the distance of a point from the line segment between two others.
-fn distance_to_leg(from: &Vector3<f64>, to: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
+/// Returns the distance of a point from the line segment between two others. Scalar or SIMD.
+#[inline(always)]
+fn distance_to_leg<R: Real>(from: V3<R>, to: V3<R>, point: V3<R>) -> R {
     let leg = to - from;
-    let length = leg.norm_squared();
-    let share = if length > 0.0 { ((point - from).dot(&leg) / length).clamp(0.0, 1.0) } else { 0.0 };
+    let length = leg.dot(leg);
+    let (zero, one) = (length.all(0.0), length.all(1.0));
+    let share = (point - from).dot(leg) / length;
+    let share = R::choose(zero.less(length), zero.greater(one.lesser(share)), zero);
     (from + leg * share - point).norm()
+}
+
+/// Returns a vector of the world frame in the body frame. Scalar or SIMD.
+#[inline(always)]
+pub(super) fn in_body_frame<R: Real>(attitude: &Turn<R>, world: V3<R>) -> V3<R> {
+    // the order of the operations is nalgebra's
+    let inverse = -attitude.v;
+    let across = inverse.cross(world) * 2.0;
+    across * attitude.w + inverse.cross(across) + world
 }
 
 /// Validates the points, the number of laps and the radius; `option` names the option that lists the points.
@@ -312,9 +403,9 @@ mod tests {
 
     #[test]
     fn a_point_between_two_steps_is_passed() {
-        let [a, b] = [Vector3::new(-1.0, 0.1, 0.0), Vector3::new(1.0, 0.1, 0.0)];
-        assert!((distance_to_leg(&a, &b, &Vector3::zeros()) - 0.1).abs() < 1e-12);
-        assert!((distance_to_leg(&a, &b, &Vector3::new(2.0, 0.1, 0.0)) - 1.0).abs() < 1e-12);
-        assert!((distance_to_leg(&a, &a, &Vector3::new(-1.0, 0.0, 0.0)) - 0.1).abs() < 1e-12);
+        let [a, b] = [V3::new(-1.0, 0.1, 0.0), V3::new(1.0, 0.1, 0.0)];
+        assert!((distance_to_leg(a, b, V3::new(0.0, 0.0, 0.0)) - 0.1_f64).abs() < 1e-12);
+        assert!((distance_to_leg(a, b, V3::new(2.0, 0.1, 0.0)) - 1.0_f64).abs() < 1e-12);
+        assert!((distance_to_leg(a, a, V3::new(-1.0, 0.0, 0.0)) - 0.1_f64).abs() < 1e-12);
     }
 }

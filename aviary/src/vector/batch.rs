@@ -23,6 +23,11 @@ use crate::wrappers::VelocityFilter;
 /// the options of the task. The default engine is the hybrid engine. Environment i uses the random stream i of the
 /// seed and is therefore bit-identical to a single environment built with `builder.stream(i)`.
 ///
+/// Environments that fly clear of obstacles advance eight at a time in SIMD registers, and the tasks of this crate are
+/// evaluated there, if the observation has no parts other than the vector of the task and no markers move. Otherwise,
+/// and for a task of your own, the batch evaluates one environment at a time, which adds about 100 ns to the step of an
+/// environment.
+///
 /// ```
 /// use aviary::env::Randomization;
 /// use aviary::tasks::Hover;

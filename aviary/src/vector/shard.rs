@@ -77,6 +77,8 @@ pub(super) struct Block {
     pub in_mujoco: [bool; LANES],
     /// True if the last step ended an episode.
     pub ended: [bool; LANES],
+    /// True if the rows of the task are ahead of the scalar task: if the last step was evaluated in lanes.
+    pub rows_ahead: [bool; LANES],
 }
 
 impl<T> EnvSlot<T> {
@@ -344,7 +346,10 @@ impl<'a, T> EnvSlices<'a, T> {
         index: usize,
         view: SimView<'_>,
     ) {
-        let Some(functions) = functions else { return };
+        self.blocks[index / LANES].rows_ahead[index % LANES] = false;
+        // no step reads the rows of a task without a running episode, whose options may be invalid
+        let running = self.slots[index].episode.phase == Phase::Running;
+        let Some(functions) = functions.filter(|_| running) else { return };
         let rows = &mut self.task_rows[index / LANES * model.task_rows..][..model.task_rows];
         let mut numbers = SmallVec::<[f64; 32]>::from_elem(0.0, functions.rows);
         for (drone, rows) in rows.chunks_exact_mut(functions.rows).enumerate() {
@@ -353,10 +358,10 @@ impl<'a, T> EnvSlices<'a, T> {
         }
     }
 
-    /// Reads the task of an environment from its rows.
+    /// Reads the task of an environment from its rows, if they are ahead of it.
     pub fn load_task(&mut self, model: &BatchModel, functions: Option<LaneFunctions<T>>, index: usize) {
-        // a task without an episode has no state
-        let Some(functions) = functions.filter(|_| self.slots[index].started) else { return };
+        let ahead = &mut self.blocks[index / LANES].rows_ahead[index % LANES];
+        let Some(functions) = functions.filter(|_| std::mem::take(ahead)) else { return };
         let rows = &self.task_rows[index / LANES * model.task_rows..][..model.task_rows];
         for (drone, rows) in rows.chunks_exact(functions.rows).enumerate() {
             let numbers: SmallVec<[f64; 32]> = rows.iter().map(|row| row[index % LANES]).collect();

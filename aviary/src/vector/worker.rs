@@ -428,6 +428,7 @@ impl<T: Task> Worker<T> {
             lanes: &mut shard.envs.lanes[start / LANES * model.drones..][..model.drones],
             rows: &mut shard.envs.task_rows[start / LANES * model.task_rows..][..model.task_rows],
             steps: &block.steps,
+            flew,
             period: model.control_period,
             episode_steps: model.episode_steps as f64,
             bounds: &model.bounds,
@@ -437,6 +438,7 @@ impl<T: Task> Worker<T> {
         });
         for lane in 0..count {
             done[lane] = flew[lane] && events[lane] <= 0.0;
+            block.rows_ahead[lane] |= done[lane];
         }
         let size = model.observation_size;
         if done[..count].iter().all(|done| *done) {
@@ -505,6 +507,7 @@ impl<T: Task> Worker<T> {
             }
             StepKind::Fail => {
                 shard.envs.load(model, &self.env.simulation.model, index, &mut self.grounded[lane]);
+                shard.envs.load_task(model, self.functions, index);
                 if let Some(error) = self.errors[lane].take() {
                     self.fail(model, shard, index, error, faults);
                 }
