@@ -1,7 +1,7 @@
 //! Tasks that a batch evaluates in SIMD lanes are bit-identical to those of single environments, in their results and
 //! in their state.
 
-use mujoco_drones_gym::env::{Aviary, AviaryBuilder, Randomization};
+use mujoco_drones_gym::env::{Aviary, AviaryBuilder, DroneEnv as _, Randomization};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{Antipodal, CrashConditions};
 use serde::Serialize;

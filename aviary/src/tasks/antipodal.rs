@@ -11,7 +11,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
-use crate::math::{Pack, Real, V3};
+use crate::math::{Pack, Real};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
