@@ -1,5 +1,7 @@
 //! The flight kernel matches MuJoCo's RK4 to rounding. The hybrid engine matches the MuJoCo engine, also with contacts.
 
+mod common;
+
 use mujoco_drones_gym::control::AnyController;
 use mujoco_drones_gym::engine::flight::{
     Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, Width, advance, compute_rpys, find_clear,
@@ -369,6 +371,41 @@ fn random_flights_with_contacts_are_identical_with_both_engines() {
                 };
                 let result = compare(&config, name, seed, wandering(seed));
                 check(&format!("{name} {drone:?} {seed}"), &result);
+                touched += usize::from(result.touched);
+                worst.before = worst.before.max(result.before);
+                worst.after = worst.after.max(result.after);
+                worst.flown += result.flown;
+                worst.stepped += result.stepped;
+            }
+        }
+    }
+    assert!(touched > 20 && worst.flown > worst.stepped, "{touched} {worst:?}");
+}
+
+/// Flies at random under wind, slow and late motors, late sensors, sampled parameters, among obstacles, with every
+/// action type, at odd control rates, and under all of that together.
+#[test]
+fn random_flights_under_every_condition_are_identical_with_both_engines() {
+    let (mut touched, mut worst) = (0, Apart::default());
+    for (n, (condition, config)) in common::conditions::all().into_iter().enumerate() {
+        let among_obstacles = condition.contains("obstacles") || condition.contains("everything");
+        for seed in 0..if cfg!(debug_assertions) { 2 } else { 10 } {
+            // the forest has no room for large drones and for the starts of other tasks
+            let (tasks, drone) = if among_obstacles {
+                (&["hover"][..], DroneModel::Cf2x)
+            } else {
+                (&["hover", "multi_hover", "race"][..], DroneModel::ALL[(n + seed as usize) % DroneModel::ALL.len()])
+            };
+            for name in tasks {
+                let mut wander = wandering(seed);
+                let result = compare(&config.clone().drone(drone), name, seed, |env, action| {
+                    wander(env, action);
+                    if env.action_type() == ActionType::RawRpm {
+                        let hover = drone.params().hover_rpm();
+                        action.iter_mut().for_each(|speed| *speed = hover * (1.0 + 0.3 * *speed));
+                    }
+                });
+                check(&format!("{condition}, {name}, {drone:?}, seed {seed}"), &result);
                 touched += usize::from(result.touched);
                 worst.before = worst.before.max(result.before);
                 worst.after = worst.after.max(result.after);

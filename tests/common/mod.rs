@@ -2,6 +2,8 @@
 
 #![allow(dead_code, reason = "each test uses some of the helpers")]
 
+pub mod conditions;
+
 use mujoco_drones_gym::env::{check_env, check_independence};
 use mujoco_drones_gym::mujoco::{Error, gl_info};
 use mujoco_drones_gym::prelude::*;

@@ -4,13 +4,17 @@
 mod common;
 
 mod alone;
+mod conditions;
 mod episodes;
 mod faults;
+mod pair;
 mod tasks;
 
 use mujoco_drones_gym::env::AviaryBuilder;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
+
+use pair::Pair;
 
 /// Random actions that change slowly, one row per environment: drones fly, tumble and crash.
 struct Wander {
@@ -63,53 +67,8 @@ fn compare_as_built<T: Task + Clone + Send + Sync>(
     config: VecConfig,
     steps: usize,
 ) -> usize {
-    let mut batch = VecAviary::new(builder.clone(), config).unwrap();
-    let count = batch.num_envs();
-    let (a, o) = (batch.action_size(), batch.observation_size());
-    let mut buffers = VecBuffers::new(&batch);
-    let mut alone: Vec<_> = (0..count).map(|i| builder.clone().stream(i as u64).build().unwrap()).collect();
-    let mut over = vec![false; count];
-    let (space, mut row) = (batch.observation_space().vector.clone(), vec![0.0_f32; o]);
-    batch.reset(Some(11), &mut buffers.observations).unwrap();
-    for (i, env) in alone.iter_mut().enumerate() {
-        space.write_f32(&env.reset(Some(11)).unwrap().vector, &mut row);
-        assert_eq!(bits(&row), bits(&buffers.observations[i * o..][..o]), "reset of {i}");
-    }
-    let mut wander = Wander::new(5, count, a);
-    let mut ended = 0;
-    for step in 0..steps {
-        let actions = wander.next().to_vec();
-        batch.step(&actions, buffers.step()).unwrap();
-        for (i, env) in alone.iter_mut().enumerate() {
-            let in_batch = &buffers.observations[i * o..][..o];
-            let got = (buffers.rewards[i], buffers.terminated[i], buffers.truncated[i]);
-            if over[i] {
-                space.write_f32(&env.reset(None).unwrap().vector, &mut row);
-                assert_eq!(bits(&row), bits(in_batch), "next reset of {i}");
-                assert_eq!(got, (0.0, false, false));
-                over[i] = false;
-                continue;
-            }
-            let Step { observation, reward, terminated, truncated } = env.step(&widen(&actions[i * a..][..a])).unwrap();
-            space.write_f32(&observation.vector, &mut row);
-            assert_eq!(got, (reward as f32, terminated, truncated), "step {step} of {i}");
-            let ends = terminated || truncated;
-            if ends {
-                ended += 1;
-                let report = batch.episode_summary(i).copied().unwrap();
-                assert_eq!(report.end, env.info().end);
-                assert_eq!((report.success, report.steps), (env.info().success, env.simulation().control_steps()));
-            } else {
-                assert!(batch.episode_summary(i).is_none());
-            }
-            if ends && config.autoreset == Autoreset::SameStep {
-                assert_eq!(bits(&row), bits(&batch.final_observations()[i * o..][..o]));
-                space.write_f32(&env.reset(None).unwrap().vector, &mut row);
-            } else {
-                over[i] = ends;
-            }
-            assert_eq!(bits(&row), bits(in_batch), "step {step} of {i}");
-        }
-    }
-    ended
+    let mut pair = Pair::new(builder, config, 11);
+    let mut wander = Wander::new(5, pair.batch.num_envs(), pair.batch.action_size());
+    (0..steps).for_each(|_| pair.step(wander.next()));
+    pair.ended
 }

@@ -1,0 +1,147 @@
+//! Conditions under which tests fly, each with its name.
+
+use mujoco_drones_gym::env::{EnvironmentRanges, InitialRanges, Randomization, SensorRanges};
+use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
+use mujoco_drones_gym::prelude::*;
+use mujoco_drones_gym::world::{Forcing, Medium, ObstacleConfig, ObstacleKind};
+
+/// Length of a physics step at the default rate, s.
+const STEP: f64 = 1.0 / 240.0;
+
+/// Motors that differ from each other, with lag, latency and saturation.
+const MOTORS: ActuatorParams =
+    ActuatorParams { lag: 0.03, latency: 0.017, gains: [1.02, 0.98, 1.0, 0.99], saturation: 0.9 };
+
+/// Returns motors with a latency, s.
+pub fn late_motors(latency: f64) -> ActuatorParams {
+    ActuatorParams { latency, ..ActuatorParams::default() }
+}
+
+/// Returns sensors with a latency and, if `noisy`, with noise and bias.
+pub fn sensors(latency: f64, noisy: bool) -> Randomization {
+    let exact =
+        SensorRanges { position: 0.0, velocity: 0.0, attitude: 0.0, angular_velocity: 0.0, ..Default::default() };
+    let noise = if noisy { SensorRanges::default() } else { exact };
+    Randomization { sensors: Some(SensorRanges { latency: [latency; 2], ..noise }), ..Randomization::NONE }
+}
+
+/// Returns a wind that is strong enough to move a Crazyflie by several centimetres in a second.
+pub fn strong(model: WindModel) -> WindConfig {
+    WindConfig {
+        velocity: [1.5, -2.0, 0.4],
+        gust_force: 0.05,
+        gust_duration: 0.3,
+        gust_rate: 3.0,
+        turbulence: 8.0,
+        sinusoidal_force: 0.01,
+        sinusoidal_frequency: 5.0,
+        ..WindConfig::new(model)
+    }
+}
+
+/// Returns a forest among which a drone with random actions meets a tree.
+pub fn forest(new_layout: bool) -> ObstacleConfig {
+    ObstacleConfig {
+        count: 12,
+        arena: [2.4, 2.4, 2.0],
+        safe_zone: 0.3,
+        new_layout,
+        ..ObstacleConfig::new(ObstacleKind::Forest)
+    }
+}
+
+/// Returns a randomization of one group.
+fn only(change: impl FnOnce(&mut Randomization)) -> Randomization {
+    let mut randomization = Randomization::NONE;
+    change(&mut randomization);
+    randomization
+}
+
+/// Returns a configuration with every condition at once.
+pub fn everything() -> EnvConfig {
+    let randomization = Randomization {
+        environment: Some(EnvironmentRanges { wind: [0.0; 2], ..EnvironmentRanges::default() }),
+        ..Randomization::default()
+    };
+    EnvConfig::default()
+        .physics(Physics::MjcGndDragDw)
+        .forcing(Forcing::BodyFixed)
+        .medium(Medium::AIR)
+        .wind(WindConfig { filter: DrydenFilter::MilF8785c, ..strong(WindModel::Combined) })
+        .actuators(MOTORS)
+        .obstacle_generator(forest(true))
+        .randomization(randomization)
+}
+
+/// Returns every condition alone, and all of them together.
+pub fn all() -> Vec<(String, EnvConfig)> {
+    let base = EnvConfig::default;
+    let mut all = Vec::new();
+    let mut add = |name: &str, config: EnvConfig| all.push((name.to_string(), config));
+
+    add("still air", base());
+    add("all effects", base().physics(Physics::MjcGndDragDw));
+    add("body-fixed forcing", base().forcing(Forcing::BodyFixed));
+    add("medium", base().medium(Medium::AIR));
+    add("body-fixed forcing in a medium", base().forcing(Forcing::BodyFixed).medium(Medium::AIR));
+
+    // multiples of the control period of five physics steps, others, and a latency that rounds to none
+    for steps in [0.4, 1.0, 4.0, 5.0, 7.0, 10.0, 72.0] {
+        add(&format!("motors {steps} steps late"), base().actuators(late_motors(steps * STEP)));
+        let motors = ActuatorParams { latency: steps * STEP, ..MOTORS };
+        add(&format!("slow motors {steps} steps late"), base().actuators(motors));
+        add(&format!("sensors {steps} steps late"), base().randomization(sensors(steps * STEP, false)));
+    }
+    add("slow motors", base().actuators(ActuatorParams { lag: 0.03, ..ActuatorParams::default() }));
+    let unequal = ActuatorParams { gains: [1.05, 0.95, 1.0, 0.9], saturation: 0.8, ..ActuatorParams::default() };
+    add("unequal motors", base().actuators(unequal));
+    add("noisy late sensors", base().randomization(sensors(0.03, true)).physics(Physics::MjcDrag));
+
+    for model in WindModel::ALL.into_iter().filter(|model| *model != WindModel::None) {
+        add(&format!("{model} wind"), base().wind(strong(model)));
+    }
+    for model in [WindModel::Dryden, WindModel::Combined] {
+        let wind = WindConfig { filter: DrydenFilter::MilF8785c, ..strong(model) };
+        add(&format!("{model} wind of MIL-F-8785C"), base().wind(wind));
+        add(
+            &format!("{model} wind with a medium and effects"),
+            base().wind(wind).medium(Medium::AIR).effects(Effects::ALL),
+        );
+    }
+    let still = WindConfig { still_air_drag: true, ..WindConfig::default() };
+    add("drag in still air", base().wind(still));
+    add("gusts with drag in still air", base().wind(WindConfig { still_air_drag: true, ..strong(WindModel::Gust) }));
+
+    add("randomized bodies", base().randomization(only(|r| r.body = Some(Default::default()))));
+    let effects = base().physics(Physics::MjcGndDragDw);
+    add("randomized aerodynamics", effects.randomization(only(|r| r.aerodynamics = Some(Default::default()))));
+    add("randomized motors", base().randomization(only(|r| r.actuators = Some(Default::default()))));
+    add("randomized sensors", base().randomization(only(|r| r.sensors = Some(Default::default()))));
+    add("randomized gravity and wind", base().randomization(only(|r| r.environment = Some(Default::default()))));
+    add("randomized starts", base().randomization(only(|r| r.initial = Some(InitialRanges::default()))));
+    add("default randomization", base().randomization(Randomization::default()));
+
+    add("obstacles", base().obstacle_generator(forest(false)));
+    add("new obstacles", base().obstacle_generator(forest(true)));
+    add("obstacles in wind", base().obstacle_generator(forest(false)).wind(strong(WindModel::Combined)));
+    let late = base().randomization(Randomization::default());
+    add("new obstacles and default randomization", late.obstacle_generator(forest(true)));
+
+    for action_type in ActionType::ALL.into_iter().filter(|kind| *kind != ActionType::Rpm) {
+        add(&format!("{action_type} actions"), base().action_type(action_type));
+        let randomized = base().action_type(action_type).randomization(Randomization::default());
+        add(&format!("{action_type} actions and default randomization"), randomized);
+    }
+
+    for rate in [24, 60, 80, 120, 240] {
+        let late = base().ctrl_freq(rate).actuators(MOTORS).randomization(sensors(0.021, true));
+        add(&format!("control at {rate} Hz"), late.wind(strong(WindModel::Dryden)));
+    }
+    let rates = base().sim_freq(500).ctrl_freq(100).randomization(Randomization::default());
+    add("physics at 500 Hz", rates.physics(Physics::MjcGndDragDw));
+
+    add("everything", everything());
+    add("everything at 60 Hz", everything().ctrl_freq(60));
+    all
+}
