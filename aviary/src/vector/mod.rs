@@ -1,13 +1,14 @@
 //! Vectorized environments: many environments of one task, stepped together on all cores.
 //!
 //! The state of all environments lies in compact arrays. The flight kernel reads and writes eight environments at a
-//! time in SIMD registers. Every worker owns one workspace with one MuJoCo simulation for contacts, wind and
-//! images, which the kernel does not compute. Environment i is bit-identical to a single
-//! [`Aviary`](crate::env::Aviary) with the same options, engine, seed and
-//! [stream](crate::env::AviaryBuilder::stream), for any number of threads.
+//! time in SIMD registers, with their winds, motors, sensors and sampled parameters. Every worker owns one workspace
+//! with one MuJoCo simulation for images and for environments whose drones may touch something. Environment i is
+//! bit-identical to a single [`Aviary`](crate::env::Aviary) with the same options, engine, seed and
+//! [stream](crate::env::AviaryBuilder::stream), for any number of threads and any instruction set.
 //!
-//! `batch` holds the public API, `pool` the threads, `worker` the stages of a control step, and `shard` the
-//! environments and their division among the workers.
+//! `batch` holds the public API, `threads` the threads, `pool` the division of the environments among them, `worker`
+//! the stages of a control step, and `shard` the environments. `conditions` holds the wind, the sensor errors and the
+//! latencies of the environments, `delays` their late commands and late observations.
 
 mod batch;
 mod conditions;
