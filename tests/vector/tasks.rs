@@ -1,7 +1,7 @@
 //! Tasks that a batch evaluates in SIMD lanes are bit-identical to those of single environments, in their results and
 //! in their state.
 
-use mujoco_drones_gym::env::{Aviary, AviaryBuilder, DroneEnv as _, Randomization};
+use mujoco_drones_gym::env::{Aviary, AviaryBuilder, Randomization};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{Antipodal, CrashConditions};
 use serde::Serialize;
@@ -14,7 +14,7 @@ fn state<T: Task + Serialize>(env: &Aviary<T>) -> String {
 }
 
 /// Returns waypoints at the references of all drones. A third of the environments flies too low, into the floor.
-fn piloted<T: Task>(environments: &[Aviary<T>], actions: &mut [f32]) {
+fn piloted<T: Task + Clone + Send + Sync>(environments: &[Aviary<T>], actions: &mut [f32]) {
     let drones = environments[0].simulation().num_drones();
     for (index, row) in actions.chunks_exact_mut(4).enumerate() {
         let (environment, drone) = (index / drones, index % drones);

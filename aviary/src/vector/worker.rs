@@ -4,6 +4,8 @@
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
+use smallvec::SmallVec;
+
 use super::conditions::ConditionSlices;
 use super::delays::StateDelays;
 use super::shard::{BatchModel, EnvSlices, Shard};
@@ -128,15 +130,21 @@ impl<T: Task> Worker<T> {
         if let Some(decoding) = &model.decoding {
             let actions = &shard.step.actions[size * start..][..size * count];
             transpose_actions(actions, size, model.one_action, &mut self.actions);
-            if !usual {
-                // environments that do not fly may have actions that are not finite
-                let grounded = (0..count).filter(|&lane| self.step_kinds[lane] != StepKind::Fly);
-                grounded.for_each(|lane| self.actions.iter_mut().flatten().for_each(|row| row[lane] = 0.0));
-            }
             let (lanes, lane_params) = lanes_and_params(model, shard, start);
+            // environments that do not fly may have actions that are not finite, and keep their last command
+            let mut kept = SmallVec::<[[f64; 4]; LANES]>::new();
+            let step_kinds = self.step_kinds;
+            let grounded = (0..count).filter(|&lane| step_kinds[lane] != StepKind::Fly);
+            for lane in grounded.clone() {
+                self.actions.iter_mut().flatten().for_each(|row| row[lane] = 0.0);
+                kept.extend(lanes.iter().map(|lanes| lanes.command(lane)));
+            }
             let drones = lanes.iter_mut().zip(lane_params).zip(decoding);
             for (((lanes, lane_params), decoding), actions) in drones.zip(&self.actions) {
                 set_commands(model.width, *decoding, lanes, lane_params, count, actions);
+            }
+            for (lane, kept) in grounded.zip(kept.chunks_exact(lanes.len())) {
+                lanes.iter_mut().zip(kept).for_each(|(lanes, command)| lanes.set_command(lane, command));
             }
             return fits_lanes;
         }
