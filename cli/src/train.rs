@@ -87,7 +87,7 @@ pub struct Train {
     /// Configuration as TOML on standard output, without training
     #[arg(long, conflicts_with_all = ["resume", "all"])]
     show: bool,
-    /// Widest instruction set of simulation and gradients: portable, avx2, avx512; default the machine's
+    /// Widest instruction set: portable, avx2, avx512; default the machine's
     #[arg(long, value_name = "SET", value_parser = crate::bench::instructions, conflicts_with = "resume")]
     instructions: Option<Width>,
     /// JSON output instead of a table

