@@ -45,7 +45,7 @@ pub struct Bench {
     /// Seed of the noise of the actions
     #[arg(long, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
-    /// Widest instruction set of the batches: portable, avx2, avx512; default the machine's
+    /// Widest instruction set: portable, avx2, avx512; default the machine's
     #[arg(long, value_name = "SET", value_parser = instructions)]
     instructions: Option<Width>,
     /// Only the rows whose name contains this text
