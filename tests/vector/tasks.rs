@@ -32,7 +32,7 @@ struct Ends {
 }
 
 /// Flies a batch and single environments with the same actions, compares every number and, in turn, the tasks, and
-/// changes the task of one environment on the way.
+/// changes the task of one environment during the flight.
 fn fly<T: Task + Clone + Send + Sync + Serialize>(
     builder: &AviaryBuilder<T>,
     config: VecConfig,

@@ -228,7 +228,7 @@ impl Lanes {
         }
     }
 
-    /// Returns roll, pitch and yaw of a lane, rad, from the last call of [`compute_rpys`].
+    /// Returns roll, pitch and yaw of a lane, rad, from the last call of [`compute_rpys`](super::compute_rpys).
     #[inline(always)]
     pub fn rpy(&self, lane: usize) -> Vector3<f64> {
         take(&self.rpy, lane).into()

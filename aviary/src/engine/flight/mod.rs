@@ -6,7 +6,7 @@
 //! as a structure of arrays; the kernel advances as many of them at once as the instruction set allows. The results
 //! are bit-identical for all instruction sets.
 //!
-//! [`FloorKernel`] computes a step of drones that touch the floor, as `mj_step` does.
+//! The module `floor` computes a step of drones that touch the floor, as `mj_step` does.
 
 mod body;
 mod contact_solver;
