@@ -136,7 +136,6 @@ impl<S: Simd> LaneRows<'_, S> {
         self.part.put(&mut self.rows[index], value);
     }
 
-    #[allow(dead_code)] // for tasks with vectors in their rows
     #[inline(always)]
     pub fn get3(&self, index: usize) -> V3<Pack<S>> {
         V3::new(self.get(index), self.get(index + 1), self.get(index + 2))

@@ -14,6 +14,7 @@ mod batch;
 mod conditions;
 mod curriculum;
 mod delays;
+mod flight;
 mod pool;
 mod shard;
 mod threads;

@@ -6,14 +6,10 @@ use std::sync::{Mutex, PoisonError};
 
 use smallvec::SmallVec;
 
-use super::conditions::ConditionSlices;
 use super::delays::StateDelays;
-use super::shard::{BatchModel, EnvSlices, Shard};
+use super::shard::{BatchModel, Shard};
 use super::{Autoreset, OnFault};
-use crate::engine::flight::{
-    Extras, Flow, LANES, LaneParams, Lanes, advance_with, compute_downwash, compute_rpys, find_apart, find_clear,
-    set_commands, set_targets,
-};
+use crate::engine::flight::{LANES, LaneParams, Lanes, compute_rpys, set_commands, set_targets};
 use crate::env::{
     Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Sensing, SensorLanes, Task,
 };
@@ -47,13 +43,13 @@ pub(super) struct Worker<T> {
     /// Actions of a block: four rows per drone.
     actions: Vec<[Row; 4]>,
     /// Lanes of a block before the step, for environments that do not fly in lanes.
-    saved: Vec<Lanes>,
+    pub(super) saved: Vec<Lanes>,
     /// Wind of a block before the step.
-    saved_wind: Vec<WindLanes>,
+    pub(super) saved_wind: Vec<WindLanes>,
     /// States of a block that the sensors observe.
     seen: Vec<Lanes>,
     /// Bound of the travel of every drone of a block, m; see [`Extras::travel`].
-    travels: Vec<Row>,
+    pub(super) travels: Vec<Row>,
     step_kinds: [StepKind; LANES],
     /// Errors of the environments of a block that fail.
     errors: [Option<EnvError>; LANES],
@@ -229,67 +225,6 @@ impl<T: Task> Worker<T> {
         }
     }
 
-    /// Returns true for the environments of a block that cannot touch anything during the control step, whatever
-    /// their motors do.
-    fn find_clear(
-        &mut self,
-        model: &BatchModel,
-        flow: &Flow,
-        shard: &mut Shard<'_, T>,
-        range: Range<usize>,
-        fits_lanes: &[bool; LANES],
-    ) -> [bool; LANES] {
-        let drones = model.drones;
-        let (lanes, lane_params) = lanes_and_params(model, shard, range.start);
-        let mut clear = find_clear(flow, lanes, lane_params, range.len(), model.substeps);
-        clear.iter_mut().zip(fits_lanes).for_each(|(clear, fits)| *clear &= fits);
-        if shard.envs.clearance_caches.is_empty() {
-            return clear;
-        }
-        let simulation = &self.env.simulation;
-        for index in range {
-            if !clear[index % LANES] {
-                continue;
-            }
-            let lanes = &shard.envs.lanes[index / LANES * drones..][..drones];
-            let data = shard.envs.slots[index].data.as_deref().unwrap_or(&simulation.data);
-            let clearance_caches = &mut shard.envs.clearance_caches[drones * index..][..drones];
-            clear[index % LANES] =
-                data.is_clear_of_obstacles(&simulation.model, lanes, index % LANES, clearance_caches);
-        }
-        clear
-    }
-
-    /// Returns true for the environments of a block that have not touched anything during the control step, from
-    /// the bounds of their travel in `travels` and the states in `saved`.
-    fn find_untouched(
-        &mut self,
-        model: &BatchModel,
-        shard: &mut Shard<'_, T>,
-        range: Range<usize>,
-        fits_lanes: &[bool; LANES],
-    ) -> [bool; LANES] {
-        let drones = model.drones;
-        let (_, lane_params) = lanes_and_params(model, shard, range.start);
-        let mut free = find_apart(&self.saved, lane_params, &self.travels, range.len());
-        free.iter_mut().zip(fits_lanes).for_each(|(free, fits)| *free &= fits);
-        if shard.envs.clearance_caches.is_empty() {
-            return free;
-        }
-        let simulation = &self.env.simulation;
-        for index in range {
-            let lane = index % LANES;
-            if !free[lane] {
-                continue;
-            }
-            let data = shard.envs.slots[index].data.as_deref().unwrap_or(&simulation.data);
-            let caches = &mut shard.envs.clearance_caches[drones * index..][..drones];
-            let travels = self.travels.iter().map(|row| row[lane]);
-            free[lane] = data.travels_clear_of_obstacles(&simulation.model, &self.saved, lane, travels, caches);
-        }
-        free
-    }
-
     /// Stage 2: advances the physics of a block, in lanes where nothing is in reach, otherwise one environment at a
     /// time. Returns true for the environments that flew in lanes.
     fn advance(
@@ -318,75 +253,6 @@ impl<T: Task> Worker<T> {
                 (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
             }
             shard.envs.store(model, index, Some(shared), None);
-        }
-        flew
-    }
-
-    /// Advances the environments of a block in lanes. Returns true for those whose drones have touched nothing; the
-    /// other lanes keep everything except the commands.
-    fn advance_lanes(
-        &mut self,
-        model: &BatchModel,
-        flow: &Flow,
-        shard: &mut Shard<'_, T>,
-        range: Range<usize>,
-        fits_lanes: &[bool; LANES],
-    ) -> [bool; LANES] {
-        let (start, count) = (range.start, range.len());
-        let clear = self.find_clear(model, flow, shard, range.clone(), fits_lanes);
-        let checked = clear != *fits_lanes;
-        let drones = model.drones;
-        let block_range = start / LANES * drones..(start / LANES + 1) * drones;
-        let EnvSlices { lanes, lane_params, conditions, .. } = &mut shard.envs;
-        let lanes = &mut lanes[block_range.clone()];
-        let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[block_range] };
-        let ConditionSlices { wind, motors, states, .. } = conditions.block(start / LANES, drones);
-        let all = !checked && fits_lanes[..count].iter().all(|fits| *fits);
-        if !all {
-            // the kernel advances all lanes, therefore the others are restored afterwards
-            self.saved.clone_from_slice(lanes);
-            wind.clone_into(&mut self.saved_wind);
-            self.travels.fill([0.0; LANES]);
-        }
-        let mut advance = |lanes: &mut [Lanes], steps: Range<u32>| {
-            for (drone, (lanes, lane_params)) in lanes.iter_mut().zip(lane_params).enumerate() {
-                let mut extras = Extras {
-                    wind: wind.get_mut(drone).filter(|wind| wind.is_windy()),
-                    late: motors.get(drone).filter(|motors| motors.is_late()).map(|motors| &motors.late),
-                    record: states.get_mut(drone).filter(|states| states.is_late()).map(|states| &mut states.record),
-                    travel: checked.then_some(&mut self.travels[drone]),
-                };
-                advance_with(flow, lanes, lane_params, &mut extras, count, steps.clone());
-            }
-        };
-        if model.downwash {
-            for step in 0..model.substeps {
-                compute_downwash(flow.width, lanes, lane_params, count);
-                advance(lanes, step..step + 1);
-            }
-        } else {
-            advance(lanes, 0..model.substeps);
-        }
-        let mut flew = *fits_lanes;
-        if checked {
-            let free = self.find_untouched(model, shard, range, fits_lanes);
-            flew = std::array::from_fn(|lane| clear[lane] || free[lane]);
-        }
-        if !all {
-            let (lanes, _) = lanes_and_params(model, shard, start);
-            for lane in (0..count).filter(|&lane| !flew[lane]) {
-                lanes.iter_mut().zip(&self.saved).for_each(|(lanes, saved)| lanes.copy_lane(lane, saved));
-            }
-            let wind = shard.envs.conditions.block(start / LANES, drones).wind;
-            for lane in (0..count).filter(|&lane| !flew[lane]) {
-                wind.iter_mut().zip(&self.saved_wind).for_each(|(wind, saved)| wind.copy_lane(lane, saved));
-            }
-        }
-        let block = &mut shard.envs.blocks[start / LANES];
-        for lane in (0..count).filter(|&lane| flew[lane]) {
-            block.steps[lane] += 1;
-            block.in_mujoco[lane] = false;
-            self.flown += u64::from(model.substeps);
         }
         flew
     }
@@ -688,7 +554,7 @@ fn transpose_actions(actions: &[f32], size: usize, one: bool, rows: &mut [[Row; 
 }
 
 /// Returns the lanes of the block that starts at an environment, and the parameters of their drones.
-fn lanes_and_params<'a, T>(
+pub(super) fn lanes_and_params<'a, T>(
     model: &'a BatchModel,
     shard: &'a mut Shard<'_, T>,
     start: usize,

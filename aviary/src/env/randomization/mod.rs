@@ -10,5 +10,4 @@ pub use ranges::{
 };
 pub(crate) use sampling::Randomizer;
 pub use sampling::{SampledDroneParams, SampledParams};
-#[allow(unused_imports, reason = "for batches")]
 pub(crate) use sensors::{Sensed, SensorLanes};

@@ -14,5 +14,4 @@ mod local;
 pub use config::{WindConfig, WindModel};
 pub use dryden::{DrydenFilter, dryden};
 pub use field::{WindField, drag_law};
-#[allow(unused_imports, reason = "for the flight kernel")]
 pub(crate) use lanes::WindLanes;
