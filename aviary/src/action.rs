@@ -6,11 +6,13 @@ use std::f64::consts::{FRAC_PI_6, PI};
 use nalgebra::Vector3;
 
 use crate::control::{
-    AnyController, AttitudeControl, Controller as _, ControllerKind, HeadingHold, RateControl, Reference,
+    AnyController, AttitudeControl, ControlMemory, Controller as _, ControllerKind, Goal, HeadingHold,
+    LaneController as _, RateControl, Target,
 };
 use crate::drone::DroneParams;
+use crate::math::{Real, Turn, V3, clamped, finite_zero, sin_cos, wrap_angle};
 use crate::names::named_enum;
-use crate::state::{DroneState, attitude_from_rpy};
+use crate::state::{DroneState, FlightState};
 
 named_enum! {
     "action type"
@@ -266,41 +268,106 @@ impl ActionDecoder {
     /// # Panics
     /// If the length of the action is not [`size`](ActionType::size).
     pub fn motor_speeds(&mut self, dt: f64, state: &DroneState, action: &[f64]) -> [f64; 4] {
-        let [a, b, c, d] = match (self.kind, action) {
-            (ActionType::OneDRpm, &[x]) => return [self.scale.rpm(x); 4],
+        let numbers = match (self.kind, action) {
+            (ActionType::OneDRpm, &[x]) => [x; 4],
             (kind, &[a, b, c, d]) if kind.size() == 4 => [a, b, c, d],
             (kind, _) => panic!("an action of length {}, expected {}", action.len(), kind.size()),
         };
-        let (scale, limits) = (self.scale, &self.limits);
-        let collective = |command: f64, thrust_coefficient: f64| 4.0 * thrust_coefficient * scale.rpm(command).powi(2);
-        match &mut self.loops {
-            Loops::None if self.kind == ActionType::RawRpm => [a, b, c, d],
-            Loops::None => [a, b, c, d].map(|command| scale.rpm(command)),
-            Loops::Velocity { controller, heading } => {
-                let (sin, cos) = state.yaw().sin_cos();
-                let velocity = Vector3::new(cos * a - sin * b, sin * a + cos * b, c);
-                let yaw = heading.advance(dt, state, d);
-                // the velocity rotates with the heading frame
-                let acceleration = Vector3::new(-d * velocity.y, d * velocity.x, 0.0);
-                let reference = Reference { velocity, acceleration, yaw, yaw_rate: d, ..Reference::default() };
-                controller.control_velocity(dt, state, &reference).rpm
-            }
-            Loops::Waypoint { controller } => {
-                controller.control(dt, state, &Reference::hover(Vector3::new(a, b, c), d)).rpm
-            }
-            Loops::Attitude { control, heading, thrust_coefficient } => {
+        let mut memory = self.memory();
+        let speeds = self.speeds(dt, &mut memory, &FlightState::from(state), numbers);
+        self.set_memory(&memory);
+        speeds
+    }
+
+    /// Returns the motor speeds of [`motor_speeds`](Self::motor_speeds), from four numbers, and updates the memory of
+    /// the control loops.
+    #[inline(always)]
+    pub(crate) fn speeds<R: Real>(
+        &self,
+        dt: f64,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        [a, b, c, d]: [R; 4],
+    ) -> [R; 4] {
+        let (limits, scale) = (&self.limits, &self.scale);
+        let (controller, target, goal) = match &self.loops {
+            Loops::None if self.kind == ActionType::RawRpm => return [a, b, c, d],
+            Loops::None => return [scale.speed(a), scale.speed(b), scale.speed(c), scale.speed(d)],
+            Loops::Attitude { control, thrust_coefficient, .. } => {
                 let rate = d * limits.yaw_rate;
-                let rpy = Vector3::new(b * limits.tilt, c * limits.tilt, heading.advance(dt, state, rate));
-                let wanted = attitude_from_rpy(rpy);
+                let yaw = HeadingHold::turn(&mut memory.heading, dt, state.attitude.yaw(), rate);
+                let wanted = Turn::from_rpy(V3::new(b * limits.tilt, c * limits.tilt, yaw));
                 // the yaw rate is about world z for any roll and pitch
-                let body_rate = wanted.inverse_transform_vector(&Vector3::new(0.0, 0.0, rate));
-                control.control(dt, state, collective(a, *thrust_coefficient), &wanted, &body_rate)
+                let body_rate = wanted.back(V3::vertical(rate));
+                let thrust = scale.collective(a, *thrust_coefficient);
+                return control.track(dt, &mut memory.attitude_integral, state, thrust, &wanted, body_rate);
             }
             Loops::Rates { control, thrust_coefficient } => {
-                let body_rate = Vector3::new(b, c, d).component_mul(&Vector3::from(limits.body_rate));
-                control.control(dt, state, collective(a, *thrust_coefficient), &body_rate)
+                let body_rate = V3::new(b, c, d).weighted(&Vector3::from(limits.body_rate));
+                return control.track(dt, state.rate, scale.collective(a, *thrust_coefficient), body_rate);
+            }
+            Loops::Velocity { controller, .. } => {
+                let actual = state.attitude.yaw();
+                let (sin, cos) = sin_cos(actual);
+                let velocity = V3::new(cos * a - sin * b, sin * a + cos * b, c);
+                let mut target = Target::hover(state.position, actual);
+                target.velocity = velocity;
+                // the velocity rotates with the heading frame
+                target.acceleration = V3::new(-d * velocity.y, d * velocity.x, d.all(0.0));
+                target.yaw = HeadingHold::turn(&mut memory.heading, dt, actual, d);
+                target.yaw_rate = d;
+                (controller, target, Goal::Velocity)
+            }
+            Loops::Waypoint { controller } => {
+                (controller, Target::hover(V3::new(a, b, c), wrap_angle(d)), Goal::Position)
+            }
+        };
+        // controllers need finite numbers: a NaN in an integral would stay there until the next reset
+        let zero = state.finite_zero() + finite_zero([a, b, c, d]);
+        let mut next = *memory;
+        let mut speeds = controller.track(dt, &mut next, state, &target, goal);
+        memory.replace_where(zero.less(zero.all(1.0)), &next);
+        for speed in &mut speeds {
+            *speed = *speed + zero;
+        }
+        speeds
+    }
+
+    /// Returns the memory of the control loops; the parts that no loop uses have their default values.
+    pub(crate) fn memory(&self) -> ControlMemory<f64> {
+        match &self.loops {
+            Loops::None | Loops::Rates { .. } => ControlMemory::default(),
+            Loops::Velocity { controller, heading } => {
+                ControlMemory { heading: heading.setpoint(), ..controller.memory() }
+            }
+            Loops::Waypoint { controller } => controller.memory(),
+            Loops::Attitude { control, heading, .. } => ControlMemory {
+                heading: heading.setpoint(),
+                attitude_integral: control.integral(),
+                ..ControlMemory::default()
+            },
+        }
+    }
+
+    /// Sets the memory of the control loops.
+    pub(crate) fn set_memory(&mut self, memory: &ControlMemory<f64>) {
+        match &mut self.loops {
+            Loops::None | Loops::Rates { .. } => {}
+            Loops::Velocity { controller, heading } => {
+                controller.set_memory(memory);
+                heading.set_setpoint(memory.heading);
+            }
+            Loops::Waypoint { controller } => controller.set_memory(memory),
+            Loops::Attitude { control, heading, .. } => {
+                control.set_integral(memory.attitude_integral);
+                heading.set_setpoint(memory.heading);
             }
         }
+    }
+
+    /// Returns true if the motor speeds depend on earlier actions of the episode.
+    pub(crate) fn keeps_memory(&self) -> bool {
+        !matches!(self.loops, Loops::None | Loops::Rates { .. })
     }
 }
 
@@ -333,19 +400,28 @@ impl MotorScale {
         Self { hover_rpm: params.hover_rpm(), max_rpm: params.max_rpm() }
     }
 
-    /// Returns the hover speed and the maximum speed, rpm.
-    pub(crate) fn speeds(&self) -> [f64; 2] {
-        [self.hover_rpm, self.max_rpm]
-    }
-
     /// Returns the motor speed (rpm) of a normalized command, which the function clamps to [−1, 1].
     #[inline]
     pub fn rpm(&self, command: f64) -> f64 {
-        let command = command.clamp(-1.0, 1.0);
+        self.speed(command)
+    }
+
+    /// Returns the motor speed of [`rpm`](Self::rpm).
+    #[inline(always)]
+    pub(crate) fn speed<R: Real>(&self, command: R) -> R {
+        let zero = command.all(0.0);
+        let command = clamped(command, zero.all(-1.0), zero.all(1.0));
         // computes both branches, because a branch on the command would be unpredictable
-        let (below, above) =
-            ((command + 1.0) * self.hover_rpm, self.hover_rpm + command * (self.max_rpm - self.hover_rpm));
-        if command <= 0.0 { below } else { above }
+        let below = (command + 1.0) * self.hover_rpm;
+        let above = command * (self.max_rpm - self.hover_rpm) + self.hover_rpm;
+        R::choose(zero.less(command), above, below)
+    }
+
+    /// Returns the collective thrust (N) of a normalized speed of all four motors.
+    #[inline(always)]
+    fn collective<R: Real>(&self, command: R, thrust_coefficient: f64) -> R {
+        let speed = self.speed(command);
+        speed * speed * (4.0 * thrust_coefficient)
     }
 
     /// Returns the normalized command of a motor speed (rpm), which the function clamps to 0 to the maximum speed.

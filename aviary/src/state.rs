@@ -6,7 +6,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::math::Turn;
+use crate::math::{self, Real, Turn, V3, finite_zero};
 
 /// State of one drone: position, attitude, velocity and body rates (13 numbers, as in *MuJoCo-Drones-Gym*, Tayal).
 ///
@@ -96,6 +96,48 @@ impl DroneState {
     }
 }
 
+/// [`DroneState`] of one drone or of a register of drones.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FlightState<R> {
+    pub position: V3<R>,
+    pub attitude: Turn<R>,
+    pub velocity: V3<R>,
+    pub rate: V3<R>,
+}
+
+impl<R: Real> FlightState<R> {
+    /// Returns a zero where every number of the state is finite, and NaN elsewhere.
+    #[inline(always)]
+    pub fn finite_zero(&self) -> R {
+        let Self { position: p, attitude: q, velocity: v, rate } = self;
+        finite_zero([p.x, p.y, p.z, q.w, q.v.x, q.v.y, q.v.z, v.x, v.y, v.z, rate.x, rate.y, rate.z])
+    }
+}
+
+impl From<&DroneState> for FlightState<f64> {
+    #[inline(always)]
+    fn from(state: &DroneState) -> Self {
+        Self {
+            position: V3::from(&state.position),
+            attitude: Turn::from(&state.attitude),
+            velocity: V3::from(&state.velocity),
+            rate: V3::from(&state.angular_velocity),
+        }
+    }
+}
+
+impl From<FlightState<f64>> for DroneState {
+    #[inline(always)]
+    fn from(motion: FlightState<f64>) -> Self {
+        Self {
+            position: motion.position.into(),
+            attitude: motion.attitude.into(),
+            velocity: motion.velocity.into(),
+            angular_velocity: motion.rate.into(),
+        }
+    }
+}
+
 /// Returns the z axis of the body in the world frame, which is the third column of the rotation matrix.
 #[inline]
 pub fn body_z(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
@@ -157,12 +199,9 @@ pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
 /// Wraps an angle (rad) to (−π, π].
 #[inline]
 pub fn wrap_angle(angle: f64) -> f64 {
-    use std::f64::consts::{PI, TAU};
-    if angle > -PI && angle <= PI {
-        return angle;
-    }
-    let wrapped = angle.rem_euclid(TAU);
-    if wrapped > PI { wrapped - TAU } else { wrapped }
+    /// Magnitude from which the number of turns is too large for the arithmetic of [`math`].
+    const LARGE: f64 = 1e6;
+    math::wrap_angle(if angle.abs() < LARGE { angle } else { angle % std::f64::consts::TAU })
 }
 
 #[cfg(test)]
@@ -242,7 +281,9 @@ mod tests {
         }
 
         #[test]
-        fn wrapping_keeps_the_direction(angle in -100.0..100.0f64) {
+        fn wrapping_keeps_the_direction(angle in -100.0..100.0f64, scale in 0.0..300.0f64) {
+            let huge = wrap_angle(angle * 10f64.powf(scale));
+            prop_assert!(huge.abs() <= PI);
             let wrapped = wrap_angle(angle);
             prop_assert!(wrapped > -PI - 1e-12 && wrapped <= PI + 1e-12);
             prop_assert!((wrapped.sin() - angle.sin()).abs() < 1e-9 && (wrapped.cos() - angle.cos()).abs() < 1e-9);

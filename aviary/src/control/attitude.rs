@@ -1,8 +1,10 @@
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Mixer;
+use super::memory::is_finite;
 use crate::drone::{DroneModel, DroneParams};
-use crate::state::{DroneState, wrap_angle};
+use crate::math::{Real, Turn, V3, clamped, sin_cos, wrap_angle};
+use crate::state::{DroneState, FlightState};
 
 /// Gains of the attitude loop about the body axes: torques per rad, per rad·s and per rad/s.
 ///
@@ -117,17 +119,43 @@ impl AttitudeControl {
         attitude: &UnitQuaternion<f64>,
         body_rate: &Vector3<f64>,
     ) -> [f64; 4] {
-        let error = (state.attitude.inverse() * attitude).scaled_axis();
-        let rate_error = body_rate - state.angular_velocity;
-        let integral = clamped(self.integral + error * dt, self.gains.integral_clamp);
-        let torque = self.gains.proportional.component_mul(&error)
-            + self.gains.integral.component_mul(&integral)
-            + self.gains.derivative.component_mul(&rate_error);
-        let rpm = self.mixer.rpm(thrust, torque);
-        if rpm[0].is_finite() {
-            self.integral = integral;
-        }
+        let mut integral = V3::from(&self.integral);
+        let (attitude, body_rate) = (Turn::from(attitude), V3::from(body_rate));
+        let rpm = self.track(dt, &mut integral, &FlightState::from(state), thrust, &attitude, body_rate);
+        self.integral = integral.into();
         rpm
+    }
+
+    /// Returns the motor speeds of [`control`](Self::control), and updates the integral of the attitude errors.
+    #[inline(always)]
+    pub(crate) fn track<R: Real>(
+        &self,
+        dt: f64,
+        integral: &mut V3<R>,
+        state: &FlightState<R>,
+        thrust: R,
+        attitude: &Turn<R>,
+        body_rate: V3<R>,
+    ) -> [R; 4] {
+        let gains = &self.gains;
+        let error = state.attitude.turn_to(attitude).rotation_vector();
+        let next = (*integral + error * dt).clamped(gains.integral_clamp);
+        let torque = error.weighted(&gains.proportional)
+            + next.weighted(&gains.integral)
+            + (body_rate - state.rate).weighted(&gains.derivative);
+        let rpm = self.mixer.speeds(thrust, torque);
+        *integral = V3::choose(is_finite(rpm[0]), next, *integral);
+        rpm
+    }
+
+    /// Returns the integral of the attitude errors, rad·s.
+    pub(crate) fn integral(&self) -> V3<f64> {
+        V3::from(&self.integral)
+    }
+
+    /// Sets the integral of the attitude errors, rad·s.
+    pub(crate) fn set_integral(&mut self, integral: V3<f64>) {
+        self.integral = integral.into();
     }
 }
 
@@ -162,37 +190,45 @@ impl HeadingHold {
 
     /// Turns the setpoint at `rate` rad/s for a control step of `dt` seconds and returns it, rad.
     pub fn advance(&mut self, dt: f64, state: &DroneState, rate: f64) -> f64 {
-        let actual = state.yaw();
-        let lead = wrap_angle(self.yaw.unwrap_or(actual) + rate * dt - actual);
-        let yaw = wrap_angle(actual + lead.clamp(-Self::MAX_LEAD, Self::MAX_LEAD));
-        if yaw.is_finite() {
-            self.yaw = Some(yaw);
-        }
+        let mut setpoint = self.setpoint();
+        let yaw = Self::turn(&mut setpoint, dt, state.yaw(), rate);
+        self.set_setpoint(setpoint);
         yaw
+    }
+
+    /// Turns a setpoint, which is NaN before the first call, as [`advance`](Self::advance) does. `actual` is the
+    /// drone's yaw, rad.
+    #[inline(always)]
+    pub(crate) fn turn<R: Real>(setpoint: &mut R, dt: f64, actual: R, rate: R) -> R {
+        let last = R::choose(is_finite(*setpoint), *setpoint, actual);
+        let max = actual.all(Self::MAX_LEAD);
+        let lead = clamped(wrap_angle(last + rate * dt - actual), -max, max);
+        let yaw = wrap_angle(actual + lead);
+        *setpoint = R::choose(is_finite(yaw), yaw, *setpoint);
+        yaw
+    }
+
+    /// Returns the setpoint, rad; NaN before the first call of [`advance`](Self::advance).
+    pub(crate) fn setpoint(&self) -> f64 {
+        self.yaw.unwrap_or(f64::NAN)
+    }
+
+    /// Sets the setpoint, rad; NaN for none.
+    pub(crate) fn set_setpoint(&mut self, setpoint: f64) {
+        self.yaw = Some(setpoint).filter(|yaw| !yaw.is_nan());
     }
 }
 
-/// Clamps every component to ±`limit`; NaN stays NaN.
-pub(super) fn clamped(vector: Vector3<f64>, limit: f64) -> Vector3<f64> {
-    vector.map(|x| {
-        if x > limit {
-            limit
-        } else if x < -limit {
-            -limit
-        } else {
-            x
-        }
-    })
-}
-
 /// Returns the attitude whose z axis points along `up`, a vector above the horizon, and whose yaw is `yaw`.
-pub(super) fn attitude_along(up: &Vector3<f64>, yaw: f64) -> UnitQuaternion<f64> {
-    let z = up.normalize();
+#[inline(always)]
+pub(super) fn attitude_along<R: Real>(up: V3<R>, yaw: R) -> Turn<R> {
+    let z = up.over(up.norm());
     // roll-pitch-yaw has this yaw only if body x is perpendicular to the left of the heading
-    let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
-    let x = left.cross(&z).normalize();
-    let y = z.cross(&x);
-    UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z])))
+    let (sin, cos) = sin_cos(yaw);
+    let left = V3::new(-sin, cos, yaw.all(0.0));
+    let x = left.cross(z);
+    let x = x.over(x.norm());
+    Turn::from_axes(x, z.cross(x), z)
 }
 
 #[cfg(test)]
@@ -204,7 +240,7 @@ mod tests {
         #[test]
         fn target_attitude_has_the_given_z_axis_and_yaw(x in -5.0..5.0, y in -5.0..5.0, yaw in -3.0..3.0) {
             let up = Vector3::new(x, y, 9.81);
-            let attitude = attitude_along(&up, yaw);
+            let attitude = UnitQuaternion::from(attitude_along(V3::from(&up), yaw));
             prop_assert!((attitude * Vector3::z() - up.normalize()).norm() < 1e-9);
             let forward = attitude * Vector3::x();
             prop_assert!(wrap_angle(forward.y.atan2(forward.x) - yaw).abs() < 1e-9);

@@ -2,9 +2,14 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 
-use super::{AttitudeGains, ControlOutput, Controller, PidControl, PidGains, PositionGains, Reference};
+use super::memory::is_finite;
+use super::{
+    AttitudeGains, ControlMemory, ControlOutput, Controller, Goal, LaneController, PidControl, PidGains, PositionGains,
+    Reference, Target, run,
+};
 use crate::drone::DroneParams;
-use crate::state::{DroneState, wrap_angle};
+use crate::math::{Real, V3, clamped, wrap_angle};
+use crate::state::{DroneState, FlightState};
 
 /// The paper's `DSLPIDControl`: the cascade of [`PidControl`] with stiffer gains, integral clamps half as large, a
 /// rate-limited setpoint, and feed-forward of the reference acceleration.
@@ -73,16 +78,61 @@ impl DslPidControl {
         }
     }
 
-    fn advance(&self, dt: f64, state: &DroneState, reference: &Reference) -> Setpoint {
-        let here = Setpoint { position: state.position, yaw: state.yaw() };
-        let last = self.setpoint.unwrap_or(here);
-        let path = reference.position - last.position;
-        let share = (Self::MAX_SPEED * dt / path.norm()).min(1.0);
-        let turn = wrap_angle(reference.yaw - last.yaw).clamp(-Self::MAX_YAW_RATE * dt, Self::MAX_YAW_RATE * dt);
-        Setpoint {
-            position: if share < 1.0 { last.position + path * share } else { reference.position },
-            yaw: wrap_angle(last.yaw + turn),
+    /// Moves the setpoint towards a target.
+    #[inline(always)]
+    fn advance<R: Real>(dt: f64, memory: &mut ControlMemory<R>, state: &FlightState<R>, target: &Target<R>) {
+        let (one, is_held) = (target.yaw.all(1.0), is_finite(memory.setpoint_yaw));
+        let last = V3::choose(is_held, memory.setpoint, state.position);
+        let last_yaw = R::choose(is_held, memory.setpoint_yaw, state.attitude.yaw());
+        let path = target.position - last;
+        let share = one.all(Self::MAX_SPEED * dt) / path.norm();
+        memory.setpoint = V3::choose(share.less(one), last + path * share, target.position);
+        let max = one.all(Self::MAX_YAW_RATE * dt);
+        memory.setpoint_yaw = wrap_angle(last_yaw + clamped(wrap_angle(target.yaw - last_yaw), -max, max));
+    }
+}
+
+impl LaneController for DslPidControl {
+    fn memory(&self) -> ControlMemory<f64> {
+        let memory = self.cascade.memory();
+        match &self.setpoint {
+            Some(setpoint) => {
+                ControlMemory { setpoint: V3::from(&setpoint.position), setpoint_yaw: setpoint.yaw, ..memory }
+            }
+            None => memory,
         }
+    }
+
+    fn set_memory(&mut self, memory: &ControlMemory<f64>) {
+        self.cascade.set_memory(memory);
+        let setpoint = Setpoint { position: memory.setpoint.into(), yaw: memory.setpoint_yaw };
+        self.setpoint = Some(setpoint).filter(|setpoint| !setpoint.yaw.is_nan());
+    }
+
+    #[inline(always)]
+    fn track<R: Real>(
+        &self,
+        dt: f64,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        target: &Target<R>,
+        goal: Goal,
+    ) -> [R; 4] {
+        Self::advance(dt, memory, state, target);
+        let max_yaw_rate = target.yaw.all(Self::MAX_YAW_RATE);
+        let mut limited = *target;
+        if goal == Goal::Position {
+            limited.position = memory.setpoint;
+            // the velocity command has the same limit as the speed of the setpoint
+            let max = target.yaw.all(Self::MAX_SPEED);
+            limited.velocity = target.velocity * (max / target.velocity.norm().greater(max));
+        } else {
+            // the speed limit of the position setpoint would also limit the commanded velocity
+            memory.setpoint = state.position;
+        }
+        limited.yaw = memory.setpoint_yaw;
+        limited.yaw_rate = clamped(target.yaw_rate, -max_yaw_rate, max_yaw_rate);
+        self.cascade.follow(dt, memory, state, &limited, target.acceleration, Self::INTEGRATED)
     }
 }
 
@@ -93,39 +143,12 @@ impl Controller for DslPidControl {
     }
 
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        let errors = ControlOutput::of_errors(state, reference);
-        if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
-            return errors;
-        }
-        let setpoint = self.advance(dt, state, reference);
-        self.setpoint = Some(setpoint);
-        // the velocity command has the same limit as the speed of the setpoint
-        let speed = reference.velocity.norm();
-        let limited = Reference {
-            position: setpoint.position,
-            velocity: reference.velocity * (Self::MAX_SPEED / speed.max(Self::MAX_SPEED)),
-            yaw: setpoint.yaw,
-            yaw_rate: reference.yaw_rate.clamp(-Self::MAX_YAW_RATE, Self::MAX_YAW_RATE),
-            ..*reference
-        };
-        let feed_forward = &reference.acceleration;
-        let output = self.cascade.follow(dt, state, &limited, feed_forward, Self::INTEGRATED);
-        ControlOutput { rpm: output.rpm, ..errors }
+        run(self, dt, state, reference, Goal::Position)
     }
 
     /// Bypasses the position setpoint, whose speed limit would also limit the commanded velocity.
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        let here = Reference { position: state.position, ..*reference };
-        let errors = ControlOutput::of_errors(state, &here);
-        if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
-            return errors;
-        }
-        let setpoint = Setpoint { position: state.position, ..self.advance(dt, state, &here) };
-        self.setpoint = Some(setpoint);
-        let yaw_rate = reference.yaw_rate.clamp(-Self::MAX_YAW_RATE, Self::MAX_YAW_RATE);
-        let limited = Reference { yaw: setpoint.yaw, yaw_rate, ..here };
-        let output = self.cascade.follow(dt, state, &limited, &reference.acceleration, Self::INTEGRATED);
-        ControlOutput { rpm: output.rpm, ..errors }
+        run(self, dt, state, reference, Goal::Velocity)
     }
 }
 

@@ -1,8 +1,10 @@
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
-use super::{ControlOutput, Controller, Mixer, Reference};
+use super::memory::is_finite;
+use super::{ControlMemory, ControlOutput, Controller, Goal, LaneController, Mixer, Reference, Target, run};
 use crate::drone::{DroneParams, GRAVITY};
-use crate::state::{DroneState, body_z};
+use crate::math::{Real, Turn, V3, clamped, finite_zero, sin_cos};
+use crate::state::{DroneState, FlightState};
 
 /// Natural frequencies of the loops of a [`GeometricControl`], rad/s.
 ///
@@ -129,92 +131,125 @@ impl GeometricControl {
         Vector3::new(xy, xy, z)
     }
 
-    fn integrate(&mut self, dt: f64, frequency: &Vector3<f64>, error: &Vector3<f64>) {
-        if self.bandwidths.integral > 0.0 && error.norm() <= Self::INTEGRATED {
-            let gain = self.bandwidths.integral * frequency.component_mul(frequency).component_mul(frequency);
-            self.integral += gain.component_mul(error) * dt;
-            let excess = self.integral.norm() / (0.5 * self.max_feedback);
-            if excess > 1.0 {
-                self.integral /= excess;
-            }
-        }
+    /// Adds a position error to the integral, where it is small enough.
+    #[inline(always)]
+    fn integrate<R: Real>(&self, dt: f64, integral: &mut V3<R>, error: V3<R>) {
+        let frequency = self.frequency(dt);
+        let gain = self.bandwidths.integral * frequency.component_mul(&frequency).component_mul(&frequency);
+        let next = *integral + error.weighted(&gain) * dt;
+        let one = error.x.all(1.0);
+        let excess = next.norm() / one.all(0.5 * self.max_feedback);
+        let next = V3::choose(one.less(excess), next.over(excess), next);
+        *integral = V3::choose(one.all(Self::INTEGRATED).less(error.norm()), *integral, next);
     }
 
-    /// Returns the acceleration from position and velocity errors, and true if it is below all limits, that is, if it
-    /// still depends on the errors.
-    fn feedback(
+    /// Returns the acceleration from position and velocity errors, and true where it is below all limits, that is,
+    /// where it still depends on the errors.
+    #[inline(always)]
+    fn feedback<R: Real>(
         &self,
         gains: &[Vector3<f64>; 2],
-        position: &Vector3<f64>,
-        velocity: &Vector3<f64>,
-    ) -> (Vector3<f64>, bool) {
+        integral: V3<R>,
+        [position, velocity]: [V3<R>; 2],
+    ) -> (V3<R>, R::Mask) {
         let [stiffness, damping] = gains;
         // limits the error so that the maximum feedback is sufficient to brake at the end of the approach
-        let reach = [stiffness.x, stiffness.z].map(|stiffness| 4.0 * self.max_feedback / stiffness.max(1e-9));
-        let sideways = position.xy().norm();
-        let clipped = sideways > reach[0] || position.z.abs() > reach[1];
-        let share = if sideways > reach[0] { reach[0] / sideways } else { 1.0 };
-        let near = Vector3::new(position.x * share, position.y * share, position.z.max(-reach[1]).min(reach[1]));
-        let value = stiffness.component_mul(&near) + damping.component_mul(velocity) + self.integral;
+        let reach = |stiffness: f64| 4.0 * self.max_feedback / stiffness.max(1e-9);
+        let (one, max) = (position.x.all(1.0), position.x.all(self.max_feedback));
+        let (level, vertical) = (one.all(reach(stiffness.x)), one.all(reach(stiffness.z)));
+        let sideways = position.level_norm();
+        let is_far = level.less(sideways);
+        let share = R::choose(is_far, level / sideways, one);
+        let near = V3::new(position.x * share, position.y * share, clamped(position.z, -vertical, vertical));
+        let value = near.weighted(stiffness) + velocity.weighted(damping) + integral;
         let size = value.norm();
-        if size > self.max_feedback { (value * (self.max_feedback / size), false) } else { (value, !clipped) }
+        let is_large = max.less(size);
+        let is_limited = is_large | is_far | vertical.less(position.z.abs());
+        (V3::choose(is_large, value * (max / size), value), !is_limited)
     }
 
     /// Returns the torque about the body axes, N·m, that tracks a target attitude.
-    fn torque(&self, dt: f64, state: &DroneState, wanted: &Attitude) -> Vector3<f64> {
+    #[inline(always)]
+    fn torque<R: Real>(&self, dt: f64, state: &FlightState<R>, wanted: &Attitude<R>) -> V3<R> {
         let max = Self::FASTEST_ATTITUDE / dt;
         let (tilt, yaw) = (self.bandwidths.tilt.min(max), self.bandwidths.yaw.min(max));
         let frequency = Vector3::new(tilt, tilt, yaw);
-        let to_body = state.attitude.inverse() * wanted.attitude;
-        let error = to_body.scaled_axis();
-        let to_body = to_body.to_rotation_matrix();
-        let rate = to_body * wanted.body_rate;
-        let omega = state.angular_velocity;
-        let angular_acceleration = frequency.component_mul(&frequency).component_mul(&error)
-            + 2.0 * Self::ATTITUDE_DAMPING * frequency.component_mul(&(rate - omega))
-            + to_body * wanted.angular_acceleration
-            - omega.cross(&rate);
-        self.inertia.component_mul(&angular_acceleration) + omega.cross(&self.inertia.component_mul(&omega))
+        let to_body = state.attitude.turn_to(&wanted.attitude);
+        let error = to_body.rotation_vector();
+        let rate = to_body.forth(wanted.body_rate);
+        let omega = state.rate;
+        let angular_acceleration = error.weighted(&frequency.component_mul(&frequency))
+            + (rate - omega).weighted(&(2.0 * Self::ATTITUDE_DAMPING * frequency))
+            + to_body.forth(wanted.angular_acceleration)
+            - omega.cross(rate);
+        angular_acceleration.weighted(&self.inertia) + omega.cross(omega.weighted(&self.inertia))
+    }
+}
+
+impl LaneController for GeometricControl {
+    fn memory(&self) -> ControlMemory<f64> {
+        let chart = match self.chart {
+            Chart::Left(sign) => sign,
+            Chart::Forward(sign) => 2.0 * sign,
+        };
+        ControlMemory { position_integral: V3::from(&self.integral), chart, ..ControlMemory::default() }
     }
 
-    /// Tracks a reference, or only its velocity if `position_held` is false.
-    fn follow(&mut self, dt: f64, state: &DroneState, reference: &Reference, position_held: bool) -> ControlOutput {
-        let output = ControlOutput::of_errors(state, reference);
-        if !(self.valid && state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
-            return output;
-        }
-        let up = body_z(&state.attitude);
-        let up_rate = state.attitude * state.angular_velocity.cross(&Vector3::z());
-        let gravity = Vector3::new(0.0, 0.0, GRAVITY);
+    fn set_memory(&mut self, memory: &ControlMemory<f64>) {
+        self.integral = memory.position_integral.into();
+        let chart = LaneChart(memory.chart);
+        self.chart = if chart.is_forward() { Chart::Forward(chart.sign()) } else { Chart::Left(chart.sign()) };
+    }
+
+    #[inline(always)]
+    fn track<R: Real>(
+        &self,
+        dt: f64,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        target: &Target<R>,
+        goal: Goal,
+    ) -> [R; 4] {
+        let zero = target.yaw.all(0.0);
+        let up = state.attitude.up();
+        let up_rate = state.attitude.forth(state.rate.cross(V3::vertical(zero.all(1.0))));
+        let gravity = V3::vertical(zero.all(GRAVITY));
 
         let frequency = self.frequency(dt);
-        self.integrate(dt, &frequency, &output.position_error);
-        let stiffness = if position_held { frequency.component_mul(&frequency) } else { Vector3::zeros() };
+        let stiffness = if goal == Goal::Position { frequency.component_mul(&frequency) } else { Vector3::zeros() };
         let damping = 2.0 * Self::POSITION_DAMPING * frequency;
-        let gains = [stiffness, damping];
-        let (position, velocity) = (output.position_error, reference.velocity - state.velocity);
-        let (feedback, live) = self.feedback(&gains, &position, &velocity);
-        let mut wanted = MovingVector {
-            value: reference.acceleration + gravity + feedback,
-            rate: reference.jerk,
-            acceleration: reference.snap,
-        };
-        if !wanted.value.iter().all(|x| x.is_finite()) {
-            return output;
+        let (position, velocity) = (target.position - state.position, target.velocity - state.velocity);
+        let mut integral = memory.position_integral;
+        if self.bandwidths.integral > 0.0 {
+            self.integrate(dt, &mut integral, position);
         }
-        let thrust = wanted.value.dot(&up).max(0.0);
-        if live {
-            // the acceleration and jerk of the drone under the present thrust give the derivatives of the errors
-            let acceleration = reference.acceleration - (up * thrust - gravity);
-            wanted.rate += stiffness.component_mul(&velocity) + damping.component_mul(&acceleration);
-            let thrust_rate = wanted.rate.dot(&up) + wanted.value.dot(&up_rate);
-            let jerk = reference.jerk - (up * thrust_rate + up_rate * thrust);
-            wanted.acceleration += stiffness.component_mul(&acceleration) + damping.component_mul(&jerk);
+        let (feedback, is_live) = self.feedback(&[stiffness, damping], integral, [position, velocity]);
+        let value = target.acceleration + gravity + feedback;
+        // finite errors can overflow, and invalid controllers have NaN speeds
+        let valid = if self.valid { zero } else { zero.all(f64::NAN) };
+        let valid = valid + finite_zero([value.x, value.y, value.z]);
+        memory.position_integral = V3::choose(is_finite(valid), integral, memory.position_integral);
+        let thrust = value.dot(up).greater(zero);
+
+        // the acceleration and jerk of the drone under the present thrust give the derivatives of the errors
+        let acceleration = target.acceleration - (up * thrust - gravity);
+        let rate = target.jerk + velocity.weighted(&stiffness) + acceleration.weighted(&damping);
+        let rate = V3::choose(is_live, rate, target.jerk);
+        let thrust_rate = rate.dot(up) + value.dot(up_rate);
+        let jerk = target.jerk - (up * thrust_rate + up_rate * thrust);
+        let second = target.snap + acceleration.weighted(&stiffness) + jerk.weighted(&damping);
+        let wanted = MovingVector { value, rate, acceleration: V3::choose(is_live, second, target.snap) };
+
+        let falls = !zero.all(Self::FREE_FALL).less(value.norm());
+        let direction = MovingVector::choose(falls, &MovingVector::still(up), &wanted.unit());
+        let mut chart = LaneChart(memory.chart);
+        let attitude = chart.attitude(&direction, target);
+        memory.chart = R::choose(is_finite(valid), chart.0, memory.chart);
+        let mut speeds = self.mixer.speeds(thrust * self.mass, self.torque(dt, state, &attitude));
+        for speed in &mut speeds {
+            *speed = *speed + valid;
         }
-        let direction = if wanted.value.norm() > Self::FREE_FALL { wanted.unit() } else { MovingVector::still(up) };
-        let attitude = self.chart.attitude(&direction, reference);
-        let torque = self.torque(dt, state, &attitude);
-        ControlOutput { rpm: self.mixer.rpm(self.mass * thrust, torque), ..output }
+        speeds
     }
 }
 
@@ -225,56 +260,81 @@ impl Controller for GeometricControl {
     }
 
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        self.follow(dt, state, reference, true)
+        run(self, dt, state, reference, Goal::Position)
     }
 
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        self.follow(dt, state, &Reference { position: state.position, ..*reference }, false)
+        run(self, dt, state, reference, Goal::Velocity)
     }
 }
 
 /// A vector with its first two time derivatives.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct MovingVector {
-    value: Vector3<f64>,
-    rate: Vector3<f64>,
-    acceleration: Vector3<f64>,
+#[derive(Debug, Clone, Copy)]
+struct MovingVector<R> {
+    value: V3<R>,
+    rate: V3<R>,
+    acceleration: V3<R>,
 }
 
-impl MovingVector {
-    fn still(value: Vector3<f64>) -> Self {
-        Self { value, rate: Vector3::zeros(), acceleration: Vector3::zeros() }
+impl<R: Real> MovingVector<R> {
+    #[inline(always)]
+    fn still(value: V3<R>) -> Self {
+        let zero = V3::zero(value.x);
+        Self { value, rate: zero, acceleration: zero }
     }
 
-    fn cross(&self, other: &Self) -> Self {
+    /// Selects lane by lane: `yes` where the mask is true, `no` elsewhere.
+    #[inline(always)]
+    fn choose(mask: R::Mask, yes: &Self, no: &Self) -> Self {
         Self {
-            value: self.value.cross(&other.value),
-            rate: self.rate.cross(&other.value) + self.value.cross(&other.rate),
-            acceleration: self.acceleration.cross(&other.value)
-                + 2.0 * self.rate.cross(&other.rate)
-                + self.value.cross(&other.acceleration),
+            value: V3::choose(mask, yes.value, no.value),
+            rate: V3::choose(mask, yes.rate, no.rate),
+            acceleration: V3::choose(mask, yes.acceleration, no.acceleration),
         }
     }
 
+    #[inline(always)]
+    fn cross(&self, other: &Self) -> Self {
+        Self {
+            value: self.value.cross(other.value),
+            rate: self.rate.cross(other.value) + self.value.cross(other.rate),
+            acceleration: self.acceleration.cross(other.value)
+                + self.rate.cross(other.rate) * 2.0
+                + self.value.cross(other.acceleration),
+        }
+    }
+
+    #[inline(always)]
+    fn scaled(&self, factor: R) -> Self {
+        Self { value: self.value * factor, rate: self.rate * factor, acceleration: self.acceleration * factor }
+    }
+
     /// Returns the unit vector u = v/‖v‖: with s = ‖v‖, s·u' = v' − s'·u and s·u'' = v'' − s''·u − 2·s'·u'.
+    #[inline(always)]
     fn unit(&self) -> Self {
         let size = self.value.norm();
-        let value = self.value / size;
-        let size_rate = self.rate.dot(&value);
-        let rate = (self.rate - size_rate * value) / size;
-        let size_acceleration = self.acceleration.dot(&value) + self.rate.dot(&rate);
-        let acceleration = (self.acceleration - size_acceleration * value - 2.0 * size_rate * rate) / size;
+        let value = self.value.over(size);
+        let size_rate = self.rate.dot(value);
+        let rate = (self.rate - value * size_rate).over(size);
+        let size_acceleration = self.acceleration.dot(value) + self.rate.dot(rate);
+        let acceleration = (self.acceleration - value * size_acceleration - rate * (size_rate * 2.0)).over(size);
         Self { value, rate, acceleration }
     }
 }
 
+/// Returns the axial vector of Rᵀ·D, with the columns of R and of its derivative D: R' = R·ω̂ and R'' = R·(ω̂² + ω̂').
+#[inline(always)]
+fn axial<R: Real>([x, y, z]: [V3<R>; 3], [x1, y1, z1]: [V3<R>; 3]) -> V3<R> {
+    V3::new(z.dot(y1) - y.dot(z1), x.dot(z1) - z.dot(x1), y.dot(x1) - x.dot(y1)) * 0.5
+}
+
 /// A target attitude, body to world, with its first two derivatives.
-struct Attitude {
-    attitude: UnitQuaternion<f64>,
+struct Attitude<R> {
+    attitude: Turn<R>,
     /// Body rates, body frame, rad/s.
-    body_rate: Vector3<f64>,
+    body_rate: V3<R>,
     /// Angular acceleration, body frame, rad/s².
-    angular_acceleration: Vector3<f64>,
+    angular_acceleration: V3<R>,
 }
 
 /// Chart that maps a yaw and a direction of body z to an attitude.
@@ -288,69 +348,72 @@ enum Chart {
     Forward(f64),
 }
 
-impl Chart {
+/// A [`Chart`] as a number: its sign for [`Chart::Left`], twice its sign for [`Chart::Forward`].
+struct LaneChart<R>(R);
+
+impl<R: Real> LaneChart<R> {
     /// Sine of the angle to the singular direction below which the controller leaves a chart.
     const SWITCH: f64 = 0.35;
 
-    fn attitude(&mut self, z: &MovingVector, reference: &Reference) -> Attitude {
-        let (sin, cos) = reference.yaw.sin_cos();
-        let (forward, left) = (Vector3::new(cos, sin, 0.0), Vector3::new(-sin, cos, 0.0));
-        let (rate, acceleration) = (reference.yaw_rate, reference.yaw_acceleration);
+    #[inline(always)]
+    fn is_forward(&self) -> R::Mask {
+        self.0.all(1.5).less(self.0.abs())
+    }
+
+    #[inline(always)]
+    fn sign(&self) -> R {
+        self.0.all(1.0).with_sign_of(self.0)
+    }
+
+    #[inline(always)]
+    fn attitude(&mut self, z: &MovingVector<R>, target: &Target<R>) -> Attitude<R> {
+        let (sin, cos) = sin_cos(target.yaw);
+        let zero = sin.all(0.0);
+        let (forward, left) = (V3::new(cos, sin, zero), V3::new(-sin, cos, zero));
+        let (rate, acceleration) = (target.yaw_rate, target.yaw_acceleration);
         // unit vector r that turns about z: r' = ψ'·n, r'' = ψ''·n − ψ'²·r, with n a quarter turn ahead of r
-        let turning = |value: Vector3<f64>, ahead: Vector3<f64>| MovingVector {
-            value,
-            rate: rate * ahead,
-            acceleration: acceleration * ahead - rate * rate * value,
+        let forward = MovingVector {
+            value: forward,
+            rate: left * rate,
+            acceleration: left * acceleration - forward * (rate * rate),
         };
-        let forward = turning(forward, left);
-        let left = turning(left, -forward.value);
-        self.choose(&z.value, &forward.value, &left.value);
-        let (x, y) = match *self {
-            Self::Left(sign) => {
-                let x = left.scaled(sign).cross(z).unit();
-                (x, z.cross(&x))
-            }
-            Self::Forward(sign) => {
-                let y = z.cross(&forward.scaled(sign)).unit();
-                (y.cross(z), y)
-            }
+        let left = MovingVector {
+            value: left,
+            rate: -forward.value * rate,
+            acceleration: -forward.value * acceleration - left * (rate * rate),
         };
-        let matrix = |part: fn(&MovingVector) -> Vector3<f64>| Matrix3::from_columns(&[part(&x), part(&y), part(z)]);
-        let (r, r1, r2) = (matrix(|m| m.value), matrix(|m| m.rate), matrix(|m| m.acceleration));
-        // R' = R·ω̂ and R'' = R·(ω̂² + ω̂')
-        let hat = r.tr_mul(&r1);
-        let vee =
-            |m: &Matrix3<f64>| 0.5 * Vector3::new(m[(2, 1)] - m[(1, 2)], m[(0, 2)] - m[(2, 0)], m[(1, 0)] - m[(0, 1)]);
+        self.choose(z.value, forward.value, left.value);
+        let (sign, is_forward) = (self.sign(), self.is_forward());
+        let mut x = left.scaled(sign).cross(z).unit();
+        let mut y = z.cross(&x);
+        if R::any(is_forward) {
+            let other = z.cross(&forward.scaled(sign)).unit();
+            x = MovingVector::choose(is_forward, &other.cross(z), &x);
+            y = MovingVector::choose(is_forward, &other, &y);
+        }
+        let axes = [x.value, y.value, z.value];
         Attitude {
-            attitude: UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(r)),
-            body_rate: vee(&hat),
-            angular_acceleration: vee(&r.tr_mul(&r2)),
+            attitude: Turn::from_axes(x.value, y.value, z.value),
+            body_rate: axial(axes, [x.rate, y.rate, z.rate]),
+            angular_acceleration: axial(axes, [x.acceleration, y.acceleration, z.acceleration]),
         }
     }
 
     /// Switches the chart near its singularity, to the closer of the two attitudes of the other chart.
-    fn choose(&mut self, z: &Vector3<f64>, forward: &Vector3<f64>, left: &Vector3<f64>) {
-        let turned = matches!(*self, Self::Left(sign) | Self::Forward(sign) if sign < 0.0);
-        if z.z > 0.99 || (turned && z.z > 0.5) {
-            // both charts agree close to upright, and an upright drone must not keep a chart of reversed heading
-            *self = Self::Left(1.0);
+    #[inline(always)]
+    fn choose(&mut self, z: V3<R>, forward: V3<R>, left: V3<R>) {
+        let (zero, one, switch) = (z.x.all(0.0), z.x.all(1.0), z.x.all(Self::SWITCH));
+        // both charts agree close to upright, and an upright drone must not keep a chart of reversed heading
+        let is_upright = one.all(0.99).less(z.z) | (self.0.less(zero) & one.all(0.5).less(z.z));
+        self.0 = R::choose(is_upright, one, self.0);
+        let (sign, is_forward) = (self.sign(), self.is_forward());
+        let from_left = !is_forward & z.cross(left).norm().less(switch);
+        let from_forward = is_forward & z.cross(forward).norm().less(switch);
+        if R::any(from_left | from_forward) {
+            let (x, y) = ((left * sign).cross(z), z.cross(forward * sign));
+            let to_forward = R::choose(x.dot(forward).less(zero), one.all(-2.0), one.all(2.0));
+            let to_left = R::choose(y.dot(left).less(zero), -one, one);
+            self.0 = R::choose(from_left, to_forward, R::choose(from_forward, to_left, self.0));
         }
-        match *self {
-            Self::Left(sign) if z.cross(left).norm() < Self::SWITCH => {
-                let x = (sign * left).cross(z);
-                *self = Self::Forward(if x.dot(forward) >= 0.0 { 1.0 } else { -1.0 });
-            }
-            Self::Forward(sign) if z.cross(forward).norm() < Self::SWITCH => {
-                let y = z.cross(&(sign * forward));
-                *self = Self::Left(if y.dot(left) >= 0.0 { 1.0 } else { -1.0 });
-            }
-            _ => {}
-        }
-    }
-}
-
-impl MovingVector {
-    fn scaled(&self, factor: f64) -> Self {
-        Self { value: factor * self.value, rate: factor * self.rate, acceleration: factor * self.acceleration }
     }
 }

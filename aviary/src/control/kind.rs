@@ -1,7 +1,11 @@
-use super::{ControlOutput, Controller, DslPidControl, GeometricControl, PidControl, Reference};
+use super::{
+    ControlMemory, ControlOutput, Controller, DslPidControl, GeometricControl, Goal, LaneController, PidControl,
+    Reference, Target,
+};
 use crate::drone::DroneParams;
+use crate::math::Real;
 use crate::names::named_enum;
-use crate::state::DroneState;
+use crate::state::{DroneState, FlightState};
 
 named_enum! {
     "controller"
@@ -84,5 +88,39 @@ impl Controller for AnyController {
 
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         self.get().control_velocity(dt, state, reference)
+    }
+}
+
+impl LaneController for AnyController {
+    fn memory(&self) -> ControlMemory<f64> {
+        match self {
+            Self::Pid(control) => control.memory(),
+            Self::Dsl(control) => control.memory(),
+            Self::Geometric(control) => control.memory(),
+        }
+    }
+
+    fn set_memory(&mut self, memory: &ControlMemory<f64>) {
+        match self {
+            Self::Pid(control) => control.set_memory(memory),
+            Self::Dsl(control) => control.set_memory(memory),
+            Self::Geometric(control) => control.set_memory(memory),
+        }
+    }
+
+    #[inline(always)]
+    fn track<R: Real>(
+        &self,
+        dt: f64,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        target: &Target<R>,
+        goal: Goal,
+    ) -> [R; 4] {
+        match self {
+            Self::Pid(control) => control.track(dt, memory, state, target, goal),
+            Self::Dsl(control) => control.track(dt, memory, state, target, goal),
+            Self::Geometric(control) => control.track(dt, memory, state, target, goal),
+        }
     }
 }

@@ -1,6 +1,7 @@
-use nalgebra::{Matrix4, Vector3, Vector4};
+use nalgebra::{Matrix4, Vector3};
 
 use crate::drone::DroneParams;
+use crate::math::{Real, V3, finite_zero};
 
 /// Motor mixer: maps a collective thrust and body torques to motor speeds.
 ///
@@ -48,52 +49,80 @@ impl Mixer {
     /// If the motors saturate, the mixer reduces the yaw torque first, then changes the thrust, and finally scales
     /// roll and pitch torque by a common factor. Any non-finite input returns NaN speeds, which a simulation rejects.
     pub fn rpm(&self, thrust: f64, torque_body: Vector3<f64>) -> [f64; 4] {
-        let valid = self.inverse[0].is_finite() && self.max_rotor_thrust.is_finite();
-        if !(valid && thrust.is_finite() && torque_body.iter().all(|x| x.is_finite())) {
-            return [f64::NAN; 4];
-        }
-        let forces = self.saturate(thrust, torque_body);
-        if forces.iter().any(|force| force.is_nan()) {
-            // finite inputs can overflow
-            return [f64::NAN; 4];
-        }
-        let rpm = |force: f64| (force.max(0.0) / self.thrust_coefficient).sqrt().min(self.max_rpm);
-        [rpm(forces[0]), rpm(forces[1]), rpm(forces[2]), rpm(forces[3])]
+        self.speeds(thrust, V3::from(&torque_body))
     }
 
-    fn saturate(&self, thrust: f64, torque_body: Vector3<f64>) -> Vector4<f64> {
-        let max = self.max_rotor_thrust;
-        let roll_pitch = self.inverse * Vector4::new(0.0, torque_body.x, torque_body.y, 0.0);
-        let yaw = self.inverse * Vector4::new(0.0, 0.0, 0.0, torque_body.z);
-        let collective = thrust / 4.0;
-        let wanted = roll_pitch + yaw + Vector4::repeat(collective);
-        if wanted.min() >= 0.0 && wanted.max() <= max {
-            return wanted;
+    /// Returns the motor speeds of [`rpm`](Self::rpm).
+    #[inline(always)]
+    pub(super) fn speeds<R: Real>(&self, thrust: R, torque: V3<R>) -> [R; 4] {
+        let valid = self.inverse[0].is_finite() && self.max_rotor_thrust.is_finite();
+        let mut zero = finite_zero([thrust, torque.x, torque.y, torque.z]);
+        let (none, max, coefficient) = (thrust.all(0.0), thrust.all(self.max_rpm), thrust.all(self.thrust_coefficient));
+        let mut speeds = self.saturate(thrust, torque);
+        for speed in &mut speeds {
+            // a comparison with NaN is false, so that NaN stays NaN
+            let force = R::choose(speed.less(none), none, *speed);
+            let unlimited = (force / coefficient).sqrt();
+            *speed = R::choose(max.less(unlimited), max, unlimited);
+            // finite inputs can overflow
+            zero = zero + *speed * 0.0;
+        }
+        for speed in &mut speeds {
+            *speed = if valid { *speed + zero } else { thrust.all(f64::NAN) };
+        }
+        speeds
+    }
+
+    /// Returns the thrusts of the rotors, N, which are below the maximum.
+    #[inline(always)]
+    fn saturate<R: Real>(&self, thrust: R, torque: V3<R>) -> [R; 4] {
+        let (zero, one, max) = (thrust.all(0.0), thrust.all(1.0), thrust.all(self.max_rotor_thrust));
+        let collective = thrust * 0.25;
+        let (mut roll_pitch, mut yaw, mut forces) = ([zero; 4], [zero; 4], [zero; 4]);
+        for motor in 0..4 {
+            let row = self.inverse.row(motor);
+            roll_pitch[motor] = torque.x * row[1] + torque.y * row[2];
+            yaw[motor] = torque.z * row[3];
+            forces[motor] = roll_pitch[motor] + yaw[motor] + collective;
+        }
+        let (low, high) = extremes(&forces);
+        let saturates = low.less(zero) | max.less(high);
+        if !R::any(saturates) {
+            return forces;
         }
 
         // moves the thrust to leave room for roll and pitch, and scales these if no thrust leaves enough
-        let (low, high) = (roll_pitch.min(), roll_pitch.max());
-        let scale = if high - low > max { max / (high - low) } else { 1.0 };
-        let roll_pitch = roll_pitch * scale;
+        let (low, high) = extremes(&roll_pitch);
+        let scale = R::choose(max.less(high - low), max / (high - low), one);
         let (lowest, highest) = (-low * scale, max - high * scale);
-        let collective = collective.min(highest).max(lowest);
+        let collective = collective.lesser(highest).greater(lowest);
 
         // largest share of the yaw torque that fits
-        let mut share: f64 = 1.0;
+        let mut share = one;
         for motor in 0..4 {
-            let base = roll_pitch[motor] + collective;
-            if yaw[motor] > 0.0 {
-                share = share.min((max - base) / yaw[motor]);
-            } else if yaw[motor] < 0.0 {
-                share = share.min(base / -yaw[motor]);
-            }
+            roll_pitch[motor] = roll_pitch[motor] * scale + collective;
+            let room = R::choose(zero.less(yaw[motor]), max - roll_pitch[motor], roll_pitch[motor]);
+            let size = yaw[motor].abs();
+            share = R::choose(zero.less(size), share.lesser(room / size), share);
         }
-        roll_pitch + Vector4::repeat(collective) + yaw * share.max(0.0)
+        let share = share.greater(zero);
+        for motor in 0..4 {
+            forces[motor] = R::choose(saturates, roll_pitch[motor] + yaw[motor] * share, forces[motor]);
+        }
+        forces
     }
+}
+
+/// Returns the smallest and the largest number.
+#[inline(always)]
+fn extremes<R: Real>(&[a, b, c, d]: &[R; 4]) -> (R, R) {
+    (a.lesser(b).lesser(c.lesser(d)), a.greater(b).greater(c.greater(d)))
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector4;
+
     use super::*;
     use crate::drone::DroneModel;
     use crate::physics::rotor::RotorModel;

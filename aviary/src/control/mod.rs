@@ -16,6 +16,7 @@ mod attitude;
 mod dsl;
 mod geometric;
 mod kind;
+mod memory;
 mod mixer;
 mod pid;
 mod rate;
@@ -33,9 +34,13 @@ pub use rate::RateControl;
 pub use reference::Reference;
 pub use safety::{CollisionCone, SafetyError};
 
+pub(crate) use memory::ControlMemory;
+pub(crate) use reference::{Goal, Target};
+
 use nalgebra::Vector3;
 
-use crate::state::{DroneState, wrap_angle};
+use crate::math::Real;
+use crate::state::{DroneState, FlightState, wrap_angle};
 
 /// Output of a controller for one control step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,4 +99,45 @@ pub trait Controller: std::fmt::Debug + Send {
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         self.control(dt, state, &Reference { position: state.position, ..*reference })
     }
+}
+
+/// Controller whose formulas are generic over a double and a SIMD register. The motor speeds in a lane are
+/// bit-identical to those of the controller of a single drone.
+pub(crate) trait LaneController {
+    /// Returns the internal state; the parts that the controller does not use have their default values.
+    fn memory(&self) -> ControlMemory<f64>;
+
+    /// Sets the internal state.
+    fn set_memory(&mut self, memory: &ControlMemory<f64>);
+
+    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from finite states and targets.
+    fn track<R: Real>(
+        &self,
+        dt: f64,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        target: &Target<R>,
+        goal: Goal,
+    ) -> [R; 4];
+}
+
+/// Runs a controller on one drone.
+fn run(
+    controller: &mut impl LaneController,
+    dt: f64,
+    state: &DroneState,
+    reference: &Reference,
+    goal: Goal,
+) -> ControlOutput {
+    let here = Reference { position: state.position, ..*reference };
+    let reference = if goal == Goal::Velocity { &here } else { reference };
+    let errors = ControlOutput::of_errors(state, reference);
+    if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
+        // a NaN in an integral would stay there until the next reset
+        return errors;
+    }
+    let mut memory = controller.memory();
+    let rpm = controller.track(dt, &mut memory, &FlightState::from(state), &Target::from(reference), goal);
+    controller.set_memory(&memory);
+    ControlOutput { rpm, ..errors }
 }

@@ -1,9 +1,13 @@
 use nalgebra::Vector3;
 
-use super::attitude::{attitude_along, clamped};
-use super::{AttitudeControl, AttitudeGains, ControlOutput, Controller, Reference};
+use super::attitude::attitude_along;
+use super::{
+    AttitudeControl, AttitudeGains, ControlMemory, ControlOutput, Controller, Goal, LaneController, Reference, Target,
+    run,
+};
 use crate::drone::{DroneParams, GRAVITY};
-use crate::state::DroneState;
+use crate::math::{Real, V3};
+use crate::state::{DroneState, FlightState};
 
 /// Gains of the position loop along the world axes: accelerations per m, per m·s and per m/s.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
@@ -113,58 +117,79 @@ impl PidControl {
         PidGains { position: self.gains, attitude: *self.attitude.gains() }
     }
 
-    /// Tracks a reference with a feed-forward acceleration (world frame, m/s²). Position errors above `integrated`
-    /// metres do not enter the integral.
-    pub(super) fn follow(
-        &mut self,
+    /// Tracks a target with a feed-forward acceleration (world frame, m/s²). Position errors above `integrated` metres
+    /// do not enter the integral.
+    #[inline(always)]
+    pub(super) fn follow<R: Real>(
+        &self,
         dt: f64,
-        state: &DroneState,
-        reference: &Reference,
-        feed_forward: &Vector3<f64>,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        target: &Target<R>,
+        feed_forward: V3<R>,
         integrated: f64,
-    ) -> ControlOutput {
-        let output = ControlOutput::of_errors(state, reference);
-        if !(state.is_finite() && reference.is_finite() && dt > 0.0 && dt.is_finite()) {
-            // a NaN in an integral would stay there until the next reset
-            return output;
-        }
-        let velocity_error = reference.velocity - state.velocity;
-        let position_error = output.position_error;
-        if position_error.norm() <= integrated {
-            let clamp = self.gains.integral_clamp;
-            self.position_integral = clamped(self.position_integral + position_error * dt, clamp);
-        }
-        let acceleration = self.position_loop(&position_error, &velocity_error, feed_forward);
-        let wanted = attitude_along(&acceleration, reference.yaw);
+    ) -> [R; 4] {
+        let (position_error, velocity_error) = (target.position - state.position, target.velocity - state.velocity);
+        let is_large = target.yaw.all(integrated).less(position_error.norm());
+        let integral = (memory.position_integral + position_error * dt).clamped(self.gains.integral_clamp);
+        memory.position_integral = V3::choose(is_large, memory.position_integral, integral);
+        let acceleration = self.position_loop(memory.position_integral, position_error, velocity_error, feed_forward);
+        let wanted = attitude_along(acceleration, target.yaw);
         // the yaw rate is a rotation about world z
-        let body_rate = wanted.inverse_transform_vector(&Vector3::new(0.0, 0.0, reference.yaw_rate));
-        let rpm = self.attitude.control(dt, state, self.mass * acceleration.norm(), &wanted, &body_rate);
-        ControlOutput { rpm, ..output }
+        let body_rate = wanted.back(V3::vertical(target.yaw_rate));
+        let thrust = acceleration.norm() * self.mass;
+        self.attitude.track(dt, &mut memory.attitude_integral, state, thrust, &wanted, body_rate)
     }
 
     /// Returns the target acceleration of the thrust, world frame, m/s².
-    fn position_loop(
+    #[inline(always)]
+    fn position_loop<R: Real>(
         &self,
-        error: &Vector3<f64>,
-        velocity_error: &Vector3<f64>,
-        feed_forward: &Vector3<f64>,
-    ) -> Vector3<f64> {
+        integral: V3<R>,
+        error: V3<R>,
+        velocity_error: V3<R>,
+        feed_forward: V3<R>,
+    ) -> V3<R> {
         let gains = &self.gains;
-        let mut wanted = gains.proportional.component_mul(error)
-            + gains.integral.component_mul(&self.position_integral)
-            + gains.derivative.component_mul(velocity_error)
-            + feed_forward
-            + Vector3::new(0.0, 0.0, GRAVITY);
-        if wanted.z < Self::MIN_LIFT * GRAVITY {
-            wanted.z = Self::MIN_LIFT * GRAVITY;
-        }
-        let sideways = wanted.xy().norm();
-        let max = wanted.z * Self::MAX_TILT.tan();
-        if sideways > max {
-            wanted.x *= max / sideways;
-            wanted.y *= max / sideways;
-        }
+        let mut wanted = error.weighted(&gains.proportional)
+            + integral.weighted(&gains.integral)
+            + velocity_error.weighted(&gains.derivative)
+            + feed_forward;
+        wanted.z = wanted.z + GRAVITY;
+        let min_lift = wanted.z.all(Self::MIN_LIFT * GRAVITY);
+        wanted.z = R::choose(wanted.z.less(min_lift), min_lift, wanted.z);
+        let (sideways, max) = (wanted.level_norm(), wanted.z * Self::MAX_TILT.tan());
+        let (is_tilted, share) = (max.less(sideways), max / sideways);
+        wanted.x = R::choose(is_tilted, wanted.x * share, wanted.x);
+        wanted.y = R::choose(is_tilted, wanted.y * share, wanted.y);
         wanted
+    }
+}
+
+impl LaneController for PidControl {
+    fn memory(&self) -> ControlMemory<f64> {
+        ControlMemory {
+            position_integral: V3::from(&self.position_integral),
+            attitude_integral: self.attitude.integral(),
+            ..ControlMemory::default()
+        }
+    }
+
+    fn set_memory(&mut self, memory: &ControlMemory<f64>) {
+        self.position_integral = memory.position_integral.into();
+        self.attitude.set_integral(memory.attitude_integral);
+    }
+
+    #[inline(always)]
+    fn track<R: Real>(
+        &self,
+        dt: f64,
+        memory: &mut ControlMemory<R>,
+        state: &FlightState<R>,
+        target: &Target<R>,
+        _: Goal,
+    ) -> [R; 4] {
+        self.follow(dt, memory, state, target, V3::zero(target.yaw), f64::INFINITY)
     }
 }
 
@@ -175,7 +200,7 @@ impl Controller for PidControl {
     }
 
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
-        self.follow(dt, state, reference, &Vector3::zeros(), f64::INFINITY)
+        run(self, dt, state, reference, Goal::Position)
     }
 }
 
@@ -193,7 +218,8 @@ mod tests {
             x in -1e3..1e3, y in -1e3..1e3, z in -1e3..1e3, vx in -50.0..50.0, vz in -50.0..50.0,
         ) {
             let pid = PidControl::new(&DroneModel::Cf2x.params());
-            let wanted = pid.position_loop(&Vector3::new(x, y, z), &Vector3::new(vx, 0.0, vz), &Vector3::zeros());
+            let none = V3::zero(0.0);
+            let wanted = pid.position_loop(none, V3::new(x, y, z), V3::new(vx, 0.0, vz), none);
             let tilt = (wanted.z / wanted.norm()).acos();
             prop_assert!(tilt <= PidControl::MAX_TILT + 1e-9, "{tilt}");
         }

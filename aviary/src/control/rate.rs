@@ -2,6 +2,7 @@ use nalgebra::Vector3;
 
 use super::Mixer;
 use crate::drone::DroneParams;
+use crate::math::{Real, V3};
 use crate::state::DroneState;
 
 /// Body-rate controller at a given collective thrust: the inner loop of racing drones, and of policies that are
@@ -49,10 +50,16 @@ impl RateControl {
         if !(dt > 0.0 && dt.is_finite()) {
             return [f64::NAN; 4];
         }
-        let bandwidth = self.bandwidth.map(|k| k.min(1.0 / (Self::FASTEST * dt)));
-        let momentum = self.inertia.component_mul(&state.angular_velocity);
-        let torque = self.inertia.component_mul(&bandwidth).component_mul(&(body_rate - state.angular_velocity))
-            + state.angular_velocity.cross(&momentum);
-        self.mixer.rpm(thrust, torque)
+        self.track(dt, V3::from(&state.angular_velocity), thrust, V3::from(body_rate))
+    }
+
+    /// Returns the motor speeds of [`control`](Self::control) for an angular velocity.
+    #[inline(always)]
+    pub(crate) fn track<R: Real>(&self, dt: f64, omega: V3<R>, thrust: R, body_rate: V3<R>) -> [R; 4] {
+        let fastest = 1.0 / (Self::FASTEST * dt);
+        let [x, y, z] = [self.bandwidth.x.min(fastest), self.bandwidth.y.min(fastest), self.bandwidth.z.min(fastest)];
+        let gain = self.inertia.component_mul(&Vector3::new(x, y, z));
+        let torque = (body_rate - omega).weighted(&gain) + omega.cross(omega.weighted(&self.inertia));
+        self.mixer.speeds(thrust, torque)
     }
 }

@@ -1,5 +1,8 @@
 use nalgebra::Vector3;
 
+use crate::math::{Real, V3};
+use crate::state::wrap_angle;
+
 /// Target state of a drone at one time: position and yaw with their derivatives.
 ///
 /// Each controller uses the derivatives that its feed-forward supports.
@@ -42,4 +45,59 @@ impl Reference {
         [self.position, self.velocity, self.acceleration, self.jerk, self.snap].iter().flatten().all(|x| x.is_finite())
             && [self.yaw, self.yaw_rate, self.yaw_acceleration].iter().all(|x| x.is_finite())
     }
+}
+
+/// [`Reference`] of one drone or of a register of drones. The yaw is in [−π, π].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Target<R> {
+    pub position: V3<R>,
+    pub velocity: V3<R>,
+    pub acceleration: V3<R>,
+    pub jerk: V3<R>,
+    pub snap: V3<R>,
+    pub yaw: R,
+    pub yaw_rate: R,
+    pub yaw_acceleration: R,
+}
+
+impl<R: Real> Target<R> {
+    /// Creates a target at rest, from a position (world frame, m) and a yaw (rad).
+    #[inline(always)]
+    pub fn hover(position: V3<R>, yaw: R) -> Self {
+        let none = V3::zero(yaw);
+        Self {
+            position,
+            velocity: none,
+            acceleration: none,
+            jerk: none,
+            snap: none,
+            yaw,
+            yaw_rate: none.x,
+            yaw_acceleration: none.x,
+        }
+    }
+}
+
+impl From<&Reference> for Target<f64> {
+    fn from(reference: &Reference) -> Self {
+        Self {
+            position: V3::from(&reference.position),
+            velocity: V3::from(&reference.velocity),
+            acceleration: V3::from(&reference.acceleration),
+            jerk: V3::from(&reference.jerk),
+            snap: V3::from(&reference.snap),
+            yaw: wrap_angle(reference.yaw),
+            yaw_rate: reference.yaw_rate,
+            yaw_acceleration: reference.yaw_acceleration,
+        }
+    }
+}
+
+/// Part of a target that a controller tracks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Goal {
+    /// Position and its derivatives.
+    Position,
+    /// Velocity and its derivatives. The position of the target is that of the drone.
+    Velocity,
 }

@@ -8,9 +8,10 @@ use pulp::{Simd, WithSimd};
 
 use super::Task;
 use super::randomization::{Sensed, SensorLanes};
-use crate::engine::flight::{FlightState, Lanes, Part, Width};
+use crate::engine::flight::{Lanes, Part, Width};
 use crate::math::{LANES, Pack, Real, Row, V3};
 use crate::simulation::SimView;
+use crate::state::FlightState;
 
 /// Register of lanes that are true or false.
 pub(crate) type LaneMask<S> = <Pack<S> as Real>::Mask;

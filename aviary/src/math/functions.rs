@@ -18,6 +18,24 @@ pub(crate) fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) 
     sum
 }
 
+/// Clamps a number as [`f64::clamp`] does, lane by lane: NaN stays NaN.
+#[inline(always)]
+pub(crate) fn clamped<R: Real>(x: R, min: R, max: R) -> R {
+    let above = R::choose(x.less(min), min, x);
+    R::choose(max.less(above), max, above)
+}
+
+/// Returns a zero if all numbers are finite, and NaN otherwise.
+#[inline(always)]
+pub(crate) fn finite_zero<R: Real, const N: usize>(numbers: [R; N]) -> R {
+    // infinity times zero is NaN
+    let mut sum = numbers[0] * 0.0;
+    for number in &numbers[1..] {
+        sum = sum + *number * 0.0;
+    }
+    sum
+}
+
 /// Returns the angle of the point (x, y), in [−π, π], as [`f64::atan2`] for finite arguments that are not subnormal.
 #[inline(always)]
 pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
@@ -220,6 +238,16 @@ mod tests {
             prop_assert!(apart(cos, a.cos()) < 3.0);
             prop_assert!(apart(sinc * a, a.sin()) < 3.0);
         }
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_have_no_finite_zero() {
+        assert_eq!(finite_zero([1.0, -f64::MAX, f64::MAX, -0.0]), 0.0);
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+            assert!(finite_zero([0.0, bad]).is_nan() && finite_zero([bad, 0.0]).is_nan());
+        }
+        assert!(clamped(f64::NAN, -1.0, 1.0).is_nan());
+        assert_eq!([-2.0, 0.5, 2.0].map(|x| clamped(x, -1.0, 1.0)), [-1.0, 0.5, 1.0]);
     }
 
     #[test]

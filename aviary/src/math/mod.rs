@@ -13,10 +13,11 @@ mod trigonometry;
 mod vector;
 
 pub(crate) use functions::{
-    MAX_HALF_ANGLE_SQUARED, SHORT, asin, atan2, decay, exp_of_negative, half_angle, ln, polynomial,
+    MAX_HALF_ANGLE_SQUARED, SHORT, asin, atan2, clamped, decay, exp_of_negative, finite_zero, half_angle, ln,
+    polynomial,
 };
 pub(crate) use pack::{LANES, Pack, PackBits, Row};
-pub(crate) use trigonometry::{eighth_turn, sin_cos_of_turns};
+pub(crate) use trigonometry::{eighth_turn, sin_cos, sin_cos_of_turns, wrap_angle};
 pub(crate) use vector::{Turn, V3};
 
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};

@@ -1,3 +1,5 @@
+use std::f64::consts::{PI, TAU};
+
 use super::Real;
 use super::functions::polynomial;
 
@@ -46,11 +48,28 @@ pub(crate) fn sin_cos_of_turns<R: Real>(turns: R) -> (R, R) {
     (R::choose(above, cos, sin).with_sign_of(turns), R::choose(above, sin, cos).with_sign_of(turns.all(0.25) - half))
 }
 
+/// Returns the sine and the cosine of an angle, rad, of a magnitude below 2⁵¹.
+#[inline(always)]
+pub(crate) fn sin_cos<R: Real>(angle: R) -> (R, R) {
+    sin_cos_of_turns(angle * (1.0 / TAU))
+}
+
+/// Wraps an angle, rad, of a magnitude below 2⁵¹ to (−π, π]. An angle in this range keeps its bits.
+#[inline(always)]
+pub(crate) fn wrap_angle<R: Real>(angle: R) -> R {
+    let (half, minus_half) = (angle.all(PI), angle.all(-PI));
+    let rest = angle - (angle * (1.0 / TAU)).rounded() * TAU;
+    // the number of turns may be rounded to the wrong side of a half turn
+    let rest = R::choose(half.less(rest), rest - TAU, rest);
+    let rest = R::choose(minus_half.less(rest), rest, rest + TAU);
+    let is_wrapped = minus_half.less(angle) & !half.less(angle);
+    R::choose(is_wrapped, angle, rest)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use proptest::prelude::*;
-    use std::f64::consts::TAU;
 
     proptest! {
         #[test]
@@ -70,6 +89,15 @@ mod tests {
             prop_assert_eq!(sin_cos_of_turns(turns + f64::from(whole)), (sin, cos));
             prop_assert_eq!(sin_cos_of_turns(-turns), (-sin, cos));
         }
+    }
+
+    #[test]
+    fn angles_at_the_ends_of_the_range_wrap_to_plus_pi() {
+        for (angle, wrapped) in [(PI, PI), (-PI, PI), (0.0, 0.0), (TAU, 0.0), (-TAU, 0.0)] {
+            assert_eq!(wrap_angle(angle), wrapped, "{angle}");
+        }
+        let below = PI.next_up();
+        assert!((wrap_angle(below) + PI).abs() < 1e-15 && wrap_angle(f64::NAN).is_nan());
     }
 
     #[test]

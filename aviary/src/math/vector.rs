@@ -3,7 +3,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::{Real, asin, atan2, sin_cos_of_turns};
+use super::{Real, asin, atan2, clamped, sin_cos_of_turns};
 use crate::state::{attitude_from_wxyz, wxyz};
 
 /// A vector of three numbers.
@@ -49,6 +49,45 @@ impl<R: Real> V3<R> {
     #[inline(always)]
     pub fn norm(self) -> R {
         self.dot(self).sqrt()
+    }
+
+    /// Returns a vector of zeros in a register of the same width as a number.
+    #[inline(always)]
+    pub fn zero(like: R) -> Self {
+        let zero = like.all(0.0);
+        Self { x: zero, y: zero, z: zero }
+    }
+
+    /// Returns a vector along z.
+    #[inline(always)]
+    pub fn vertical(z: R) -> Self {
+        let zero = z.all(0.0);
+        Self { x: zero, y: zero, z }
+    }
+
+    /// Divides every component by a number.
+    #[inline(always)]
+    pub fn over(self, divisor: R) -> Self {
+        Self { x: self.x / divisor, y: self.y / divisor, z: self.z / divisor }
+    }
+
+    /// Multiplies every component by a factor that is the same in all lanes.
+    #[inline(always)]
+    pub fn weighted(self, weights: &Vector3<f64>) -> Self {
+        Self { x: self.x * weights.x, y: self.y * weights.y, z: self.z * weights.z }
+    }
+
+    /// Clamps every component to ±`limit`; NaN stays NaN.
+    #[inline(always)]
+    pub fn clamped(self, limit: f64) -> Self {
+        let (low, high) = (self.x.all(-limit), self.x.all(limit));
+        Self { x: clamped(self.x, low, high), y: clamped(self.y, low, high), z: clamped(self.z, low, high) }
+    }
+
+    /// Selects lane by lane: `yes` where the mask is true, `no` elsewhere.
+    #[inline(always)]
+    pub fn choose(mask: R::Mask, yes: Self, no: Self) -> Self {
+        Self { x: R::choose(mask, yes.x, no.x), y: R::choose(mask, yes.y, no.y), z: R::choose(mask, yes.z, no.z) }
     }
 }
 
@@ -124,6 +163,49 @@ impl<R: Real> Turn<R> {
             w: upright * cy + inverted * sy,
             v: V3::new(rolled * cy - pitched * sy, pitched * cy + rolled * sy, upright * sy - inverted * cy),
         }
+    }
+
+    /// Creates the rotation whose frame has these axes: orthogonal unit vectors, right-handed.
+    #[inline(always)]
+    pub fn from_axes(x: V3<R>, y: V3<R>, z: V3<R>) -> Self {
+        let one = x.x.all(1.0);
+        let trace = x.x + y.y + z.z;
+        let (rolled, pitched, yawed) = (y.z - z.y, z.x - x.z, x.y - y.x);
+        // four times the square of the largest component, and four times its products with the other ones
+        let (mut square, mut w, mut v) = (trace + 1.0, trace + 1.0, V3::new(rolled, pitched, yawed));
+        let is_small = !one.all(0.0).less(trace);
+        if R::any(is_small) {
+            let (xy, xz, yz) = (y.x + x.y, z.x + x.z, z.y + y.z);
+            let along = V3::new(one + x.x - y.y - z.z, one + y.y - x.x - z.z, one + z.z - x.x - y.y);
+            let (x_above, y_above) = (y.y.less(x.x) & z.z.less(x.x), z.z.less(y.y));
+            let pick = V3::choose(y_above, V3::new(xy, along.y, yz), V3::new(xz, yz, along.z));
+            let pick = V3::choose(x_above, V3::new(along.x, xy, xz), pick);
+            let pick_w = R::choose(x_above, rolled, R::choose(y_above, pitched, yawed));
+            let pick_square = R::choose(x_above, along.x, R::choose(y_above, along.y, along.z));
+            square = R::choose(is_small, pick_square, square);
+            w = R::choose(is_small, pick_w, w);
+            v = V3::choose(is_small, pick, v);
+        }
+        let scale = one.all(0.5) / square.sqrt();
+        Self { w: w * scale, v: v * scale }
+    }
+
+    /// Returns the rotation from this frame to another one, in this frame: the inverse of this rotation times `other`.
+    #[inline(always)]
+    pub fn turn_to(&self, other: &Self) -> Self {
+        let (a, b) = (self, other);
+        Self { w: a.w * b.w + a.v.dot(b.v), v: b.v * a.w - a.v * b.w - a.v.cross(b.v) }
+    }
+
+    /// Returns the rotation vector: the axis times the angle, which is at most π, rad.
+    #[inline(always)]
+    pub fn rotation_vector(&self) -> V3<R> {
+        let zero = self.w.all(0.0);
+        // a quaternion and its negative are the same rotation
+        let v = V3::choose(self.w.less(zero), -self.v, self.v);
+        let sine = v.norm();
+        let angle = atan2(sine, self.w.abs()) * 2.0;
+        v * R::choose(zero.less(sine), angle / sine, zero.all(2.0))
     }
 
     /// Rotates a vector from the rotated frame (body) to the fixed frame (world).
@@ -248,6 +330,25 @@ mod tests {
             let expected = Turn::from(&attitude_from_rpy(rpy.into()));
             prop_assert!((turn.w - expected.w).abs() < 2e-15 && (turn.v - expected.v).norm() < 4e-15);
             prop_assert!((turn.w * turn.w + turn.v.dot(turn.v) - 1.0).abs() < 2e-15);
+        }
+
+        #[test]
+        fn axes_and_rotation_vectors_match_nalgebra(
+            a in prop::array::uniform3(-3.2..3.2f64), b in prop::array::uniform3(-3.2..3.2f64), small: bool,
+        ) {
+            let b = if small { b.map(|x| 1e-8 * x) } else { b };
+            let [a, b] = [a, b].map(|vector| UnitQuaternion::from_scaled_axis(Vector3::from(vector)));
+            let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| V3::from(&(a * axis)));
+            let from_axes = UnitQuaternion::from(Turn::from_axes(x, y, z));
+            prop_assert!(from_axes.angle_to(&a) < 1e-7 && (from_axes.norm() - 1.0).abs() < 1e-14);
+            let (expected, negative) = (a.coords, -a.coords);
+            let off = (from_axes.coords - expected).norm().min((from_axes.coords - negative).norm());
+            prop_assert!(off < 1e-14, "{off:e}");
+            let to_b = Turn::from(&a).turn_to(&Turn::from(&(a * b)));
+            let (got, expected) = (Vector3::from(to_b.rotation_vector()), b.scaled_axis());
+            // at half a turn, the sign of the axis is undefined
+            prop_assume!(expected.norm() < 0.999_99 * PI);
+            prop_assert!((got - expected).norm() < 2e-14, "{got} {expected}");
         }
     }
 }

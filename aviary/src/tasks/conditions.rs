@@ -5,11 +5,10 @@ use smallvec::SmallVec;
 
 use crate::drone::DroneParams;
 use crate::engine::Touched;
-use crate::engine::flight::FlightState;
 use crate::env::{EndReason, EnvError, LaneRows};
 use crate::math::{Pack, Real};
 use crate::simulation::SimView;
-use crate::state::DroneState;
+use crate::state::{DroneState, FlightState};
 use crate::world::placement::CollisionCylinder;
 
 /// Conditions under which a drone crashes. All are on by default.

@@ -7,13 +7,13 @@ use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::engine::flight::FlightState;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
 use crate::math::{Pack, Real, V3};
 use crate::simulation::SimView;
+use crate::state::FlightState;
 
 /// Task: a drone takes off and hovers (paper, §4.1 `HoverAviary`).
 ///

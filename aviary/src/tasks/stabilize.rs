@@ -8,14 +8,13 @@ use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::engine::flight::FlightState;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
 use crate::math::{Pack, Real, V3};
 use crate::simulation::SimView;
-use crate::state::{DroneState, attitude_from_rpy};
+use crate::state::{DroneState, FlightState, attitude_from_rpy};
 
 /// Task: a drone comes to rest from a random motion (the `stabilize` task of the paper's vectorized back end,
 /// §3.6).

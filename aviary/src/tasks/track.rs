@@ -8,7 +8,6 @@ use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use super::{STATE_BOUNDS, UNBOUNDED};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::engine::flight::FlightState;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows, path_points,
@@ -16,7 +15,7 @@ use crate::env::{
 use crate::math::{Pack, Real, V3, sin_cos_of_turns};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
-use crate::state::DroneState;
+use crate::state::{DroneState, FlightState};
 use crate::world::placement::max_collision_radius;
 
 /// Task: a drone follows a point on a circle (the `track` task of the paper's vectorized back end, §3.6).

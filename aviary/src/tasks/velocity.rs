@@ -8,7 +8,6 @@ use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::engine::flight::FlightState;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
@@ -16,7 +15,7 @@ use crate::env::{
 use crate::math::{Pack, Real, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
-use crate::state::wrap_angle;
+use crate::state::{FlightState, wrap_angle};
 
 /// Task: a drone tracks a velocity and a yaw rate that are sampled for every episode (paper, §4.1
 /// `VelocityAviary`).

@@ -1,6 +1,7 @@
 use std::sync::PoisonError;
 
 use super::conditions::{ConditionLanes, Needs};
+use super::control_loops::{LoopLanes, read_memories, write_memories};
 use super::pool::WorkerPool;
 use super::shard::{BatchModel, Block, EnvSlot, Environments, ImageSlices, Shard, StepSlices};
 use super::worker::Worker;
@@ -22,6 +23,9 @@ use crate::wrappers::VelocityFilter;
 /// The batch accepts all options of a single environment: physics mode, wind, obstacles, randomization, cameras and
 /// the options of the task. The default engine is the hybrid engine. Environment i uses the random stream i of the
 /// seed and is therefore bit-identical to a single environment built with `builder.stream(i)`.
+///
+/// The batch decodes actions of every type eight environments at a time in SIMD registers, including their controllers.
+/// Only the safety filter ([`safety`](Self::safety)) changes the actions of one environment at a time.
 ///
 /// Environments that fly clear of obstacles advance eight at a time in SIMD registers, and the tasks of this crate are
 /// evaluated there, if the observation has no parts other than the vector of the task and no markers move. Otherwise,
@@ -127,7 +131,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     }
 
     /// Applies a velocity filter to the commands of every environment, as a
-    /// [`SafetyWrapper`](crate::wrappers::SafetyWrapper) does. `response` is the rate at which the controller
+    /// [`SafetyWrapper`](crate::wrappers::SafetyWrapper) does. The filter solves a quadratic program for one environment
+    /// at a time; the controllers that track its velocities run in SIMD registers. `response` is the rate at which the controller
     /// tracks a velocity command, 1/s.
     ///
     /// # Errors
@@ -136,8 +141,6 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         for worker in &mut self.pool.workers {
             let worker = worker.get_mut().unwrap_or_else(PoisonError::into_inner);
             let action_type = worker.env.action_type();
-            // the filter changes the actions of one environment at a time
-            self.model.decoding = None;
             worker.velocity_filter = Some(VelocityFilter::new(filter, response, action_type, self.model.drones)?);
         }
         Ok(self)
@@ -181,14 +184,12 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
         let before = environments.slots[environment].data.clone().filter(|_| shares);
         environments.slices().load_task(model, functions, environment);
+        read_memories(environments.slices().control_memories(model, environment), environment, &mut env.decoders);
         let slot = &mut environments.slots[environment];
         let mut exchange = |env: &mut Aviary<T>| {
             std::mem::swap(&mut env.episode, &mut slot.episode);
             if let Some(data) = &mut slot.data {
                 std::mem::swap(&mut env.simulation.data, data);
-            }
-            if !slot.decoders.is_empty() {
-                std::mem::swap(&mut env.decoders, &mut slot.decoders);
             }
         };
         exchange(env);
@@ -212,6 +213,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
         let mut envs = environments.slices();
         envs.store(model, environment, None, Some(&env.simulation));
+        write_memories(envs.control_memories(model, environment), environment, &env.decoders);
         if let Some(data) = envs.slots[environment].data.take() {
             envs.store_task(model, functions, environment, SimView::new(&env.simulation.model, &data));
             envs.slots[environment].data = Some(data);
@@ -251,6 +253,15 @@ fn lane_functions<T: Task>(first: &Aviary<T>, flies: bool) -> Option<LaneFunctio
     T::lane_functions().filter(|_| usable)
 }
 
+/// Returns the conversion of the numbers of each drone to motor speeds: those of an action, or of its control loops.
+fn decoding<T>(first: &Aviary<T>) -> Vec<Decoding> {
+    let decoding = |decoder: &ActionDecoder| match first.model.action_type {
+        ActionType::Rpm | ActionType::OneDRpm => Decoding::Scaled(*decoder.scale()),
+        _ => Decoding::Raw,
+    };
+    first.decoders.iter().map(decoding).collect()
+}
+
 fn batch_model<T: Task>(
     first: &Aviary<T>,
     config: &VecConfig,
@@ -285,6 +296,11 @@ fn batch_model<T: Task>(
         width: config.width,
         downwash: effects.downwash && drones > 1,
         decoding: decoding(first),
+        control_loops: first.decoders.iter().any(ActionDecoder::has_memory),
+        action_bounds: {
+            let space = &first.model.action_space;
+            space.low().iter().zip(space.high()).map(|(&low, &high)| [low, high]).collect()
+        },
         one_action: first.model.action_type == ActionType::OneDRpm,
         dt: world.timestep,
         control_period: simulation.control_period(),
@@ -299,16 +315,6 @@ fn batch_model<T: Task>(
     }
 }
 
-/// Returns the decoding of the actions in lanes, if decoders have no control loops.
-fn decoding<T>(first: &Aviary<T>) -> Option<Vec<Decoding>> {
-    let decoding = |decoder: &ActionDecoder| match first.model.action_type {
-        ActionType::Rpm | ActionType::OneDRpm => Some(Decoding::Scaled(decoder.scale().speeds())),
-        ActionType::RawRpm => Some(Decoding::Raw),
-        _ => None,
-    };
-    first.decoders.iter().map(decoding).collect()
-}
-
 impl<T: Task + Clone> Environments<T> {
     /// Creates copies of the first environment, each with its own random stream.
     fn of(first: &Aviary<T>, model: &BatchModel, count: usize) -> Self {
@@ -317,14 +323,13 @@ impl<T: Task + Clone> Environments<T> {
         let individual = first.model.moves_obstacles()
             || !first.workspace.moving.is_empty()
             || randomized && !simulation.obstacles().is_empty();
-        let memory = first.decoders.iter().any(|decoder| decoder.has_memory());
+        let keeps_memory = first.decoders.iter().any(ActionDecoder::keeps_memory);
         let slot = |index: usize| {
             let mut episode = first.episode.clone();
             episode.set_stream(first.episode.stream.wrapping_add(index as u64));
             EnvSlot {
                 episode,
                 data: individual.then(|| Box::new(simulation.snapshot())),
-                decoders: if memory { first.decoders.clone() } else { Vec::new() },
                 started: false,
                 start_failed: false,
                 summary: None,
@@ -350,6 +355,7 @@ impl<T: Task + Clone> Environments<T> {
             lanes,
             conditions,
             lane_params: if individual || randomized { model.lane_params.repeat(blocks) } else { Vec::new() },
+            control_memories: if keeps_memory { vec![LoopLanes::default(); blocks * drones] } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
             finals: vec![0.0; finals],

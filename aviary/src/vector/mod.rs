@@ -12,6 +12,7 @@
 
 mod batch;
 mod conditions;
+mod control_loops;
 mod curriculum;
 mod delays;
 mod flight;

@@ -3,8 +3,8 @@
 use smallvec::SmallVec;
 
 use super::conditions::{ConditionLanes, ConditionSlices};
+use super::control_loops::LoopLanes;
 use super::{Autoreset, OnFault};
-use crate::action::ActionDecoder;
 use crate::engine::ClearanceCache;
 use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, Width};
 use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
@@ -24,9 +24,12 @@ pub(super) struct BatchModel {
     /// Instruction set.
     pub width: Width,
     pub downwash: bool,
-    /// Decoding of each drone's actions in lanes; `None` if the decoders have control loops or a filter changes the
-    /// actions.
-    pub decoding: Option<Vec<Decoding>>,
+    /// Conversion of each drone's numbers to motor speeds.
+    pub decoding: Vec<Decoding>,
+    /// True if the decoders have control loops.
+    pub control_loops: bool,
+    /// Bounds of the actions of one environment.
+    pub action_bounds: Vec<[f64; 2]>,
     /// True if one action commands all four motors of a drone.
     pub one_action: bool,
     /// Physics steps of a control step.
@@ -53,8 +56,6 @@ pub(super) struct EnvSlot<T> {
     pub episode: Episode<T>,
     /// Own data if environments differ in parameters. Otherwise the lanes hold the complete state.
     pub data: Option<Box<SimData>>,
-    /// Own decoders if decoders have memory.
-    pub decoders: Vec<ActionDecoder>,
     /// True if the environment has ever started an episode.
     pub started: bool,
     /// True if the last attempt to start an episode failed.
@@ -108,7 +109,7 @@ impl<T: Task> EnvSlot<T> {
                 (None, None) => data,
             },
             episode: &mut self.episode,
-            decoders: if self.decoders.is_empty() { decoders } else { &mut self.decoders },
+            decoders,
             workspace,
             sim_workspace,
         }
@@ -126,6 +127,8 @@ pub(super) struct Environments<T> {
     /// Parameters of every environment's drones if environments differ; otherwise empty.
     pub lane_params: Vec<LaneParams>,
     pub conditions: ConditionLanes,
+    /// Memory of the control loops of every block and drone; empty if the decoders keep none.
+    pub control_memories: Vec<LoopLanes>,
     pub warm_starts: Vec<f64>,
     pub clearance_caches: Vec<ClearanceCache>,
     /// Last observations of the episodes that ended in the last step.
@@ -142,6 +145,7 @@ impl<T> Environments<T> {
             lanes: &mut self.lanes,
             lane_params: &mut self.lane_params,
             conditions: self.conditions.slices(),
+            control_memories: &mut self.control_memories,
             warm_starts: &mut self.warm_starts,
             clearance_caches: &mut self.clearance_caches,
             finals: &mut self.finals,
@@ -151,16 +155,16 @@ impl<T> Environments<T> {
     /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
         let Self { slots, blocks, task_rows, lanes, lane_params, conditions, warm_starts, .. } = self;
-        let Self { clearance_caches, finals, .. } = self;
+        let Self { control_memories, clearance_caches, finals, .. } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
-            + slots.iter().map(|slot| size_of_val(&slot.decoders[..])).sum::<usize>()
             + size_of_val(&blocks[..])
             + size_of_val(&task_rows[..])
             + size_of_val(&lanes[..])
             + size_of_val(&lane_params[..])
             + conditions.bytes()
+            + size_of_val(&control_memories[..])
             + size_of_val(&warm_starts[..])
             + size_of_val(&clearance_caches[..])
             + size_of_val(&finals[..]);
@@ -186,6 +190,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub lanes: &'a mut [Lanes],
     pub lane_params: &'a mut [LaneParams],
     pub conditions: ConditionSlices<'a>,
+    pub control_memories: &'a mut [LoopLanes],
     pub warm_starts: &'a mut [f64],
     pub clearance_caches: &'a mut [ClearanceCache],
     pub finals: &'a mut [f32],
@@ -261,6 +266,7 @@ impl<'a, T> EnvSlices<'a, T> {
         let (lanes, lanes2) = cut(self.lanes, blocks * drones);
         let (lane_params, lane_params2) = cut(self.lane_params, blocks * drones);
         let (conditions, conditions2) = self.conditions.split(blocks * drones);
+        let (control_memories, control_memories2) = cut(self.control_memories, blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
         let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
@@ -272,6 +278,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 lanes,
                 lane_params,
                 conditions,
+                control_memories,
                 warm_starts,
                 clearance_caches,
                 finals,
@@ -283,6 +290,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 lanes: lanes2,
                 lane_params: lane_params2,
                 conditions: conditions2,
+                control_memories: control_memories2,
                 warm_starts: warm_starts2,
                 clearance_caches: clearance_caches2,
                 finals: finals2,
@@ -367,6 +375,13 @@ impl<'a, T> EnvSlices<'a, T> {
             let numbers: SmallVec<[f64; 32]> = rows.iter().map(|row| row[index % LANES]).collect();
             (functions.read_rows)(&mut self.slots[index].episode.task, drone, &numbers);
         }
+    }
+
+    /// Returns the memories of the control loops in the block of an environment, one per drone; empty if the decoders
+    /// keep none.
+    pub fn control_memories(&mut self, model: &BatchModel, index: usize) -> &mut [LoopLanes] {
+        let memories = &mut *self.control_memories;
+        if memories.is_empty() { memories } else { &mut memories[index / LANES * model.drones..][..model.drones] }
     }
 
     /// Clears the cached obstacle distances of an environment's drones.

@@ -6,10 +6,11 @@ use std::sync::{Mutex, PoisonError};
 
 use smallvec::SmallVec;
 
+use super::control_loops::clear_memories;
 use super::delays::StateDelays;
 use super::shard::{BatchModel, Shard};
 use super::{Autoreset, OnFault};
-use crate::engine::flight::{LANES, LaneParams, Lanes, compute_rpys, set_commands, set_targets};
+use crate::engine::flight::{LANES, LaneParams, Lanes, compute_rpys, set_commands};
 use crate::env::{
     Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Sensing, SensorLanes, Task,
 };
@@ -24,7 +25,7 @@ pub(super) type Faults = Mutex<Vec<(usize, EnvError)>>;
 
 /// Action of an environment in a step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum StepKind {
+pub(super) enum StepKind {
     /// Advance the physics, in its lane or in MuJoCo.
     Fly,
     /// Start an episode.
@@ -41,7 +42,7 @@ pub(super) struct Worker<T> {
     /// Data of the environments of a block that advance in MuJoCo and have no own data.
     grounded: Vec<SimData>,
     /// Actions of a block: four rows per drone.
-    actions: Vec<[Row; 4]>,
+    pub(super) actions: Vec<[Row; 4]>,
     /// Lanes of a block before the step, for environments that do not fly in lanes.
     pub(super) saved: Vec<Lanes>,
     /// Wind of a block before the step.
@@ -50,15 +51,15 @@ pub(super) struct Worker<T> {
     seen: Vec<Lanes>,
     /// Bound of the travel of every drone of a block, m; see [`Extras::travel`].
     pub(super) travels: Vec<Row>,
-    step_kinds: [StepKind; LANES],
+    pub(super) step_kinds: [StepKind; LANES],
     /// Errors of the environments of a block that fail.
-    errors: [Option<EnvError>; LANES],
-    /// Drone states of the environment whose action is decoded.
-    states: Vec<DroneState>,
+    pub(super) errors: [Option<EnvError>; LANES],
+    /// Drone states of the environment whose action is filtered.
+    pub(super) states: Vec<DroneState>,
     /// Filter of velocity commands, if the batch has one.
     pub velocity_filter: Option<VelocityFilter>,
     /// Scratch buffer for the filtered action.
-    action: Vec<f64>,
+    pub(super) action: Vec<f64>,
     /// SIMD form of the task, if the batch evaluates its task in lanes.
     pub functions: Option<LaneFunctions<T>>,
     /// Observations of a block, a row per entry.
@@ -123,50 +124,30 @@ impl<T: Task> Worker<T> {
                 fits_lanes[index % LANES] &= kind == StepKind::Fly;
             }
         }
-        if let Some(decoding) = &model.decoding {
-            let actions = &shard.step.actions[size * start..][..size * count];
-            transpose_actions(actions, size, model.one_action, &mut self.actions);
-            let (lanes, lane_params) = lanes_and_params(model, shard, start);
-            // environments that do not fly may have actions that are not finite, and keep their last command
-            let mut kept = SmallVec::<[[f64; 4]; LANES]>::new();
-            let step_kinds = self.step_kinds;
-            let grounded = (0..count).filter(|&lane| step_kinds[lane] != StepKind::Fly);
-            for lane in grounded.clone() {
-                self.actions.iter_mut().flatten().for_each(|row| row[lane] = 0.0);
-                kept.extend(lanes.iter().map(|lanes| lanes.command(lane)));
-            }
-            let drones = lanes.iter_mut().zip(lane_params).zip(decoding);
-            for (((lanes, lane_params), decoding), actions) in drones.zip(&self.actions) {
-                set_commands(model.width, *decoding, lanes, lane_params, count, actions);
-            }
-            for (lane, kept) in grounded.zip(kept.chunks_exact(lanes.len())) {
-                lanes.iter_mut().zip(kept).for_each(|(lanes, command)| lanes.set_command(lane, command));
-            }
-            return fits_lanes;
+        let actions = &shard.step.actions[size * start..][..size * count];
+        transpose_actions(actions, size, model.one_action, &mut self.actions);
+        if self.velocity_filter.is_some() {
+            self.filter_actions(model, shard, range.clone());
         }
-        for index in range {
-            let lane = index % LANES;
-            if self.step_kinds[lane] != StepKind::Fly {
-                continue;
-            }
-            let action = &shard.step.actions[size * index..][..size];
-            if let Err(error) = self.decode_one(model, shard, index, action) {
-                (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
-                fits_lanes[lane] = false;
-                continue;
-            }
-            let commands = &self.env.workspace.commands;
-            // the scalar path reports commands that are not finite
-            fits_lanes[lane] &= commands.iter().flatten().all(|rpm| rpm.is_finite());
-            let (lanes, lane_params) = lanes_and_params(model, shard, start);
-            for ((lanes, lane_params), command) in lanes.iter_mut().zip(lane_params).zip(commands) {
-                let max = lane_params.max_command(lane);
-                lanes.set_command(lane, &command.map(|rpm| rpm.clamp(0.0, max)));
-            }
+        // environments that do not fly may have actions that are not finite, and keep their last command
+        let mut kept = SmallVec::<[[f64; 4]; LANES]>::new();
+        let step_kinds = self.step_kinds;
+        let grounded = (0..count).filter(|&lane| step_kinds[lane] != StepKind::Fly);
+        for lane in grounded.clone() {
+            fits_lanes[lane] = false;
+            self.actions.iter_mut().flatten().for_each(|row| row[lane] = 0.0);
+            kept.extend(lanes_and_params(model, shard, start).0.iter().map(|lanes| lanes.command(lane)));
+        }
+        if model.control_loops {
+            self.run_loops(model, shard, range, &mut fits_lanes);
         }
         let (lanes, lane_params) = lanes_and_params(model, shard, start);
-        for (lanes, lane_params) in lanes.iter_mut().zip(lane_params) {
-            set_targets(model.width, lanes, lane_params, count);
+        let drones = lanes.iter_mut().zip(lane_params).zip(&model.decoding);
+        for (((lanes, lane_params), decoding), actions) in drones.zip(&self.actions) {
+            set_commands(model.width, *decoding, lanes, lane_params, count, actions);
+        }
+        for (lane, kept) in grounded.zip(kept.chunks_exact(lanes.len())) {
+            lanes.iter_mut().zip(kept).for_each(|(lanes, command)| lanes.set_command(lane, command));
         }
         fits_lanes
     }
@@ -191,38 +172,6 @@ impl<T: Task> Worker<T> {
         };
         self.errors[index % LANES] = Some(error);
         StepKind::Fail
-    }
-
-    /// Decodes an environment's action to the commands of the workspace.
-    fn decode_one(
-        &mut self,
-        model: &BatchModel,
-        shard: &mut Shard<'_, T>,
-        index: usize,
-        action: &[f32],
-    ) -> Result<(), EnvError> {
-        let Aviary { model: env_model, simulation, workspace, decoders, .. } = &mut self.env;
-        let (numbers, dt) = (action.iter().map(|&x| f64::from(x)), simulation.model.control_period());
-        let slot = &mut shard.envs.slots[index];
-        if slot.decoders.is_empty() {
-            // decoders without memory ignore the states
-            workspace.decode(env_model, dt, &self.states, decoders, numbers);
-            return Ok(());
-        }
-        let lanes = &shard.envs.lanes[index / LANES * model.drones..][..model.drones];
-        for (state, lanes) in self.states.iter_mut().zip(lanes) {
-            *state = lanes.state(index % LANES);
-        }
-        if let Some(velocity_filter) = &mut self.velocity_filter {
-            self.action.clear();
-            self.action.extend(numbers);
-            let safe = velocity_filter.make_safe(&self.states, &env_model.action_space, &mut self.action);
-            workspace.decode(env_model, dt, &self.states, &mut slot.decoders, self.action.iter().copied());
-            safe.map(|_| ())
-        } else {
-            workspace.decode(env_model, dt, &self.states, &mut slot.decoders, numbers);
-            Ok(())
-        }
     }
 
     /// Stage 2: advances the physics of a block, in lanes where nothing is in reach, otherwise one environment at a
@@ -500,6 +449,7 @@ impl<T: Task> Worker<T> {
             None => simulation.data.refresh(&simulation.model),
         }
         shard.envs.store(model, index, Some(&simulation.data), Some(simulation));
+        clear_memories(shard.envs.control_memories(model, index), index);
         self.store_task(model, shard, index, None);
     }
 

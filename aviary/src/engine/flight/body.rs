@@ -2,7 +2,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use crate::math::{MAX_HALF_ANGLE_SQUARED, Real, Turn, V3, half_angle};
 use crate::physics::rotor::RotorWrench;
-use crate::state::DroneState;
+use crate::state::{DroneState, FlightState};
 use crate::world::Medium;
 
 /// Free rigid body with the coefficients of its equations of motion, scalar or SIMD.
@@ -34,15 +34,6 @@ pub(super) struct Fluid<R = f64> {
     pub quadratic_rate: [R; 3],
 }
 
-/// [`DroneState`] of one drone or of a register of drones.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct FlightState<R> {
-    pub position: V3<R>,
-    pub attitude: Turn<R>,
-    pub velocity: V3<R>,
-    pub rate: V3<R>,
-}
-
 /// Load on a body during a step: thrust along body z (N) and torque (body frame, N·m) of the rotors, and an external
 /// force (world frame, N).
 #[derive(Debug, Clone, Copy)]
@@ -50,30 +41,6 @@ pub(super) struct Push<R> {
     pub thrust: R,
     pub torque: V3<R>,
     pub force: V3<R>,
-}
-
-impl From<&DroneState> for FlightState<f64> {
-    #[inline(always)]
-    fn from(state: &DroneState) -> Self {
-        Self {
-            position: V3::from(&state.position),
-            attitude: Turn::from(&state.attitude),
-            velocity: V3::from(&state.velocity),
-            rate: V3::from(&state.angular_velocity),
-        }
-    }
-}
-
-impl From<FlightState<f64>> for DroneState {
-    #[inline(always)]
-    fn from(motion: FlightState<f64>) -> Self {
-        Self {
-            position: motion.position.into(),
-            attitude: motion.attitude.into(),
-            velocity: motion.velocity.into(),
-            angular_velocity: motion.rate.into(),
-        }
-    }
 }
 
 impl FreeBody {

@@ -6,8 +6,9 @@ use pulp::{Simd, WithSimd};
 
 use super::Width;
 use super::body::Push;
-use super::lanes::{LANES, LaneParams, Lanes, Part, clamped};
-use crate::math::{Pack, Real, Row, V3};
+use super::lanes::{LANES, LaneParams, Lanes, Part};
+use crate::action::MotorScale;
+use crate::math::{Pack, Real, Row, V3, clamped};
 use crate::physics::downwash::Wake;
 use crate::physics::drag;
 use crate::physics::ground_effect::GroundEffect;
@@ -253,11 +254,11 @@ pub(crate) fn limit_late_targets(
     width.run(count, LateTargets { lanes, late, lane_params, count });
 }
 
-/// Normalized motor speeds of a control step; see [`set_commands`].
+/// Conversion of the numbers of a control step to motor speeds; see [`set_commands`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Decoding {
-    /// Normalized speeds with the speeds of 0 and 1, rpm.
-    Scaled([f64; 2]),
+    /// Normalized speeds.
+    Scaled(MotorScale),
     /// Speeds, rpm.
     Raw,
 }
@@ -281,11 +282,7 @@ impl WithSimd for Commands<'_> {
             for (motor, row) in actions.iter().enumerate() {
                 let action = part.get(row);
                 let speed = match decoding {
-                    Decoding::Scaled([hover, full]) => {
-                        let action = clamped(action, action.all(-1.0), action.all(1.0));
-                        let (below, above) = ((action + 1.0) * hover, action * (full - hover) + hover);
-                        Real::choose(action.all(0.0).less(action), above, below)
-                    }
+                    Decoding::Scaled(scale) => scale.speed(action),
                     Decoding::Raw => action,
                 };
                 part.put(&mut lanes.command[motor], clamped(speed, max.all(0.0), max));
@@ -306,28 +303,6 @@ pub(crate) fn set_commands(
     actions: &[Row; 4],
 ) {
     width.run(count, Commands { lanes, lane_params, count, decoding, actions });
-}
-
-struct Targets<'a> {
-    lanes: &'a mut Lanes,
-    lane_params: &'a LaneParams,
-    count: usize,
-}
-
-impl WithSimd for Targets<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        for part in Part::first(simd, self.count) {
-            part.set_targets(self.lanes, self.lane_params);
-        }
-    }
-}
-
-/// Computes the target speeds of the rotors from the commanded speeds, in the first `count` lanes.
-pub(crate) fn set_targets(width: Width, lanes: &mut Lanes, lane_params: &LaneParams, count: usize) {
-    width.run(count, Targets { lanes, lane_params, count });
 }
 
 struct Downwash<'a> {

@@ -2,13 +2,13 @@ use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::FreeBody;
-use super::body::{FlightState, Fluid, Push};
+use super::body::{Fluid, Push};
 use super::reach_bound::ReachBound;
-use crate::math::{Pack, Real, Row, Turn, V3};
+use crate::math::{Pack, Real, Row, Turn, V3, clamped};
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
-use crate::state::{DroneState, wxyz};
+use crate::state::{DroneState, FlightState, wxyz};
 use crate::world::placement::CollisionCylinder;
 
 /// Number of drones in one set of lanes.
@@ -115,11 +115,6 @@ impl LaneParams {
         all
     }
 
-    /// Returns the largest commanded motor speed of a lane, rpm.
-    pub(crate) fn max_command(&self, lane: usize) -> f64 {
-        self.max_command[lane]
-    }
-
     /// Returns the radius of the sphere around the drone of a lane, m.
     pub(crate) fn reach(&self, lane: usize) -> f64 {
         self.reach_bound[0][lane]
@@ -172,7 +167,7 @@ impl Lanes {
         put(&mut self.target, lane, *target);
     }
 
-    /// Sets the commanded motor speeds of a lane, rpm; `set_targets` computes the target speeds of the rotors.
+    /// Sets the commanded motor speeds of a lane, rpm. The target speeds of the rotors stay the same.
     #[inline]
     pub fn set_command(&mut self, lane: usize, command: &[f64; 4]) {
         put(&mut self.command, lane, *command);
@@ -464,11 +459,4 @@ impl<S: Simd> Part<S> {
     pub(super) fn ball(self, lanes: &Lanes, lane_params: &LaneParams, dt: f64, steps: u32) -> Pack<S> {
         self.reach_bound(lane_params).ball(dt, steps, &self.motion(lanes))
     }
-}
-
-/// Clamps a number as [`f64::clamp`] does, lane by lane.
-#[inline(always)]
-pub(super) fn clamped<R: Real>(x: R, min: R, max: R) -> R {
-    let above = Real::choose(x.less(min), min, x);
-    Real::choose(max.less(above), max, above)
 }

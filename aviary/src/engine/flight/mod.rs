@@ -17,12 +17,11 @@ mod lanes;
 mod reach_bound;
 mod width;
 
-pub(crate) use body::FlightState;
 pub use body::FreeBody;
 pub(super) use floor::{FloorKernel, StepKind};
 pub(super) use floor_model::FloorModel;
 pub(crate) use kernel::{
-    Decoding, Extras, LateCommands, Record, advance_with, find_apart, limit_late_targets, set_commands, set_targets,
+    Decoding, Extras, LateCommands, Record, advance_with, find_apart, limit_late_targets, set_commands,
 };
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
 pub(crate) use lanes::Part;

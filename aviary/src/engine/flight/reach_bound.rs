@@ -1,10 +1,10 @@
 use nalgebra::Vector3;
 
 use super::FreeBody;
-use super::body::{FlightState, Push};
+use super::body::Push;
 use crate::math::{Real, V3};
 use crate::physics::rotor::RotorWrench;
-use crate::state::DroneState;
+use crate::state::{DroneState, FlightState};
 use crate::world::placement::{CollisionCylinder, sphere_floor_clearance};
 
 /// Upper bound of the distance that a drone can travel within a time, whatever its motors do; scalar or SIMD.
