@@ -5,6 +5,7 @@ mod common;
 
 mod alone;
 mod conditions;
+mod controllers;
 mod episodes;
 mod faults;
 mod pair;
