@@ -11,7 +11,7 @@
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
 
-use super::flight::{FloorKernel, FloorModel, FreeBody, StepKind};
+use super::flight::{FloorKernel, FloorModel, FreeBody, StepKind, Width};
 use super::mujoco::{BuildError, MujocoEngine};
 use super::{Bodies, Body, Contact, Load, Substeps, Touched};
 use crate::math::V3;
@@ -105,7 +105,8 @@ impl HybridEngine {
         let mujoco = MujocoEngine::new(world)?;
         let drones = world.drones.len();
         Ok(Self {
-            floor: FloorModel::read(mujoco.data().model(), world).map(|model| Box::new(FloorKernel::new(model))),
+            floor: FloorModel::read(mujoco.data().model(), world)
+                .map(|model| Box::new(FloorKernel::new(model, Width::best()))),
             mujoco,
             kind: StepKind {
                 dt: world.timestep,

@@ -1,17 +1,45 @@
-//! MuJoCo's Newton solver for the contacts of free bodies with the floor.
+//! Solver for the contacts of free bodies with the floor.
 //!
 //! The accelerations of the bodies minimize a convex function: half the squared distance from their unconstrained
 //! accelerations, weighted by the inertia, plus half the weighted square of each edge's residual where it is negative.
 //! Every contact point has a friction pyramid with four edges; the residual of an edge is the acceleration of the
 //! point along the edge minus a reference.
 //!
-//! The solver repeats the iterations of `mj_solNewton` from the same starting point, with the same line search and
-//! the same conditions of termination, so that it agrees with MuJoCo to rounding also where MuJoCo stops early. The
-//! Hessian is exact, therefore an iteration that changes no sign of a residual ends at the minimum.
+//! [`solve`] repeats the iterations of `mj_solNewton` from the same starting point, with the same line search and the
+//! same conditions of termination, so that it agrees with MuJoCo to rounding also where MuJoCo stops early. The Hessian
+//! is exact, therefore an iteration that changes no sign of a residual ends at the minimum.
+//!
+//! For a body that is alone, [`PointContact`] and [`PointContacts`] compute the minimum without these iterations. The
+//! signs of the residuals determine the minimum of a parabola, and the minimum of the cost is the one whose residuals
+//! have the assumed signs. The signs of the previous stage are usually the right ones.
+//!
+//! # When MuJoCo reaches the minimum
+//!
+//! Let M be the inertia, H the Hessian at a point with gradient g, and κ a number for which no Hessian exceeds κM. Let
+//! D = gᵀH⁻¹g. The line search along the Newton direction lowers the cost by at least D/2κ. MuJoCo stops after an
+//! iteration that lowers the cost by less than a limit ε. Before this iteration D < 2κε, therefore gᵀM⁻¹g ≤ κD < 2κ²ε.
+//! The difference x of this point from the minimum satisfies g = Bx with a matrix B between M and κM, to which an edge
+//! with weight w and residuals a < 0 and b ≥ 0 at the two points adds w·a/(a − b) times the square of its Jacobian.
+//! From xᵀBx = gᵀB⁻¹g < 2κ²ε follows for such an edge:
+//!
+//! - w·a² < 2κ²ε, if its residual is negative at the minimum;
+//! - b² < 2κ²ε·eᵀM⁻¹e with the Jacobian e, if its residual is positive at the minimum.
+//!
+//! If no edge at the minimum satisfies its inequality, all signs before the iteration are those of the minimum, and the
+//! iteration ends there. Otherwise [`PointContacts::descend`] computes all iterations, with exact line searches, and
+//! leaves the decision to [`solve`] where an iteration comes close to a limit. (MuJoCo also stops where the norm of the gradient is below ε, which is the minimum to
+//! within the accuracy of the line search.)
 
 mod line_search;
+mod quad;
+mod several_points;
+mod single_point;
+mod symmetric;
 
 use line_search::search_line;
+pub(super) use several_points::{FloorPoints, PointContacts};
+pub(super) use single_point::{PerEdge, PointContact};
+use symmetric::Symmetric;
 
 /// Largest number of contact points between a cylinder and a plane.
 pub(super) const POINTS: usize = 4;
@@ -28,6 +56,9 @@ const NEVER: f64 = -1e300;
 /// Norm of a search direction below which MuJoCo treats the direction as zero.
 const MIN_SEARCH: f64 = 1e-15;
 
+/// Largest number of assumptions about the signs before [`solve`] takes over.
+const MAX_SIGN_CHANGES: u32 = 10;
+
 /// Constants of the solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Settings {
@@ -39,6 +70,14 @@ pub(super) struct Settings {
     pub scale: f64,
     /// Largest number of iterations.
     pub iterations: u32,
+}
+
+impl Settings {
+    /// Returns the bound 2κ²ε for a condition κ, doubled because MuJoCo's line search is not exact.
+    #[inline(always)]
+    fn margin(&self, condition: f64) -> f64 {
+        4.0 * self.tolerance * self.scale * (condition * condition)
+    }
 }
 
 /// Contact problem of one body.
@@ -90,8 +129,7 @@ impl Default for Problem {
     }
 }
 
-/// Computes the accelerations of bodies that touch nothing but the floor.
-#[inline]
+/// Computes the accelerations of bodies that touch nothing but the floor by MuJoCo's iterations.
 pub(super) fn solve(settings: &Settings, problems: &mut [Problem]) {
     if problems.iter().all(|problem| problem.points == 0) {
         problems.iter_mut().for_each(|problem| problem.acceleration = problem.smooth);
@@ -162,22 +200,12 @@ fn start(settings: &Settings, problems: &mut [Problem]) -> f64 {
 }
 
 impl Problem {
-    /// Removes all points.
+    /// Replaces the points, without weights and references.
     #[inline(always)]
-    pub(super) fn clear(&mut self) {
-        self.points = 0;
-        self.arm = [[0.0; POINTS]; 3];
+    pub(super) fn set_points(&mut self, points: &FloorPoints) {
+        (self.points, self.arm) = (points.count, points.arm);
         self.weight = [0.0; POINTS];
         self.reference = [[NEVER; POINTS]; 4];
-    }
-
-    /// Adds a point at a position relative to the centre of mass, world frame, m.
-    #[inline(always)]
-    pub(super) fn add_point(&mut self, arm: [f64; 3]) {
-        for (axis, arm) in arm.into_iter().enumerate() {
-            self.arm[axis][self.points] = arm;
-        }
-        self.points += 1;
     }
 
     /// Returns the accelerations of the points along their edges for an acceleration of the body. Velocities of the
@@ -418,10 +446,29 @@ fn dot(a: &Spatial, b: &Spatial) -> f64 {
 }
 
 #[inline(always)]
-fn minus(a: &Spatial, b: &Spatial) -> Spatial {
+fn plus<const N: usize>(a: &[f64; N], b: &[f64; N]) -> [f64; N] {
+    let mut sum = *a;
+    for i in 0..N {
+        sum[i] += b[i];
+    }
+    sum
+}
+
+#[inline(always)]
+fn minus<const N: usize>(a: &[f64; N], b: &[f64; N]) -> [f64; N] {
     let mut difference = *a;
-    for (a, b) in difference.iter_mut().zip(b) {
-        *a -= b;
+    for i in 0..N {
+        difference[i] -= b[i];
     }
     difference
+}
+
+/// Returns the component-wise product.
+#[inline(always)]
+fn times<const N: usize>(a: &[f64; N], b: &[f64; N]) -> [f64; N] {
+    let mut product = *a;
+    for i in 0..N {
+        product[i] *= b[i];
+    }
+    product
 }

@@ -35,28 +35,31 @@ pub(super) struct FloorContact {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Impedance {
     /// Impedance at the surface.
-    min: f64,
-    /// Impedance from the depth `width` on.
-    max: f64,
-    /// Depth of the transition, m.
-    width: f64,
-    /// Share of `width` at which the transition changes from one parabola to the other.
-    midpoint: f64,
+    pub(super) min: f64,
+    /// Impedance from the end of the transition on.
+    pub(super) max: f64,
+    /// Reciprocal of the depth of the transition, 1/m.
+    pub(super) inverse_width: f64,
+    /// Share of the transition at which it changes from one parabola to the other.
+    pub(super) midpoint: f64,
+    /// Coefficients of the parabolas: reciprocals of `midpoint` and of its difference from one.
+    pub(super) parabolas: [f64; 2],
 }
 
 impl Impedance {
+    /// Creates the impedance of `solimp`: impedances at the surface and from the depth `width` (m) on, and midpoint.
+    fn new(min: f64, max: f64, width: f64, midpoint: f64) -> Self {
+        Self { min, max, inverse_width: 1.0 / width, midpoint, parabolas: [1.0 / midpoint, 1.0 / (1.0 - midpoint)] }
+    }
+
     /// Returns the impedance at a depth (m), which is positive.
     #[inline(always)]
     pub(super) fn at(&self, depth: f64) -> f64 {
-        let x = depth / self.width;
+        let (x, [before, after]) = (depth * self.inverse_width, self.parabolas);
         if x >= 1.0 {
             return self.max;
         }
-        let y = if x <= self.midpoint {
-            x * x / self.midpoint
-        } else {
-            1.0 - (1.0 - x) * (1.0 - x) / (1.0 - self.midpoint)
-        };
+        let y = if x <= self.midpoint { x * x * before } else { 1.0 - (1.0 - x) * (1.0 - x) * after };
         self.min + y * (self.max - self.min)
     }
 }
@@ -168,16 +171,21 @@ impl FloorContact {
             },
             stiffness: 1.0 / (max * max * time * time * damping * damping),
             damping: 2.0 / (max * time),
-            impedance: Impedance { min, max, width, midpoint },
+            impedance: Impedance::new(min, max, width, midpoint),
         })
     }
 
-    /// Returns the weight of the edges of a contact at a depth (m) with a body of this mass, kg; `1 / R` in MuJoCo.
+    /// Returns the weight of the edges of a contact with this impedance and a body of this mass, kg; `1 / R` in MuJoCo.
     #[inline(always)]
     pub(super) fn weight(&self, impedance: f64, inverse_mass: f64) -> f64 {
+        impedance / ((1.0 - impedance) * self.diagonal(inverse_mass))
+    }
+
+    /// Returns the inverse of the weight at an impedance of one half, 1/kg.
+    #[inline(always)]
+    pub(super) fn diagonal(&self, inverse_mass: f64) -> f64 {
         let friction = self.solver.friction * self.solver.friction;
         // MuJoCo's estimate of the inverse inertia of an edge, and the scale that matches an elliptic cone
-        let diagonal = (1.0 + friction) * inverse_mass * (2.0 * friction);
-        impedance / ((1.0 - impedance) * diagonal)
+        (1.0 + friction) * inverse_mass * (2.0 * friction)
     }
 }

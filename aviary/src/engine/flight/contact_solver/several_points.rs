@@ -1,0 +1,330 @@
+//! Minimum of the cost for one body that touches the floor at several points.
+
+use pulp::Simd;
+
+use super::super::floor_model::{FloorContact, Impedance};
+use super::quad::Quad;
+use super::{MAX_SIGN_CHANGES, NEVER, PerPoint, Settings, Spatial, Symmetric, dot, minus, plus, sum, times};
+use crate::math::V3;
+
+/// Contact points of one body.
+#[derive(Debug, Clone, Copy, Default)]
+pub(in super::super) struct FloorPoints {
+    /// Number of points.
+    pub count: usize,
+    /// Positions of the points relative to the centre of mass, world frame, m, by coordinate.
+    pub arm: [PerPoint; 3],
+    /// Heights of the points of the body above the floor, m: negative, and zero for absent points.
+    pub height: PerPoint,
+}
+
+impl FloorPoints {
+    /// Adds a point of the body at a position relative to the centre of mass and a height, m. MuJoCo's contact is halfway
+    /// between the point and the floor.
+    #[inline(always)]
+    pub(in super::super) fn add(&mut self, place: V3<f64>, height: f64) {
+        let Self { count, arm: [x, y, z], height: heights } = self;
+        (x[*count], y[*count], z[*count]) = (place.x, place.y, place.z - 0.5 * height);
+        heights[*count] = height;
+        *count += 1;
+    }
+}
+
+/// Contacts of one body. Accelerations are linear in the world frame and angular in the body frame.
+#[derive(Debug, Clone, Copy)]
+pub(in super::super) struct PointContacts<S: Simd> {
+    simd: S,
+    /// Mass (kg) and moments of inertia (kg·m²).
+    inertia: Spatial,
+    /// Accelerations of the points by angular accelerations about the body axes (rows), world frame, by coordinate, m.
+    levers: [[Quad<S>; 3]; 3],
+    /// Weight of the edges of each point, kg.
+    weight: Quad<S>,
+    /// Reference accelerations of the edges, m/s².
+    reference: [Quad<S>; 4],
+}
+
+impl<S: Simd> PointContacts<S> {
+    /// Creates the contacts of a body that has this inertia, rotation matrix (by rows) and velocity.
+    #[inline(always)]
+    pub(in super::super) fn new(
+        simd: S,
+        contact: &FloorContact,
+        inertia: Spatial,
+        matrix: &[[f64; 3]; 3],
+        velocity: &Spatial,
+        points: &FloorPoints,
+    ) -> Self {
+        let FloorContact { solver, stiffness, damping, .. } = contact;
+        let [ax, ay, az] = points.arm;
+        let (ax, ay, az) = (Quad::load(simd, ax), Quad::load(simd, ay), Quad::load(simd, az));
+        let (height, zero) = (Quad::load(simd, points.height), Quad::load(simd, [0.0; 4]));
+        let [r0, r1, r2] = matrix;
+        let impedance = impedances(simd, &contact.impedance, height * -1.0);
+        let rest = impedance * -1.0 + 1.0;
+        let weight = impedance / (rest * contact.diagonal(1.0 / inertia[0]));
+        let mut contacts = Self {
+            simd,
+            inertia,
+            levers: [
+                [az * r1[0] - ay * r2[0], ax * r2[0] - az * r0[0], ay * r0[0] - ax * r1[0]],
+                [az * r1[1] - ay * r2[1], ax * r2[1] - az * r0[1], ay * r0[1] - ax * r1[1]],
+                [az * r1[2] - ay * r2[2], ax * r2[2] - az * r0[2], ay * r0[2] - ax * r1[2]],
+            ],
+            weight: height.if_negative(weight, zero),
+            reference: [zero; 4],
+        };
+        let never = Quad::load(simd, [NEVER; 4]);
+        let push = impedance * height * *stiffness;
+        let speeds = contacts.along_edges(solver.friction, velocity);
+        for (reference, speeds) in contacts.reference.iter_mut().zip(speeds) {
+            *reference = height.if_negative(speeds * -damping - push, never);
+        }
+        contacts
+    }
+
+    /// Returns the accelerations of the points along their edges for an acceleration of the body.
+    #[inline(always)]
+    fn along_edges(&self, friction: f64, motion: &Spatial) -> [Quad<S>; 4] {
+        let [x, y, z, a, b, c] = *motion;
+        let [la, lb, lc] = &self.levers;
+        let across = (la[0] * a + (lb[0] * b + lc[0] * c) + x) * friction;
+        let along = (la[1] * a + (lb[1] * b + lc[1] * c) + y) * friction;
+        let up = la[2] * a + (lb[2] * b + lc[2] * c) + z;
+        [up + across, up - across, up + along, up - along]
+    }
+
+    #[inline(always)]
+    fn residuals(&self, friction: f64, motion: &Spatial) -> [Quad<S>; 4] {
+        let [east, west, north, south] = self.along_edges(friction, motion);
+        let reference = &self.reference;
+        [east - reference[0], west - reference[1], north - reference[2], south - reference[3]]
+    }
+
+    /// Returns the residuals of the edges for an acceleration of the body.
+    #[inline(always)]
+    pub(in super::super) fn edges(&self, friction: f64, motion: &Spatial) -> [PerPoint; 4] {
+        let [east, west, north, south] = self.residuals(friction, motion);
+        [east.numbers(), west.numbers(), north.numbers(), south.numbers()]
+    }
+
+    /// Returns the acceleration of the body, like [`PointContact::solve`](super::PointContact::solve).
+    #[inline(always)]
+    pub(in super::super) fn solve(
+        &self,
+        settings: &Settings,
+        smooth: &Spatial,
+        edges: &mut [PerPoint; 4],
+    ) -> Option<Spatial> {
+        let (simd, friction) = (self.simd, settings.friction);
+        let free = self.residuals(friction, smooth);
+        let (near, scale) = self.margins(settings);
+        let [east, west, north, south] = *edges;
+        let mut present =
+            [Quad::load(simd, east), Quad::load(simd, west), Quad::load(simd, north), Quad::load(simd, south)];
+        for _ in 0..MAX_SIGN_CHANGES {
+            let gained = self.newton(friction, &free, &present);
+            let mut end = self.along_edges(friction, &gained);
+            let (mut stays, mut clear) = (true, true);
+            let one = Quad::load(simd, [1.0; 4]);
+            for edge in 0..4 {
+                end[edge] = end[edge] + free[edge];
+                stays &= end[edge].has_signs_of(present[edge]);
+                clear &= (end[edge] * end[edge] * end[edge].if_negative(scale, one)).all_above(near);
+            }
+            if stays {
+                *edges = [end[0].numbers(), end[1].numbers(), end[2].numbers(), end[3].numbers()];
+                return clear.then_some(plus(smooth, &gained));
+            }
+            present = end;
+        }
+        None
+    }
+
+    /// Returns the acceleration of the body by the iterations of MuJoCo with exact line searches. Returns `None` if MuJoCo
+    /// may stop before the minimum.
+    #[inline(always)]
+    pub(in super::super) fn descend(&self, settings: &Settings, smooth: &Spatial, start: &Spatial) -> Option<Spatial> {
+        let friction = settings.friction;
+        let free = self.residuals(friction, smooth);
+        let (mut edges, mut from_smooth) = (self.residuals(friction, start), minus(start, smooth));
+        let mut cost = self.cost(&edges, &from_smooth);
+        let cost_of_smooth = self.cost(&free, &[0.0; 6]);
+        if cost > cost_of_smooth {
+            (edges, from_smooth, cost) = (free, [0.0; 6], cost_of_smooth);
+        }
+        for _ in 0..MAX_SIGN_CHANGES {
+            let gained = self.newton(friction, &free, &edges);
+            let (search, mut slopes) = (minus(&gained, &from_smooth), self.along_edges(friction, &gained));
+            let mut stays = true;
+            for edge in 0..4 {
+                let end = free[edge] + slopes[edge];
+                stays &= end.has_signs_of(edges[edge]);
+                slopes[edge] = end - edges[edge];
+            }
+            if stays {
+                return Some(plus(smooth, &gained));
+            }
+            let step = self.search(&edges, &slopes, &search, &from_smooth)?;
+            for edge in 0..4 {
+                edges[edge] = edges[edge] + slopes[edge] * step;
+            }
+            for (from_smooth, search) in from_smooth.iter_mut().zip(&search) {
+                *from_smooth += step * search;
+            }
+            // MuJoCo stops where the cost falls by less than a limit, or the gradient is below it
+            let (new_cost, force) = (self.cost(&edges, &from_smooth), self.force(friction, &edges));
+            let [x, y, z, ..] = times(&self.inertia, &from_smooth);
+            let gradient = force + V3::new(x, y, z);
+            let limit = 2.0 * settings.tolerance * settings.scale;
+            let goes_on = cost - new_cost > limit && gradient.dot(gradient) > limit * limit;
+            if !goes_on {
+                return None;
+            }
+            cost = new_cost;
+        }
+        None
+    }
+
+    /// Returns the step along a line to the minimum of the cost, by Newton's method. `slopes` are the derivatives of the
+    /// residuals along the line. Returns `None` if the method does not end.
+    #[inline(always)]
+    fn search(
+        &self,
+        edges: &[Quad<S>; 4],
+        slopes: &[Quad<S>; 4],
+        search: &Spatial,
+        from_smooth: &Spatial,
+    ) -> Option<f64> {
+        let zero = Quad::load(self.simd, [0.0; 4]);
+        let pull = times(&self.inertia, search);
+        let (linear, square) = (dot(&pull, from_smooth), dot(&pull, search));
+        let mut step = 1.0;
+        for _ in 0..MAX_SIGN_CHANGES {
+            let (mut slope, mut curvature) = (zero, zero);
+            for edge in 0..4 {
+                let active = (edges[edge] + slopes[edge] * step).if_negative(slopes[edge], zero);
+                slope = slope + active * edges[edge];
+                curvature = curvature + active * active;
+            }
+            // the minimum of the parabola with these active edges
+            let next = -(linear + (slope * self.weight).sum()) / (square + (curvature * self.weight).sum());
+            let mut stays = true;
+            for edge in 0..4 {
+                stays &= (edges[edge] + slopes[edge] * step).has_signs_of(edges[edge] + slopes[edge] * next);
+            }
+            step = next;
+            if stays {
+                return Some(step);
+            }
+        }
+        None
+    }
+
+    /// Returns the force of the negative residuals on the body.
+    #[inline(always)]
+    fn force(&self, friction: f64, edges: &[Quad<S>; 4]) -> V3<f64> {
+        let zero = Quad::load(self.simd, [0.0; 4]);
+        let east = edges[0].if_negative(edges[0], zero) * self.weight;
+        let west = edges[1].if_negative(edges[1], zero) * self.weight;
+        let north = edges[2].if_negative(edges[2], zero) * self.weight;
+        let south = edges[3].if_negative(edges[3], zero) * self.weight;
+        total(&[(east - west) * friction, (north - south) * friction, (east + west) + (north + south)])
+    }
+
+    #[inline(always)]
+    fn cost(&self, edges: &[Quad<S>; 4], from_smooth: &Spatial) -> f64 {
+        let zero = Quad::load(self.simd, [0.0; 4]);
+        let mut squares = zero;
+        for edge in edges {
+            let negative = edge.if_negative(*edge, zero);
+            squares = squares + negative * negative;
+        }
+        0.5 * (dot(&times(&self.inertia, from_smooth), from_smooth) + (squares * self.weight).sum())
+    }
+
+    /// Returns the bound of squared residuals near zero, and factors of the squares of negative residuals.
+    #[inline(always)]
+    fn margins(&self, settings: &Settings) -> (f64, Quad<S>) {
+        let [m, _, _, ja, jb, jc] = self.inertia;
+        let (m, ja, jb, jc) = (1.0 / m, 1.0 / ja, 1.0 / jb, 1.0 / jc);
+        let square = settings.friction * settings.friction;
+        let [la, lb, lc] = &self.levers;
+        let x = la[0] * la[0] * ja + (lb[0] * lb[0] * jb + lc[0] * lc[0] * jc) + m;
+        let y = la[1] * la[1] * ja + (lb[1] * lb[1] * jb + lc[1] * lc[1] * jc) + m;
+        let z = la[2] * la[2] * ja + (lb[2] * lb[2] * jb + lc[2] * lc[2] * jc) + m;
+        let traces = (x + y) * (2.0 * square) + z * 4.0;
+        let condition = 1.0 + sum(&(traces * self.weight).numbers());
+        let mut largest = 0.0;
+        for trace in traces.numbers() {
+            largest = if trace > largest { trace } else { largest };
+        }
+        (settings.margin(condition) * largest, self.weight * largest)
+    }
+
+    /// Returns the change of the acceleration by the edges whose residual is negative.
+    #[inline(always)]
+    fn newton(&self, friction: f64, free: &[Quad<S>; 4], edges: &[Quad<S>; 4]) -> Spatial {
+        let [la, lb, lc] = &self.levers;
+        let zero = Quad::load(self.simd, [0.0; 4]);
+        let east = edges[0].if_negative(self.weight, zero);
+        let west = edges[1].if_negative(self.weight, zero);
+        let north = edges[2].if_negative(self.weight, zero);
+        let south = edges[3].if_negative(self.weight, zero);
+        // symmetric weights of the acceleration of the point; that of x with y is zero
+        let square = friction * friction;
+        let (xx, yy, zz) = ((east + west) * square, (north + south) * square, (east + west) + (north + south));
+        let (xz, yz) = ((east - west) * friction, (north - south) * friction);
+        let (east, west, north, south) = (east * free[0], west * free[1], north * free[2], south * free[3]);
+        let (x, y, z) = ((east - west) * friction, (north - south) * friction, (east + west) + (north + south));
+        // columns of the product of the weights and the Jacobian of the angular acceleration
+        let ka = [xx * la[0] + xz * la[2], yy * la[1] + yz * la[2], xz * la[0] + yz * la[1] + zz * la[2]];
+        let kb = [xx * lb[0] + xz * lb[2], yy * lb[1] + yz * lb[2], xz * lb[0] + yz * lb[1] + zz * lb[2]];
+        let kc = [xx * lc[0] + xz * lc[2], yy * lc[1] + yz * lc[2], xz * lc[0] + yz * lc[1] + zz * lc[2]];
+        let [m, _, _, ja, jb, jc] = self.inertia;
+        let linear = Symmetric([m + xx.sum(), m + yy.sum(), m + zz.sum(), 0.0, xz.sum(), yz.sum()]).inverse();
+        let (qa, qb, qc) = (total(&ka), total(&kb), total(&kc));
+        let (wa, wb, wc) = (linear.times(qa), linear.times(qb), linear.times(qc));
+        let rest = Symmetric([
+            ja + product(la, &ka) - qa.dot(wa),
+            jb + product(lb, &kb) - qb.dot(wb),
+            jc + product(lc, &kc) - qc.dot(wc),
+            product(la, &kb) - qa.dot(wb),
+            product(la, &kc) - qa.dot(wc),
+            product(lb, &kc) - qb.dot(wc),
+        ]);
+        let pulls = [x, y, z];
+        let pull = total(&pulls);
+        let torque = V3::new(
+            wa.dot(pull) - product(la, &pulls),
+            wb.dot(pull) - product(lb, &pulls),
+            wc.dot(pull) - product(lc, &pulls),
+        );
+        let (cofactors, inverse) = rest.cofactors();
+        let V3 { x: a, y: b, z: c } = cofactors.times(torque) * inverse;
+        let V3 { x, y, z } = -(linear.times(pull) + wa * a + (wb * b + wc * c));
+        [x, y, z, a, b, c]
+    }
+}
+
+/// Returns the sum of vectors over the points.
+#[inline(always)]
+fn total<S: Simd>([x, y, z]: &[Quad<S>; 3]) -> V3<f64> {
+    V3::new(x.sum(), y.sum(), z.sum())
+}
+
+/// Returns the sum of dot products over the points.
+#[inline(always)]
+fn product<S: Simd>(a: &[Quad<S>; 3], b: &[Quad<S>; 3]) -> f64 {
+    (a[0] * b[0] + a[1] * b[1] + a[2] * b[2]).sum()
+}
+
+/// Computes [`Impedance::at`] for all points.
+#[inline(always)]
+fn impedances<S: Simd>(simd: S, impedance: &Impedance, depths: Quad<S>) -> Quad<S> {
+    let Impedance { min, max, inverse_width, midpoint, parabolas: [before, after] } = *impedance;
+    let x = depths * inverse_width;
+    let rest = x * -1.0 + 1.0;
+    let y = (x - midpoint).if_negative(x * x * before, rest * rest * -after + 1.0);
+    (x - 1.0).if_negative(y * (max - min) + min, Quad::load(simd, [max; 4]))
+}
