@@ -41,6 +41,8 @@ pub struct HybridEngine {
     warm_starts: Vec<f64>,
     /// Distance around each drone without obstacles and other drones, m; a scratch buffer.
     rooms: Vec<f64>,
+    /// Bounds of the distance (m) and the rotation angle (rad) of each drone in a physics step; a scratch buffer.
+    motions: Vec<(f64, f64)>,
     flown: u64,
 }
 
@@ -122,6 +124,7 @@ impl HybridEngine {
             last: Last::Flight,
             warm_starts: vec![0.0; 6 * drones],
             rooms: vec![0.0; drones],
+            motions: vec![(0.0, 0.0); drones],
             flown: 0,
         })
     }
@@ -158,16 +161,16 @@ impl HybridEngine {
     /// Returns the obstacles that drones can reach in the next physics step.
     fn reachable(&mut self, bodies: &Bodies, loads: &[Load], states: &[DroneState]) -> Reachable {
         let dt = self.kind.dt;
-        let motion = |drone: usize| {
+        let (cylinders, mut motions) = (std::mem::take(&mut self.cylinders), std::mem::take(&mut self.motions));
+        for (drone, motion) in motions.iter_mut().enumerate() {
             let (Body { reach_bound, free, .. }, load) = (&bodies.drones[drone], &loads[drone]);
-            reach_bound.one_step(dt, free, &load.rotors, &load.external.force_world, &states[drone])
-        };
-        let cylinders = std::mem::take(&mut self.cylinders);
+            *motion = reach_bound.one_step(dt, free, &load.rotors, &load.external.force_world, &states[drone]);
+        }
         let free = self.has_room(
             states,
             bodies.obstacle_drift,
             |drone| {
-                let (travel, turn) = motion(drone);
+                let (travel, turn) = motions[drone];
                 // false for NaN, so that the radius is infinite
                 if turn < FreeBody::MAX_TURN {
                     bodies.drones[drone].reach_bound.reach() + travel
@@ -176,14 +179,14 @@ impl HybridEngine {
                 }
             },
             |drone, state| {
-                let (travel, turn) = motion(drone);
+                let (travel, turn) = motions[drone];
                 let cylinder = &cylinders[drone];
                 turn < FreeBody::MAX_TURN
                     && cylinder.floor_clearance(state) - rounding_of_contacts(cylinder, state)
                         > travel + turn * bodies.drones[drone].reach_bound.reach()
             },
         );
-        self.cylinders = cylinders;
+        (self.cylinders, self.motions) = (cylinders, motions);
         if free {
             return Reachable::Nothing;
         }
@@ -193,7 +196,7 @@ impl HybridEngine {
         let mut rooms = std::mem::take(&mut self.rooms);
         let mut known = true;
         for (drone, room) in rooms.iter_mut().enumerate() {
-            let (travel, turn) = motion(drone);
+            let (travel, turn) = self.motions[drone];
             let reach = bodies.drones[drone].reach_bound.reach();
             *room = 2.0 * travel + dt * states[drone].angular_velocity.norm() * reach + 0.05 * reach;
             // the kernel of the floor has no limit of the rotation
