@@ -9,26 +9,11 @@
 //! same conditions of termination, so that it agrees with MuJoCo to rounding also where MuJoCo stops early. The Hessian
 //! is exact, therefore an iteration that changes no sign of a residual ends at the minimum.
 //!
-//! For a body that is alone, [`PointContact`] and [`PointContacts`] compute the minimum without these iterations. The
-//! signs of the residuals determine the minimum of a parabola, and the minimum of the cost is the one whose residuals
-//! have the assumed signs. The signs of the previous stage are usually the right ones.
-//!
-//! # When MuJoCo reaches the minimum
-//!
-//! Let M be the inertia, H the Hessian at a point with gradient g, and κ a number for which no Hessian exceeds κM. Let
-//! D = gᵀH⁻¹g. The line search along the Newton direction lowers the cost by at least D/2κ. MuJoCo stops after an
-//! iteration that lowers the cost by less than a limit ε. Before this iteration D < 2κε, therefore gᵀM⁻¹g ≤ κD < 2κ²ε.
-//! The difference x of this point from the minimum satisfies g = Bx with a matrix B between M and κM, to which an edge
-//! with weight w and residuals a < 0 and b ≥ 0 at the two points adds w·a/(a − b) times the square of its Jacobian.
-//! From xᵀBx = gᵀB⁻¹g < 2κ²ε follows for such an edge:
-//!
-//! - w·a² < 2κ²ε, if its residual is negative at the minimum;
-//! - b² < 2κ²ε·eᵀM⁻¹e with the Jacobian e, if its residual is positive at the minimum.
-//!
-//! If no edge at the minimum satisfies its inequality, all signs before the iteration are those of the minimum, and the
-//! iteration ends there. Otherwise [`PointContacts::descend`] computes all iterations, with exact line searches, and
-//! leaves the decision to [`solve`] where an iteration comes close to a limit. (MuJoCo also stops where the norm of the gradient is below ε, which is the minimum to
-//! within the accuracy of the line search.)
+//! For a body that is alone, [`PointContact`] and [`PointContacts`] compute the minimum with fewer operations. The signs
+//! of the residuals determine the minimum of a parabola, and the minimum of the cost is the one whose residuals have the
+//! assumed signs. Line searches are exact: their steps differ from those of MuJoCo, whose line search has a tolerance,
+//! but an iteration between the same signs ends at the same minimum. If an iteration comes close to a limit at which
+//! MuJoCo stops early, [`solve`] takes over.
 
 mod line_search;
 mod quad;
@@ -36,6 +21,7 @@ mod several_points;
 mod single_point;
 mod symmetric;
 
+use crate::math::V3;
 use line_search::search_line;
 pub(super) use several_points::{FloorPoints, PointContacts};
 pub(super) use single_point::{PerEdge, PointContact};
@@ -73,10 +59,13 @@ pub(super) struct Settings {
 }
 
 impl Settings {
-    /// Returns the bound 2κ²ε for a condition κ, doubled because MuJoCo's line search is not exact.
+    /// Returns true if MuJoCo continues after an iteration that lowers the cost by this decrease, at a point with these
+    /// linear components of the gradient. MuJoCo stops below a limit; twice the limit is a margin for rounding and for
+    /// MuJoCo's line search, which is not exact.
     #[inline(always)]
-    fn margin(&self, condition: f64) -> f64 {
-        4.0 * self.tolerance * self.scale * (condition * condition)
+    fn goes_on(&self, decrease: f64, gradient: V3<f64>) -> bool {
+        let limit = 2.0 * self.tolerance * self.scale;
+        decrease > limit && gradient.dot(gradient) > limit * limit
     }
 }
 

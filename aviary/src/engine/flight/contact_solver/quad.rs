@@ -51,17 +51,6 @@ impl<S: Simd> Quad<S> {
         }
     }
 
-    /// Returns true if all numbers are greater than `x`.
-    #[inline(always)]
-    pub(super) fn all_above(self, x: f64) -> bool {
-        let limit = self.first.all(x);
-        let mut not = !limit.less(self.first);
-        if Self::SPLIT {
-            not = not | !limit.less(self.second);
-        }
-        !Pack::<S>::any(not)
-    }
-
     /// Returns true if the numbers are negative where those of `other` are.
     #[inline(always)]
     pub(super) fn has_signs_of(self, other: Self) -> bool {

@@ -4,7 +4,7 @@ use pulp::Simd;
 
 use super::super::floor_model::{FloorContact, Impedance};
 use super::quad::Quad;
-use super::{MAX_SIGN_CHANGES, NEVER, PerPoint, Settings, Spatial, Symmetric, dot, minus, plus, sum, times};
+use super::{MAX_SIGN_CHANGES, NEVER, PerPoint, Settings, Spatial, Symmetric, dot, minus, plus, times};
 use crate::math::V3;
 
 /// Contact points of one body.
@@ -101,50 +101,10 @@ impl<S: Simd> PointContacts<S> {
         [east - reference[0], west - reference[1], north - reference[2], south - reference[3]]
     }
 
-    /// Returns the residuals of the edges for an acceleration of the body.
+    /// Returns the acceleration of the body by MuJoCo's iterations from `start`, with exact line searches. `smooth` is the
+    /// acceleration without contacts. Returns `None` if MuJoCo may stop before the minimum.
     #[inline(always)]
-    pub(in super::super) fn edges(&self, friction: f64, motion: &Spatial) -> [PerPoint; 4] {
-        let [east, west, north, south] = self.residuals(friction, motion);
-        [east.numbers(), west.numbers(), north.numbers(), south.numbers()]
-    }
-
-    /// Returns the acceleration of the body, like [`PointContact::solve`](super::PointContact::solve).
-    #[inline(always)]
-    pub(in super::super) fn solve(
-        &self,
-        settings: &Settings,
-        smooth: &Spatial,
-        edges: &mut [PerPoint; 4],
-    ) -> Option<Spatial> {
-        let (simd, friction) = (self.simd, settings.friction);
-        let free = self.residuals(friction, smooth);
-        let (near, scale) = self.margins(settings);
-        let [east, west, north, south] = *edges;
-        let mut present =
-            [Quad::load(simd, east), Quad::load(simd, west), Quad::load(simd, north), Quad::load(simd, south)];
-        for _ in 0..MAX_SIGN_CHANGES {
-            let gained = self.newton(friction, &free, &present);
-            let mut end = self.along_edges(friction, &gained);
-            let (mut stays, mut clear) = (true, true);
-            let one = Quad::load(simd, [1.0; 4]);
-            for edge in 0..4 {
-                end[edge] = end[edge] + free[edge];
-                stays &= end[edge].has_signs_of(present[edge]);
-                clear &= (end[edge] * end[edge] * end[edge].if_negative(scale, one)).all_above(near);
-            }
-            if stays {
-                *edges = [end[0].numbers(), end[1].numbers(), end[2].numbers(), end[3].numbers()];
-                return clear.then_some(plus(smooth, &gained));
-            }
-            present = end;
-        }
-        None
-    }
-
-    /// Returns the acceleration of the body by the iterations of MuJoCo with exact line searches. Returns `None` if MuJoCo
-    /// may stop before the minimum.
-    #[inline(always)]
-    pub(in super::super) fn descend(&self, settings: &Settings, smooth: &Spatial, start: &Spatial) -> Option<Spatial> {
+    pub(in super::super) fn solve(&self, settings: &Settings, smooth: &Spatial, start: &Spatial) -> Option<Spatial> {
         let friction = settings.friction;
         let free = self.residuals(friction, smooth);
         let (mut edges, mut from_smooth) = (self.residuals(friction, start), minus(start, smooth));
@@ -172,13 +132,10 @@ impl<S: Simd> PointContacts<S> {
             for (from_smooth, search) in from_smooth.iter_mut().zip(&search) {
                 *from_smooth += step * search;
             }
-            // MuJoCo stops where the cost falls by less than a limit, or the gradient is below it
             let (new_cost, force) = (self.cost(&edges, &from_smooth), self.force(friction, &edges));
             let [x, y, z, ..] = times(&self.inertia, &from_smooth);
             let gradient = force + V3::new(x, y, z);
-            let limit = 2.0 * settings.tolerance * settings.scale;
-            let goes_on = cost - new_cost > limit && gradient.dot(gradient) > limit * limit;
-            if !goes_on {
+            if !settings.goes_on(cost - new_cost, gradient) {
                 return None;
             }
             cost = new_cost;
@@ -241,25 +198,6 @@ impl<S: Simd> PointContacts<S> {
             squares = squares + negative * negative;
         }
         0.5 * (dot(&times(&self.inertia, from_smooth), from_smooth) + (squares * self.weight).sum())
-    }
-
-    /// Returns the bound of squared residuals near zero, and factors of the squares of negative residuals.
-    #[inline(always)]
-    fn margins(&self, settings: &Settings) -> (f64, Quad<S>) {
-        let [m, _, _, ja, jb, jc] = self.inertia;
-        let (m, ja, jb, jc) = (1.0 / m, 1.0 / ja, 1.0 / jb, 1.0 / jc);
-        let square = settings.friction * settings.friction;
-        let [la, lb, lc] = &self.levers;
-        let x = la[0] * la[0] * ja + (lb[0] * lb[0] * jb + lc[0] * lc[0] * jc) + m;
-        let y = la[1] * la[1] * ja + (lb[1] * lb[1] * jb + lc[1] * lc[1] * jc) + m;
-        let z = la[2] * la[2] * ja + (lb[2] * lb[2] * jb + lc[2] * lc[2] * jc) + m;
-        let traces = (x + y) * (2.0 * square) + z * 4.0;
-        let condition = 1.0 + sum(&(traces * self.weight).numbers());
-        let mut largest = 0.0;
-        for trace in traces.numbers() {
-            largest = if trace > largest { trace } else { largest };
-        }
-        (settings.margin(condition) * largest, self.weight * largest)
     }
 
     /// Returns the change of the acceleration by the edges whose residual is negative.

@@ -4,7 +4,7 @@
 //! a force at the point is a symmetric matrix of three rows. The minimum for given signs of the residuals is therefore
 //! the solution of three equations.
 
-use super::{MAX_SIGN_CHANGES, Settings, Spatial, Symmetric, minus, plus, times};
+use super::{MAX_SIGN_CHANGES, Settings, Spatial, Symmetric, dot, minus, negative, plus, times};
 use crate::math::V3;
 
 /// A number for each edge of the friction pyramid: towards x, −x, y and −y.
@@ -13,7 +13,9 @@ pub(in super::super) type PerEdge = [f64; 4];
 /// Contact of one body at one point. Accelerations are linear in the world frame and angular in the body frame.
 #[derive(Debug, Clone, Copy)]
 pub(in super::super) struct PointContact {
-    /// Reciprocals of mass (1/kg) and moments of inertia (1/(kg·m²)).
+    /// Mass (kg) and moments of inertia (kg·m²).
+    pub inertia: Spatial,
+    /// Reciprocals of `inertia`.
     pub inverse_inertia: Spatial,
     /// Accelerations of the point by angular accelerations about the body axes, world frame, m.
     pub levers: [V3<f64>; 3],
@@ -73,8 +75,9 @@ impl PointContact {
         minus(&Self::along_edges(friction, Self::of_point(&self.levers, motion)), &self.reference)
     }
 
-    /// Returns the acceleration of the body. `smooth` is its acceleration without contacts. The signs of `edges` are an
-    /// estimate of those of the residuals; they become the signs at the minimum.
+    /// Returns the acceleration of the body. `smooth` is its acceleration without contacts, and `start` the starting
+    /// point of the solver. The signs of `edges` are an estimate of those of the residuals; they become the signs at the
+    /// minimum.
     ///
     /// Returns `None` if MuJoCo may stop before the minimum.
     #[inline(always)]
@@ -82,51 +85,152 @@ impl PointContact {
         &self,
         settings: &Settings,
         smooth: &Spatial,
+        start: &Spatial,
         edges: &mut PerEdge,
     ) -> Option<Spatial> {
         let friction = settings.friction;
-        let Self { inverse_inertia, weight, .. } = self;
-        let response = self.response();
-        let [xx, yy, zz, ..] = response.0;
-        let apparent = response.inverse();
+        let apparent = self.response().inverse();
         let free = self.residuals(friction, smooth);
-        let square = friction * friction;
-        // sum over the edges of eᵀM⁻¹e, and a bound of the largest one
-        let trace = 2.0 * square * (xx + yy) + 4.0 * zz;
-        let largest = trace - 2.0 * zz;
-        let near = settings.margin(1.0 + weight * trace) * largest;
-        let scale = weight * largest;
         for _ in 0..MAX_SIGN_CHANGES {
-            let (mut active, mut pulls) = ([0.0; 4], [0.0; 4]);
-            for edge in 0..4 {
-                active[edge] = if edges[edge] < 0.0 { *weight } else { 0.0 };
-                pulls[edge] = active[edge] * free[edge];
-            }
-            let [east, west, north, south] = active;
-            let pull = Self::sum(friction, pulls);
-            let [xx, yy, zz, xy, xz, yz] = apparent.0;
-            let (cofactors, inverse) = Symmetric([
-                xx + square * (east + west),
-                yy + square * (north + south),
-                zz + ((east + west) + (north + south)),
-                xy,
-                xz + friction * (east - west),
-                yz + friction * (north - south),
-            ])
-            .cofactors();
-            let gained = cofactors.times(pull) * -inverse;
+            let gained = self.newton(friction, &apparent, &free, edges);
             let end = plus(&free, &Self::along_edges(friction, gained));
-            let (mut stays, mut clear) = (true, true);
-            for i in 0..4 {
-                stays &= (edges[i] < 0.0) == (end[i] < 0.0);
-                clear &= end[i] * end[i] * (if end[i] < 0.0 { scale } else { 1.0 }) > near;
-            }
-            if stays {
-                let gained = times(inverse_inertia, &self.on_body(apparent.times(gained)));
-                return clear.then_some(plus(smooth, &gained));
-            }
+            let stays = has_signs_of(edges, &end);
             *edges = end;
+            if stays {
+                let gained = times(&self.inverse_inertia, &self.on_body(apparent.times(gained)));
+                let reached = self.reaches(settings, smooth, start, &apparent, &free, edges);
+                return reached.then_some(plus(smooth, &gained));
+            }
         }
         None
     }
+
+    /// Returns the change of the acceleration of the point by the edges whose residual is negative.
+    #[inline(always)]
+    fn newton(&self, friction: f64, apparent: &Symmetric, free: &PerEdge, edges: &PerEdge) -> V3<f64> {
+        let (mut active, mut pulls) = ([0.0; 4], [0.0; 4]);
+        for edge in 0..4 {
+            active[edge] = if edges[edge] < 0.0 { self.weight } else { 0.0 };
+            pulls[edge] = active[edge] * free[edge];
+        }
+        let [east, west, north, south] = active;
+        let pull = Self::sum(friction, pulls);
+        let [xx, yy, zz, xy, xz, yz] = apparent.0;
+        let square = friction * friction;
+        let (cofactors, inverse) = Symmetric([
+            xx + square * (east + west),
+            yy + square * (north + south),
+            zz + ((east + west) + (north + south)),
+            xy,
+            xz + friction * (east - west),
+            yz + friction * (north - south),
+        ])
+        .cofactors();
+        cofactors.times(pull) * -inverse
+    }
+
+    /// Returns true if MuJoCo's iterations reach the minimum, where the residuals have the signs of `end`. The line
+    /// searches are exact.
+    #[inline(always)]
+    fn reaches(
+        &self,
+        settings: &Settings,
+        smooth: &Spatial,
+        start: &Spatial,
+        apparent: &Symmetric,
+        free: &PerEdge,
+        end: &PerEdge,
+    ) -> bool {
+        let friction = settings.friction;
+        let (mut edges, mut from_smooth) = (self.residuals(friction, start), minus(start, smooth));
+        let mut cost = self.cost(&edges, &from_smooth);
+        let cost_of_smooth = self.cost(free, &[0.0; 6]);
+        if cost > cost_of_smooth {
+            (edges, from_smooth, cost) = (*free, [0.0; 6], cost_of_smooth);
+        }
+        for _ in 0..MAX_SIGN_CHANGES {
+            // the next iteration ends at the minimum
+            if has_signs_of(&edges, end) {
+                return true;
+            }
+            let gained = self.newton(friction, apparent, free, &edges);
+            let slope = minus(&plus(free, &Self::along_edges(friction, gained)), &edges);
+            let gained = times(&self.inverse_inertia, &self.on_body(apparent.times(gained)));
+            let search = minus(&gained, &from_smooth);
+            let pull = times(&self.inertia, &search);
+            let step = minimum(self.weight, &edges, &slope, dot(&pull, &from_smooth), dot(&pull, &search));
+            for edge in 0..4 {
+                edges[edge] += step * slope[edge];
+            }
+            for i in 0..6 {
+                from_smooth[i] += step * search[i];
+            }
+            let mut forces = [0.0; 4];
+            for edge in 0..4 {
+                forces[edge] = self.weight * negative(edges[edge]);
+            }
+            let [x, y, z, ..] = times(&self.inertia, &from_smooth);
+            let gradient = Self::sum(friction, forces) + V3::new(x, y, z);
+            let new_cost = self.cost(&edges, &from_smooth);
+            if !settings.goes_on(cost - new_cost, gradient) {
+                return false;
+            }
+            cost = new_cost;
+        }
+        false
+    }
+
+    #[inline(always)]
+    fn cost(&self, edges: &PerEdge, from_smooth: &Spatial) -> f64 {
+        let mut squares = [0.0; 4];
+        for edge in 0..4 {
+            squares[edge] = negative(edges[edge]) * negative(edges[edge]);
+        }
+        let penalty = self.weight * ((squares[0] + squares[1]) + (squares[2] + squares[3]));
+        0.5 * (dot(&times(&self.inertia, from_smooth), from_smooth) + penalty)
+    }
+}
+
+/// Returns true if the numbers are negative at the same edges.
+#[inline(always)]
+fn has_signs_of(a: &PerEdge, b: &PerEdge) -> bool {
+    let mut equal = true;
+    for edge in 0..4 {
+        equal &= (a[edge] < 0.0) == (b[edge] < 0.0);
+    }
+    equal
+}
+
+/// Returns the step at which the cost along a line is minimal. `slope` has the derivatives of the residuals; `linear` and
+/// `square` are those of the part of the cost without contacts.
+///
+/// The derivative of the cost is piecewise linear and increases. Its corners are the zeros of the residuals.
+#[inline(always)]
+fn minimum(weight: f64, residual: &PerEdge, slope: &PerEdge, linear: f64, square: f64) -> f64 {
+    let (mut corners, mut derivatives) = ([0.0; 4], [0.0; 4]);
+    for edge in 0..4 {
+        corners[edge] = -residual[edge] / slope[edge];
+        derivatives[edge] = linear + corners[edge] * square;
+    }
+    for edge in 0..4 {
+        let weighted = weight * slope[edge];
+        for corner in 0..4 {
+            derivatives[corner] += weighted * negative(residual[edge] + corners[corner] * slope[edge]);
+        }
+    }
+    // the last corner before the minimum
+    let mut last = 0.0;
+    for corner in 0..4 {
+        if derivatives[corner] < 0.0 && corners[corner] > last {
+            last = corners[corner];
+        }
+    }
+    let (mut linear, mut square) = (linear, square);
+    for edge in 0..4 {
+        let is_past = corners[edge] <= last;
+        let active = if (slope[edge] < 0.0) == is_past { weight * slope[edge] } else { 0.0 };
+        linear += active * residual[edge];
+        square += active * slope[edge];
+    }
+    -linear / square
 }

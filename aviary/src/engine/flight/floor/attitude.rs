@@ -5,8 +5,8 @@ use crate::math::MAX_HALF_ANGLE_SQUARED;
 #[inline(always)]
 pub(super) fn is_upright(q: &[f64; 4]) -> bool {
     let [w, x, y, z] = *q;
-    // a quarter of the square of the sine of the tilt, for both ends of the body
-    (x * x + y * y) * (w * w + z * z) < 2.5e-9
+    // a quarter of the square of the sine of the tilt, which is below 0.03, for both ends of the body
+    (x * x + y * y) * (w * w + z * z) < 2.5e-4
 }
 
 /// Returns a quaternion after a rotation at a constant body rate (`mju_quatIntegrate`). It repeats MuJoCo's operations

@@ -1,9 +1,7 @@
 use pulp::Simd;
 
 use super::super::FreeBody;
-use super::super::contact_solver::{
-    FloorPoints, PerEdge, PerPoint, PointContact, PointContacts, Problem, Spatial, solve,
-};
+use super::super::contact_solver::{FloorPoints, PerEdge, PointContact, PointContacts, Problem, Spatial, solve};
 use super::super::floor_model::{Cylinder, FloorContact};
 use super::StepKind;
 use super::attitude::{is_upright, matrix, normalized, renormalized, turned};
@@ -34,8 +32,6 @@ pub(super) struct Landing {
     pub points: usize,
     /// Residuals of the edges at the last stage with one point.
     edges: PerEdge,
-    /// Residuals of the edges at the last stage with several points.
-    edges_of_points: [PerPoint; 4],
     /// Square of the largest distance of a stage from the start, m².
     travel_squared: f64,
 }
@@ -139,7 +135,7 @@ impl Landing {
         {
             return acceleration;
         }
-        self.solve_points(simd, contact, body, &rim.points(cylinder.radius), previous, problem)
+        self.solve_points(simd, contact, body, &rim.points(cylinder.radius), problem)
     }
 
     /// Solves for the acceleration of a drone that touches the floor at one point. `previous` is the number of points
@@ -166,6 +162,7 @@ impl Landing {
         }
         let FreeBody { inverse_mass, inverse_inertia: [x, y, z], .. } = body.free;
         let point = PointContact {
+            inertia: inertia(body),
             inverse_inertia: [inverse_mass, inverse_mass, inverse_mass, x, y, z],
             levers,
             weight: contact.weight(impedance, inverse_mass),
@@ -174,11 +171,10 @@ impl Landing {
         if previous != 1 {
             self.edges = point.residuals(solver.friction, &self.warm_start);
         }
-        point.solve(solver, &self.smooth, &mut self.edges)
+        point.solve(solver, &self.smooth, &self.warm_start, &mut self.edges)
     }
 
-    /// Returns the acceleration of a drone that touches the floor at these points. `previous` is the number of points in
-    /// the previous stage.
+    /// Returns the acceleration of a drone that touches the floor at these points.
     #[inline(always)]
     fn solve_points<S: Simd>(
         &mut self,
@@ -186,22 +182,11 @@ impl Landing {
         contact: &FloorContact,
         body: &Body,
         points: &FloorPoints,
-        previous: usize,
         problem: &mut Problem,
     ) -> Spatial {
         let (solver, smooth, warm_start) = (&contact.solver, &self.smooth, &self.warm_start);
         let contacts = PointContacts::new(simd, contact, inertia(body), &self.matrix, &self.stage.velocity, points);
-        // the only point has already been tried
-        if points.count > 1 {
-            if previous != points.count {
-                self.edges_of_points = contacts.edges(solver.friction, warm_start);
-            }
-            let solution = contacts.solve(solver, smooth, &mut self.edges_of_points);
-            if let Some(acceleration) = solution {
-                return acceleration;
-            }
-        }
-        if let Some(acceleration) = contacts.descend(solver, smooth, warm_start) {
+        if let Some(acceleration) = contacts.solve(solver, smooth, warm_start) {
             return acceleration;
         }
         self.find_contacts(contact, body, points, problem);
