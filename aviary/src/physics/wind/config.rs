@@ -4,7 +4,7 @@ use crate::error::OptionError;
 use serde::{Deserialize, Serialize};
 
 use super::DrydenFilter;
-use super::dryden::SIGMA_OF_WIND;
+use super::dryden::{SIGMA_OF_WIND, max_speed};
 use super::local::WindParams;
 use crate::math::ln;
 use crate::names::named_enum;
@@ -160,13 +160,11 @@ impl WindConfig {
     }
 
     /// Returns coefficients that bound the force (N) on an airframe of a drag area (m²) at a speed v (m/s):
-    /// c₀ + c₁·v + c₂·v². They are infinite for turbulence, whose velocity has no useful bound.
+    /// c₀ + c₁·v + c₂·v².
     pub(crate) fn bound(&self, drag_area: f64) -> [f64; 3] {
         let has = |part| self.model.has(part);
-        if has(WindModel::Dryden) && self.turbulence > 0.0 {
-            return [f64::INFINITY, 0.0, 0.0];
-        }
-        let air = if has(WindModel::Constant) { nalgebra::Vector3::from(self.velocity).norm() } else { 0.0 };
+        let constant = if has(WindModel::Constant) { nalgebra::Vector3::from(self.velocity).norm() } else { 0.0 };
+        let air = constant + if has(WindModel::Dryden) { max_speed(self.turbulence) } else { 0.0 };
         let drag = if self.has_drag() { 0.5 * self.air_density * drag_area } else { 0.0 };
         let gust = if has(WindModel::Gust) { self.gust_force } else { 0.0 };
         // A·(sin, cos, 0.6·sin·cos) is at most A·√1.09 long

@@ -59,6 +59,17 @@ const FOOT: f64 = 0.3048;
 /// Vertical standard deviation of the turbulence over the mean wind speed at 20 feet.
 pub(super) const SIGMA_OF_WIND: f64 = 0.1;
 
+/// Limit of the velocity of the turbulence along each axis, standard deviations. A normal sample exceeds it with a
+/// probability of 1.5e-23. The limit has no other purpose than to bound the travel of a drone.
+pub(super) const MAX_SIGMAS: f64 = 10.0;
+
+/// Returns a bound of the speed of the turbulence, m/s. `turbulence` is the mean wind speed at 20 feet, m/s.
+pub(super) fn max_speed(turbulence: f64) -> f64 {
+    // the standard deviations are largest near the ground
+    let ([x, y, z], _) = dryden(0.0, turbulence);
+    MAX_SIGMAS * (x * x + y * y + z * z).sqrt()
+}
+
 /// Standard deviations and length scales of the turbulence at a height. The lateral ones equal the longitudinal ones.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Scales<R> {

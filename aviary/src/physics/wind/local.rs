@@ -1,6 +1,6 @@
 //! Wind at one drone, generic over a double and a SIMD register of doubles.
 
-use super::dryden::{Scales, SecondOrder};
+use super::dryden::{MAX_SIGMAS, Scales, SecondOrder};
 use crate::math::{Real, V3, decay, ln, sin_cos_of_turns};
 use crate::random::counter::{Key, Noise, NormalPair, Purpose, uniform};
 
@@ -181,6 +181,12 @@ impl<R> WindState<R> {
     }
 }
 
+/// Returns a number, or the limit with its sign if the magnitude is larger.
+#[inline(always)]
+fn limited<R: Real>(x: R, limit: R) -> R {
+    R::choose(limit.less(x.abs()), limit.with_sign_of(x), x)
+}
+
 impl<R: Real> WindState<R> {
     /// Minimum airspeed of the turbulence filters, m/s: at zero airspeed the turbulence would stay constant.
     const MIN_AIRSPEED: f64 = 0.5;
@@ -252,6 +258,8 @@ impl<R: Real> WindState<R> {
         let across = level_decay * self.turbulence[1] + spread * first.second;
         let spread = sigma[1] * (lost(upwards_decay) * second.square).sqrt();
         let up = upwards_decay * self.turbulence[2] + spread * second.first;
+        let limits = [sigma[0] * MAX_SIGMAS, sigma[1] * MAX_SIGMAS];
+        let (along, across, up) = (limited(along, limits[0]), limited(across, limits[0]), limited(up, limits[1]));
         if !parts.second_order {
             self.turbulence = [along, across, up];
             return self.turbulence;
@@ -272,8 +280,8 @@ impl<R: Real> WindState<R> {
         ];
         [
             along,
-            R::choose(is_second_order, sigma[0] * next[0].output(), across),
-            R::choose(is_second_order, sigma[1] * next[1].output(), up),
+            R::choose(is_second_order, limited(sigma[0] * next[0].output(), limits[0]), across),
+            R::choose(is_second_order, limited(sigma[1] * next[1].output(), limits[1]), up),
         ]
     }
 
