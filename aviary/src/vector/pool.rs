@@ -58,6 +58,9 @@ impl<T: Task + Send> WorkerPool<T> {
     }
 }
 
+/// Blocks that a worker takes at least from its own shard.
+const GRAIN: usize = 4;
+
 /// Shards that wait for a worker. Every worker has the same shard in every step, which is still in the cache of its
 /// thread. A worker that finishes early takes parts from the far end of other shards.
 struct WorkQueue<'a, T> {
@@ -84,12 +87,13 @@ impl<'a, T> WorkQueue<'a, T> {
         self.take(model, worker, true).or_else(|| others.find_map(|by| self.take(model, (worker + by) % count, false)))
     }
 
-    /// Takes half of the blocks that are left, from the front or the far end of a worker's shard.
+    /// Takes half of the blocks that are left, from the front or the far end of a worker's shard. A worker does not
+    /// divide a short rest of its own shard: that would cost as much as the steps of some environments.
     fn take(&self, model: &BatchModel, worker: usize, front: bool) -> Option<Shard<'a, T>> {
         let mut waiting = self.shards[worker].lock().unwrap_or_else(PoisonError::into_inner);
         let shard = waiting.take()?;
         let blocks = shard.blocks();
-        let (first, second) = shard.split(model, if front { blocks.div_ceil(2) } else { blocks / 2 });
+        let (first, second) = shard.split(model, if front { blocks.div_ceil(2).max(GRAIN) } else { blocks / 2 });
         let (taken, left) = if front { (first, second) } else { (second, first) };
         *waiting = (left.blocks() > 0).then_some(left);
         (taken.blocks() > 0).then_some(taken)
