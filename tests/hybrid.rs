@@ -72,7 +72,7 @@ fn tumbling_lanes_match_mj_step_in_every_simd_width() {
         for step in 0..steps {
             for (width, lanes) in &mut fields {
                 for lane in 0..LANES {
-                    lanes.set_target(lane, &tumbling(&params, lane, step));
+                    lanes.set_command(lane, &tumbling(&params, lane, step));
                 }
                 let (body_fixed, medium) = (forcing == Forcing::BodyFixed, medium.is_some());
                 advance(

@@ -176,9 +176,9 @@ impl<T: Task> EnvParts<'_, T> {
     pub(crate) fn observe_numbers(&mut self) -> Result<(), EnvError> {
         let truth = SimView::new(self.sim_model, self.data);
         let Episode { task, randomizer, .. } = &mut *self.episode;
-        let EnvWorkspace { observation, rangefinder, .. } = &mut *self.workspace;
+        let EnvWorkspace { observation, rangefinder, measured, .. } = &mut *self.workspace;
         // a task observes the measured states, not the true ones
-        let measured = randomizer.as_mut().and_then(|randomizer| randomizer.measure(self.data));
+        let measured = randomizer.as_ref().and_then(|randomizer| randomizer.measure(self.data, measured));
         let view = measured.map_or(truth, |(states, rpys)| truth.measured(states, rpys));
         if self.model.observation_space.kind.kinematic {
             for (drone, part) in observation.vector.chunks_exact_mut(self.model.block.max(1)).enumerate() {
@@ -417,7 +417,7 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
                 }
             }
         }
-        let seed = self.episode.rng.next_u64();
+        let seed = self.episode.rng.with(|rng| rng.next_u64());
         Ok(self.simulation.set_wind(wind, seed)?)
     }
 

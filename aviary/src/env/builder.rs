@@ -6,7 +6,7 @@ use super::aviary::Aviary;
 use super::episode::Episode;
 use super::moving::MovingMarkers;
 use super::randomization::Randomizer;
-use super::workspace::{EnvModel, EnvWorkspace, Synced};
+use super::workspace::{EnvModel, EnvWorkspace, Measured, Synced};
 use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
 use crate::control::ControllerKind;
@@ -396,6 +396,7 @@ impl<T: Task> AviaryBuilder<T> {
             clipped: vec![0.0; self.action_type.size() * count],
             commands: vec![[0.0; 4]; count],
             starts: simulation.initial_states().to_vec(),
+            measured: Measured::default(),
         };
         Ok(Aviary {
             model: Arc::new(model),

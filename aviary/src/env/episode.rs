@@ -1,10 +1,9 @@
-use std::sync::Arc;
-
 use rand::SeedableRng as _;
 use smallvec::SmallVec;
 
 use super::randomization::Randomizer;
 use super::{EndReason, EnvError, Randomization, Rng, Task};
+use crate::random::CompactRng;
 use crate::simulation::SimView;
 
 /// State of an environment in addition to its [`SimData`](crate::simulation::SimData): task, random stream, sampled
@@ -12,7 +11,7 @@ use crate::simulation::SimView;
 #[derive(Debug, Clone)]
 pub(crate) struct Episode<T> {
     pub task: T,
-    pub rng: Rng,
+    pub rng: CompactRng,
     /// Index of the seed's random stream that the environment uses.
     pub stream: u64,
     /// True if the task's options may have changed since they were validated.
@@ -50,7 +49,7 @@ impl<T> Episode<T> {
         rng.set_stream(stream);
         Self {
             task,
-            rng,
+            rng: CompactRng::from(&rng),
             stream,
             task_changed: false,
             randomizer: randomizer.map(Box::new),
@@ -80,13 +79,17 @@ impl<T> Episode<T> {
     /// Returns the randomizations of this episode and of the next one.
     pub(crate) fn randomizations(&self) -> impl Iterator<Item = &Randomization> {
         let next = self.next_randomization.iter().flatten().map(|config| &**config);
-        self.randomizer.iter().map(|randomizer| &*randomizer.config).chain(next)
+        self.randomizer.iter().map(|randomizer| randomizer.config()).chain(next)
     }
 
     /// Returns true if this episode and the next one have the same randomization as another episode.
     pub(crate) fn shares_randomization(&self, other: &Self) -> bool {
-        let config = |episode: &Self| episode.randomizer.as_ref().map(|randomizer| Arc::as_ptr(&randomizer.config));
-        self.next_randomization.is_none() && config(self) == config(other)
+        let same = match (&self.randomizer, &other.randomizer) {
+            (Some(own), Some(other)) => own.shares_basis(other),
+            (None, None) => true,
+            _ => false,
+        };
+        self.next_randomization.is_none() && same
     }
 
     /// Returns the sampled parameters, if there are any.

@@ -23,6 +23,9 @@ pub(crate) type LaneMask<S> = <Pack<S> as Real>::Mask;
 pub(crate) trait LaneTask: Task {
     /// Number of rows of one drone.
     const ROWS: usize;
+    /// True if [`observe_lanes`](Self::observe_lanes) reads attitudes besides roll, pitch and yaw. Otherwise it sees
+    /// them without the errors of the sensors.
+    const OBSERVES_ATTITUDE: bool;
 
     /// Writes the rows of a drone from the task, during an episode.
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]);
@@ -162,8 +165,8 @@ pub(crate) struct LaneStep<'a> {
     pub rows: &'a mut [Row],
     /// Control steps since the start of the episode.
     pub steps: &'a Row<u64>,
-    /// True for environments that flew in lanes. The others have no step to evaluate here.
-    pub flew: &'a [bool; LANES],
+    /// True for environments whose step the lanes can evaluate.
+    pub evaluable: &'a [bool; LANES],
     /// Measured states, if they differ from the true ones.
     pub sensing: Option<Sensing<'a>>,
     /// Length of a control step, s.
@@ -184,20 +187,28 @@ pub(crate) struct LaneStep<'a> {
 pub(crate) struct Sensing<'a> {
     /// Errors of the sensors of every drone.
     pub sensors: &'a [SensorLanes],
-    /// States that the sensors observe, with their latency; receives the measured ones.
+    /// True if `seen` has the states that the sensors observe, with their latency; otherwise they observe the present
+    /// ones.
+    pub late: bool,
+    /// Receives the measured states.
     pub seen: &'a mut [Lanes],
 }
 
 impl Sensing<'_> {
-    /// Replaces the observed states of a register by the measured ones.
+    /// Measures the states of a register.
     #[inline(always)]
-    fn measure<S: Simd>(&mut self, part: Part<S>, steps: &Row<u64>) {
-        for (sensors, seen) in self.sensors.iter().zip(&mut *self.seen) {
-            part.update_rpy(seen);
-            let FlightState { position, attitude, velocity, rate } = part.motion(seen);
-            let truth = Sensed { position, attitude, rpy: part.rpy(seen), velocity, rate };
+    fn measure<S: Simd, const ATTITUDE: bool>(&mut self, part: Part<S>, lanes: &[Lanes], steps: &Row<u64>) {
+        for ((sensors, seen), lanes) in self.sensors.iter().zip(&mut *self.seen).zip(lanes) {
+            if self.late {
+                part.update_rpy(seen);
+            }
+            let observed = if self.late { &*seen } else { lanes };
+            let FlightState { position, attitude, velocity, rate } = part.motion(observed);
+            let truth = Sensed { position, attitude, rpy: part.rpy(observed), velocity, rate };
             let (simd, index) = part.register();
-            let Sensed { position, attitude, rpy, velocity, rate } = sensors.measure(simd, index, steps, &truth);
+            let Sensed { position, attitude: measured, rpy, velocity, rate } =
+                sensors.measure(simd, index, steps, &truth);
+            let attitude = if ATTITUDE { measured } else { attitude };
             part.put_motion(seen, &FlightState { position, attitude, velocity, rate });
             part.put_rpy(seen, rpy);
         }
@@ -215,9 +226,9 @@ impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let LaneStep { count, lanes, rows, steps, mut sensing, period, episode_steps, bounds, .. } = self.step;
-        let LaneStep { flew, rewards, events, observation, .. } = self.step;
+        let LaneStep { evaluable, rewards, events, observation, .. } = self.step;
         let control_steps = steps.map(|step| step as f64);
-        let grounded = flew.map(|flew| if flew { 0.0 } else { 1.0 });
+        let left_out = evaluable.map(|evaluable| if evaluable { 0.0 } else { 1.0 });
         // control rates are integers
         let rate = (1.0 / period).round();
         let block = observation.len() / lanes.len();
@@ -228,7 +239,7 @@ impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
             let scene = LaneScene { part, lanes: &*lanes, steps: part.get(&control_steps), rate };
             let (zero, one) = (scene.steps.all(0.0), scene.steps.all(1.0));
             let mut rows = TaskRows { part, rows: &mut *rows, size: T::ROWS };
-            let mut event = Real::choose(scene.steps.less(one.all(episode_steps)), part.get(&grounded), one);
+            let mut event = Real::choose(scene.steps.less(one.all(episode_steps)), part.get(&left_out), one);
             let mut sum = zero;
             for drone in 0..scene.num_drones() {
                 let (reward, own_event) = T::evaluate(&scene, drone, &mut rows);
@@ -237,7 +248,12 @@ impl<T: LaneTask> WithSimd for Evaluation<'_, T> {
             }
             T::complete(&scene, &mut rows, event.less(one));
             if let Some(sensing) = &mut sensing {
-                sensing.measure(part, steps);
+                // the compiler does not compute what is not used
+                if T::OBSERVES_ATTITUDE {
+                    sensing.measure::<S, true>(part, lanes, steps);
+                } else {
+                    sensing.measure::<S, false>(part, lanes, steps);
+                }
             }
             let lanes = sensing.as_ref().map_or(&*lanes, |sensing| &*sensing.seen);
             let scene = LaneScene { part, lanes, steps: part.get(&control_steps), rate };

@@ -2,7 +2,7 @@
 
 use rand::{Rng as _, SeedableRng as _};
 
-use super::episode::{Episode, Phase};
+use super::episode::Phase;
 use super::randomization::Randomizer;
 use super::{EnvError, EnvParts, Rng, Task};
 use crate::simulation::SimView;
@@ -10,13 +10,23 @@ use crate::simulation::SimView;
 impl<T: Task> EnvParts<'_, T> {
     /// Starts an episode, without an observation.
     pub(crate) fn begin(&mut self, seed: Option<u64>) -> Result<(), EnvError> {
-        let Self { sim_model, data, episode, .. } = self;
         // a failed reset leaves the environment in this phase
-        episode.phase = Phase::New;
-        if let Some(seed) = seed {
-            episode.rng = Rng::seed_from_u64(seed);
-            episode.rng.set_stream(episode.stream);
-        }
+        self.episode.phase = Phase::New;
+        let mut rng = match seed {
+            Some(seed) => {
+                let mut rng = Rng::seed_from_u64(seed);
+                rng.set_stream(self.episode.stream);
+                rng
+            }
+            None => self.episode.rng.into(),
+        };
+        let begun = self.begin_with(&mut rng);
+        self.episode.rng = (&rng).into();
+        begun
+    }
+
+    fn begin_with(&mut self, rng: &mut Rng) -> Result<(), EnvError> {
+        let Self { sim_model, data, episode, .. } = self;
         if std::mem::take(&mut episode.task_changed) {
             let drones: Vec<_> = sim_model.world().drones.iter().map(|drone| drone.params.clone()).collect();
             if let Err(error) = episode.task.validate(&drones) {
@@ -40,19 +50,18 @@ impl<T: Task> EnvParts<'_, T> {
         let moves_obstacles = self.model.moves_obstacles();
         match &mut self.episode.randomizer {
             Some(randomizer) => {
-                randomizer.begin(self.sim_model, self.data, &mut self.episode.rng, moves_obstacles)?;
+                randomizer.begin(self.sim_model, self.data, rng, moves_obstacles)?;
             }
             None => self.data.reset_unchecked(self.sim_model),
         }
-        self.apply_task_start()?;
+        self.apply_task_start(rng)?;
         if moves_obstacles {
-            self.move_obstacles()?;
+            self.move_obstacles(rng)?;
         }
         if self.view().wind().is_some() {
-            let seed = self.episode.rng.next_u64();
-            self.data.reset_wind(seed);
+            self.data.reset_wind(rng.next_u64());
         }
-        self.episode.task.reset(SimView::new(self.sim_model, self.data), &mut self.episode.rng);
+        self.episode.task.reset(SimView::new(self.sim_model, self.data), rng);
         self.move_markers()?;
         for decoder in &mut *self.decoders {
             decoder.reset();
@@ -65,9 +74,9 @@ impl<T: Task> EnvParts<'_, T> {
 
     /// Lets the task change the initial states. Repeats this up to 20 times while a drone overlaps the floor, an
     /// obstacle or another drone.
-    fn apply_task_start(&mut self) -> Result<(), EnvError> {
+    fn apply_task_start(&mut self, rng: &mut Rng) -> Result<(), EnvError> {
         let moves_obstacles = self.model.moves_obstacles();
-        let Episode { task, rng, .. } = &mut *self.episode;
+        let task = &mut self.episode.task;
         let (view, starts) = (SimView::new(self.sim_model, self.data), &mut self.workspace.starts);
         // the new layout of obstacles leaves room for the drones
         let obstacles = if moves_obstacles { &[] } else { view.obstacles() };
@@ -84,10 +93,10 @@ impl<T: Task> EnvParts<'_, T> {
     }
 
     /// Generates a new layout of the obstacles. If none fits around these starts, uses the first layout.
-    fn move_obstacles(&mut self) -> Result<(), EnvError> {
+    fn move_obstacles(&mut self, rng: &mut Rng) -> Result<(), EnvError> {
         let starts: Vec<_> = self.data.states().iter().map(|state| state.position.into()).collect();
         let generator = self.model.obstacle_generator.as_ref();
-        let mut obstacles = match generator.map(|generator| generator.generate(&starts, &mut self.episode.rng)) {
+        let mut obstacles = match generator.map(|generator| generator.generate(&starts, rng)) {
             Some(Ok(obstacles)) => obstacles,
             // independent of earlier episodes
             _ => self.model.first_layout.clone(),

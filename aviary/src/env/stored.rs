@@ -60,7 +60,7 @@ fn save_episode<T: Task, S: Serializer>(episode: &Episode<T>, serializer: S) -> 
     let stored = StoredEpisode {
         task_name: task_name.into(),
         task,
-        rng: episode.rng.clone(),
+        rng: episode.rng.into(),
         stream: episode.stream,
         task_changed: episode.task_changed,
         randomizer: episode.randomizer.clone(),
@@ -84,7 +84,7 @@ impl<T: Task + Clone> Snapshot<T> {
         let StoredEpisode { rng, stream, task_changed, randomizer, next_randomization, phase, end, ends, .. } = episode;
         let episode = Episode {
             task,
-            rng,
+            rng: (&rng).into(),
             stream,
             task_changed,
             randomizer,

@@ -1,5 +1,7 @@
 //! Constants that environments share, and the scratch memory of one thread.
 
+use nalgebra::Vector3;
+
 use super::moving::MovingMarkers;
 use super::{BoxSpace, ObservationSpace};
 use crate::action::ActionType;
@@ -51,6 +53,14 @@ pub(crate) struct EnvWorkspace {
     pub commands: Vec<[f64; 4]>,
     /// Initial states of an episode.
     pub starts: Vec<DroneState>,
+    pub measured: Measured,
+}
+
+/// Measured states of all drones, with their roll, pitch and yaw (rad).
+#[derive(Debug, Default)]
+pub(crate) struct Measured {
+    pub states: Vec<DroneState>,
+    pub rpys: Vec<Vector3<f64>>,
 }
 
 /// A value with its own copy of the obstacles, and the revision of that copy.

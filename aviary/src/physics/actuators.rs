@@ -150,10 +150,10 @@ impl Actuators {
         self.max_rpm
     }
 
-    /// Returns the commands that arrive in the next physics steps, as many as the latency, and the initial command.
-    pub(crate) fn queued(&self) -> (impl ExactSizeIterator<Item = [f64; 4]>, f64) {
+    /// Returns the commands that arrive in the next physics steps, as many as the latency.
+    pub(crate) fn queued(&self) -> impl ExactSizeIterator<Item = [f64; 4]> {
         let count = self.queue.len();
-        ((0..count).map(move |index| self.queue[(self.next + index) % count]), self.initial_rpm)
+        (0..count).map(move |index| self.queue[(self.next + index) % count])
     }
 
     /// Replaces the commands that arrive in the next physics steps.

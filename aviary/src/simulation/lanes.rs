@@ -8,9 +8,8 @@ use crate::physics::wind::WindField;
 use crate::state::DroneState;
 
 impl SimData {
-    /// Returns the commands that arrive at a drone's motors in the next physics steps, as many as the latency, and the
-    /// command before the first one, rpm.
-    pub(crate) fn queued_commands(&self, drone: usize) -> (impl ExactSizeIterator<Item = [f64; 4]>, f64) {
+    /// Returns the commands that arrive at a drone's motors in the next physics steps, as many as the latency, rpm.
+    pub(crate) fn queued_commands(&self, drone: usize) -> impl ExactSizeIterator<Item = [f64; 4]> {
         self.actuators[drone].queued()
     }
 
@@ -20,7 +19,7 @@ impl SimData {
     }
 
     /// Returns the delay of the observed states, physics steps, and a drone's recorded states by control step.
-    pub(crate) fn recorded_states(&self, drone: usize) -> (u32, impl Iterator<Item = &DroneState>) {
+    pub(crate) fn recorded_states(&self, drone: usize) -> (u32, impl ExactSizeIterator<Item = &DroneState>) {
         (self.memory.delay, self.memory.states.iter().skip(drone).step_by(self.states.len()))
     }
 
@@ -32,7 +31,7 @@ impl SimData {
 
     /// Returns the largest latencies of motors and observations, physics steps.
     pub(crate) fn latencies(&self) -> [u32; 2] {
-        [self.actuators.iter().map(|motors| motors.queued().0.len() as u32).max().unwrap_or(0), self.memory.delay]
+        [self.actuators.iter().map(|motors| motors.queued().len() as u32).max().unwrap_or(0), self.memory.delay]
     }
 
     /// Returns the wind.

@@ -169,6 +169,13 @@ impl SimData {
     /// # Errors
     /// [`SimulationError::Option`] naming an invalid setting; the data is unchanged.
     pub fn set_wind(&mut self, wind: Option<WindConfig>, seed: u64) -> Result<(), SimulationError> {
+        self.change_wind(wind)?;
+        self.reset_wind(seed);
+        Ok(())
+    }
+
+    /// Sets the wind, which does not blow until it is restarted or its state is set.
+    pub(crate) fn change_wind(&mut self, wind: Option<WindConfig>) -> Result<(), SimulationError> {
         let areas = self.drones.iter().map(|drone| drone.params.drag_area());
         if let Some(wind) = &wind {
             wind.validate()?;
@@ -179,7 +186,6 @@ impl SimData {
             (None, field) => *field = None,
         }
         self.changed = true;
-        self.reset_wind(seed);
         Ok(())
     }
 

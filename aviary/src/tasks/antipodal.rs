@@ -228,6 +228,7 @@ impl Task for Antipodal {
 /// close, and the smallest distance between two drones so far, which only the first drone uses.
 impl LaneTask for Antipodal {
     const ROWS: usize = CrashWatch::ROWS + 6;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

@@ -218,6 +218,7 @@ impl FlyThrough {
 /// The rows of a drone are those of [`CrashWatch`] and of [`WaypointProgress`], and the penalty for the distance.
 impl LaneTask for FlyThrough {
     const ROWS: usize = Self::OPTIONS + 1;
+    const OBSERVES_ATTITUDE: bool = true;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

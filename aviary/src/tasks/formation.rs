@@ -365,6 +365,7 @@ impl Formation {
 /// the speed of the centre, and its side of the path.
 impl LaneTask for Formation {
     const ROWS: usize = Self::CENTRE + 11;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         self.watch.write_rows(&self.crash, simulation, drone, &mut rows[..CrashWatch::ROWS]);

@@ -153,6 +153,7 @@ impl Task for Hover {
 /// The rows of a drone are those of [`CrashWatch`], the target height and the maximum height.
 impl LaneTask for Hover {
     const ROWS: usize = CrashWatch::ROWS + 2;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

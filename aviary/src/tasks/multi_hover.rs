@@ -179,6 +179,7 @@ impl Task for MultiHover {
 /// The rows of a drone are those of [`CrashWatch`], the target and the maximum height.
 impl LaneTask for MultiHover {
     const ROWS: usize = CrashWatch::ROWS + 4;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

@@ -268,6 +268,7 @@ impl Race {
 /// the speed and the penalty for the distance.
 impl LaneTask for Race {
     const ROWS: usize = Self::OPTIONS + 5;
+    const OBSERVES_ATTITUDE: bool = true;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

@@ -195,6 +195,7 @@ impl Task for Stabilize {
 /// The rows of a drone are those of [`CrashWatch`].
 impl LaneTask for Stabilize {
     const ROWS: usize = CrashWatch::ROWS;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         self.watch.write_rows(&self.crash, simulation, drone, rows);

@@ -276,6 +276,7 @@ impl Track {
 /// The rows of a drone are those of [`CrashWatch`], the circle and the maximum distance.
 impl LaneTask for Track {
     const ROWS: usize = CrashWatch::ROWS + 7;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

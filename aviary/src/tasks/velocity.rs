@@ -203,6 +203,7 @@ impl Task for Velocity {
 /// The rows of a drone are those of [`CrashWatch`], the target velocity and the target yaw rate.
 impl LaneTask for Velocity {
     const ROWS: usize = CrashWatch::ROWS + 4;
+    const OBSERVES_ATTITUDE: bool = false;
 
     fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);

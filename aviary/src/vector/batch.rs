@@ -202,13 +202,12 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         // the next reset of a changed randomization writes parameters that must not reach the shared data
         let unchanged = before.is_some_and(|before| same(&before)) && slot.episode.shares_randomization(&env.episode);
         if !unchanged && environments.lane_params.is_empty() {
-            environments.lane_params = model.lane_params.repeat(count.div_ceil(LANES));
+            environments.lane_params = repeated(&model.lane_params, count.div_ceil(LANES));
         }
         if let (Some(_), Some(data)) = (&model.flow, environments.slots[environment].data.as_deref()) {
             let needs = Needs::of(&environments.slots[environment].episode, data, model.dt);
             if environments.conditions.needs.and(needs) != environments.conditions.needs {
-                let steps: Vec<_> = environments.blocks.iter().map(|block| block.steps).collect();
-                environments.conditions.extend(needs, model, &steps);
+                environments.conditions.extend(needs, model, environments.blocks.len());
             }
         }
         let mut envs = environments.slices();
@@ -233,6 +232,11 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
         Ok(result)
     }
+}
+
+/// Returns the parameters of every block, where all blocks are equal.
+fn repeated(lane_params: &[LaneParams], blocks: usize) -> Vec<LaneParams> {
+    (0..blocks).flat_map(|_| lane_params).cloned().collect()
 }
 
 /// Returns true if the lag of the motors may be sampled.
@@ -339,13 +343,16 @@ impl<T: Task + Clone> Environments<T> {
         let mut conditions = ConditionLanes::default();
         if flies {
             let needs = Needs::of(&first.episode, &simulation.data, model.dt);
-            conditions.extend(needs, model, &vec![[0; LANES]; blocks]);
+            conditions.extend(needs, model, blocks);
         }
         let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
             let state = &simulation.initial_states()[index % drones];
             (0..LANES).for_each(|lane| lanes.set(lane, state, &[0.0; 4], &[0.0; 4]));
+            if model.downwash {
+                lanes.clear_downwash();
+            }
         }
         let finals = if model.autoreset == Autoreset::SameStep { model.observation_size * count } else { 0 };
         Self {
@@ -354,7 +361,7 @@ impl<T: Task + Clone> Environments<T> {
             task_rows: vec![[0.0; LANES]; blocks * model.task_rows],
             lanes,
             conditions,
-            lane_params: if individual || randomized { model.lane_params.repeat(blocks) } else { Vec::new() },
+            lane_params: if individual || randomized { repeated(&model.lane_params, blocks) } else { Vec::new() },
             control_memories: if keeps_memory { vec![LoopLanes::default(); blocks * drones] } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],

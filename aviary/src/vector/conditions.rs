@@ -3,7 +3,6 @@
 use super::delays::{MotorDelays, StateDelays};
 use super::shard::{BatchModel, cut};
 use crate::env::{Episode, SensorLanes};
-use crate::math::Row;
 use crate::physics::wind::WindLanes;
 use crate::simulation::SimData;
 
@@ -58,9 +57,9 @@ pub(super) struct ConditionLanes {
 }
 
 impl ConditionLanes {
-    /// Extends the lists for more needs. `steps` are the control steps of every block.
-    pub fn extend(&mut self, needs: Needs, model: &BatchModel, steps: &[Row<u64>]) {
-        let (count, substeps) = (steps.len() * model.drones, model.substeps);
+    /// Extends the lists of a number of blocks for more needs.
+    pub fn extend(&mut self, needs: Needs, model: &BatchModel, blocks: usize) {
+        let (count, substeps) = (blocks * model.drones, model.substeps);
         let needs = self.needs.and(needs);
         if needs.wind {
             self.wind.resize_with(count, || WindLanes::new(model.dt));
@@ -69,14 +68,12 @@ impl ConditionLanes {
             self.sensors.resize_with(count, SensorLanes::default);
         }
         if needs.motors > self.needs.motors {
-            self.motors.resize_with(count, || MotorDelays::new(0, substeps));
-            for (motors, steps) in self.motors.chunks_exact_mut(model.drones).zip(steps) {
-                motors.iter_mut().for_each(|motors| motors.grow(needs.motors, substeps, steps));
-            }
+            self.motors.resize_with(count, MotorDelays::default);
+            self.motors.iter_mut().for_each(|motors| motors.extend(needs.motors, substeps));
         }
         if needs.states > self.needs.states {
-            self.states.resize_with(count, || StateDelays::new(0, substeps));
-            self.states.iter_mut().for_each(|states| states.grow(needs.states, substeps));
+            self.states.resize_with(count, StateDelays::default);
+            self.states.iter_mut().for_each(|states| states.extend(needs.states, substeps));
         }
         self.needs = needs;
     }
@@ -157,17 +154,18 @@ impl<'a> ConditionSlices<'a> {
     }
 
     /// Reads wind and latencies of a lane of one block.
-    pub fn read(&self, lane: usize, data: &mut SimData, control_steps: u64, substeps: u32) {
+    pub fn read(&self, lane: usize, data: &mut SimData, substeps: u32) {
         if let Some(field) = data.wind_field_mut() {
             for (drone, wind) in self.wind.iter().enumerate() {
                 wind.read(lane, field, drone);
             }
         }
         for (drone, motors) in self.motors.iter().enumerate() {
-            data.set_queued_commands(drone, motors.queue(lane, control_steps, substeps));
+            data.set_queued_commands(drone, motors.queue(lane, substeps));
         }
         for (drone, states) in self.states.iter().enumerate() {
-            data.set_recorded_states(drone, states.states(lane, substeps));
+            let (present, control_steps) = (data.states()[drone], data.control_steps());
+            data.set_recorded_states(drone, states.states(lane, present, control_steps, substeps));
         }
     }
 }

@@ -8,6 +8,7 @@ use super::worker::{Worker, lanes_and_params};
 use crate::engine::ClearanceCache;
 use crate::engine::flight::{Extras, Flow, LANES, Lanes, advance_with, compute_downwash, find_apart, find_clear};
 use crate::env::Task;
+use crate::physics::wind::WindLanes;
 use crate::simulation::SimData;
 
 impl<T: Task> Worker<T> {
@@ -91,19 +92,23 @@ impl<T: Task> Worker<T> {
         let lanes = &mut lanes[block_range.clone()];
         let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[block_range] };
         let ConditionSlices { wind, motors, states, .. } = conditions.block(start / LANES, drones);
+        for (states, record) in states.iter().zip(&mut self.records) {
+            record.at = states.recorded_steps(model.substeps);
+        }
         let all = !checked && fits_lanes[..count].iter().all(|fits| *fits);
         if !all {
             // the kernel advances all lanes, therefore the others are restored afterwards
-            self.saved.clone_from_slice(lanes);
-            wind.clone_into(&mut self.saved_wind);
+            self.saved.iter_mut().zip(&*lanes).for_each(|(saved, lanes)| saved.copy_moving(lanes));
+            self.saved_wind.clear();
+            self.saved_wind.extend(wind.iter().map(WindLanes::moving));
             self.travels.fill([0.0; LANES]);
         }
         let mut advance = |lanes: &mut [Lanes], steps: Range<u32>| {
             for (drone, (lanes, lane_params)) in lanes.iter_mut().zip(lane_params).enumerate() {
                 let mut extras = Extras {
                     wind: wind.get_mut(drone).filter(|wind| wind.is_windy()),
-                    late: motors.get(drone).filter(|motors| motors.is_late()).map(|motors| &motors.late),
-                    record: states.get_mut(drone).filter(|states| states.is_late()).map(|states| &mut states.record),
+                    late: motors.get(drone).filter(|motors| motors.is_late()).map(|_| &self.late[drone]),
+                    record: states.get(drone).filter(|states| states.is_late()).map(|_| &mut self.records[drone]),
                     travel: checked.then_some(&mut self.travels[drone]),
                 };
                 advance_with(flow, lanes, lane_params, &mut extras, count, steps.clone());
@@ -125,13 +130,16 @@ impl<T: Task> Worker<T> {
         if !all {
             let (lanes, _) = lanes_and_params(model, shard, start);
             for lane in (0..count).filter(|&lane| !flew[lane]) {
-                lanes.iter_mut().zip(&self.saved).for_each(|(lanes, saved)| lanes.copy_lane(lane, saved));
+                lanes.iter_mut().zip(&self.saved).for_each(|(lanes, saved)| lanes.copy_moving_lane(lane, saved));
             }
             let wind = shard.envs.conditions.block(start / LANES, drones).wind;
             for lane in (0..count).filter(|&lane| !flew[lane]) {
-                wind.iter_mut().zip(&self.saved_wind).for_each(|(wind, saved)| wind.copy_lane(lane, saved));
+                wind.iter_mut().zip(&self.saved_wind).for_each(|(wind, saved)| wind.restore_lane(lane, saved));
             }
         }
+        let block_lanes = &shard.envs.lanes[start / LANES * drones..][..drones];
+        let motors = shard.envs.conditions.block(start / LANES, drones).motors;
+        motors.iter_mut().zip(block_lanes).for_each(|(motors, lanes)| motors.commit(lanes, &flew));
         let block = &mut shard.envs.blocks[start / LANES];
         for lane in (0..count).filter(|&lane| flew[lane]) {
             block.steps[lane] += 1;

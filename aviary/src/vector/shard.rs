@@ -6,7 +6,7 @@ use super::conditions::{ConditionLanes, ConditionSlices};
 use super::control_loops::LoopLanes;
 use super::{Autoreset, OnFault};
 use crate::engine::ClearanceCache;
-use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, Width};
+use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, LateCommands, Width};
 use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
 use crate::math::Row;
 use crate::simulation::{SimData, SimModel, SimView, Simulation};
@@ -162,7 +162,9 @@ impl<T> Environments<T> {
             + size_of_val(&blocks[..])
             + size_of_val(&task_rows[..])
             + size_of_val(&lanes[..])
+            + lanes.iter().map(Lanes::heap_bytes).sum::<usize>()
             + size_of_val(&lane_params[..])
+            + lane_params.iter().map(LaneParams::heap_bytes).sum::<usize>()
             + conditions.bytes()
             + size_of_val(&control_memories[..])
             + size_of_val(&warm_starts[..])
@@ -233,13 +235,11 @@ impl<'a, T> Shard<'a, T> {
     }
 
     /// Computes the commands that reach the motors of a block during a control step, if any arrive late.
-    pub fn delay_commands(&mut self, model: &BatchModel, block: usize, count: usize) {
-        let range = block * model.drones..(block + 1) * model.drones;
-        let EnvSlices { lanes, lane_params, conditions, blocks, .. } = &mut self.envs;
-        let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[range.clone()] };
-        let motors = conditions.block(block, model.drones).motors.iter_mut();
-        for ((motors, lanes), lane_params) in motors.zip(&mut lanes[range]).zip(lane_params) {
-            motors.arrive(model.width, lanes, lane_params, &blocks[block].steps, count, model.substeps);
+    pub fn delay_commands(&mut self, model: &BatchModel, block: usize, late: &mut [LateCommands]) {
+        let lanes = &self.envs.lanes[block * model.drones..(block + 1) * model.drones];
+        let motors = self.envs.conditions.block(block, model.drones).motors;
+        for ((motors, lanes), late) in motors.iter().zip(lanes).zip(late).filter(|((motors, _), _)| motors.is_late()) {
+            motors.arrive(lanes, late, model.substeps);
         }
     }
 
@@ -343,7 +343,7 @@ impl<'a, T> EnvSlices<'a, T> {
         };
         data.read_lane(lanes, lane, block.steps[lane], warm_start);
         let conditions = self.conditions.block(index / LANES, drones);
-        conditions.read(lane, data, block.steps[lane], model.substeps);
+        conditions.read(lane, data, model.substeps);
     }
 
     /// Writes the task of an environment to its rows.

@@ -10,12 +10,12 @@ use super::control_loops::clear_memories;
 use super::delays::StateDelays;
 use super::shard::{BatchModel, Shard};
 use super::{Autoreset, OnFault};
-use crate::engine::flight::{LANES, LaneParams, Lanes, compute_rpys, set_commands};
+use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record, compute_rpys, set_commands};
 use crate::env::{
     Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Sensing, SensorLanes, Task,
 };
 use crate::math::Row;
-use crate::physics::wind::WindLanes;
+use crate::physics::wind::MovingWind;
 use crate::simulation::{SimData, SimView};
 use crate::state::DroneState;
 use crate::wrappers::VelocityFilter;
@@ -46,7 +46,11 @@ pub(super) struct Worker<T> {
     /// Lanes of a block before the step, for environments that do not fly in lanes.
     pub(super) saved: Vec<Lanes>,
     /// Wind of a block before the step.
-    pub(super) saved_wind: Vec<WindLanes>,
+    pub(super) saved_wind: Vec<MovingWind>,
+    /// Commands of a block that arrive during the step.
+    pub(super) late: Vec<LateCommands>,
+    /// States of a block during the step that the sensors observe later.
+    pub(super) records: Vec<Record>,
     /// States of a block that the sensors observe.
     seen: Vec<Lanes>,
     /// Bound of the travel of every drone of a block, m; see [`Extras::travel`].
@@ -76,6 +80,8 @@ impl<T: Task> Worker<T> {
             actions: vec![[[0.0; LANES]; 4]; drones],
             saved: vec![Lanes::default(); drones],
             saved_wind: Vec::new(),
+            late: vec![LateCommands::default(); drones],
+            records: vec![Record::default(); drones],
             seen: vec![Lanes::default(); drones],
             travels: vec![[0.0; LANES]; drones],
             step_kinds: [StepKind::Fly; LANES],
@@ -96,9 +102,9 @@ impl<T: Task> Worker<T> {
         for block in 0..count.div_ceil(LANES) {
             let range = block * LANES..count.min((block + 1) * LANES);
             let fits_lanes = self.decode(model, shard, range.clone());
-            shard.delay_commands(model, block, range.len());
-            let flew = self.advance(model, shard, range.clone(), &fits_lanes);
-            let done = self.evaluate_lanes(model, shard, range.clone(), &flew);
+            shard.delay_commands(model, block, &mut self.late);
+            let (flew, evaluable) = self.advance(model, shard, range.clone(), &fits_lanes);
+            let done = self.evaluate_lanes(model, shard, range.clone(), &flew, &evaluable);
             for index in range.filter(|index| !done[index % LANES]) {
                 self.evaluate(model, shard, index, flew[index % LANES], faults);
             }
@@ -175,20 +181,23 @@ impl<T: Task> Worker<T> {
     }
 
     /// Stage 2: advances the physics of a block, in lanes where nothing is in reach, otherwise one environment at a
-    /// time. Returns true for the environments that flew in lanes.
+    /// time. Returns true for the environments that flew in lanes, and true for those whose task the lanes can
+    /// evaluate:
+    /// those that have advanced without a contact.
     fn advance(
         &mut self,
         model: &BatchModel,
         shard: &mut Shard<'_, T>,
         range: Range<usize>,
         fits_lanes: &[bool; LANES],
-    ) -> [bool; LANES] {
+    ) -> ([bool; LANES], [bool; LANES]) {
         let flew = match &model.flow {
             Some(flow) if fits_lanes.contains(&true) => {
                 self.advance_lanes(model, flow, shard, range.clone(), fits_lanes)
             }
             _ => [false; LANES],
         };
+        let mut evaluable = flew;
         for index in range.filter(|index| !flew[index % LANES]) {
             let lane = index % LANES;
             if self.step_kinds[lane] != StepKind::Fly {
@@ -200,39 +209,41 @@ impl<T: Task> Worker<T> {
             parts.workspace.commands.copy_from_slice(parts.data.motor_speeds());
             if let Err(error) = parts.advance() {
                 (self.step_kinds[lane], self.errors[lane]) = (StepKind::Fail, Some(error));
+            } else if parts.view().contacts().is_empty() {
+                evaluable[lane] = true;
             }
             shard.envs.store(model, index, Some(shared), None);
+            if !evaluable[lane] {
+                // the rows of a task know nothing of contacts, so that the task leaves them before they are updated
+                shard.envs.load_task(model, self.functions, index);
+            }
         }
-        flew
+        (flew, evaluable)
     }
 
-    /// Stage 3 in lanes: evaluates the task of the environments that flew in lanes and writes their rewards and
-    /// observations. Returns true for the environments whose step is complete.
+    /// Stage 3 in lanes: evaluates the task of environments and writes their rewards and observations. Returns true
+    /// for the environments whose step is complete.
     fn evaluate_lanes(
         &mut self,
         model: &BatchModel,
         shard: &mut Shard<'_, T>,
         range: Range<usize>,
         flew: &[bool; LANES],
+        evaluable: &[bool; LANES],
     ) -> [bool; LANES] {
         let mut done = [false; LANES];
-        if !flew.contains(&true) {
+        if !evaluable.contains(&true) {
             return done;
         }
         let (start, count) = (range.start, range.len());
         let conditions = shard.envs.conditions.block(start / LANES, model.drones);
         let noisy = conditions.sensors.iter().any(SensorLanes::is_inexact);
         let late = conditions.states.iter().any(StateDelays::is_late);
-        let (lanes, _) = lanes_and_params(model, shard, start);
-        if noisy || late {
-            self.seen.clone_from_slice(lanes);
-        }
         if late {
-            let steps = shard.envs.blocks[start / LANES].steps;
             let lanes = &shard.envs.lanes[start / LANES * model.drones..][..model.drones];
-            let states = shard.envs.conditions.block(start / LANES, model.drones).states;
-            for ((states, lanes), seen) in states.iter_mut().zip(lanes).zip(&mut self.seen) {
-                states.observe(lanes, seen, &steps, flew, model.substeps);
+            let drones = shard.envs.conditions.block(start / LANES, model.drones).states.iter_mut().zip(lanes);
+            for (((states, lanes), seen), record) in drones.zip(&mut self.seen).zip(&self.records) {
+                states.observe(lanes, record, seen, flew, model.substeps);
             }
         }
         let Some(functions) = self.functions else {
@@ -243,7 +254,7 @@ impl<T: Task> Worker<T> {
         let (mut rewards, mut events) = ([0.0; LANES], [0.0; LANES]);
         let block = &mut shard.envs.blocks[start / LANES];
         let sensors = shard.envs.conditions.block(start / LANES, model.drones).sensors;
-        let sensing = (noisy || late).then_some(Sensing { sensors, seen: &mut self.seen });
+        let sensing = (noisy || late).then_some(Sensing { sensors, late, seen: &mut self.seen });
         (functions.evaluate)(LaneStep {
             sensing,
             width: model.width,
@@ -251,7 +262,7 @@ impl<T: Task> Worker<T> {
             lanes: &mut shard.envs.lanes[start / LANES * model.drones..][..model.drones],
             rows: &mut shard.envs.task_rows[start / LANES * model.task_rows..][..model.task_rows],
             steps: &block.steps,
-            flew,
+            evaluable,
             period: model.control_period,
             episode_steps: model.episode_steps as f64,
             bounds: &model.bounds,
@@ -260,7 +271,7 @@ impl<T: Task> Worker<T> {
             observation: &mut self.observations,
         });
         for lane in 0..count {
-            done[lane] = flew[lane] && events[lane] <= 0.0;
+            done[lane] = evaluable[lane] && events[lane] <= 0.0;
             block.rows_ahead[lane] |= done[lane];
         }
         let size = model.observation_size;

@@ -245,6 +245,13 @@ impl Fluid {
 }
 
 impl<R: Real> Fluid<R> {
+    /// Returns no drag.
+    #[inline(always)]
+    pub(super) fn none(like: R) -> Self {
+        let zero = like.all(0.0);
+        Self { viscous: zero, quadratic: [zero; 3], viscous_rate: [zero; 3], quadratic_rate: [zero; 3] }
+    }
+
     /// Returns the drag acceleration at a velocity, both body frame.
     #[inline(always)]
     pub(super) fn slowing(&self, v: V3<R>) -> V3<R> {

@@ -46,12 +46,14 @@ pub(crate) struct Extras<'a> {
     pub travel: Option<&'a mut Row>,
 }
 
-/// Target speeds of the rotors until a command arrives during a control step.
+/// Commands that reach the motors during a control step, instead of [`Lanes::command`].
 #[derive(Debug, Clone, Default)]
 #[repr(align(64))]
 pub(crate) struct LateCommands {
-    /// Target speeds before the command arrives, rpm.
+    /// Command until the other one arrives, rpm.
     pub early: [Row; 4],
+    /// Command that arrives, rpm.
+    pub late: [Row; 4],
     /// Physics step of the control step at which the command arrives.
     pub arrival: Row,
 }
@@ -95,8 +97,15 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
         let Self { flow, lanes, lane_params, extras, count, steps } = self;
         let general = MODE == mode::GENERAL;
         for part in Part::first(simd, count) {
-            let (body, rotors) = (part.body(lane_params), part.rotors(lane_params));
-            let target = part.get4(&lanes.target);
+            let (mut body, rotors) = (part.body(lane_params), part.rotors(lane_params));
+            if MEDIUM {
+                body.fluid = part.fluid(lane_params);
+            }
+            let command = match extras.late {
+                Some(late) if general => &late.late,
+                _ => &lanes.command,
+            };
+            let target = part.targets(lane_params, command);
             let mut motion = part.motion(lanes);
             let mut rpm = if MODE == mode::PLAIN || MODE == mode::AIR { target } else { part.get4(&lanes.rpm) };
             let none = target[0].all(0.0);
@@ -113,7 +122,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                     let now = none.all(f64::from(step));
                     if let Some(late) = extras.late {
                         let early = now.less(part.get(&late.arrival));
-                        let before = part.get4(&late.early);
+                        let before = part.targets(lane_params, &late.early);
                         arrived = std::array::from_fn(
                             #[inline(always)]
                             |motor| Real::choose(early, before[motor], target[motor]),
@@ -144,20 +153,21 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                             let (simd, index) = part.register();
                             wind.advance(simd, index, motion.position.z, motion.velocity)
                         }
-                        _ => (part.get3(&lanes.force), part.get3(&lanes.air)),
+                        _ => (part.get3(&lanes.outside().force), part.get3(&lanes.outside().air)),
                     };
                     if MEDIUM && <Pack<S> as Real>::any(none.less(air.dot(air))) {
                         sum = sum + body.medium_change(&motion.attitude, motion.velocity, air);
                     }
                     if with_air {
+                        let coefficients = lane_params.air();
                         let ground = GroundEffect {
-                            coefficient: part.get(&lane_params.ground[0]),
-                            clip: part.get(&lane_params.ground[1]),
+                            coefficient: part.get(&coefficients.ground[0]),
+                            clip: part.get(&coefficients.ground[1]),
                         };
                         sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
                         let relative = motion.velocity - air;
-                        sum = sum + drag::push(part.get3(&lane_params.drag), &motion.attitude, &rpm, relative);
-                        sum.z = sum.z + part.get(&lanes.downwash);
+                        sum = sum + drag::push(part.get3(&coefficients.drag), &motion.attitude, &rpm, relative);
+                        sum.z = sum.z + part.get(&lanes.outside().downwash);
                     }
                     push.force = sum;
                 }
@@ -219,41 +229,6 @@ pub(crate) fn advance_with(
     }
 }
 
-struct LateTargets<'a> {
-    lanes: &'a mut Lanes,
-    late: &'a mut LateCommands,
-    lane_params: &'a LaneParams,
-    count: usize,
-}
-
-impl WithSimd for LateTargets<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { lanes, late, lane_params, count } = self;
-        for part in Part::first(simd, count) {
-            for rows in [&mut lanes.target, &mut late.early] {
-                for (motor, row) in rows.iter_mut().enumerate() {
-                    let target = part.target(lane_params, motor, part.get(row));
-                    part.put(row, target);
-                }
-            }
-        }
-    }
-}
-
-/// Replaces the commands in the rows of target speeds, and the late ones, by the target speeds of the rotors.
-pub(crate) fn limit_late_targets(
-    width: Width,
-    lanes: &mut Lanes,
-    late: &mut LateCommands,
-    lane_params: &LaneParams,
-    count: usize,
-) {
-    width.run(count, LateTargets { lanes, late, lane_params, count });
-}
-
 /// Conversion of the numbers of a control step to motor speeds; see [`set_commands`].
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Decoding {
@@ -287,13 +262,11 @@ impl WithSimd for Commands<'_> {
                 };
                 part.put(&mut lanes.command[motor], clamped(speed, max.all(0.0), max));
             }
-            part.set_targets(lanes, lane_params);
         }
     }
 }
 
-/// Decodes actions to the commanded motor speeds of the first `count` lanes, and computes the target speeds of the
-/// rotors. `actions` has a row per motor.
+/// Decodes actions to the commanded motor speeds of the first `count` lanes. `actions` has a row per motor.
 pub(crate) fn set_commands(
     width: Width,
     decoding: Decoding,
@@ -336,11 +309,11 @@ impl WithSimd for Downwash<'_> {
                         continue;
                     }
                     let force: Pack<S> = upper.push(below, sideways);
-                    let on_b = part.get(&b.downwash) + Real::choose(above, force, zero);
-                    part.put(&mut b.downwash, on_b);
+                    let on_b = part.get(&b.outside().downwash) + Real::choose(above, force, zero);
+                    part.put(&mut b.outside_mut().downwash, on_b);
                     on_a = on_a + Real::choose(above, zero, force);
                 }
-                part.put(&mut a.downwash, on_a);
+                part.put(&mut a.outside_mut().downwash, on_a);
             }
         }
     }

@@ -15,7 +15,7 @@ use crate::world::placement::CollisionCylinder;
 pub const LANES: usize = crate::math::LANES;
 
 /// Parameters of one drone in [`LaneParams`]; constant during a control step.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Airframe {
     /// Rigid body.
     pub body: FreeBody,
@@ -41,29 +41,78 @@ pub struct Airframe {
     pub reach_bound: ReachBound,
 }
 
+/// No aerodynamics, motors that follow every command, and no mass.
+impl Default for Airframe {
+    fn default() -> Self {
+        Self {
+            body: FreeBody::default(),
+            rotors: RotorModel::default(),
+            ground: GroundEffect::default(),
+            drag: Vector3::zeros(),
+            wake: Wake::default(),
+            share: 0.0,
+            max_command: f64::INFINITY,
+            gains: [1.0; 4],
+            max_rpm: f64::INFINITY,
+            cylinder: [0.0; 2],
+            reach_bound: ReachBound::default(),
+        }
+    }
+}
+
 /// Parameters of [`LANES`] drones, as a structure of arrays.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 #[repr(align(64))]
 pub struct LaneParams {
     inverse_mass: Row,
     gravity: Row,
     inverse_inertia: [Row; 3],
     gyration: [Row; 3],
-    viscous: Row,
-    quadratic: [Row; 3],
-    viscous_rate: [Row; 3],
-    quadratic_rate: [Row; 3],
     pub(super) thrust: Row,
     torque: [[Row; 4]; 3],
-    pub(super) ground: [Row; 2],
-    pub(super) drag: [Row; 3],
-    wake: [Row; 4],
+    /// Coefficients of air and medium; `None` if all are zero.
+    air: Option<Box<AirParams>>,
     pub(super) share: Row,
     pub(super) max_command: Row,
     pub(super) gains: [Row; 4],
     max_rpm: Row,
     cylinder: [Row; 2],
     reach_bound: [Row; 8],
+}
+
+/// Coefficients of air and medium in [`LaneParams`].
+#[derive(Debug, Clone)]
+#[repr(align(64))]
+pub(super) struct AirParams {
+    viscous: Row,
+    quadratic: [Row; 3],
+    viscous_rate: [Row; 3],
+    quadratic_rate: [Row; 3],
+    pub ground: [Row; 2],
+    pub drag: [Row; 3],
+    wake: [Row; 4],
+}
+
+impl AirParams {
+    const NONE: Self = Self {
+        viscous: [0.0; LANES],
+        quadratic: [[0.0; LANES]; 3],
+        viscous_rate: [[0.0; LANES]; 3],
+        quadratic_rate: [[0.0; LANES]; 3],
+        ground: [[0.0; LANES]; 2],
+        drag: [[0.0; LANES]; 3],
+        wake: [[0.0; LANES]; 4],
+    };
+
+    fn set(&mut self, lane: usize, Airframe { body, ground, drag, wake, .. }: &Airframe) {
+        self.viscous[lane] = body.fluid.viscous;
+        put(&mut self.quadratic, lane, body.fluid.quadratic);
+        put(&mut self.viscous_rate, lane, body.fluid.viscous_rate);
+        put(&mut self.quadratic_rate, lane, body.fluid.quadratic_rate);
+        put(&mut self.ground, lane, [ground.coefficient, ground.clip]);
+        put(&mut self.drag, lane, (*drag).into());
+        put(&mut self.wake, lane, [wake.strength, wake.spread, wake.offset, wake.cap]);
+    }
 }
 
 /// States of [`LANES`] drones, as a structure of arrays.
@@ -76,20 +125,30 @@ pub struct Lanes {
     rate: [Row; 3],
     /// Commanded motor speeds of the last control step, rpm.
     pub(super) command: [Row; 4],
-    /// Target speeds of the rotors, rpm.
-    pub(super) target: [Row; 4],
     /// Speeds of the rotors, rpm.
     pub(super) rpm: [Row; 4],
-    /// Force of the wind, world frame, N.
-    pub(super) force: [Row; 3],
-    /// Velocity of the air, world frame, m/s.
-    pub(super) air: [Row; 3],
-    /// Force of the wakes along world z, N.
-    pub(super) downwash: Row,
+    /// Influences from outside; `None` if all are zero.
+    outside: Option<Box<Outside>>,
     pub(super) rpy: [Row; 3],
     /// Load of the last physics step: thrust (N) and torque (body frame, N·m) of the rotors, external force (world
     /// frame, N).
     push: [Row; 7],
+}
+
+/// Influences on the drones in [`Lanes`] from outside.
+#[derive(Debug, Clone)]
+#[repr(align(64))]
+pub(super) struct Outside {
+    /// Force of the wind, world frame, N.
+    pub force: [Row; 3],
+    /// Velocity of the air, world frame, m/s.
+    pub air: [Row; 3],
+    /// Force of the wakes along world z, N.
+    pub downwash: Row,
+}
+
+impl Outside {
+    const NONE: Self = Self { force: [[0.0; LANES]; 3], air: [[0.0; LANES]; 3], downwash: [0.0; LANES] };
 }
 
 fn put<const N: usize>(rows: &mut [Row; N], lane: usize, values: [f64; N]) {
@@ -107,6 +166,17 @@ fn take<const N: usize>(rows: &[Row; N], lane: usize) -> [f64; N] {
     values
 }
 
+impl Airframe {
+    /// Returns true if air or a medium acts on the airframe.
+    fn has_air(&self) -> bool {
+        let Self { body, ground, drag, wake, .. } = self;
+        body.fluid != Fluid::default()
+            || *ground != GroundEffect::default()
+            || *drag != Vector3::zeros()
+            || *wake != Wake::default()
+    }
+}
+
 impl LaneParams {
     /// Creates the parameters of one drone in every lane.
     pub fn all(airframe: &Airframe) -> Self {
@@ -120,25 +190,33 @@ impl LaneParams {
         self.reach_bound[0][lane]
     }
 
+    /// Returns the size on the heap in bytes.
+    pub(crate) fn heap_bytes(&self) -> usize {
+        if self.air.is_some() { size_of::<AirParams>() } else { 0 }
+    }
+
+    /// Returns the coefficients of air and medium.
+    #[inline(always)]
+    pub(super) fn air(&self) -> &AirParams {
+        self.air.as_deref().unwrap_or(&AirParams::NONE)
+    }
+
     /// Sets the parameters of a lane.
     pub fn set(&mut self, lane: usize, airframe: &Airframe) {
-        let Airframe { body, rotors, ground, drag, wake, share, max_command, gains, max_rpm, cylinder, reach_bound } =
-            airframe;
+        let Airframe { body, rotors, share, max_command, gains, max_rpm, cylinder, reach_bound, .. } = airframe;
+        match &mut self.air {
+            Some(air) => air.set(lane, airframe),
+            none if airframe.has_air() => none.insert(Box::new(AirParams::NONE)).set(lane, airframe),
+            None => {}
+        }
         self.inverse_mass[lane] = body.inverse_mass;
         self.gravity[lane] = body.gravity;
         put(&mut self.inverse_inertia, lane, body.inverse_inertia);
         put(&mut self.gyration, lane, body.gyration);
-        self.viscous[lane] = body.fluid.viscous;
-        put(&mut self.quadratic, lane, body.fluid.quadratic);
-        put(&mut self.viscous_rate, lane, body.fluid.viscous_rate);
-        put(&mut self.quadratic_rate, lane, body.fluid.quadratic_rate);
         self.thrust[lane] = rotors.thrust;
         for (rows, values) in self.torque.iter_mut().zip(rotors.torque) {
             put(rows, lane, values);
         }
-        put(&mut self.ground, lane, [ground.coefficient, ground.clip]);
-        put(&mut self.drag, lane, (*drag).into());
-        put(&mut self.wake, lane, [wake.strength, wake.spread, wake.offset, wake.cap]);
         self.share[lane] = *share;
         self.max_command[lane] = *max_command;
         put(&mut self.gains, lane, *gains);
@@ -149,28 +227,26 @@ impl LaneParams {
 }
 
 impl Lanes {
-    /// Sets the state of a lane, and the current and target speeds of its rotors, rpm.
+    /// Sets the state of a lane, and the current and commanded speeds of its motors, rpm.
     #[inline]
-    pub fn set(&mut self, lane: usize, state: &DroneState, rpm: &[f64; 4], target: &[f64; 4]) {
-        put(&mut self.command, lane, *target);
+    pub fn set(&mut self, lane: usize, state: &DroneState, rpm: &[f64; 4], command: &[f64; 4]) {
+        put(&mut self.command, lane, *command);
         put(&mut self.position, lane, state.position.into());
         put(&mut self.attitude, lane, wxyz(&state.attitude));
         put(&mut self.velocity, lane, state.velocity.into());
         put(&mut self.rate, lane, state.angular_velocity.into());
         put(&mut self.rpm, lane, *rpm);
-        put(&mut self.target, lane, *target);
     }
 
-    /// Sets the target speeds of a lane's rotors, rpm.
-    #[inline]
-    pub fn set_target(&mut self, lane: usize, target: &[f64; 4]) {
-        put(&mut self.target, lane, *target);
-    }
-
-    /// Sets the commanded motor speeds of a lane, rpm. The target speeds of the rotors stay the same.
+    /// Sets the commanded motor speeds of a lane, rpm.
     #[inline]
     pub fn set_command(&mut self, lane: usize, command: &[f64; 4]) {
         put(&mut self.command, lane, *command);
+    }
+
+    /// Returns the commanded motor speeds of all lanes in the last control step, rpm.
+    pub(crate) fn commands(&self) -> &[Row; 4] {
+        &self.command
     }
 
     /// Returns the commanded motor speeds of a lane in the last control step, rpm.
@@ -186,30 +262,56 @@ impl Lanes {
         rows.zip(numbers).for_each(|(row, number)| row[lane] = *number);
     }
 
-    /// Copies a lane of other lanes.
-    pub(crate) fn copy_lane(&mut self, lane: usize, other: &Self) {
-        for (row, from) in self.rows_mut().zip(other.rows()) {
-            row[lane] = from[lane];
-        }
+    /// Copies the states of other lanes, without motors and loads.
+    pub(crate) fn copy_motion(&mut self, other: &Self) {
+        (self.position, self.attitude) = (other.position, other.attitude);
+        (self.velocity, self.rate) = (other.velocity, other.rate);
     }
 
-    fn rows(&self) -> impl Iterator<Item = &Row> {
-        let Self { position, attitude, velocity, rate, command, target, rpm, force, air, downwash, rpy, push } = self;
-        let (triples, quads) = ([position, velocity, rate, force, air, rpy], [attitude, command, target, rpm]);
-        triples.into_iter().flatten().chain(quads.into_iter().flatten()).chain([downwash]).chain(push)
+    /// Copies what [`advance`](super::advance) changes: states, rotor speeds and loads.
+    pub(crate) fn copy_moving(&mut self, other: &Self) {
+        self.copy_motion(other);
+        (self.rpm, self.push) = (other.rpm, other.push);
     }
 
-    fn rows_mut(&mut self) -> impl Iterator<Item = &mut Row> {
-        let Self { position, attitude, velocity, rate, command, target, rpm, force, air, downwash, rpy, push } = self;
-        let (triples, quads) = ([position, velocity, rate, force, air, rpy], [attitude, command, target, rpm]);
-        triples.into_iter().flatten().chain(quads.into_iter().flatten()).chain([downwash]).chain(push)
+    /// Copies what [`advance`](super::advance) changes, in one lane.
+    pub(crate) fn copy_moving_lane(&mut self, lane: usize, other: &Self) {
+        put(&mut self.position, lane, take(&other.position, lane));
+        put(&mut self.attitude, lane, take(&other.attitude, lane));
+        put(&mut self.velocity, lane, take(&other.velocity, lane));
+        put(&mut self.rate, lane, take(&other.rate, lane));
+        put(&mut self.rpm, lane, take(&other.rpm, lane));
+        put(&mut self.push, lane, take(&other.push, lane));
     }
 
     /// Sets the force of the wind (world frame, N) and the velocity of the air (world frame, m/s) in a lane. The air
     /// velocity applies to the blade drag and to the medium.
     pub fn set_wind(&mut self, lane: usize, force: &Vector3<f64>, air: &Vector3<f64>) {
-        put(&mut self.force, lane, (*force).into());
-        put(&mut self.air, lane, (*air).into());
+        let outside = self.outside_mut();
+        put(&mut outside.force, lane, (*force).into());
+        put(&mut outside.air, lane, (*air).into());
+    }
+
+    /// Returns the size on the heap in bytes.
+    pub(crate) fn heap_bytes(&self) -> usize {
+        if self.outside.is_some() { size_of::<Outside>() } else { 0 }
+    }
+
+    /// Returns the influences from outside.
+    #[inline(always)]
+    pub(super) fn outside(&self) -> &Outside {
+        self.outside.as_deref().unwrap_or(&Outside::NONE)
+    }
+
+    /// Returns the influences from outside, for changes. Allocates their memory if they are all zero.
+    #[inline(always)]
+    pub(super) fn outside_mut(&mut self) -> &mut Outside {
+        self.outside.get_or_insert_with(|| Box::new(Outside::NONE))
+    }
+
+    /// Clears the forces of the wakes. Allocates their memory.
+    pub(crate) fn clear_downwash(&mut self) {
+        self.outside_mut().downwash = [0.0; LANES];
     }
 
     /// Returns the state of a lane.
@@ -343,12 +445,19 @@ impl<S: Simd> Part<S> {
             gravity: self.get(&lane_params.gravity),
             inverse_inertia: self.array(&lane_params.inverse_inertia),
             gyration: self.array(&lane_params.gyration),
-            fluid: Fluid {
-                viscous: self.get(&lane_params.viscous),
-                quadratic: self.array(&lane_params.quadratic),
-                viscous_rate: self.array(&lane_params.viscous_rate),
-                quadratic_rate: self.array(&lane_params.quadratic_rate),
-            },
+            fluid: Fluid::none(self.get(&lane_params.inverse_mass)),
+        }
+    }
+
+    /// Returns the coefficients of the medium's drag.
+    #[inline(always)]
+    pub(super) fn fluid(self, lane_params: &LaneParams) -> Fluid<Pack<S>> {
+        let air = lane_params.air();
+        Fluid {
+            viscous: self.get(&air.viscous),
+            quadratic: self.array(&air.quadratic),
+            viscous_rate: self.array(&air.viscous_rate),
+            quadratic_rate: self.array(&air.quadratic_rate),
         }
     }
 
@@ -360,7 +469,7 @@ impl<S: Simd> Part<S> {
 
     #[inline(always)]
     pub(super) fn wake(self, lane_params: &LaneParams) -> Wake<Pack<S>> {
-        let [strength, spread, offset, cap] = self.get4(&lane_params.wake);
+        let [strength, spread, offset, cap] = self.get4(&lane_params.air().wake);
         Wake { strength, spread, offset, cap }
     }
 
@@ -383,19 +492,22 @@ impl<S: Simd> Part<S> {
         self.put3(&mut lanes.rpy, rpy);
     }
 
-    /// Computes the target speeds of the rotors as
-    /// [`Actuators::target`](crate::physics::actuators::Actuators::target) does.
+    /// Returns the target speeds of the rotors under commands, rpm.
     #[inline(always)]
-    pub(super) fn set_targets(self, lanes: &mut Lanes, lane_params: &LaneParams) {
-        for motor in 0..4 {
-            let target = self.target(lane_params, motor, self.get(&lanes.command[motor]));
-            self.put(&mut lanes.target[motor], target);
-        }
+    pub(super) fn targets(self, lane_params: &LaneParams, command: &[Row; 4]) -> [Pack<S>; 4] {
+        let [a, b, c, d] = self.get4(command);
+        [
+            self.target(lane_params, 0, a),
+            self.target(lane_params, 1, b),
+            self.target(lane_params, 2, c),
+            self.target(lane_params, 3, d),
+        ]
     }
 
-    /// Returns the target speed of a rotor under a command, rpm.
+    /// Returns the target speed of a rotor under a command as
+    /// [`Actuators::target`](crate::physics::actuators::Actuators::target) does, rpm.
     #[inline(always)]
-    pub(super) fn target(self, lane_params: &LaneParams, motor: usize, command: Pack<S>) -> Pack<S> {
+    fn target(self, lane_params: &LaneParams, motor: usize, command: Pack<S>) -> Pack<S> {
         let max = self.get(&lane_params.max_rpm);
         clamped(command * self.get(&lane_params.gains[motor]), max.all(0.0), max)
     }

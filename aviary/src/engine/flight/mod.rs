@@ -20,9 +20,7 @@ mod width;
 pub use body::FreeBody;
 pub(super) use floor::{FloorKernel, StepKind};
 pub(super) use floor_model::FloorModel;
-pub(crate) use kernel::{
-    Decoding, Extras, LateCommands, Record, advance_with, find_apart, limit_late_targets, set_commands,
-};
+pub(crate) use kernel::{Decoding, Extras, LateCommands, Record, advance_with, find_apart, set_commands};
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
 pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};

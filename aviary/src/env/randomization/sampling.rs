@@ -2,11 +2,13 @@ use std::sync::Arc;
 
 use nalgebra::Vector3;
 use rand::RngExt as _;
+use smallvec::SmallVec;
 
 use super::sensors::{Sensed, SensorParams};
 use super::{InitialRanges, Randomization, Range};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::EnvError;
+use crate::env::workspace::Measured;
 use crate::math::{Turn, V3};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::{WindConfig, WindModel};
@@ -75,21 +77,21 @@ pub struct SampledParams {
 /// Samples the parameters of a [`Randomization`] and applies them.
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub(crate) struct Randomizer {
-    // the environments of a batch share these
     #[serde(with = "crate::serial::shared")]
-    pub(in crate::env) config: Arc<Randomization>,
+    basis: Arc<Basis>,
     pub(in crate::env) draw: SampledParams,
     /// Seed of the sensor noise in this episode.
     noise_seed: u64,
-    #[serde(with = "crate::serial::shared")]
-    nominal: Arc<[DroneParams]>,
+}
+
+/// Constants of a [`Randomizer`], which the environments of a batch share.
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+struct Basis {
+    config: Randomization,
+    nominal: Vec<DroneParams>,
     /// Motor parameters and wind without randomization.
-    #[serde(with = "crate::serial::shared")]
-    motors: Arc<[ActuatorParams]>,
+    motors: Vec<ActuatorParams>,
     wind: Option<WindConfig>,
-    measured: Vec<DroneState>,
-    #[serde(with = "crate::serial::vector_list")]
-    measured_rpys: Vec<Vector3<f64>>,
 }
 
 fn within(rng: &mut Rng, [low, high]: Range) -> f64 {
@@ -116,7 +118,7 @@ impl Randomizer {
         wind: Option<WindConfig>,
     ) -> Result<Self, EnvError> {
         config.validate()?;
-        let nominal: Arc<[_]> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
+        let nominal: Vec<_> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
         let initial = simulation.initial_states().to_vec();
         let still = |initial: &DroneState| SampledDroneParams {
             mass: 1.0,
@@ -138,34 +140,32 @@ impl Randomizer {
             drones: initial.iter().map(still).collect(),
         };
         let motors = (0..nominal.len()).map(|drone| *simulation.actuator_params(drone)).collect();
-        Ok(Self {
-            config: Arc::new(config),
-            draw,
-            noise_seed: 0,
-            nominal,
-            motors,
-            wind,
-            measured_rpys: vec![Vector3::zeros(); initial.len()],
-            measured: initial,
-        })
+        Ok(Self { basis: Arc::new(Basis { config, nominal, motors, wind }), draw, noise_seed: 0 })
+    }
+
+    /// Returns the ranges of the samples.
+    pub(in crate::env) fn config(&self) -> &Randomization {
+        &self.basis.config
+    }
+
+    /// Returns true if both have been created as one.
+    pub(in crate::env) fn shares_basis(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.basis, &other.basis)
     }
 
     /// Returns the settings of the environment's own wind.
     pub(in crate::env) fn own_wind(&self) -> Option<&WindConfig> {
-        self.wind.as_ref()
+        self.basis.wind.as_ref()
     }
 
     /// Returns an error for a wind of the environment that the samples would replace in every episode.
     pub(in crate::env) fn validate_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
-        self.config.validate_wind(wind)
+        self.basis.config.validate_wind(wind)
     }
 
     /// Returns the size in bytes, without shared memory.
     pub(in crate::env) fn bytes(&self) -> usize {
-        size_of::<Self>()
-            + size_of_val(&self.draw.drones[..])
-            + size_of_val(&self.measured[..])
-            + size_of_val(&self.measured_rpys[..])
+        size_of::<Self>() + size_of_val(&self.draw.drones[..])
     }
 
     /// Samples an episode. Each group has its own random stream, so that its samples do not depend on the other
@@ -173,7 +173,7 @@ impl Randomizer {
     fn draw(&mut self, simulation: SimView<'_>, rng: &mut Rng, obstacles_move: bool) {
         let mut streams = [(); 6].map(|()| stream(rng));
         let [body, aerodynamics, actuators, sensors, environment, initial] = &mut streams;
-        let config = &self.config;
+        let config = &self.basis.config;
         for (drone, draw) in self.draw.drones.iter_mut().enumerate() {
             if let Some(ranges) = &config.body {
                 draw.mass = within(body, ranges.mass);
@@ -210,7 +210,7 @@ impl Randomizer {
             let speed = within(environment, ranges.wind);
             let velocity = [speed * cos, speed * sin, 0.0];
             // gusts and turbulence scale with the wind speed
-            let WindConfig { filter, still_air_drag, .. } = self.wind.unwrap_or_default();
+            let WindConfig { filter, still_air_drag, .. } = self.basis.wind.unwrap_or_default();
             let full = WindConfig { filter, still_air_drag, ..WindConfig::new(WindModel::Combined) };
             let wind = WindConfig {
                 velocity,
@@ -243,7 +243,7 @@ impl Randomizer {
         obstacles: &[Obstacle],
         rng: &mut Rng,
     ) -> DroneState {
-        let cylinder = CollisionCylinder::from(&self.nominal[drone]);
+        let cylinder = CollisionCylinder::from(&self.basis.nominal[drone]);
         let middle = start.position + Vector3::from(ranges.offset);
         let rpy = start.rpy() + around(rng, ranges.attitude);
         let velocity = start.velocity + around(rng, ranges.velocity);
@@ -254,7 +254,7 @@ impl Randomizer {
         let mut position = above_floor(middle);
         for _ in 0..20 {
             let place = above_floor(middle + around(rng, ranges.position));
-            let others = self.draw.drones[..drone].iter().zip(&*self.nominal);
+            let others = self.draw.drones[..drone].iter().zip(&self.basis.nominal);
             let others = others.map(|(draw, params)| (draw.initial.position, CollisionCylinder::from(params)));
             if cylinder.has_room(&place, others, obstacles) {
                 position = place;
@@ -274,11 +274,9 @@ impl Randomizer {
     ) -> Result<(), SimulationError> {
         self.draw(SimView::new(model, data), rng, obstacles_move);
         self.apply(model, data)?;
-        if self.config.initial.is_some() {
-            for (state, draw) in self.measured.iter_mut().zip(&self.draw.drones) {
-                *state = draw.initial;
-            }
-            data.reset_to(&self.measured)
+        if self.basis.config.initial.is_some() {
+            let initial: SmallVec<[DroneState; 8]> = self.draw.drones.iter().map(|draw| draw.initial).collect();
+            data.reset_to(&initial)
         } else {
             data.reset_unchecked(model);
             Ok(())
@@ -290,24 +288,24 @@ impl Randomizer {
         let max = |ranges: Option<Range>| ranges.map_or(0.0, |[_, max]| max);
         data.reserve(
             model,
-            max(self.config.actuators.map(|ranges| ranges.latency)),
-            max(self.config.sensors.map(|ranges| ranges.latency)),
+            max(self.basis.config.actuators.map(|ranges| ranges.latency)),
+            max(self.basis.config.sensors.map(|ranges| ranges.latency)),
         );
-        for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&*self.nominal).enumerate() {
-            if self.config.body.is_some() || self.config.aerodynamics.is_some() {
+        for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&self.basis.nominal).enumerate() {
+            if self.basis.config.body.is_some() || self.basis.config.aerodynamics.is_some() {
                 data.change_params(drone, |params| randomize(params, nominal, draw))?;
             }
-            if self.config.actuators.is_some() {
+            if self.basis.config.actuators.is_some() {
                 data.set_actuators(model, drone, &draw.actuators)?;
             }
         }
-        if self.config.environment.is_some() {
+        if self.basis.config.environment.is_some() {
             data.set_gravity(GRAVITY * self.draw.gravity)?;
             if self.draw.wind.is_some() {
-                data.set_wind(self.draw.wind, 0)?;
+                data.change_wind(self.draw.wind)?;
             }
         }
-        if self.config.sensors.is_some() {
+        if self.basis.config.sensors.is_some() {
             data.remember(model, self.draw.sensor_latency);
         }
         Ok(())
@@ -315,17 +313,17 @@ impl Randomizer {
 
     /// Restores the nominal parameters.
     pub(in crate::env) fn undo(&self, model: &SimModel, data: &mut SimData) -> Result<(), SimulationError> {
-        for (drone, (nominal, motors)) in self.nominal.iter().zip(&*self.motors).enumerate() {
+        for (drone, (nominal, motors)) in self.basis.nominal.iter().zip(&self.basis.motors).enumerate() {
             data.set_params(drone, nominal.clone())?;
-            if self.config.actuators.is_some() {
+            if self.basis.config.actuators.is_some() {
                 data.set_actuators(model, drone, motors)?;
             }
         }
         data.remember(model, 0.0);
-        if self.config.environment.is_some() {
+        if self.basis.config.environment.is_some() {
             data.set_gravity(GRAVITY)?;
             if self.draw.wind.is_some() {
-                data.set_wind(self.wind, 0)?;
+                data.set_wind(self.basis.wind, 0)?;
             }
         }
         Ok(())
@@ -333,7 +331,7 @@ impl Randomizer {
 
     /// Returns the errors of a drone's sensors and the key of their noise; `None` if the sensors are exact.
     pub(in crate::env) fn sensors(&self, drone: usize) -> Option<(SensorParams<f64>, Key)> {
-        let ranges = self.config.sensors.as_ref()?;
+        let ranges = self.basis.config.sensors.as_ref()?;
         let sigmas = [ranges.position, ranges.velocity, ranges.attitude, ranges.angular_velocity];
         let params = SensorParams { sigmas, biases: self.draw.drones[drone].bias.map(Into::into) };
         Some((params, Key::new(self.noise_seed, drone)))
@@ -341,7 +339,13 @@ impl Randomizer {
 
     /// Computes the measured states (delayed, biased, noisy) and returns them with their roll, pitch and yaw;
     /// `None` if the sensors are exact.
-    pub(in crate::env) fn measure(&mut self, data: &SimData) -> Option<(&[DroneState], &[Vector3<f64>])> {
+    pub(in crate::env) fn measure<'a>(
+        &self,
+        data: &SimData,
+        out: &'a mut Measured,
+    ) -> Option<(&'a [DroneState], &'a [Vector3<f64>])> {
+        out.states.clear();
+        out.rpys.clear();
         for (drone, truth) in data.remembered().iter().enumerate() {
             let (params, key) = self.sensors(drone)?;
             let attitude = Turn::from(&truth.attitude);
@@ -353,15 +357,15 @@ impl Randomizer {
                 rate: V3::from(&truth.angular_velocity),
             };
             let measured = params.measure(key.at(data.control_steps()), &truth);
-            self.measured[drone] = DroneState {
+            out.states.push(DroneState {
                 position: measured.position.into(),
                 attitude: measured.attitude.into(),
                 velocity: measured.velocity.into(),
                 angular_velocity: measured.rate.into(),
-            };
-            self.measured_rpys[drone] = measured.rpy.into();
+            });
+            out.rpys.push(measured.rpy.into());
         }
-        Some((&self.measured, &self.measured_rpys))
+        Some((&out.states, &out.rpys))
     }
 }
 

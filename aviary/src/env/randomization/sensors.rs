@@ -1,5 +1,7 @@
 //! Sensor errors: the measurement of a state, generic over a double and a SIMD register of doubles.
 
+use std::f64::consts::PI;
+
 use pulp::Simd;
 
 use super::Randomizer;
@@ -48,6 +50,8 @@ impl<R: Real> SensorParams<R> {
     /// Returns the measured state. The step of `noise` is the number of control steps since the start of the episode.
     #[inline(always)]
     pub fn measure(&self, noise: Noise<R::Bits>, truth: &Sensed<R>) -> Sensed<R> {
+        /// Pitch up to which the angles are unique beyond rounding, half turns.
+        const MAX_PITCH: f64 = 0.499_999;
         let [a, b, c, d] = noise.normals::<R>(Purpose::Sensor, 0);
         let [e, f, g, h] = noise.normals::<R>(Purpose::Sensor, 1);
         let [i, j, k, l] = noise.normals::<R>(Purpose::Sensor, 2);
@@ -55,11 +59,24 @@ impl<R: Real> SensorParams<R> {
             let (sigma, [x, y, z]) = (self.sigmas[index], self.biases[index]);
             V3::new(sigma * a + x, sigma * b + y, sigma * c + z)
         };
-        let attitude = Turn::from_rpy(truth.rpy + error(2, [g, h, i]));
+        let angles = truth.rpy + error(2, [g, h, i]);
+        // angles beyond the vertical or beyond half a turn are those of another roll, pitch and yaw
+        let half = angles.x.all(PI);
+        let usual = angles.x.abs().less(half) & angles.z.abs().less(half) & angles.y.abs().less(half * MAX_PITCH);
+        let rpy = if R::any(!usual) {
+            let turned = Turn::from_rpy(angles).rpy();
+            V3::new(
+                R::choose(usual, angles.x, turned.x),
+                R::choose(usual, angles.y, turned.y),
+                R::choose(usual, angles.z, turned.z),
+            )
+        } else {
+            angles
+        };
         Sensed {
             position: truth.position + error(0, [a, b, c]),
-            attitude,
-            rpy: attitude.rpy(),
+            attitude: Turn::from_rpy(angles),
+            rpy,
             velocity: truth.velocity + error(1, [d, e, f]),
             rate: truth.rate + error(3, [j, k, l]),
         }

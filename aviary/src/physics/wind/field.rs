@@ -121,14 +121,13 @@ impl WindField {
         Ok(field)
     }
 
-    /// Replaces the settings and the drag areas (m²) and restarts the wind; the number of drones stays the same.
+    /// Replaces the settings and the drag areas (m²); the number of drones and the state of the wind stay the same.
     pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), OptionError> {
         config.validate()?;
         for (local, drag_area) in self.locals.iter_mut().zip(areas) {
             local.drag_area = drag_area;
         }
         (self.config, self.dt) = (config, f64::NAN);
-        self.reset(0, &[]);
         Ok(())
     }
 

@@ -28,6 +28,13 @@ pub(crate) struct WindLanes {
     windy: Row<bool>,
 }
 
+/// State and clock of [`WindLanes`] before a step.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct MovingWind {
+    state: WindState<Row>,
+    steps: Row<u64>,
+}
+
 impl WindLanes {
     /// Creates lanes in still air, for physics steps of `dt` seconds.
     pub fn new(dt: f64) -> Self {
@@ -72,10 +79,15 @@ impl WindLanes {
         field.set_local(drone, key, self.state.map(|row| row[lane]), self.steps[lane]);
     }
 
-    /// Copies the state and the clock of a lane of other lanes.
-    pub fn copy_lane(&mut self, lane: usize, other: &Self) {
-        self.state.update(&other.state.map(|row| row[lane]), |row, number| row[lane] = number);
-        self.steps[lane] = other.steps[lane];
+    /// Returns what [`advance`](Self::advance) changes: the state and the clock.
+    pub fn moving(&self) -> MovingWind {
+        MovingWind { state: self.state, steps: self.steps }
+    }
+
+    /// Restores a lane after [`advance`](Self::advance).
+    pub fn restore_lane(&mut self, lane: usize, before: &MovingWind) {
+        self.state.update(&before.state.map(|row| row[lane]), |row, number| row[lane] = number);
+        self.steps[lane] = before.steps[lane];
     }
 
     /// Returns true if any lane has wind. Without wind the results of [`advance`](Self::advance) are zero.

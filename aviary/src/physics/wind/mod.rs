@@ -14,4 +14,4 @@ mod local;
 pub use config::{WindConfig, WindModel};
 pub use dryden::{DrydenFilter, dryden};
 pub use field::{WindField, drag_law};
-pub(crate) use lanes::WindLanes;
+pub(crate) use lanes::{MovingWind, WindLanes};

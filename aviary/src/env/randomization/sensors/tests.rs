@@ -2,6 +2,7 @@ use super::*;
 use crate::drone::DroneModel;
 use crate::engine::flight::Width;
 use crate::env::randomization::{Randomization, SensorRanges};
+use crate::env::workspace::Measured;
 use crate::simulation::Simulation;
 use crate::state::{DroneState, wxyz};
 use nalgebra::Vector3;
@@ -99,10 +100,12 @@ proptest! {
             let mut expected = Vec::new();
             for (simulation, randomizer, drone) in &mut single {
                 let truth = simulation.states()[*drone];
-                let measured = randomizer.measure(simulation.view().data());
+                let mut out = Measured::default();
+                let measured = randomizer.measure(simulation.view().data(), &mut out);
                 let (state, rpy) =
                     measured.map_or((truth, truth.rpy()), |(states, rpys)| (states[*drone], rpys[*drone]));
-                prop_assert_eq!(state.rpy(), rpy);
+                // the angles come from the sensors or from the attitude; near the vertical, rounding is magnified
+                prop_assert!((state.rpy() - rpy).norm() < 1e-9, "{:?} {:?}", state.rpy(), rpy);
                 expected.push((numbers(&state), rpy));
             }
             for width in Width::available() {
@@ -131,8 +134,8 @@ fn the_time_of_a_measurement_in_lanes() {
     for lane in 0..LANES {
         lanes.set(lane, &episode(Some(SensorRanges::default()), 1, lane as u64).1, 0);
     }
-    let (mut simulation, mut randomizer) = episode(Some(SensorRanges::default()), 1, 0);
-    let mut best = std::collections::BTreeMap::new();
+    let (mut simulation, randomizer) = episode(Some(SensorRanges::default()), 1, 0);
+    let (mut best, mut out) = (std::collections::BTreeMap::new(), Measured::default());
     for _ in 0..20 {
         for width in Width::available() {
             let (mut state, mut rpy) = ([[0.0; LANES]; 13], [[0.0; LANES]; 3]);
@@ -148,7 +151,7 @@ fn the_time_of_a_measurement_in_lanes() {
         simulation.reset().unwrap();
         let start = std::time::Instant::now();
         for _ in 0..8 * 500 {
-            std::hint::black_box(randomizer.measure(simulation.view().data()));
+            std::hint::black_box(randomizer.measure(simulation.view().data(), &mut out));
         }
         let best = best.entry("scalar, 8 drones".to_owned()).or_insert(f64::INFINITY);
         *best = (start.elapsed().as_secs_f64() * 1e9 / 500.0).min(*best);
