@@ -132,8 +132,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
 
     /// Applies a velocity filter to the commands of every environment, as a
     /// [`SafetyWrapper`](crate::wrappers::SafetyWrapper) does. The filter solves a quadratic program for one environment
-    /// at a time; the controllers that track its velocities run in SIMD registers. `response` is the rate at which the controller
-    /// tracks a velocity command, 1/s.
+    /// at a time; the controllers that track its velocities run in SIMD registers. `response` is the rate at which the
+    /// controller tracks a velocity command, 1/s.
     ///
     /// # Errors
     /// Returns the errors of [`SafetyWrapper::new`](crate::wrappers::SafetyWrapper::new).

@@ -132,7 +132,9 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                         // the number of a physics step is exact, so that two comparisons test for equality
                         let at = part.get(&record.at);
                         let here = (now - 0.5).less(at) & at.less(now + 0.5);
-                        part.record(&mut record.state, &motion, here);
+                        if <Pack<S> as Real>::any(here) {
+                            part.record(&mut record.state, &motion, here);
+                        }
                     }
                 }
                 if with_lag {
