@@ -48,7 +48,7 @@ pub use id::{
     TextureId,
 };
 pub use model::{Assets, ConstraintOptions, Integrator, Model, ModelMut};
-pub use renderer::{ImageSize, Quality, Renderer};
+pub use renderer::{ImageSize, Quality, Renderer, RendererContext};
 pub use runtime::{HEADER_VERSION, check_library, library_version};
 pub use scene::{Camera, Decor, Scene, VisualEffects};
 

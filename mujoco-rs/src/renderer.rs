@@ -115,10 +115,15 @@ impl Renderer {
         crate::check_library()?;
         let model = model.into();
         check_quality(&model, quality, limits()?)?;
-        let mut gl = GlContext::new()?;
+        let gl = GlContext::new()?;
         let size = ImageSize { width: 64, height: 48 };
         let raw = gl.current(|| make(&model, quality, size))??;
         Ok(Self { raw, gl, model, quality, size, shadow_reach: None, scratch: Vec::new() })
+    }
+
+    /// Returns the OpenGL context of the renderer, to keep it current during several images.
+    pub fn context(&self) -> RendererContext {
+        RendererContext(self.gl.clone())
     }
 
     /// Sets the reach of shadows, m: half of the side of the square that the shadow map of a directional light
@@ -301,6 +306,51 @@ impl Renderer {
         })??;
         self.size = size;
         Ok(())
+    }
+}
+
+/// OpenGL context of a [`Renderer`].
+#[derive(Clone)]
+pub struct RendererContext(GlContext);
+
+impl RendererContext {
+    /// Runs work with the context current on the calling thread. The renderer makes its context current for every image
+    /// otherwise, which takes a noticeable part of the time of a small image.
+    ///
+    /// The work may draw with other renderers, too. The renderer cannot draw on other threads meanwhile.
+    ///
+    /// ```
+    /// use mujoco_rs::{Camera, Data, ImageSize, Model, Quality, Renderer, Scene};
+    ///
+    /// # if mujoco_rs::gl_info().is_err() { return Ok(()); } // no OpenGL on this machine
+    /// let mut data = Data::new(Model::from_xml("<mujoco><worldbody><geom size='.5'/></worldbody></mujoco>")?)?;
+    /// let mut scene = Scene::new(data.shared_model(), 0)?;
+    /// let mut renderer = Renderer::new(data.shared_model(), Quality::FAST)?;
+    /// let size = ImageSize { width: 64, height: 48 };
+    /// let mut images = vec![0; 8 * 3 * size.pixels()];
+    /// renderer.context().keep_current(|| {
+    ///     for (index, rgb) in images.chunks_exact_mut(3 * size.pixels()).enumerate() {
+    ///         let azimuth = 45.0 * index as f64;
+    ///         let camera = Camera::Free { lookat: [0.0; 3], distance: 2.0, azimuth, elevation: 0.0 };
+    ///         data.kinematics()?;
+    ///         scene.update(&mut data, &camera)?;
+    ///         renderer.rgb(&mut scene, size, rgb)?;
+    ///     }
+    ///     Ok::<(), mujoco_rs::Error>(())
+    /// })??;
+    /// # Ok::<(), mujoco_rs::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Gl`] if OpenGL fails or the context is in use on another thread.
+    pub fn keep_current<T>(&self, work: impl FnOnce() -> T) -> Result<T, Error> {
+        self.0.current(work)
+    }
+}
+
+impl std::fmt::Debug for RendererContext {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("RendererContext").finish_non_exhaustive()
     }
 }
 

@@ -215,6 +215,55 @@ fn the_same_state_gives_the_same_bytes_in_any_context_and_thread() {
 }
 
 #[test]
+fn a_context_that_is_kept_current_draws_the_same_bytes() {
+    let Some(mut first) = fixture(ROOM, Quality::FAST) else { return };
+    let mut second = fixture(ROOM, Quality::FAST).unwrap();
+    first.set_camera("ahead");
+    second.set_camera("down");
+    let size = SIZES[1];
+    let expected = [first.rgb(size), second.rgb(size)];
+    assert_ne!(expected[0], expected[1]);
+    let (one, two) = (first.renderer.context(), second.renderer.context());
+    // images of both renderers in turn, with one, the other, or both contexts kept
+    for kept in [vec![&one], vec![&two], vec![&one, &two], vec![&one, &two, &one]] {
+        let mut draw = || {
+            for _ in 0..3 {
+                assert!(first.rgb(size) == expected[0] && second.rgb(size) == expected[1], "{}", kept.len());
+            }
+        };
+        match kept[..] {
+            [outer] => outer.keep_current(draw).unwrap(),
+            [outer, inner] => outer.keep_current(|| inner.keep_current(draw).unwrap()).unwrap(),
+            [outer, inner, innermost] => outer
+                .keep_current(|| {
+                    inner.keep_current(|| innermost.keep_current(&mut draw).unwrap()).unwrap();
+                    draw();
+                })
+                .unwrap(),
+            _ => unreachable!(),
+        }
+    }
+    // a context in use on one thread is refused on another one
+    one.keep_current(|| {
+        let refused = std::thread::scope(|scope| scope.spawn(|| one.keep_current(|| ())).join().unwrap());
+        assert!(refused.unwrap_err().to_string().contains("another thread"));
+    })
+    .unwrap();
+    std::thread::scope(|scope| scope.spawn(|| one.keep_current(|| ())).join().unwrap()).unwrap();
+    // a renderer may be dropped while its context is current, or another one
+    one.keep_current(|| {
+        drop(second);
+        drop(first);
+    })
+    .unwrap();
+    drop(two);
+    // a panic ends the use of the context
+    let panicked = std::panic::catch_unwind(|| one.keep_current(|| panic!("while a context is current")));
+    assert!(panicked.is_err());
+    one.keep_current(|| ()).unwrap();
+}
+
+#[test]
 fn a_hidden_body_is_not_drawn_until_it_is_shown_again() {
     let Some(mut fixture) = fixture(ROOM, Quality::FAST) else { return };
     fixture.set_camera("ahead");

@@ -476,21 +476,32 @@ impl<T: Task> Worker<T> {
 
     /// Renders the camera images of every environment.
     pub fn render(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, faults: &Faults) {
-        let [rgb, depth, segmentation] = model.images;
-        for index in 0..shard.envs.slots.len() {
-            let shared = &mut self.grounded[index % LANES];
-            shard.envs.load(model, &self.env.simulation.model, index, shared);
-            let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
-            if let Err(error) = parts.observe_images() {
-                report(faults, shard.first + index, error);
-                continue;
+        let Some(cameras) = &self.env.workspace.cameras else { return };
+        // a change of the context takes a noticeable part of the time of a small image
+        let drawn = cameras.value.context().keep_current(|| {
+            for index in 0..shard.envs.slots.len() {
+                if let Err(error) = self.render_one(model, shard, index) {
+                    report(faults, shard.first + index, error);
+                }
             }
-            let seen = &parts.workspace.observation;
-            shard.images.rgb[rgb * index..][..rgb].copy_from_slice(&seen.rgb);
-            shard.images.depth[depth * index..][..depth].copy_from_slice(&seen.depth);
-            let objects = &mut shard.images.segmentation[segmentation * index..][..segmentation];
-            objects.copy_from_slice(&seen.segmentation);
+        });
+        if let Err(error) = drawn {
+            report(faults, shard.first, error.into());
         }
+    }
+
+    fn render_one(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize) -> Result<(), EnvError> {
+        let [rgb, depth, segmentation] = model.images;
+        let shared = &mut self.grounded[index % LANES];
+        shard.envs.load(model, &self.env.simulation.model, index, shared);
+        let mut parts = shard.envs.slots[index].parts(&mut self.env, Some(shared));
+        parts.observe_images()?;
+        let seen = &parts.workspace.observation;
+        shard.images.rgb[rgb * index..][..rgb].copy_from_slice(&seen.rgb);
+        shard.images.depth[depth * index..][..depth].copy_from_slice(&seen.depth);
+        let objects = &mut shard.images.segmentation[segmentation * index..][..segmentation];
+        objects.copy_from_slice(&seen.segmentation);
+        Ok(())
     }
 }
 

@@ -1,8 +1,8 @@
 //! Renderer of a world, with its scene and cameras.
 
 use mujoco_rs::{
-    BodyId, Camera, CameraId, Data, Error, GeomId, ImageSize, JointId, LightId, Model, Quality, Renderer, Scene,
-    VisualEffects,
+    BodyId, Camera, CameraId, Data, Error, GeomId, ImageSize, JointId, LightId, Model, Quality, Renderer,
+    RendererContext, Scene, VisualEffects,
 };
 use nalgebra::Vector3;
 
@@ -142,6 +142,11 @@ impl SceneRenderer {
             standing: bounds(world.obstacles.iter().chain(world.markers.iter().map(|marker| &marker.body))),
             stale: true,
         })
+    }
+
+    /// Returns the OpenGL context of the renderer, to keep it current during several images.
+    pub fn context(&self) -> RendererContext {
+        self.renderer.context()
     }
 
     /// Updates the scene to the states of the drones and removes all [added](Self::add) shapes.

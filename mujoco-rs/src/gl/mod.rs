@@ -7,9 +7,11 @@ mod egl;
 pub(crate) mod gate;
 mod osmesa;
 
+use std::cell::{Cell, RefCell};
 use std::ffi::{CStr, c_void};
 use std::mem::ManuallyDrop;
-use std::sync::{OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::thread::{self, ThreadId};
 
 use libloading::os::unix::Library as SystemLibrary;
 
@@ -65,14 +67,27 @@ pub(crate) fn limits() -> Result<Limits, Error> {
     })
 }
 
-/// OpenGL context. It is current on no thread between calls of [`current`](Self::current), so that it can be moved.
-pub(crate) struct GlContext {
+/// OpenGL context. It is current on no thread outside of calls of [`current`](Self::current), so that it can be moved.
+/// Clones are the same context.
+#[derive(Clone)]
+pub(crate) struct GlContext(Arc<Mutex<Shared>>);
+
+/// Context with the thread on which it is current.
+struct Shared {
     context: ManuallyDrop<Context>,
+    thread: Option<ThreadId>,
 }
 
 enum Context {
     Egl(egl::Context),
     Osmesa(osmesa::Context),
+}
+
+thread_local! {
+    /// Context that is current on this thread. Without a destructor, so that it is usable while the thread ends.
+    static CURRENT: RefCell<ManuallyDrop<Option<GlContext>>> = const { RefCell::new(ManuallyDrop::new(None)) };
+    /// True while this thread has a [`Session`].
+    static IN_SESSION: Cell<bool> = const { Cell::new(false) };
 }
 
 /// Lock around MuJoCo's process-wide table of OpenGL functions: creating a context writes the table, rendering
@@ -109,25 +124,32 @@ fn library() -> Result<&'static Library, Error> {
     LIBRARY.get_or_init(find).as_ref().map_err(Clone::clone)
 }
 
-/// Use of OpenGL by the calling thread. Its end releases the context and EGL's thread state, so that the thread's
+/// Use of OpenGL by the calling thread. The end of the outermost one releases EGL's thread state, so that the thread's
 /// end has nothing to free.
 struct Session {
     library: &'static Library,
-    _inside: gate::Inside,
+    /// `None` if another session of the thread encloses this one.
+    inside: Option<gate::Inside>,
 }
 
 impl Session {
     fn begin() -> Result<Self, Error> {
         let library = library()?;
-        Ok(Self { library, _inside: gate::enter().ok_or_else(ending)? })
+        let inside = if IN_SESSION.get() { None } else { Some(gate::enter().ok_or_else(ending)?) };
+        IN_SESSION.set(true);
+        Ok(Self { library, inside })
     }
 }
 
 impl Drop for Session {
     fn drop(&mut self) {
+        if self.inside.is_none() {
+            return;
+        }
         if let Library::Egl(egl) = self.library {
             egl.release_thread();
         }
+        IN_SESSION.set(false);
     }
 }
 
@@ -217,35 +239,85 @@ impl GlContext {
             Library::Osmesa(osmesa) => osmesa.context().map(Context::Osmesa),
         };
         let context = context.map_err(|message| Error::Gl { message })?;
-        Ok(Self { context: ManuallyDrop::new(context) })
+        Ok(Self(Arc::new(Mutex::new(Shared { context: ManuallyDrop::new(context), thread: None }))))
     }
 
-    /// Runs `draw` with this context current on the calling thread; afterwards it is current on no thread. Must not
-    /// be nested.
-    pub(crate) fn current<T>(&mut self, draw: impl FnOnce() -> T) -> Result<T, Error> {
-        struct Release<'a>(&'a Context);
-        impl Drop for Release<'_> {
-            fn drop(&mut self) {
-                match self.0 {
-                    Context::Egl(context) => context.release(),
-                    Context::Osmesa(context) => context.release(),
-                }
-            }
+    /// Runs work with this context current on the calling thread. Afterwards the context that was current before is
+    /// current again. A call for the context that is current already costs nothing.
+    ///
+    /// # Errors
+    /// [`Error::Gl`] if the context is current on another thread.
+    pub(crate) fn current<T>(&self, work: impl FnOnce() -> T) -> Result<T, Error> {
+        let before = CURRENT.with_borrow(|current| Option::clone(current));
+        if before.as_ref().is_some_and(|before| Arc::ptr_eq(&before.0, &self.0)) {
+            let done = work();
+            gate::used();
+            return Ok(done);
         }
-        let _session = Session::begin()?;
-        match &mut *self.context {
+        let session = Session::begin()?;
+        self.bind()?;
+        let scope = Scope { own: self.clone(), before, _session: session };
+        set_current(Some(self.clone()));
+        let done = work();
+        gate::used();
+        drop(scope);
+        Ok(done)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Shared> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Makes the context current on this thread.
+    fn bind(&self) -> Result<(), Error> {
+        let (mut shared, own) = (self.lock(), thread::current().id());
+        if shared.thread.is_some_and(|thread| thread != own) {
+            return Err(Error::Gl { message: "the context is in use on another thread".into() });
+        }
+        match &mut *shared.context {
             Context::Egl(context) => context.make_current(),
             Context::Osmesa(context) => context.make_current(),
         }
         .map_err(|message| Error::Gl { message })?;
-        let _release = Release(&self.context);
-        let drawn = draw();
-        gate::used();
-        Ok(drawn)
+        shared.thread = Some(own);
+        Ok(())
+    }
+
+    /// Makes no context current on this thread.
+    fn unbind(&self) {
+        let mut shared = self.lock();
+        match &*shared.context {
+            Context::Egl(context) => context.release(),
+            Context::Osmesa(context) => context.release(),
+        }
+        shared.thread = None;
     }
 }
 
-impl Drop for GlContext {
+/// Use of a context on this thread. Its end restores the context that was current before.
+struct Scope {
+    // dropped before the session, because the last clone of a context destroys it
+    own: GlContext,
+    before: Option<GlContext>,
+    _session: Session,
+}
+
+impl Drop for Scope {
+    fn drop(&mut self) {
+        self.own.unbind();
+        if let Some(before) = &self.before {
+            // after a failure, the calls of OpenGL in the enclosing work have no effect
+            let _ = before.bind();
+        }
+        set_current(self.before.take());
+    }
+}
+
+fn set_current(context: Option<GlContext>) {
+    drop(ManuallyDrop::into_inner(CURRENT.replace(ManuallyDrop::new(context))));
+}
+
+impl Drop for Shared {
     fn drop(&mut self) {
         // at the end of the process, the context ends with it
         if let Ok(_session) = Session::begin() {
