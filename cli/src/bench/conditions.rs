@@ -1,7 +1,8 @@
-//! Batches of hover under the conditions of realistic training, measured in turns.
+//! Batches of hover under the conditions of realistic training and with the action types, measured in turns.
 
 use std::time::{Duration, Instant};
 
+use aviary::action::ActionType;
 use aviary::env::{AviaryBuilder, BodyRanges, EnvError, Randomization};
 use aviary::physics::Physics;
 use aviary::physics::actuators::ActuatorParams;
@@ -16,10 +17,11 @@ use super::policy::LinearPolicy;
 /// Number of environments.
 const SIZE: usize = 4096;
 
-/// Conditions with the names of their rows; the first one is the reference of the others.
-fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 8] {
+/// Conditions and action types with the names of their rows; the first one is the reference of the others.
+fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 12] {
     let hover = Hover::builder;
     let wind = |model| hover().wind(WindConfig::new(model));
+    let actions = |kind| hover().action_type(kind).initial_positions([[0.0, 0.0, 1.0]]);
     let body = Randomization { body: Some(BodyRanges::default()), ..Randomization::NONE };
     [
         ("conditions/plain", hover()),
@@ -30,6 +32,10 @@ fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 8] {
         ("conditions/dryden", wind(WindModel::Dryden)),
         ("conditions/default_randomization", hover().randomization(Randomization::default())),
         ("conditions/random_actions", hover()),
+        ("actions/vel", actions(ActionType::Vel)),
+        ("actions/pid", actions(ActionType::Pid)),
+        ("actions/attitude", actions(ActionType::Attitude)),
+        ("actions/ctbr", actions(ActionType::Ctbr)),
     ]
 }
 
@@ -38,14 +44,65 @@ struct Batch {
     env: VecAviary<Hover>,
     buffers: VecBuffers,
     policy: LinearPolicy,
-    random: bool,
+    source: Source,
+}
+
+/// Source of the actions of a batch.
+enum Source {
+    Policy,
+    Random,
+    /// Commands of controllers, one of which is repeated after the other.
+    Commands {
+        all: Vec<Vec<f32>>,
+        next: usize,
+    },
+}
+
+impl Source {
+    fn of(name: &str) -> Self {
+        match name {
+            "conditions/random_actions" => Self::Random,
+            _ => match command(name, 0.0) {
+                Some(_) => Self::Commands { all: (0..TURN).map(|step| commands(name, step)).collect(), next: 0 },
+                None => Self::Policy,
+            },
+        }
+    }
+}
+
+/// Number of control steps after which the commands repeat.
+const TURN: usize = 8;
+
+/// Returns the commands of all environments in one control step.
+fn commands(name: &str, step: usize) -> Vec<f32> {
+    let phase = |environment: usize| 0.1 * environment as f32 + std::f32::consts::TAU * step as f32 / TURN as f32;
+    (0..SIZE).flat_map(|environment| command(name, phase(environment)).unwrap_or_default()).collect()
+}
+
+/// Returns the command of a drone that stays in place on average, for the rows of action types.
+fn command(name: &str, phase: f32) -> Option<[f32; 4]> {
+    let (sin, cos) = phase.sin_cos();
+    match name {
+        "actions/vel" => Some([0.2 * sin, 0.2 * cos, 0.05 * sin, 0.3 * cos]),
+        "actions/pid" => Some([0.1 * sin, 0.1 * cos, 1.0 + 0.1 * sin, 0.3 * cos]),
+        "actions/attitude" => Some([0.01 * sin, 0.05 * sin, 0.05 * cos, 0.1 * sin]),
+        "actions/ctbr" => Some([0.01 * sin, 0.01 * sin, 0.01 * cos, 0.02 * sin]),
+        _ => None,
+    }
 }
 
 impl Batch {
     fn step(&mut self, calls: usize) -> Result<Duration, EnvError> {
         let mut spent = Duration::ZERO;
         for _ in 0..calls {
-            let action = if self.random { self.policy.random() } else { self.policy.act(&self.buffers.observations) };
+            let action = match &mut self.source {
+                Source::Policy => self.policy.act(&self.buffers.observations),
+                Source::Random => self.policy.random(),
+                Source::Commands { all, next } => {
+                    *next = (*next + 1) % all.len();
+                    &all[*next]
+                }
+            };
             let begin = Instant::now();
             self.env.step(action, self.buffers.step())?;
             spent += begin.elapsed();
@@ -54,7 +111,7 @@ impl Batch {
     }
 }
 
-/// Measures a row of every condition that is wanted, and of plain flight.
+/// Measures a row of every condition and action type that is wanted, and of plain flight.
 pub(super) fn rows(meter: &mut Meter, wanted: impl Fn(&str) -> bool) -> Result<Vec<Row>, EnvError> {
     /// Control steps of a measurement.
     const CALLS: usize = 4;
@@ -69,7 +126,7 @@ pub(super) fn rows(meter: &mut Meter, wanted: impl Fn(&str) -> bool) -> Result<V
         let mut buffers = VecBuffers::new(&env);
         env.reset(Some(1), &mut buffers.observations)?;
         let policy = LinearPolicy::new(meter.seed, SIZE, 1, env.observation_size()).gentle();
-        let mut batch = Batch { env, buffers, policy, random: name.ends_with("random_actions") };
+        let mut batch = Batch { env, buffers, policy, source: Source::of(name) };
         batch.step(WARM_UP)?;
         batches.push((name, batch));
     }

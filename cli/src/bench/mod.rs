@@ -30,8 +30,8 @@ use crate::output;
 /// conditions. The time to compute actions does not count. In the rows of random actions, most
 /// episodes end on the floor after a few steps.
 ///
-/// The rows of conditions alternate with each other: 4,096 environments of hover on one thread,
-/// with their ratio to flight without wind, effects and randomization. A row of processes is the
+/// The rows of conditions and action types alternate with each other: 4,096 environments of hover
+/// on one thread, with their ratio to flight without wind, effects and randomization. A row of processes is the
 /// sum of single-thread batches that run at the same time in processes of their own.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
@@ -147,8 +147,12 @@ impl Bench {
         if self.wants("hover ×") {
             self.hover_rows(meter, threads, &mut rows)?;
         }
-        if self.wants("conditions/") {
-            let wanted = |name: &str| self.only.as_ref().is_none_or(|text| name.contains(text.as_str()));
+        if self.wants("conditions/") || self.wants("actions/") {
+            // the rows of action types take as long as half of the conditions
+            let wanted = |name: &str| match &self.only {
+                Some(text) => name.contains(text.as_str()),
+                None => !self.quick || name.starts_with("conditions/"),
+            };
             rows.extend(conditions::rows(meter, wanted)?);
         }
         if cores() > 1 && self.wants("processes") {
