@@ -9,11 +9,11 @@
 //! same conditions of termination, so that it agrees with MuJoCo to rounding also where MuJoCo stops early. The Hessian
 //! is exact, therefore an iteration that changes no sign of a residual ends at the minimum.
 //!
-//! For a body that is alone, [`PointContact`] and [`PointContacts`] compute the minimum with fewer operations. The signs
-//! of the residuals determine the minimum of a parabola, and the minimum of the cost is the one whose residuals have the
-//! assumed signs. Line searches are exact: their steps differ from those of MuJoCo, whose line search has a tolerance,
-//! but an iteration between the same signs ends at the same minimum. If an iteration comes close to a limit at which
-//! MuJoCo stops early, [`solve`] takes over.
+//! For a body that is alone, [`PointContact`] and [`PointContacts`] compute the minimum with fewer operations. The
+//! signs of the residuals determine the minimum of a parabola, and the minimum of the cost is the one whose residuals
+//! have the assumed signs. Line searches are exact: their steps differ from those of MuJoCo, whose line search has a
+//! tolerance, but an iteration between the same signs ends at the same minimum. If an iteration comes close to a limit
+//! at which MuJoCo stops early, [`solve`] takes over.
 
 mod line_search;
 mod quad;

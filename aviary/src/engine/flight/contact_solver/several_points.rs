@@ -19,8 +19,8 @@ pub(in super::super) struct FloorPoints {
 }
 
 impl FloorPoints {
-    /// Adds a point of the body at a position relative to the centre of mass and a height, m. MuJoCo's contact is halfway
-    /// between the point and the floor.
+    /// Adds a point of the body at a position relative to the centre of mass and a height, m. MuJoCo's contact is
+    /// halfway between the point and the floor.
     #[inline(always)]
     pub(in super::super) fn add(&mut self, place: V3<f64>, height: f64) {
         let Self { count, arm: [x, y, z], height: heights } = self;
@@ -101,8 +101,8 @@ impl<S: Simd> PointContacts<S> {
         [east - reference[0], west - reference[1], north - reference[2], south - reference[3]]
     }
 
-    /// Returns the acceleration of the body by MuJoCo's iterations from `start`, with exact line searches. `smooth` is the
-    /// acceleration without contacts. Returns `None` if MuJoCo may stop before the minimum.
+    /// Returns the acceleration of the body by MuJoCo's iterations from `start`, with exact line searches. `smooth` is
+    /// the acceleration without contacts. Returns `None` if MuJoCo may stop before the minimum.
     #[inline(always)]
     pub(in super::super) fn solve(&self, settings: &Settings, smooth: &Spatial, start: &Spatial) -> Option<Spatial> {
         let friction = settings.friction;
@@ -143,8 +143,8 @@ impl<S: Simd> PointContacts<S> {
         None
     }
 
-    /// Returns the step along a line to the minimum of the cost, by Newton's method. `slopes` are the derivatives of the
-    /// residuals along the line. Returns `None` if the method does not end.
+    /// Returns the step along a line to the minimum of the cost, by Newton's method. `slopes` are the derivatives of
+    /// the residuals along the line. Returns `None` if the method does not end.
     #[inline(always)]
     fn search(
         &self,

@@ -76,8 +76,8 @@ impl PointContact {
     }
 
     /// Returns the acceleration of the body. `smooth` is its acceleration without contacts, and `start` the starting
-    /// point of the solver. The signs of `edges` are an estimate of those of the residuals; they become the signs at the
-    /// minimum.
+    /// point of the solver. The signs of `edges` are an estimate of those of the residuals; they become the signs at
+    /// the minimum.
     ///
     /// Returns `None` if MuJoCo may stop before the minimum.
     #[inline(always)]
@@ -201,8 +201,8 @@ fn has_signs_of(a: &PerEdge, b: &PerEdge) -> bool {
     equal
 }
 
-/// Returns the step at which the cost along a line is minimal. `slope` has the derivatives of the residuals; `linear` and
-/// `square` are those of the part of the cost without contacts.
+/// Returns the step at which the cost along a line is minimal. `slope` has the derivatives of the residuals; `linear`
+/// and `square` are those of the part of the cost without contacts.
 ///
 /// The derivative of the cost is piecewise linear and increases. Its corners are the zeros of the residuals.
 #[inline(always)]
