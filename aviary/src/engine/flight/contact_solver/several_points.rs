@@ -107,31 +107,31 @@ impl<S: Simd> PointContacts<S> {
     pub(in super::super) fn solve(&self, settings: &Settings, smooth: &Spatial, start: &Spatial) -> Option<Spatial> {
         let friction = settings.friction;
         let free = self.residuals(friction, smooth);
-        let (mut edges, mut from_smooth) = (self.residuals(friction, start), minus(start, smooth));
-        let mut cost = self.cost(&edges, &from_smooth);
+        let (mut edges, mut acceleration) = (self.residuals(friction, start), *start);
+        let mut cost = self.cost(&edges, &minus(start, smooth));
         let cost_of_smooth = self.cost(&free, &[0.0; 6]);
         if cost > cost_of_smooth {
-            (edges, from_smooth, cost) = (free, [0.0; 6], cost_of_smooth);
+            (edges, acceleration, cost) = (free, *smooth, cost_of_smooth);
         }
         for _ in 0..MAX_SIGN_CHANGES {
-            let gained = self.newton(friction, &free, &edges);
-            let (search, mut slopes) = (minus(&gained, &from_smooth), self.along_edges(friction, &gained));
+            let from_smooth = minus(&acceleration, smooth);
+            let search = self.newton(friction, &edges, &from_smooth);
+            let slopes = self.along_edges(friction, &search);
             let mut stays = true;
             for edge in 0..4 {
-                let end = free[edge] + slopes[edge];
-                stays &= end.has_signs_of(edges[edge]);
-                slopes[edge] = end - edges[edge];
+                stays &= (edges[edge] + slopes[edge]).has_signs_of(edges[edge]);
             }
             if stays {
-                return Some(plus(smooth, &gained));
+                return Some(plus(&acceleration, &search));
             }
             let step = self.search(&edges, &slopes, &search, &from_smooth)?;
             for edge in 0..4 {
                 edges[edge] = edges[edge] + slopes[edge] * step;
             }
-            for (from_smooth, search) in from_smooth.iter_mut().zip(&search) {
-                *from_smooth += step * search;
+            for (acceleration, search) in acceleration.iter_mut().zip(&search) {
+                *acceleration += step * search;
             }
+            let from_smooth = minus(&acceleration, smooth);
             let (new_cost, force) = (self.cost(&edges, &from_smooth), self.force(friction, &edges));
             let [x, y, z, ..] = times(&self.inertia, &from_smooth);
             let gradient = force + V3::new(x, y, z);
@@ -200,9 +200,10 @@ impl<S: Simd> PointContacts<S> {
         0.5 * (dot(&times(&self.inertia, from_smooth), from_smooth) + (squares * self.weight).sum())
     }
 
-    /// Returns the change of the acceleration by the edges whose residual is negative.
+    /// Returns the Newton direction. The error of its rounding is relative to the direction, which is small at rest,
+    /// where rounding decides about the contact points.
     #[inline(always)]
-    fn newton(&self, friction: f64, free: &[Quad<S>; 4], edges: &[Quad<S>; 4]) -> Spatial {
+    fn newton(&self, friction: f64, edges: &[Quad<S>; 4], from_smooth: &Spatial) -> Spatial {
         let [la, lb, lc] = &self.levers;
         let zero = Quad::load(self.simd, [0.0; 4]);
         let east = edges[0].if_negative(self.weight, zero);
@@ -213,7 +214,7 @@ impl<S: Simd> PointContacts<S> {
         let square = friction * friction;
         let (xx, yy, zz) = ((east + west) * square, (north + south) * square, (east + west) + (north + south));
         let (xz, yz) = ((east - west) * friction, (north - south) * friction);
-        let (east, west, north, south) = (east * free[0], west * free[1], north * free[2], south * free[3]);
+        let (east, west, north, south) = (east * edges[0], west * edges[1], north * edges[2], south * edges[3]);
         let (x, y, z) = ((east - west) * friction, (north - south) * friction, (east + west) + (north + south));
         // columns of the product of the weights and the Jacobian of the angular acceleration
         let ka = [xx * la[0] + xz * la[2], yy * la[1] + yz * la[2], xz * la[0] + yz * la[1] + zz * la[2]];
@@ -232,11 +233,12 @@ impl<S: Simd> PointContacts<S> {
             product(lb, &kc) - qb.dot(wc),
         ]);
         let pulls = [x, y, z];
-        let pull = total(&pulls);
+        let [fx, fy, fz, ta, tb, tc] = times(&self.inertia, from_smooth);
+        let pull = total(&pulls) + V3::new(fx, fy, fz);
         let torque = V3::new(
-            wa.dot(pull) - product(la, &pulls),
-            wb.dot(pull) - product(lb, &pulls),
-            wc.dot(pull) - product(lc, &pulls),
+            wa.dot(pull) - (product(la, &pulls) + ta),
+            wb.dot(pull) - (product(lb, &pulls) + tb),
+            wc.dot(pull) - (product(lc, &pulls) + tc),
         );
         let (cofactors, inverse) = rest.cofactors();
         let V3 { x: a, y: b, z: c } = cofactors.times(torque) * inverse;
