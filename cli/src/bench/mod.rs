@@ -31,8 +31,9 @@ use crate::output;
 /// episodes end on the floor after a few steps.
 ///
 /// The rows of conditions and action types alternate with each other: 4,096 environments of hover
-/// on one thread, with their ratio to flight without wind, effects and randomization. A row of processes is the
-/// sum of single-thread batches that run at the same time in processes of their own.
+/// on one thread, with their ratio to flight without wind, effects and randomization. A row of
+/// processes is the sum of single-thread batches that run at the same time in processes of their
+/// own.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
