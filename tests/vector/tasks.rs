@@ -1,11 +1,14 @@
 //! Tasks that a batch evaluates in SIMD lanes are bit-identical to those of single environments, in their results and
 //! in their state.
 
-use mujoco_drones_gym::env::{Aviary, AviaryBuilder, Randomization};
+use mujoco_drones_gym::env::{Aviary, AviaryBuilder, InitialRanges, Randomization};
+use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::tasks::{Antipodal, CrashConditions};
+use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
 use serde::Serialize;
 
+use super::pair::Pair;
 use super::{Wander, bits, widen};
 
 /// Returns the options and the state of a task as text. Different numbers have different texts.
@@ -161,4 +164,31 @@ fn tasks_with_points_to_pass_are_bit_identical_in_lanes() {
     (antipodal.radius, antipodal.safety_radius) = (0.45, 0.2);
     let ends = fly_all(&antipodal, &[1, 2, 5], |task| task.safety_radius = 0.3);
     assert!(ends.episodes > 240, "{ends:?}");
+}
+
+/// Drones hop on the floor, and touch it and leave it within one control step after a step without contact. They are
+/// not airborne before that, so that the contact is no crash.
+#[test]
+#[ignore = "known fault: close to the floor, body rates of 1e-18 rad/s differ from those of single environments"]
+fn drones_that_hop_on_the_floor_are_bit_identical() {
+    const COUNT: usize = 32;
+    let initial = InitialRanges { position: 0.02, attitude: 0.0, velocity: 0.0, offset: [0.0, 0.0, -0.09] };
+    let builder = Hover::builder()
+        .ctrl_freq(12)
+        .actuators(ActuatorParams { lag: 0.05, ..ActuatorParams::default() })
+        .randomization(Randomization { initial: Some(initial), ..Randomization::NONE });
+    let mut pair = Pair::new(&builder, VecConfig::new(COUNT), 3);
+    let mut rng = Rng::seed_from_u64(5);
+    let (mut hops, mut free) = (0, [false; COUNT]);
+    for _ in 0..300 {
+        let thrust: Vec<f32> = (0..COUNT).map(|_| [-1.0, -0.1, 0.0, 0.1, 1.0][rng.random_range(0..5)]).collect();
+        pair.step(&thrust.into_iter().flat_map(|x| [x; 4]).collect::<Vec<_>>());
+        for (env, free) in pair.alone.iter().zip(&mut free) {
+            let (simulation, touches) = (env.simulation(), !env.simulation().contacts().is_empty());
+            hops += usize::from(*free && touches && simulation.states()[0].position.z > 0.03);
+            *free = !touches && simulation.states()[0].position.z < 0.0225;
+        }
+    }
+    assert!(hops > 3, "{hops}");
+    pair.compare_all_exactly();
 }
