@@ -166,8 +166,8 @@ fn tasks_with_points_to_pass_are_bit_identical_in_lanes() {
     assert!(ends.episodes > 240, "{ends:?}");
 }
 
-/// Drones start close to the floor, touch it, and take off. They are not airborne before that, so that the contact is no
-/// crash.
+/// Drones start close to the floor, touch it, and take off. They are not airborne before that, so that the contact is
+/// no crash.
 #[test]
 fn drones_that_take_off_from_the_floor_are_bit_identical() {
     const COUNT: usize = 32;
