@@ -184,7 +184,7 @@ fn impossible_animations_are_refused_before_the_flight() {
 #[test]
 fn every_command_reports_a_missing_device() {
     for (variable, value, expected) in
-        [("MUJOCO_EGL_DEVICE_ID", "x", "expected a number from 0"), ("MUJOCO_GL", "glfw", "expected egl or osmesa")]
+        [("MUJOCO_EGL_DEVICE_ID", "x", "expected a number from 0"), ("MUJOCO_GL", "vulkan", "expected egl or osmesa")]
     {
         let run = |arguments: &[&str]| {
             let output =

@@ -615,22 +615,3 @@ fn both_backends_render_the_same_within_the_rasterizers_tolerance() {
     let far = depth(a).iter().zip(&depth(b)).filter(|(a, b)| (**a - **b).abs() > 1e-3 * a.max(1.0)).count();
     assert!(far * 1000 < pixels, "depth: {far}");
 }
-
-/// A value of `MUJOCO_GL` other than egl and osmesa is an error that names both.
-#[test]
-fn an_unknown_backend_is_an_error_with_the_accepted_names() {
-    const CHILD: &str = "MUJOCO_RS_TEST_BACKEND";
-    if std::env::var_os(CHILD).is_some() {
-        let error = gl_info().unwrap_err();
-        assert_eq!(error, Error::GlName { got: "glfw".into() });
-        assert!(error.to_string().contains("egl or osmesa"));
-        return;
-    }
-    let status = std::process::Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", "an_unknown_backend_is_an_error_with_the_accepted_names"])
-        .env(CHILD, "1")
-        .env("MUJOCO_GL", "glfw")
-        .status()
-        .unwrap();
-    assert!(status.success());
-}

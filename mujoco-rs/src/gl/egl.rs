@@ -29,6 +29,8 @@ const DEPTH_SIZE: Int = 0x3025;
 const STENCIL_SIZE: Int = 0x3026;
 const WIDTH: Int = 0x3057;
 const HEIGHT: Int = 0x3056;
+const DRAW: Int = 0x3059;
+const READ: Int = 0x305A;
 const OPENGL_API: u32 = 0x30A2;
 const PLATFORM_DEVICE: u32 = 0x313F;
 const PLATFORM_SURFACELESS: u32 = 0x31DD;
@@ -59,6 +61,10 @@ struct Functions {
     destroy_surface: unsafe extern "C" fn(Pointer, Pointer) -> Bool,
     make_current: unsafe extern "C" fn(Pointer, Pointer, Pointer, Pointer) -> Bool,
     release_thread: unsafe extern "C" fn() -> Bool,
+    query_api: unsafe extern "C" fn() -> u32,
+    current_display: unsafe extern "C" fn() -> Pointer,
+    current_context: unsafe extern "C" fn() -> Pointer,
+    current_surface: unsafe extern "C" fn(Int) -> Pointer,
     get_proc_address: GetProcAddress,
 }
 
@@ -85,6 +91,44 @@ pub(super) struct Context {
 // SAFETY: current on no thread except inside a call on it.
 unsafe impl Send for Context {}
 
+/// Context of another library that is current on a thread.
+pub(super) struct Foreign {
+    functions: Functions,
+    api: u32,
+    display: Pointer,
+    context: Pointer,
+    draw: Pointer,
+    read: Pointer,
+}
+
+impl Foreign {
+    /// Returns the context that is current on this thread, if there is one.
+    fn current(functions: Functions) -> Option<Self> {
+        // SAFETY: reads the state of this thread.
+        unsafe {
+            let context = (functions.current_context)();
+            (!context.is_null()).then(|| Self {
+                functions,
+                api: (functions.query_api)(),
+                display: (functions.current_display)(),
+                context,
+                draw: (functions.current_surface)(DRAW),
+                read: (functions.current_surface)(READ),
+            })
+        }
+    }
+
+    /// Makes the context current again. Its owner may have destroyed it on another thread since; then no context is
+    /// current.
+    pub(super) fn restore(&self) {
+        // SAFETY: EGL rejects handles that are no longer valid.
+        unsafe {
+            (self.functions.bind_api)(self.api);
+            (self.functions.make_current)(self.display, self.draw, self.read, self.context);
+        }
+    }
+}
+
 /// Reason why EGL is unavailable.
 pub(super) enum Refusal {
     /// Attempts and their answers.
@@ -106,7 +150,13 @@ impl Egl {
     pub(super) fn load(device: Option<usize>) -> Result<Self, Refusal> {
         let (name, library) = open(RTLD_LOCAL)?;
         let functions = Functions::load(&library)?;
+        let foreign = Foreign::current(functions);
         let displays = displays(functions, device);
+        // SAFETY: may be called at any time; no context of this library is current.
+        unsafe { (functions.release_thread)() };
+        if let Some(foreign) = foreign {
+            foreign.restore();
+        }
         // Some drivers crash when they are unloaded, and a library without global symbols does no harm.
         std::mem::forget(library);
         let displays = displays?;
@@ -123,6 +173,11 @@ impl Egl {
     pub(super) fn limits(&self) -> Limits {
         // at least one display exists, and all displays have the same kind of driver
         self.displays[0].limits
+    }
+
+    /// Returns the context of another library that is current on this thread, if there is one.
+    pub(super) fn foreign(&self) -> Option<Foreign> {
+        Foreign::current(self.functions)
     }
 
     /// Frees EGL's state of the calling thread, which has no current context. Otherwise the thread's end and the
@@ -165,6 +220,10 @@ impl Functions {
             destroy_surface: symbol!(b"eglDestroySurface\0"),
             make_current: symbol!(b"eglMakeCurrent\0"),
             release_thread: symbol!(b"eglReleaseThread\0"),
+            query_api: symbol!(b"eglQueryAPI\0"),
+            current_display: symbol!(b"eglGetCurrentDisplay\0"),
+            current_context: symbol!(b"eglGetCurrentContext\0"),
+            current_surface: symbol!(b"eglGetCurrentSurface\0"),
             get_proc_address: symbol!(b"eglGetProcAddress\0"),
         })
     }

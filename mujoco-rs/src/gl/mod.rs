@@ -115,9 +115,6 @@ fn library() -> Result<&'static Library, Error> {
         let found = find();
         // SAFETY: as above.
         unsafe { mujoco_sys::mjshim_restore_environment() };
-        if let Ok(Library::Egl(egl)) = &found {
-            egl.release_thread();
-        }
         gate::close_at_exit();
         found
     };
@@ -125,9 +122,10 @@ fn library() -> Result<&'static Library, Error> {
 }
 
 /// Use of OpenGL by the calling thread. The end of the outermost one releases EGL's thread state, so that the thread's
-/// end has nothing to free.
+/// end has nothing to free, and makes a context of another library that was current before current again.
 struct Session {
     library: &'static Library,
+    foreign: Option<egl::Foreign>,
     /// `None` if another session of the thread encloses this one.
     inside: Option<gate::Inside>,
 }
@@ -137,7 +135,11 @@ impl Session {
         let library = library()?;
         let inside = if IN_SESSION.get() { None } else { Some(gate::enter().ok_or_else(ending)?) };
         IN_SESSION.set(true);
-        Ok(Self { library, inside })
+        let foreign = match library {
+            Library::Egl(egl) if inside.is_some() => egl.foreign(),
+            _ => None,
+        };
+        Ok(Self { library, foreign, inside })
     }
 }
 
@@ -148,6 +150,9 @@ impl Drop for Session {
         }
         if let Library::Egl(egl) = self.library {
             egl.release_thread();
+        }
+        if let Some(foreign) = &self.foreign {
+            foreign.restore();
         }
         IN_SESSION.set(false);
     }
@@ -162,6 +167,8 @@ fn find() -> Result<Library, Error> {
         Ok(name) if !name.is_empty() => match name.to_ascii_lowercase().as_str() {
             "egl" => vec![GlBackend::Egl],
             "osmesa" => vec![GlBackend::Osmesa],
+            // the choice of a window for MuJoCo's viewer; it says nothing about images without a window
+            "glfw" => GlBackend::ALL.to_vec(),
             _ => return Err(Error::GlName { got: name }),
         },
         _ => GlBackend::ALL.to_vec(),
@@ -209,8 +216,9 @@ pub struct GlInfo {
 /// Returns the OpenGL backend and device of this process; loads the library at the first call.
 ///
 /// `MUJOCO_GL` (`egl` or `osmesa`) selects the library, `MUJOCO_EGL_DEVICE_ID` the EGL device; if unset, each is
-/// tried in turn. While the library starts, `LP_NUM_THREADS=0` is in the environment unless the variable is set: it
-/// stops Mesa's software rasterizer from starting worker threads, which do not speed up small images.
+/// tried in turn, and also with `MUJOCO_GL=glfw`, which selects the window of MuJoCo's viewer. While the library
+/// starts, `LP_NUM_THREADS=0` is in the environment unless the variable is set: it stops Mesa's software rasterizer
+/// from starting worker threads, which do not speed up small images.
 ///
 /// ```
 /// use mujoco_rs::{GlBackend, gl_info};
