@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
 use append_file::AppendFile;
+use aviary::env::EndReason;
 use aviary::record::{STATE_COLUMNS, images, state_numbers};
 use aviary::vision::{CAMERA_SIZE, ImageSize, SceneRenderer, intrinsics};
 use aviary::world::World;
@@ -13,7 +14,7 @@ use serde_json::{Map, Value, json};
 use crate::failure::Failure;
 use crate::options::{FlightOptions, vision_failure};
 use crate::output::{self, OutputDir};
-use crate::parse::{self, Variation, size};
+use crate::parse::{self, Shard, Variation, size};
 use crate::pilot::Pilot;
 
 /// Write camera observations of a flight: RGB, depth, segmentation and states
@@ -31,7 +32,8 @@ use crate::pilot::Pilot;
 #[command(after_help = "Examples:
   aviary capture --task hover --frames 100 --out out/frames
   aviary capture --task hover --frames 1000 --every 4 --size 128x96 --out out/frames
-  aviary capture --task fly_through --obstacles forest --frames 200 --vary layouts --out out/forest")]
+  aviary capture --task fly_through --obstacles forest --frames 200 --vary layouts --out out/forest
+  aviary capture --task hover --frames 1000 --shard 2/4 --out out/part2")]
 pub struct Capture {
     #[command(flatten)]
     options: FlightOptions,
@@ -61,6 +63,12 @@ pub struct Capture {
         hide_possible_values = true
     )]
     vary: Variation,
+    /// Part of the dataset that this run writes, from 1/N to N/N [default: all]
+    ///
+    /// The parts have consecutive frames with the numbers that they have in the whole dataset.
+    /// Together they are bit-identical to one run without this option.
+    #[arg(long, verbatim_doc_comment, value_name = "I/N")]
+    shard: Option<Shard>,
     /// JSON output instead of a table
     #[arg(long)]
     json: bool,
@@ -89,45 +97,46 @@ impl Capture {
             (["frame", "episode"].into_iter()).chain(STATE_COLUMNS).chain(["rgb", "depth", "segmentation"]).collect();
         rows.append(format!("{}\n", header.join(",")).as_bytes()).map_err(unwritten)?;
 
-        let pixels = self.size.pixels();
-        let (mut rgba, mut depth, mut objects) = (vec![0; 4 * pixels], vec![0.0; pixels], vec![[0; 2]; pixels]);
+        let own = self.shard.unwrap_or(Shard::WHOLE).range(self.frames);
         let mut seen = Seen::default();
-        let bar = output::progress(self.frames, "capturing");
-        for frame in 0..self.frames {
-            let simulation = pilot.env().simulation();
-            renderer.update(simulation.states()).map_err(vision_failure)?;
-            for (drone, state) in simulation.states().iter().enumerate() {
-                renderer.onboard_rgba(drone, self.size, &mut rgba).map_err(vision_failure)?;
-                renderer.onboard_depth(drone, self.size, &mut depth).map_err(vision_failure)?;
-                renderer.onboard_segmentation(drone, self.size, &mut objects).map_err(vision_failure)?;
-                let rgb: Vec<u8> = rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]).collect();
-                let files = ["rgb", "depth", "segmentation"].map(|kind| format!("{kind}/{frame:06}_{drone}.png"));
-                out.write(&files[0], &images::png_rgb(self.size, &rgb).map_err(Failure::work)?)?;
-                out.write(&files[1], &images::png_depth(self.size, &depth).map_err(Failure::work)?)?;
-                out.write(&files[2], &images::png_segmentation(self.size, &objects).map_err(Failure::work)?)?;
-
-                let numbers = state_numbers(state);
-                seen.note(&rgb, &numbers);
-                let mut row = format!("{frame},{},{},{drone}", seen.episodes, simulation.time());
-                for number in numbers {
-                    row += &format!(",{number}");
+        let mut images = FrameImages::new(self.size);
+        let mut episode = 0;
+        let bar = output::progress(own.end - own.start, "capturing");
+        for frame in 0..own.end {
+            if own.contains(&frame) {
+                let simulation = pilot.env().simulation();
+                renderer.update(simulation.states()).map_err(vision_failure)?;
+                for (drone, state) in simulation.states().iter().enumerate() {
+                    let files = images.write(&mut renderer, drone, frame, &out)?;
+                    let numbers = state_numbers(state);
+                    seen.note(&images.rgb, &numbers);
+                    let mut row = format!("{frame},{episode},{},{drone}", simulation.time());
+                    for number in numbers {
+                        row += &format!(",{number}");
+                    }
+                    row += &format!(",{}\n", files.join(","));
+                    // after its images: a row never names a missing file
+                    rows.append(row.as_bytes()).map_err(unwritten)?;
                 }
-                row += &format!(",{}\n", files.join(","));
-                // after its images: a row never names a missing file
-                rows.append(row.as_bytes()).map_err(unwritten)?;
+                bar.inc(1);
             }
-            bar.inc(1);
-            if frame + 1 < self.frames {
-                self.advance(&mut pilot, &mut renderer, &mut seen)?;
+            if frame + 1 < own.end
+                && let Some(end) = self.advance(&mut pilot, &mut renderer)?
+            {
+                episode += 1;
+                seen.end_episode(end.is_crash());
             }
         }
         bar.finish_and_clear();
-        seen.end_episode();
-        let images = self.frames * pilot.env().simulation().num_drones() as u64;
+        seen.end_episode(false);
+        let frames = own.end - own.start;
+        let images = frames * pilot.env().simulation().num_drones() as u64;
         if self.json {
             return output::print_json(&json!({
                 "task": pilot.env().name(),
-                "frames": self.frames,
+                "frames": frames,
+                "first_frame": own.start,
+                "shard": self.shard.map(|shard| shard.to_string()),
                 "images": images,
                 "distinct_images": seen.images.len(),
                 "episodes": seen.episodes,
@@ -144,7 +153,7 @@ impl Capture {
             false => format!("{all}, {distinct} distinct"),
         };
         output::print(&output::table(&[
-            ("frames", self.frames.to_string()),
+            ("frames", frames.to_string()),
             ("RGB images", of(images, seen.images.len() as u64)),
             ("episodes", of(seen.episodes, seen.distinct)),
             ("crashes", seen.crashes.to_string()),
@@ -176,22 +185,22 @@ impl Capture {
         Ok(())
     }
 
-    /// Advances the flight to the next frame.
-    fn advance(&self, pilot: &mut Pilot, renderer: &mut SceneRenderer, seen: &mut Seen) -> Result<(), Failure> {
+    /// Advances the flight to the next frame. Returns the reason of the end if an episode has ended and the next one
+    /// has started.
+    fn advance(&self, pilot: &mut Pilot, renderer: &mut SceneRenderer) -> Result<Option<EndReason>, Failure> {
         for _ in 0..self.every {
             pilot.rollout.step().map_err(Failure::work)?;
             if pilot.rollout.is_over() {
-                seen.crashes += u64::from(pilot.env().info().crashed());
-                seen.end_episode();
+                let end = pilot.env().info().end;
                 pilot.restart().map_err(|failure| match failure {
                     Failure::Work(error) => Failure::Work(error.context("the next episode cannot begin")),
                     other => other,
                 })?;
                 renderer.set_obstacles(pilot.env().simulation().obstacles()).map_err(vision_failure)?;
-                return Ok(());
+                return Ok(end);
             }
         }
-        Ok(())
+        Ok(None)
     }
 
     /// Returns the objects of the ids in segmentation images.
@@ -240,9 +249,9 @@ struct Seen {
     prefixes: HashSet<u64>,
     /// Hashes of the prefixes of the current episode.
     current: Vec<u64>,
-    /// Number of ended episodes.
+    /// Number of ended episodes with frames.
     episodes: u64,
-    /// Number of ended episodes that are not a prefix of an earlier one.
+    /// Number of them that are not a prefix of an earlier one.
     distinct: u64,
     /// Number of episodes that ended in a crash.
     crashes: u64,
@@ -259,11 +268,56 @@ impl Seen {
         self.current.push(prefix.finish());
     }
 
-    fn end_episode(&mut self) {
+    /// Ends the current episode, if it has frames.
+    fn end_episode(&mut self, crashed: bool) {
+        let Some(whole) = self.current.last() else { return };
         self.episodes += 1;
-        let whole = self.current.last();
-        self.distinct += u64::from(whole.is_none_or(|whole| !self.prefixes.contains(whole)));
+        self.crashes += u64::from(crashed);
+        self.distinct += u64::from(!self.prefixes.contains(whole));
         self.prefixes.extend(self.current.drain(..));
+    }
+}
+
+/// Images of one frame and drone.
+struct FrameImages {
+    size: ImageSize,
+    rgba: Vec<u8>,
+    rgb: Vec<u8>,
+    depth: Vec<f32>,
+    objects: Vec<[i32; 2]>,
+}
+
+impl FrameImages {
+    fn new(size: ImageSize) -> Self {
+        let pixels = size.pixels();
+        Self {
+            size,
+            rgba: vec![0; 4 * pixels],
+            rgb: Vec::with_capacity(3 * pixels),
+            depth: vec![0.0; pixels],
+            objects: vec![[0; 2]; pixels],
+        }
+    }
+
+    /// Renders and writes the images of a drone's camera. Returns the names of the files.
+    fn write(
+        &mut self,
+        renderer: &mut SceneRenderer,
+        drone: usize,
+        frame: u64,
+        out: &OutputDir,
+    ) -> Result<[String; 3], Failure> {
+        let size = self.size;
+        renderer.onboard_rgba(drone, size, &mut self.rgba).map_err(vision_failure)?;
+        renderer.onboard_depth(drone, size, &mut self.depth).map_err(vision_failure)?;
+        renderer.onboard_segmentation(drone, size, &mut self.objects).map_err(vision_failure)?;
+        self.rgb.clear();
+        self.rgb.extend(self.rgba.chunks_exact(4).flat_map(|pixel| [pixel[0], pixel[1], pixel[2]]));
+        let files = ["rgb", "depth", "segmentation"].map(|kind| format!("{kind}/{frame:06}_{drone}.png"));
+        out.write(&files[0], &images::png_rgb(size, &self.rgb).map_err(Failure::work)?)?;
+        out.write(&files[1], &images::png_depth(size, &self.depth).map_err(Failure::work)?)?;
+        out.write(&files[2], &images::png_segmentation(size, &self.objects).map_err(Failure::work)?)?;
+        Ok(files)
     }
 }
 

@@ -1,8 +1,10 @@
 //! Parsers of option values: names, files, sizes.
 
 use std::ffi::OsStr;
-use std::fmt;
+use std::fmt::{self, Display};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use aviary::NamedEnum;
 use aviary::control::trajectory;
@@ -193,4 +195,68 @@ pub fn size(text: &str) -> Result<ImageSize, String> {
     let side =
         |text: &str| text.parse().ok().filter(|side| (1..=ImageSize::MAX_SIDE).contains(side)).ok_or_else(expected);
     Ok(ImageSize { width: side(width)?, height: side(height)? })
+}
+
+/// Part of a run that several programs share: the index from 1 and the number of parts, as in `2/4`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    index: u64,
+    count: u64,
+}
+
+impl Shard {
+    /// The only part.
+    pub const WHOLE: Self = Self { index: 1, count: 1 };
+
+    /// Returns this part's range of `items`. The ranges of all parts adjoin each other, and their lengths differ by at
+    /// most one.
+    pub fn range(self, items: u64) -> Range<u64> {
+        // the product exceeds 64 bits
+        let bound = |part: u64| (u128::from(items) * u128::from(part) / u128::from(self.count)) as u64;
+        bound(self.index - 1)..bound(self.index)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let expected = || "expected I/N with I from 1 to N, as in 2/4".to_owned();
+        let (index, count) = text.split_once('/').ok_or_else(expected)?;
+        let (index, count) = (index.parse().map_err(|_| expected())?, count.parse().map_err(|_| expected())?);
+        if (1..=count).contains(&index) { Ok(Self { index, count }) } else { Err(expected()) }
+    }
+}
+
+impl Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.index, self.count)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Shard;
+
+    #[test]
+    fn the_ranges_of_all_parts_adjoin_and_differ_by_at_most_one() {
+        for items in [0, 1, 7, 100, u64::MAX] {
+            for count in [1_u64, 2, 3, 8, 11] {
+                let ranges: Vec<_> = (1..=count)
+                    .map(|index| format!("{index}/{count}").parse::<Shard>().unwrap().range(items))
+                    .collect();
+                let lengths = || ranges.iter().map(|range| range.end - range.start);
+                assert!(ranges.windows(2).all(|pair| pair[0].end == pair[1].start), "{ranges:?}");
+                assert_eq!((ranges[0].start, ranges[ranges.len() - 1].end), (0, items));
+                assert!(lengths().max().unwrap() - lengths().min().unwrap() <= 1, "{ranges:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn parts_outside_the_run_are_refused() {
+        for text in ["", "1", "0/2", "3/2", "1/0", "-1/2", "1/2/3", "a/2", "1/ 2", "1.0/2"] {
+            assert!(text.parse::<Shard>().unwrap_err().contains("expected I/N"), "{text}");
+        }
+    }
 }

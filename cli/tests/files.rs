@@ -365,6 +365,53 @@ fn episodes_of_a_dataset_differ_unless_vary_is_none() {
     refuse("antipodal", "starts", &["antipodal", "start"]);
 }
 
+/// Three parts of a dataset of several episodes and drones contain together the files and rows of one run.
+#[test]
+fn the_parts_of_a_dataset_are_together_bit_identical_to_one_run() {
+    if !has_gl() {
+        return;
+    }
+    let dir = directory("shards");
+    let capture = |name: &str, more: &[&str]| {
+        let out = dir.join(name);
+        let arguments =
+            ["capture", "--task", "multi_hover", "--obstacles", "forest", "--every", "7", "--size", "16x12"];
+        let rest = ["--frames", "20", "--duration", "0.9", "--seed", "3", "--out", text(&out)];
+        json(&[&arguments[..], &rest, more].concat())
+    };
+    let whole = capture("whole", &[]);
+    assert!(whole["episodes"].as_u64().unwrap() > 2 && whole["shard"] == Value::Null, "{whole}");
+    let table = |name: &str| std::fs::read_to_string(dir.join(name).join("frames.csv")).unwrap();
+    let mut rows: Vec<String> = table("whole").lines().take(1).map(Into::into).collect();
+    let mut files = 0;
+    for (index, frames) in [(1, 6), (2, 7), (3, 7)] {
+        let (name, shard) = (format!("part{index}"), format!("{index}/3"));
+        let summary = capture(&name, &["--shard", &shard]);
+        assert_eq!((summary["frames"].as_u64(), &summary["shard"]), (Some(frames), &Value::from(shard)));
+        rows.extend(table(&name).lines().skip(1).map(Into::into));
+        for kind in ["rgb", "depth", "segmentation"] {
+            for entry in std::fs::read_dir(dir.join(&name).join(kind)).unwrap() {
+                let entry = entry.unwrap();
+                let same = dir.join("whole").join(kind).join(entry.file_name());
+                assert!(std::fs::read(entry.path()).unwrap() == std::fs::read(same).unwrap(), "{:?}", entry.path());
+                files += 1;
+            }
+        }
+        for file in ["camera.json", "segmentation.json"] {
+            assert_eq!(
+                std::fs::read(dir.join(&name).join(file)).unwrap(),
+                std::fs::read(dir.join("whole").join(file)).unwrap()
+            );
+        }
+    }
+    assert_eq!(rows, table("whole").lines().map(String::from).collect::<Vec<_>>());
+    assert_eq!(files, 3 * 20 * 2);
+    // a part without frames has the header only
+    assert_eq!(capture("none", &["--shard", "1/21"])["frames"], 0);
+    assert_eq!(table("none").lines().count(), 1);
+    refused(&["capture", "--task", "hover", "--frames", "9", "--shard", "0/3", "--out", "x"], 2, &["--shard", "I/N"]);
+}
+
 #[test]
 fn images_show_the_layout_of_their_episode() {
     if !has_gl() {
