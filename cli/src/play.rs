@@ -1,5 +1,6 @@
 //! Flights of trained policies: success rate, rewards and errors.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use anyhow::anyhow;
@@ -17,7 +18,7 @@ use crate::animation::AnimationOptions;
 use crate::failure::Failure;
 use crate::options::{ConditionOptions, in_options};
 use crate::output;
-use crate::parse::{self, NameOrFile};
+use crate::parse::{self, NameOrFile, Shard};
 
 /// Fly a trained policy and print its success rate
 ///
@@ -82,6 +83,11 @@ pub struct Play {
     /// [obstacles] of --config; its default is 0.
     #[arg(long, verbatim_doc_comment, value_name = "N", default_value_t = 0, allow_negative_numbers = true)]
     seed: u64,
+    /// Part of the episodes that this run flies, from 1/N to N/N [default: all]
+    ///
+    /// The episodes of all parts are together bit-identical to those of one run.
+    #[arg(long, value_name = "I/N")]
+    shard: Option<Shard>,
     #[command(flatten)]
     animation: AnimationOptions,
     /// JSON output instead of a table
@@ -95,16 +101,21 @@ impl Play {
         if self.episodes == 0 {
             return Err(Failure::input(anyhow!("--episodes is 0, expected at least 1")));
         }
+        let own = self.own_episodes();
+        if own.is_empty() {
+            let shard = self.shard.unwrap_or(Shard::WHOLE);
+            let message = anyhow!("--shard is {shard} of {} episodes, expected a part with episodes", self.episodes);
+            return Err(Failure::input(message));
+        }
         let policy = PolicyNetwork::load(&self.policy).map_err(Failure::input)?;
         let config = self.config(&policy)?;
         let mut arena = Arena::new(config.success, || config.environment()).map_err(Failure::input)?;
-        let bar = output::progress(self.episodes as u64, "flying");
+        let bar = output::progress(own.end - own.start, "flying");
         let mut flown = Vec::new();
         // in small groups, for the progress bar
-        while flown.len() < self.episodes {
-            let count = (self.episodes - flown.len()).min(64);
-            let seed = self.seed.wrapping_add(flown.len() as u64);
-            flown.extend(arena.fly(&policy, seed, count).map_err(flying)?);
+        for first in own.clone().step_by(64) {
+            let count = (own.end - first).min(64) as usize;
+            flown.extend(arena.fly(&policy, self.seed.wrapping_add(first), count).map_err(flying)?);
             bar.set_position(flown.len() as u64);
         }
         bar.finish_and_clear();
@@ -114,6 +125,11 @@ impl Play {
         } else {
             output::print(&table(&config, &flown))
         }
+    }
+
+    /// Returns the indices of the episodes that this run flies.
+    fn own_episodes(&self) -> Range<u64> {
+        self.shard.unwrap_or(Shard::WHOLE).range(self.episodes as u64)
     }
 
     /// Returns the configuration of the episodes: task, airframe and rates of the policy, and the conditions of the
@@ -172,15 +188,16 @@ impl Play {
             return Ok(());
         }
         let mut env = config.environment().map_err(Failure::input)?;
-        env.reset(Some(self.seed)).map_err(Failure::work)?;
+        let seed = self.seed.wrapping_add(self.own_episodes().start);
+        env.reset(Some(seed)).map_err(Failure::work)?;
         let mut kept = Vec::new();
         if self.animation.wants_preview(env.simulation()) {
             // the first flight only positions the camera
             kept = env.extent();
             let mut note =
                 |env: &dyn DroneEnv| kept.extend(env.simulation().states().iter().map(|state| state.position));
-            learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut note).map_err(flying)?;
-            env.reset(Some(self.seed)).map_err(Failure::work)?;
+            learn::fly(&mut *env, &mut &*policy, config.success, seed, &mut note).map_err(flying)?;
+            env.reset(Some(seed)).map_err(Failure::work)?;
         }
         let mut animation = self.animation.begin(env.simulation(), &kept, |_| None)?;
         let mut result = Ok(());
@@ -190,7 +207,7 @@ impl Play {
                 result = animation.look(env.simulation(), |drone| env.reference(drone));
             }
         };
-        learn::fly(&mut *env, &mut &*policy, config.success, self.seed, &mut look).map_err(flying)?;
+        learn::fly(&mut *env, &mut &*policy, config.success, seed, &mut look).map_err(flying)?;
         result?;
         match animation {
             Some(animation) => animation.finish(env.simulation(), |drone| env.reference(drone)),
@@ -205,6 +222,7 @@ impl Play {
             "drone_model": config.drone,
             "physics": config.physics,
             "seed": self.seed,
+            "shard": self.shard.map(|shard| shard.to_string()),
             "policy": self.policy.to_string_lossy(),
             "criterion": config.success.to_string(),
             "success_rate": score.success,

@@ -250,6 +250,22 @@ fn show_prints_the_recipe_of_every_task() {
     }
 }
 
+/// The episodes of two parts are together those of one run, to the bit.
+#[test]
+fn the_parts_of_an_evaluation_are_together_one_run() {
+    let policy = pretrained("hover");
+    let play = |more: &[&str]| {
+        let arguments = ["play", "--policy", &policy, "--episodes", "5", "--duration", "1", "--seed", "40"];
+        json(&[&arguments[..], more].concat())
+    };
+    let episodes = |summary: &Value| summary["episodes"].as_array().unwrap().clone();
+    let whole = play(&[]);
+    let parts = [play(&["--shard", "1/2"]), play(&["--shard", "2/2"])];
+    assert_eq!((episodes(&parts[0]).len(), &parts[0]["shard"]), (2, &Value::from("1/2")));
+    assert_eq!(parts.iter().flat_map(episodes).collect::<Vec<_>>(), episodes(&whole));
+    refused(&["play", "--policy", &policy, "--episodes", "2", "--shard", "1/3"], 2, &["--shard is 1/3 of 2 episodes"]);
+}
+
 #[test]
 fn the_policies_in_assets_complete_their_tasks() {
     for (task, episodes) in [("hover", 20), ("velocity", 10), ("fly_through", 5), ("race", 5)] {
