@@ -250,7 +250,7 @@ fn show_prints_the_recipe_of_every_task() {
     }
 }
 
-/// The episodes of two parts are together those of one run, to the bit.
+/// The episodes of two parts are together bit-identical to those of one run.
 #[test]
 fn the_parts_of_an_evaluation_are_together_one_run() {
     let policy = pretrained("hover");

@@ -5,6 +5,8 @@ use aviary::multi_agent::{Agent, AgentMap, ParallelEnv};
 use aviary::vector::{VecBuffers, VecEnv};
 use rayon::prelude::*;
 
+use crate::TrainError;
+
 /// Status of an agent's episode after a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Next {
@@ -129,9 +131,18 @@ impl std::fmt::Debug for Batch {
 impl Batch {
     /// Creates agents from a batch, which must use [`SameStep`](aviary::vector::Autoreset::SameStep) resets and
     /// [`Truncate`](aviary::vector::OnFault::Truncate) on faults.
-    pub fn new(env: Box<dyn VecEnv>, terms: Terms) -> Self {
+    ///
+    /// # Errors
+    /// [`TrainError::Batch`] if the batch resets at another time, or observes more than the vector of the task.
+    pub fn new(env: Box<dyn VecEnv>, terms: Terms) -> Result<Self, TrainError> {
+        if env.final_observations().len() != env.num_envs() * env.observation_size() {
+            return Err(TrainError::Batch { expected: "resets in the step that ends an episode" });
+        }
+        if env.observation_size() != env.observation_space().vector.size() {
+            return Err(TrainError::Batch { expected: "observations of the task's vector alone" });
+        }
         let buffers = VecBuffers::new(&*env);
-        Self { env, buffers, terms }
+        Ok(Self { env, buffers, terms })
     }
 }
 

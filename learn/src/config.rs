@@ -443,7 +443,7 @@ impl TrainConfig {
                 env.with_env(environment, &mut |env| done = env.set_randomization(Some(start.clone())))?;
                 done?;
             }
-            return Ok(Box::new(Batch::new(env, terms)));
+            return Ok(Box::new(Batch::new(env, terms)?));
         }
         let make = |stream| {
             let options = options.clone().stream(stream);

@@ -53,6 +53,12 @@ pub enum TrainError {
     /// Error of an airframe.
     #[error(transparent)]
     Drone(#[from] DroneError),
+    /// Batch that the trainer cannot use.
+    #[error("the batch does not fit the trainer, expected {expected}")]
+    Batch {
+        /// Needed property.
+        expected: &'static str,
+    },
     /// Non-finite gradient.
     #[error("the gradient is not finite: try a lower learning_rate or max_grad_norm")]
     Diverged,

@@ -358,10 +358,24 @@ fn agents_of_a_swarm_match_the_parallel_environment() {
 }
 
 #[test]
+fn batches_that_do_not_fit_the_trainer_are_refused() {
+    let batch = |autoreset, kind: &str| {
+        let options = EnvConfig::default().observation_type(kind.parse().unwrap());
+        let config = VecConfig { autoreset, ..VecConfig::new(2) };
+        Batch::new(make_vec("hover", options, config).unwrap(), Terms::default()).map(|_| ()).map_err(|e| e.to_string())
+    };
+    assert_eq!(batch(Autoreset::SameStep, "kin"), Ok(()));
+    for autoreset in [Autoreset::NextStep, Autoreset::Disabled] {
+        assert!(batch(autoreset, "kin").unwrap_err().contains("resets in the step that ends an episode"));
+    }
+    assert!(batch(Autoreset::SameStep, "kin_ranges").unwrap_err().contains("vector alone"));
+}
+
+#[test]
 fn terms_add_a_penalty_for_leaving_the_bounds_and_limit_episodes_by_environment() {
     let batch = |terms: Terms| {
         let config = VecConfig { autoreset: Autoreset::SameStep, on_fault: OnFault::Truncate, ..VecConfig::new(2) };
-        Batch::new(make_vec("hover", EnvConfig::default(), config).unwrap(), terms)
+        Batch::new(make_vec("hover", EnvConfig::default(), config).unwrap(), terms).unwrap()
     };
     let mut penalized = batch(Terms { out_of_bounds: 50.0, lengths: vec![Some(10), None] });
     let mut free = batch(Terms::default());

@@ -3,8 +3,7 @@
 //! A [`Pass`] runs a [`Network`] over a tile of up to [`TILE`] rows, whose activations fit into a core's cache:
 //! [`Pass::forward`] computes the outputs, and [`Pass::backward`] adds the gradient of the tile to the sums of the pass.
 //! All matrix products are one loop over blocks of registers ([`product`]). Every sum adds its terms in the order of
-//! the
-//! rows or neurons, with fused multiplications and additions where the machine has them. Gradients are therefore
+//! the rows or neurons, with fused multiplications and additions where the machine has them. Gradients are therefore
 //! bit-identical for AVX2 and AVX-512 and for every size of tiles; the baseline, without fused operations, rounds
 //! differently.
 

@@ -132,7 +132,8 @@ impl Ppo {
             }
         });
         let (actor, critic, _) = shape.split(&parameters);
-        let shard_count = config.minibatch.div_ceil(SHARD);
+        // a minibatch has at most all steps of an iteration
+        let shard_count = config.minibatch.min(agents.rows().saturating_mul(config.horizon)).div_ceil(SHARD);
         Ok(Self {
             actor: Mlp::new(&shape.actor, shape.activation, actor)?,
             critic: Mlp::new(&shape.critic, shape.activation, critic)?,
