@@ -88,16 +88,6 @@ impl ClearanceCache {
     }
 }
 
-/// Returns a bound of the rounding error of MuJoCo's contact points, m.
-///
-/// MuJoCo divides a rounded difference by the sine of the tilt, unless it is below 1e-15. The error is a micrometre at
-/// a tilt of 1e-10 rad and the radius at 1e-15 rad.
-fn rounding_of_contacts(cylinder: &CollisionCylinder, state: &DroneState) -> f64 {
-    let up = state.up();
-    let sine = up.x.hypot(up.y);
-    if sine < 5e-16 { 0.0 } else { cylinder.radius * (2e-15 / sine).min(1.0) }
-}
-
 impl HybridEngine {
     /// Creates the engine of a world.
     ///
@@ -182,7 +172,7 @@ impl HybridEngine {
                 let (travel, turn) = motions[drone];
                 let cylinder = &cylinders[drone];
                 turn < FreeBody::MAX_TURN
-                    && cylinder.floor_clearance(state) - rounding_of_contacts(cylinder, state)
+                    && cylinder.floor_clearance(state) - cylinder.rounding_of_contacts(&state.up())
                         > travel + turn * bodies.drones[drone].reach_bound.reach()
             },
         );

@@ -133,7 +133,9 @@ impl<R: Real> ReachBound<R> {
         let (travel, turn) = self.step_under(dt, body, push, motion.velocity, motion.rate);
         let V3 { x, y, z } = motion.position;
         let ball = sphere_floor_clearance(motion.position, self.reach + travel);
-        let lowest = cylinder.clearance(z, motion.attitude.up().z) - (travel + turn * self.reach);
+        let up = motion.attitude.up();
+        let lowest =
+            cylinder.clearance(z, up.z) - (travel + turn * self.reach) - cylinder.coarse_rounding_of_contacts(up);
         let (zero, far) = (z.all(0.0), z.all(FAR));
         let free = zero.less(ball.greater(lowest)) & turn.less(z.all(FreeBody::MAX_TURN));
         let sane = x.abs().less(far) & y.abs().less(far) & z.abs().less(far) & motion.velocity.norm().less(far);
