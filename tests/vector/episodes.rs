@@ -200,3 +200,15 @@ fn reading_an_environment_returns_its_commands_and_end_and_changes_nothing() {
     assert!(!buffers.truncated[0] && !buffers.terminated[0]);
     assert!(batch.faults()[0].1.to_string().contains("after the end"));
 }
+
+/// An environment that has not started has the nominal airframe, whatever the others have sampled.
+#[test]
+fn an_environment_without_an_episode_has_nominal_parameters() {
+    let builder = Hover::builder().engine(EngineKind::Hybrid).randomization(Randomization::default());
+    let nominal = builder.clone().build().unwrap().simulation().params(0).mass;
+    let mut batch = VecAviary::new(builder, VecConfig { threads: 1, ..VecConfig::new(3) }).unwrap();
+    let mut buffers = VecBuffers::new(&batch);
+    batch.reset_where(&[true, false, true], Some(4), &mut buffers.observations).unwrap();
+    let masses: Vec<f64> = (0..3).map(|i| batch.with(i, |env| env.simulation().params(0).mass).unwrap()).collect();
+    assert!(masses[0] != nominal && masses[1] == nominal && masses[2] != nominal, "{masses:?}");
+}

@@ -48,6 +48,10 @@ fn a_non_finite_action_affects_its_own_environment_alone() {
             if step == 21 {
                 assert_eq!(buffers[2].observations[12 * 5 + 2], 1.0, "environment 5 has been reset");
             }
+            if step == 20 {
+                assert!(lenient.step(&good[1..], buffers[2].step()).is_err());
+                assert!(lenient.faults().is_empty(), "a refused call has no faults");
+            }
         }
     }
 }

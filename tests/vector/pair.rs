@@ -146,6 +146,8 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
 fn exact<T: Task + Clone + Send + Sync>(env: &Aviary<T>) -> Vec<(&'static str, f64)> {
     let simulation = env.simulation();
     let mut numbers = vec![("time", simulation.time()), ("gravity", simulation.gravity())];
+    let seed = simulation.wind().map_or(0, |_| simulation.wind_seed());
+    numbers.extend([seed >> 32, seed & 0xffff_ffff].map(|half| ("wind seed", half as f64)));
     let mut add = |what: &'static str, values: &[f64]| numbers.extend(values.iter().map(|&x| (what, x)));
     for (drone, state) in simulation.states().iter().enumerate() {
         add("position", state.position.as_slice());

@@ -34,6 +34,21 @@ impl SimData {
         [self.actuators.iter().map(|motors| motors.queued().len() as u32).max().unwrap_or(0), self.memory.delay]
     }
 
+    /// Returns the seed of the last start of the wind.
+    pub(crate) fn wind_seed(&self) -> u64 {
+        self.wind_seed
+    }
+
+    /// Sets the seed of the last start of the wind, which goes on as it is.
+    pub(crate) fn set_wind_seed(&mut self, seed: u64) {
+        self.wind_seed = seed;
+    }
+
+    /// Replaces the states at the start of the episode by the present ones, for environments that do not keep them.
+    pub(crate) fn forget_start(&mut self) {
+        self.started.copy_from_slice(&self.states);
+    }
+
     /// Returns the wind.
     pub(crate) fn wind_field(&self) -> Option<&WindField> {
         self.wind.as_ref()

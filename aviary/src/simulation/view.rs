@@ -110,7 +110,8 @@ impl<'a> SimView<'a> {
         &self.model.initial
     }
 
-    /// Returns the states that the last reset started from, after changes by the task and by randomization.
+    /// Returns the states that the last reset started from, after changes by the task and by randomization. Most
+    /// environments of a batch do not keep them, see [`VecAviary::with`](crate::vector::VecAviary::with).
     pub fn started_from(self) -> &'a [DroneState] {
         &self.data.started
     }

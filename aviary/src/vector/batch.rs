@@ -159,7 +159,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     /// Calls `look` with one environment as a single environment, for reading and for changes of its task, wind or
     /// randomization. `look` must not step, reset or restore the environment. The environment does not hold the
     /// observation and the contacts of the last step: the caller's buffers hold the observations, and the task has
-    /// evaluated the contacts.
+    /// evaluated the contacts. Unless environments differ in their obstacles,
+    /// [`started_from`](crate::simulation::SimView::started_from) returns the present states.
     ///
     /// # Errors
     /// [`EnvError::NoEnvironment`] for an index outside the batch, and [`EnvError::Panicked`] after a panic in a
@@ -176,8 +177,11 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let env = &mut worker.env;
         let shares = environments.slots[environment].data.is_none();
         if shares {
-            let mut data = Box::new(env.simulation.snapshot());
+            // the data of a worker has the sampled parameters of its last environment
+            let started = environments.slots[environment].started;
+            let mut data = Box::new(if started { env.simulation.snapshot() } else { model.fresh.clone() });
             environments.slices().load(model, &env.simulation.model, environment, &mut data);
+            data.forget_start();
             environments.slots[environment].data = Some(data);
         } else {
             environments.slices().load(model, &env.simulation.model, environment, &mut env.simulation.data);
@@ -204,7 +208,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         if !unchanged && environments.lane_params.is_empty() {
             environments.lane_params = repeated(&model.lane_params, count.div_ceil(LANES));
         }
-        if let (Some(_), Some(data)) = (&model.flow, environments.slots[environment].data.as_deref()) {
+        if let Some(data) = environments.slots[environment].data.as_deref() {
             let needs = Needs::of(&environments.slots[environment].episode, data, model.dt);
             if environments.conditions.needs.and(needs) != environments.conditions.needs {
                 environments.conditions.extend(needs, model, environments.blocks.len());
@@ -312,6 +316,7 @@ fn batch_model<T: Task>(
         bounds: first.model.row_space.bounds_before_rounding(),
         task_rows: functions.map_or(0, |functions| functions.rows * drones),
         substeps: simulation.substeps(),
+        fresh: simulation.snapshot(),
         lane_params: (0..drones)
             .map(|drone| LaneParams::all(&simulation.data.airframe(&simulation.model, drone)))
             .collect(),
@@ -322,7 +327,8 @@ fn batch_model<T: Task>(
 impl<T: Task + Clone> Environments<T> {
     /// Creates copies of the first environment, each with its own random stream.
     fn of(first: &Aviary<T>, model: &BatchModel, count: usize) -> Self {
-        let (simulation, drones, flies) = (&first.simulation, model.drones, model.flow.is_some());
+        let (simulation, drones) = (&first.simulation, model.drones);
+        let flies = model.flow.is_some();
         let randomized = first.episode.is_randomized();
         let individual = first.model.moves_obstacles()
             || !first.workspace.moving.is_empty()
@@ -336,15 +342,14 @@ impl<T: Task + Clone> Environments<T> {
                 data: individual.then(|| Box::new(simulation.snapshot())),
                 started: false,
                 start_failed: false,
+                wind_seed: simulation.wind_seed(),
                 summary: None,
             }
         };
         let blocks = count.div_ceil(LANES);
+        // also for environments that do not fly in lanes: between steps the lanes hold the state of their conditions
         let mut conditions = ConditionLanes::default();
-        if flies {
-            let needs = Needs::of(&first.episode, &simulation.data, model.dt);
-            conditions.extend(needs, model, blocks);
-        }
+        conditions.extend(Needs::of(&first.episode, &simulation.data, model.dt), model, blocks);
         let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
@@ -475,6 +480,7 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
+        self.faults.clear();
         check_len("mask", mask.len(), self.num_envs())?;
         check_len("observations", observations.len(), self.num_envs() * self.model.observation_size)?;
         let (model, envs) = (&self.model, self.environments.slices());
@@ -485,6 +491,7 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
+        self.faults.clear();
         let count = self.num_envs();
         check_len("actions", actions.len(), count * self.model.action_size)?;
         check_len("observations", out.observations.len(), count * self.model.observation_size)?;
@@ -505,6 +512,7 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
+        self.faults.clear();
         let (count, [rgb, depth, objects]) = (self.num_envs(), self.model.images);
         check_len("rgb", out.rgb.len(), count * rgb)?;
         check_len("depth", out.depth.len(), count * depth)?;

@@ -44,6 +44,8 @@ pub(super) struct BatchModel {
     pub bounds: Vec<(usize, f64, f64)>,
     /// Number of rows of the task per block; 0 if the task is not evaluated in lanes.
     pub task_rows: usize,
+    /// Data of an environment that has not started an episode.
+    pub fresh: SimData,
     /// Parameters of each drone if all environments share them.
     pub lane_params: Vec<LaneParams>,
     /// Entries in the images of one environment: bytes of RGBA, pixels of depth, pixels of segmentation.
@@ -54,8 +56,11 @@ pub(super) struct BatchModel {
 #[derive(Debug)]
 pub(super) struct EnvSlot<T> {
     pub episode: Episode<T>,
-    /// Own data if environments differ in parameters. Otherwise the lanes hold the complete state.
+    /// Own data if environments differ in parameters. Otherwise the lanes and this slot hold the complete state,
+    /// except for the states at the start of the episode.
     pub data: Option<Box<SimData>>,
+    /// Seed of the wind of this episode.
+    pub wind_seed: u64,
     /// True if the environment has ever started an episode.
     pub started: bool,
     /// True if the last attempt to start an episode failed.
@@ -74,7 +79,7 @@ pub(super) struct Block {
     pub rewards: Row,
     /// True while an episode runs.
     pub running: [bool; LANES],
-    /// True if MuJoCo computed the last physics step, so that the warm start of its solver is valid.
+    /// True if contacts were solved in the last physics step, so that the warm start of the solver is valid.
     pub in_mujoco: [bool; LANES],
     /// True if the last step ended an episode.
     pub ended: [bool; LANES],
@@ -313,6 +318,7 @@ impl<'a, T> EnvSlices<'a, T> {
         if let Some(warm_start) = warm_start {
             self.warm_starts[6 * drones * index..][..6 * drones].copy_from_slice(warm_start);
         }
+        slot.wind_seed = data.wind_seed();
         let mut conditions = self.conditions.block(index / LANES, drones);
         conditions.set(lane, data, &slot.episode, model.substeps, parameters.is_some());
         if let Some(simulation) = parameters
@@ -342,6 +348,7 @@ impl<'a, T> EnvSlices<'a, T> {
             }
         };
         data.read_lane(lanes, lane, block.steps[lane], warm_start);
+        data.set_wind_seed(slot.wind_seed);
         let conditions = self.conditions.block(index / LANES, drones);
         conditions.read(lane, data, model.substeps);
     }

@@ -39,7 +39,8 @@ pub(super) enum StepKind {
 pub(super) struct Worker<T> {
     /// Workspaces, and the data of the current environment if it has no own data.
     pub env: Aviary<T>,
-    /// Data of the environments of a block that advance in MuJoCo and have no own data.
+    /// Data of the environments of a block that have no own data and do not advance in lanes, or that are evaluated one
+    /// at a time.
     grounded: Vec<SimData>,
     /// Actions of a block: four rows per drone.
     pub(super) actions: Vec<[Row; 4]>,

@@ -69,7 +69,7 @@ const IMPEDANCES: std::ops::RangeInclusive<f64> = 0.0001..=0.9999;
 
 impl FloorModel {
     /// Reads the contact model of a compiled scene. Returns `None` if the scene has a setting that
-    /// [`floor::step`](super::floor::step) does not implement.
+    /// the [`FloorKernel`](super::floor::FloorKernel) does not implement.
     pub(crate) fn read(model: &Model, world: &World) -> Option<Self> {
         let floor: GeomId = model.find("floor").ok()?;
         let mut shared = None;

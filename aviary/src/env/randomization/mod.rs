@@ -2,7 +2,6 @@
 
 mod ranges;
 mod sampling;
-#[cfg_attr(not(test), allow(dead_code, reason = "for batches"))]
 mod sensors;
 
 pub use ranges::{

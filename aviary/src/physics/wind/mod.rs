@@ -7,7 +7,6 @@
 mod config;
 mod dryden;
 mod field;
-#[cfg_attr(not(test), allow(dead_code, reason = "for the flight kernel"))]
 mod lanes;
 mod local;
 
