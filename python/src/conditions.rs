@@ -1,0 +1,8 @@
+//! Wind, obstacles and randomization.
+
+use pyo3::prelude::*;
+
+/// Adds the classes and functions of this file to the module.
+pub fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+    Ok(())
+}
