@@ -102,6 +102,11 @@ impl AttitudeControl {
         &self.gains
     }
 
+    /// Replaces the gains. The integral stays the same.
+    pub fn set_gains(&mut self, gains: AttitudeGains) {
+        self.gains = gains;
+    }
+
     /// Sets the integral to zero.
     pub fn reset(&mut self) {
         self.integral = Vector3::zeros();

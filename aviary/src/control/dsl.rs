@@ -59,7 +59,17 @@ impl DslPidControl {
         Self { cascade: PidControl::with_gains(params, Self::gains(params)), setpoint: None }
     }
 
-    /// Returns the gains for an airframe. Torque gains scale with the inertia as in [`PidGains::paper`].
+    /// Returns the gains of this controller.
+    pub fn current_gains(&self) -> PidGains {
+        self.cascade.gains()
+    }
+
+    /// Replaces the gains. The integrals and the setpoint stay the same.
+    pub fn set_gains(&mut self, gains: PidGains) {
+        self.cascade.set_gains(gains);
+    }
+
+    /// Returns the default gains for an airframe. Torque gains scale with the inertia as in [`PidGains::paper`].
     pub fn gains(params: &DroneParams) -> PidGains {
         PidGains {
             position: PositionGains {

@@ -20,6 +20,7 @@ use crate::state::{DroneState, FlightState};
 /// assert_eq!(control.bandwidths().integral, 0.1);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Bandwidths {
     /// Frequency of the position loop along world x and y, rad/s.
     pub horizontal: f64,

@@ -1,9 +1,11 @@
+use nalgebra::Vector3;
+
 use super::{
     ControlMemory, ControlOutput, Controller, DslPidControl, GeometricControl, Goal, LaneController, PidControl,
-    Reference, Target,
+    PidGains, Reference, Target,
 };
 use crate::drone::DroneParams;
-use crate::math::Real;
+use crate::math::{Real, V3};
 use crate::names::named_enum;
 use crate::state::{DroneState, FlightState};
 
@@ -46,6 +48,18 @@ impl ControllerKind {
     }
 }
 
+/// Integral terms of a controller.
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
+pub struct Integrals {
+    /// Integral of the position errors, world frame: m·s, or the acceleration that it causes (m/s²) in a
+    /// [`GeometricControl`].
+    #[serde(with = "crate::serial::vector")]
+    pub position: Vector3<f64>,
+    /// Integral of the attitude errors, body frame, rad·s; zero in a [`GeometricControl`].
+    #[serde(with = "crate::serial::vector")]
+    pub attitude: Vector3<f64>,
+}
+
 /// A built-in controller of a kind that is chosen at run time.
 ///
 /// ```
@@ -68,6 +82,55 @@ pub enum AnyController {
 }
 
 impl AnyController {
+    /// Returns the gains of a cascade; `None` for a [`GeometricControl`], which has
+    /// [`Bandwidths`](super::Bandwidths).
+    pub fn gains(&self) -> Option<PidGains> {
+        match self {
+            Self::Pid(control) => Some(control.gains()),
+            Self::Dsl(control) => Some(control.current_gains()),
+            Self::Geometric(_) => None,
+        }
+    }
+
+    /// Replaces the gains of a cascade. The integrals stay the same. Returns false for a [`GeometricControl`].
+    ///
+    /// ```
+    /// use aviary::control::{ControllerKind, Integrals};
+    /// use aviary::drone::DroneModel;
+    /// use nalgebra::Vector3;
+    ///
+    /// let mut control = ControllerKind::Dsl.build(&DroneModel::Cf2x.params());
+    /// let integrals = Integrals { position: Vector3::new(0.1, 0.0, -0.2), ..Integrals::default() };
+    /// control.set_integrals(&integrals);
+    /// let mut gains = control.gains().unwrap();
+    /// gains.position.integral.z = 5.0;
+    /// assert!(control.set_gains(gains));
+    /// assert_eq!((control.gains(), control.integrals()), (Some(gains), integrals));
+    /// ```
+    pub fn set_gains(&mut self, gains: PidGains) -> bool {
+        match self {
+            Self::Pid(control) => control.set_gains(gains),
+            Self::Dsl(control) => control.set_gains(gains),
+            Self::Geometric(_) => return false,
+        }
+        true
+    }
+
+    /// Returns the integrals.
+    pub fn integrals(&self) -> Integrals {
+        let ControlMemory { position_integral, attitude_integral, .. } = self.memory();
+        Integrals { position: position_integral.into(), attitude: attitude_integral.into() }
+    }
+
+    /// Replaces the integrals, for example to start with the trim of an earlier flight. The next control step clamps
+    /// them. A [`GeometricControl`] has no integral of the attitude.
+    pub fn set_integrals(&mut self, integrals: &Integrals) {
+        let mut memory = self.memory();
+        memory.position_integral = V3::from(&integrals.position);
+        memory.attitude_integral = V3::from(&integrals.attitude);
+        self.set_memory(&memory);
+    }
+
     fn get(&mut self) -> &mut dyn Controller {
         match self {
             Self::Pid(control) => control,
@@ -122,5 +185,54 @@ impl LaneController for AnyController {
             Self::Dsl(control) => control.track(dt, memory, state, target, goal),
             Self::Geometric(control) => control.track(dt, memory, state, target, goal),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drone::DroneModel;
+
+    /// A controller with the gains and the integrals of another one computes its motor speeds.
+    #[test]
+    fn gains_and_integrals_carry_over_between_controllers() {
+        let params = DroneModel::Race.params();
+        let state = DroneState::at_rest(Vector3::new(0.1, -0.2, 1.0), Vector3::new(0.1, 0.2, 2.0));
+        let reference = Reference::hover(Vector3::new(0.15, -0.15, 1.1), 2.5);
+        for kind in ControllerKind::ALL {
+            let mut first = kind.build(&params);
+            if let Some(mut gains) = first.gains() {
+                gains.position.integral *= 3.0;
+                gains.attitude.integral = gains.attitude.proportional;
+                assert!(first.set_gains(gains), "{kind}");
+            }
+            for _ in 0..20 {
+                first.control(0.02, &state, &reference);
+            }
+            let mut second = kind.build(&params);
+            second.control(0.02, &state, &reference);
+            if let Some(gains) = first.gains() {
+                second.set_gains(gains);
+                for _ in 1..20 {
+                    second.control(0.02, &state, &reference);
+                }
+                second.set_integrals(&Integrals::default());
+                let [with, without] =
+                    [&first, &second].map(|control| control.clone().control(0.02, &state, &reference));
+                assert_ne!(with, without, "{kind}");
+            }
+            second.set_integrals(&first.integrals());
+            assert_eq!(second.integrals(), first.integrals(), "{kind}");
+            assert_eq!(second.control(0.02, &state, &reference), first.control(0.02, &state, &reference), "{kind}");
+        }
+    }
+
+    #[test]
+    fn integrals_out_of_range_are_clamped_by_the_next_step() {
+        let mut control = ControllerKind::Pid.build(&DroneModel::Cf2x.params());
+        control.set_integrals(&Integrals { position: Vector3::new(9.0, 0.0, -9.0), attitude: Vector3::repeat(7.0) });
+        control.control(0.02, &DroneState::default(), &Reference::default());
+        assert_eq!(control.integrals().position, Vector3::new(2.0, 0.0, -2.0));
+        assert_eq!(control.integrals().attitude, Vector3::repeat(0.5));
     }
 }

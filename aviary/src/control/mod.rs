@@ -27,7 +27,7 @@ pub mod trajectory;
 pub use attitude::{AttitudeControl, AttitudeGains, HeadingHold};
 pub use dsl::DslPidControl;
 pub use geometric::{Bandwidths, GeometricControl};
-pub use kind::{AnyController, ControllerKind};
+pub use kind::{AnyController, ControllerKind, Integrals};
 pub use mixer::Mixer;
 pub use pid::{PidControl, PidGains, PositionGains};
 pub use rate::RateControl;

@@ -117,6 +117,12 @@ impl PidControl {
         PidGains { position: self.gains, attitude: *self.attitude.gains() }
     }
 
+    /// Replaces the gains. The integrals stay the same.
+    pub fn set_gains(&mut self, gains: PidGains) {
+        self.gains = gains.position;
+        self.attitude.set_gains(gains.attitude);
+    }
+
     /// Tracks a target with a feed-forward acceleration (world frame, m/s²). Position errors above `integrated` metres
     /// do not enter the integral.
     #[inline(always)]
