@@ -110,7 +110,7 @@ impl Conditions {
         let mut table: toml::Table = text.parse().map_err(wrong)?;
         let wind = table.get("wind").and_then(toml::Value::as_table);
         // these also act in still air or on a sampled wind
-        let independent = ["still_air_drag", "filter", "air_density"];
+        let independent = ["still_air_drag", "filter", "air_density", "drag_area"];
         let needs_model = |wind: &toml::Table| {
             !wind.contains_key("model") && wind.keys().any(|key| !independent.contains(&key.as_str()))
         };

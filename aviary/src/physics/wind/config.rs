@@ -74,6 +74,8 @@ pub struct WindConfig {
     pub sinusoidal_frequency: f64,
     /// Density of the air, kg/m³.
     pub air_density: f64,
+    /// Drag area C_d·A of every drone, m²; `None` for [that of its airframe](crate::drone::DroneParams::drag_area).
+    pub drag_area: Option<f64>,
     /// True to apply the drag law in still air as well: with model `none`, with gusts or the sinusoidal force alone,
     /// and with a constant wind of zero velocity; default false. The drag law always applies in moving air.
     pub still_air_drag: bool,
@@ -92,6 +94,7 @@ impl Default for WindConfig {
             sinusoidal_force: 0.002,
             sinusoidal_frequency: 1.0,
             air_density: 1.225,
+            drag_area: None,
             still_air_drag: false,
         }
     }
@@ -122,7 +125,12 @@ impl WindConfig {
         ] {
             OptionError::check(option, got, 0.0..=1e3, "0 to 1000")?;
         }
-        Ok(())
+        OptionError::check("wind.drag_area", self.drag_area.unwrap_or(0.0), 0.0..=1e3, "0 to 1000 m²")
+    }
+
+    /// Returns the drag area of a drone whose airframe has this drag area, m².
+    pub(super) fn area_of(&self, airframe: f64) -> f64 {
+        self.drag_area.unwrap_or(airframe)
     }
 
     /// Returns the settings at a drone with a drag area of 1 m², for physics steps of `dt` seconds.
@@ -162,6 +170,7 @@ impl WindConfig {
     /// Returns coefficients that bound the force (N) on an airframe of a drag area (m²) at a speed v (m/s):
     /// c₀ + c₁·v + c₂·v².
     pub(crate) fn bound(&self, drag_area: f64) -> [f64; 3] {
+        let drag_area = self.area_of(drag_area);
         let has = |part| self.model.has(part);
         let constant = if has(WindModel::Constant) { nalgebra::Vector3::from(self.velocity).norm() } else { 0.0 };
         let air = constant + if has(WindModel::Dryden) { max_speed(self.turbulence) } else { 0.0 };
@@ -203,6 +212,7 @@ mod tests {
         refused(WindConfig { gust_duration: 0.0, ..WindConfig::default() }, "wind.gust_duration is 0");
         let error = toml::from_str::<WindConfig>("filter = \"mil\"").unwrap_err().to_string();
         assert!(error.contains("first_order") && error.contains("mil_f_8785c"), "{error}");
+        refused(WindConfig { drag_area: Some(-0.01), ..WindConfig::default() }, "wind.drag_area is -0.01");
         refused(WindConfig { air_density: f64::INFINITY, ..WindConfig::default() }, "wind.air_density is inf");
     }
 }

@@ -105,10 +105,11 @@ impl WindField {
         Self::of_areas(config, drones.iter().map(DroneParams::drag_area))
     }
 
-    /// Creates the wind at drones of these drag areas, m².
+    /// Creates the wind at drones whose airframes have these drag areas, m².
     pub(crate) fn of_areas(config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<Self, OptionError> {
         config.validate()?;
-        let local = |drag_area: f64| Local { key: Key::default(), drag_area, state: WindState::default() };
+        let local =
+            |airframe| Local { key: Key::default(), drag_area: config.area_of(airframe), state: WindState::default() };
         let mut field = Self {
             config,
             params: WindParams::default(),
@@ -121,19 +122,19 @@ impl WindField {
         Ok(field)
     }
 
-    /// Replaces the settings and the drag areas (m²); the number of drones and the state of the wind stay the same.
+    /// Replaces the settings and the drag areas of the airframes (m²); the number of drones and the state of the wind stay the same.
     pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), OptionError> {
         config.validate()?;
-        for (local, drag_area) in self.locals.iter_mut().zip(areas) {
-            local.drag_area = drag_area;
+        for (local, airframe) in self.locals.iter_mut().zip(areas) {
+            local.drag_area = config.area_of(airframe);
         }
         (self.config, self.dt) = (config, f64::NAN);
         Ok(())
     }
 
-    /// Sets the drag area of a drone, m².
-    pub(crate) fn set_area(&mut self, drone: usize, drag_area: f64) {
-        self.locals[drone].drag_area = drag_area;
+    /// Sets the drag area of the airframe of a drone, m².
+    pub(crate) fn set_area(&mut self, drone: usize, airframe: f64) {
+        self.locals[drone].drag_area = self.config.area_of(airframe);
     }
 
     /// Returns the number of drones.

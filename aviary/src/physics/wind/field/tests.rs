@@ -288,3 +288,21 @@ fn still_air_has_drag_only_with_the_option() {
         }
     }
 }
+
+/// A drag area of the wind replaces that of the airframe, also after changes of the airframe and of the wind.
+#[test]
+fn drag_area_of_the_wind_replaces_that_of_the_airframe() {
+    let constant = WindConfig { velocity: [2.0, 0.0, 0.0], ..WindConfig::new(WindModel::Constant) };
+    let wide = WindConfig { drag_area: Some(0.02), ..constant };
+    let force = |field: &mut WindField| field.advance(DT, 0, &DroneState::default()).0.x;
+    let expected = 0.5 * 1.225 * 0.02 * 4.0;
+    let mut wind = field(wide, 1);
+    assert!((force(&mut wind) - expected).abs() < 1e-15);
+    wind.set_area(0, 0.5);
+    assert!((force(&mut wind) - expected).abs() < 1e-15);
+    wind.set(constant, std::iter::once(0.01)).unwrap();
+    assert!((force(&mut wind) - 0.5 * expected).abs() < 1e-15);
+    wind.set(wide, std::iter::once(0.01)).unwrap();
+    assert!((force(&mut wind) - expected).abs() < 1e-15);
+    assert_eq!(wide.bound(0.5), wide.bound(0.02));
+}

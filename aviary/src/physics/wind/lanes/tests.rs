@@ -56,9 +56,9 @@ fn config() -> impl Strategy<Value = Option<WindConfig>> {
         number(20.0),
         prop::sample::select(&DrydenFilter::ALL[..]),
         (number(0.1), number(30.0)),
-        any::<bool>(),
+        (prop::option::of(number(0.05)), any::<bool>()),
     );
-    let config = parts.prop_map(|(model, velocity, gust, turbulence, filter, sinusoidal, still_air_drag)| WindConfig {
+    let config = parts.prop_map(|(model, velocity, gust, turbulence, filter, sinusoidal, drag)| WindConfig {
         model,
         velocity,
         gust_force: gust.0,
@@ -68,7 +68,8 @@ fn config() -> impl Strategy<Value = Option<WindConfig>> {
         filter,
         sinusoidal_force: sinusoidal.0,
         sinusoidal_frequency: sinusoidal.1,
-        still_air_drag,
+        drag_area: drag.0,
+        still_air_drag: drag.1,
         ..WindConfig::default()
     });
     prop_oneof![1 => Just(None), 6 => config.prop_map(Some)]
