@@ -1,10 +1,10 @@
 use crate::error::OptionError;
 use nalgebra::Vector3;
-use rand::RngExt as _;
+use rand::{RngExt as _, SeedableRng as _};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{Obstacle, SceneError, Shape};
-use crate::error::triple;
+use crate::error::{triple, triples};
 use crate::names::named_enum;
 use crate::random::Rng;
 
@@ -69,6 +69,10 @@ pub struct ObstacleConfig {
     pub spacing: f64,
     /// Radius of the sphere around the start of every drone that stays free of obstacles, m; default 0.3.
     pub safe_zone: f64,
+    /// Centres of further spheres of this radius that stay free of obstacles, such as goals, world frame, m; default
+    /// none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub safe_zone_centers: Vec<[f64; 3]>,
     /// True to generate a new layout for every episode; default false.
     pub new_layout: bool,
     /// Seed of the layout; default 0. With a new layout per episode it is the seed of the first layout, which
@@ -99,6 +103,8 @@ struct Fields {
     arena: Option<[f64; 3]>,
     spacing: Option<f64>,
     safe_zone: Option<f64>,
+    #[serde(default, deserialize_with = "triples")]
+    safe_zone_centers: Vec<[f64; 3]>,
     new_layout: Option<bool>,
     seed: Option<u64>,
     #[serde(default)]
@@ -114,6 +120,7 @@ impl From<Fields> for ObstacleConfig {
             arena: fields.arena.unwrap_or(defaults.arena),
             spacing: fields.spacing.unwrap_or(defaults.spacing),
             safe_zone: fields.safe_zone.unwrap_or(defaults.safe_zone),
+            safe_zone_centers: fields.safe_zone_centers,
             new_layout: fields.new_layout.unwrap_or(defaults.new_layout),
             seed: fields.seed,
             custom: fields.custom,
@@ -156,12 +163,12 @@ pub enum ObstacleGeneratorError {
         /// Radius of the free sphere around every drone, m.
         safe_zone: f64,
     },
-    /// A wall too close to the start of a drone.
-    #[error("a wall of the room is {got:.3} m from the start of drone {drone}, expected at least {expected} m")]
+    /// A wall too close to the start of a drone or to the centre of another free sphere.
+    #[error("a wall of the room is {got:.3} m from {place}, expected at least {expected} m")]
     Wall {
-        /// Index of the drone.
-        drone: usize,
-        /// Distance of the wall from the start, m.
+        /// Start or centre, for example `the start of drone 0`.
+        place: String,
+        /// Distance of the wall from it, m.
         got: f64,
         /// Radius of the safe zone, m.
         expected: f64,
@@ -204,6 +211,7 @@ impl ObstacleConfig {
             arena: [3.0, 3.0, 2.0],
             spacing: 0.2,
             safe_zone: 0.3,
+            safe_zone_centers: Vec::new(),
             new_layout: false,
             seed: None,
             custom: Vec::new(),
@@ -223,6 +231,11 @@ impl ObstacleConfig {
         }
         OptionError::check("obstacles.spacing", self.spacing, 0.0..=1e3, "0 to 1000 m")?;
         OptionError::check("obstacles.safe_zone", self.safe_zone, 0.0..=1e3, "0 to 1000 m")?;
+        for &got in self.safe_zone_centers.iter().flatten() {
+            OptionError::check("obstacles.safe_zone_centers", got, -1e5..=1e5, "coordinates within ±100,000 m")?;
+        }
+        let centers = self.safe_zone_centers.len();
+        OptionError::check("the number of obstacles.safe_zone_centers", centers as f64, 0.0..=1e4, "up to 10,000")?;
         if custom {
             OptionError::check(
                 "the number of entries of obstacles.custom",
@@ -260,13 +273,14 @@ impl ObstacleConfig {
     /// [`ObstacleGeneratorError`] if a setting is invalid or the arena has too little room.
     pub fn generate(&self, starts: &[[f64; 3]], rng: &mut Rng) -> Result<Vec<Obstacle>, ObstacleGeneratorError> {
         self.validate()?;
-        let starts: Vec<_> = starts.iter().map(|&start| Vector3::from(start)).collect();
+        let drones = starts.len();
+        let starts: Vec<_> = starts.iter().chain(&self.safe_zone_centers).map(|&start| Vector3::from(start)).collect();
         if self.kind == ObstacleKind::Custom {
             return Ok(self.custom.clone());
         }
         let mut room = Room::default();
         if self.kind == ObstacleKind::Indoor {
-            room = self.room(&starts, rng)?;
+            room = self.room(&starts, drones, rng)?;
         }
         let mut best = 0;
         // in a full arena another first obstacle may succeed
@@ -283,6 +297,15 @@ impl ObstacleConfig {
             spacing: self.spacing,
             safe_zone: self.safe_zone,
         })
+    }
+
+    /// Generates the layout of the [`seed`](Self::seed) around drones that start at these positions (world frame, m).
+    /// It is the first layout of an environment with these initial positions.
+    ///
+    /// # Errors
+    /// Returns the errors of [`generate`](Self::generate).
+    pub fn first_layout(&self, starts: &[[f64; 3]]) -> Result<Vec<Obstacle>, ObstacleGeneratorError> {
+        self.generate(starts, &mut Rng::seed_from_u64(self.seed.unwrap_or(0)))
     }
 
     /// Places the obstacles one after another; returns the number of placed obstacles if the next one has no room.
@@ -401,7 +424,8 @@ impl ObstacleConfig {
     }
 
     /// Samples the walls around the arena, and partitions across it, one per 1.5 m of length, with doorways of 0.8 m.
-    fn room(&self, starts: &[Vector3<f64>], rng: &mut Rng) -> Result<Room, ObstacleGeneratorError> {
+    /// The first `drones` of the `starts` are those of drones.
+    fn room(&self, starts: &[Vector3<f64>], drones: usize, rng: &mut Rng) -> Result<Room, ObstacleGeneratorError> {
         const THICKNESS: f64 = 0.03;
         const DOORWAY: f64 = 0.8;
         let [length, width, height] = self.arena;
@@ -421,12 +445,20 @@ impl ObstacleConfig {
         let near = |walls: &[Obstacle], start: &Vector3<f64>| {
             walls.iter().map(|wall| wall.distance(start)).fold(f64::INFINITY, f64::min)
         };
-        for (drone, start) in starts.iter().enumerate() {
-            let got = near(&walls, start);
-            if got < self.safe_zone {
-                return Err(ObstacleGeneratorError::Wall { drone, got, expected: self.safe_zone });
+        let check = |walls: &[Obstacle]| {
+            let distances = starts.iter().map(|start| near(walls, start)).enumerate();
+            match distances.into_iter().find(|(_, got)| *got < self.safe_zone) {
+                Some((index, got)) => {
+                    let place = match index.checked_sub(drones) {
+                        None => format!("the start of drone {index}"),
+                        Some(index) => format!("safe_zone_centers[{index}]"),
+                    };
+                    Err(ObstacleGeneratorError::Wall { place, got, expected: self.safe_zone })
+                }
+                None => Ok(()),
             }
-        }
+        };
+        check(&walls)?;
         let rooms = ((length / 1.5) as usize).clamp(1, 6);
         let wide = width > DOORWAY + 0.4;
         let mut passages = Vec::new();
@@ -448,16 +480,47 @@ impl ObstacleConfig {
                     break;
                 }
             }
-            for (drone, start) in starts.iter().enumerate() {
-                let got = near(&pair, start);
-                if got < self.safe_zone {
-                    return Err(ObstacleGeneratorError::Wall { drone, got, expected: self.safe_zone });
-                }
-            }
+            check(&pair)?;
             walls.extend(pair);
             let half_size = [THICKNESS + Self::PASSAGE, 0.5 * DOORWAY, 0.5 * height];
             passages.push(Obstacle::new(Shape::Box { half_size }, passage));
         }
         Ok(Room { walls, passages })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn safe_zone_centers_stay_free_as_the_starts_do() {
+        for kind in [ObstacleKind::Forest, ObstacleKind::Urban, ObstacleKind::Random, ObstacleKind::Gates] {
+            let center = [0.9, -0.8, 0.5];
+            let free = ObstacleConfig {
+                count: 3,
+                safe_zone: 0.5,
+                safe_zone_centers: vec![center],
+                ..ObstacleConfig::new(kind)
+            };
+            let plain = ObstacleConfig { safe_zone_centers: Vec::new(), ..free.clone() };
+            let mut met = false;
+            for seed in 0..30 {
+                let nearest = |config: &ObstacleConfig, starts: &[[f64; 3]]| {
+                    let obstacles = config.generate(starts, &mut Rng::seed_from_u64(seed)).unwrap();
+                    obstacles.iter().map(|o| o.distance(&center.into())).fold(f64::INFINITY, f64::min)
+                };
+                assert!(nearest(&free, &[]) >= 0.5, "{kind}");
+                assert_eq!(nearest(&free, &[]), nearest(&plain, &[center]), "{kind}");
+                met |= nearest(&plain, &[]) < 0.5;
+            }
+            assert!(met, "no {kind} needs the zone");
+        }
+        let safe_zone_centers = vec![[1.4, 0.0, 1.0]];
+        let room = ObstacleConfig { safe_zone_centers, ..ObstacleConfig::new(ObstacleKind::Indoor) };
+        let error = room.first_layout(&[]).unwrap_err().to_string();
+        assert!(error.contains("from safe_zone_centers[0], expected at least 0.3 m"), "{error}");
+        let error = room.first_layout(&[[1.4, 0.0, 1.0]]).unwrap_err().to_string();
+        assert!(error.contains("from the start of drone 0"), "{error}");
     }
 }
