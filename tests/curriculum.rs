@@ -58,7 +58,7 @@ fn curriculum_advances_after_a_successful_window_and_retreats_after_a_failed_one
 #[test]
 fn curriculum_level_stays_within_its_levels_for_reward_and_episode_length() {
     for (metric, advance) in [(CurriculumMetric::Reward, 5.0), (CurriculumMetric::EpisodeLength, 12.0)] {
-        let config = CurriculumConfig { levels: 2, window: 2, metric, advance, retreat: None };
+        let config = CurriculumConfig { levels: 2, window: 2, metric, advance, ..CurriculumConfig::default() };
         let mut env = rising(config);
         for _ in 0..10 {
             // 12 steps at the target with a reward of 0.5 each

@@ -44,13 +44,25 @@ pub struct CurriculumConfig {
     pub window: usize,
     /// Mean at or above which the level increases; 0.8 by default.
     pub advance: f64,
+    /// Number of successive episodes with such a mean after which the level increases; 1 by default.
+    pub advance_count: usize,
     /// Mean below which the level decreases; `None`, the default, never decreases it.
     pub retreat: Option<f64>,
+    /// Level of the first episode; 0 by default.
+    pub start_level: usize,
 }
 
 impl Default for CurriculumConfig {
     fn default() -> Self {
-        Self { levels: 5, metric: CurriculumMetric::SuccessRate, window: 20, advance: 0.8, retreat: None }
+        Self {
+            levels: 5,
+            metric: CurriculumMetric::SuccessRate,
+            window: 20,
+            advance: 0.8,
+            advance_count: 1,
+            retreat: None,
+            start_level: 0,
+        }
     }
 }
 
@@ -66,6 +78,12 @@ impl CurriculumConfig {
         }
         if !(1..=1_000_000).contains(&self.window) {
             return wrong("window", self.window.to_string(), "1 to 1,000,000 episodes");
+        }
+        if !(1..=1_000_000).contains(&self.advance_count) {
+            return wrong("advance_count", self.advance_count.to_string(), "1 to 1,000,000 episodes");
+        }
+        if self.start_level >= self.levels {
+            return wrong("start_level", self.start_level.to_string(), "less than levels");
         }
         if !self.advance.is_finite() {
             return wrong("advance", self.advance.to_string(), "a finite number");
@@ -106,6 +124,9 @@ pub struct CurriculumState {
     pub advances: u64,
     /// Number of times that the level decreased.
     pub retreats: u64,
+    /// Number of successive episodes on this level with a mean at or above [`CurriculumConfig::advance`].
+    #[serde(default)]
+    pub streak: usize,
 }
 
 /// Level of difficulty, without an environment. [`CurriculumWrapper`] and
@@ -129,19 +150,20 @@ pub struct Curriculum {
 }
 
 impl Curriculum {
-    /// Creates a curriculum at level 0.
+    /// Creates a curriculum at [`start_level`](CurriculumConfig::start_level).
     ///
     /// # Errors
     /// [`EnvError::Option`] if a setting is invalid.
     pub fn new(config: CurriculumConfig) -> Result<Self, EnvError> {
         config.validate()?;
         let state = CurriculumState {
-            level: 0,
+            level: config.start_level,
             recent: VecDeque::with_capacity(config.window),
             episodes: 0,
             episodes_per_level: vec![0; config.levels],
             advances: 0,
             retreats: 0,
+            streak: 0,
         };
         Ok(Self { config, state })
     }
@@ -212,9 +234,11 @@ impl Curriculum {
             return;
         }
         let mean = state.recent.iter().sum::<f64>() / self.config.window as f64;
-        if mean >= self.config.advance && state.level + 1 < self.config.levels {
+        state.streak = if mean >= self.config.advance { state.streak + 1 } else { 0 };
+        if state.streak >= self.config.advance_count && state.level + 1 < self.config.levels {
             state.level += 1;
             state.advances += 1;
+            state.streak = 0;
             state.recent.clear();
         } else if self.config.retreat.is_some_and(|retreat| mean < retreat) && state.level > 0 {
             state.level -= 1;
@@ -255,7 +279,7 @@ pub struct CurriculumWrapper<E, F> {
 }
 
 impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
-    /// Creates a curriculum around an environment, at level 0. Every reset calls `difficulty` with the environment
+    /// Creates a curriculum around an environment, at [`start_level`](CurriculumConfig::start_level). Every reset calls `difficulty` with the environment
     /// and the level.
     ///
     /// # Errors
@@ -326,5 +350,30 @@ impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> Wrapper for C
             this.curriculum.episode_ended(this.env.info().success, reward, steps);
         }
         Ok(Step { observation: this.env.observation(), reward, terminated, truncated })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn advance_count_and_start_level_delay_and_shift_the_levels() {
+        let config =
+            CurriculumConfig { levels: 4, window: 2, advance_count: 3, start_level: 2, ..CurriculumConfig::default() };
+        let mut curriculum = Curriculum::new(config).unwrap();
+        let levels: Vec<_> = [true, true, true, false, true, true, true, true, true]
+            .map(|success| {
+                curriculum.episode_ended(success, 0.0, 1);
+                curriculum.level()
+            })
+            .into();
+        // the failure restarts the count; the mean is 1 again after the sixth episode
+        assert_eq!(levels, [2, 2, 2, 2, 2, 2, 2, 3, 3]);
+        let refused = |config: CurriculumConfig, text: &str| {
+            assert!(Curriculum::new(config).unwrap_err().to_string().starts_with(text));
+        };
+        refused(CurriculumConfig { start_level: 4, ..config }, "start_level is 4");
+        refused(CurriculumConfig { advance_count: 0, ..config }, "advance_count is 0");
     }
 }
