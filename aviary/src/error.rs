@@ -188,6 +188,13 @@ pub(crate) fn triples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<
     Ok(Vec::<Triple>::deserialize(deserializer)?.into_iter().map(|triple| triple.0).collect())
 }
 
+/// Reads exactly two numbers. The arrays of serde accept longer lists and ignore the rest.
+pub(crate) fn pair<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+    let numbers = Vec::<f64>::deserialize(deserializer)?;
+    let wrong = |numbers: Vec<f64>| serde::de::Error::custom(format!("{}, expected 2", count(numbers.len(), "number")));
+    numbers.try_into().map_err(wrong)
+}
+
 /// Reads an optional list of triples.
 pub(crate) fn optional_triples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Vec<[f64; 3]>>, D::Error> {
     triples(deserializer).map(Some)

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::env::EnvError;
+use crate::error::pair;
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::{WindConfig, WindModel};
 
@@ -46,10 +47,13 @@ pub struct Randomization {
 #[serde(default, deny_unknown_fields)]
 pub struct BodyRanges {
     /// Factor on the mass.
+    #[serde(deserialize_with = "pair")]
     pub mass: Range,
     /// Common factor on all moments of inertia.
+    #[serde(deserialize_with = "pair")]
     pub inertia: Range,
     /// Factor on the arm length.
+    #[serde(deserialize_with = "pair")]
     pub arm_length: Range,
 }
 
@@ -58,14 +62,19 @@ pub struct BodyRanges {
 #[serde(default, deny_unknown_fields)]
 pub struct AerodynamicRanges {
     /// Factor on the thrust coefficient.
+    #[serde(deserialize_with = "pair")]
     pub thrust: Range,
     /// Factor on the torque coefficient.
+    #[serde(deserialize_with = "pair")]
     pub torque: Range,
     /// Factors on the blade drag: one sample for x and y, one for z.
+    #[serde(deserialize_with = "pair")]
     pub drag: Range,
     /// Factor on the ground-effect coefficient.
+    #[serde(deserialize_with = "pair")]
     pub ground: Range,
     /// Factor on the strength of the wake.
+    #[serde(deserialize_with = "pair")]
     pub downwash: Range,
 }
 
@@ -74,12 +83,16 @@ pub struct AerodynamicRanges {
 #[serde(default, deny_unknown_fields)]
 pub struct ActuatorRanges {
     /// Factor on the speed of each motor, four samples.
+    #[serde(deserialize_with = "pair")]
     pub gain: Range,
     /// Time constant of the lag, s.
+    #[serde(deserialize_with = "pair")]
     pub lag: Range,
     /// Latency of commands, s.
+    #[serde(deserialize_with = "pair")]
     pub latency: Range,
     /// Factor on the maximum motor speed.
+    #[serde(deserialize_with = "pair")]
     pub max_rpm: Range,
 }
 
@@ -97,7 +110,10 @@ pub struct SensorRanges {
     pub angular_velocity: f64,
     /// Ratio of the standard deviation of the bias, sampled once per episode, to that of the noise.
     pub bias: f64,
+    /// Standard deviation of the bias of the angular velocity, rad/s; `None` for `bias` times the noise.
+    pub gyro_bias: Option<f64>,
     /// Delay of the observed states, s, rounded to whole physics steps.
+    #[serde(deserialize_with = "pair")]
     pub latency: Range,
 }
 
@@ -106,10 +122,12 @@ pub struct SensorRanges {
 #[serde(default, deny_unknown_fields)]
 pub struct EnvironmentRanges {
     /// Factor on gravity.
+    #[serde(deserialize_with = "pair")]
     pub gravity: Range,
     /// Speed of a horizontal [combined](WindModel::Combined) wind with a random direction, m/s. It replaces the
-    /// environment's wind except for [`filter`](WindConfig::filter) and
+    /// environment's wind except for [`filter`](WindConfig::filter), [`drag_area`](WindConfig::drag_area) and
     /// [`still_air_drag`](WindConfig::still_air_drag). `[0, 0]` keeps the environment's wind.
+    #[serde(deserialize_with = "pair")]
     pub wind: Range,
 }
 
@@ -156,6 +174,7 @@ impl Default for SensorRanges {
             attitude: 1_f64.to_radians(),
             angular_velocity: 0.05,
             bias: 1.0,
+            gyro_bias: None,
             latency: [0.0, 0.02],
         }
     }
@@ -262,6 +281,7 @@ impl Randomization {
             ("the randomized sensors.attitude", s.attitude),
             ("the randomized sensors.angular_velocity", s.angular_velocity),
             ("the randomized sensors.bias", s.bias),
+            ("the randomized sensors.gyro_bias", s.gyro_bias.unwrap_or(0.0)),
             ("the randomized initial.position", i.position),
             ("the randomized initial.attitude", i.attitude),
             ("the randomized initial.velocity", i.velocity),

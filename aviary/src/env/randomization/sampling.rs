@@ -196,8 +196,9 @@ impl Randomizer {
                 };
             }
             if let Some(ranges) = &config.sensors {
-                let sigmas = [ranges.position, ranges.velocity, ranges.attitude, ranges.angular_velocity];
-                draw.bias = sigmas.map(|sigma| gaussian(sensors, ranges.bias * sigma));
+                let sigmas = [ranges.position, ranges.velocity, ranges.attitude].map(|sigma| ranges.bias * sigma);
+                let gyro = ranges.gyro_bias.unwrap_or(ranges.bias * ranges.angular_velocity);
+                draw.bias = [sigmas[0], sigmas[1], sigmas[2], gyro].map(|sigma| gaussian(sensors, sigma));
             }
             draw.initial = simulation.initial_states()[drone];
         }
@@ -210,8 +211,8 @@ impl Randomizer {
             let speed = within(environment, ranges.wind);
             let velocity = [speed * cos, speed * sin, 0.0];
             // gusts and turbulence scale with the wind speed
-            let WindConfig { filter, still_air_drag, .. } = self.basis.wind.unwrap_or_default();
-            let full = WindConfig { filter, still_air_drag, ..WindConfig::new(WindModel::Combined) };
+            let WindConfig { filter, drag_area, still_air_drag, .. } = self.basis.wind.unwrap_or_default();
+            let full = WindConfig { filter, drag_area, still_air_drag, ..WindConfig::new(WindModel::Combined) };
             let wind = WindConfig {
                 velocity,
                 turbulence: full.turbulence * speed,

@@ -79,7 +79,7 @@ proptest! {
         let mut single = Vec::new();
         for (lane, sigmas) in sigmas.iter().enumerate() {
             let sensors = sigmas.map(|[position, velocity, attitude, angular_velocity, bias]| SensorRanges {
-                position, velocity, attitude, angular_velocity, bias, latency: [0.0; 2],
+                position, velocity, attitude, angular_velocity, bias, gyro_bias: None, latency: [0.0; 2],
             });
             let drone = lane % 2;
             let (mut simulation, randomizer) = episode(sensors, drone + 1, seed.wrapping_add(lane as u64));
@@ -123,6 +123,18 @@ proptest! {
             }
         }
     }
+}
+
+/// A separate bias of the angular velocity changes no other bias of the same seed.
+#[test]
+fn gyro_bias_replaces_the_bias_of_the_angular_velocity() {
+    let ranges = SensorRanges::default();
+    let biases = |ranges| episode(Some(ranges), 1, 3).1.draw.drones[0].bias;
+    let plain = biases(ranges);
+    let strong = biases(SensorRanges { gyro_bias: Some(4.0 * ranges.bias * ranges.angular_velocity), ..ranges });
+    assert_eq!(strong[..3], plain[..3]);
+    assert!((strong[3] - 4.0 * plain[3]).norm() < 1e-12 && plain[3].norm() > 0.0);
+    assert_eq!(biases(SensorRanges { gyro_bias: Some(0.0), ..ranges })[3], Vector3::zeros());
 }
 
 /// Prints the time of a measurement of eight drones. Run it with `--release -- --ignored --nocapture`.
