@@ -8,7 +8,7 @@ use super::stored::Snapshot;
 use super::workspace::{EnvModel, EnvWorkspace, Synced};
 use super::{
     BoxSpace, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, SampledParams,
-    Step, Task,
+    Step, Task, TaskOptions,
 };
 use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
@@ -432,6 +432,24 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
         }
         self.episode.next_randomization = Some(randomization.map(Box::new));
         Ok(())
+    }
+
+    fn set_task_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        // markers of waypoints and gates are compiled into the scene
+        if let Some(option) = options.names().find(|option| !TaskOptions::TARGETS.contains(option)) {
+            let got = "set after the environment was built".into();
+            return Err(EnvError::Option { option, got, expected: "an option of a new environment" });
+        }
+        let mut task = self.episode.task.clone();
+        task.set_options(options)?;
+        let drones: Vec<_> = self.simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
+        task.validate(&drones)?;
+        self.episode.task = task;
+        Ok(())
+    }
+
+    fn task_options(&self) -> TaskOptions {
+        self.episode.task.options()
     }
 
     fn sampled_params(&self) -> Option<&SampledParams> {

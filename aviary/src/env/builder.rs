@@ -1,13 +1,11 @@
 use std::sync::Arc;
 
-use rand::SeedableRng as _;
-
 use super::aviary::Aviary;
 use super::episode::Episode;
 use super::moving::MovingMarkers;
 use super::randomization::Randomizer;
 use super::workspace::{EnvModel, EnvWorkspace, Measured, Synced};
-use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Rng, Task};
+use super::{BoxSpace, EnvError, ObservationSpace, Randomization, Task, TaskOptions};
 use crate::action::{ActionDecoder, ActionLimits, ActionType};
 use crate::control::ControllerKind;
 use crate::drone::{DroneModel, DroneParams};
@@ -46,7 +44,7 @@ pub struct AviaryBuilder<T> {
     num_drones: Option<usize>,
     episode_seconds: Option<f64>,
     neighbourhood_radius: f64,
-    action_type: ActionType,
+    action_type: Option<ActionType>,
     action_limits: ActionLimits,
     controller: ControllerKind,
     observation_type: ObservationType,
@@ -69,7 +67,10 @@ macro_rules! forward {
     )*};
 }
 
-/// Options without a task, for [`make`](crate::tasks::make).
+/// Options for a task that is selected by name, for [`make`](crate::tasks::make),
+/// [`make_vec`](crate::vector::make_vec) and [`make_parallel`](crate::multi_agent::make_parallel).
+///
+/// [`task`](AviaryBuilder::task) sets [options of the task](TaskOptions) by name.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -82,11 +83,11 @@ macro_rules! forward {
 /// }
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
-pub type EnvConfig = AviaryBuilder<()>;
+pub type EnvConfig = AviaryBuilder<TaskOptions>;
 
 impl Default for EnvConfig {
     fn default() -> Self {
-        Self::new(())
+        Self::new(TaskOptions::default())
     }
 }
 
@@ -99,7 +100,7 @@ impl<T> AviaryBuilder<T> {
             num_drones: None,
             episode_seconds: None,
             neighbourhood_radius: f64::INFINITY,
-            action_type: ActionType::default(),
+            action_type: None,
             action_limits: ActionLimits::default(),
             controller: ControllerKind::default(),
             observation_type: ObservationType::default(),
@@ -111,7 +112,13 @@ impl<T> AviaryBuilder<T> {
         }
     }
 
-    /// Returns the same options for another task.
+    /// Returns the options of the task.
+    pub(super) fn task_options(&self) -> &T {
+        &self.task
+    }
+
+    /// Returns the same options for another task. The options of the present task are dropped; see
+    /// [`for_task`](EnvConfig::for_task).
     pub fn with_task<U>(self, task: U) -> AviaryBuilder<U> {
         AviaryBuilder {
             task,
@@ -205,10 +212,10 @@ impl<T> AviaryBuilder<T> {
         medium(medium: impl Into<Option<Medium>>);
     }
 
-    /// Sets the action type; default normalized motor speeds.
+    /// Sets the action type; default the task's: normalized motor speeds in all tasks but [`Base`](crate::tasks::Base).
     #[must_use]
     pub fn action_type(mut self, action_type: ActionType) -> Self {
-        self.action_type = action_type;
+        self.action_type = Some(action_type);
         self
     }
 
@@ -292,6 +299,7 @@ impl<T: Task> AviaryBuilder<T> {
         }
         let simulation = self.simulation.num_drones(count);
         self.task.validate(simulation.airframes())?;
+        let action_type = self.action_type.unwrap_or_else(|| self.task.action_type());
         let seconds = self.episode_seconds.unwrap_or(defaults.episode_seconds);
         // the step count of an episode below 4e7 s is exact
         if !(seconds.is_finite() && seconds > 0.0 && seconds < 4e7) {
@@ -325,8 +333,7 @@ impl<T: Task> AviaryBuilder<T> {
         let markers: Vec<_> = self.task.markers().into_iter().chain(visible).collect();
         let mut simulation = simulation.initial_positions_or(positions).markers(markers);
         if let Some(generator) = &self.obstacle_generator {
-            let mut rng = Rng::seed_from_u64(generator.seed.unwrap_or(0));
-            let obstacles = generator.generate(simulation.starts(), &mut rng)?;
+            let obstacles = generator.first_layout(simulation.starts())?;
             simulation = simulation.obstacles(obstacles);
         }
         let solid = moving.iter().filter(|marker| marker.solid).map(|marker| marker.marker.body);
@@ -360,9 +367,9 @@ impl<T: Task> AviaryBuilder<T> {
         }
         let limits = &self.action_limits;
         let decoders = (0..count)
-            .map(|drone| ActionDecoder::new(self.action_type, self.controller, simulation.params(drone), limits))
+            .map(|drone| ActionDecoder::new(action_type, self.controller, simulation.params(drone), limits))
             .collect::<Result<Vec<_>, _>>()?;
-        let bounds = (0..count).flat_map(|drone| self.action_type.bounds(simulation.params(drone), limits));
+        let bounds = (0..count).flat_map(|drone| action_type.bounds(simulation.params(drone), limits));
         let action_space = BoxSpace::new(bounds);
         let cameras = kind.has_images().then(|| SceneRenderer::for_observations(simulation.world())).transpose()?;
         let observation = Observation::with_sizes(kind, vector.size(), count, camera_size, self.rays.directions.len());
@@ -378,7 +385,7 @@ impl<T: Task> AviaryBuilder<T> {
         let randomizer =
             self.randomization.map(|config| Randomizer::new(config, simulation.view(), wind)).transpose()?;
         let model = EnvModel {
-            action_type: self.action_type,
+            action_type,
             action_space,
             row_space: observation_space.row(),
             observation_space,
@@ -393,7 +400,7 @@ impl<T: Task> AviaryBuilder<T> {
             rangefinder: rangefinder.map(Synced::new),
             cameras: cameras.map(Synced::new),
             observation,
-            clipped: vec![0.0; self.action_type.size() * count],
+            clipped: vec![0.0; action_type.size() * count],
             commands: vec![[0.0; 4]; count],
             starts: simulation.initial_states().to_vec(),
             measured: Measured::default(),

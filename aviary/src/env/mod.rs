@@ -14,6 +14,7 @@ mod snapshot;
 mod space;
 mod stored;
 mod task;
+mod task_options;
 mod workspace;
 
 pub use aviary::Aviary;
@@ -34,6 +35,7 @@ pub use snapshot::{EnvSnapshot, Saved};
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
 pub(crate) use task::path_points;
 pub use task::{Task, TaskDefaults};
+pub use task_options::TaskOptions;
 
 use crate::error::OptionError;
 use std::collections::BTreeMap;
@@ -231,6 +233,16 @@ pub enum EnvError {
         /// Valid values.
         expected: &'static str,
     },
+    /// An option that the task does not have.
+    #[error("the task `{task}` has no option `{option}`, expected {}", known_options(known))]
+    TaskOption {
+        /// Name of the task.
+        task: &'static str,
+        /// Name of the option.
+        option: &'static str,
+        /// Names of the options of the task.
+        known: &'static [&'static str],
+    },
     /// A configuration that is not valid TOML.
     #[error("{message}")]
     Toml {
@@ -310,6 +322,11 @@ pub enum EnvError {
     /// Images that cannot be rendered.
     #[error(transparent)]
     Vision(#[from] BuildError),
+}
+
+/// Returns the names of options for an error message.
+fn known_options(known: &[&str]) -> String {
+    if known.is_empty() { "none".into() } else { known.join(" or ") }
 }
 
 impl From<OptionError> for EnvError {
@@ -487,6 +504,31 @@ pub trait DroneEnv: Env {
     /// # Errors
     /// [`EnvError::Option`] naming an invalid range, or for a wind that the samples would replace.
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError>;
+
+    /// Changes target heights, from the next step on, also for later episodes. Options that are `None` stay the same.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, Env, EnvConfig, TaskOptions};
+    /// use aviary::tasks::make;
+    ///
+    /// let mut env = make("hover", EnvConfig::default())?;
+    /// env.reset(Some(1))?;
+    /// env.set_task_options(&TaskOptions { target_height: Some(0.1), ..TaskOptions::default() })?;
+    /// assert!(env.step(&[0.0; 4])?.reward > 0.4, "at the new target");
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`EnvError::TaskOption`] for an option that the task does not have, [`EnvError::Option`] for an invalid value or
+    /// for an option that is not a target height. The environment is unchanged after an error.
+    fn set_task_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        options.check(self.name(), &[])
+    }
+
+    /// Returns the options of the task that can be set by name, with their present values.
+    fn task_options(&self) -> TaskOptions {
+        TaskOptions::default()
+    }
 
     /// Returns the sampled parameters of this episode; `None` without randomization.
     fn sampled_params(&self) -> Option<&SampledParams>;

@@ -1,6 +1,7 @@
 use nalgebra::Vector3;
 
-use super::{BoxSpace, EndReason, EnvError, LaneFunctions, Rng, Saved};
+use super::{BoxSpace, EndReason, EnvError, LaneFunctions, Rng, Saved, TaskOptions};
+use crate::action::ActionType;
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -96,8 +97,27 @@ pub trait Task: std::fmt::Debug + 'static {
     /// Returns initial positions for these drones, world frame, m.
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]>;
 
-    /// Returns the space of one drone's observation. In every task of this crate, entries 0 to 11 are those of
-    /// [`state_vector`](crate::observation::state_vector).
+    /// Returns the default action type of the environment.
+    fn action_type(&self) -> ActionType {
+        ActionType::default()
+    }
+
+    /// Sets [options by name](TaskOptions). Options that are `None` stay the same. The environment validates the task
+    /// afterwards.
+    ///
+    /// # Errors
+    /// [`EnvError::TaskOption`] for an option that the task does not have; the task is unchanged.
+    fn set_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        options.check(self.name(), &[])
+    }
+
+    /// Returns the options that [`set_options`](Self::set_options) sets, with their present values.
+    fn options(&self) -> TaskOptions {
+        TaskOptions::default()
+    }
+
+    /// Returns the space of one drone's observation. In every task of [`NAMES`](crate::tasks::NAMES), entries 0 to 11 are
+    /// those of [`state_vector`](crate::observation::state_vector).
     fn observation_space(&self) -> BoxSpace;
 
     /// Validates the options of the task for these drones.

@@ -123,7 +123,7 @@ pub struct ParallelStep {
 /// [`AviaryBuilder::build`](crate::env::AviaryBuilder::build).
 pub fn make_parallel(name: &str, options: EnvConfig) -> Result<Box<dyn ParallelEnv + Send>, EnvError> {
     let env = for_task!(name, |task| {
-        let env = options.with_task(task).build()?;
+        let env = options.for_task(task)?.build()?;
         Box::new(ParallelAviary::new(env)) as Box<dyn ParallelEnv + Send>
     });
     env.map_err(EnvError::from)

@@ -283,7 +283,7 @@ impl SimulationBuilder {
         for (drone, params) in self.drones.iter().enumerate() {
             params.validate().map_err(|error| SimulationError::Drone { drone, error })?;
         }
-        let positions = self.positions.unwrap_or_else(|| row(&self.drones));
+        let positions = self.positions.unwrap_or_else(|| default_positions(&self.drones));
         let zeros = || vec![[0.0; 3]; count];
         let rpys = self.rpys.unwrap_or_else(zeros);
         let velocities = self.velocities.unwrap_or_else(zeros);
@@ -341,7 +341,7 @@ impl SimulationBuilder {
 }
 
 /// Returns positions in a row along x, far enough apart that the drones do not touch.
-fn row(drones: &[DroneParams]) -> Vec<[f64; 3]> {
+pub(crate) fn default_positions(drones: &[DroneParams]) -> Vec<[f64; 3]> {
     let spacing = drones.iter().map(|params| 4.0 * params.arm_length.max(params.collision_radius)).fold(0.0, f64::max);
     (0..drones.len()).map(|index| [index as f64 * spacing, 0.0, 0.1]).collect()
 }

@@ -16,6 +16,7 @@ mod view;
 use std::sync::Arc;
 
 pub use builder::SimulationBuilder;
+pub(crate) use builder::default_positions;
 pub use data::SimData;
 pub use error::SimulationError;
 pub use model::SimModel;

@@ -11,7 +11,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
-    TaskDefaults, TaskRows,
+    TaskDefaults, TaskOptions, TaskRows,
 };
 use crate::math::{Pack, Real, Turn, V3};
 use crate::observation::STATE_SIZE;
@@ -101,6 +101,18 @@ impl Task for FlyThrough {
 
     fn defaults(&self) -> TaskDefaults {
         TaskDefaults { num_drones: 1, episode_seconds: 20.0, controller: ControllerKind::Geometric }
+    }
+
+    fn set_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        options.check(self.name(), &["waypoints"])?;
+        if let Some(waypoints) = &options.waypoints {
+            self.waypoints.clone_from(waypoints);
+        }
+        Ok(())
+    }
+
+    fn options(&self) -> TaskOptions {
+        TaskOptions { waypoints: Some(self.waypoints.clone()), ..TaskOptions::default() }
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {

@@ -9,7 +9,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
-    TaskDefaults, TaskRows,
+    TaskDefaults, TaskOptions, TaskRows,
 };
 use crate::math::{Pack, Real, V3};
 use crate::simulation::SimView;
@@ -83,6 +83,16 @@ impl Task for Hover {
 
     fn defaults(&self) -> TaskDefaults {
         TaskDefaults { num_drones: 1, episode_seconds: 10.0, controller: ControllerKind::Pid }
+    }
+
+    fn set_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        options.check(self.name(), &["target_height"])?;
+        self.target_height = options.target_height.unwrap_or(self.target_height);
+        Ok(())
+    }
+
+    fn options(&self) -> TaskOptions {
+        TaskOptions { target_height: Some(self.target_height), ..TaskOptions::default() }
     }
 
     fn initial_positions(&self, _drones: &[DroneParams]) -> Vec<[f64; 3]> {

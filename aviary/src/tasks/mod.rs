@@ -1,6 +1,7 @@
 //! Tasks, one file each. [`make`] creates the environment of a task by name.
 
 mod antipodal;
+mod base;
 mod conditions;
 mod fly_through;
 mod formation;
@@ -15,6 +16,7 @@ mod waypoint_progress;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 pub use antipodal::Antipodal;
+pub use base::Base;
 pub use conditions::{CrashConditions, CrashWatch};
 pub use fly_through::FlyThrough;
 pub use formation::Formation;
@@ -149,6 +151,10 @@ macro_rules! for_task {
                 let $task = $new;
                 $body
             }),)+
+            $crate::tasks::BASE => Ok({
+                let $task = $crate::tasks::Base::default();
+                $body
+            }),
             other => Err($crate::tasks::unknown(other)),
         }
     };
@@ -158,6 +164,9 @@ macro_rules! for_task {
 }
 
 pub(crate) use for_task;
+
+/// Name of the environment without a task, [`Base`], for [`make`] and its siblings for batches and agents.
+pub const BASE: &str = "base";
 
 /// Names of all tasks, the paper's seven first.
 pub const NAMES: [&str; with_tasks!(names!()).len()] = with_tasks!(names!());
@@ -202,8 +211,9 @@ pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
     with_tasks!(summaries!())
 }
 
-/// Creates the environment of a task by name. `multi_agent` has a single agent for all drones here; a
-/// [`ParallelAviary`](crate::multi_agent::ParallelAviary) has one agent per drone.
+/// Creates the environment of a task by name, or with the name [`BASE`] the environment without a task. The
+/// [options of the task](crate::env::TaskOptions) are part of the configuration. `multi_agent` has a single agent for
+/// all drones here; a [`ParallelAviary`](crate::multi_agent::ParallelAviary) has one agent per drone.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -211,14 +221,16 @@ pub fn summary(name: &str) -> Result<TaskSummary, UnknownName> {
 ///
 /// let mut env = make("race", EnvConfig::default().ctrl_freq(60))?;
 /// assert_eq!(env.reset(Some(1))?.vector.len(), 21);
+/// let env = make("race", EnvConfig::default().task(|options| options.laps = Some(1)))?;
+/// assert_eq!(env.task_options().laps, Some(1));
 /// # Ok::<(), aviary::env::EnvError>(())
 /// ```
 ///
 /// # Errors
-/// [`EnvError::UnknownName`] for an unknown name, and the errors of
-/// [`AviaryBuilder::build`](crate::env::AviaryBuilder::build).
+/// [`EnvError::UnknownName`] for an unknown name, [`EnvError::TaskOption`] for an option of another task, and the
+/// errors of [`AviaryBuilder::build`](crate::env::AviaryBuilder::build).
 pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn DroneEnv + Send>, EnvError> {
-    for_task!(name, |task| Box::new(config.with_task(task).build()?) as Box<dyn DroneEnv + Send>)
+    for_task!(name, |task| Box::new(config.for_task(task)?.build()?) as Box<dyn DroneEnv + Send>)
         .map_err(EnvError::from)
 }
 

@@ -10,7 +10,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
-    TaskDefaults, TaskRows,
+    TaskDefaults, TaskOptions, TaskRows,
 };
 use crate::math::{Pack, Real, V3};
 use crate::observation::STATE_SIZE;
@@ -103,6 +103,18 @@ impl Task for MultiHover {
 
     fn defaults(&self) -> TaskDefaults {
         TaskDefaults { num_drones: self.num_drones, episode_seconds: 10.0, controller: ControllerKind::Dsl }
+    }
+
+    fn set_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        options.check(self.name(), &["target_heights"])?;
+        if options.target_heights.is_some() {
+            self.target_heights.clone_from(&options.target_heights);
+        }
+        Ok(())
+    }
+
+    fn options(&self) -> TaskOptions {
+        TaskOptions { target_heights: self.target_heights.clone(), ..TaskOptions::default() }
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {

@@ -9,7 +9,7 @@ use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
-    TaskDefaults, TaskRows,
+    TaskDefaults, TaskOptions, TaskRows,
 };
 use crate::math::{Pack, Real, Turn, V3};
 use crate::observation::STATE_SIZE;
@@ -118,6 +118,19 @@ impl Task for Race {
 
     fn defaults(&self) -> TaskDefaults {
         TaskDefaults { num_drones: 1, episode_seconds: 30.0, controller: ControllerKind::Geometric }
+    }
+
+    fn set_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        options.check(self.name(), &["gates", "laps"])?;
+        if let Some(gates) = &options.gates {
+            self.gates.clone_from(gates);
+        }
+        self.laps = options.laps.unwrap_or(self.laps);
+        Ok(())
+    }
+
+    fn options(&self) -> TaskOptions {
+        TaskOptions { gates: Some(self.gates.clone()), laps: Some(self.laps), ..TaskOptions::default() }
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {

@@ -334,7 +334,7 @@ impl<E: VecEnv + ?Sized> BufferedVecEnv<E> {
 /// # Errors
 /// [`EnvError::UnknownName`] if no task has the name, and the errors of [`VecAviary::new`].
 pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
-    let env = for_task!(name, |task| Box::new(VecAviary::new(options.with_task(task), config)?) as Box<dyn VecEnv>);
+    let env = for_task!(name, |task| Box::new(VecAviary::new(options.for_task(task)?, config)?) as Box<dyn VecEnv>);
     env.map_err(EnvError::from)
 }
 

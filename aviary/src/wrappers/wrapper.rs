@@ -5,7 +5,7 @@ use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::env::{
     BoxSpace, DroneEnv, EndReason, Env, EnvError, EnvSnapshot, Info, ObservationSpace, Randomization, SampledParams,
-    Step,
+    Step, TaskOptions,
 };
 use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
@@ -207,6 +207,19 @@ pub trait Wrapper {
         Self::inner_mut(this).set_randomization(randomization)
     }
 
+    /// Implements [`DroneEnv::set_task_options`].
+    ///
+    /// # Errors
+    /// Returns the errors of [`DroneEnv::set_task_options`].
+    fn set_task_options(this: &mut Self, options: &TaskOptions) -> Result<(), EnvError> {
+        Self::inner_mut(this).set_task_options(options)
+    }
+
+    /// Implements [`DroneEnv::task_options`].
+    fn task_options(this: &Self) -> TaskOptions {
+        Self::inner(this).task_options()
+    }
+
     /// Implements [`DroneEnv::sampled_params`].
     fn sampled_params(this: &Self) -> Option<&SampledParams> {
         Self::inner(this).sampled_params()
@@ -311,6 +324,14 @@ impl<W: Wrapper> DroneEnv for W {
 
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
         <W as Wrapper>::set_randomization(self, randomization)
+    }
+
+    fn set_task_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
+        <W as Wrapper>::set_task_options(self, options)
+    }
+
+    fn task_options(&self) -> TaskOptions {
+        <W as Wrapper>::task_options(self)
     }
 
     fn sampled_params(&self) -> Option<&SampledParams> {
