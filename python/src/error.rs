@@ -3,30 +3,78 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use aviary::env::EnvError;
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use aviary::simulation::SimulationError;
+use pyo3::exceptions::{PyOSError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
-
-pyo3::create_exception!(_native, NotReset, PyRuntimeError, "The environment must be reset first.");
+use pyo3::sync::PyOnceLock;
+use pyo3::types::PyType;
 
 /// Adds the classes and functions of this file to the module.
-pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
-    module.add("NotReset", module.py().get_type::<NotReset>())
+pub fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
+    Ok(())
 }
 
-/// Converts an error of an environment.
-#[allow(dead_code)]
+/// Names of options in Python whose names differ from those of the simulator.
+const RENAMED: [(&str, &str); 5] = [
+    ("initial_positions", "initial_xyzs"),
+    ("observation_type", "obs_type"),
+    ("action_type", "act_type"),
+    ("directory", "output_folder"),
+    ("obstacle_generator", "obstacles"),
+];
+
+/// Converts an error of an environment: a `ValueError` about an argument, `ResetNeeded` outside an episode, a
+/// `TypeError` for an option that the task does not have, an `OSError` of a file, or a `RuntimeError` of the simulation.
 pub fn env_error(error: EnvError) -> PyErr {
-    value_error(error)
+    let message = line(&error);
+    match innermost(&error) {
+        EnvError::NeedsReset { .. } => reset_needed(message),
+        EnvError::TaskOption { .. } => PyTypeError::new_err(message),
+        EnvError::System(_) => PyOSError::new_err(message),
+        EnvError::Panicked | EnvError::Vision(_) => PyRuntimeError::new_err(message),
+        EnvError::Simulation(
+            SimulationError::Diverged { .. } | SimulationError::Engine { .. } | SimulationError::Stored { .. },
+        ) => PyRuntimeError::new_err(message),
+        _ => PyValueError::new_err(message),
+    }
+}
+
+/// Returns the error inside those that add the name of an environment, an agent or a file.
+fn innermost(error: &EnvError) -> &EnvError {
+    match error {
+        EnvError::InBatch { error, .. } | EnvError::OfAgent { error, .. } | EnvError::File { error, .. } => {
+            innermost(error)
+        }
+        error => error,
+    }
+}
+
+/// Returns the message of an error on one line, with the names of the options in Python.
+fn line(error: &dyn std::fmt::Display) -> String {
+    let message = error.to_string().replace('\n', " ");
+    for (old, new) in RENAMED {
+        if let Some(rest) = message.strip_prefix(old) {
+            return format!("{new}{rest}");
+        }
+    }
+    message
+}
+
+/// Creates gymnasium's error for a step outside an episode.
+fn reset_needed(message: String) -> PyErr {
+    static CLASS: PyOnceLock<Py<PyType>> = PyOnceLock::new();
+    Python::attach(|py| match CLASS.import(py, "gymnasium.error", "ResetNeeded") {
+        Ok(class) => PyErr::from_type(class.clone(), message),
+        Err(error) => error,
+    })
 }
 
 /// Converts an error about an argument into a `ValueError` of one line.
-#[allow(dead_code)]
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
-    PyValueError::new_err(error.to_string().replace('\n', " "))
+    PyValueError::new_err(line(&error))
 }
 
 /// Calls a function and turns its panic into a `RuntimeError`.
-#[allow(dead_code)]
 pub fn guard<T>(function: impl FnOnce() -> PyResult<T>) -> PyResult<T> {
     catch_unwind(AssertUnwindSafe(function)).unwrap_or_else(|cause| {
         let message = cause

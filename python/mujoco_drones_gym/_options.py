@@ -1,0 +1,126 @@
+"""Options of an environment, converted for the simulator."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mujoco_drones_gym.wrappers.obstacles import obstacle_options
+from mujoco_drones_gym.wrappers.randomization import randomization_options
+from mujoco_drones_gym.wrappers.wind import wind_options
+
+__all__ = ["Render", "check_render_mode", "native_options", "randomization_options", "wind_options"]
+
+#: Names of points and of lists of points among the options.
+_POINTS = ("initial_xyzs", "initial_rpys", "waypoints", "gates")
+
+
+class Render(NamedTuple):
+    """Options of images and files, which are not options of the simulator."""
+
+    mode: str | None
+    width: int
+    height: int
+    gui: bool
+    output_folder: str | None
+    vision_attributes: bool
+
+
+def check_render_mode(mode: Any) -> str | None:
+    """Returns a render mode, or raises a ValueError for an unknown one."""
+    if mode is None or mode == "rgb_array":
+        return mode
+    raise ValueError(f"render_mode is {mode!r}, expected 'rgb_array' or None")
+
+
+def native_options(
+    task: Any, options: Mapping[str, Any], *, single: bool = False
+) -> tuple[str, dict[str, Any], Render]:
+    """Splits the options of an environment.
+
+    Args:
+        task: Name of the task.
+        options: Options by name: plain values, members of enums, config objects.
+        single: True for an environment of a single agent, which has `gui`, `output_folder` and `vision_attributes`.
+
+    Returns:
+        The name of the task, the options of the simulator as plain values, and those of images and files.
+    """
+    if not isinstance(task, str):
+        raise ValueError(f"task is {task!r}, expected the name of a task")
+    own = dict(options)
+    render = Render(
+        mode=own.pop("render_mode", None),
+        width=_pixels("width", own.pop("width", 640)),
+        height=_pixels("height", own.pop("height", 480)),
+        gui=bool(own.pop("gui", False)),
+        output_folder=_folder(own.pop("output_folder", None)),
+        vision_attributes=bool(own.pop("vision_attributes", False)),
+    )
+    if not single:
+        for name in ("gui", "output_folder", "vision_attributes"):
+            value = getattr(render, name)
+            if value:
+                raise ValueError(f"{name} is {value!r}, expected an environment of a single agent, such as HoverAviary")
+    for name, value in own.items():
+        if isinstance(value, Enum):
+            own[name] = value.value
+        elif isinstance(value, os.PathLike):
+            own[name] = os.fspath(value)
+    for name in _POINTS:
+        if own.get(name) is not None:
+            own[name] = _points(name, own[name])
+    if own.get("target_heights") is not None:
+        own["target_heights"] = _numbers("target_heights", own["target_heights"]).reshape(-1).tolist()
+    if "obstacles" in own:
+        own["obstacles"] = obstacle_options(options["obstacles"])
+    if "wind" in own:
+        own["wind"] = wind_options(options["wind"])
+    if "randomization" in own:
+        rate = own.get("ctrl_freq", 48)
+        own["randomization"] = randomization_options(options["randomization"], rate if _is_rate(rate) else 48)
+    return task, own, render
+
+
+def _is_rate(rate: Any) -> bool:
+    return isinstance(rate, (int, np.integer)) and rate > 0
+
+
+def _pixels(name: str, value: Any) -> int:
+    if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 1 <= value <= 8192:
+        return int(value)
+    raise ValueError(f"{name} is {value!r}, expected a number of pixels from 1 to 8192")
+
+
+def _folder(value: Any) -> str | None:
+    if value is None or value == "":
+        return None
+    if isinstance(value, (str, os.PathLike)):
+        return os.fspath(value)
+    raise ValueError(f"output_folder is {value!r}, expected a path or None")
+
+
+def _numbers(name: str, value: Any) -> np.ndarray:
+    try:
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {_short(value)}, expected an array of numbers") from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} is {_short(value)}, expected finite numbers")
+    return array
+
+
+def _points(name: str, value: Any) -> list[list[float]]:
+    array = _numbers(name, value)
+    if array.size == 0 or array.shape[-1:] != (3,) or array.ndim > 2:
+        raise ValueError(f"{name} has the shape {array.shape}, expected (n, 3)")
+    return array.reshape(-1, 3).tolist()
+
+
+def _short(value: Any) -> str:
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:79] + "…"

@@ -1,0 +1,42 @@
+"""Racing through gates."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mujoco_drones_gym.envs.base_aviary import BaseAviary
+
+__all__ = ["RaceAviary"]
+
+
+class RaceAviary(BaseAviary):
+    """Drones race through gates.
+
+    Observation, float32 (21 N,), per drone: the twelve numbers of `HoverAviary`, the next gate (m, world frame), and
+    the next two gates relative to the drone (m, body frame). Action, float32 (4 N,): normalized motor speeds. Reward
+    per drone: + 20 for a gate, a reward for speed and a penalty for the distance from the gate; - 100 for a crash. An
+    episode ends with a crash, with the last gate of every drone, and after 30 s.
+
+    Args:
+        gates: Centres of the gates, world frame, m, (n, 3); None for the paper's six.
+        laps: Number of laps; None for 2.
+        options: Options of `BaseAviary`. `num_drones` is 1 by default.
+    """
+
+    TASK = "race"
+
+    def __init__(self, *, gates: Any = None, laps: int | None = None, **options: Any) -> None:
+        self._task_options = {"gates": gates, "laps": laps}
+        super().__init__(**options)
+
+    @property
+    def GATES(self) -> np.ndarray:
+        """Centres of the gates, world frame, m, float64 (n, 3)."""
+        return np.array(self._env.task_options()["gates"])
+
+    @property
+    def NUM_LAPS(self) -> int:
+        """Number of laps."""
+        return self._env.task_options()["laps"]
