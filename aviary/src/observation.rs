@@ -215,6 +215,13 @@ impl Observation {
         sizes(self) == sizes(other)
     }
 
+    /// Returns the size on the heap in bytes.
+    pub(crate) fn bytes(&self) -> usize {
+        let numbers = self.vector.len() + self.obstacle.len() + self.ranges.len();
+        let pixels = size_of_val(&self.rgb[..]) + size_of_val(&self.depth[..]) + size_of_val(&self.segmentation[..]);
+        8 * numbers + pixels + self.adjacency.len()
+    }
+
     /// Largest obstacle distance, m; the value without obstacles.
     pub const FAR: f64 = 100.0;
 

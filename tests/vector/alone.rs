@@ -199,6 +199,29 @@ fn images_of_a_batch_are_identical_to_those_of_single_environments() {
     );
     let error = env.render_images(VecImages::default()).unwrap_err().to_string();
     assert!(error.contains("rgb has 0 entries"), "{error}");
+    assert_eq!(env.final_images(0), None);
+}
+
+#[test]
+fn the_last_images_of_an_episode_are_those_of_a_single_environment() {
+    let builder = || {
+        let kind = "kin_rgb_depth".parse().unwrap();
+        Hover::builder().observation_type(kind).episode_seconds(0.25).initial_positions([[0.0, 0.0, 0.5]])
+    };
+    let config = VecConfig { autoreset: Autoreset::SameStep, threads: 2, ..VecConfig::new(10) };
+    let (mut batch, mut buffers) = reset_batch(builder(), config, 1);
+    let actions: Vec<f32> = (0..40).map(|i| 0.01 * i as f32).collect();
+    for _ in 0..batch.episode_steps() {
+        assert_eq!(batch.final_images(0), None);
+        batch.step(&actions, buffers.step()).unwrap();
+    }
+    for i in 0..10 {
+        let mut alone = builder().engine(EngineKind::Hybrid).stream(i as u64).build().unwrap();
+        alone.reset(Some(1)).unwrap();
+        step_env(&mut alone, &widen(&actions[4 * i..][..4]), 12);
+        assert_eq!(batch.final_images(i), Some(alone.observation()));
+    }
+    assert_eq!(batch.final_images(10), None);
 }
 
 #[test]

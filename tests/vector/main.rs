@@ -9,6 +9,7 @@ mod controllers;
 mod episodes;
 mod faults;
 mod pair;
+mod precision;
 mod tasks;
 
 use mujoco_drones_gym::env::AviaryBuilder;

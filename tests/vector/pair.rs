@@ -1,6 +1,7 @@
 //! A batch next to single environments with the same options, actions and random streams.
 
 use mujoco_drones_gym::env::AviaryBuilder;
+use mujoco_drones_gym::observation::kinematic;
 use mujoco_drones_gym::prelude::*;
 
 use super::{bits, widen};
@@ -46,6 +47,17 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
     /// [`OnFault::Truncate`].
     pub fn step(&mut self, actions: &[f32]) {
         self.batch.step(actions, self.buffers.step()).unwrap();
+        self.step_alone(&widen(actions));
+    }
+
+    /// Advances all environments by one step, with actions in double precision.
+    pub fn step_f64(&mut self, actions: &[f64]) {
+        self.batch.step_f64(actions, self.buffers.step()).unwrap();
+        self.step_alone(actions);
+    }
+
+    /// Advances the single environments and compares them with the batch.
+    fn step_alone(&mut self, actions: &[f64]) {
         self.steps += 1;
         let (size, autoreset) = (self.batch.action_size(), self.batch.config().autoreset);
         for (i, action) in actions.chunks_exact(size).enumerate() {
@@ -58,7 +70,7 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
                 continue;
             }
             if action.iter().any(|x| !x.is_finite()) {
-                assert!(self.alone[i].step(&widen(action)).is_err());
+                assert!(self.alone[i].step(action).is_err());
                 assert_eq!(got, (0, false, true), "{context}");
                 assert_eq!(self.batch.faults().iter().filter(|(environment, _)| *environment == i).count(), 1);
                 self.ended += 1;
@@ -71,7 +83,7 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
                 continue;
             }
             let env = &mut self.alone[i];
-            let Step { reward, terminated, truncated, .. } = env.step(&widen(action)).unwrap();
+            let Step { reward, terminated, truncated, .. } = env.step(action).unwrap();
             assert_eq!(got, ((reward as f32).to_bits(), terminated, truncated), "{context}");
             let (info, control_steps) = (env.info(), env.simulation().control_steps());
             let summary = self.batch.episode_summary(i).copied();
@@ -104,6 +116,11 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
         for ((what, got), (_, expected)) in got.into_iter().zip(expected) {
             let context = format!("{what} of environment {i} after step {}: {got:e}, {expected:e}", self.steps);
             assert_eq!(got.to_bits(), expected.to_bits(), "{context}");
+        }
+        let simulation = self.alone[i].simulation();
+        for (drone, (state, speeds)) in simulation.states().iter().zip(simulation.motor_speeds()).enumerate() {
+            let got = self.batch.kinematic(i, drone).unwrap().map(f64::to_bits);
+            assert_eq!(got, kinematic(state, speeds).map(f64::to_bits), "drone {drone} of environment {i}");
         }
         let sampled = self.batch.with(i, |env| env.sampled_params().cloned()).unwrap();
         assert_eq!(sampled.as_ref(), self.alone[i].sampled_params());

@@ -1,5 +1,6 @@
 use std::sync::PoisonError;
 
+use super::actions::Actions;
 use super::conditions::{ConditionLanes, Needs};
 use super::control_loops::{LoopLanes, read_memories, write_memories};
 use super::pool::WorkerPool;
@@ -14,6 +15,7 @@ use crate::env::{
     Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, Episode, EpisodeSummary, LaneFunctions, ObservationSpace,
     Phase, Task,
 };
+use crate::observation::{KIN_SIZE, Observation, kinematic};
 use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
 use crate::wrappers::VelocityFilter;
@@ -344,6 +346,7 @@ impl<T: Task + Clone> Environments<T> {
                 start_failed: false,
                 wind_seed: simulation.wind_seed(),
                 summary: None,
+                final_images: None,
             }
         };
         let blocks = count.div_ceil(LANES);
@@ -398,7 +401,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     }
 
     /// Rejects a step before any environment moves.
-    fn check_actions(&mut self, actions: &[f32]) -> Result<(), EnvError> {
+    fn check_actions(&mut self, actions: Actions<'_>) -> Result<(), EnvError> {
         let bad = |environment, error| Err(EnvError::InBatch { environment, error: Box::new(error) });
         // the loop over all environments is slow compared with a step, and finds nothing once all have started and
         // reset automatically
@@ -417,27 +420,47 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             }
             self.all_started = true;
         }
-        // the loop has no early exit, so that the compiler vectorizes it
-        let has_bad = |chunk: &[f32]| chunk.iter().fold(false, |bad, x| bad | !x.is_finite());
-        if !actions.chunks(512).any(has_bad) {
+        if actions.are_finite() {
             return Ok(());
         }
-        let Some(entry) = actions.iter().position(|x| !x.is_finite()) else { return Ok(()) };
+        let Some(entry) = actions.first_bad() else { return Ok(()) };
         let (environment, index) = (entry / self.model.action_size, entry % self.model.action_size);
         let slot = &self.environments.slots[environment];
         if slot.awaits_episode() {
             // this environment ignores its action, but the actions of later environments count
-            let row = |environment: usize| &actions[environment * self.model.action_size..][..self.model.action_size];
+            let size = self.model.action_size;
             for (environment, slot) in self.environments.slots.iter().enumerate() {
-                let bad_entry = row(environment).iter().position(|x| !x.is_finite());
-                if let (Some(index), Phase::Running) = (bad_entry, slot.episode.phase) {
-                    let (got, time) = (f64::from(row(environment)[index]), self.time_of(environment));
+                let action = actions.slice(size * environment..size * (environment + 1));
+                if let (Some(index), Phase::Running) = (action.first_bad(), slot.episode.phase) {
+                    let (got, time) = (action.get(index), self.time_of(environment));
                     return bad(environment, EnvError::Action { index, got, time });
                 }
             }
             return Ok(());
         }
-        bad(environment, EnvError::Action { index, got: f64::from(actions[entry]), time: self.time_of(environment) })
+        bad(environment, EnvError::Action { index, got: actions.get(entry), time: self.time_of(environment) })
+    }
+
+    /// Advances every environment by one control step.
+    fn step_with(&mut self, actions: Actions<'_>, out: VecStep<'_>) -> Result<(), EnvError> {
+        self.faults.clear();
+        let count = self.num_envs();
+        check_len("actions", actions.len(), count * self.model.action_size)?;
+        check_len("observations", out.observations.len(), count * self.model.observation_size)?;
+        check_len("rewards", out.rewards.len(), count)?;
+        check_len("terminated", out.terminated.len(), count)?;
+        check_len("truncated", out.truncated.len(), count)?;
+        let fatal = self.model.on_fault == OnFault::Error;
+        if fatal {
+            self.check_actions(actions)?;
+        }
+        let VecStep { observations, rewards, terminated, truncated } = out;
+        let (model, envs) = (&self.model, self.environments.slices());
+        let step = StepSlices { actions, observations, rewards, terminated, truncated };
+        let shard = Shard { first: 0, mask: &[], envs, step, images: ImageSlices::default() };
+        self.pool.run(model, shard, &|worker, shard, faults| worker.step(model, shard, faults))?;
+        self.steps += 1;
+        self.take_faults(fatal)
     }
 
     fn time_of(&self, environment: usize) -> f64 {
@@ -491,24 +514,11 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
-        self.faults.clear();
-        let count = self.num_envs();
-        check_len("actions", actions.len(), count * self.model.action_size)?;
-        check_len("observations", out.observations.len(), count * self.model.observation_size)?;
-        check_len("rewards", out.rewards.len(), count)?;
-        check_len("terminated", out.terminated.len(), count)?;
-        check_len("truncated", out.truncated.len(), count)?;
-        let fatal = self.model.on_fault == OnFault::Error;
-        if fatal {
-            self.check_actions(actions)?;
-        }
-        let VecStep { observations, rewards, terminated, truncated } = out;
-        let (model, envs) = (&self.model, self.environments.slices());
-        let step = StepSlices { actions, observations, rewards, terminated, truncated };
-        let shard = Shard { first: 0, mask: &[], envs, step, images: ImageSlices::default() };
-        self.pool.run(model, shard, &|worker, shard, faults| worker.step(model, shard, faults))?;
-        self.steps += 1;
-        self.take_faults(fatal)
+        self.step_with(Actions::Single(actions), out)
+    }
+
+    fn step_f64(&mut self, actions: &[f64], out: VecStep<'_>) -> Result<(), EnvError> {
+        self.step_with(Actions::Double(actions), out)
     }
 
     fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
@@ -526,6 +536,17 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
 
     fn final_observations(&self) -> &[f32] {
         &self.environments.finals
+    }
+
+    fn final_images(&self, environment: usize) -> Option<&Observation> {
+        self.environments.slots.get(environment)?.final_images.as_deref()
+    }
+
+    fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {
+        let exists = environment < self.num_envs() && drone < self.model.drones;
+        let lanes = &self.environments.lanes[environment / LANES * self.model.drones..];
+        let (lanes, lane) = (exists.then(|| &lanes[drone])?, environment % LANES);
+        Some(kinematic(&lanes.state(lane), &lanes.command(lane)))
     }
 
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {

@@ -1,6 +1,7 @@
 use super::{Autoreset, VecAviary, VecEnv, VecImages, VecStep};
 use crate::engine::Substeps;
 use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, ObservationSpace, Task};
+use crate::observation::{KIN_SIZE, Observation};
 use crate::wrappers::{Curriculum, CurriculumConfig};
 
 /// A batch that becomes harder as an agent improves. All environments share one level, which follows the episodes
@@ -90,6 +91,24 @@ where
         }
         Ok(())
     }
+
+    /// Steps the batch with `step`, and counts the episodes that end.
+    fn step_with(&mut self, step: impl FnOnce(&mut VecAviary<T>) -> Result<(), EnvError>) -> Result<(), EnvError> {
+        self.set_up(|env, environment| env.episode_summary(environment).is_some())?;
+        let steps = self.env.steps();
+        let done = step(&mut self.env);
+        if self.env.steps() == steps {
+            // the batch rejected the step before any environment moved, and its summaries are those of the step
+            // before
+            return done;
+        }
+        for environment in 0..self.levels.len() {
+            if let Some(EpisodeSummary { success, reward, steps, .. }) = self.env.episode_summary(environment) {
+                self.curriculum.episode_ended(*success, *reward, *steps);
+            }
+        }
+        done
+    }
 }
 
 impl<T, F> VecEnv for VecCurriculum<T, F>
@@ -136,20 +155,11 @@ where
     }
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
-        self.set_up(|env, environment| env.episode_summary(environment).is_some())?;
-        let steps = self.env.steps();
-        let done = self.env.step(actions, out);
-        if self.env.steps() == steps {
-            // the batch rejected the step before any environment moved, and its summaries are those of the step
-            // before
-            return done;
-        }
-        for environment in 0..self.levels.len() {
-            if let Some(EpisodeSummary { success, reward, steps, .. }) = self.env.episode_summary(environment) {
-                self.curriculum.episode_ended(*success, *reward, *steps);
-            }
-        }
-        done
+        self.step_with(|env| env.step(actions, out))
+    }
+
+    fn step_f64(&mut self, actions: &[f64], out: VecStep<'_>) -> Result<(), EnvError> {
+        self.step_with(|env| env.step_f64(actions, out))
     }
 
     fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
@@ -158,6 +168,14 @@ where
 
     fn final_observations(&self) -> &[f32] {
         self.env.final_observations()
+    }
+
+    fn final_images(&self, environment: usize) -> Option<&Observation> {
+        self.env.final_images(environment)
+    }
+
+    fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {
+        self.env.kinematic(environment, drone)
     }
 
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {

@@ -10,6 +10,7 @@
 //! the stages of a control step, and `shard` the environments. `conditions` holds the wind, the sensor errors and the
 //! latencies of the environments, `delays` their late commands and late observations.
 
+mod actions;
 mod batch;
 mod conditions;
 mod control_loops;
@@ -27,6 +28,7 @@ pub use curriculum::VecCurriculum;
 use crate::engine::Substeps;
 use crate::engine::flight::Width;
 use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, ObservationSpace};
+use crate::observation::{KIN_SIZE, Observation};
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
 
@@ -418,6 +420,13 @@ pub trait VecEnv: Send {
     /// - [`EnvError::Panicked`] after a panic in a task.
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError>;
 
+    /// Advances every environment by one control step, with actions in double precision, like [`step`](Self::step).
+    /// Actions that single precision represents exactly have the same results.
+    ///
+    /// # Errors
+    /// Returns the errors of [`step`](Self::step).
+    fn step_f64(&mut self, actions: &[f64], out: VecStep<'_>) -> Result<(), EnvError>;
+
     /// Renders the images of the onboard cameras of all environments in their current states.
     ///
     /// # Errors
@@ -429,6 +438,15 @@ pub trait VecEnv: Send {
     /// environments, M × [`observation_size`](Self::observation_size). The slice is empty unless the batch uses
     /// [`Autoreset::SameStep`].
     fn final_observations(&self) -> &[f32];
+
+    /// Returns the last observation, with its images, of the last episode that ended in an environment. Returns `None`
+    /// if no episode has ended, or unless the batch uses [`Autoreset::SameStep`] and observes images.
+    fn final_images(&self, environment: usize) -> Option<&Observation>;
+
+    /// Returns the present state of a drone: the numbers of [`kinematic`](crate::observation::kinematic) with the motor
+    /// speeds commanded in the last control step. The states of an environment without an episode are those of its
+    /// start. Returns `None` if the environment or the drone does not exist.
+    fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]>;
 
     /// Returns the summary of the episode that ended in the last step of an environment. Returns `None` if no
     /// episode ended, or if the environment does not exist.

@@ -2,6 +2,7 @@
 
 use smallvec::SmallVec;
 
+use super::actions::Actions;
 use super::conditions::{ConditionLanes, ConditionSlices};
 use super::control_loops::LoopLanes;
 use super::{Autoreset, OnFault};
@@ -9,6 +10,7 @@ use crate::engine::ClearanceCache;
 use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, LateCommands, Width};
 use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
 use crate::math::Row;
+use crate::observation::Observation;
 use crate::simulation::{SimData, SimModel, SimView, Simulation};
 
 /// Constants that all environments of a batch share.
@@ -67,6 +69,8 @@ pub(super) struct EnvSlot<T> {
     pub start_failed: bool,
     /// Summary of the last episode that ended; see [`Block::ended`].
     pub summary: Option<EpisodeSummary>,
+    /// Last observation with images of the last episode that ended, if the batch resets in the same step.
+    pub final_images: Option<Box<Observation>>,
 }
 
 /// State of a block of environments that every step reads and writes, as a structure of arrays.
@@ -164,6 +168,7 @@ impl<T> Environments<T> {
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
+            + slots.iter().filter_map(|slot| slot.final_images.as_ref()).map(|images| images.bytes()).sum::<usize>()
             + size_of_val(&blocks[..])
             + size_of_val(&task_rows[..])
             + size_of_val(&lanes[..])
@@ -206,7 +211,7 @@ pub(super) struct EnvSlices<'a, T> {
 /// Slices of the buffers of a step.
 #[derive(Default)]
 pub(super) struct StepSlices<'a> {
-    pub actions: &'a [f32],
+    pub actions: Actions<'a>,
     pub observations: &'a mut [f32],
     pub rewards: &'a mut [f32],
     pub terminated: &'a mut [bool],
@@ -400,7 +405,7 @@ impl<'a, T> EnvSlices<'a, T> {
 
 impl<'a> StepSlices<'a> {
     fn split(self, model: &BatchModel, count: usize) -> (Self, Self) {
-        let (actions, actions2) = self.actions.split_at((model.action_size * count).min(self.actions.len()));
+        let (actions, actions2) = self.actions.cut(model.action_size * count);
         let (observations, observations2) = cut(self.observations, model.observation_size * count);
         let (rewards, rewards2) = cut(self.rewards, count);
         let (terminated, terminated2) = cut(self.terminated, count);

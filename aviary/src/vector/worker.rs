@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use smallvec::SmallVec;
 
+use super::actions::Actions;
 use super::control_loops::clear_memories;
 use super::delays::StateDelays;
 use super::shard::{BatchModel, Shard};
@@ -125,14 +126,14 @@ impl<T: Task> Worker<T> {
         self.step_kinds = [StepKind::Fly; LANES];
         if !usual {
             for index in range.clone() {
-                let action = &shard.step.actions[size * index..][..size];
+                let action = shard.step.actions.slice(size * index..size * (index + 1));
                 let kind = self.step_kind(model, shard, index, action);
                 self.step_kinds[index % LANES] = kind;
                 fits_lanes[index % LANES] &= kind == StepKind::Fly;
             }
         }
-        let actions = &shard.step.actions[size * start..][..size * count];
-        transpose_actions(actions, size, model.one_action, &mut self.actions);
+        let actions = shard.step.actions.slice(size * start..size * (start + count));
+        actions.transpose(size, model.one_action, &mut self.actions);
         if self.velocity_filter.is_some() {
             self.filter_actions(model, shard, range.clone());
         }
@@ -160,17 +161,17 @@ impl<T: Task> Worker<T> {
     }
 
     /// Returns the action of an environment in this step.
-    fn step_kind(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: &[f32]) -> StepKind {
+    fn step_kind(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: Actions<'_>) -> StepKind {
         let slot = &shard.envs.slots[index];
         let error = match slot.episode.phase {
             // `check_actions` has rejected actions that are not finite before the step
             Phase::Running if model.on_fault == OnFault::Error => return StepKind::Fly,
-            Phase::Running => match action.iter().position(|x| !x.is_finite()) {
+            Phase::Running => match action.first_bad() {
                 None => return StepKind::Fly,
                 Some(entry) => {
                     let steps = shard.envs.blocks[index / LANES].steps[index % LANES];
                     let time = steps as f64 * model.control_period;
-                    EnvError::Action { index: entry, got: f64::from(action[entry]), time }
+                    EnvError::Action { index: entry, got: action.get(entry), time }
                 }
             },
             _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => return StepKind::Begin,
@@ -387,7 +388,26 @@ impl<T: Task> Worker<T> {
         self.store_task(model, shard, index, Some(lane));
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
+            self.keep_final_images(model, shard, index, faults);
             self.reset(model, shard, index, None, faults);
+        }
+    }
+
+    /// Renders the last images of an episode, if the batch observes images.
+    fn keep_final_images(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, faults: &Faults) {
+        if model.images == [0; 3] {
+            return;
+        }
+        let slot = &mut shard.envs.slots[index];
+        let mut parts = slot.parts(&mut self.env, Some(&mut self.grounded[index % LANES]));
+        let drawn = parts.observe_images();
+        let seen = parts.workspace.observation.clone();
+        match &mut slot.final_images {
+            Some(images) => **images = seen,
+            none => *none = Some(Box::new(seen)),
+        }
+        if let Err(error) = drawn {
+            report(faults, shard.first + index, error);
         }
     }
 
@@ -508,22 +528,6 @@ impl<T: Task> Worker<T> {
 
 fn report(faults: &Faults, environment: usize, error: EnvError) {
     faults.lock().unwrap_or_else(PoisonError::into_inner).push((environment, error));
-}
-
-/// Writes the actions of a block, `size` numbers per environment, to four rows per drone. With `one`, one number
-/// commands all motors of a drone.
-fn transpose_actions(actions: &[f32], size: usize, one: bool, rows: &mut [[Row; 4]]) {
-    for (lane, action) in actions.chunks_exact(size).enumerate() {
-        if one {
-            for (rows, &x) in rows.iter_mut().zip(action) {
-                rows.iter_mut().for_each(|row| row[lane] = f64::from(x));
-            }
-        } else {
-            for (row, &x) in rows.as_flattened_mut().iter_mut().zip(action) {
-                row[lane] = f64::from(x);
-            }
-        }
-    }
 }
 
 /// Returns the lanes of the block that starts at an environment, and the parameters of their drones.
