@@ -1,8 +1,452 @@
 //! Batches of environments.
 
+pub mod buffers;
+
+use std::sync::{Mutex, MutexGuard, TryLockError};
+
+use aviary::env::{DroneEnv, EnvError};
+use aviary::observation::{KIN_SIZE, Observation};
+use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, make_vec};
+use aviary::vision::ImageSize;
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods as _, PyReadonlyArray1, ToPyArray as _};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyList};
+
+use self::buffers::{Arrays, Numbers, Outputs};
+use crate::error::{env_error, guard};
+use crate::options::env_config;
 
 /// Adds the classes and functions of this file to the module.
-pub fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
-    Ok(())
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Batch>()
+}
+
+/// A batch of environments with its own buffers.
+///
+/// The arrays that hold the results belong to the batch and keep their memory alive by themselves: an array outlives the
+/// batch. One thread at a time may use a batch. A batch exists in the process that has created it: the threads of a
+/// batch do not exist in a forked child.
+#[pyclass(frozen, module = "mujoco_drones_gym._native")]
+pub struct Batch {
+    /// Process that has created the batch.
+    process: u32,
+    arrays: Arrays,
+    inner: Mutex<Option<Inner>>,
+    environments: usize,
+    action_size: usize,
+}
+
+/// What a step changes.
+struct Inner {
+    env: Box<dyn VecEnv>,
+    outputs: Outputs,
+    has_images: bool,
+}
+
+impl Inner {
+    /// Steps the environments and returns true if an episode has ended.
+    fn step(&mut self, actions: Numbers<'_>) -> PyResult<bool> {
+        let step = self.outputs.step();
+        match actions {
+            Numbers::Single(actions) => self.env.step(actions, step),
+            Numbers::Double(actions) => self.env.step_f64(actions, step),
+        }
+        .map_err(env_error)?;
+        self.render_images()?;
+        Ok(self.outputs.has_ends())
+    }
+
+    fn render_images(&mut self) -> PyResult<()> {
+        if self.has_images { self.env.render_images(self.outputs.images()).map_err(env_error) } else { Ok(()) }
+    }
+
+    fn reset(&mut self, mask: &[bool], seeds: &Seeds) -> PyResult<()> {
+        let mut reset =
+            |mask: &[bool], seed| self.env.reset_where(mask, seed, self.outputs.observations()).map_err(env_error);
+        match seeds {
+            Seeds::Same(seed) => reset(mask, *seed)?,
+            Seeds::Each(seeds) => {
+                let mut waiting = mask.to_vec();
+                while let Some(first) = waiting.iter().position(|waits| *waits) {
+                    let same = |(&waits, seed): (&bool, &Option<u64>)| waits && *seed == seeds[first];
+                    let group: Vec<bool> = waiting.iter().zip(seeds).map(same).collect();
+                    reset(&group, seeds[first])?;
+                    waiting.iter_mut().zip(&group).for_each(|(waits, done)| *waits &= !done);
+                }
+            }
+        }
+        self.render_images()
+    }
+}
+
+/// Seeds of a reset.
+#[derive(FromPyObject)]
+enum Seeds {
+    /// One seed, of which every environment uses its own stream.
+    Same(Option<u64>),
+    /// A seed per environment.
+    Each(Vec<Option<u64>>),
+}
+
+/// Returns the error of an option by its name in Python.
+fn option_error(error: EnvError) -> PyErr {
+    match error {
+        EnvError::Option { option: "environments", got, expected } => {
+            PyValueError::new_err(format!("num_envs is {got}, expected {expected}"))
+        }
+        EnvError::Option { option: "threads", got, expected } => {
+            PyValueError::new_err(format!("num_threads is {got}, expected {expected}"))
+        }
+        error => env_error(error),
+    }
+}
+
+#[pymethods]
+impl Batch {
+    /// Creates a batch. `autoreset` is "next_step", "same_step" or "disabled", `on_fault` is "error" or "truncate".
+    /// An episode has at most `max_episode_steps` control steps.
+    #[new]
+    #[pyo3(signature = (task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None))]
+    fn new(
+        py: Python<'_>,
+        task: &str,
+        options: &Bound<'_, PyDict>,
+        num_envs: usize,
+        threads: usize,
+        autoreset: &str,
+        on_fault: &str,
+        max_episode_steps: Option<u64>,
+    ) -> PyResult<Self> {
+        let autoreset = match autoreset {
+            "next_step" => Autoreset::NextStep,
+            "same_step" => Autoreset::SameStep,
+            "disabled" => Autoreset::Disabled,
+            other => {
+                let message =
+                    format!("autoreset_mode is {other:?}, expected \"NextStep\", \"SameStep\" or \"Disabled\"");
+                return Err(PyValueError::new_err(message));
+            }
+        };
+        let on_fault = match on_fault {
+            "error" => OnFault::Error,
+            "truncate" => OnFault::Truncate,
+            other => {
+                let message = format!("on_fault is {other:?}, expected \"error\" or \"truncate\"");
+                return Err(PyValueError::new_err(message));
+            }
+        };
+        let mut config = env_config(task, options)?;
+        let batch = VecConfig { threads, autoreset, on_fault, ..VecConfig::new(num_envs) };
+        let env = py.detach(|| {
+            guard(|| {
+                if let Some(steps) = max_episode_steps {
+                    let one = VecConfig { threads: 1, ..VecConfig::new(1) };
+                    let probe = make_vec(task, config.clone(), one).map_err(option_error)?;
+                    if steps < probe.episode_steps() {
+                        config = config.clone().episode_seconds(steps as f64 * probe.control_period());
+                    }
+                }
+                make_vec(task, config, batch).map_err(option_error)
+            })
+        })?;
+        let (arrays, outputs) = Arrays::new(py, &*env)?;
+        let (environments, action_size) = (env.num_envs(), env.action_size());
+        let has_images = env.observation_space().kind.has_images();
+        let inner = Mutex::new(Some(Inner { env, outputs, has_images }));
+        Ok(Self { process: std::process::id(), arrays, inner, environments, action_size })
+    }
+
+    /// Starts an episode in every environment, or in those of a mask. `seed` is None, a seed, or a seed or None for
+    /// every environment.
+    #[pyo3(signature = (seed = None, mask = None))]
+    fn reset(&self, py: Python<'_>, seed: Option<Seeds>, mask: Option<PyReadonlyArray1<'_, bool>>) -> PyResult<()> {
+        let seeds = seed.unwrap_or(Seeds::Same(None));
+        if let Seeds::Each(seeds) = &seeds
+            && seeds.len() != self.environments
+        {
+            let (got, expected) = (seeds.len(), self.environments);
+            return Err(PyValueError::new_err(format!("seed has {got} entries, expected one, or {expected}")));
+        }
+        let mask = match &mask {
+            Some(mask) => mask.as_array().to_vec(),
+            None => vec![true; self.environments],
+        };
+        self.work(py, |inner| inner.reset(&mask, &seeds))
+    }
+
+    /// Advances every environment by one control step. `actions` is an array of `num_envs` rows; float32 and float64
+    /// are taken as they are, other types as float64. Returns True if an episode has ended.
+    fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<bool> {
+        buffers::with_numbers(actions, self.environments, self.action_size, |numbers| {
+            self.work(py, |inner| inner.step(numbers))
+        })
+    }
+
+    /// Observations, float32 (num_envs, entries): a view of the buffer.
+    #[getter]
+    fn observations(&self, py: Python<'_>) -> Py<PyArray2<f32>> {
+        self.arrays.observations.clone_ref(py)
+    }
+
+    /// Rewards of the last step, float32 (num_envs,): a view of the buffer.
+    #[getter]
+    fn rewards(&self, py: Python<'_>) -> Py<PyArray1<f32>> {
+        self.arrays.rewards.clone_ref(py)
+    }
+
+    /// True where the task ended the episode, bool (num_envs,): a view of the buffer.
+    #[getter]
+    fn terminated(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
+        self.arrays.terminated.clone_ref(py)
+    }
+
+    /// True where the episode was cut off, bool (num_envs,): a view of the buffer.
+    #[getter]
+    fn truncated(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
+        self.arrays.truncated.clone_ref(py)
+    }
+
+    /// Images of the onboard cameras by name, as views of their buffers: "rgb" uint8 (num_envs, drones, height, width,
+    /// 4), "depth" float32 (num_envs, drones, height, width), "segmentation" int32 (num_envs, drones, height, width,
+    /// 2).
+    fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        self.arrays.images(py)
+    }
+
+    /// Returns the episodes that ended in the last step: indices of the environments, successes, ends, and lengths in
+    /// control steps.
+    fn ends<'py>(&self, py: Python<'py>) -> PyResult<Ends<'py>> {
+        self.with(py, |inner| {
+            let summaries = (0..self.environments).filter_map(|i| Some((i as i64, inner.env.episode_summary(i)?)));
+            let mut ends = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+            for (index, summary) in summaries {
+                ends.0.push(index);
+                ends.1.push(summary.success);
+                ends.2.push(summary.end.map(|end| end.name()));
+                ends.3.push(summary.steps as i64);
+            }
+            let (indices, successes, reasons, steps) = ends;
+            Ok((indices.to_pyarray(py), successes.to_pyarray(py), PyList::new(py, reasons)?, steps.to_pyarray(py)))
+        })
+    }
+
+    /// Returns the last observations of the episodes that ended in the last step, float32 (indices, entries).
+    fn final_observations<'py>(&self, py: Python<'py>, indices: Vec<usize>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        self.with(py, |inner| {
+            let (rows, size) = (inner.env.final_observations(), inner.env.observation_size());
+            let mut numbers = Vec::with_capacity(indices.len() * size);
+            for &index in &indices {
+                let row = rows.get(size * index..size * (index + 1));
+                numbers.extend_from_slice(row.ok_or_else(|| self.no_environment(index))?);
+            }
+            numbers.to_pyarray(py).reshape([indices.len(), size])
+        })
+    }
+
+    /// Returns the last images of the last episode that ended in an environment, by name.
+    fn final_images<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+        self.with(py, |inner| {
+            let space = inner.env.observation_space();
+            let blank = || Observation::with_sizes(space.kind, 0, space.cameras, space.camera_size, 0);
+            match inner.env.final_images(index) {
+                Some(seen) => buffers::image_dict(py, seen, space),
+                None => buffers::image_dict(py, &blank(), space),
+            }
+        })
+    }
+
+    /// Returns the present state of a drone, float64 (20,): position, quaternion (w, x, y, z), roll, pitch and yaw,
+    /// velocity, angular velocity in the body frame, motor speeds.
+    fn state<'py>(&self, py: Python<'py>, index: usize, drone: usize) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        self.with(py, |inner| {
+            let state = inner.env.kinematic(index, drone);
+            Ok(state.ok_or_else(|| self.no_environment(index))?.to_pyarray(py))
+        })
+    }
+
+    /// Returns the present states of all drones, float64 (num_envs, drones, 20), in the layout of `state`.
+    fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        self.with(py, |inner| {
+            let drones = (0..).take_while(|&drone| inner.env.kinematic(0, drone).is_some()).count();
+            let all = (0..self.environments).flat_map(|i| (0..drones).map(move |drone| (i, drone)));
+            let numbers: Vec<f64> = all.filter_map(|(i, drone)| inner.env.kinematic(i, drone)).flatten().collect();
+            numbers.to_pyarray(py).reshape([self.environments, drones, KIN_SIZE])
+        })
+    }
+
+    /// Returns the info of an environment.
+    fn info<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+        self.with_env(py, index, |env| info_dict(py, env))
+    }
+
+    /// Returns the metrics of an environment's task.
+    fn metrics<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+        self.with_env(py, index, |env| {
+            let dict = PyDict::new(py);
+            let mut done = Ok(());
+            env.metrics(&mut |name, value| {
+                if let Err(error) = dict.set_item(name, value) {
+                    done = Err(error);
+                }
+            });
+            done.map(|()| dict)
+        })
+    }
+
+    /// Sets the wind of an environment from now on; None for still air.
+    fn set_wind(&self, py: Python<'_>, index: usize, wind: Option<Bound<'_, PyAny>>) -> PyResult<()> {
+        let wind = wind.as_ref().map(crate::conditions::wind).transpose()?;
+        self.with_env(py, index, |env| env.set_wind(wind).map_err(env_error))
+    }
+
+    /// Returns constants of the environments by name.
+    fn constants<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let dict = PyDict::new(py);
+        self.with(py, |inner| {
+            dict.set_item("num_threads", inner.env.num_threads())?;
+            dict.set_item("episode_steps", inner.env.episode_steps())?;
+            dict.set_item("control_period", inner.env.control_period())
+        })?;
+        self.with_env(py, 0, |env| {
+            let simulation = env.simulation();
+            dict.set_item("num_drones", simulation.num_drones())?;
+            dict.set_item("sim_freq", simulation.sim_freq())?;
+            dict.set_item("ctrl_freq", simulation.ctrl_freq())?;
+            dict.set_item("gravity", simulation.gravity())?;
+            let params = simulation.params(0);
+            dict.set_item("mass", params.mass)?;
+            dict.set_item("hover_rpm", params.hover_rpm())?;
+            dict.set_item("max_rpm", params.max_rpm())
+        })?;
+        Ok(dict)
+    }
+
+    /// Returns the lower and upper bounds of an environment's row of the observations, float32.
+    fn observation_bounds<'py>(&self, py: Python<'py>) -> PyResult<Bounds<'py>> {
+        self.with(py, |inner| {
+            let (low, high) = inner.env.observation_space().row().bounds_f32();
+            Ok((low.to_pyarray(py), high.to_pyarray(py)))
+        })
+    }
+
+    /// Returns the lower and upper bounds of an environment's action, float32.
+    fn action_bounds<'py>(&self, py: Python<'py>) -> PyResult<Bounds<'py>> {
+        self.with(py, |inner| {
+            let (low, high) = inner.env.action_space().bounds_f32();
+            Ok((low.to_pyarray(py), high.to_pyarray(py)))
+        })
+    }
+
+    /// Renders an environment for people, uint8 (height, width, 3).
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        index: usize,
+        view: &str,
+        width: u32,
+        height: u32,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
+        let view = view.parse().map_err(crate::error::value_error)?;
+        let mut rgb = vec![0; 3 * (width as usize) * (height as usize)];
+        self.work(py, |inner| {
+            let mut done = Ok(());
+            let look = &mut |env: &mut dyn DroneEnv| done = env.render(view, ImageSize { width, height }, &mut rgb);
+            inner.env.with_env(index, look).and(done).map_err(env_error)
+        })?;
+        rgb.to_pyarray(py).reshape([height as usize, width as usize, 3])
+    }
+
+    /// Returns the memory per environment, bytes.
+    fn bytes_per_env(&self, py: Python<'_>) -> PyResult<usize> {
+        self.with(py, |inner| Ok(inner.env.bytes_per_env()))
+    }
+}
+
+/// Indices, successes, ends and lengths of the episodes that have ended.
+type Ends<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<bool>>, Bound<'py, PyList>, Bound<'py, PyArray1<i64>>);
+
+/// Lower and upper bounds.
+type Bounds<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
+
+impl Batch {
+    /// Returns the environments, unless another thread uses them or this process is a fork of theirs.
+    fn lock(&self) -> PyResult<MutexGuard<'_, Option<Inner>>> {
+        if std::process::id() != self.process {
+            let message = "this batch belongs to the parent of this forked process, expected a new batch in the child";
+            return Err(PyRuntimeError::new_err(message));
+        }
+        match self.inner.try_lock() {
+            Ok(inner) => Ok(inner),
+            Err(TryLockError::Poisoned(inner)) => Ok(inner.into_inner()),
+            Err(TryLockError::WouldBlock) => {
+                Err(PyRuntimeError::new_err("another thread uses this batch, expected one thread at a time"))
+            }
+        }
+    }
+
+    /// Calls a function with the environments, without the GIL.
+    fn work<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Inner) -> PyResult<R> + Send) -> PyResult<R> {
+        let mut inner = self.lock()?;
+        let inner = inner.as_mut().ok_or_else(gone)?;
+        py.detach(|| guard(|| work(inner)))
+    }
+
+    /// Calls a function with the environments.
+    fn with<R>(&self, _: Python<'_>, look: impl FnOnce(&mut Inner) -> PyResult<R>) -> PyResult<R> {
+        let mut inner = self.lock()?;
+        let inner = inner.as_mut().ok_or_else(gone)?;
+        guard(|| look(inner))
+    }
+
+    /// Calls a function with one environment as a single environment.
+    fn with_env<R>(
+        &self,
+        py: Python<'_>,
+        index: usize,
+        look: impl FnOnce(&mut dyn DroneEnv) -> PyResult<R>,
+    ) -> PyResult<R> {
+        self.with(py, |inner| {
+            let (mut look, mut result) = (Some(look), None);
+            let call = &mut |env: &mut dyn DroneEnv| result = look.take().map(|look| look(env));
+            inner.env.with_env(index, call).map_err(env_error)?;
+            result.unwrap_or_else(|| Err(gone()))
+        })
+    }
+
+    fn no_environment(&self, index: usize) -> PyErr {
+        PyValueError::new_err(format!(
+            "environment {index} or its drone does not exist, expected an environment from 0 to {}",
+            self.environments - 1
+        ))
+    }
+}
+
+/// Returns the info of an environment by name.
+fn info_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py, PyDict>> {
+    let (info, dict) = (env.info(), PyDict::new(py));
+    dict.set_item("time", info.time)?;
+    dict.set_item("success", info.success)?;
+    dict.set_item("progress", info.progress)?;
+    dict.set_item("position_error", info.position_error)?;
+    dict.set_item("crashed", info.crashed())?;
+    if let Some(end) = info.end {
+        dict.set_item("end", end.name())?;
+        dict.set_item("is_success", info.success)?;
+    }
+    Ok(dict)
+}
+
+fn gone() -> PyErr {
+    PyRuntimeError::new_err("the batch has been closed")
+}
+
+impl Drop for Batch {
+    fn drop(&mut self) {
+        if std::process::id() != self.process {
+            // the threads exist in the parent alone, so that waiting for their end would not return
+            let inner = self.inner.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+            std::mem::forget(inner.take());
+        }
+    }
 }

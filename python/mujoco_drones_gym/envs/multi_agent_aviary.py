@@ -1,0 +1,167 @@
+"""Environments with one agent per drone, for PettingZoo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ResetNeeded
+from gymnasium.logger import warn
+from pettingzoo import ParallelEnv
+
+from mujoco_drones_gym import _layout, _native
+from mujoco_drones_gym._options import check_render_mode, native_options
+from mujoco_drones_gym.vector import _checked_seed
+
+__all__ = ["MultiAgentAviary", "parallel_env"]
+
+
+class MultiAgentAviary(ParallelEnv):
+    """A task in which every drone is an agent with its own observation, action, reward and end.
+
+    The agents are `drone0`, `drone1`, ... An agent leaves when its episode ends. Its drone stays in the simulation with
+    its motors off, or hovers if it has completed its part of the task.
+
+    Args:
+        num_drones: Number of drones; default that of the task.
+        task: Name of the task; default the paper's `multi_agent`, in which every drone hovers at its own height.
+        options: Options of the single environment: `physics`, `obs_type`, `act_type`, `wind`, `render_mode`, ...
+
+    Example:
+        >>> from mujoco_drones_gym import MultiAgentAviary
+        >>> env = MultiAgentAviary(num_drones=3)
+        >>> obs, infos = env.reset(seed=1)
+        >>> actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        >>> obs, rewards, terminations, truncations, infos = env.step(actions)
+        >>> obs["drone0"].shape
+        (13,)
+    """
+
+    def __init__(self, num_drones: int | None = None, *, task: str = "multi_agent", **options: Any) -> None:
+        self._arguments = dict(options, num_drones=num_drones, task=task)
+        if num_drones is not None:
+            options["num_drones"] = num_drones
+        task, native, render = native_options(task, options)
+        self.render_mode = check_render_mode(render.mode)
+        self._frame_size = (render.width, render.height)
+        self._env = _native.Parallel(task, native)
+        self._started = False
+        self.task = task
+        constants = self._env.constants()
+        self.NUM_DRONES: int = constants["num_drones"]
+        self.SIM_FREQ: int = constants["sim_freq"]
+        self.CTRL_FREQ: int = constants["ctrl_freq"]
+        self.CTRL_TIMESTEP = 1.0 / self.CTRL_FREQ
+        self.HOVER_RPM: float = constants["hover_rpm"]
+        self.MAX_RPM: float = constants["max_rpm"]
+        self.M: float = constants["mass"]
+        self.G: float = constants["gravity"]
+        self.metadata = {
+            "name": f"{task}_v0",
+            "render_modes": ["rgb_array"],
+            "render_fps": self.CTRL_FREQ,
+            "is_parallelizable": True,
+        }
+        self.possible_agents: list[str] = self._env.possible_agents
+        self.agents: list[str] = []
+        self.observation_spaces = {agent: self._observation_space(agent) for agent in self.possible_agents}
+        self.action_spaces = {
+            agent: spaces.Box(*self._env.action_bounds(agent), dtype=np.float32) for agent in self.possible_agents
+        }
+        self.state_space = spaces.Box(-np.inf, np.inf, (12 * self.NUM_DRONES,), np.float32)
+
+    def _observation_space(self, agent: str) -> spaces.Space:
+        low, high = self._env.observation_bounds(agent)
+        parts = {"kin": spaces.Box(low, high, dtype=np.float32)} if low.size else {}
+        for name, shape in self._env.image_shapes(agent).items():
+            parts[name] = _layout.image_space(name, tuple(shape))
+        return _layout.observation_space(parts)
+
+    def observation_space(self, agent: str) -> spaces.Space:
+        """Returns the observation space of an agent, the same object every time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Space:
+        """Returns the action space of an agent, the same object every time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+        """Starts an episode with all agents.
+
+        Args:
+            seed: Seed of every random stream; None, with which the random streams continue.
+            options: Ignored.
+
+        Returns:
+            The observations and the infos by agent.
+        """
+        observations, infos = self._env.reset(_checked_seed(seed))
+        self.agents = self._env.agents
+        self._started = True
+        return self._packed(observations), infos
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Advances the environment by one control step.
+
+        Args:
+            actions: An action for every live agent, clipped to the bounds of its action space.
+
+        Returns:
+            The observations, rewards, terminations, truncations and infos by agent, for every agent that was live
+            before the step. Five empty dicts if no agent was live and none acts.
+        """
+        if not self.agents:
+            if not self._started:
+                raise ResetNeeded("step was called on a new environment, expected a call of reset first")
+            if actions:
+                raise ResetNeeded("step was called after the end of the episode, expected a call of reset first")
+            return {}, {}, {}, {}, {}
+        try:
+            observations, rewards, terminations, truncations, infos = self._env.step(dict(actions))
+        finally:
+            self.agents = self._env.agents
+        return self._packed(observations), rewards, terminations, truncations, infos
+
+    def state(self) -> np.ndarray:
+        """Returns the states of all drones, float32 (12 N,).
+
+        The numbers of a drone are its position (m), roll, pitch and yaw (rad), velocity (m/s), and angular velocity in
+        the body frame (rad/s).
+        """
+        return self._env.state().astype(np.float32)
+
+    def render(self) -> np.ndarray | None:
+        """Returns a frame, uint8 (height, width, 3), if the render mode is "rgb_array"."""
+        if self.render_mode is None:
+            warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
+            return None
+        return self._env.render("track", *self._frame_size)
+
+    def close(self) -> None:
+        """Ends the episode."""
+        self.agents = []
+
+    def _packed(self, observations: dict[str, dict[str, Any]]) -> dict[str, Any]:
+        return {agent: _layout.pack(parts) for agent, parts in observations.items()}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self._arguments,)
+
+
+def _rebuilt(arguments: dict[str, Any]) -> MultiAgentAviary:
+    return MultiAgentAviary(**arguments)
+
+
+def parallel_env(task: str = "multi_agent", **options: Any) -> MultiAgentAviary:
+    """Creates the environment of a task with one agent per drone.
+
+    Args:
+        task: Name of the task, such as "antipodal".
+        options: Options of `MultiAgentAviary`.
+    """
+    return MultiAgentAviary(task=task, **options)

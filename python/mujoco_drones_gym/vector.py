@@ -1,0 +1,501 @@
+"""Batches of environments as Gymnasium vector environments."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import ClosedEnvironmentError
+from gymnasium.logger import warn
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from mujoco_drones_gym import _layout, _native
+from mujoco_drones_gym._options import check_render_mode, native_options
+
+__all__ = ["VectorAviary", "VectorMember"]
+
+_AUTORESET = {
+    AutoresetMode.NEXT_STEP: "next_step",
+    AutoresetMode.SAME_STEP: "same_step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+def autoreset_mode_of(value: AutoresetMode | str) -> AutoresetMode:
+    """Returns the autoreset mode of a member of the enum, of its value ("NextStep") or of its name ("next_step")."""
+    if isinstance(value, AutoresetMode):
+        return value
+    for mode, name in _AUTORESET.items():
+        if isinstance(value, str) and value.lower() in (mode.value.lower(), name):
+            return mode
+    expected = ", ".join(repr(mode.value) for mode in _AUTORESET)
+    raise ValueError(f"autoreset_mode is {value!r}, expected one of {expected}")
+
+
+def _count(name: str, value: Any, low: int, high: int) -> int:
+    """Returns an integer option within its bounds."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = low - 1
+    if not low <= number <= high or isinstance(value, bool):
+        raise ValueError(f"{name} is {value!r}, expected an integer from {low} to {high:,}")
+    return number
+
+
+class _Closed:
+    """Stands in for the batch of a closed environment."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise ClosedEnvironmentError("this VectorAviary is closed, expected a new one")
+
+
+class VectorMember:
+    """One environment of a `VectorAviary`, for reading its state and changing its wind.
+
+    Args:
+        env: The vector environment.
+        index: Index of the environment in it.
+    """
+
+    __slots__ = ("_env", "_index")
+
+    def __init__(self, env: VectorAviary, index: int) -> None:
+        object.__setattr__(self, "_env", env)
+        object.__setattr__(self, "_index", index)
+
+    def __getattr__(self, name: str) -> Any:
+        # called for names that the class does not have
+        if not name.startswith("__") and name not in self.__slots__:
+            attributes = self._env._attributes.get(self._index, {})
+            if name in attributes:
+                return attributes[name]
+        raise AttributeError(f"an environment of a VectorAviary has no attribute {name!r}")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if hasattr(type(self), name):
+            raise AttributeError(f"the attribute {name!r} of an environment cannot be set")
+        self._env._attributes.setdefault(self._index, {})[name] = value
+
+    @property
+    def observation_space(self) -> spaces.Space:
+        """Observation space of one environment."""
+        return self._env.single_observation_space
+
+    @property
+    def action_space(self) -> spaces.Space:
+        """Action space of one environment."""
+        return self._env.single_action_space
+
+    @property
+    def render_mode(self) -> str | None:
+        """Render mode of the vector environment."""
+        return self._env.render_mode
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """Metadata of the vector environment."""
+        return self._env.metadata
+
+    @property
+    def spec(self) -> Any:
+        """Specification of the vector environment."""
+        return self._env.spec
+
+    @property
+    def NUM_DRONES(self) -> int:
+        """Number of drones."""
+        return self._env.NUM_DRONES
+
+    @property
+    def SIM_FREQ(self) -> int:
+        """Physics rate, Hz."""
+        return self._env.SIM_FREQ
+
+    @property
+    def CTRL_FREQ(self) -> int:
+        """Control rate, Hz."""
+        return self._env.CTRL_FREQ
+
+    @property
+    def CTRL_TIMESTEP(self) -> float:
+        """Length of a control step, s."""
+        return self._env.CTRL_TIMESTEP
+
+    @property
+    def HOVER_RPM(self) -> float:
+        """Motor speed that carries the nominal weight, rpm."""
+        return self._env.HOVER_RPM
+
+    @property
+    def MAX_RPM(self) -> float:
+        """Maximum motor speed, rpm."""
+        return self._env.MAX_RPM
+
+    @property
+    def pos(self) -> np.ndarray:
+        """Positions, world frame, m, float64 (N, 3)."""
+        return self._states()[:, 0:3]
+
+    @property
+    def quat(self) -> np.ndarray:
+        """Attitudes as quaternions (w, x, y, z), body to world frame, float64 (N, 4)."""
+        return self._states()[:, 3:7]
+
+    @property
+    def rpy(self) -> np.ndarray:
+        """Roll, pitch and yaw, rad, float64 (N, 3)."""
+        return self._states()[:, 7:10]
+
+    @property
+    def vel(self) -> np.ndarray:
+        """Velocities, world frame, m/s, float64 (N, 3)."""
+        return self._states()[:, 10:13]
+
+    @property
+    def ang_v(self) -> np.ndarray:
+        """Angular velocities, body frame, rad/s, float64 (N, 3)."""
+        return self._states()[:, 13:16]
+
+    @property
+    def unwrapped(self) -> VectorMember:
+        """This environment."""
+        return self
+
+    def _states(self) -> np.ndarray:
+        return np.stack([self._getDroneStateVector(drone) for drone in range(self.NUM_DRONES)])
+
+    def _getDroneStateVector(self, nth_drone: int) -> np.ndarray:
+        """Returns the state of a drone, float64 (20,): pos, quat (w, x, y, z), rpy, vel, ang_v, motor speeds (rpm)."""
+        return self._env._batch.state(self._index, nth_drone)
+
+    def info(self) -> dict[str, Any]:
+        """Returns the info of the environment, as `step` of a single environment returns it."""
+        return self._env._batch.info(self._index)
+
+    def metrics(self) -> dict[str, float]:
+        """Returns the scalar metrics of the task by name."""
+        return self._env._batch.metrics(self._index)
+
+    def set_wind(self, config: Any) -> None:
+        """Sets the wind from now on, also for later episodes.
+
+        Args:
+            config: A `WindConfig`, a dict with the keys of the TOML files, or None for still air.
+        """
+        from mujoco_drones_gym._conditions import wind_options
+
+        self._env._batch.set_wind(self._index, wind_options(config))
+
+    def render(self) -> np.ndarray | None:
+        """Returns a frame of the environment, uint8 (height, width, 3), if the render mode is "rgb_array"."""
+        return self._env._frame(self._index)
+
+    def close(self) -> None:
+        """Does nothing: the vector environment owns the simulation."""
+
+    def has_wrapper_attr(self, name: str) -> bool:
+        """Returns True if the environment has an attribute."""
+        return hasattr(self, name)
+
+    def get_wrapper_attr(self, name: str) -> Any:
+        """Returns an attribute."""
+        return getattr(self, name)
+
+    def set_wrapper_attr(self, name: str, value: Any, *, force: bool = True) -> bool:
+        """Sets an attribute."""
+        setattr(self, name, value)
+        return True
+
+
+class _Members(Sequence):
+    """The environments of a `VectorAviary`, which has no reference to them: dropping it frees its memory at once."""
+
+    def __init__(self, env: VectorAviary) -> None:
+        self._env = env
+
+    def __len__(self) -> int:
+        return self._env.num_envs
+
+    def __getitem__(self, index: Any) -> Any:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        index = operator.index(index)
+        index += len(self) if index < 0 else 0
+        if not 0 <= index < len(self):
+            raise IndexError(f"environment {index} does not exist, expected an index from 0 to {len(self) - 1}")
+        return VectorMember(self._env, index)
+
+
+class VectorAviary(VectorEnv):
+    """Environments of one task that step together on all cores.
+
+    Environment i is bit-identical to the single environment with the same options, `stream=i`, `engine="hybrid"` and
+    the same seed, for any number of threads. A step releases the GIL.
+
+    Args:
+        task: Name of the task, such as "hover".
+        num_envs: Number of environments, M.
+        autoreset_mode: Time of the reset after the end of an episode: a member of `AutoresetMode`, or its value or its
+            name as a string.
+        num_threads: Number of threads; 0 selects as many as the machine has cores and the environments keep busy.
+        copy: True if `reset` and `step` return new arrays. Otherwise they return the same arrays every time: views of
+            the buffers of the batch, which the next step overwrites.
+        on_fault: "error" if an environment that fails (an action that is not finite, a state that diverges) raises an
+            error, "truncate" if it ends the episode of the environment with the reward 0.
+        max_episode_steps: Largest number of control steps of an episode; None for the time limit of the task.
+        options: Options of the single environment: `num_drones`, `physics`, `obs_type`, `act_type`, `wind`, ...
+
+    Example:
+        >>> import numpy as np
+        >>> from mujoco_drones_gym import VectorAviary
+        >>> env = VectorAviary("hover", 64)
+        >>> obs, infos = env.reset(seed=1)
+        >>> obs, rewards, terminations, truncations, infos = env.step(np.zeros((64, 4), np.float32))
+        >>> obs.shape, rewards.shape
+        ((64, 12), (64,))
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        num_threads: int = 0,
+        copy: bool = True,
+        on_fault: str = "error",
+        max_episode_steps: int | None = None,
+        **options: Any,
+    ) -> None:
+        self._arguments = dict(
+            options,
+            task=task,
+            num_envs=num_envs,
+            autoreset_mode=autoreset_mode,
+            num_threads=num_threads,
+            copy=copy,
+            on_fault=on_fault,
+            max_episode_steps=max_episode_steps,
+        )
+        self.autoreset_mode = autoreset_mode_of(autoreset_mode)
+        count = _count("num_envs", num_envs, 1, 1 << 24)
+        threads = _count("num_threads", num_threads, 0, 1024)
+        if max_episode_steps is not None:
+            max_episode_steps = _count("max_episode_steps", max_episode_steps, 1, 1 << 53)
+        task, native, render = native_options(task, options)
+        self.render_mode = check_render_mode(render.mode)
+        self._frame_size = (render.width, render.height)
+        mode = _AUTORESET[self.autoreset_mode]
+        batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps)
+        self._batch: Any = batch
+        # attributes of single environments that the caller has set
+        self._attributes: dict[int, dict[str, Any]] = {}
+        self.num_envs = count
+        self.task = task
+        self.copy = bool(copy)
+        constants = batch.constants()
+        self.num_threads: int = constants["num_threads"]
+        self.NUM_DRONES: int = constants["num_drones"]
+        self.SIM_FREQ: int = constants["sim_freq"]
+        self.CTRL_FREQ: int = constants["ctrl_freq"]
+        self.CTRL_TIMESTEP: float = constants["control_period"]
+        self.HOVER_RPM: float = constants["hover_rpm"]
+        self.MAX_RPM: float = constants["max_rpm"]
+        self.max_episode_steps: int = constants["episode_steps"]
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": self.CTRL_FREQ,
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self._rewards = batch.rewards
+        self._terminations = batch.terminated
+        self._truncations = batch.truncated
+        low, high = batch.observation_bounds()
+        parts, boxes = {}, {}
+        if low.size:
+            parts["kin"] = batch.observations
+            boxes["kin"] = spaces.Box(low, high, dtype=np.float32)
+        for name, image in batch.images().items():
+            parts[name] = image
+            boxes[name] = _layout.image_space(name, image.shape[1:])
+        self._parts = parts
+        self._observations = _layout.pack(parts)
+        self._has_images = len(parts) > ("kin" in parts)
+        self.single_observation_space = _layout.observation_space(boxes)
+        low, high = batch.action_bounds()
+        self.single_action_space = spaces.Box(low, high, dtype=np.float32)
+
+    @cached_property
+    def observation_space(self) -> spaces.Space:
+        """Space of the observations of all environments."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @cached_property
+    def action_space(self) -> spaces.Space:
+        """Space of the actions of all environments."""
+        return batch_space(self.single_action_space, self.num_envs)
+
+    @property
+    def envs(self) -> Sequence[VectorMember]:
+        """The environments, for reading their states and changing their wind."""
+        return _Members(self)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Starts an episode in every environment.
+
+        Args:
+            seed: A seed, of which every environment uses its own random stream; a seed or None for every environment;
+                or None, with which the random streams continue.
+            options: `{"reset_mask": mask}` resets the environments that the mask, bool (M,), selects.
+
+        Returns:
+            The observations, (M, ...), and an empty dict.
+        """
+        mask = None
+        if options is not None and options.get("reset_mask") is not None:
+            mask = self._checked_mask(options["reset_mask"])
+        self._batch.reset(_checked_seed(seed), mask)
+        if seed is None or isinstance(seed, (int, np.integer)):
+            super().reset(seed=None if seed is None else int(seed))
+        return self._observed(), {}
+
+    def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Advances every environment by one control step.
+
+        Args:
+            actions: Actions, (M, ...), clipped to the bounds of the action space. The batch takes float64 in full
+                precision.
+
+        Returns:
+            The observations (M, ...), the rewards, float32 (M,), the terminations and truncations, bool (M,), and the
+            infos. Where an episode has ended, the infos hold `success` and `end` (`NEXT_STEP`, `DISABLED`) or
+            `final_obs` and `final_info` (`SAME_STEP`), each with the mask of the environments, `_success` and so on.
+        """
+        infos = self._end_infos() if self._batch.step(actions) else {}
+        if not self.copy:
+            return self._observations, self._rewards, self._terminations, self._truncations, infos
+        return self._observed(), self._rewards.copy(), self._terminations.copy(), self._truncations.copy(), infos
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Returns a frame of every environment, uint8 (height, width, 3), if the render mode is "rgb_array"."""
+        if self.render_mode is None:
+            self._frame(0)
+            return None
+        return tuple(self._frame(index) for index in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads and frees the environments. Arrays that `step` has returned stay valid."""
+        self._batch = _Closed()
+
+    def states(self) -> np.ndarray:
+        """Returns the present states of all drones, float64 (M, N, 20).
+
+        The numbers of a drone are its position, quaternion (w, x, y, z), roll, pitch and yaw, velocity, angular
+        velocity in the body frame, and the motor speeds (rpm) of the last step.
+        """
+        return self._batch.states()
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Calls a method of every environment, or returns its attribute."""
+        values = (getattr(env, name) for env in self.envs)
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Returns an attribute of every environment."""
+        return self.call(name)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets an attribute of every environment: to the entries of a list or tuple, or to one value."""
+        if not isinstance(values, (list, tuple)):
+            values = [values] * self.num_envs
+        if len(values) != self.num_envs:
+            raise ValueError(f"values has {len(values)} entries, expected one per environment: {self.num_envs}")
+        for env, value in zip(self.envs, values, strict=True):
+            setattr(env, name, value)
+
+    def _observed(self) -> Any:
+        if not self.copy:
+            return self._observations
+        if len(self._parts) == 1:
+            return self._observations.copy()
+        return {name: part.copy() for name, part in self._parts.items()}
+
+    def _end_infos(self) -> dict[str, Any]:
+        """Returns the infos of a step in which an episode has ended."""
+        indices, successes, ends, steps = self._batch.ends()
+        if not indices.size:
+            return {}
+        count = self.num_envs
+        mask = np.zeros(count, np.bool_)
+        mask[indices] = True
+        success = np.zeros(count, np.bool_)
+        success[indices] = successes
+        end = np.empty(count, object)
+        end[indices] = ends
+        infos = {"success": success, "_success": mask, "end": end, "_end": mask.copy()}
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP:
+            return infos
+        time = np.zeros(count)
+        time[indices] = steps * self.CTRL_TIMESTEP
+        infos.update(is_success=success.copy(), _is_success=mask.copy(), time=time, _time=mask.copy())
+        final = np.empty(count, object)
+        rows = self._batch.final_observations(indices)
+        for index, row in zip(indices, rows, strict=True):
+            parts = self._batch.final_images(index) if self._has_images else {}
+            final[index] = _layout.pack({"kin": row.copy(), **parts} if "kin" in self._parts else parts)
+        return {"final_obs": final, "_final_obs": mask.copy(), "final_info": infos, "_final_info": mask.copy()}
+
+    def _frame(self, index: int) -> np.ndarray | None:
+        if self.render_mode is None:
+            warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
+            return None
+        return self._batch.render(index, "track", *self._frame_size)
+
+    def _checked_mask(self, mask: Any) -> np.ndarray:
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            got = f"an array of {mask.dtype}" if isinstance(mask, np.ndarray) else type(mask).__name__
+            raise TypeError(f"options['reset_mask'] is {got}, expected a numpy array of bool")
+        if mask.shape != (self.num_envs,):
+            raise ValueError(f"options['reset_mask'] has the shape {mask.shape}, expected ({self.num_envs},)")
+        if not mask.any():
+            raise ValueError("options['reset_mask'] selects no environment, expected at least one True")
+        return mask
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (self._arguments,)
+
+
+def _rebuilt(arguments: dict[str, Any]) -> VectorAviary:
+    return VectorAviary(**arguments)
+
+
+def _checked_seed(seed: Any) -> Any:
+    """Returns a seed, or a list of seeds, as plain integers."""
+    if seed is None:
+        return None
+    if isinstance(seed, (list, tuple, np.ndarray)):
+        return [_checked_seed(one) for one in seed]
+    return _count("seed", seed, 0, (1 << 64) - 1)
+
+
+# Entry points of the registered ids, by the name of the task.
+make_hover_vec = partial(VectorAviary, "hover")
+make_velocity_vec = partial(VectorAviary, "velocity")
+make_multi_hover_vec = partial(VectorAviary, "multi_hover")
+make_fly_through_vec = partial(VectorAviary, "fly_through")
+make_formation_vec = partial(VectorAviary, "formation")
+make_race_vec = partial(VectorAviary, "race")
+make_antipodal_vec = partial(VectorAviary, "antipodal")
+make_stabilize_vec = partial(VectorAviary, "stabilize")
+make_track_vec = partial(VectorAviary, "track")
