@@ -7,6 +7,7 @@ mod error;
 mod multi_agent;
 mod options;
 mod policy;
+mod record;
 mod vector;
 
 use pyo3::prelude::*;
@@ -21,5 +22,6 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     multi_agent::register(module)?;
     control::register(module)?;
     conditions::register(module)?;
-    policy::register(module)
+    policy::register(module)?;
+    record::register(module)
 }

@@ -1,8 +1,99 @@
 //! Trained policies.
 
+use aviary::policy::{PolicyError, PolicyNetwork};
+use numpy::{PyArray1, PyReadonlyArray1};
+use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+
+use crate::conditions::python_of;
+use crate::error::{guard, value_error};
 
 /// Adds the classes and functions of this file to the module.
-pub fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
-    Ok(())
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_class::<Policy>()
+}
+
+/// A policy of `aviary train`.
+#[pyclass(module = "mujoco_drones_gym._native", frozen)]
+struct Policy {
+    network: PolicyNetwork,
+}
+
+/// Converts an error: an error of the system to the `OSError` of its kind, other errors to `ValueError`.
+fn policy_error(error: PolicyError) -> PyErr {
+    if let PolicyError::File { error: inner, .. } = &error
+        && let PolicyError::System(system) = &**inner
+    {
+        let kind = system.kind();
+        return match kind {
+            // the conversion of these kinds expects an interrupted call or a socket
+            std::io::ErrorKind::Interrupted | std::io::ErrorKind::WouldBlock => PyOSError::new_err(error.to_string()),
+            _ => std::io::Error::new(kind, error.to_string()).into(),
+        };
+    }
+    value_error(error)
+}
+
+#[pymethods]
+impl Policy {
+    /// Reads a file.
+    #[new]
+    fn new(path: std::path::PathBuf) -> PyResult<Self> {
+        Ok(Self { network: PolicyNetwork::load(path).map_err(policy_error)? })
+    }
+
+    /// Reads the bytes of a file.
+    #[staticmethod]
+    fn from_bytes(bytes: &[u8]) -> PyResult<Self> {
+        Ok(Self { network: PolicyNetwork::from_bytes(bytes).map_err(policy_error)? })
+    }
+
+    /// Returns the bytes of a file.
+    fn to_bytes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &self.network.to_bytes().map_err(policy_error)?))
+    }
+
+    /// Size of an observation, or of that of one drone.
+    #[getter]
+    fn observation_size(&self) -> usize {
+        self.network.observation_size()
+    }
+
+    /// Size of an action, or of that of one drone.
+    #[getter]
+    fn action_size(&self) -> usize {
+        self.network.action_size()
+    }
+
+    /// Metadata as a dict.
+    fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        python_of(py, self.network.info())
+    }
+
+    /// Computes the actions for concatenated observations.
+    fn act<'py>(
+        &self,
+        py: Python<'py>,
+        observations: PyReadonlyArray1<'py, f64>,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let (inputs, outputs) = (self.network.observation_size(), self.network.action_size());
+        let observations = observations.as_slice().map_err(value_error)?;
+        let count = observations.len() / inputs;
+        if observations.len() != count * inputs {
+            return Err(value_error(format_args!(
+                "observation has {} numbers, expected a multiple of {inputs}",
+                observations.len()
+            )));
+        }
+        let mut actions = vec![0.0; count * outputs];
+        if count > 0 {
+            guard(|| {
+                py.detach(|| self.network.forward(observations, &mut actions));
+                Ok(())
+            })?;
+        }
+        // the bounds and outputs are single precision, so that this conversion is exact
+        Ok(PyArray1::from_iter(py, actions.into_iter().map(|x| x as f32)))
+    }
 }

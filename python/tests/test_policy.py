@@ -1,0 +1,138 @@
+"""Policies of `aviary train`."""
+
+import itertools
+import json
+import pickle
+import struct
+
+import numpy as np
+import pytest
+
+from mujoco_drones_gym.policy import Policy
+
+INFO = {
+    "version": 2,
+    "task": "hover",
+    "drone": "cf2x",
+    "num_drones": 1,
+    "per_drone": False,
+    "action_type": "rpm",
+    "sim_freq": 240,
+    "ctrl_freq": 48,
+    "seed": 7,
+    "steps": 1000,
+    "command": "aviary train --task hover",
+    "made_by": "a test",
+    "training": 'physics = "mjc"\n',
+}
+
+
+def write_policy(path, sizes=(12, 16, 4), low=-1.0, high=1.0, activation="softsign", seed=0, **info):
+    """Writes a policy as the trainer does, and returns its tensors."""
+    rng = np.random.default_rng(seed)
+    tensors = {
+        "observation.mean": rng.normal(size=sizes[0]),
+        "observation.deviation": rng.uniform(0.5, 2.0, sizes[0]),
+        "action.low": np.full(sizes[-1], low),
+        "action.high": np.full(sizes[-1], high),
+    }
+    for layer, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
+        tensors[f"layer{layer}.weight"] = rng.normal(size=(inputs, outputs)) / np.sqrt(inputs)
+        tensors[f"layer{layer}.bias"] = 0.1 * rng.normal(size=outputs)
+    tensors = {name: value.astype(np.float32) for name, value in tensors.items()}
+    header, data = {"__metadata__": {"policy": json.dumps({"info": {**INFO, **info}, "activation": activation})}}, b""
+    for name, value in tensors.items():
+        header[name] = {"dtype": "F32", "shape": value.shape, "data_offsets": [len(data), len(data) + value.nbytes]}
+        data += value.tobytes()
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    path.write_bytes(struct.pack("<Q", len(text)) + text + data)
+    return tensors
+
+
+def expected_actions(tensors, observation):
+    """The policy's formula in double precision."""
+    x = (np.asarray(observation, dtype=np.float64) - tensors["observation.mean"]) / tensors["observation.deviation"]
+    x = np.clip(x, -10, 10)
+    layers = sum(name.endswith("weight") for name in tensors)
+    for layer in range(layers):
+        x = x @ tensors[f"layer{layer}.weight"].astype(np.float64) + tensors[f"layer{layer}.bias"]
+        if layer + 1 < layers:
+            x = x / (1 + np.abs(x))
+    low, high = tensors["action.low"].astype(np.float64), tensors["action.high"].astype(np.float64)
+    return np.clip((low + high) / 2 + (high - low) / 2 * x, low, high)
+
+
+def test_actions_are_those_of_the_network(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    tensors = write_policy(path, low=-2.0, high=3.0)
+    policy = Policy.load(path)
+    assert (policy.observation_size, policy.action_size) == (12, 4)
+    observations = np.random.default_rng(1).normal(size=(50, 12)).astype(np.float32)
+    expected = expected_actions(tensors, observations)
+    actions = policy(observations)
+    assert actions.dtype == np.float32 and actions.shape == (50, 4)
+    assert actions == pytest.approx(expected, abs=2e-5)
+    for observation, action in zip(observations, actions, strict=True):
+        single = policy(observation)
+        assert single.shape == (4,) and np.array_equal(single, action), "a batch changes no bit"
+    assert np.array_equal(policy(observations.reshape(5, 10, 12)).reshape(50, 4), actions)
+    assert np.array_equal(policy(observations[:, ::-1][:, ::-1]), actions), "any memory layout"
+    assert np.array_equal(policy(list(observations[0])), actions[0])
+    assert np.array_equal(policy({"kin": observations, "rgb": None}), actions)
+    assert policy(np.empty((0, 12))).shape == (0, 4)
+    predicted, state = policy.predict(observations, deterministic=True)
+    assert np.array_equal(predicted, actions) and state is None
+
+
+def test_policies_per_drone_fly_any_number_of_drones(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    write_policy(path, sizes=(13, 8, 4), per_drone=True, num_drones=2, task="multi_hover")
+    policy = Policy.load(str(path))
+    observations = np.random.default_rng(2).normal(size=(7, 3 * 13))
+    actions = policy(observations)
+    assert actions.shape == (7, 12)
+    assert np.array_equal(actions.reshape(21, 4), policy(observations.reshape(21, 13)))
+    agents = {f"drone{i}": observations[0, 13 * i : 13 * i + 13] for i in range(3)}
+    assert np.array_equal(np.concatenate(list(policy(agents).values())), actions[0])
+
+
+def test_metadata_and_pickling(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    write_policy(path)
+    policy = Policy.load(path)
+    assert policy.info["task"] == "hover" and policy.info["ctrl_freq"] == 48 and policy.info["steps"] == 1000
+    assert repr(policy) == "<Policy hover: 12 observations, 4 actions>"
+    clone = pickle.loads(pickle.dumps(policy))
+    observation = np.linspace(-1, 1, 12)
+    assert clone.info == policy.info and np.array_equal(clone(observation), policy(observation))
+
+
+def test_errors_of_files_name_the_file(tmp_path):
+    missing = tmp_path / "none.safetensors"
+    with pytest.raises(FileNotFoundError) as error:
+        Policy.load(missing)
+    assert str(missing) in str(error.value) and "\n" not in str(error.value)
+    with pytest.raises(OSError, match="directory"):
+        Policy.load(tmp_path)
+    other = tmp_path / "other.safetensors"
+    other.write_bytes(b"PK\x03\x04 not a policy")
+    with pytest.raises(ValueError, match=r"other\.safetensors: not a policy"):
+        Policy.load(other)
+    write_policy(other, version=3)
+    with pytest.raises(ValueError, match="its version is 3, expected up to 2"):
+        Policy.load(other)
+    write_policy(other)
+    content = other.read_bytes()
+    other.write_bytes(content[:-10])
+    with pytest.raises(ValueError, match="not a policy"):
+        Policy.load(other)
+
+
+@pytest.mark.parametrize("shape", [(11,), (13,), (5, 11), (24,), ()])
+def test_errors_of_shapes_name_the_expected_one(tmp_path, shape):
+    path = tmp_path / "policy.safetensors"
+    write_policy(path)
+    with pytest.raises(ValueError) as error:
+        Policy.load(path)(np.zeros(shape))
+    assert str(error.value) == f"observation has the shape {shape}, expected (..., n) with n 12"

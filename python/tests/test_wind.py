@@ -1,0 +1,257 @@
+"""Wind: settings, forces, and the wrapper around environments."""
+
+import math
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mujoco_drones_gym import _native
+from mujoco_drones_gym.wrappers import WindConfig, WindField, WindModel, WindWrapper
+from mujoco_drones_gym.wrappers.wind import wind_options
+
+DT = 1 / 240
+ZERO = np.zeros(3)
+HIGH = np.array([0.0, 0.0, 1.0])
+
+
+def test_members_and_names_are_equal():
+    assert [model.value for model in WindModel] == ["none", "constant", "gust", "dryden", "sinusoidal", "combined"]
+    assert WindConfig("dryden") == WindConfig(WindModel.DRYDEN)
+    assert WindConfig("dryden").model is WindModel.DRYDEN
+
+
+def test_defaults_are_those_of_the_simulator():
+    assert WindConfig()._to_options() == _native.complete_options("wind", {})
+    assert WindConfig().velocity == (0.0, 0.9, 0.0) and WindConfig().drag_area is None
+
+
+def test_names_of_the_paper_set_the_fields():
+    config = WindConfig(
+        model="combined",
+        constant_wind=np.array([1.0, 2.0, 3.0]),
+        gust_intensity=0.04,
+        gust_probability=0.01,
+        gust_duration_steps=120,
+        turbulence_intensity=1.5,
+        sinusoidal_amplitude=0.03,
+        sinusoidal_period=2.0,
+        drag_coefficient=0.005,
+    )
+    expected = WindConfig(
+        "combined", (1.0, 2.0, 3.0), 0.04, 1.5, 0.03, math.pi, gust_duration=0.5, gust_rate=2.4, drag_area=0.005
+    )
+    assert config == expected
+    assert config.constant_wind.tolist() == [1.0, 2.0, 3.0] and config.turbulence_intensity == 1.5
+    assert config.sinusoidal_period == pytest.approx(2.0) and config.gust_probability == pytest.approx(0.01)
+    config.sinusoidal_amplitude = 0.5
+    assert config.sinusoidal_force == 0.5
+    assert WindConfig("constant", constant_wind=None).velocity == (0.0, 0.0, 0.0)
+    assert pickle.loads(pickle.dumps(config)) == config
+
+
+def test_dicts_have_the_keys_of_the_file_or_the_names_of_the_paper():
+    config = WindConfig("gust", gust_force=0.1)
+    assert wind_options({"model": "gust", "gust_force": 0.1}) == config._to_options()
+    assert wind_options({"model": WindModel.GUST, "gust_intensity": np.float32(0.5)})["gust_force"] == 0.5
+    assert wind_options("gust") == wind_options(WindModel.GUST) == WindConfig("gust")._to_options()
+    assert wind_options(None) is None
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"model": "storm"}, "wind.model: unknown variant `storm`, expected one of `none`, `constant`"),
+        ({"gust_force": -1.0}, "wind.gust_force is -1, expected 0 to 1000"),
+        ({"velocity": (1.0, 2.0)}, "wind.velocity"),
+        ({"velocity": (1.0, 2.0, math.nan)}, "wind.velocity is NaN, expected finite numbers up to 1000 m/s"),
+        ({"gust_force": "strong"}, 'wind.gust_force is "strong", expected a number'),
+        ({"turbulence": None, "gust_duration": 0}, "wind.gust_duration is 0, expected 1 ms to 1000 s"),
+        ({"drag_area": -1}, "wind.drag_area is -1, expected 0 to 1000 m²"),
+        ({"turbulence_intensity": [1]}, "wind.turbulence"),
+        ({"sinusoidal_period": "long"}, "sinusoidal_period is 'long'"),
+    ],
+)
+def test_bad_values_are_errors_of_one_line(settings, text):
+    for call in (lambda: WindConfig(**settings), lambda: wind_options(settings)):
+        with pytest.raises(ValueError) as error:
+            call()
+        assert str(error.value).startswith(text) and "\n" not in str(error.value)
+
+
+def test_unknown_settings_are_errors():
+    with pytest.raises(TypeError, match="speed"):
+        WindConfig(speed=3.0)
+    with pytest.raises(TypeError, match="WindConfig got gust_intensity and another name of gust_force"):
+        WindConfig(gust_intensity=1.0, gust_force=1.0)
+    with pytest.raises(ValueError, match=r"wind: unknown field `gust_forse`.*did you mean `gust_force`"):
+        wind_options({"gust_forse": 1.0})
+    with pytest.raises(ValueError, match="wind is 3, expected a WindConfig, a dict of its settings or None"):
+        wind_options(3)
+
+
+def test_constant_wind_follows_the_drag_law():
+    field = WindField(WindConfig("constant", constant_wind=[2.0, 0.0, 0.0], drag_coefficient=0.01))
+    field.reset(seed=0)
+    force = field.get_force(DT, HIGH, ZERO)
+    assert force == pytest.approx([0.5 * 1.225 * 0.01 * 4.0, 0.0, 0.0], abs=1e-15)
+    relative = np.array([2.0, 0.0, 0.0]) - [1.0, -2.0, 0.5]
+    force = field.get_force(dt=DT, position=HIGH, velocity=np.array([1.0, -2.0, 0.5]))
+    assert force == pytest.approx(0.5 * 1.225 * 0.01 * np.linalg.norm(relative) * relative, rel=1e-12)
+    assert field.get_force(DT, HIGH, [2.0, 0.0, 0.0]) == pytest.approx(ZERO), "a drone that moves with the air"
+
+
+def test_the_drag_area_is_that_of_the_airframe():
+    config = WindConfig("constant", velocity=(3.0, 0.0, 0.0))
+    for model in ("cf2x", "race"):
+        area = _native.airframe_constants(model)[1]["drag_area"]
+        force = WindField(config, env=model).get_force(DT, HIGH, ZERO)
+        assert force[0] == pytest.approx(0.5 * 1.225 * area * 9.0, rel=1e-12)
+
+
+def test_sinusoidal_wind_follows_the_papers_formula():
+    field = WindField(WindConfig("sinusoidal", sinusoidal_force=0.01, sinusoidal_frequency=3.0), seed=1)
+    forces = np.array([field.get_force(DT, HIGH, ZERO) for _ in range(480)])
+    best = min(
+        np.abs(forces - 0.01 * np.stack([np.sin(3 * t), np.cos(3 * t), 0.3 * np.sin(6 * t)], axis=1)).max()
+        for t in (DT * np.arange(480), DT * (np.arange(480) + 1))
+    )
+    assert best < 1e-12
+
+
+def test_still_air_has_no_force():
+    for config in (None, WindConfig(), WindConfig("constant", velocity=(0, 0, 0))):
+        assert not WindField(config, seed=0).get_force(DT, HIGH, np.array([1.0, 2.0, 3.0])).any()
+
+
+@pytest.mark.parametrize("model", ["gust", "dryden", "combined"])
+def test_seeds_repeat_and_differ(model):
+    field = WindField(WindConfig(model, gust_rate=5.0))
+
+    def forces(seed):
+        field.reset(seed=seed)
+        return np.array([field.get_force(DT, HIGH, ZERO) for _ in range(480)])
+
+    first, again, other = forces(3), forces(3), forces(4)
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+    assert first.std() > 0
+    field.reset(5)
+    following = [forces(None) for _ in range(2)]
+    assert not np.array_equal(*following), "without a seed the random numbers go on"
+    assert np.array_equal(WindField(WindConfig(model, gust_rate=5.0), seed=3).get_force(DT, HIGH, ZERO), first[0])
+
+
+def test_gusts_have_their_amplitude_and_duration():
+    config = WindConfig("gust", gust_force=0.1, gust_duration=0.25, gust_rate=1.0)
+    field = WindField(config, seed=1)
+    sizes = np.array([np.linalg.norm(field.get_force(DT, HIGH, ZERO)) for _ in range(240 * 120)])
+    assert 0.05 < sizes.max() <= 0.1
+    # per gust one second of calm and a quarter of a second of wind on average
+    assert np.mean(sizes > 0) == pytest.approx(0.2, abs=0.06)
+
+
+def test_turbulence_has_the_standard_deviation_of_the_specification():
+    # the drag law F = k·|v|·v in turbulence without a mean wind: |F| = k·|v|²
+    config = WindConfig("dryden", velocity=(0, 0, 0), turbulence=5.0, drag_area=0.01)
+    field = WindField(config)
+    squares = []
+    for seed in range(4000):
+        field.reset(seed)
+        squares.append(np.linalg.norm(field.get_force(DT, np.array([0, 0, 3.0]), ZERO)) / (0.5 * 1.225 * 0.01))
+    # at 10 feet: σ_w = 0.1·W20 and σ_u = σ_v = σ_w/(0.177 + 0.000823·10)^0.4
+    vertical = 0.5
+    level = vertical / (0.177 + 0.00823) ** 0.4
+    assert np.mean(squares) == pytest.approx(2 * level**2 + vertical**2, rel=0.05)
+
+
+def test_errors_of_the_field():
+    field = WindField(WindConfig("constant"))
+    for arguments, text in [
+        ((-1.0, HIGH, ZERO), "dt is -1, expected 0 to 1 s"),
+        ((DT, [0, 0], ZERO), "position has 2 numbers, expected 3"),
+        ((DT, HIGH, [0, math.nan, 0]), "velocity[1] is NaN"),
+    ]:
+        with pytest.raises(ValueError) as error:
+            field.get_force(*arguments)
+        assert str(error.value).startswith(text)
+    with pytest.raises(ValueError, match="seed is -1"):
+        field.reset(-1)
+    with pytest.raises(TypeError):
+        WindField(WindConfig(), wind=3)
+
+
+# environments
+
+
+def hover(**options):
+    from mujoco_drones_gym.envs.hover_aviary import HoverAviary
+
+    return HoverAviary(**options)
+
+
+def flight(env, seed, steps=60):
+    observation, _ = env.reset(seed=seed)
+    rows = [observation]
+    action = np.full(env.action_space.shape, 0.02)
+    for _ in range(steps):
+        observation, _, terminated, truncated, _ = env.step(action)
+        rows.append(observation)
+        if terminated or truncated:
+            break
+    return np.array(rows)
+
+
+STRONG = {"gust_force": 0.03, "gust_rate": 3.0, "velocity": (1.5, -2.0, 0.4), "turbulence": 8.0}
+
+
+@pytest.mark.parametrize("model", [model for model in WindModel if model is not WindModel.NONE])
+def test_the_wrapper_and_the_option_give_the_same_flight(model):
+    config = WindConfig(model, **STRONG)
+    wrapped, option = WindWrapper(hover(), config), hover(wind=config)
+    calm = flight(hover(), 3)
+    for seed in (3, 4):
+        assert np.array_equal(flight(wrapped, seed), flight(option, seed))
+    assert np.array_equal(flight(wrapped, 3), flight(WindWrapper(hover(), wind_config=config._to_options()), 3))
+    assert not np.array_equal(flight(wrapped, 3), calm)
+
+
+def test_the_wrapper_composes_with_wrappers_of_gymnasium():
+    config = WindConfig("combined", **STRONG)
+    plain = flight(WindWrapper(hover(), config), 5, 20)
+    inner = gym.wrappers.TimeLimit(WindWrapper(hover(), config), 20)
+    outer = WindWrapper(gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(hover(), 20)), config)
+    stacked = gym.wrappers.FrameStackObservation(WindWrapper(hover(), config), 2)
+    for env in (inner, outer):
+        assert np.array_equal(flight(env, 5, 20), plain)
+    assert np.array_equal(flight(stacked, 5, 20)[:, -1], plain)
+
+
+def test_set_wind_changes_the_wind_of_the_next_episodes():
+    env = hover()
+    calm = flight(env, 1)
+    wrapped = WindWrapper(env, WindConfig("constant", velocity=(2.0, 0.0, 0.0)))
+    assert flight(wrapped, 1)[-1][0] > calm[-1][0] + 0.01, "downwind"
+    env.set_wind(None)
+    assert np.array_equal(flight(env, 1), calm)
+
+
+def test_the_info_of_a_reset_has_the_settings():
+    _, info = WindWrapper(hover(), WindConfig("constant")).reset(seed=0)
+    assert info["wind_config"]["model"] == "constant" and "time" in info
+    _, info = WindWrapper(hover()).reset(seed=0)
+    assert info["wind_config"]["model"] == "dryden"
+
+
+def test_wrapped_environments_keep_their_wind_when_pickled():
+    env = WindWrapper(hover(), WindConfig("combined", **STRONG))
+    assert np.array_equal(flight(pickle.loads(pickle.dumps(env)), 2), flight(env, 2))
+
+
+def test_errors_of_the_wrapper():
+    with pytest.raises(TypeError, match="WindWrapper got CartPoleEnv, expected an environment of mujoco_drones_gym"):
+        WindWrapper(gym.make("CartPole-v1"), WindConfig("gust"))
+    with pytest.raises(ValueError, match="wind: unknown field"):
+        WindWrapper(hover(), {"speed": 1})
+    with pytest.raises(TypeError, match="config and wind_config"):
+        WindWrapper(hover(), WindConfig(), wind_config=WindConfig())
