@@ -188,7 +188,7 @@ class VectorMember:
         Args:
             config: A `WindConfig`, a dict with the keys of the TOML files, or None for still air.
         """
-        from mujoco_drones_gym._conditions import wind_options
+        from mujoco_drones_gym.wrappers.wind import wind_options
 
         self._env._batch.set_wind(self._index, wind_options(config))
 
