@@ -14,7 +14,7 @@ from gymnasium.logger import warn
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mujoco_drones_gym import _layout, _native
+from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._options import check_render_mode, native_options
 
 __all__ = ["VectorAviary", "VectorMember"]
@@ -291,6 +291,7 @@ class VectorAviary(VectorEnv):
         task, native, render = native_options(task, options)
         self.render_mode = check_render_mode(render.mode)
         self._frame_size = (render.width, render.height)
+        _opengl.prepare()
         mode = _AUTORESET[self.autoreset_mode]
         batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps)
         self._batch: Any = batch

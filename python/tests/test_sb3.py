@@ -95,6 +95,22 @@ def test_image_observations():
     assert infos[1]["terminal_observation"]["kin"][2] > obs["kin"][1][2]
 
 
+IMPORT_AFTER_AN_IMAGE = """
+import mujoco_drones_gym
+env = mujoco_drones_gym.VectorAviary("hover", 2, obs_type="rgb")
+obs, _ = env.reset(seed=1)
+import triton
+import torch
+torch.optim.Adam([torch.zeros(3, requires_grad=True)])
+print(obs.std() > 1)
+"""
+
+
+def test_pytorch_works_after_the_first_image(run_python):
+    pytest.importorskip("triton")
+    assert run_python(IMPORT_AFTER_AN_IMAGE).strip() == "True"
+
+
 @pytest.mark.parametrize("task", ["hover", "multi_hover"])
 def test_ppo_learns(task):
     env = VecNormalize(VecMonitor(SB3VecEnv(task, 16, episode_seconds=1.0)))

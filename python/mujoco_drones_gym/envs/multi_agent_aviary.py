@@ -10,7 +10,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.logger import warn
 from pettingzoo import ParallelEnv
 
-from mujoco_drones_gym import _layout, _native
+from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._options import check_render_mode, native_options
 from mujoco_drones_gym.vector import _checked_seed
 
@@ -45,6 +45,7 @@ class MultiAgentAviary(ParallelEnv):
         task, native, render = native_options(task, options)
         self.render_mode = check_render_mode(render.mode)
         self._frame_size = (render.width, render.height)
+        _opengl.prepare()
         self._env = _native.Parallel(task, native)
         self._started = False
         self.task = task
