@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.error import ResetNeeded
 from gymnasium.logger import warn
 
-from mujoco_drones_gym import _layout, _native
+from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._options import Render, check_render_mode, native_options, randomization_options, wind_options
 from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ObservationType, Physics
 
@@ -195,6 +195,7 @@ class BaseAviary(gym.Env):
 
     def _simulation(self) -> tuple[_native.Env, Render]:
         _, native, render = native_options(self.TASK, {**self._options, **self._task_options}, single=True)
+        _opengl.prepare()
         return _native.Env(self.TASK, native, render.output_folder), render
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -301,6 +302,8 @@ class BaseAviary(gym.Env):
         self._options["randomization"] = randomization
 
     def _set_task_option(self, name: str, value: Any) -> None:
+        if value is None:
+            raise ValueError(f"{name} is None, expected a number of metres")
         for env in self._envs():
             env.set_task_options({name: value})
         self._task_options = {**self._task_options, name: value}
