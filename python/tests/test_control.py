@@ -312,3 +312,47 @@ def test_errors_of_the_constructor():
         GeometricControl(integral=2.0)
     with pytest.raises(ValueError, match="drone_model: mass is -1"):
         PIDControl({**_native.airframe_constants("cf2x")[0], "mass": -1.0})
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_controllers_know_the_airframe_of_an_environment(kind):
+    from mujoco_drones_gym.envs.base_aviary import BaseAviary
+    from mujoco_drones_gym.utils.enums import DroneModel
+
+    racer = kind(DroneModel.RACE)
+    assert (racer.MASS, racer.HOVER_RPM) == (0.25, kind("race").HOVER_RPM)
+    env = BaseAviary(drone_model="race")
+    assert kind(env).MASS == 0.25 and env.HOVER_RPM == kind(env).HOVER_RPM
+    state = np.zeros(20)
+    state[3] = 1.0
+    arguments = (DT, state, [0.1, 0.2, 0.3])
+    assert np.array_equal(
+        kind(env).computeControlFromState(*arguments)[0], racer.computeControlFromState(*arguments)[0]
+    )
+    heavier = BaseAviary(randomization={"body": {"mass": (1.1, 1.1)}})
+    heavier.reset(seed=0)
+    assert kind(heavier).MASS == pytest.approx(1.1 * 0.027)
+
+
+def test_controllers_know_the_airframe_of_agents():
+    pytest.importorskip("pettingzoo")
+    from mujoco_drones_gym.envs.multi_agent_aviary import MultiAgentAviary
+
+    assert PIDControl(MultiAgentAviary(num_drones=2, drone_model="race")).MASS == 0.25
+    assert PIDControl(MultiAgentAviary(num_drones=2)).MASS == 0.027
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_controllers_hold_a_position_in_flight(kind):
+    import gymnasium as gym
+
+    from mujoco_drones_gym.envs.base_aviary import BaseAviary
+
+    env = gym.wrappers.TimeLimit(BaseAviary(initial_xyzs=[[0, 0, 0.1]], initial_rpys=[[0.2, -0.1, 2.0]]), 600)
+    state, _ = env.reset(seed=0)
+    control, target = kind(env), np.array([0.3, -0.2, 1.0])
+    for _ in range(600):
+        rpm, pos_e, yaw_e = control.computeControlFromState(DT, state, target, [0, 0, -2.5])
+        state, *_ = env.step(rpm)
+    assert np.linalg.norm(pos_e) < (0.05 if kind is PIDControl else 0.005), pos_e
+    assert abs(yaw_e) < 0.02

@@ -27,6 +27,7 @@ def test_csv_files_have_the_columns_of_the_simulator_and_every_digit(tmp_path):
     for step in range(5):
         for drone in range(2):
             logger.log(drone, step / 48, state(10 * step + drone))
+    assert logger.save_to_csv("first")[1].endswith("first_drone1.csv")
     paths = logger.save_to_csv()
     assert [path.rsplit("/", 1)[1] for path in paths] == ["drone0.csv", "drone1.csv"]
     for drone, path in enumerate(paths):

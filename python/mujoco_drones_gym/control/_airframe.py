@@ -23,6 +23,10 @@ def airframe_of(env: Any) -> str | dict[str, Any]:
     if isinstance(env, Mapping):
         return dict(env)
     aviary = getattr(env, "unwrapped", env)
-    if not hasattr(aviary, "drone_params"):
-        raise TypeError(f"env is {type(env).__name__}, expected an environment, a drone model or None")
-    return aviary.drone_params(0)
+    if hasattr(aviary, "drone_params"):
+        return aviary.drone_params(0)
+    # an environment with several agents, or a batch, has the arguments of its constructor
+    arguments = getattr(aviary, "_arguments", None)
+    if isinstance(arguments, Mapping):
+        return airframe_of(arguments.get("drone_model"))
+    raise TypeError(f"env is {type(env).__name__}, expected an environment, a drone model or None")

@@ -161,9 +161,9 @@ class Logger:
         a directory.
 
         Args:
-            comment: Text before the names of the files.
+            comment: Text before the names of the files: `comment_drone0.csv`.
         """
-        return self._write_csv(self.OUTPUT_FOLDER, comment)
+        return self._write_csv(self.OUTPUT_FOLDER, f"{comment}_" if comment else "")
 
     def save_as_csv(self, comment: str = "") -> str:
         """Writes the CSV files of `save_to_csv` into a new directory with the date, and returns its path."""
