@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import pathlib
 import pickle
 import struct
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 from mujoco_drones_gym.policy import Policy
+
+ASSETS = pathlib.Path(__file__).parents[2] / "assets" / "policies"
 
 INFO = {
     "version": 2,
@@ -136,3 +139,26 @@ def test_errors_of_shapes_name_the_expected_one(tmp_path, shape):
     with pytest.raises(ValueError) as error:
         Policy.load(path)(np.zeros(shape))
     assert str(error.value) == f"observation has the shape {shape}, expected (..., n) with n 12"
+
+
+@pytest.mark.skipif(not ASSETS.is_dir(), reason="the policies are in a checkout of the repository")
+@pytest.mark.parametrize(("name", "task"), [("hover", "HoverAviary"), ("fly_through", "FlyThroughAviary")])
+def test_policies_of_the_repository_solve_their_tasks(name, task):
+    import mujoco_drones_gym
+
+    policy = Policy.load(ASSETS / f"{name}.safetensors")
+    env = getattr(mujoco_drones_gym, task)(
+        act_type=policy.info["action_type"], engine="hybrid", randomization={"initial": {}}
+    )
+    policy.check(env)
+    for seed in range(3):
+        observation, info = env.reset(seed=seed)
+        done = False
+        while not done:
+            action = policy(observation)
+            assert env.action_space.contains(action)
+            observation, _, terminated, truncated, info = env.step(action)
+            done = terminated or truncated
+        assert info["is_success"], (seed, info)
+    with pytest.raises(ValueError, match=r"the policy has .* observations and .* actions .*, the environment"):
+        policy.check(mujoco_drones_gym.MultiHoverAviary())
