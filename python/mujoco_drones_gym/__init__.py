@@ -10,10 +10,31 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mujoco_drones_gym import _registration
 from mujoco_drones_gym._native import __version__
+
+if TYPE_CHECKING:
+    from mujoco_drones_gym.control import DSLPIDControl, GeometricControl, PIDControl
+    from mujoco_drones_gym.envs import (
+        AntipodalAviary,
+        BaseAviary,
+        FlyThroughAviary,
+        FormationAviary,
+        HoverAviary,
+        MultiHoverAviary,
+        RaceAviary,
+        StabilizeAviary,
+        TrackAviary,
+        VelocityAviary,
+    )
+    from mujoco_drones_gym.envs.multi_agent_aviary import MultiAgentAviary as MultiAgentAviary
+    from mujoco_drones_gym.envs.multi_agent_aviary import parallel_env as parallel_env
+    from mujoco_drones_gym.policy import Policy
+    from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ImageType, ObservationType, Physics
+    from mujoco_drones_gym.utils.logger import Logger
+    from mujoco_drones_gym.vector import VectorAviary
 
 #: Modules of the names of this package. They are imported when a name is used.
 _MODULES = {
@@ -42,10 +63,31 @@ _MODULES = {
     "Logger": "utils.logger",
 }
 
-#: Names whose modules need pettingzoo.
-_OPTIONAL = {"MultiAgentAviary", "parallel_env"}
-
-__all__ = ["__version__", *(name for name in _MODULES if name not in _OPTIONAL)]
+# `from mujoco_drones_gym import *` works without pettingzoo, which MultiAgentAviary and parallel_env need
+__all__ = [
+    "ActionType",
+    "AntipodalAviary",
+    "BaseAviary",
+    "DSLPIDControl",
+    "DroneModel",
+    "FlyThroughAviary",
+    "FormationAviary",
+    "GeometricControl",
+    "HoverAviary",
+    "ImageType",
+    "Logger",
+    "MultiHoverAviary",
+    "ObservationType",
+    "PIDControl",
+    "Physics",
+    "Policy",
+    "RaceAviary",
+    "StabilizeAviary",
+    "TrackAviary",
+    "VectorAviary",
+    "VelocityAviary",
+    "__version__",
+]
 
 
 def __getattr__(name: str) -> Any:

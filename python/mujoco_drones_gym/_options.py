@@ -87,7 +87,7 @@ def native_options(
 
 
 def _is_rate(rate: Any) -> bool:
-    return isinstance(rate, (int, np.integer)) and rate > 0
+    return isinstance(rate, (int, np.integer)) and bool(rate > 0)
 
 
 def _pixels(name: str, value: Any) -> int:

@@ -117,21 +117,6 @@ impl Inner {
         if parts.len() == 1 { parts.values().get_item(0) } else { Ok(parts.into_any()) }
     }
 
-    /// Returns the state of the episode as a dict.
-    fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (info, dict) = (self.env.info(), PyDict::new(py));
-        dict.set_item(intern!(py, "time"), info.time)?;
-        dict.set_item(intern!(py, "success"), info.success)?;
-        dict.set_item(intern!(py, "progress"), info.progress)?;
-        dict.set_item(intern!(py, "position_error"), info.position_error)?;
-        dict.set_item(intern!(py, "crashed"), info.crashed())?;
-        if let Some(end) = info.end {
-            dict.set_item(intern!(py, "end"), end.name())?;
-            dict.set_item(intern!(py, "is_success"), info.success)?;
-        }
-        Ok(dict)
-    }
-
     fn state(&self, drone: usize) -> [f64; KIN_SIZE] {
         let simulation = self.simulation();
         kinematic(&simulation.states()[drone], &simulation.motor_speeds()[drone])
@@ -183,6 +168,21 @@ impl Env {
     }
 }
 
+/// Returns the state of the episode of an environment as a dict.
+pub fn info_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py, PyDict>> {
+    let (info, dict) = (env.info(), PyDict::new(py));
+    dict.set_item(intern!(py, "time"), info.time)?;
+    dict.set_item(intern!(py, "success"), info.success)?;
+    dict.set_item(intern!(py, "progress"), info.progress)?;
+    dict.set_item(intern!(py, "position_error"), info.position_error)?;
+    dict.set_item(intern!(py, "crashed"), info.crashed())?;
+    if let Some(end) = info.end {
+        dict.set_item(intern!(py, "end"), end.name())?;
+        dict.set_item(intern!(py, "is_success"), info.success)?;
+    }
+    Ok(dict)
+}
+
 #[pymethods]
 impl Env {
     /// Creates the environment of a task by name, or the one without a task, "base". `output_folder` receives the flight
@@ -211,7 +211,7 @@ impl Env {
     fn reset<'py>(&mut self, py: Python<'py>, seed: Option<u64>) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyDict>)> {
         let inner = self.inner();
         inner.work(py, |inner| inner.env.reset(seed).map(|_| ()).map_err(env_error))?;
-        Ok((inner.observed(py)?, inner.info(py)?))
+        Ok((inner.observed(py)?, info_dict(py, &*inner.env)?))
     }
 
     /// Advances the environment by one control step. Returns observation, reward, terminated, truncated and info.
@@ -222,7 +222,7 @@ impl Env {
             let step = inner.env.step(&inner.action).map_err(env_error)?;
             Ok((step.reward, step.terminated, step.truncated))
         })?;
-        (inner.observed(py)?, reward, terminated, truncated, inner.info(py)?).into_pyobject(py)
+        (inner.observed(py)?, reward, terminated, truncated, info_dict(py, &*inner.env)?).into_pyobject(py)
     }
 
     /// Returns the last observation; zeros before the first reset.
@@ -284,7 +284,7 @@ impl Env {
 
     /// Returns the state of the episode.
     fn info<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        self.inner().info(py)
+        info_dict(py, &*self.inner().env)
     }
 
     /// Returns the scalar metrics of the task by name.
@@ -468,7 +468,7 @@ pub struct Snapshot(EnvSnapshot);
 
 #[pymethods]
 impl Snapshot {
-    /// Reads a snapshot from the bytes of [`to_bytes`](Self::to_bytes).
+    /// Reads a snapshot from the bytes of `to_bytes`.
     #[classmethod]
     fn from_bytes(_class: &Bound<'_, PyType>, data: &[u8]) -> PyResult<Self> {
         serde_json::from_slice(data)

@@ -167,12 +167,12 @@ class BaseAviary(gym.Env):
 
             self._viewer = Viewer()
         self._env = env
-        self._next_env = None
+        self._next_env: _native.Env | None = None
         self._frame_size = (render.width, render.height)
         self._has_vision = render.vision_attributes
         self._is_seeded = False
         self._is_over = True
-        self._last = (0.0, False, False, {})
+        self._last: tuple[float, bool, bool, dict[str, Any]] = (0.0, False, False, {})
         constants = env.constants()
         self.NUM_DRONES: int = constants["num_drones"]
         self.SIM_FREQ: int = constants["sim_freq"]
@@ -248,16 +248,15 @@ class BaseAviary(gym.Env):
             if self._is_over:
                 raise ResetNeeded("step was called outside an episode, expected a call of reset first")
             action = self._preprocessAction(action)
-        obs, *self._last = self._env.step(action)
+        obs, reward, terminated, truncated, info = self._env.step(action)
+        self._last = (reward, terminated, truncated, info)
         if self._has_hooks:
             terminated, truncated = bool(self._computeTerminated()), bool(self._computeTruncated())
             self._is_over = terminated or truncated
-            result = (self._computeObs(), float(self._computeReward()), terminated, truncated, self._computeInfo())
-        else:
-            result = (obs, *self._last)
+            obs, reward, info = self._computeObs(), float(self._computeReward()), self._computeInfo()
         if self._viewer is not None:
             self._viewer.show(self, 1)
-        return result
+        return obs, reward, terminated, truncated, info
 
     def render(self, camera_mode: str | None = None) -> np.ndarray | None:
         """Returns an image of the present state.
@@ -383,11 +382,12 @@ class BaseAviary(gym.Env):
         before = self._options
         self._options = {**before, **starts}
         try:
-            self._next_env, _ = self._simulation()
+            env, _ = self._simulation()
         except Exception:
             self._options = before
             raise
-        constants = self._next_env.constants()
+        self._next_env = env
+        constants = env.constants()
         self._starts = (constants["initial_xyzs"], constants["initial_rpys"])
         for array in self._starts:
             array.flags.writeable = False
@@ -485,7 +485,7 @@ class BaseAviary(gym.Env):
 
     def _observationSpace(self) -> spaces.Space:
         low, high = self._env.observation_bounds()
-        parts = {"kin": spaces.Box(low, high, dtype=np.float32)} if low.size else {}
+        parts: dict[str, spaces.Box] = {"kin": spaces.Box(low, high, dtype=np.float32)} if low.size else {}
         for name, shape in self._env.image_shapes().items():
             parts[name] = _layout.image_space(name, shape)
         return _layout.observation_space(parts)
