@@ -25,7 +25,16 @@ def test_members_and_defaults():
     config = ObstacleConfig("gates")
     assert config.obstacle_type is ObstacleType.GATES and config.num_obstacles == 4
     assert ObstacleConfig().num_obstacles == 20
-    assert ObstacleConfig()._to_options() == _native.complete_options("obstacles", {})
+    file = _native.complete_options("obstacles", {})
+    assert ObstacleConfig()._to_options() == {**file, "arena": [6.0, 6.0, 2.0]}
+
+
+@pytest.mark.parametrize("kind", RANDOM)
+def test_twenty_obstacles_of_any_kind_fit_into_the_default_arena(kind):
+    for seed in range(20):
+        obstacles = generate_obstacles(ObstacleConfig(kind, 20, seed=seed))
+        assert len(obstacles) >= 20
+        assert np.abs([obstacle.position[:2] for obstacle in obstacles]).max() <= 3.1
 
 
 def test_the_arena_has_half_lengths_and_a_height():
@@ -52,17 +61,17 @@ def test_keys_of_the_file_and_names_of_the_paper_are_equal():
 @pytest.mark.parametrize("kind", RANDOM)
 def test_layouts_repeat_with_the_seed_and_leave_the_safe_zones_free(kind):
     center = (0.9, -0.8, 0.5)
-    met = False
+    met, small = False, (1.5, 1.5, 2.0)
     for seed in range(10):
-        free = ObstacleConfig(kind, 3, safe_zone_radius=0.5, safe_zone_centers=[center], seed=seed)
+        free = ObstacleConfig(kind, 3, small, safe_zone_radius=0.5, safe_zone_centers=[center], seed=seed)
         obstacles = generate_obstacles(free)
         assert obstacles == generate_obstacles(free)
-        assert obstacles != generate_obstacles(ObstacleConfig(kind, 3, seed=seed + 1))
+        assert obstacles != generate_obstacles(ObstacleConfig(kind, 3, small, seed=seed + 1))
         for obstacle in obstacles:
             assert np.linalg.norm(obstacle.position - center) + reach(obstacle) >= 0.5
             if obstacle.geom_type == "sphere":
                 assert np.linalg.norm(obstacle.position - center) - obstacle.size[0] >= 0.5
-        anywhere = generate_obstacles(ObstacleConfig(kind, 3, safe_zone_radius=0.5, seed=seed))
+        anywhere = generate_obstacles(ObstacleConfig(kind, 3, small, safe_zone_radius=0.5, seed=seed))
         met |= anywhere != obstacles
     assert met, "no layout needed the zone"
 
@@ -86,7 +95,7 @@ def test_no_obstacles_and_lists_of_obstacles():
     ball = Obstacle("sphere", np.array([0, 1, 1]), 0.2, rgba=(1, 0, 0, 1))
     custom = ObstacleConfig(ObstacleType.CUSTOM, custom_obstacles=[box, ball])
     assert generate_obstacles(custom) == [box, ball]
-    assert obstacle_options([box, ball]) == custom._to_options()
+    assert obstacle_options([box, ball])["custom"] == custom._to_options()["custom"]
 
 
 def test_mjcf_bodies_have_the_pose_of_the_obstacle():

@@ -227,6 +227,33 @@ def test_the_wrapper_composes_with_wrappers_of_gymnasium():
     assert np.array_equal(flight(stacked, 5, 20)[:, -1], plain)
 
 
+def test_wrappers_pass_the_checker_of_gymnasium_and_their_specs_rebuild_them():
+    from gymnasium.utils.env_checker import check_env
+
+    import mujoco_drones_gym  # noqa: F401
+    from mujoco_drones_gym.wrappers import CurriculumWrapper, DomainRandomizationWrapper
+
+    for wrapper in (WindWrapper, DomainRandomizationWrapper, CurriculumWrapper):
+        with pytest.warns(UserWarning):
+            check_env(wrapper(hover()), skip_render_check=True)
+        env = wrapper(gym.make("mujoco_drones_gym/Hover-v0"))
+        assert isinstance(gym.make(env.spec), wrapper)
+    config = WindConfig("combined", **STRONG)
+    again = gym.make(WindWrapper(gym.make("mujoco_drones_gym/Hover-v0"), config).spec)
+    assert np.array_equal(flight(again, 5, 20), flight(WindWrapper(hover(), config), 5, 20))
+
+
+def test_every_environment_of_a_vector_environment_has_its_own_wind():
+    def make():
+        return WindWrapper(hover(), WindConfig("combined", **STRONG))
+
+    env = gym.vector.SyncVectorEnv([make] * 2)
+    rows = [env.reset(seed=[3, 4])[0]]
+    rows += [env.step(np.full(env.action_space.shape, 0.02))[0] for _ in range(20)]
+    for index in range(2):
+        assert np.array_equal(np.array(rows)[:, index], flight(make(), 3 + index, 20))
+
+
 def test_set_wind_changes_the_wind_of_the_next_episodes():
     env = hover()
     calm = flight(env, 1)

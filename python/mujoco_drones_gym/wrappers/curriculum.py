@@ -87,7 +87,10 @@ class CurriculumWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs):
             config = CurriculumConfig(**config)
         if difficulty_fn is not None and not callable(difficulty_fn):
             raise TypeError(f"difficulty_fn is {difficulty_fn!r}, expected a function of the environment and the level")
-        gym.utils.RecordConstructorArgs.__init__(self, difficulty_fn=difficulty_fn, config=config)
+        # the function may belong to an object that must not be copied
+        gym.utils.RecordConstructorArgs.__init__(
+            self, _disable_deepcopy=True, difficulty_fn=difficulty_fn, config=config
+        )
         gym.Wrapper.__init__(self, env)
         self.config = config
         self.difficulty_fn = difficulty_fn

@@ -145,8 +145,9 @@ class ObstacleConfig:
     num_obstacles: int | None = None
     """Number of trees, buildings, pieces of furniture, floating objects or gates; None for 20 trees, 4 gates and 8 of
     the other kinds."""
-    arena_size: tuple[float, float, float] = _halves(_DEFAULTS["arena"])
-    """Half lengths along x and y, and height of the arena, m. It is centred on the origin and stands on the floor."""
+    arena_size: tuple[float, float, float] = (3.0, 3.0, 2.0)
+    """Half lengths along x and y, and height of the arena, m. It is centred on the origin and stands on the floor. The
+    default is the paper's, four times as large as that of a configuration file."""
     safe_zone_radius: float = _DEFAULTS["safe_zone"]
     """Radius of the sphere around the start of every drone that stays free of obstacles, m."""
     safe_zone_centers: Sequence[Sequence[float]] | np.ndarray | None = None
@@ -226,7 +227,7 @@ def obstacle_options(obstacles: Any) -> dict[str, Any] | None:
     if obstacles is None or obstacles is False:
         return None
     if obstacles is True:
-        return complete("obstacles", {})
+        return ObstacleConfig()._to_options()
     if isinstance(obstacles, ObstacleConfig):
         return obstacles._to_options()
     if isinstance(obstacles, (str, ObstacleType)):
