@@ -21,14 +21,29 @@ class Alias(NamedTuple):
     from_field: Callable[[Any], Any] = _same
 
 
-def accept_aliases(aliases: Mapping[str, Alias]) -> Callable[[type], type]:
-    """Makes a dataclass accept other names of its fields, as keywords and as attributes."""
+class Fixed(NamedTuple):
+    """A name of the paper's package for a setting that has one possible value here."""
+
+    value: Any
+    reason: str
+
+
+def accept_aliases(aliases: Mapping[str, Alias], fixed: Mapping[str, Fixed] | None = None) -> Callable[[type], type]:
+    """Makes a dataclass accept other names of its fields, as keywords and as attributes.
+
+    It also accepts settings that are fixed, with the value that they have.
+    """
+    fixed = fixed or {}
 
     def decorate(cls: type) -> type:
         plain = cls.__init__
 
         @functools.wraps(plain)
         def __init__(self, *args, **kwargs):
+            for name in fixed.keys() & kwargs.keys():
+                value = kwargs.pop(name)
+                if value is not None and value != fixed[name].value:
+                    raise ValueError(f"{name} is {value!r}, expected {fixed[name].value!r}: {fixed[name].reason}")
             plain(self, *args, **translated(cls.__name__, kwargs, aliases))
 
         cls.__init__ = __init__

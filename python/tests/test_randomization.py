@@ -79,6 +79,14 @@ def test_names_of_the_paper_set_the_fields():
     assert named["body"]["mass"] == [2.0, 2.0] and named["actuators"]["latency"] == [0.0, 0.02]
 
 
+def test_fixed_settings_of_the_paper_accept_the_value_that_they_have():
+    assert DomainRandomizationConfig(randomize_every_episode=True, acc_bias_std=0.0) == DomainRandomizationConfig()
+    with pytest.raises(ValueError, match="randomize_every_episode is False, expected True: the parameters are sampled"):
+        DomainRandomizationConfig(randomize_every_episode=False)
+    with pytest.raises(ValueError, match=r"acc_bias_std is 0\.05, expected 0\.0: observations have no accelerations"):
+        only(acc_bias_std=0.05)
+
+
 def test_dicts_of_groups_leave_missing_groups_off():
     options = randomization_options({"body": {"mass": (0.8, 1.2)}})
     assert options == {"body": {"mass": [0.8, 1.2], "inertia": [0.8, 1.2], "arm_length": [0.98, 1.02]}}

@@ -51,6 +51,12 @@ def test_names_of_the_paper_set_the_fields():
     assert pickle.loads(pickle.dumps(config)) == config
 
 
+def test_the_turbulence_follows_the_drone():
+    assert WindConfig("dryden", altitude=None, airspeed=None) == WindConfig("dryden")
+    with pytest.raises(ValueError, match=r"altitude is 1\.0, expected None: the turbulence depends on the height"):
+        WindConfig("dryden", altitude=1.0)
+
+
 def test_dicts_have_the_keys_of_the_file_or_the_names_of_the_paper():
     config = WindConfig("gust", gust_force=0.1)
     assert wind_options({"model": "gust", "gust_force": 0.1}) == config._to_options()

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym._config import Alias, accept_aliases, complete
+from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete
 from mujoco_drones_gym.wrappers._base import aviary_of
 
 __all__ = ["DomainRandomizationConfig", "DomainRandomizationWrapper"]
@@ -78,7 +78,13 @@ ALIASES = {
 }
 
 
-@accept_aliases(ALIASES)
+_FIXED = {
+    "acc_bias_std": Fixed(0.0, "observations have no accelerations"),
+    "randomize_every_episode": Fixed(True, "the parameters are sampled at every reset"),
+}
+
+
+@accept_aliases(ALIASES, _FIXED)
 @dataclass
 class DomainRandomizationConfig:
     """Ranges of the parameters that are sampled for every episode. The defaults are the paper's ranges.
@@ -194,7 +200,8 @@ def _seconds(steps: Any, ctrl_freq: float) -> list[float]:
 
 def dict_options(randomization: Mapping[str, Any], ctrl_freq: float = 48.0) -> dict[str, Any]:
     """Returns the options of a dict of groups, or of fields of a `DomainRandomizationConfig`."""
-    if any(name in _KEYS or name in ALIASES or name == "action_delay_range" for name in randomization):
+    own = {*_KEYS, *ALIASES, *_FIXED, "action_delay_range"}
+    if any(name in own for name in randomization):
         groups = [name for name in randomization if name in PAPER]
         if groups:
             raise ValueError(f"randomization has {groups[0]} next to fields of a DomainRandomizationConfig")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym._config import Alias, accept_aliases, complete, translated
+from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete, translated
 from mujoco_drones_gym.control._airframe import airframe_of
 
 __all__ = ["WindConfig", "WindField", "WindModel"]
@@ -53,7 +53,13 @@ ALIASES = {
 }
 
 
-@accept_aliases(ALIASES)
+_FIXED = {
+    "altitude": Fixed(None, "the turbulence depends on the height of the drone"),
+    "airspeed": Fixed(None, "the turbulence depends on the airspeed of the drone"),
+}
+
+
+@accept_aliases(ALIASES, _FIXED)
 @dataclass
 class WindConfig:
     """Settings of the wind, with the keys of the section `[wind]` of a configuration file.
