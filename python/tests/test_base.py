@@ -23,6 +23,15 @@ def test_attributes():
     assert env.pos.tolist() == [[0, 0, 1], [1, 0, 2]]
     assert env.rpy[:, 2] == pytest.approx([0.1, 0.2])
     assert env.quat[0] == pytest.approx([np.cos(0.05), 0, 0, np.sin(0.05)])
+    assert (env.SIM_TIMESTEP, env.SIM_STEPS_PER_CTRL, env.step_counter) == (1 / 240, 5, 0)
+    env.step(np.arange(8.0))
+    assert env.step_counter == 5 and env.last_clipped_action.tolist() == [[0, 1, 2, 3], [4, 5, 6, 7]]
+    assert pytest.approx(0.027 * 9.81) == env.GRAVITY
+    assert env.J.tolist() == np.diag([1.4e-5, 1.4e-5, 2.17e-5]).tolist()
+    assert (env.KF, env.KM, env.L) == (3.16e-10, 7.94e-12, 0.0397)
+    race = BaseAviary(drone_model="race", physics="mjc_drag", obs_type="kin", act_type=mdg.ActionType.ONE_D_RPM)
+    assert (race.DRONE_MODEL, race.PHYSICS) == (mdg.DroneModel.RACE, mdg.Physics.MJC_DRAG)
+    assert (race.OBS_TYPE, race.ACT_TYPE) == (mdg.ObservationType.KIN, mdg.ActionType.ONE_D_RPM)
 
 
 def test_state_vectors():

@@ -126,10 +126,15 @@ def test_starts_change_from_the_next_reset_on():
     same = mdg.HoverAviary(initial_xyzs=[[0.2, 0.1, 0.7]], wind={"model": "constant"})
     same.reset(seed=1)
     assert (env.step(np.zeros(4))[0] == same.step(np.zeros(4))[0]).all()
-    with pytest.raises(ValueError, match="initial_xyzs"):
-        env.INIT_XYZS = [[0, 0, -1]]
-    with pytest.raises(ValueError):
-        env.INIT_XYZS[0, 2] = 3.0
+    env.INIT_XYZS[0][2] = 0.8
+    assert env.reset(seed=1)[0][2] == pytest.approx(0.8)
+    state = env._env.states()
+    for wrong in ([[0, 0, -1]], [[0, 0]], [[0, 0, 1], [0]], "here", [[0, 0, math.nan]]):
+        env.INIT_XYZS = wrong
+        with pytest.raises(ValueError, match="initial_xyzs"):
+            env.reset(seed=1)
+        assert (env._env.states() == state).all()
+    env.INIT_XYZS = np.array([[0, 0, 1]])
     env.INIT_RPYS = [[0, 0, 1]]
     assert env.reset(seed=1)[0][5] == pytest.approx(1.0)
 
@@ -206,6 +211,10 @@ WRONG = [
     ("initial_xyzs", [[0, 0, -1]], "above the floor"),
     ("initial_rpys", [[0, 0]], "(n, 3)"),
     ("obs_type", "kinematic", "kin"),
+    ("obs_type", 3, "kin"),
+    ("act_type", 3, "rpm"),
+    ("drone_model", "nothing.toml", "No such file"),
+    ("obstacles", {"kind": "forest", "count": 1000}, "fit"),
     ("act_type", "thrust", "rpm"),
     ("obstacles", 3, "ObstacleConfig"),
     ("obstacles", {"kind": "desert"}, "forest"),

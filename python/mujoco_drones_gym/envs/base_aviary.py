@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from copy import deepcopy
+from enum import Enum
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -14,7 +16,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.logger import warn
 
 from mujoco_drones_gym import _layout, _native, _opengl
-from mujoco_drones_gym._options import Render, check_render_mode, native_options, randomization_options, wind_options
+from mujoco_drones_gym._options import (
+    Render,
+    check_render_mode,
+    native_options,
+    randomization_options,
+    wind_options,
+)
 from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ObservationType, Physics
 
 __all__ = ["BaseAviary"]
@@ -29,7 +37,7 @@ _HOOKS = (
     "_computeInfo",
 )
 
-_NOT_COPIED = ("_env", "_next_env", "_viewer", "_np_random")
+_NOT_COPIED = ("_env", "_viewer", "_np_random")
 
 
 class BaseAviary(gym.Env):
@@ -76,7 +84,16 @@ class BaseAviary(gym.Env):
         CTRL_TIMESTEP: Length of a control step, s.
         HOVER_RPM: Motor speed that carries the nominal weight, rpm.
         MAX_RPM: Maximum motor speed, rpm.
+        SIM_TIMESTEP: Length of a physics step, s.
+        SIM_STEPS_PER_CTRL: Number of physics steps in a control step.
+        INIT_XYZS: Initial positions, world frame, m, float64 (N, 3). Changes have an effect from the next reset on.
+        INIT_RPYS: Initial roll, pitch and yaw, rad, float64 (N, 3). Changes have an effect from the next reset on.
         EPISODE_LEN_SEC: Time limit of an episode, s.
+        NEIGHBOURHOOD_RADIUS: Distance within which drones are neighbours, m.
+        KF: Thrust coefficient of a rotor, N/rpm².
+        KM: Torque coefficient of a rotor, N·m/rpm².
+        L: Distance of the motors from the centre, m.
+        DRONE_MODEL, PHYSICS, OBS_TYPE, ACT_TYPE: The options.
 
     Raises:
         ValueError: for an invalid option; the message names it and what is possible.
@@ -167,7 +184,6 @@ class BaseAviary(gym.Env):
 
             self._viewer = Viewer()
         self._env = env
-        self._next_env: _native.Env | None = None
         self._frame_size = (render.width, render.height)
         self._has_vision = render.vision_attributes
         self._is_seeded = False
@@ -178,11 +194,17 @@ class BaseAviary(gym.Env):
         self.SIM_FREQ: int = constants["sim_freq"]
         self.CTRL_FREQ: int = constants["ctrl_freq"]
         self.CTRL_TIMESTEP: float = constants["control_period"]
+        self.SIM_TIMESTEP: float = 1.0 / self.SIM_FREQ
+        self.SIM_STEPS_PER_CTRL: int = self.SIM_FREQ // self.CTRL_FREQ
+        self.DRONE_MODEL = _member(DroneModel, options["drone_model"])
+        self.PHYSICS = _member(Physics, options["physics"])
+        self.OBS_TYPE = _member(ObservationType, options["obs_type"])
+        self.ACT_TYPE = _member(ActionType, options["act_type"])
         self.HOVER_RPM: float = constants["hover_rpm"]
         self.MAX_RPM: float = constants["max_rpm"]
-        self._starts = (constants["initial_xyzs"], constants["initial_rpys"])
-        for array in self._starts:
-            array.flags.writeable = False
+        self.INIT_XYZS: np.ndarray = constants["initial_xyzs"]
+        self.INIT_RPYS: np.ndarray = constants["initial_rpys"]
+        self._starts = self._present_starts()
         self.NEIGHBOURHOOD_RADIUS = float(options["neighbourhood_radius"])
         self.EPISODE_LEN_SEC: float = constants["episode_steps"] * self.CTRL_TIMESTEP
         self.KF: float = constants["airframe"]["thrust_coefficient"]
@@ -198,6 +220,28 @@ class BaseAviary(gym.Env):
         _opengl.prepare()
         return _native.Env(self.TASK, native, render.output_folder), render
 
+    def _present_starts(self) -> tuple[bytes, bytes]:
+        """Returns the numbers of `INIT_XYZS` and `INIT_RPYS`, which a user may have changed."""
+        try:
+            return np.asarray(self.INIT_XYZS).tobytes(), np.asarray(self.INIT_RPYS).tobytes()
+        except ValueError:
+            # lists of different lengths, which the constructor refuses
+            return b"", b""
+
+    def _change_starts(self) -> None:
+        """Replaces the simulation by one with the present `INIT_XYZS` and `INIT_RPYS`."""
+        before = self._options
+        self._options = {**before, "initial_xyzs": deepcopy(self.INIT_XYZS), "initial_rpys": deepcopy(self.INIT_RPYS)}
+        try:
+            self._env, _ = self._simulation()
+        except Exception:
+            self._options = before
+            raise
+        constants = self._env.constants()
+        self.INIT_XYZS, self.INIT_RPYS = constants["initial_xyzs"], constants["initial_rpys"]
+        self._starts = self._present_starts()
+        self._is_seeded = False
+
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode.
 
@@ -210,9 +254,9 @@ class BaseAviary(gym.Env):
         """
         if seed is not None:
             seed = _checked_seed(seed)
+        if self._present_starts() != self._starts:
+            self._change_starts()
         super().reset(seed=seed)
-        if self._next_env is not None:
-            self._env, self._next_env, self._is_seeded = self._next_env, None, False
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**63))
         obs, info = self._env.reset(seed)
@@ -284,9 +328,7 @@ class BaseAviary(gym.Env):
         Args:
             wind: A `WindConfig`, a dict with the keys of the section `[wind]`, or None for still air.
         """
-        options = wind_options(wind)
-        for env in self._envs():
-            env.set_wind(options)
+        self._env.set_wind(wind_options(wind))
         self._options["wind"] = wind
 
     def set_randomization(self, randomization: Any) -> None:
@@ -295,21 +337,14 @@ class BaseAviary(gym.Env):
         Args:
             randomization: A `DomainRandomizationConfig`, a dict of groups, True for the paper's ranges, or None.
         """
-        options = randomization_options(randomization, self.CTRL_FREQ)
-        for env in self._envs():
-            env.set_randomization(options)
+        self._env.set_randomization(randomization_options(randomization, self.CTRL_FREQ))
         self._options["randomization"] = randomization
 
     def _set_task_option(self, name: str, value: Any) -> None:
         if value is None:
             raise ValueError(f"{name} is None, expected a number of metres")
-        for env in self._envs():
-            env.set_task_options({name: value})
+        self._env.set_task_options({name: value})
         self._task_options = {**self._task_options, name: value}
-
-    def _envs(self) -> list[_native.Env]:
-        """Returns the simulation, and the one from the next reset on if it differs."""
-        return [self._env] if self._next_env is None else [self._env, self._next_env]
 
     def sampled_params(self) -> dict[str, Any] | None:
         """Returns the sampled parameters of this episode; None without randomization."""
@@ -361,38 +396,6 @@ class BaseAviary(gym.Env):
         return self._env.action_of_rpm(rpm)
 
     @property
-    def INIT_XYZS(self) -> np.ndarray:
-        """Initial positions, world frame, m, float64 (N, 3). Setting them has an effect from the next reset on."""
-        return self._starts[0]
-
-    @INIT_XYZS.setter
-    def INIT_XYZS(self, positions: Any) -> None:
-        self._set_starts(initial_xyzs=positions)
-
-    @property
-    def INIT_RPYS(self) -> np.ndarray:
-        """Initial roll, pitch and yaw, rad, float64 (N, 3). Setting them has an effect from the next reset on."""
-        return self._starts[1]
-
-    @INIT_RPYS.setter
-    def INIT_RPYS(self, angles: Any) -> None:
-        self._set_starts(initial_rpys=angles)
-
-    def _set_starts(self, **starts: Any) -> None:
-        before = self._options
-        self._options = {**before, **starts}
-        try:
-            env, _ = self._simulation()
-        except Exception:
-            self._options = before
-            raise
-        self._next_env = env
-        constants = env.constants()
-        self._starts = (constants["initial_xyzs"], constants["initial_rpys"])
-        for array in self._starts:
-            array.flags.writeable = False
-
-    @property
     def pos(self) -> np.ndarray:
         """Positions, world frame, m, float64 (N, 3)."""
         return self._env.states()[:, 0:3]
@@ -426,6 +429,26 @@ class BaseAviary(gym.Env):
     def G(self) -> float:
         """Gravity in this episode, m/s²."""
         return self._env.gravity()
+
+    @property
+    def GRAVITY(self) -> float:
+        """Weight of the first drone in this episode, N."""
+        return self.M * self.G
+
+    @property
+    def J(self) -> np.ndarray:
+        """Inertia matrix of the first drone in this episode, kg·m², float64 (3, 3)."""
+        return np.diag(self.drone_params(0)["inertia"])
+
+    @property
+    def last_clipped_action(self) -> np.ndarray:
+        """Motor speeds of the last step, rpm, float64 (N, 4)."""
+        return self._env.states()[:, 16:20]
+
+    @property
+    def step_counter(self) -> int:
+        """Number of physics steps in this episode."""
+        return round(self._env.info()["time"] * self.SIM_FREQ)
 
     @property
     def rgb(self) -> np.ndarray:
@@ -498,6 +521,9 @@ class BaseAviary(gym.Env):
         # a copy has the options of the environment and starts without an episode
         state = {name: value for name, value in self.__dict__.items() if name not in _NOT_COPIED}
         state["_np_random_seed"] = None
+        if self._present_starts() != self._starts:
+            starts = {"initial_xyzs": self.INIT_XYZS, "initial_rpys": self.INIT_RPYS}
+            state["_options"] = {**self._options, **starts}
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -505,6 +531,11 @@ class BaseAviary(gym.Env):
         self._build(own.pop("_options"), own.pop("_task_options"))
         built = set(self.__dict__)
         self.__dict__.update({name: value for name, value in own.items() if name not in built})
+
+
+def _member(enum: type[Enum], value: Any) -> Any:
+    """Returns the member of an enum with a value; other values, such as an airframe of your own, stay the same."""
+    return next((member for member in enum if value in (member, member.value)), value)
 
 
 def _checked_seed(seed: Any) -> int:
