@@ -534,7 +534,7 @@ class BaseAviary(gym.Env):
 
 
 def _member(enum: type[Enum], value: Any) -> Any:
-    """Returns the member of an enum with a value; other values, such as an airframe of your own, stay the same."""
+    """Returns the member of an enum with a value; other values, such as the path of an airframe, stay the same."""
     return next((member for member in enum if value in (member, member.value)), value)
 
 

@@ -1,4 +1,4 @@
-"""Options that have names. A value, such as "cf2x", does wherever a member does."""
+"""Options that have names. A value, such as "cf2x", is accepted wherever a member is."""
 
 from __future__ import annotations
 
