@@ -316,3 +316,29 @@ def test_threads_step_environments_of_their_own():
     with ThreadPoolExecutor(4) as pool:
         for seed, obs in enumerate(pool.map(fly, range(8))):
             assert (obs == fly(seed)).all()
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads the memory of the process from /proc")
+def test_memory_does_not_grow():
+    def resident():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+    def steps(count):
+        env = mdg.HoverAviary(engine="hybrid")
+        env.reset(seed=1)
+        for _ in range(count):
+            _, _, terminated, truncated, _ = env.step(np.zeros(4))
+            if terminated or truncated:
+                env.reset()
+
+    def environments(count):
+        for _ in range(count):
+            mdg.HoverAviary().reset(seed=1)
+
+    for work, few, many in ((steps, 20_000, 1_000_000), (environments, 50, 1_000)):
+        work(few)
+        before = resident()
+        work(many)
+        growth = resident() - before
+        print(f"{work.__name__}: {many:,}, growth {growth / 1e6:.1f} MB")
+        assert growth < 4e6, work.__name__
