@@ -481,8 +481,11 @@ proptest! {
         count in 0..2000_usize, arena in prop::array::uniform3(0.5..1e3f64),
         spacing in 0.0..1e3f64, safe_zone in 0.0..1e3f64,
         seed in prop::option::of(0..=i64::MAX as u64), new_layout in any::<bool>(),
+        safe_zone_centers in prop::collection::vec(prop::array::uniform3(-1e5..1e5f64), 0..3),
     ) {
-        let config = ObstacleConfig { kind, count, arena, spacing, safe_zone, new_layout, seed, custom };
+        let config = ObstacleConfig {
+            kind, count, arena, spacing, safe_zone, safe_zone_centers, new_layout, seed, custom,
+        };
         let text = toml::to_string(&config).unwrap();
         prop_assert_eq!(toml::from_str::<ObstacleConfig>(&text).unwrap(), config, "{}", text);
     }
