@@ -131,6 +131,7 @@ fn a_curriculum_of_a_batch_counts_the_episodes_of_all_environments() {
         window: 10,
         advance: 9.5,
         retreat: None,
+        ..CurriculumConfig::default()
     };
     // episodes of ten steps; the target height rises with the level
     let builder = || Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).episode_seconds(10.0 / 48.0);
