@@ -26,6 +26,10 @@ _AUTORESET = {
 }
 
 
+#: Names of the reasons why an episode ends; the last entry is that of an episode that has not ended.
+_ENDS = np.array([*_native.END_REASONS, None], object)
+
+
 def autoreset_mode_of(value: AutoresetMode | str) -> AutoresetMode:
     """Returns the autoreset mode of a member of the enum, of its value ("NextStep") or of its name ("next_step")."""
     if isinstance(value, AutoresetMode):
@@ -78,7 +82,11 @@ class VectorMember:
         raise AttributeError(f"an environment of a VectorAviary has no attribute {name!r}")
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if hasattr(type(self), name):
+        own = getattr(type(self), name, None)
+        if isinstance(own, property) and own.fset:
+            object.__setattr__(self, name, value)
+            return
+        if own is not None:
             raise AttributeError(f"the attribute {name!r} of an environment cannot be set")
         self._env._attributes.setdefault(self._index, {})[name] = value
 
@@ -136,6 +144,18 @@ class VectorMember:
     def MAX_RPM(self) -> float:
         """Maximum motor speed, rpm."""
         return self._env.MAX_RPM
+
+    @property
+    def TARGET_HEIGHT(self) -> float:
+        """Height to hover at, m, in `hover`. Setting it has an effect from the next step on."""
+        options = self._env._batch.task_options(self._index)
+        if options.get("target_height") is None:
+            raise AttributeError("the task has no target height")
+        return options["target_height"]
+
+    @TARGET_HEIGHT.setter
+    def TARGET_HEIGHT(self, height: float) -> None:
+        self._env._batch.set_task_options(self._index, {"target_height": float(height)})
 
     @property
     def pos(self) -> np.ndarray:
@@ -407,6 +427,10 @@ class VectorAviary(VectorEnv):
         """
         return self._batch.states()
 
+    def faults(self) -> dict[int, str]:
+        """Returns the errors of the environments that failed in the last step, by the index of the environment."""
+        return dict(self._batch.faults())
+
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Calls a method of every environment, or returns its attribute."""
         values = (getattr(env, name) for env in self.envs)
@@ -443,7 +467,7 @@ class VectorAviary(VectorEnv):
         success = np.zeros(count, np.bool_)
         success[indices] = successes
         end = np.empty(count, object)
-        end[indices] = ends
+        end[indices] = _ENDS[ends]
         infos = {"success": success, "_success": mask, "end": end, "_end": mask.copy()}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             return infos
@@ -452,9 +476,13 @@ class VectorAviary(VectorEnv):
         infos.update(is_success=success.copy(), _is_success=mask.copy(), time=time, _time=mask.copy())
         final = np.empty(count, object)
         rows = self._batch.final_observations(indices)
-        for index, row in zip(indices, rows, strict=True):
-            parts = self._batch.final_images(index) if self._has_images else {}
-            final[index] = _layout.pack({"kin": row.copy(), **parts} if "kin" in self._parts else parts)
+        if not self._has_images:
+            for index, row in zip(indices.tolist(), rows, strict=True):
+                final[index] = row
+        else:
+            for index, row in zip(indices.tolist(), rows, strict=True):
+                images = self._batch.final_images(index)
+                final[index] = _layout.pack({"kin": row, **images} if "kin" in self._parts else images)
         return {"final_obs": final, "_final_obs": mask.copy(), "final_info": infos, "_final_info": mask.copy()}
 
     def _frame(self, index: int) -> np.ndarray | None:

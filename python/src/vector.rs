@@ -4,21 +4,24 @@ pub mod buffers;
 
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-use aviary::env::{DroneEnv, EnvError};
+use aviary::env::{DroneEnv, EndReason, EnvError};
 use aviary::observation::{KIN_SIZE, Observation};
 use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, make_vec};
 use aviary::vision::ImageSize;
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods as _, PyReadonlyArray1, ToPyArray as _};
+use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArray3, PyArrayMethods as _, PyReadonlyArray1, ToPyArray as _};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyList};
+use pyo3::types::PyDict;
 
 use self::buffers::{Arrays, Numbers, Outputs};
+use crate::conditions;
+use crate::env::info_dict;
 use crate::error::{env_error, guard};
-use crate::options::env_config;
+use crate::options::{env_config, task_options};
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("END_REASONS", EndReason::ALL.map(EndReason::name).to_vec())?;
     module.add_class::<Batch>()
 }
 
@@ -214,33 +217,42 @@ impl Batch {
         self.arrays.images(py)
     }
 
-    /// Returns the episodes that ended in the last step: indices of the environments, successes, ends, and lengths in
-    /// control steps.
+    /// Returns the episodes that ended in the last step: indices of the environments, successes, ends as indices of
+    /// `END_REASONS`, and lengths in control steps.
     fn ends<'py>(&self, py: Python<'py>) -> PyResult<Ends<'py>> {
         self.with(py, |inner| {
-            let summaries = (0..self.environments).filter_map(|i| Some((i as i64, inner.env.episode_summary(i)?)));
+            let ended = inner.outputs.ends();
+            let summaries = ended.filter_map(|index| Some((index as i64, inner.env.episode_summary(index)?)));
             let mut ends = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
             for (index, summary) in summaries {
+                let reason = summary.end.and_then(|end| EndReason::ALL.iter().position(|reason| *reason == end));
                 ends.0.push(index);
                 ends.1.push(summary.success);
-                ends.2.push(summary.end.map(|end| end.name()));
+                ends.2.push(reason.map_or(-1, |reason| reason as i64));
                 ends.3.push(summary.steps as i64);
             }
             let (indices, successes, reasons, steps) = ends;
-            Ok((indices.to_pyarray(py), successes.to_pyarray(py), PyList::new(py, reasons)?, steps.to_pyarray(py)))
+            Ok((indices.into_pyarray(py), successes.into_pyarray(py), reasons.into_pyarray(py), steps.into_pyarray(py)))
         })
     }
 
-    /// Returns the last observations of the episodes that ended in the last step, float32 (indices, entries).
-    fn final_observations<'py>(&self, py: Python<'py>, indices: Vec<usize>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+    /// Returns the last observations of the episodes that ended in the last step, float32 (indices, entries), for the
+    /// indices that `ends` has returned.
+    fn final_observations<'py>(
+        &self,
+        py: Python<'py>,
+        indices: PyReadonlyArray1<'py, i64>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         self.with(py, |inner| {
             let (rows, size) = (inner.env.final_observations(), inner.env.observation_size());
+            let indices = indices.as_array();
             let mut numbers = Vec::with_capacity(indices.len() * size);
-            for &index in &indices {
-                let row = rows.get(size * index..size * (index + 1));
+            for &index in indices {
+                let start = usize::try_from(index).map_or(usize::MAX, |index| index.saturating_mul(size));
+                let row = rows.get(start..start.saturating_add(size));
                 numbers.extend_from_slice(row.ok_or_else(|| self.no_environment(index))?);
             }
-            numbers.to_pyarray(py).reshape([indices.len(), size])
+            numbers.into_pyarray(py).reshape([indices.len(), size])
         })
     }
 
@@ -296,8 +308,25 @@ impl Batch {
 
     /// Sets the wind of an environment from now on; None for still air.
     fn set_wind(&self, py: Python<'_>, index: usize, wind: Option<Bound<'_, PyAny>>) -> PyResult<()> {
-        let wind = wind.as_ref().map(crate::conditions::wind).transpose()?;
+        let wind = wind.as_ref().map(conditions::wind).transpose()?;
         self.with_env(py, index, |env| env.set_wind(wind).map_err(env_error))
+    }
+
+    /// Sets target heights of an environment from the next step on.
+    fn set_task_options(&self, py: Python<'_>, index: usize, options: &Bound<'_, PyDict>) -> PyResult<()> {
+        let options = task_options(options)?;
+        self.with_env(py, index, |env| env.set_task_options(&options).map_err(env_error))
+    }
+
+    /// Returns the options of an environment's task with their present values.
+    fn task_options<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyAny>> {
+        self.with_env(py, index, |env| conditions::python_of(py, &env.task_options()))
+    }
+
+    /// Returns the environments that failed in the last step, with their errors.
+    fn faults(&self, py: Python<'_>) -> PyResult<Vec<(usize, String)>> {
+        let fault = |(index, error): &(usize, EnvError)| (*index, error.to_string().replace('\n', " "));
+        self.with(py, |inner| Ok(inner.env.faults().iter().map(fault).collect()))
     }
 
     /// Returns constants of the environments by name.
@@ -364,7 +393,8 @@ impl Batch {
 }
 
 /// Indices, successes, ends and lengths of the episodes that have ended.
-type Ends<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<bool>>, Bound<'py, PyList>, Bound<'py, PyArray1<i64>>);
+type Ends<'py> =
+    (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<i64>>);
 
 /// Lower and upper bounds.
 type Bounds<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
@@ -414,27 +444,12 @@ impl Batch {
         })
     }
 
-    fn no_environment(&self, index: usize) -> PyErr {
+    fn no_environment(&self, index: impl std::fmt::Display) -> PyErr {
         PyValueError::new_err(format!(
             "environment {index} or its drone does not exist, expected an environment from 0 to {}",
             self.environments - 1
         ))
     }
-}
-
-/// Returns the info of an environment by name.
-fn info_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py, PyDict>> {
-    let (info, dict) = (env.info(), PyDict::new(py));
-    dict.set_item("time", info.time)?;
-    dict.set_item("success", info.success)?;
-    dict.set_item("progress", info.progress)?;
-    dict.set_item("position_error", info.position_error)?;
-    dict.set_item("crashed", info.crashed())?;
-    if let Some(end) = info.end {
-        dict.set_item("end", end.name())?;
-        dict.set_item("is_success", info.success)?;
-    }
-    Ok(dict)
 }
 
 fn gone() -> PyErr {

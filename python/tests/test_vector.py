@@ -319,6 +319,7 @@ def test_faults():
     lenient.reset(seed=1)
     _, rewards, terminations, truncations, infos = lenient.step(actions)
     assert list(truncations) == [False, False, False, True, False] and not terminations.any()
+    assert list(lenient.faults()) == [3] and "action[1] is NaN" in lenient.faults()[3]
     assert infos["end"][3] == "fault" and rewards[3] == 0 and list(infos["_end"]) == list(truncations)
 
 
@@ -353,6 +354,22 @@ def test_task_options_reach_every_environment():
     env = VectorAviary("hover", 3, target_height=2.0)
     env.reset(seed=1)
     assert [member.info()["position_error"] for member in env.envs] == pytest.approx([1.9] * 3)
+
+
+def test_a_target_height_of_one_environment():
+    env, other = VectorAviary("hover", 3), VectorAviary("hover", 3)
+    for one in (env, other):
+        one.reset(seed=1)
+        one.step(np.zeros((3, 4)))
+    env.envs[1].TARGET_HEIGHT = 0.1
+    assert env.get_attr("TARGET_HEIGHT") == (1.0, 0.1, 1.0)
+    _, rewards, *_ = env.step(np.zeros((3, 4)))
+    _, expected, *_ = other.step(np.zeros((3, 4)))
+    assert rewards[1] > expected[1] + 0.5 and list(rewards[[0, 2]]) == list(expected[[0, 2]])
+    env.reset()
+    assert env.get_attr("TARGET_HEIGHT") == (1.0, 0.1, 1.0)
+    with pytest.raises(AttributeError, match="no attribute 'TARGET_HEIGHT'"):
+        VectorAviary("track", 1).get_attr("TARGET_HEIGHT")
 
 
 @pytest.mark.parametrize("task", IDS)

@@ -55,9 +55,17 @@ impl<T: numpy::Element + Copy + Default> Memory<T> {
 }
 
 impl Memory<bool> {
+    /// Returns the flags as bytes, because Python code may have written bytes other than 0 and 1.
+    fn bytes(&self) -> &[u8] {
+        // SAFETY: as for `slice`; a byte may have any value.
+        #[allow(unsafe_code)]
+        unsafe {
+            std::slice::from_raw_parts(self.start.cast(), self.len)
+        }
+    }
+
     /// Returns the flags, all false.
     fn cleared(&mut self) -> &mut [bool] {
-        // Python code may have written bytes other than 0 and 1.
         // SAFETY: the memory has `len` bytes, and zero is a valid `bool`.
         #[allow(unsafe_code)]
         unsafe {
@@ -94,10 +102,16 @@ impl Outputs {
         }
     }
 
+    /// Returns the indices of the environments whose flags say that the last step has ended an episode.
+    pub fn ends(&self) -> impl Iterator<Item = usize> {
+        let flags = self.terminated.bytes().iter().zip(self.truncated.bytes()).enumerate();
+        flags.filter(|(_, (terminated, truncated))| **terminated | **truncated != 0).map(|(index, _)| index)
+    }
+
     /// Returns true if the last step has ended an episode.
-    pub fn has_ends(&mut self) -> bool {
-        let any = |flags: &[bool]| flags.iter().fold(false, |any, flag| any | flag);
-        any(self.terminated.slice()) || any(self.truncated.slice())
+    pub fn has_ends(&self) -> bool {
+        let any = |flags: &[u8]| flags.iter().fold(0, |any, flag| any | flag) != 0;
+        any(self.terminated.bytes()) || any(self.truncated.bytes())
     }
 
     /// Returns the output of a rendering.
@@ -196,7 +210,7 @@ pub fn with_array<R>(
     if let Ok(array) = object.cast::<PyArrayDyn<f32>>()
         && array.is_c_contiguous()
     {
-        return then(array.shape(), Numbers::Single(array.readonly().as_slice()?));
+        return then(array.shape(), Numbers::Single(array.try_readonly()?.as_slice()?));
     }
     let converted;
     let array = match object.cast::<PyArrayDyn<f64>>() {
@@ -209,7 +223,7 @@ pub fn with_array<R>(
             &converted
         }
     };
-    then(array.shape(), Numbers::Double(array.readonly().as_slice()?))
+    then(array.shape(), Numbers::Double(array.try_readonly()?.as_slice()?))
 }
 
 /// Calls a function with the numbers of an array-like object of `rows` rows with `size` numbers each.
