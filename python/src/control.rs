@@ -35,7 +35,9 @@ pub fn airframe(value: &Bound<'_, PyAny>) -> PyResult<DroneParams> {
             let name: String = name.extract()?;
             match name.parse::<DroneModel>() {
                 Ok(model) => model.params(),
-                Err(_) if name.ends_with(".toml") => DroneParams::from_file(&name).map_err(value_error)?,
+                Err(_) if name.ends_with(".toml") => {
+                    DroneParams::from_file(&name).map_err(|error| value_error(format_args!("drone_model: {error}")))?
+                }
                 Err(error) => return Err(value_error(format_args!("drone_model: {error}"))),
             }
         }

@@ -31,6 +31,9 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 /// Lower and upper bounds.
 type Bounds<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);
 
+/// Position, velocity and yaw.
+type Target<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, f64);
+
 /// An environment in which one agent commands all drones. One thread at a time may use it.
 #[pyclass(module = "mujoco_drones_gym._native")]
 pub struct Env {
@@ -356,11 +359,7 @@ impl Env {
     }
 
     /// Returns position (m), velocity (m/s) and yaw (rad) of a drone's reference in the world frame.
-    fn reference<'py>(
-        &mut self,
-        py: Python<'py>,
-        drone: usize,
-    ) -> PyResult<(Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, f64)> {
+    fn reference<'py>(&mut self, py: Python<'py>, drone: usize) -> PyResult<Target<'py>> {
         let inner = self.inner();
         let reference = inner.env.reference(inner.drone(drone)?);
         let [position, velocity] = [reference.position, reference.velocity].map(|v| v.as_slice().to_pyarray(py));

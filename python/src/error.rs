@@ -4,6 +4,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use aviary::env::EnvError;
 use aviary::simulation::SimulationError;
+use aviary::world::ObstacleGeneratorError;
 use pyo3::exceptions::{PyOSError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
@@ -26,7 +27,10 @@ const RENAMED: [(&str, &str); 5] = [
 /// Converts an error of an environment: a `ValueError` about an argument, `ResetNeeded` outside an episode, a
 /// `TypeError` for an option that the task does not have, an `OSError` of a file, or a `RuntimeError` of the simulation.
 pub fn env_error(error: EnvError) -> PyErr {
-    let message = line(&error);
+    let message = match innermost(&error) {
+        EnvError::Field(ObstacleGeneratorError::Full { .. }) => format!("obstacles: {}", line(&error)),
+        _ => line(&error),
+    };
     match innermost(&error) {
         EnvError::NeedsReset { .. } => reset_needed(message),
         EnvError::TaskOption { .. } => PyTypeError::new_err(message),

@@ -148,23 +148,15 @@ impl Value<'_, '_> {
         self.value.extract().map_err(|_| self.wrong("a list of points [x, y, z]"))
     }
 
-    fn text(&self) -> PyResult<String> {
-        self.value.extract().map_err(|_| self.wrong("a name"))
-    }
-
     fn named<T: NamedEnum>(&self) -> PyResult<T> {
-        let name = self.text()?;
-        name.parse().map_err(|_| {
-            let near = aviary::did_you_mean(&name, T::NAMES);
-            value_error(format_args!("{} is {name:?}, expected one of {}{near}", self.name, T::NAMES.join(", ")))
-        })
+        let expected = format!("one of {}", T::NAMES.join(", "));
+        let name: String = self.value.extract().map_err(|_| self.wrong(&expected))?;
+        name.parse().map_err(|_| self.wrong(&format!("{expected}{}", aviary::did_you_mean(&name, T::NAMES))))
     }
 
     fn observation_type(&self) -> PyResult<ObservationType> {
-        let name = self.text()?;
-        name.parse().map_err(|_| {
-            let parts = "kin, rgb, depth, segmentation, adjacency, obstacle, ranges";
-            value_error(format_args!("{} is {name:?}, expected one or several of {parts}, joined by `_`", self.name))
-        })
+        let parts = "one or several of kin, rgb, depth, segmentation, adjacency, obstacle, ranges, joined by `_`";
+        let name: Option<String> = self.value.extract().ok();
+        name.and_then(|name| name.parse().ok()).ok_or_else(|| self.wrong(parts))
     }
 }
