@@ -72,6 +72,18 @@ def test_new_batches_work_in_the_child_and_inherited_ones_can_be_dropped():
 
 
 @fork
+def test_new_batches_render_images_in_the_child():
+    def first_images():
+        env = VectorAviary("hover", 16, num_threads=2, obs_type="rgb")
+        return env.reset(seed=1)[0]
+
+    expected = first_images()
+    assert expected.std() > 1
+    assert in_child(lambda: np.array_equal(first_images(), expected)) == "True"
+    np.testing.assert_array_equal(first_images(), expected)
+
+
+@fork
 def test_a_fork_during_a_step_of_another_thread():
     import threading
 
