@@ -27,7 +27,7 @@ def in_child(work):
         finally:
             os._exit(0)
     os.close(writing)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while os.waitpid(child, os.WNOHANG)[0] == 0:
         if time.monotonic() > deadline:
             os.kill(child, signal.SIGKILL)
@@ -74,7 +74,7 @@ def test_new_batches_work_in_the_child_and_inherited_ones_can_be_dropped():
 @fork
 def test_new_batches_render_images_in_the_child():
     def first_images():
-        env = VectorAviary("hover", 16, num_threads=2, obs_type="rgb")
+        env = VectorAviary("hover", 9, num_threads=2, obs_type="rgb")
         return env.reset(seed=1)[0]
 
     expected = first_images()
@@ -120,7 +120,7 @@ def test_processes_of_every_start_method_agree(method):
     keep.reset(seed=1)
     context = multiprocessing.get_context(method)
     with context.Pool(2) as pool:
-        results = pool.map_async(first_step, ["hover", "multi_hover", "hover"]).get(timeout=120)
+        results = pool.map_async(first_step, ["hover", "multi_hover", "hover"]).get(timeout=300)
     np.testing.assert_array_equal(results[0], first_step("hover"))
     np.testing.assert_array_equal(results[0], results[2])
     np.testing.assert_array_equal(results[1], first_step("multi_hover"))
@@ -131,11 +131,11 @@ def test_the_interpreter_ends_with_live_batches():
 import numpy as np
 from mujoco_drones_gym import VectorAviary
 
-envs = [VectorAviary("hover", 64, num_threads=2, obs_type="kin_rgb") for _ in range(2)]
+envs = [VectorAviary("hover", 9, num_threads=2, obs_type="kin_rgb") for _ in range(2)]
 for env in envs:
     env.reset(seed=1)
-    env.step(np.zeros((64, 4)))
+    env.step(np.zeros((9, 4)))
 print("done")
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
