@@ -111,6 +111,7 @@ impl Batch {
     /// An episode has at most `max_episode_steps` control steps.
     #[new]
     #[pyo3(signature = (task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None))]
+    #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         task: &str,
