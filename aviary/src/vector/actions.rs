@@ -35,7 +35,10 @@ impl Actions<'_> {
 
     /// Returns an entry in double precision.
     pub fn get(&self, entry: usize) -> f64 {
-        for_slice!(self, |slice| slice[entry].into())
+        match self {
+            Self::Single(slice) => f64::from(slice[entry]),
+            Self::Double(slice) => slice[entry],
+        }
     }
 
     /// Returns the entries of a range.
