@@ -4,13 +4,14 @@ use std::sync::{Mutex, TryLockError};
 
 use aviary::env::ObservationSpace;
 use aviary::multi_agent::{AgentInfo, AgentMap, ParallelEnv, make_parallel};
-use aviary::observation::Observation;
+use aviary::observation::{KIN_SIZE, Observation, kinematic};
 use aviary::vision::ImageSize;
-use numpy::{PyArray1, PyArray3, PyArrayMethods as _, ToPyArray as _};
-use pyo3::exceptions::{PyKeyError, PyRuntimeError};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods as _, ToPyArray as _};
+use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use crate::conditions;
 use crate::error::{env_error, guard, value_error};
 use crate::options::env_config;
 use crate::vector::buffers::{image_dict, to_vec};
@@ -121,6 +122,27 @@ impl Parallel {
     /// velocity in the body frame.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
         Ok(self.work(py, |env| Ok(env.state()))?.to_pyarray(py))
+    }
+
+    /// Returns the states of all drones, float64 (N, 20).
+    fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let env = self.lock()?;
+        let simulation = env.simulation();
+        let drones = simulation.states().iter().zip(simulation.motor_speeds());
+        let numbers: Vec<f64> = drones.flat_map(|(state, speeds)| kinematic(state, speeds)).collect();
+        numbers.to_pyarray(py).reshape([simulation.num_drones(), KIN_SIZE])
+    }
+
+    /// Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file.
+    fn drone_params<'py>(&self, py: Python<'py>, drone: usize) -> PyResult<Bound<'py, PyAny>> {
+        let env = self.lock()?;
+        let simulation = env.simulation();
+        let count = simulation.num_drones();
+        if drone >= count {
+            let message = format!("drone {drone} does not exist, expected an index from 0 to {}", count - 1);
+            return Err(PyValueError::new_err(message));
+        }
+        conditions::python_of(py, simulation.params(drone))
     }
 
     /// Returns constants of the environment by name.

@@ -108,7 +108,7 @@ fn option_error(error: EnvError) -> PyErr {
 #[pymethods]
 impl Batch {
     /// Creates a batch. `autoreset` is "next_step", "same_step" or "disabled", `on_fault` is "error" or "truncate".
-    /// An episode has at most `max_episode_steps` control steps.
+    /// An episode has at most `max_episode_steps` control steps; None for the time limit of the task.
     #[new]
     #[pyo3(signature = (task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None))]
     #[allow(clippy::too_many_arguments)]
@@ -147,7 +147,7 @@ impl Batch {
                 if let Some(steps) = max_episode_steps {
                     let one = VecConfig { threads: 1, ..VecConfig::new(1) };
                     let probe = make_vec(task, config.clone(), one).map_err(option_error)?;
-                    if steps < probe.episode_steps() {
+                    if steps != probe.episode_steps() {
                         config = config.clone().episode_seconds(steps as f64 * probe.control_period());
                     }
                 }
