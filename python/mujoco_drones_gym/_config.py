@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import re
 from collections.abc import Callable, Mapping
+from enum import Enum
 from typing import Any, NamedTuple
 
 from mujoco_drones_gym import _native
@@ -19,6 +21,8 @@ class Alias(NamedTuple):
     field: str
     to_field: Callable[[Any], Any] = _same
     from_field: Callable[[Any], Any] = _same
+    expected: str | None = None
+    """Text of errors about a value that `to_field` does not accept."""
 
 
 class Fixed(NamedTuple):
@@ -44,7 +48,11 @@ def accept_aliases(aliases: Mapping[str, Alias], fixed: Mapping[str, Fixed] | No
                 value = kwargs.pop(name)
                 if value is not None and value != fixed[name].value:
                     raise ValueError(f"{name} is {value!r}, expected {fixed[name].value!r}: {fixed[name].reason}")
-            plain(self, *args, **translated(cls.__name__, kwargs, aliases))
+            fields = translated(cls.__name__, kwargs, aliases)
+            try:
+                plain(self, *args, **fields)
+            except ValueError as error:
+                raise ValueError(with_aliases(str(error), kwargs, aliases)) from None
 
         cls.__init__ = __init__
         for name, alias in aliases.items():
@@ -59,9 +67,23 @@ def _property(name: str, alias: Alias) -> property:
         return alias.from_field(getattr(self, alias.field))
 
     def set_(self, value):
-        setattr(self, alias.field, alias.to_field(value))
+        setattr(self, alias.field, _converted(name, alias, value))
 
     return property(get, set_, doc=f"Another name of `{alias.field}`.")
+
+
+def _converted(name: str, alias: Alias, value: Any) -> Any:
+    try:
+        return alias.to_field(value)
+    except (TypeError, ValueError, ArithmeticError):
+        expected = alias.expected or f"a value as for {alias.field}"
+        raise ValueError(f"{name} is {short(value)}, expected {expected}") from None
+
+
+def short(value: Any) -> str:
+    """Returns a value as error messages print it: on one line, shortened."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:79] + "…"
 
 
 def translated(owner: str, given: Mapping[str, Any], aliases: Mapping[str, Alias]) -> dict[str, Any]:
@@ -73,28 +95,55 @@ def translated(owner: str, given: Mapping[str, Any], aliases: Mapping[str, Alias
         alias = aliases[name]
         if alias.field in fields:
             raise TypeError(f"{owner} got {name} and another name of {alias.field}, expected one of them")
-        try:
-            fields[alias.field] = alias.to_field(value)
-        except (TypeError, ValueError):
-            raise ValueError(f"{name} is {value!r}, expected a value as for {alias.field}") from None
+        fields[alias.field] = _converted(name, alias, value)
     return fields
+
+
+def with_aliases(message: str, given: Mapping[str, Any], aliases: Mapping[str, Alias]) -> str:
+    """Returns an error about fields with the names that the user has given."""
+    for name, alias in aliases.items():
+        if name not in given or not re.search(rf"(?<!\w){alias.field}\b", message):
+            continue
+        if alias.to_field is _same:
+            message = re.sub(rf"(?<![\w.])(\w+\.)?{alias.field}\b", name, message)
+        elif not re.match(rf"{name}\b", message):
+            message = f"{name} is {short(given[name])}: {message}"
+    return message
+
+
+#: Options whose values are names.
+_ENUMS = ("model", "filter", "kind", "shape", "metric")
+
+
+def _with_names(options: Any) -> Any:
+    """Returns options whose names are strings, so that an error about a name lists the names that are possible."""
+    if isinstance(options, (list, tuple)):
+        return [_with_names(entry) for entry in options]
+    if not isinstance(options, Mapping):
+        return options
+    plain = {}
+    for name, value in options.items():
+        if name in _ENUMS and value is not None:
+            value = value.value if isinstance(value, Enum) else value
+            value = value if isinstance(value, str) else short(value)
+        elif name == "custom":
+            value = _with_names(value)
+        plain[name] = value
+    return plain
 
 
 def complete(section: str, options: Mapping[str, Any], names: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Validates the options of a section and adds the defaults of missing options.
 
-    `names` maps the options to the names of fields, which errors then mention.
+    `names` maps the options, as errors of the simulator name them, to the names of fields.
     """
     try:
-        return _native.complete_options(section, dict(options))
+        return _native.complete_options(section, _with_names(options))
     except ValueError as error:
         message = str(error)
-        matches = [option for option in names or () if option in message]
-        if not matches:
-            raise
-        # the first option in the message, and the longest of several with the same start
-        option = min(matches, key=lambda option: (message.index(option), -len(option)))
-        field = names[option]
-        if field == option:
-            raise
-        raise ValueError(f"{field}: {message}") from None
+        if found := re.match(rf"({section}\.(\w+) is )(sequence|map)(,.*)", message):
+            message = found[1] + short(options[found[2]]) + found[4]
+        # the longest of several names with the same start
+        for option in sorted(names or (), key=len, reverse=True):
+            message = re.sub(rf"(?<![\w.`]){re.escape(option)}(?![\w.`])", names[option], message)
+        raise ValueError(message) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Mapping
 from enum import Enum
@@ -13,7 +14,20 @@ from mujoco_drones_gym.wrappers.obstacles import obstacle_options
 from mujoco_drones_gym.wrappers.randomization import randomization_options
 from mujoco_drones_gym.wrappers.wind import wind_options
 
-__all__ = ["Render", "check_render_mode", "native_options", "randomization_options", "wind_options"]
+__all__ = [
+    "Render",
+    "action_numbers",
+    "check_render_mode",
+    "check_reset_options",
+    "drone_index",
+    "flag",
+    "integer",
+    "native_options",
+    "randomization_options",
+    "seed_of",
+    "short",
+    "wind_options",
+]
 
 #: Names of points and of lists of points among the options.
 _POINTS = ("initial_xyzs", "initial_rpys", "waypoints", "gates")
@@ -32,9 +46,9 @@ class Render(NamedTuple):
 
 def check_render_mode(mode: Any) -> str | None:
     """Returns a render mode, or raises a ValueError for an unknown one."""
-    if mode is None or mode == "rgb_array":
+    if mode is None or (isinstance(mode, str) and mode == "rgb_array"):
         return mode
-    raise ValueError(f"render_mode is {mode!r}, expected 'rgb_array' or None")
+    raise ValueError(f"render_mode is {short(mode)}, expected 'rgb_array' or None")
 
 
 def native_options(
@@ -51,15 +65,15 @@ def native_options(
         The name of the task, the options of the simulator as plain values, and those of images and files.
     """
     if not isinstance(task, str):
-        raise ValueError(f"task is {task!r}, expected the name of a task")
+        raise ValueError(f"task is {short(task)}, expected the name of a task")
     own = dict(options)
     render = Render(
         mode=own.pop("render_mode", None),
         width=_pixels("width", own.pop("width", 640)),
         height=_pixels("height", own.pop("height", 480)),
-        gui=bool(own.pop("gui", False)),
+        gui=flag("gui", own.pop("gui", False)),
         output_folder=_folder(own.pop("output_folder", None)),
-        vision_attributes=bool(own.pop("vision_attributes", False)),
+        vision_attributes=flag("vision_attributes", own.pop("vision_attributes", False)),
     )
     if not single:
         for name in ("gui", "output_folder", "vision_attributes"):
@@ -82,7 +96,8 @@ def native_options(
         own["wind"] = wind_options(options["wind"])
     if "randomization" in own:
         rate = own.get("ctrl_freq", 48)
-        own["randomization"] = randomization_options(options["randomization"], rate if _is_rate(rate) else 48)
+        rate = rate if _is_rate(rate) else 48
+        own["randomization"] = randomization_options(options["randomization"], rate, own.get("wind"))
     return task, own, render
 
 
@@ -93,24 +108,89 @@ def _is_rate(rate: Any) -> bool:
 def _pixels(name: str, value: Any) -> int:
     if isinstance(value, (int, np.integer)) and not isinstance(value, bool) and 1 <= value <= 8192:
         return int(value)
-    raise ValueError(f"{name} is {value!r}, expected a number of pixels from 1 to 8192")
+    raise ValueError(f"{name} is {short(value)}, expected a number of pixels from 1 to 8192")
 
 
 def _folder(value: Any) -> str | None:
-    if value is None or value == "":
+    if value is None or (isinstance(value, str) and value == ""):
         return None
     if isinstance(value, (str, os.PathLike)):
         return os.fspath(value)
-    raise ValueError(f"output_folder is {value!r}, expected a path or None")
+    raise ValueError(f"output_folder is {short(value)}, expected a path or None")
+
+
+def flag(name: str, value: Any) -> bool:
+    """Returns an option that is True or False."""
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise ValueError(f"{name} is {short(value)}, expected True or False")
+
+
+def integer(name: str, value: Any, low: int, high: int) -> int:
+    """Returns an integer within its bounds. Arrays and tensors of one integer without a shape are integers."""
+    try:
+        number = operator.index(value)
+    except (TypeError, ValueError, RuntimeError):
+        number = low - 1
+    if not low <= number <= high or isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} is {short(value)}, expected an integer from {low} to {high:,}")
+    return number
+
+
+def seed_of(seed: Any) -> int | None:
+    """Returns a seed as a plain integer; None for None."""
+    return None if seed is None else integer("seed", seed, 0, (1 << 64) - 1)
+
+
+def drone_index(nth_drone: Any, num_drones: int) -> int:
+    """Returns the index of a drone."""
+    try:
+        index = operator.index(nth_drone)
+    except TypeError:
+        index = -1
+    if not 0 <= index < num_drones:
+        expected = f"an index from 0 to {num_drones - 1}"
+        raise ValueError(f"drone {short(nth_drone)} does not exist, expected {expected}")
+    return index
+
+
+def check_reset_options(options: Any) -> Mapping[str, Any]:
+    """Returns the options of a reset; an empty dict for None."""
+    if options is None:
+        return {}
+    if isinstance(options, Mapping):
+        return options
+    raise ValueError(f"options is {short(options)}, expected a dict or None")
+
+
+def action_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Any:
+    """Returns an action as an array of numbers; float32 and float64 keep their type, others become float64.
+
+    Args:
+        name: Name of the action in errors.
+        value: Array, tensor (also one with a gradient) or nested lists of numbers.
+        shape: Shape that errors name.
+    """
+    if type(value) is np.ndarray and value.dtype.char in "fd":
+        return value
+    try:
+        array = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
+        # numpy has no type for integers of any size: they are objects
+        array = array.astype(np.float64, copy=False) if array.dtype.kind in "biuO" else array
+        if array.dtype.kind == "f" and array.ndim > 0:
+            return array
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        pass
+    raise ValueError(f"{name} is {short(value)}, expected an array of numbers of the shape {shape}")
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} is {_short(value)}, expected an array of numbers") from None
+        raise ValueError(f"{name} is {short(value)}, expected an array of numbers") from None
     if not np.isfinite(array).all():
-        raise ValueError(f"{name} is {_short(value)}, expected finite numbers")
+        raise ValueError(f"{name} is {short(value)}, expected finite numbers")
     return array
 
 
@@ -121,6 +201,7 @@ def _points(name: str, value: Any) -> list[list[float]]:
     return array.reshape(-1, 3).tolist()
 
 
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
+    """Returns the text of a value in an error: one line of at most 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:79] + "…"

@@ -273,6 +273,12 @@ def test_quaternions_are_normalized():
     [
         ({"control_timestep": 0.0}, "control_timestep is 0, expected 1e-6 to 10 s"),
         ({"control_timestep": math.nan}, "control_timestep is NaN"),
+        ({"control_timestep": None}, "control_timestep is None, expected 1e-6 to 10 s"),
+        ({"control_timestep": "a"}, "control_timestep is 'a', expected 1e-6 to 10 s"),
+        ({"control_timestep": -1}, "control_timestep is -1, expected 1e-6 to 10 s"),
+        ({"target_pos": [0, 0, 1e300]}, "target_pos[2] is 1e+300, expected a number from -1e+09 to 1e+09"),
+        ({"cur_ang_vel": [0, -1e155, 0]}, "cur_ang_vel[1] is -1e+155, expected a number"),
+        ({"target_rpy": [0, 0, 1e300]}, "target_rpy[2] is 1e+300, expected a number"),
         ({"cur_pos": [0, 0]}, "cur_pos has the shape (2,), expected (3,)"),
         ({"cur_quat": [0, 0, 0]}, "cur_quat has the shape (3,), expected (4,)"),
         ({"cur_quat": [0, 0, 0, 0]}, "cur_quat has the length 0, expected a quaternion (w, x, y, z)"),
@@ -295,6 +301,20 @@ def test_errors_name_the_argument_and_change_nothing(kind, arguments, text):
         control.computeControl(**{**good, **arguments})
     assert str(error.value).startswith(text) and "\n" not in str(error.value)
     assert np.array_equal(control.integral_pos_e, before)
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_the_largest_arguments_give_finite_speeds(kind):
+    good = {"cur_pos": ZERO, "cur_quat": UPRIGHT, "cur_vel": ZERO, "cur_ang_vel": ZERO, "target_pos": ZERO}
+    for name in ("cur_pos", "cur_vel", "cur_ang_vel", "target_pos", "target_vel", "target_rpy", "target_rpy_rates"):
+        for sign in (-1, 1):
+            control = kind()
+            for large in ([1e9] * 3, [0, 0, 1e9], [1e9, 0, 0]):
+                arguments = {**good, name: sign * np.array(large)}
+                rpm, *_ = control.computeControl(DT, **arguments)
+                assert np.all((rpm >= 0) & (rpm <= control.MAX_RPM + 1e-9)), (name, sign, large)
+    with pytest.raises(ValueError, match="an integral limit is 'a', expected a number"):
+        PIDControl().INTEGRAL_POS_LIMIT = "a"
 
 
 def test_errors_of_the_constructor():

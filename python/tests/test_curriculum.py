@@ -103,11 +103,17 @@ def test_the_level_can_be_set_and_pickled():
 
 def test_errors_name_the_setting():
     for settings, text in [
-        ({"num_levels": 0}, "num_levels: levels is 0, expected 1 to 1,000,000"),
-        ({"window_size": 0}, "window_size: window is 0"),
-        ({"threshold_retreat": 0.9}, "threshold_retreat: retreat is 0.9, expected less than advance"),
-        ({"start_level": 5}, "start_level is 5, expected less than levels"),
-        ({"metric": "speed"}, "curriculum.metric: unknown variant `speed`, expected one of `success_rate`"),
+        ({"num_levels": 0}, "num_levels is 0, expected 1 to 1,000,000"),
+        ({"window_size": 0}, "window_size is 0"),
+        ({"threshold_retreat": 0.9}, "threshold_retreat is 0.9, expected less than threshold_advance"),
+        ({"start_level": 5}, "start_level is 5, expected less than num_levels"),
+        ({"levels": 0}, "levels is 0, expected 1 to 1,000,000"),
+        ({"num_levels": "a"}, 'num_levels is "a", expected a whole number'),
+        ({"metric": 5}, "metric: unknown variant `5`, expected one of `success_rate`, `reward`, `episode_length`"),
+        (
+            {"metric": "speed"},
+            "metric: unknown variant `speed`, expected one of `success_rate`, `reward`, `episode_length`",
+        ),
     ]:
         with pytest.raises(ValueError) as error:
             CurriculumConfig(**settings)
@@ -116,8 +122,19 @@ def test_errors_name_the_setting():
         CurriculumConfig(patience=3)
     with pytest.raises(TypeError, match="difficulty_fn is 3, expected a function"):
         CurriculumWrapper(Scripted([]), 3)
-    with pytest.raises(ValueError, match="current_level is 9, expected 0 to 4"):
-        CurriculumWrapper(Scripted([])).current_level = 9
+    for level in (9, -1, "a", None, 1.5, True):
+        with pytest.raises(ValueError) as error:
+            CurriculumWrapper(Scripted([])).current_level = level
+        assert str(error.value) == f"current_level is {level!r}, expected a whole number from 0 to 4"
+    for config in (5, "a", [1]):
+        with pytest.raises(TypeError) as error:
+            CurriculumWrapper(Scripted([]), None, config)
+        assert str(error.value) == f"config is {config!r}, expected a CurriculumConfig or a dict of its fields"
+
+
+def test_none_is_the_default_of_a_setting():
+    assert CurriculumConfig(metric=None, num_levels=None) == CurriculumConfig()
+    assert CurriculumWrapper(Scripted([]), config={"metric": None}).get_stats()["metric"] == "success_rate"
 
 
 def test_the_function_changes_an_environment_of_this_package():

@@ -113,16 +113,25 @@ def test_mjcf_bodies_have_the_pose_of_the_obstacle():
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"obstacle_type": "wood"}, "obstacle_type: obstacles.kind: unknown variant `wood`, expected one of `forest`"),
-        ({"num_obstacles": -1}, "num_obstacles: obstacles.count is -1, expected a whole number, zero or positive"),
-        ({"num_obstacles": 3000}, "num_obstacles: obstacles.count is 3000, expected 0 to 2000"),
-        ({"arena_size": (0.1, 3, 2)}, "arena_size: obstacles.arena is 0.2, expected sides of 0.5 to 1000 m"),
+        (
+            {"obstacle_type": "wood"},
+            "obstacle_type is 'wood', expected one of none, forest, urban, indoor, random, gates, custom",
+        ),
+        ({"num_obstacles": -1}, "num_obstacles is -1, expected a whole number, zero or positive"),
+        ({"num_obstacles": 3000}, "num_obstacles is 3000, expected 0 to 2000"),
+        (
+            {"arena_size": (0.1, 3, 2)},
+            "arena_size is (0.1, 3, 2): a whole side is 0.2 m, expected sides of 0.5 to 1000 m",
+        ),
+        ({"obstacle_type": 5}, "obstacle_type is 5, expected one of none, forest, urban, indoor"),
+        ({"custom_obstacles": 5}, "custom_obstacles is 5, expected a list of Obstacle"),
+        ({"safe_zone_centers": "here"}, "safe_zone_centers is 'here', expected points (n, 3)"),
         ({"arena_size": 3}, "arena_size is 3, expected three lengths in m"),
-        ({"safe_zone_radius": -0.5}, "safe_zone_radius: obstacles.safe_zone is -0.5, expected 0 to 1000 m"),
-        ({"safe_zone_centers": [(0, 0)]}, "safe_zone_centers: obstacles.safe_zone_centers"),
-        ({"min_spacing": "far"}, 'min_spacing: obstacles.spacing is "far", expected a number'),
-        ({"seed": -3}, "seed: obstacles.seed is -3, expected a whole number"),
-        ({"custom_obstacles": [Obstacle("sphere", [0, 0, 0], [1])]}, "obstacle_type: obstacles.kind is forest"),
+        ({"safe_zone_radius": -0.5}, "safe_zone_radius is -0.5, expected 0 to 1000 m"),
+        ({"safe_zone_centers": [(0, 0)]}, "safe_zone_centers"),
+        ({"min_spacing": "far"}, 'min_spacing is "far", expected a number'),
+        ({"seed": -3}, "seed is -3, expected a whole number"),
+        ({"custom_obstacles": [Obstacle("sphere", [0, 0, 0], [1])]}, "obstacle_type is forest"),
     ],
 )
 def test_bad_values_are_errors_of_one_line(settings, text):
@@ -144,8 +153,22 @@ def test_other_errors():
         Obstacle("box", [0, 0], [1, 1, 1])
     with pytest.raises(ValueError, match="size has 1 number, expected 3 for a box"):
         Obstacle("box", [0, 0, 0], [1])
-    with pytest.raises(ValueError, match="unknown variant `cone`"):
+    shapes = "geom_type: unknown variant `cone`, expected one of `box`, `sphere`, `cylinder`, `capsule`"
+    with pytest.raises(ValueError, match=shapes):
         Obstacle("cone", [0, 0, 0], [1])
+    with pytest.raises(ValueError, match="geom_type: unknown variant `3`, expected one of `box`"):
+        Obstacle(3, [0, 0, 0], [1])
+    with pytest.raises(ValueError, match="size of an obstacle is 'big', expected numbers"):
+        Obstacle("box", [0, 0, 0], "big")
+    with pytest.raises(ValueError, match="num_obstacles is -1, expected a whole number"):
+        obstacle_options({"num_obstacles": -1})
+
+
+def test_the_list_of_custom_obstacles_wins_over_the_number():
+    ball = Obstacle("sphere", [0, 1, 1], 0.2)
+    config = ObstacleConfig(ObstacleType.CUSTOM, num_obstacles=5, custom_obstacles=[ball])
+    assert generate_obstacles(config) == [ball] and config.num_obstacles == 1
+    assert generate_obstacles({"kind": "custom", "count": 5, "custom": [ball]}) == [ball]
 
 
 # environments

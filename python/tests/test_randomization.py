@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym.wrappers import DomainRandomizationConfig, DomainRandomizationWrapper
+from mujoco_drones_gym.wrappers import (
+    CurriculumConfig,
+    CurriculumWrapper,
+    DomainRandomizationConfig,
+    DomainRandomizationWrapper,
+    ObstacleConfig,
+    WindConfig,
+    WindWrapper,
+)
 from mujoco_drones_gym.wrappers.randomization import randomization_options
 
 GROUPS = ["body", "aerodynamics", "actuators", "sensors", "environment", "initial"]
@@ -97,14 +105,16 @@ def test_dicts_of_groups_leave_missing_groups_off():
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"mass_range": (1.2, 0.8)}, "mass_range: the randomized body.mass is [1.2, 0.8], expected a range of factors"),
-        ({"mass_range": 1.2}, "randomization.body.mass is 1.2, expected a list"),
-        ({"mass_range": (0.8, 1.0, 1.2)}, "randomization.body.mass: 3 numbers, expected 2"),
-        ({"motor_time_constant_range": (0.0, 20.0)}, "motor_time_constant_range: the randomized actuators.lag is"),
-        ({"pos_noise_std": -0.1}, "pos_noise_std: the randomized sensors.position is -0.1, expected zero or"),
-        ({"gyro_bias_std": math.nan}, "gyro_bias_std: the randomized sensors.gyro_bias is NaN"),
+        ({"mass_range": (1.2, 0.8)}, "mass_range is [1.2, 0.8], expected a range of factors"),
+        ({"mass_range": 1.2}, "mass_range is 1.2, expected a list"),
+        ({"mass_range": (0.8, 1.0, 1.2)}, "mass_range: 3 numbers, expected 2"),
+        ({"motor_time_constant_range": (0.0, 20.0)}, "motor_time_constant_range is [0, 20], expected"),
+        ({"pos_noise_std": -0.1}, "pos_noise_std is -0.1, expected zero or"),
+        ({"gyro_bias_std": math.nan}, "gyro_bias_std is NaN"),
+        ({"init_pos_noise_std": -1}, "init_pos_noise_std is -1: init_position is -1.73"),
+        ({"motor_time_constant": 20}, "motor_time_constant is 20: motor_time_constant_range is [20, 20], expected"),
         ({"action_delay_range": 3}, "action_delay_range is 3, expected two numbers of control steps"),
-        ({"kf_range": "wide"}, 'randomization.aerodynamics.thrust is "wide", expected a list'),
+        ({"kf_range": "wide"}, 'kf_range is "wide", expected a list'),
     ],
 )
 def test_bad_values_are_errors_of_one_line(settings, text):
@@ -121,6 +131,13 @@ def test_other_errors():
         only(weight_range=(1, 2))
     with pytest.raises(ValueError, match="randomization: unknown field `bdy`"):
         randomization_options({"bdy": {}})
+    with pytest.raises(ValueError) as error:
+        randomization_options({"body": {"mas": (1, 1)}})
+    text = "unknown field `mas`, expected one of `mass`, `inertia`, `arm_length`; did you mean `mass`?"
+    assert str(error.value) == f"randomization.body: {text}"
+    with pytest.raises(ValueError) as error:
+        randomization_options({"zzz": {}})
+    assert all(f"`{group}`" in str(error.value) for group in GROUPS)
     with pytest.raises(ValueError, match="body next to fields"):
         randomization_options({"body": {}, "mass_range": (1, 2)})
     with pytest.raises(ValueError, match="randomization is 3, expected True, False"):
@@ -224,3 +241,107 @@ def test_wrappers_compose_and_pickle():
     assert np.array_equal(flight(pickle.loads(pickle.dumps(outer)), 2, steps=10)[0], flight(outer, 2, steps=10)[0])
     with pytest.raises(TypeError, match="DomainRandomizationWrapper got CartPoleEnv"):
         DomainRandomizationWrapper(gym.make("CartPole-v1"))
+
+
+# an explicit wind next to the default range of the wind
+
+
+WIND = WindConfig("constant", velocity=(2.0, 0.0, 0.0))
+
+
+def stack(*makers, **options):
+    env = hover(**options)
+    for make in makers:
+        env = make(env)
+    return env
+
+
+def wind(env):
+    return WindWrapper(env, WIND)
+
+
+def randomized(env):
+    return DomainRandomizationWrapper(env)
+
+
+def drift(env, seed=3):
+    rows, info = flight(env, seed, level=0.0, steps=30)
+    return rows, info
+
+
+def test_wind_and_randomization_compose_in_any_order():
+    rows, info = drift(stack(wind, randomized))
+    assert 0.8 <= info["domain_params"]["mass"] / 0.027 <= 1.2 and info["domain_params"]["mass"] != 0.027
+    assert info["domain_params"]["wind"] is None
+    calm = drift(stack(lambda env: DomainRandomizationWrapper(env, DomainRandomizationConfig(wind_speed_range=None))))
+    assert rows[-1][0] > calm[0][-1][0] + 0.005, "downwind"
+    for other in (
+        stack(randomized, wind),
+        stack(randomized, wind=WIND),
+        stack(wind, randomization=True),
+        stack(wind=WIND, randomization=True),
+        stack(wind=WIND, randomization={group: {} for group in GROUPS}),
+        pickle.loads(pickle.dumps(stack(randomized, wind))),
+    ):
+        again, _ = drift(other)
+        assert np.array_equal(again, rows)
+
+
+def test_all_wrappers_form_a_stack():
+    def harder(env, level):
+        env.TARGET_HEIGHT = 1.0 + 0.1 * level
+
+    def curriculum(env):
+        return CurriculumWrapper(env, harder, CurriculumConfig(num_levels=3, start_level=1))
+
+    forest = ObstacleConfig("forest", 6, seed=2)
+    orders = [(wind, randomized, curriculum), (curriculum, randomized, wind), (randomized, curriculum, wind)]
+    flights = []
+    for order in orders:
+        env = stack(*order, obstacles=forest)
+        rows, info = drift(env)
+        flights.append(rows)
+        assert len(env.unwrapped._env.obstacles()) == 6 and env.unwrapped.TARGET_HEIGHT == pytest.approx(1.1)
+        assert info["curriculum_level"] == 1 and info["wind_config"]["model"] == "constant"
+        assert info["domain_params"]["mass"] == pytest.approx(env.unwrapped.M) != 0.027
+    assert np.array_equal(flights[0], flights[1]) and np.array_equal(flights[0], flights[2])
+    still = drift(stack(curriculum, lambda env: DomainRandomizationWrapper(env, only(mass_range=(0.8, 1.2)))))[0]
+    windy = drift(stack(wind, lambda env: DomainRandomizationWrapper(env, only(mass_range=(0.8, 1.2)))))[0]
+    assert windy[-1][0] > still[-1][0] + 0.01
+
+
+def test_the_wind_can_change_between_episodes_of_a_randomization():
+    env = hover(randomization=True)
+    sampled, _ = drift(env)
+    assert env.sampled_params()["wind"] is not None
+    env.set_wind(WIND)
+    windy, _ = drift(env)
+    assert env.sampled_params().get("wind") is None
+    assert np.array_equal(windy, drift(hover(wind=WIND, randomization=True))[0])
+    env.set_wind(WindConfig("constant", velocity=(-2.0, 0.0, 0.0)))
+    assert drift(env)[0][-1][0] < windy[-1][0] - 0.01, "upwind"
+    env.set_wind(None)
+    assert np.array_equal(drift(env)[0], sampled) and env.sampled_params()["wind"] is not None
+    env.set_wind(WIND)
+    env.set_randomization(None)
+    assert np.array_equal(drift(env)[0], drift(hover(wind=WIND))[0])
+    env.set_wind(None)
+    env.set_randomization(True)
+    assert np.array_equal(drift(env)[0], sampled)
+
+
+def test_a_range_of_the_user_next_to_a_wind_is_an_error():
+    text = r"wind_speed_range is \(0\.0, 1\.0\), expected \(0, 0\), because the environment has a wind \(constant\)"
+    explicit = DomainRandomizationConfig(wind_speed_range=(0.0, 1.0))
+    named = pickle.loads(pickle.dumps(explicit))
+    for make in (
+        lambda: hover(wind=WIND, randomization=explicit),
+        lambda: DomainRandomizationWrapper(wind(hover()), named),
+        lambda: wind(DomainRandomizationWrapper(hover(), {"wind_speed_range": (0.0, 1.0)})),
+    ):
+        with pytest.raises(ValueError, match=text):
+            make()
+    with pytest.raises(ValueError, match=r"environment\.wind is \[0\.5, 2\], expected \(0, 0\)"):
+        hover(wind=WIND, randomization={"environment": {"wind": [0.5, 2]}})
+    assert hover(wind=WIND, randomization=DomainRandomizationConfig(wind_speed_range=None)) is not None
+    assert pickle.loads(pickle.dumps(DomainRandomizationConfig())) == DomainRandomizationConfig()

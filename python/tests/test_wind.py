@@ -1,5 +1,6 @@
 """Wind: settings, forces, and the wrapper around environments."""
 
+import copy
 import math
 import pickle
 
@@ -75,8 +76,12 @@ def test_dicts_have_the_keys_of_the_file_or_the_names_of_the_paper():
         ({"gust_force": "strong"}, 'wind.gust_force is "strong", expected a number'),
         ({"turbulence": None, "gust_duration": 0}, "wind.gust_duration is 0, expected 1 ms to 1000 s"),
         ({"drag_area": -1}, "wind.drag_area is -1, expected 0 to 1000 m²"),
-        ({"turbulence_intensity": [1]}, "wind.turbulence"),
-        ({"sinusoidal_period": "long"}, "sinusoidal_period is 'long'"),
+        ({"turbulence_intensity": [1]}, "turbulence_intensity is [1], expected a number"),
+        ({"gust_intensity": -1.0}, "gust_intensity is -1, expected 0 to 1000"),
+        ({"gust_probability": 10}, "gust_probability is 10: wind.gust_rate is 2400, expected 0 to 1000"),
+        ({"sinusoidal_period": "long"}, "sinusoidal_period is 'long', expected a positive period in s"),
+        ({"sinusoidal_period": 0}, "sinusoidal_period is 0, expected a positive period in s"),
+        ({"filter": 1}, "wind.filter: unknown variant `1`, expected `first_order` or `mil_f_8785c`"),
     ],
 )
 def test_bad_values_are_errors_of_one_line(settings, text):
@@ -84,6 +89,38 @@ def test_bad_values_are_errors_of_one_line(settings, text):
         with pytest.raises(ValueError) as error:
             call()
         assert str(error.value).startswith(text) and "\n" not in str(error.value)
+
+
+def test_errors_list_every_name_that_is_possible():
+    models = ", ".join(f"`{model.value}`" for model in WindModel)
+    for wrong in (5, "foo", 1.5, [1]):
+        with pytest.raises(ValueError) as error:
+            WindConfig(model=wrong)
+        assert str(error.value) == f"wind.model: unknown variant `{wrong}`, expected one of {models}"
+    with pytest.raises(ValueError) as error:
+        wind_options({"gust_forse": 1.0})
+    keys = [f"`{key}`" for key in _native.complete_options("wind", {})]
+    assert all(key in str(error.value) for key in keys) and str(error.value).endswith("did you mean `gust_force`?")
+
+
+def test_a_dict_needs_a_model_unless_it_acts_in_still_air():
+    text = "wind has no model, expected one of none, constant, gust, dryden, sinusoidal, combined"
+    for settings in ({"velocity": (3.0, 0.0, 0.0)}, {"turbulence_intensity": 3.0}, {"model": None, "gust_force": 1.0}):
+        for call in (wind_options, WindField, lambda wind: hover(wind=wind)):
+            with pytest.raises(ValueError) as error:
+                call(settings)
+            assert str(error.value) == text
+    assert wind_options({"still_air_drag": True, "air_density": 1.0, "drag_area": 0.1})["model"] == "none"
+    assert wind_options({}) == wind_options({"model": "none", "turbulence": None}) == WindConfig()._to_options()
+
+
+def test_a_frequency_of_zero_has_an_infinite_period():
+    config = WindConfig("sinusoidal", sinusoidal_frequency=0.0)
+    assert config.sinusoidal_period == math.inf
+    config.sinusoidal_period = 4.0
+    assert config.sinusoidal_frequency == pytest.approx(math.pi / 2)
+    with pytest.raises(ValueError, match="sinusoidal_period is 0, expected a positive period in s"):
+        config.sinusoidal_period = 0
 
 
 def test_unknown_settings_are_errors():
@@ -175,16 +212,53 @@ def test_errors_of_the_field():
     field = WindField(WindConfig("constant"))
     for arguments, text in [
         ((-1.0, HIGH, ZERO), "dt is -1, expected 0 to 1 s"),
-        ((DT, [0, 0], ZERO), "position has 2 numbers, expected 3"),
+        (("a", HIGH, ZERO), "dt is 'a', expected a number"),
+        ((None, HIGH, ZERO), "dt is None, expected a number"),
+        ((DT, [0, 0], ZERO), "position has the shape (2,), expected (3,)"),
+        ((DT, "high", ZERO), "position is 'high', expected 3 numbers"),
+        ((DT, HIGH, None), "velocity"),
         ((DT, HIGH, [0, math.nan, 0]), "velocity[1] is NaN"),
     ]:
         with pytest.raises(ValueError) as error:
             field.get_force(*arguments)
-        assert str(error.value).startswith(text)
-    with pytest.raises(ValueError, match="seed is -1"):
-        field.reset(-1)
+        assert str(error.value).startswith(text) and "\n" not in str(error.value)
+    for seed in (-1, "a", 1.5, True, 2**64):
+        with pytest.raises(ValueError) as error:
+            field.reset(seed)
+        assert str(error.value) == f"seed is {seed!r}, expected an integer from 0 to 2^64 - 1"
+    for config, text in [
+        (5, "wind is 5, expected a WindConfig, a dict"),
+        ("x", "wind.model: unknown variant `x`, expected one of `none`"),
+    ]:
+        with pytest.raises(ValueError) as error:
+            WindField(config)
+        assert str(error.value).startswith(text) and "\n" not in str(error.value)
     with pytest.raises(TypeError):
         WindField(WindConfig(), wind=3)
+
+
+def test_fields_accept_every_form_of_a_wind():
+    forms = [WindConfig("gust", gust_rate=50.0), {"model": WindModel.GUST, "gust_rate": 50.0}]
+    forms = [WindField(form, seed=4) for form in forms]
+    rows = [[field.get_force(DT, HIGH, ZERO) for _ in range(100)] for field in forms]
+    assert np.array_equal(*rows) and np.any(rows)
+    assert WindField("gust").config == WindField(WindModel.GUST).config == WindConfig("gust")
+
+
+@pytest.mark.parametrize("model", ["gust", "dryden", "combined"])
+def test_copies_of_a_field_continue_with_its_forces(model):
+    field = WindField(WindConfig(model, gust_rate=20.0), env="race", seed=7)
+    for _ in range(100):
+        field.get_force(DT, HIGH, ZERO)
+    clones = [pickle.loads(pickle.dumps(field)), copy.deepcopy(field)]
+    rows = [field.get_force(DT, HIGH, ZERO) for _ in range(200)]
+    field.reset()
+    rows.append(field.get_force(DT, HIGH, ZERO))
+    for clone in clones:
+        own = [clone.get_force(DT, HIGH, ZERO) for _ in range(200)]
+        clone.reset()
+        own.append(clone.get_force(DT, HIGH, ZERO))
+        assert np.array_equal(own, rows) and np.any(rows)
 
 
 # environments

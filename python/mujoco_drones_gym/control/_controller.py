@@ -7,20 +7,45 @@ from typing import Any
 import numpy as np
 
 from mujoco_drones_gym import _native
+from mujoco_drones_gym._config import short
 from mujoco_drones_gym.control._airframe import airframe_of
 
 _ZEROS = np.zeros(3)
 _ZEROS.setflags(write=False)
 
 
-def _vector(name: str, value: Any, count: int = 3) -> np.ndarray:
+# larger numbers overflow in the products of a control law
+_MAX = 1e9
+
+
+def vector(name: str, value: Any, count: int = 3) -> np.ndarray:
+    """Returns an argument as a float64 array of some numbers, or raises a ValueError."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name} is {value!r}, expected {count} numbers") from None
+        raise ValueError(f"{name} is {short(value)}, expected {count} numbers") from None
     if array.size != count or array.ndim > 2:
         raise ValueError(f"{name} has the shape {array.shape}, expected ({count},)")
     return array.reshape(count)
+
+
+def number(name: str, value: Any, expected: str = "a number") -> float:
+    """Returns an argument as a float, or raises a ValueError."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {short(value)}, expected {expected}") from None
+
+
+def _check_sizes(arguments: dict[str, np.ndarray]) -> None:
+    """Raises a ValueError for a finite number with which a control law overflows."""
+    if np.abs(np.concatenate(list(arguments.values()))).max() <= _MAX:
+        return
+    for name, array in arguments.items():
+        for index, entry in enumerate(array.tolist()):
+            # the simulator reports numbers that are not finite
+            if _MAX < abs(entry) < np.inf:
+                raise ValueError(f"{name}[{index}] is {entry:g}, expected a number from -{_MAX:g} to {_MAX:g}")
 
 
 class Controller:
@@ -67,21 +92,24 @@ class Controller:
         target_rpy_rates,
     ):  # fmt: skip
         native = self._native
+        timestep = number("control_timestep", control_timestep, "1e-6 to 10 s")
+        arguments = {
+            "cur_pos": vector("cur_pos", cur_pos),
+            "cur_quat": vector("cur_quat", cur_quat, 4),
+            "cur_vel": vector("cur_vel", cur_vel),
+            "cur_ang_vel": vector("cur_ang_vel", cur_ang_vel),
+            "target_pos": vector("target_pos", target_pos),
+            "target_vel": vector("target_vel", target_vel),
+            "target_acc": vector("target_acc", target_acc),
+            "target_rpy": vector("target_rpy", target_rpy),
+            "target_rpy_rates": vector("target_rpy_rates", target_rpy_rates),
+        }
+        _check_sizes(arguments)
+        *plain, rpy, rates = arguments.values()
         native.set_integrals(
-            _vector("integral_pos_e", self.integral_pos_e), _vector("integral_rpy_e", self.integral_rpy_e)
+            vector("integral_pos_e", self.integral_pos_e), vector("integral_rpy_e", self.integral_rpy_e)
         )
-        output = native.compute(
-            float(control_timestep),
-            _vector("cur_pos", cur_pos),
-            _vector("cur_quat", cur_quat, 4),
-            _vector("cur_vel", cur_vel),
-            _vector("cur_ang_vel", cur_ang_vel),
-            _vector("target_pos", target_pos),
-            _vector("target_vel", target_vel),
-            _vector("target_acc", target_acc),
-            float(_vector("target_rpy", target_rpy)[2]),
-            float(_vector("target_rpy_rates", target_rpy_rates)[2]),
-        )
+        output = native.compute(timestep, *plain, float(rpy[2]), float(rates[2]))
         self.integral_pos_e, self.integral_rpy_e = native.integrals()
         return output
 
@@ -101,7 +129,7 @@ def _either(owner: str, env: Any, drone_model: Any) -> Any:
 
 def split(state: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Returns position, quaternion, velocity and angular velocity of the 20 numbers of a drone."""
-    state = _vector("state", state, 20)
+    state = vector("state", state, 20)
     return state[0:3], state[3:7], state[10:13], state[13:16]
 
 
@@ -116,7 +144,7 @@ class Cascade(Controller):
             return gain
 
         def set_(self, value) -> None:
-            self._set_gain(loop, key, _vector("a gain", value).tolist())
+            self._set_gain(loop, key, vector("a gain", value).tolist())
 
         return property(get, set_, doc=f"The {key} gains of the {loop} loop, {unit}, shape (3,), read-only array.")
 
@@ -125,7 +153,7 @@ class Cascade(Controller):
             return self._native.gains()[loop]["integral_clamp"]
 
         def set_(self, value) -> None:
-            self._set_gain(loop, "integral_clamp", float(value))
+            self._set_gain(loop, "integral_clamp", number("an integral limit", value))
 
         return property(get, set_, doc=f"Limit of each component of the integral of the {loop} loop, {unit}.")
 

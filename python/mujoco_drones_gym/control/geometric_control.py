@@ -62,7 +62,7 @@ class GeometricControl(Controller):
         Args:
             control_timestep: Time since the last call, s.
             cur_pos: Position, world frame, m, shape (3,).
-            cur_quat: Attitude, body to world, quaternion (w, x, y, z), shape (4,).
+            cur_quat: Attitude, body to world, quaternion (w, x, y, z), shape (4,), of any length; it is normalized.
             cur_vel: Velocity, world frame, m/s, shape (3,).
             cur_ang_vel: Angular velocity, body frame, rad/s, shape (3,).
             target_pos: Target position, world frame, m, shape (3,).
@@ -76,7 +76,8 @@ class GeometricControl(Controller):
             rad.
 
         Raises:
-            ValueError: for a wrong shape or a number that is not finite. The integral terms are unchanged.
+            ValueError: for a wrong shape, a number that is not finite or beyond ±1e9, or a quaternion of zeros. The
+                integral terms are unchanged.
         """
         return self._compute(
             control_timestep, cur_pos, cur_quat, cur_vel, cur_ang_vel, target_pos, target_rpy, target_vel, target_acc,

@@ -326,9 +326,25 @@ class BaseAviary(gym.Env):
         """Sets the wind from now on, also for later episodes.
 
         Args:
-            wind: A `WindConfig`, a dict with the keys of the section `[wind]`, or None for still air.
+            wind: A `WindConfig`, a dict with the keys of the section `[wind]`, or None for still air. It replaces the
+                default wind of a randomization.
+
+        Raises:
+            ValueError: next to a range of the wind in the randomization; nothing has changed.
         """
-        self._env.set_wind(wind_options(wind))
+        options = wind_options(wind)
+        randomization = self._options["randomization"]
+        before, after = (
+            randomization_options(randomization, self.CTRL_FREQ, own)
+            for own in (wind_options(self._options["wind"]), options)
+        )
+        # without a moment of two winds
+        brings_range = before != after and (options is None or options["model"] == "none")
+        if before != after and not brings_range:
+            self._env.set_randomization(after)
+        self._env.set_wind(options)
+        if brings_range:
+            self._env.set_randomization(after)
         self._options["wind"] = wind
 
     def set_randomization(self, randomization: Any) -> None:
@@ -337,7 +353,8 @@ class BaseAviary(gym.Env):
         Args:
             randomization: A `DomainRandomizationConfig`, a dict of groups, True for the paper's ranges, or None.
         """
-        self._env.set_randomization(randomization_options(randomization, self.CTRL_FREQ))
+        wind = wind_options(self._options["wind"])
+        self._env.set_randomization(randomization_options(randomization, self.CTRL_FREQ, wind))
         self._options["randomization"] = randomization
 
     def _set_task_option(self, name: str, value: Any) -> None:

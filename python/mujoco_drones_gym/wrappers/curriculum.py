@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym._config import Alias, accept_aliases, complete
+from mujoco_drones_gym._config import Alias, accept_aliases, complete, short
 
 __all__ = ["CurriculumConfig", "CurriculumWrapper"]
 
@@ -25,6 +26,8 @@ _NAMES = {
     "start_level": "start_level",
     "advance_count": "advance_count",
 }
+# as errors of the simulator name them
+_ERROR_NAMES = {**_NAMES, **{f"curriculum.{name}": field for name, field in _NAMES.items()}}
 
 
 @accept_aliases({name: Alias(field) for name, field in _NAMES.items() if name != field})
@@ -54,12 +57,14 @@ class CurriculumConfig:
     """Number of successive episodes with a mean at or above the threshold after which the level increases."""
 
     def __post_init__(self):
-        self._to_options()
+        options = self._to_options()
+        for name, field in _NAMES.items():
+            setattr(self, field, options.get(name))
 
     def _to_options(self) -> dict[str, Any]:
         """Returns the settings under the names of the simulator."""
         options = {name: getattr(self, field) for name, field in _NAMES.items()}
-        return complete("curriculum", options, _NAMES)
+        return complete("curriculum", options, _ERROR_NAMES)
 
 
 class CurriculumWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs):
@@ -83,10 +88,13 @@ class CurriculumWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs):
     ):
         if config is None:
             config = CurriculumConfig()
-        elif not isinstance(config, CurriculumConfig):
+        elif isinstance(config, Mapping):
             config = CurriculumConfig(**config)
+        elif not isinstance(config, CurriculumConfig):
+            raise TypeError(f"config is {short(config)}, expected a CurriculumConfig or a dict of its fields")
         if difficulty_fn is not None and not callable(difficulty_fn):
-            raise TypeError(f"difficulty_fn is {difficulty_fn!r}, expected a function of the environment and the level")
+            expected = "a function of the environment and the level"
+            raise TypeError(f"difficulty_fn is {short(difficulty_fn)}, expected {expected}")
         # the function may belong to an object that must not be copied
         gym.utils.RecordConstructorArgs.__init__(
             self, _disable_deepcopy=True, difficulty_fn=difficulty_fn, config=config
@@ -105,8 +113,10 @@ class CurriculumWrapper(gym.Wrapper, gym.utils.RecordConstructorArgs):
 
     @current_level.setter
     def current_level(self, level: int) -> None:
-        if not 0 <= level < self.config.num_levels:
-            raise ValueError(f"current_level is {level}, expected 0 to {self.config.num_levels - 1}")
+        is_whole = isinstance(level, (int, np.integer)) and not isinstance(level, bool)
+        if not is_whole or not 0 <= level < self.config.num_levels:
+            expected = f"a whole number from 0 to {self.config.num_levels - 1}"
+            raise ValueError(f"current_level is {short(level)}, expected {expected}")
         self._curriculum.restore({**self._curriculum.state(), "level": int(level), "recent": [], "streak": 0})
 
     @property

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym._config import Alias, accept_aliases, complete, translated
+from mujoco_drones_gym._config import Alias, accept_aliases, complete, short, translated
 
 __all__ = ["Obstacle", "ObstacleConfig", "ObstacleType", "generate_obstacles", "obstacles_to_xml"]
 
@@ -34,8 +34,14 @@ class ObstacleType(Enum):
     """List of the user's obstacles."""
 
 
+_OBSTACLE_NAMES = {"obstacles.custom.shape": "geom_type"}
+
+
 def _array(values: Any, name: str, counts: Sequence[int]) -> np.ndarray:
-    array = np.array(values, dtype=np.float64).reshape(-1)
+    try:
+        array = np.array(values, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} of an obstacle is {short(values)}, expected numbers") from None
     if array.size not in counts:
         expected = " or ".join(str(count) for count in counts)
         raise ValueError(f"{name} of an obstacle has {array.size} numbers, expected {expected}")
@@ -71,7 +77,7 @@ class Obstacle:
         self.size = _array(self.size, "size", [1, 2, 3])
         self.rgba = _array(self.rgba, "rgba", [4])
         self.euler = _array(self.euler, "euler", [3])
-        complete("obstacles", {"kind": "custom", "custom": [self._to_options()]})
+        complete("obstacles", {"kind": "custom", "custom": [self._to_options()]}, _OBSTACLE_NAMES)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Obstacle):
@@ -144,12 +150,12 @@ class ObstacleConfig:
     """Kind of obstacles, or its name."""
     num_obstacles: int | None = None
     """Number of trees, buildings, pieces of furniture, floating objects or gates; None for 20 trees, 4 gates and 8 of
-    the other kinds."""
+    the other kinds. Of the kind `CUSTOM`, it is the length of the list."""
     arena_size: tuple[float, float, float] = (3.0, 3.0, 2.0)
     """Half lengths along x and y, and height of the arena, m. It is centred on the origin and stands on the floor. The
     default is the paper's, four times as large as that of a configuration file."""
     safe_zone_radius: float = _DEFAULTS["safe_zone"]
-    """Radius of the sphere around the start of every drone that stays free of obstacles, m."""
+    """Smallest distance from the centre of every drone at its start to the surface of an obstacle, m."""
     safe_zone_centers: Sequence[Sequence[float]] | np.ndarray | None = None
     """Centres of further spheres that stay free of obstacles, world frame, m, shape (n, 3)."""
     seed: int | None = None
@@ -164,31 +170,63 @@ class ObstacleConfig:
     def __post_init__(self):
         options = self._to_options()
         self.obstacle_type = ObstacleType.NONE if options is None else ObstacleType(options["kind"])
-        if options is not None and self.num_obstacles is None:
-            self.num_obstacles = options["count"]
+        if options is not None and (self.num_obstacles is None or self.obstacle_type is ObstacleType.CUSTOM):
+            is_custom = self.obstacle_type is ObstacleType.CUSTOM
+            self.num_obstacles = len(options["custom"]) if is_custom else options["count"]
         self.arena_size = tuple(float(side) for side in self.arena_size)
 
     def _to_options(self) -> dict[str, Any] | None:
         """Returns the settings as the keys of the section `[obstacles]`; None for no obstacles."""
-        if getattr(self.obstacle_type, "value", self.obstacle_type) == "none":
+        kind = getattr(self.obstacle_type, "value", self.obstacle_type)
+        kinds = [member.value for member in ObstacleType]
+        if kind is not None and kind not in kinds:
+            raise ValueError(f"obstacle_type is {short(kind)}, expected one of {', '.join(kinds)}")
+        if kind == "none":
             return None
         try:
             arena = _lengths(self.arena_size)
         except (TypeError, ValueError):
             raise ValueError(f"arena_size is {self.arena_size!r}, expected three lengths in m") from None
-        centers = self.safe_zone_centers
         options = {
-            "kind": self.obstacle_type,
+            "kind": kind,
             "count": self.num_obstacles,
             "arena": arena,
             "spacing": self.min_spacing,
             "safe_zone": self.safe_zone_radius,
-            "safe_zone_centers": [] if centers is None else np.asarray(centers, np.float64).tolist(),
+            "safe_zone_centers": _centers(self.safe_zone_centers),
             "new_layout": self.new_layout,
             "seed": self.seed,
-            "custom": [_entry(obstacle) for obstacle in self.custom_obstacles],
+            "custom": _entries(self.custom_obstacles),
         }
-        return complete("obstacles", options, _NAMES)
+        try:
+            return complete("obstacles", _counted(options), _NAMES)
+        except ValueError as error:
+            # the simulator has whole lengths
+            side, found, expected = str(error).partition(", expected sides")
+            if not found:
+                raise
+            side = side.removeprefix("arena_size is ")
+            message = f"arena_size is {short(self.arena_size)}: a whole side is {side} m, expected sides{expected}"
+            raise ValueError(message) from None
+
+
+def _centers(centers: Any) -> list[Any]:
+    try:
+        return [] if centers is None else np.asarray(centers, np.float64).tolist()
+    except (TypeError, ValueError):
+        raise ValueError(f"safe_zone_centers is {short(centers)}, expected points (n, 3)") from None
+
+
+def _counted(options: dict[str, Any]) -> dict[str, Any]:
+    """Returns options without the number of obstacles if they have a list of obstacles."""
+    is_custom = getattr(options.get("kind"), "value", options.get("kind")) == "custom"
+    return {name: value for name, value in options.items() if name != "count" or not is_custom}
+
+
+def _entries(obstacles: Any) -> list[Any]:
+    if isinstance(obstacles, (list, tuple)):
+        return [_entry(obstacle) for obstacle in obstacles]
+    raise ValueError(f"custom_obstacles is {short(obstacles)}, expected a list of Obstacle")
 
 
 def _entry(obstacle: Any) -> Any:
@@ -212,8 +250,9 @@ def dict_options(obstacles: Mapping[str, Any]) -> dict[str, Any] | None:
     if getattr(options.get("kind"), "value", options.get("kind")) == "none":
         return None
     if "custom" in options:
-        options["custom"] = [_entry(obstacle) for obstacle in options["custom"]]
-    return complete("obstacles", options)
+        options["custom"] = _entries(options["custom"])
+    names = {f"obstacles.{alias.field}": name for name, alias in _KEYS.items() if name in obstacles}
+    return complete("obstacles", _counted(options), names)
 
 
 def list_options(obstacles: Iterable[Obstacle]) -> dict[str, Any]:
@@ -237,7 +276,7 @@ def obstacle_options(obstacles: Any) -> dict[str, Any] | None:
     if isinstance(obstacles, (list, tuple)):
         return list_options(obstacles)
     expected = "True, False, an ObstacleConfig, a dict of its settings or a list of Obstacle"
-    raise ValueError(f"obstacles is {obstacles!r}, expected {expected}")
+    raise ValueError(f"obstacles is {short(obstacles)}, expected {expected}")
 
 
 def generate_obstacles(config: ObstacleConfig | dict[str, Any]) -> list[Obstacle]:

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete
+from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete, short
 from mujoco_drones_gym.wrappers._base import aviary_of
 
 __all__ = ["DomainRandomizationConfig", "DomainRandomizationWrapper"]
@@ -49,7 +49,17 @@ _KEYS = {
 }
 
 # names of the options in error messages
-_NAMES = {f"the randomized {group}.{key}": name for name, (group, key, _) in _KEYS.items()}
+_NAMES = {
+    f"{prefix}{group}.{key}": name
+    for name, (group, key, _) in _KEYS.items()
+    for prefix in ("the randomized ", "randomization.")
+}
+
+
+class _Default(tuple):
+    """A range that the user has not given."""
+
+    __slots__ = ()
 
 
 def _default(name: str) -> Any:
@@ -142,8 +152,9 @@ class DomainRandomizationConfig:
     """Delay of the observed states, s."""
     gravity_range: tuple[float, float] | None = _default("gravity_range")
     """Factor on gravity."""
-    wind_speed_range: tuple[float, float] | None = _default("wind_speed_range")
-    """Speed of a combined wind with a random direction, m/s."""
+    wind_speed_range: tuple[float, float] | None = _Default(_default("wind_speed_range"))
+    """Speed of a combined wind with a random direction, m/s. The default has no effect in an environment with a wind of
+    its own."""
     init_position: float | None = _default("init_position")
     """Maximum change of each initial coordinate, m."""
     init_rpy: float | None = _default("init_rpy")
@@ -172,6 +183,7 @@ class DomainRandomizationConfig:
             value = getattr(self, name)
             if name == "action_latency_range" and self.action_delay_range is not None:
                 value = _seconds(self.action_delay_range, ctrl_freq)
+            value = tuple(value) if isinstance(value, _Default) else value
             groups.setdefault(group, {})[key] = nominal if value is None else value
             if value is not None and not _equal(value, nominal):
                 changed.add(group)
@@ -195,7 +207,7 @@ def _seconds(steps: Any, ctrl_freq: float) -> list[float]:
         low, high = steps
         return [low / ctrl_freq, high / ctrl_freq]
     except (TypeError, ValueError):
-        raise ValueError(f"action_delay_range is {steps!r}, expected two numbers of control steps") from None
+        raise ValueError(f"action_delay_range is {short(steps)}, expected two numbers of control steps") from None
 
 
 def dict_options(randomization: Mapping[str, Any], ctrl_freq: float = 48.0) -> dict[str, Any]:
@@ -209,19 +221,44 @@ def dict_options(randomization: Mapping[str, Any], ctrl_freq: float = 48.0) -> d
     return complete("randomization", randomization)
 
 
-def randomization_options(randomization: Any, ctrl_freq: float = 48.0) -> dict[str, Any] | None:
+def randomization_options(
+    randomization: Any, ctrl_freq: float = 48.0, wind: Mapping[str, Any] | None = None
+) -> dict[str, Any] | None:
     """Returns the section `[randomization]` of True (the paper's ranges), False, a `DomainRandomizationConfig`, or a
-    dict of groups or of the fields of a `DomainRandomizationConfig`. `ctrl_freq` is the control rate, Hz."""
+    dict of groups or of the fields of a `DomainRandomizationConfig`.
+
+    `ctrl_freq` is the control rate, Hz. `wind` is the section `[wind]` of the environment, which replaces a default
+    range of the wind.
+    """
     if randomization is None or randomization is False:
         return None
     if randomization is True:
-        return complete("randomization", PAPER)
+        options = complete("randomization", PAPER)
+    elif isinstance(randomization, DomainRandomizationConfig):
+        options = randomization._to_options(ctrl_freq)
+    elif isinstance(randomization, Mapping):
+        options = dict_options(randomization, ctrl_freq)
+    else:
+        expected = "True, False, a DomainRandomizationConfig or a dict of its groups"
+        raise ValueError(f"randomization is {short(randomization)}, expected {expected}")
+    return options if wind is None or wind["model"] == "none" else _without_wind(randomization, options, wind["model"])
+
+
+def _without_wind(randomization: Any, options: dict[str, Any], model: str) -> dict[str, Any]:
+    """Returns options without the default range of the wind, and raises a ValueError for a range of the user."""
+    environment = options.get("environment")
+    if environment is None or not environment["wind"][1] > 0.0:
+        return options
+    name, given = "wind_speed_range", None
     if isinstance(randomization, DomainRandomizationConfig):
-        return randomization._to_options(ctrl_freq)
-    if isinstance(randomization, Mapping):
-        return dict_options(randomization, ctrl_freq)
-    expected = "True, False, a DomainRandomizationConfig or a dict of its groups"
-    raise ValueError(f"randomization is {randomization!r}, expected {expected}")
+        given = randomization.wind_speed_range
+    elif isinstance(randomization, Mapping):
+        given = randomization.get(name)
+        if given is None:
+            name, given = "environment.wind", (randomization.get("environment") or {}).get("wind")
+    if given is None or isinstance(given, _Default):
+        return {**options, "environment": {**environment, "wind": [0.0, 0.0]}}
+    raise ValueError(f"{name} is {short(given)}, expected (0, 0), because the environment has a wind ({model})")
 
 
 def domain_params(aviary: Any) -> dict[str, Any]:

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from mujoco_drones_gym import _native
-from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete, translated
+from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete, short, translated, with_aliases
 from mujoco_drones_gym.control._airframe import airframe_of
+from mujoco_drones_gym.control._controller import number, vector
 
 __all__ = ["WindConfig", "WindField", "WindModel"]
 
@@ -36,6 +37,9 @@ class WindModel(Enum):
 
 _DEFAULTS = _native.complete_options("wind", {})
 
+# these also act in still air or on a sampled wind
+_INDEPENDENT = ("still_air_drag", "filter", "air_density", "drag_area")
+
 # the paper's package counts gusts in steps of 240 Hz
 _STEP = 1.0 / 240.0
 
@@ -47,7 +51,10 @@ ALIASES = {
     "turbulence_intensity": Alias("turbulence"),
     "sinusoidal_amplitude": Alias("sinusoidal_force"),
     "sinusoidal_period": Alias(
-        "sinusoidal_frequency", lambda period: 2.0 * math.pi / period, lambda frequency: 2.0 * math.pi / frequency
+        "sinusoidal_frequency",
+        lambda period: 2.0 * math.pi / period,
+        lambda frequency: 2.0 * math.pi / frequency if frequency else math.inf,
+        "a positive period in s",
     ),
     "drag_coefficient": Alias("drag_area"),
 }
@@ -121,21 +128,42 @@ def wind_options(wind: Any) -> dict[str, Any] | None:
     if isinstance(wind, (str, WindModel)):
         return complete("wind", {"model": wind})
     if isinstance(wind, Mapping):
-        return complete("wind", translated("wind", wind, ALIASES))
-    raise ValueError(f"wind is {wind!r}, expected a WindConfig, a dict of its settings or None")
+        given = translated("wind", wind, ALIASES)
+        try:
+            options = complete("wind", given)
+        except ValueError as error:
+            raise ValueError(with_aliases(str(error), wind, ALIASES)) from None
+        if given.get("model") is None and any(
+            value is not None and name not in _INDEPENDENT for name, value in given.items()
+        ):
+            raise ValueError(f"wind has no model, expected one of {', '.join(model.value for model in WindModel)}")
+        return options
+    raise ValueError(f"wind is {short(wind)}, expected a WindConfig, a dict of its settings or None")
 
 
 class WindField:
     """Wind at one drone, outside an environment.
 
+    A wind field can be pickled and copied. The copy continues with the forces of the original.
+
     Args:
-        config: Settings of the wind; still air by default.
+        config: Settings of the wind: a `WindConfig`, a model or its name, or a dict of settings; still air by default.
         env: Environment, drone model or airframe whose drag area applies; a Crazyflie by default.
         seed: Seed of the random numbers; a random one by default.
     """
 
-    def __init__(self, config: WindConfig | None = None, *, env: Any = None, seed: int | None = None):
-        self.config = WindConfig() if config is None else config
+    def __init__(
+        self,
+        config: WindConfig | WindModel | str | Mapping[str, Any] | None = None,
+        *,
+        env: Any = None,
+        seed: int | None = None,
+    ):
+        if config is None:
+            config = WindConfig()
+        elif not isinstance(config, WindConfig):
+            config = WindConfig(**wind_options(config))
+        self.config = config
         self._airframe = airframe_of(env)
         self._rng = np.random.default_rng()
         self.reset(seed)
@@ -143,12 +171,15 @@ class WindField:
     def reset(self, seed: int | None = None) -> None:
         """Restarts the wind, from a seed or with the next random numbers."""
         if seed is None:
-            seed = int(self._rng.integers(2**63))
-        elif not 0 <= seed < 2**64:
-            raise ValueError(f"seed is {seed}, expected 0 to 2^64 - 1")
+            start = int(self._rng.integers(2**63))
+        elif isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= seed < 2**64:
+            start = int(seed)
         else:
-            self._rng = np.random.default_rng(seed)
-        self._field = _native.WindField(self.config._to_options(), self._airframe, int(seed))
+            raise ValueError(f"seed is {short(seed)}, expected an integer from 0 to 2^64 - 1")
+        field = _native.WindField(self.config._to_options(), self._airframe, start)
+        if seed is not None:
+            self._rng = np.random.default_rng(start)
+        self._field = field
 
     def get_force(self, dt: float, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Advances the wind by `dt` seconds and returns the force on the drone.
@@ -160,9 +191,18 @@ class WindField:
 
         Returns:
             Force, world frame, N, shape (3,).
+
+        Raises:
+            ValueError: for an argument of another shape, or that is not finite; the wind has not advanced.
         """
         return self._advance(dt, position, velocity)[0]
 
     def _advance(self, dt, position, velocity):
-        position, velocity = np.asarray(position, np.float64), np.asarray(velocity, np.float64)
-        return self._field.advance(float(dt), position.reshape(-1), velocity.reshape(-1))
+        return self._field.advance(number("dt", dt), vector("position", position), vector("velocity", velocity))
+
+    def __getstate__(self):
+        return {**self.__dict__, "_field": self._field.to_json()}
+
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        self._field = _native.WindField.from_json(state["_field"])
