@@ -4,6 +4,7 @@ import csv
 import subprocess
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -85,6 +86,25 @@ def test_arrays_have_a_row_per_call(tmp_path):
     assert logger.counters.tolist() == [0, 0] and logger.states.shape == (2, 20, 0)
 
 
+def test_environments_are_logged_with_their_time():
+    from mujoco_drones_gym import BaseAviary
+
+    env = gym.wrappers.TimeLimit(BaseAviary(num_drones=2), 10)
+    logger = Logger(num_drones=2)
+    env.reset(seed=1)
+    for _ in range(3):
+        logger.log_env(env)
+        env.step(np.full(8, 15000.0))
+    assert logger.timestamps.tolist() == [pytest.approx([0.0, 1 / 48, 2 / 48])] * 2
+    logger.log_env(env)
+    for drone in range(2):
+        assert np.array_equal(logger.states[drone, :, -1], env.unwrapped._getDroneStateVector(drone))
+    with pytest.raises(ValueError, match="num_drones is 1, expected 2, as the environment has"):
+        Logger(num_drones=1).log_env(env)
+    with pytest.raises(TypeError, match="log_env got CartPoleEnv, expected an environment of mujoco_drones_gym"):
+        logger.log_env(gym.make("CartPole-v1"))
+
+
 def test_logged_states_are_copies(tmp_path):
     numbers = state(1)
     logger = Logger(output_folder=tmp_path)
@@ -120,6 +140,14 @@ def test_errors_name_the_value(tmp_path):
         ((2, 0.0, state(1)), "drone is 2, expected 0 to 1"),
         ((-1, 0.0, state(1)), "drone is -1"),
         ((0, -0.1, state(1)), "timestamp is -0.1, expected a time in s from 0"),
+        (("a", 0.0, state(1)), "drone is 'a', expected 0 to 1"),
+        ((None, 0.0, state(1)), "drone is None"),
+        ((0.0, 0.0, state(1)), "drone is 0.0"),
+        ((0, "a", state(1)), "timestamp is 'a', expected a time in s from 0"),
+        ((0, [0.0, 1.0], state(1)), "timestamp is [0.0, 1.0], expected"),
+        ((0, 0.0, None), "state"),
+        ((0, 0.0, "abc"), "state is 'abc', expected the 20 numbers of a drone"),
+        ((0, 0.0, state(1), "abc"), "control is 'abc', expected 12 targets or 4 motor speeds"),
         ((0, 0.0, np.zeros(12)), "state has 12 numbers, expected the 20 of a drone"),
         ((0, 0.0, state(1), np.zeros(3)), "control has 3 numbers, expected 12 targets or 4 motor speeds"),
     ]:

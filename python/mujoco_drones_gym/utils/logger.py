@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from mujoco_drones_gym import _native
+from mujoco_drones_gym._config import short
+from mujoco_drones_gym.wrappers._base import aviary_of
 
 __all__ = ["Logger", "read_flight"]
 
@@ -85,34 +87,39 @@ class Logger:
         Raises:
             ValueError: for a drone that does not exist, a negative time or a wrong shape.
         """
-        if not 0 <= drone < self.NUM_DRONES:
-            raise ValueError(f"drone is {drone}, expected 0 to {self.NUM_DRONES - 1}")
+        is_index = isinstance(drone, (int, np.integer)) and not isinstance(drone, bool)
+        if not is_index or not 0 <= drone < self.NUM_DRONES:
+            raise ValueError(f"drone is {short(drone)}, expected 0 to {self.NUM_DRONES - 1}")
         times = self._times[drone]
         if timestamp is None:
             timestamp = times[-1] + 1.0 / self.LOGGING_FREQ_HZ if times else 0.0
-        if not 0.0 <= timestamp < np.inf:
-            raise ValueError(f"timestamp is {timestamp}, expected a time in s from 0")
-        state = np.array(state, dtype=np.float64).reshape(-1)
+        time = _numbers("timestamp", timestamp, "a time in s from 0")
+        if time.size != 1 or not 0.0 <= time[0] < np.inf:
+            raise ValueError(f"timestamp is {short(timestamp)}, expected a time in s from 0")
+        state = _numbers("state", state, "the 20 numbers of a drone")
         if state.size != 20:
             raise ValueError(f"state has {state.size} numbers, expected the 20 of a drone")
         targets = np.full(12, np.nan)
         if control is not None:
-            control = np.asarray(control, dtype=np.float64).reshape(-1)
+            control = _numbers("control", control, "12 targets or 4 motor speeds")
             if control.size == 12:
-                targets = control.copy()
+                targets = control
             elif control.size == 4:
                 state[16:20] = control
             else:
                 raise ValueError(f"control has {control.size} numbers, expected 12 targets or 4 motor speeds")
-        times.append(float(timestamp))
+        times.append(float(time[0]))
         self._states[drone].append(state)
         self._controls[drone].append(targets)
 
     def log_env(self, env: Any) -> None:
-        """Adds a row for every drone of an environment, with the time of its episode."""
-        aviary = env.unwrapped
+        """Adds a row for every drone of an environment of this package, with the time of its episode."""
+        aviary = aviary_of(env, "log_env")
+        if self.NUM_DRONES != aviary.NUM_DRONES:
+            raise ValueError(f"num_drones is {self.NUM_DRONES}, expected {aviary.NUM_DRONES}, as the environment has")
+        time = aviary._env.info()["time"]
         for drone in range(self.NUM_DRONES):
-            self.log(drone, aviary.time, aviary._getDroneStateVector(drone))
+            self.log(drone, time, aviary._getDroneStateVector(drone))
 
     def reset(self) -> None:
         """Removes all rows."""
@@ -250,6 +257,14 @@ def read_flight(path: str | os.PathLike[str]) -> list[dict[str, np.ndarray]]:
     """
     os.stat(path)
     return _native.read_flight(os.fspath(path))
+
+
+def _numbers(name: str, value: Any, expected: str) -> np.ndarray:
+    """Returns an argument as a new float64 array of one dimension, or raises a ValueError."""
+    try:
+        return np.array(value, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {short(value)}, expected {expected}") from None
 
 
 def _cell(number: float) -> str:
