@@ -63,6 +63,9 @@ _MODULES = {
     "Logger": "utils.logger",
 }
 
+#: Modules and packages that are imported when they are used.
+_SUBMODULES = ("control", "envs", "policy", "sb3", "utils", "vector", "wrappers")
+
 # `from mujoco_drones_gym import *` works without pettingzoo, which MultiAgentAviary and parallel_env need
 __all__ = [
     "ActionType",
@@ -91,6 +94,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name in _SUBMODULES:
+        return importlib.import_module(f"{__name__}.{name}")
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
@@ -99,7 +104,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES})
+    return sorted({*globals(), *_MODULES, *_SUBMODULES})
 
 
 _registration.register()

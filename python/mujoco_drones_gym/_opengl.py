@@ -17,10 +17,14 @@ from typing import Any
 class _TritonFinder(MetaPathFinder):
     """Loads the library of Triton so that it finds its own symbols first, at the moment of its import."""
 
+    def __init__(self) -> None:
+        self._is_done = False
+
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """Returns None: the other finders find the module."""
-        if fullname == "triton":
-            sys.meta_path.remove(self)
+        if fullname == "triton" and not self._is_done:
+            # it stays in the list of finders: whoever calls it walks through that list
+            self._is_done = True
             if _has_llvm_of_mesa():
                 _load_triton()
         return None
