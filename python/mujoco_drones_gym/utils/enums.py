@@ -70,11 +70,17 @@ class ObservationType(Enum):
 
 
 class ImageType(Enum):
-    """Channels of an image."""
+    """Channels of an image. The names of observations, "depth" and "segmentation", are accepted as well."""
 
     RGB = "rgb"
     """Colour."""
-    DEP = "depth"
+    DEP = "dep"
     """Depth, m."""
-    SEG = "segmentation"
-    """Type and index of the object."""
+    SEG = "seg"
+    """Index of the object."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> ImageType | None:
+        if not isinstance(value, str):
+            return None
+        return {"depth": cls.DEP, "segmentation": cls.SEG}.get(value)
