@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import operator
 import os
 from collections.abc import Mapping
@@ -177,7 +178,7 @@ def action_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Any:
         array = np.asarray(value.detach().cpu() if hasattr(value, "detach") else value)
         # numpy has no type for integers of any size: they are objects
         array = array.astype(np.float64, copy=False) if array.dtype.kind in "biuO" else array
-        if array.dtype.kind == "f" and array.ndim > 0:
+        if array.dtype.kind == "f" and (array.ndim > 0 or math.prod(shape) == 1):
             return array
     except (TypeError, ValueError, OverflowError, RuntimeError):
         pass

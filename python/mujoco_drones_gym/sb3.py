@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.vec_env import VecEnv
 
+from mujoco_drones_gym._options import seed_of
 from mujoco_drones_gym.vector import VectorAviary, VectorMember
 
 __all__ = ["SB3VecEnv"]
@@ -48,7 +49,7 @@ class SB3VecEnv(VecEnv):
         """
         if seed is None:
             seed = int(np.random.randint(0, np.iinfo(np.uint32).max, dtype=np.uint32))
-        self._seeds = [int(seed)] * self.num_envs
+        self._seeds = [seed_of(seed)] * self.num_envs
         return self._seeds
 
     def reset(self) -> Any:

@@ -9,13 +9,24 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.error import ClosedEnvironmentError
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.logger import warn
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from mujoco_drones_gym import _layout, _native, _opengl
-from mujoco_drones_gym._options import check_render_mode, native_options
+from mujoco_drones_gym._options import (
+    action_numbers,
+    check_render_mode,
+    check_reset_options,
+    drone_index,
+    flag,
+    integer,
+    native_options,
+    seed_of,
+    short,
+)
+from mujoco_drones_gym._states import DroneStates
 
 __all__ = ["VectorAviary", "VectorMember"]
 
@@ -38,18 +49,7 @@ def autoreset_mode_of(value: AutoresetMode | str) -> AutoresetMode:
         if isinstance(value, str) and value.lower() in (mode.value.lower(), name):
             return mode
     expected = ", ".join(repr(mode.value) for mode in _AUTORESET)
-    raise ValueError(f"autoreset_mode is {value!r}, expected one of {expected}")
-
-
-def _count(name: str, value: Any, low: int, high: int) -> int:
-    """Returns an integer option within its bounds."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = low - 1
-    if not low <= number <= high or isinstance(value, bool):
-        raise ValueError(f"{name} is {value!r}, expected an integer from {low} to {high:,}")
-    return number
+    raise ValueError(f"autoreset_mode is {short(value)}, expected one of {expected}")
 
 
 class _Closed:
@@ -59,7 +59,7 @@ class _Closed:
         raise ClosedEnvironmentError("this VectorAviary is closed, expected a new one")
 
 
-class VectorMember:
+class VectorMember(DroneStates):
     """One environment of a `VectorAviary`, for reading its state and changing its wind.
 
     Args:
@@ -155,32 +155,9 @@ class VectorMember:
 
     @TARGET_HEIGHT.setter
     def TARGET_HEIGHT(self, height: float) -> None:
-        self._env._batch.set_task_options(self._index, {"target_height": float(height)})
-
-    @property
-    def pos(self) -> np.ndarray:
-        """Positions, world frame, m, float64 (N, 3)."""
-        return self._states()[:, 0:3]
-
-    @property
-    def quat(self) -> np.ndarray:
-        """Attitudes as quaternions (w, x, y, z), body to world frame, float64 (N, 4)."""
-        return self._states()[:, 3:7]
-
-    @property
-    def rpy(self) -> np.ndarray:
-        """Roll, pitch and yaw, rad, float64 (N, 3)."""
-        return self._states()[:, 7:10]
-
-    @property
-    def vel(self) -> np.ndarray:
-        """Velocities, world frame, m/s, float64 (N, 3)."""
-        return self._states()[:, 10:13]
-
-    @property
-    def ang_v(self) -> np.ndarray:
-        """Angular velocities, body frame, rad/s, float64 (N, 3)."""
-        return self._states()[:, 13:16]
+        if height is None:
+            raise ValueError("target_height is None, expected a number of metres")
+        self._env._batch.set_task_options(self._index, {"target_height": height})
 
     @property
     def unwrapped(self) -> VectorMember:
@@ -192,7 +169,7 @@ class VectorMember:
 
     def _getDroneStateVector(self, nth_drone: int) -> np.ndarray:
         """Returns the state of a drone, float64 (20,): pos, quat (w, x, y, z), rpy, vel, ang_v, motor speeds (rpm)."""
-        return self._env._batch.state(self._index, nth_drone)
+        return self._env._batch.state(self._index, drone_index(nth_drone, self.NUM_DRONES))
 
     def info(self) -> dict[str, Any]:
         """Returns the info of the environment, as `step` of a single environment returns it."""
@@ -268,7 +245,8 @@ class VectorAviary(VectorEnv):
             the buffers of the batch, which the next step overwrites.
         on_fault: "error" if an environment that fails (an action that is not finite, a state that diverges) raises an
             error, "truncate" if it ends the episode of the environment with the reward 0.
-        max_episode_steps: Largest number of control steps of an episode; None for the time limit of the task.
+        max_episode_steps: Time limit of an episode, control steps, instead of the shorter or longer one of the task or
+            of `episode_seconds`; None for that one.
         options: Options of the single environment: `num_drones`, `physics`, `obs_type`, `act_type`, `wind`, ...
 
     Example:
@@ -304,10 +282,13 @@ class VectorAviary(VectorEnv):
             max_episode_steps=max_episode_steps,
         )
         self.autoreset_mode = autoreset_mode_of(autoreset_mode)
-        count = _count("num_envs", num_envs, 1, 1 << 24)
-        threads = _count("num_threads", num_threads, 0, 1024)
+        count = integer("num_envs", num_envs, 1, 1 << 24)
+        threads = integer("num_threads", num_threads, 0, 1024)
         if max_episode_steps is not None:
-            max_episode_steps = _count("max_episode_steps", max_episode_steps, 1, 1 << 53)
+            max_episode_steps = integer("max_episode_steps", max_episode_steps, 1, 1 << 53)
+        if not isinstance(on_fault, str):
+            raise ValueError(f'on_fault is {short(on_fault)}, expected "error" or "truncate"')
+        self.copy = flag("copy", copy)
         task, native, render = native_options(task, options)
         self.render_mode = check_render_mode(render.mode)
         self._frame_size = (render.width, render.height)
@@ -319,7 +300,8 @@ class VectorAviary(VectorEnv):
         self._attributes: dict[int, dict[str, Any]] = {}
         self.num_envs = count
         self.task = task
-        self.copy = bool(copy)
+        # the environments that have started an episode
+        self._started = np.zeros(count, np.bool_)
         constants = batch.constants()
         self.num_threads: int = constants["num_threads"]
         self.NUM_DRONES: int = constants["num_drones"]
@@ -378,18 +360,33 @@ class VectorAviary(VectorEnv):
         Args:
             seed: A seed, of which every environment uses its own random stream; a seed or None for every environment;
                 or None, with which the random streams continue.
-            options: `{"reset_mask": mask}` resets the environments that the mask, bool (M,), selects.
+            options: `{"reset_mask": mask}` resets the environments that the mask, an array or a list of bool (M,),
+                selects.
 
         Returns:
             The observations, (M, ...), and an empty dict.
         """
-        mask = None
-        if options is not None and options.get("reset_mask") is not None:
-            mask = self._checked_mask(options["reset_mask"])
-        self._batch.reset(_checked_seed(seed), mask)
-        if seed is None or isinstance(seed, (int, np.integer)):
-            super().reset(seed=None if seed is None else int(seed))
+        mask = check_reset_options(options).get("reset_mask")
+        selected = np.ones(self.num_envs, np.bool_) if mask is None else self._checked_mask(mask)
+        seeds = _checked_seed(seed)
+        self._batch.reset(self._seeds_of_reset(seeds, selected), None if mask is None else selected)
+        self._started |= selected
+        if not isinstance(seeds, list):
+            super().reset(seed=seeds)
         return self._observed(), {}
+
+    def _seeds_of_reset(self, seeds: Any, selected: np.ndarray) -> Any:
+        """Returns the seeds of a reset, in which environments that start for the first time have one."""
+        new = selected & ~self._started
+        if isinstance(seeds, int) or not new.any() or (seeds is not None and len(seeds) != self.num_envs):
+            return seeds
+        if seeds is not None and all(seed is not None for seed in seeds):
+            return seeds
+        drawn = int(self.np_random.integers(2**63))
+        if seeds is None and np.array_equal(new, selected):
+            return drawn
+        given = [None] * self.num_envs if seeds is None else seeds
+        return [drawn if seed is None and is_new else seed for seed, is_new in zip(given, new.tolist(), strict=True)]
 
     def step(self, actions: Any) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Advances every environment by one control step.
@@ -403,6 +400,8 @@ class VectorAviary(VectorEnv):
             infos. Where an episode has ended, the infos hold `success` and `end` (`NEXT_STEP`, `DISABLED`) or
             `final_obs` and `final_info` (`SAME_STEP`), each with the mask of the environments, `_success` and so on.
         """
+        if type(actions) is not np.ndarray or actions.dtype.char not in "fd":
+            actions = action_numbers("actions", actions, (self.num_envs, *self.single_action_space.shape))
         infos = self._end_infos() if self._batch.step(actions) else {}
         if not self.copy:
             return self._observations, self._rewards, self._terminations, self._truncations, infos
@@ -486,15 +485,20 @@ class VectorAviary(VectorEnv):
         return {"final_obs": final, "_final_obs": mask.copy(), "final_info": infos, "_final_info": mask.copy()}
 
     def _frame(self, index: int) -> np.ndarray | None:
+        if not self._started[index]:
+            raise ResetNeeded("render was called before the first reset, expected a call of reset first")
         if self.render_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
         return self._batch.render(index, "track", *self._frame_size)
 
-    def _checked_mask(self, mask: Any) -> np.ndarray:
-        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
-            got = f"an array of {mask.dtype}" if isinstance(mask, np.ndarray) else type(mask).__name__
-            raise TypeError(f"options['reset_mask'] is {got}, expected a numpy array of bool")
+    def _checked_mask(self, given: Any) -> np.ndarray:
+        try:
+            mask = np.asarray(given)
+        except (TypeError, ValueError, RuntimeError):
+            mask = np.asarray(None)
+        if mask.dtype != np.bool_:
+            raise ValueError(f"options['reset_mask'] is {short(given)}, expected an array of bool")
         if mask.shape != (self.num_envs,):
             raise ValueError(f"options['reset_mask'] has the shape {mask.shape}, expected ({self.num_envs},)")
         if not mask.any():
@@ -511,11 +515,9 @@ def _rebuilt(arguments: dict[str, Any]) -> VectorAviary:
 
 def _checked_seed(seed: Any) -> Any:
     """Returns a seed, or a list of seeds, as plain integers."""
-    if seed is None:
-        return None
-    if isinstance(seed, (list, tuple, np.ndarray)):
-        return [_checked_seed(one) for one in seed]
-    return _count("seed", seed, 0, (1 << 64) - 1)
+    if isinstance(seed, (list, tuple)) or np.ndim(seed) > 0:
+        return [seed_of(one) for one in seed]
+    return seed_of(seed)
 
 
 # Entry points of the registered ids, by the name of the task.

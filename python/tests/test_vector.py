@@ -218,7 +218,7 @@ def test_reset_masks():
     assert options == {"reset_mask": mask}, "the caller's dict is unchanged"
     times = [env.envs[i].info()["time"] for i in range(5)]
     assert [time > 0 for time in times] == [False, True, False, True, True]
-    for bad, error in [([True] * 5, TypeError), (np.ones(5), TypeError), (np.ones(4, bool), ValueError)]:
+    for bad, error in [([1] * 5, ValueError), (np.ones(5), ValueError), (np.ones(4, bool), ValueError), (3, ValueError)]:
         with pytest.raises(error, match="reset_mask"):
             env.reset(options={"reset_mask": bad})
     with pytest.raises(ValueError, match="selects no environment"):
@@ -246,7 +246,7 @@ def test_disabled_autoreset_needs_a_reset_after_an_end():
 
 
 def test_time_limits():
-    for limit, expected in [(None, 480), (10, 10), (480, 480), (9999, 480)]:
+    for limit, expected in [(None, 480), (10, 10), (480, 480), (100_000, 100_000)]:
         assert VectorAviary("hover", 2, max_episode_steps=limit).max_episode_steps == expected
     env = VectorAviary("hover", 2, max_episode_steps=7, ctrl_freq=30)
     env.reset(seed=1)

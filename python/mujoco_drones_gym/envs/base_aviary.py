@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from copy import deepcopy
 from enum import Enum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -18,11 +18,17 @@ from gymnasium.logger import warn
 from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._options import (
     Render,
+    action_numbers,
     check_render_mode,
+    check_reset_options,
+    drone_index,
     native_options,
     randomization_options,
+    seed_of,
+    short,
     wind_options,
 )
+from mujoco_drones_gym._states import DroneStates
 from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ObservationType, Physics
 
 __all__ = ["BaseAviary"]
@@ -37,10 +43,18 @@ _HOOKS = (
     "_computeInfo",
 )
 
-_NOT_COPIED = ("_env", "_viewer", "_np_random")
+_NOT_COPIED = ("_env", "_viewer", "_np_random", "EPISODE_LEN_SEC")
 
 
-class BaseAviary(gym.Env):
+class _TaskState(NamedTuple):
+    """State of an environment whose task is written in Python."""
+
+    snapshot: _native.Snapshot
+    is_over: bool
+    last: tuple[float, bool, bool, dict[str, Any]]
+
+
+class BaseAviary(DroneStates, gym.Env):
     """Drones in one world: motor speeds in, states out. The tasks are subclasses.
 
     Observation, float32 (20 N,), per drone: position (m), quaternion (w, x, y, z), roll, pitch, yaw (rad), velocity
@@ -48,13 +62,16 @@ class BaseAviary(gym.Env):
     N,): motor speeds in [0, `MAX_RPM`] rpm, clipped. The reward is 0, and an episode ends only at `episode_seconds`.
 
     A task in Python is a subclass that overrides some of `_computeObs`, `_computeReward`, `_computeTerminated`,
-    `_computeTruncated`, `_computeInfo`, `_preprocessAction`, `_observationSpace` and `_actionSpace`.
+    `_computeTruncated`, `_computeInfo`, `_preprocessAction`, `_observationSpace` and `_actionSpace`. It may set
+    `EPISODE_LEN_SEC` before or after it calls the constructor of its base. The info of the end of such an episode has
+    `end` and `is_success` as well: "completed" if `_computeTerminated` ends it, "time_limit" if `_computeTruncated`
+    does, and the info's own `success`.
 
     Args:
         drone_model: Airframe: a `DroneModel` or its value, the path of a TOML file, or a dict with the keys of such a
             file.
         num_drones: Number of drones, N; None for the default of the task.
-        neighbourhood_radius: Distance within which drones are neighbours, m.
+        neighbourhood_radius: Distance within which drones are neighbours, m; None for any distance.
         initial_xyzs: Initial positions, world frame, m, (N, 3); None for the task's.
         initial_rpys: Initial roll, pitch and yaw, rad, (N, 3); None for zeros.
         physics: Physics mode: a `Physics` or its value.
@@ -88,12 +105,18 @@ class BaseAviary(gym.Env):
         SIM_STEPS_PER_CTRL: Number of physics steps in a control step.
         INIT_XYZS: Initial positions, world frame, m, float64 (N, 3). Changes have an effect from the next reset on.
         INIT_RPYS: Initial roll, pitch and yaw, rad, float64 (N, 3). Changes have an effect from the next reset on.
-        EPISODE_LEN_SEC: Time limit of an episode, s.
+        EPISODE_LEN_SEC: Time limit of an episode, s. Changes have an effect from the next reset on.
         NEIGHBOURHOOD_RADIUS: Distance within which drones are neighbours, m.
         KF: Thrust coefficient of a rotor, N/rpm².
         KM: Torque coefficient of a rotor, N·m/rpm².
         L: Distance of the motors from the centre, m.
-        DRONE_MODEL, PHYSICS, OBS_TYPE, ACT_TYPE: The options.
+        MAX_THRUST: Thrust of the four rotors at `MAX_RPM`, N.
+        THRUST2WEIGHT_RATIO: Maximum thrust over the nominal weight.
+        PROP_RADIUS: Radius of a propeller, m.
+        GND_EFF_COEFF: Coefficient of the ground effect.
+        DRAG_COEFF: Coefficients of the drag along the axes of the body, float64 (3,).
+        MAX_SPEED_KMH: Maximum speed of the airframe, km/h.
+        DRONE_MODEL, PHYSICS, OBS_TYPE, ACT_TYPE, OUTPUT_FOLDER: The options.
 
     Raises:
         ValueError: for an invalid option; the message names it and what is possible.
@@ -125,7 +148,7 @@ class BaseAviary(gym.Env):
         *,
         drone_model: DroneModel | str | os.PathLike[str] | Mapping[str, Any] = DroneModel.CF2X,
         num_drones: int | None = None,
-        neighbourhood_radius: float = math.inf,
+        neighbourhood_radius: float | None = math.inf,
         initial_xyzs: Any = None,
         initial_rpys: Any = None,
         physics: Physics | str = Physics.MJC,
@@ -174,6 +197,12 @@ class BaseAviary(gym.Env):
 
     def _build(self, options: dict[str, Any], task_options: dict[str, Any]) -> None:
         """Creates the simulation. `task_options` are the options of the task."""
+        # a subclass may have set the attribute, or have it as an attribute of the class
+        length = getattr(self, "EPISODE_LEN_SEC", None)
+        if options["episode_seconds"] is None and length is not None:
+            options = {**options, "episode_seconds": _checked_length(length)}
+        if options["neighbourhood_radius"] is None:
+            options = {**options, "neighbourhood_radius": math.inf}
         self._options = options
         self._task_options = task_options
         env, render = self._simulation()
@@ -187,6 +216,7 @@ class BaseAviary(gym.Env):
         self._frame_size = (render.width, render.height)
         self._has_vision = render.vision_attributes
         self._is_seeded = False
+        self._has_episode = False
         self._is_over = True
         self._last: tuple[float, bool, bool, dict[str, Any]] = (0.0, False, False, {})
         constants = env.constants()
@@ -205,11 +235,20 @@ class BaseAviary(gym.Env):
         self.INIT_XYZS: np.ndarray = constants["initial_xyzs"]
         self.INIT_RPYS: np.ndarray = constants["initial_rpys"]
         self._starts = self._present_starts()
+        self.OUTPUT_FOLDER: str | None = render.output_folder
         self.NEIGHBOURHOOD_RADIUS = float(options["neighbourhood_radius"])
         self.EPISODE_LEN_SEC: float = constants["episode_steps"] * self.CTRL_TIMESTEP
-        self.KF: float = constants["airframe"]["thrust_coefficient"]
-        self.KM: float = constants["airframe"]["torque_coefficient"]
-        self.L: float = constants["airframe"]["arm_length"]
+        self._episode_length = self.EPISODE_LEN_SEC
+        airframe = constants["airframe"]
+        self.KF: float = airframe["thrust_coefficient"]
+        self.KM: float = airframe["torque_coefficient"]
+        self.L: float = airframe["arm_length"]
+        self.MAX_THRUST: float = 4.0 * self.KF * self.MAX_RPM**2
+        self.THRUST2WEIGHT_RATIO: float = airframe["thrust_to_weight"]
+        self.PROP_RADIUS: float = airframe["propeller_radius"]
+        self.GND_EFF_COEFF: float = airframe["ground_effect_coefficient"]
+        self.DRAG_COEFF: np.ndarray = np.array(airframe["drag_coefficients"])
+        self.MAX_SPEED_KMH: float = airframe["max_speed"] * 3.6
         self.metadata = {**self.metadata, "render_fps": self.CTRL_FREQ}
         self._commands_motors: bool = constants["action_type"] == "raw_rpm"
         self.observation_space = self._observationSpace()
@@ -228,10 +267,20 @@ class BaseAviary(gym.Env):
             # lists of different lengths, which the constructor refuses
             return b"", b""
 
-    def _change_starts(self) -> None:
-        """Replaces the simulation by one with the present `INIT_XYZS` and `INIT_RPYS`."""
+    def _changed_options(self) -> dict[str, Any]:
+        """Returns the options whose attributes a user has changed since the last reset, with the present values."""
+        changed: dict[str, Any] = {}
+        if self._present_starts() != self._starts:
+            changed.update(initial_xyzs=deepcopy(self.INIT_XYZS), initial_rpys=deepcopy(self.INIT_RPYS))
+        length = self.EPISODE_LEN_SEC
+        if length is not self._episode_length and _checked_length(length) != self._episode_length:
+            changed["episode_seconds"] = float(length)
+        return changed
+
+    def _change_options(self, changed: dict[str, Any]) -> None:
+        """Replaces the simulation by one with other values of some options."""
         before = self._options
-        self._options = {**before, "initial_xyzs": deepcopy(self.INIT_XYZS), "initial_rpys": deepcopy(self.INIT_RPYS)}
+        self._options = {**before, **changed}
         try:
             self._env, _ = self._simulation()
         except Exception:
@@ -240,7 +289,8 @@ class BaseAviary(gym.Env):
         constants = self._env.constants()
         self.INIT_XYZS, self.INIT_RPYS = constants["initial_xyzs"], constants["initial_rpys"]
         self._starts = self._present_starts()
-        self._is_seeded = False
+        self.EPISODE_LEN_SEC = self._episode_length = constants["episode_steps"] * self.CTRL_TIMESTEP
+        self._is_seeded = self._has_episode = False
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode.
@@ -252,15 +302,16 @@ class BaseAviary(gym.Env):
         Returns:
             The observation and the info: `time` (s), `success`, `progress` (0 to 1), `position_error` (m), `crashed`.
         """
-        if seed is not None:
-            seed = _checked_seed(seed)
-        if self._present_starts() != self._starts:
-            self._change_starts()
+        seed = seed_of(seed)
+        check_reset_options(options)
+        changed = self._changed_options()
+        if changed:
+            self._change_options(changed)
         super().reset(seed=seed)
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**63))
         obs, info = self._env.reset(seed)
-        self._is_seeded = True
+        self._is_seeded = self._has_episode = True
         if self._has_hooks:
             self._is_over = False
             self._last = (0.0, False, False, info)
@@ -285,6 +336,8 @@ class BaseAviary(gym.Env):
         """
         if self._has_hooks or self._viewer is not None:
             return self._step_with_hooks(action)
+        if type(action) is not np.ndarray or action.dtype.char not in "fd":
+            action = action_numbers("action", action, self.action_space.shape)
         return self._env.step(action)
 
     def _step_with_hooks(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -292,12 +345,17 @@ class BaseAviary(gym.Env):
             if self._is_over:
                 raise ResetNeeded("step was called outside an episode, expected a call of reset first")
             action = self._preprocessAction(action)
+        action = action_numbers("action", action, self.action_space.shape)
         obs, reward, terminated, truncated, info = self._env.step(action)
         self._last = (reward, terminated, truncated, info)
         if self._has_hooks:
             terminated, truncated = bool(self._computeTerminated()), bool(self._computeTruncated())
             self._is_over = terminated or truncated
             obs, reward, info = self._computeObs(), float(self._computeReward()), self._computeInfo()
+            if self._is_over and isinstance(info, dict):
+                success = bool(info.get("success", self._last[3]["success"]))
+                info = {**info, "end": info.get("end") or ("completed" if terminated else "time_limit")}
+                info.setdefault("is_success", success)
         if self._viewer is not None:
             self._viewer.show(self, 1)
         return obs, reward, terminated, truncated, info
@@ -311,6 +369,10 @@ class BaseAviary(gym.Env):
         Returns:
             Image, uint8 (height, width, 3); None without a render mode.
         """
+        if not self._has_episode:
+            raise ResetNeeded("render was called before the first reset, expected a call of reset first")
+        if camera_mode is not None and not isinstance(camera_mode, str):
+            raise ValueError(f"camera_mode is {short(camera_mode)}, expected track, fpv, fixed, front or top")
         if self.render_mode is None and camera_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
@@ -369,13 +431,17 @@ class BaseAviary(gym.Env):
 
     def drone_params(self, nth_drone: int = 0) -> dict[str, Any]:
         """Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file."""
-        return self._env.drone_params(nth_drone)
+        return self._env.drone_params(drone_index(nth_drone, self.NUM_DRONES))
 
-    def get_state(self) -> _native.Snapshot:
-        """Returns the whole state: drones, motors, wind, sensors, task and random streams. It can be pickled."""
-        return self._env.snapshot()
+    def get_state(self) -> Any:
+        """Returns the whole state: drones, motors, wind, sensors, task and random streams. It can be pickled.
 
-    def set_state(self, state: _native.Snapshot) -> None:
+        The state of a task in Python has no attributes that the subclass has added.
+        """
+        snapshot = self._env.snapshot()
+        return _TaskState(snapshot, self._is_over, deepcopy(self._last)) if self._has_hooks else snapshot
+
+    def set_state(self, state: Any) -> None:
         """Restores a state of `get_state`. Later steps and resets are bit-identical to those after that call.
 
         Args:
@@ -383,10 +449,22 @@ class BaseAviary(gym.Env):
 
         Raises:
             ValueError: for the state of another kind of environment; nothing has changed.
+            TypeError: for an object of another type.
         """
-        self._env.restore(state)
-        self._is_seeded = True
-        self._is_over = "end" in self._env.info()
+        own = state if isinstance(state, _TaskState) else None
+        snapshot = state if own is None else own.snapshot
+        if not isinstance(snapshot, _native.Snapshot):
+            raise TypeError(f"state is {short(state)}, expected a result of get_state")
+        self._env.restore(snapshot)
+        self._is_seeded = self._has_episode = True
+        info = self._env.info()
+        self._is_over, self._last = "end" in info, (0.0, False, False, info)
+        if own is not None:
+            self._is_over, self._last = own.is_over, deepcopy(own.last)
+        # a later copy of the environment has the options of the restored task
+        present = self._env.task_options()
+        restored = {name: present[name] for name in self._task_options if present.get(name) is not None}
+        self._task_options = {**self._task_options, **restored}
 
     def observation(self) -> Any:
         """Returns the observation of the present state, as the last `reset`, `step` or `set_state` left it."""
@@ -398,7 +476,7 @@ class BaseAviary(gym.Env):
 
     def reference(self, nth_drone: int = 0) -> tuple[np.ndarray, np.ndarray, float]:
         """Returns the reference of a drone: position (m) and velocity (m/s), each (3,), and yaw (rad), world frame."""
-        return self._env.reference(nth_drone)
+        return self._env.reference(drone_index(nth_drone, self.NUM_DRONES))
 
     def drone_rewards(self) -> np.ndarray:
         """Returns the rewards of the drones in the last step, float64 (N,). Their sum is the reward of the step."""
@@ -410,32 +488,10 @@ class BaseAviary(gym.Env):
         Args:
             rpm: Motor speeds, rpm, (N, 4).
         """
-        return self._env.action_of_rpm(rpm)
+        return self._env.action_of_rpm(action_numbers("rpm", rpm, (self.NUM_DRONES, 4)))
 
-    @property
-    def pos(self) -> np.ndarray:
-        """Positions, world frame, m, float64 (N, 3)."""
-        return self._env.states()[:, 0:3]
-
-    @property
-    def quat(self) -> np.ndarray:
-        """Attitudes as quaternions (w, x, y, z), body to world frame, float64 (N, 4)."""
-        return self._env.states()[:, 3:7]
-
-    @property
-    def rpy(self) -> np.ndarray:
-        """Roll, pitch and yaw, rad, float64 (N, 3)."""
-        return self._env.states()[:, 7:10]
-
-    @property
-    def vel(self) -> np.ndarray:
-        """Velocities, world frame, m/s, float64 (N, 3)."""
-        return self._env.states()[:, 10:13]
-
-    @property
-    def ang_v(self) -> np.ndarray:
-        """Angular velocities, body frame, rad/s, float64 (N, 3)."""
-        return self._env.states()[:, 13:16]
+    def _states(self) -> np.ndarray:
+        return self._env.states()
 
     @property
     def M(self) -> float:
@@ -458,9 +514,9 @@ class BaseAviary(gym.Env):
         return np.diag(self.drone_params(0)["inertia"])
 
     @property
-    def last_clipped_action(self) -> np.ndarray:
-        """Motor speeds of the last step, rpm, float64 (N, 4)."""
-        return self._env.states()[:, 16:20]
+    def time(self) -> float:
+        """Simulated time of this episode, s."""
+        return self._env.info()["time"]
 
     @property
     def step_counter(self) -> int:
@@ -487,9 +543,19 @@ class BaseAviary(gym.Env):
             raise AttributeError("the environment has no images, expected the option vision_attributes=True")
         return self._env.onboard()[name]
 
+    def _getDroneImages(self, nth_drone: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns the images of the onboard camera of a drone, also without `vision_attributes`.
+
+        They are colour, uint8 (48, 64, 4), depth in m, float32 (48, 64), and the indices of the objects, int32
+        (48, 64).
+        """
+        drone = drone_index(nth_drone, self.NUM_DRONES)
+        images = self._env.onboard()
+        return images["rgb"][drone], images["depth"][drone], images["segmentation"][drone, ..., 1]
+
     def _getDroneStateVector(self, nth_drone: int) -> np.ndarray:
         """Returns the state of a drone, float64 (20,): pos, quat (w, x, y, z), rpy, vel, ang_v, motor speeds (rpm)."""
-        return self._env.state(nth_drone)
+        return self._env.state(drone_index(nth_drone, self.NUM_DRONES))
 
     def _getAdjacencyMatrix(self) -> np.ndarray:
         """Returns which drones are within `NEIGHBOURHOOD_RADIUS` of each other, float64 (N, N), 1 on the diagonal."""
@@ -497,6 +563,7 @@ class BaseAviary(gym.Env):
 
     def _normalizedActionToRPM(self, action: Any) -> np.ndarray:
         """Returns the motor speeds, rpm, of normalized ones in [-1, 1], an array of the same shape."""
+        action = action_numbers("action", action, (self.NUM_DRONES, 4))
         return self._env.rpm_of_normalized(action).reshape(np.shape(action))
 
     def _preprocessAction(self, action: Any) -> Any:
@@ -538,16 +605,15 @@ class BaseAviary(gym.Env):
         # a copy has the options of the environment and starts without an episode
         state = {name: value for name, value in self.__dict__.items() if name not in _NOT_COPIED}
         state["_np_random_seed"] = None
-        if self._present_starts() != self._starts:
-            starts = {"initial_xyzs": self.INIT_XYZS, "initial_rpys": self.INIT_RPYS}
-            state["_options"] = {**self._options, **starts}
+        state["_options"] = {**self._options, **self._changed_options()}
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         own = dict(state)
-        self._build(own.pop("_options"), own.pop("_task_options"))
-        built = set(self.__dict__)
-        self.__dict__.update({name: value for name, value in own.items() if name not in built})
+        options, task_options = own.pop("_options"), own.pop("_task_options")
+        # the hooks of a subclass may read attributes of its own while the simulation is built
+        self.__dict__.update(own)
+        self._build(options, task_options)
 
 
 def _member(enum: type[Enum], value: Any) -> Any:
@@ -555,8 +621,9 @@ def _member(enum: type[Enum], value: Any) -> Any:
     return next((member for member in enum if value in (member, member.value)), value)
 
 
-def _checked_seed(seed: Any) -> int:
-    """Returns a seed as an int, or raises a ValueError."""
-    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool) and 0 <= seed < 2**64:
-        return int(seed)
-    raise ValueError(f"seed is {seed!r}, expected an integer from 0 to 2^64 - 1")
+def _checked_length(seconds: Any) -> float:
+    """Returns the time limit of an episode, s."""
+    is_number = isinstance(seconds, (int, float, np.integer, np.floating)) and not isinstance(seconds, bool)
+    if is_number and 0.0 < seconds < math.inf:
+        return float(seconds)
+    raise ValueError(f"EPISODE_LEN_SEC is {short(seconds)}, expected a positive number of seconds")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,21 @@ from gymnasium.logger import warn
 from pettingzoo import ParallelEnv
 
 from mujoco_drones_gym import _layout, _native, _opengl
-from mujoco_drones_gym._options import check_render_mode, native_options
-from mujoco_drones_gym.vector import _checked_seed
+from mujoco_drones_gym._options import (
+    action_numbers,
+    check_render_mode,
+    check_reset_options,
+    drone_index,
+    native_options,
+    seed_of,
+    short,
+)
+from mujoco_drones_gym._states import DroneStates
 
 __all__ = ["MultiAgentAviary", "parallel_env"]
 
 
-class MultiAgentAviary(ParallelEnv):
+class MultiAgentAviary(DroneStates, ParallelEnv):
     """A task in which every drone is an agent with its own observation, action, reward and end.
 
     The agents are `drone0`, `drone1`, ... An agent leaves when its episode ends. Its drone stays in the simulation with
@@ -56,8 +65,6 @@ class MultiAgentAviary(ParallelEnv):
         self.CTRL_TIMESTEP = 1.0 / self.CTRL_FREQ
         self.HOVER_RPM: float = constants["hover_rpm"]
         self.MAX_RPM: float = constants["max_rpm"]
-        self.M: float = constants["mass"]
-        self.G: float = constants["gravity"]
         self.metadata = {
             "name": f"{task}_v0",
             "render_modes": ["rgb_array"],
@@ -99,7 +106,11 @@ class MultiAgentAviary(ParallelEnv):
         Returns:
             The observations and the infos by agent.
         """
-        observations, infos = self._env.reset(_checked_seed(seed))
+        seed = seed_of(seed)
+        check_reset_options(options)
+        if seed is None and not self._started:
+            seed = int(np.random.default_rng().integers(2**63))
+        observations, infos = self._env.reset(seed)
         self.agents = self._env.agents
         self._started = True
         return self._packed(observations), infos
@@ -116,14 +127,23 @@ class MultiAgentAviary(ParallelEnv):
             The observations, rewards, terminations, truncations and infos by agent, for every agent that was live
             before the step. Five empty dicts if no agent was live and none acts.
         """
+        if not isinstance(actions, Mapping):
+            raise ValueError(f"actions is {short(actions)}, expected a dict with an action for every live agent")
         if not self.agents:
             if not self._started:
                 raise ResetNeeded("step was called on a new environment, expected a call of reset first")
             if actions:
                 raise ResetNeeded("step was called after the end of the episode, expected a call of reset first")
             return {}, {}, {}, {}, {}
+        own = {}
+        for agent, action in actions.items():
+            if agent not in self.action_spaces:
+                name = agent if isinstance(agent, str) else short(agent)
+                expected = f"one for each of: {', '.join(self.agents)}"
+                raise ValueError(f"unexpected action for the agent `{name}`, expected {expected}")
+            own[agent] = action_numbers(f"action of {agent}", action, self.action_spaces[agent].shape)
         try:
-            observations, rewards, terminations, truncations, infos = self._env.step(dict(actions))
+            observations, rewards, terminations, truncations, infos = self._env.step(own)
         finally:
             self.agents = self._env.agents
         return self._packed(observations), rewards, terminations, truncations, infos
@@ -138,6 +158,8 @@ class MultiAgentAviary(ParallelEnv):
 
     def render(self) -> np.ndarray | None:
         """Returns a frame, uint8 (height, width, 3), if the render mode is "rgb_array"."""
+        if not self._started:
+            raise ResetNeeded("render was called before the first reset, expected a call of reset first")
         if self.render_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
@@ -146,6 +168,27 @@ class MultiAgentAviary(ParallelEnv):
     def close(self) -> None:
         """Ends the episode."""
         self.agents = []
+
+    def drone_params(self, nth_drone: int = 0) -> dict[str, Any]:
+        """Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file."""
+        return self._env.drone_params(drone_index(nth_drone, self.NUM_DRONES))
+
+    def _states(self) -> np.ndarray:
+        return self._env.states()
+
+    @property
+    def M(self) -> float:
+        """Mass of the first drone in this episode, kg."""
+        return self._env.constants()["mass"]
+
+    @property
+    def G(self) -> float:
+        """Gravity in this episode, m/s²."""
+        return self._env.constants()["gravity"]
+
+    def _getDroneStateVector(self, nth_drone: int) -> np.ndarray:
+        """Returns the state of a drone, float64 (20,): pos, quat (w, x, y, z), rpy, vel, ang_v, motor speeds (rpm)."""
+        return self._states()[drone_index(nth_drone, self.NUM_DRONES)]
 
     def _packed(self, observations: dict[str, dict[str, Any]]) -> dict[str, Any]:
         return {agent: _layout.pack(parts) for agent, parts in observations.items()}
