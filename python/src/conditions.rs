@@ -125,6 +125,17 @@ impl WindField {
         let (force, air) = guard(|| Ok(self.field.advance(dt, 0, &state)))?;
         Ok((PyArray1::from_slice(py, force.as_slice()), PyArray1::from_slice(py, air.as_slice())))
     }
+
+    /// Returns the complete state as text.
+    fn to_json(&self) -> PyResult<String> {
+        serde_json::to_string(&self.field).map_err(value_error)
+    }
+
+    /// Restores a state of [`to_json`](Self::to_json).
+    #[staticmethod]
+    fn from_json(text: &str) -> PyResult<Self> {
+        Ok(Self { field: serde_json::from_str(text).map_err(value_error)? })
+    }
 }
 
 /// Level of difficulty that follows the mean of a metric over episodes.
@@ -214,13 +225,26 @@ pub fn section<T: DeserializeOwned>(name: &str, options: &Bound<'_, PyAny>) -> P
         let display = error.to_string();
         let path = display.lines().last().and_then(|line| line.strip_prefix("in `")?.strip_suffix('`'));
         let option = path.map_or_else(|| name.to_string(), |path| format!("{name}.{path}"));
-        let message = aviary::toml_message("", &error);
+        let message = match error.message() {
+            // all names that are possible
+            text if text.starts_with("unknown ") => with_suggestion(text),
+            _ => aviary::toml_message("", &error),
+        };
         let message = match message.strip_prefix("invalid type: ").or(message.strip_prefix("invalid value: ")) {
             Some(rest) => format!("{option} is {}", without_type(rest)),
             None => format!("{option}: {message}"),
         };
         value_error(message)
     })
+}
+
+/// Returns a message of serde about an unknown name with the most similar one of the names that are possible.
+fn with_suggestion(message: &str) -> String {
+    let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
+    // serde quotes the unknown name and then every known one
+    let quoted: Vec<_> = line.split('`').skip(1).step_by(2).collect();
+    let near = quoted.split_first().map_or_else(String::new, |(name, names)| aviary::did_you_mean(name, names));
+    line + &near
 }
 
 /// Returns a message of serde about a value of a wrong type without the name of this type and its quotes.

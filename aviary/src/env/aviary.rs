@@ -418,7 +418,11 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
             }
         }
         let seed = self.episode.rng.with(|rng| rng.next_u64());
-        Ok(self.simulation.set_wind(wind, seed)?)
+        self.simulation.set_wind(wind, seed)?;
+        if let Some(randomizer) = &mut self.episode.randomizer {
+            randomizer.replace_wind(wind);
+        }
+        Ok(())
     }
 
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {

@@ -158,6 +158,15 @@ impl Randomizer {
         self.basis.wind.as_ref()
     }
 
+    /// Replaces the settings of the environment's own wind, and a sampled wind until the next episode.
+    pub(in crate::env) fn replace_wind(&mut self, wind: Option<WindConfig>) {
+        // environments of a batch share the basis until their winds differ
+        if self.basis.wind != wind {
+            Arc::make_mut(&mut self.basis).wind = wind;
+        }
+        self.draw.wind = None;
+    }
+
     /// Returns an error for a wind of the environment that the samples would replace in every episode.
     pub(in crate::env) fn validate_wind(&self, wind: &WindConfig) -> Result<(), EnvError> {
         self.basis.config.validate_wind(wind)
