@@ -52,7 +52,7 @@ def test_job_files():
         done = subprocess.run(["/bin/sh", "-c", text], capture_output=True, text=True, env=environment, check=True)
         shards.add(re.search(r"--shard (\d+/\d+) --out /data/part\d+$", done.stdout)[1])
     assert shards == {f"{part}/16" for part in range(1, 17)}
-    script = next(text for text in blocks("many-machines.md", "sh") if text.startswith("#!/bin/bash"))
+    script = next(text for text in blocks("many-machines.md", "bash") if text.startswith("#!/bin/bash"))
     text = re.sub(r"srun aviary", "echo", script)
     environment = {**os.environ, "SLURM_ARRAY_TASK_ID": "7", "SLURM_SUBMIT_DIR": "/home"}
     done = subprocess.run(["bash", "-c", text], capture_output=True, text=True, env=environment, check=True)
