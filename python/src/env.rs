@@ -11,7 +11,7 @@ use aviary::record::Recorded;
 use aviary::simulation::Simulation;
 use aviary::tasks::make;
 use aviary::vision::{CAMERA_SIZE, ImageSize, SceneRenderer, View};
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayDyn, PyArrayMethods as _, ToPyArray as _};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods as _, ToPyArray as _};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -20,7 +20,7 @@ use pyo3::types::{PyBytes, PyDict, PyTuple, PyType};
 use crate::conditions;
 use crate::error::{env_error, guard, value_error};
 use crate::options::{env_config, task_options};
-use crate::vector::buffers::{image_dict, to_vec};
+use crate::vector::buffers::{Numbers, image_dict, to_vec, with_array};
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -125,24 +125,21 @@ impl Inner {
         kinematic(&simulation.states()[drone], &simulation.motor_speeds()[drone])
     }
 
-    /// Reads an action of any shape into `action`.
+    /// Reads an action of any shape into `action`, in the order of its indices.
     fn read_action(&mut self, action: &Bound<'_, PyAny>) -> PyResult<()> {
-        self.action.clear();
-        if let Ok(array) = action.cast::<PyArrayDyn<f32>>()
-            && let Ok(numbers) = array.to_vec()
-        {
-            self.action.extend(numbers.into_iter().map(f64::from));
-        } else if let Ok(array) = action.cast::<PyArrayDyn<f64>>()
-            && let Ok(numbers) = array.to_vec()
-        {
-            self.action.extend(numbers);
-        } else {
-            self.action = to_vec(action).map_err(|error| {
-                let expected = aviary::count(self.env.action_space().size(), "number");
-                value_error(format_args!("the action is not an array of numbers, expected {expected}: {error}"))
-            })?;
-        }
-        Ok(())
+        let buffer = &mut self.action;
+        buffer.clear();
+        let read = with_array(action, |_, numbers| {
+            match numbers {
+                Numbers::Single(numbers) => buffer.extend(numbers.iter().copied().map(f64::from)),
+                Numbers::Double(numbers) => buffer.extend_from_slice(numbers),
+            }
+            Ok(())
+        });
+        read.map_err(|error| {
+            let expected = aviary::count(self.env.action_space().size(), "number");
+            value_error(format_args!("the action is not an array of numbers, expected {expected}: {error}"))
+        })
     }
 
     /// Returns the images of the onboard cameras: RGBA, depth and segmentation, drone after drone.
@@ -188,8 +185,8 @@ pub fn info_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py
 
 #[pymethods]
 impl Env {
-    /// Creates the environment of a task by name, or the one without a task, "base". `output_folder` receives the flight
-    /// of every episode as CSV files.
+    /// Creates the environment of a task by name, or the one without a task, "base". `output_folder` receives the
+    /// flight of every episode as CSV files.
     #[new]
     #[pyo3(signature = (task, options, output_folder = None))]
     fn new(py: Python<'_>, task: &str, options: &Bound<'_, PyDict>, output_folder: Option<PathBuf>) -> PyResult<Self> {

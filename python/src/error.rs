@@ -25,7 +25,8 @@ const RENAMED: [(&str, &str); 5] = [
 ];
 
 /// Converts an error of an environment: a `ValueError` about an argument, `ResetNeeded` outside an episode, a
-/// `TypeError` for an option that the task does not have, an `OSError` of a file, or a `RuntimeError` of the simulation.
+/// `TypeError` for an option that the task does not have, an `OSError` of a file, or a `RuntimeError` of the
+/// simulation.
 pub fn env_error(error: EnvError) -> PyErr {
     let message = match innermost(&error) {
         EnvError::Field(ObstacleGeneratorError::Full { .. }) => format!("obstacles: {}", line(&error)),

@@ -342,3 +342,20 @@ def test_memory_does_not_grow():
         growth = resident() - before
         print(f"{work.__name__}: {many:,}, growth {growth / 1e6:.1f} MB")
         assert growth < 4e6, work.__name__
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_actions_are_read_in_the_order_of_their_indices(dtype):
+    actions = (0.01 * np.arange(8).reshape(2, 4)).astype(dtype)
+    transposed = np.ascontiguousarray(actions.T).T
+    strided = np.repeat(actions, 2, axis=1)[:, ::2]
+    states = []
+    for form in [actions, actions.reshape(-1), np.asfortranarray(actions), transposed, strided, actions.tolist()]:
+        env = mdg.MultiHoverAviary()
+        env.reset(seed=1)
+        for _ in range(3):
+            env.step(form)
+        states.append(np.stack([env._getDroneStateVector(drone) for drone in range(2)]))
+    for other in states[1:]:
+        np.testing.assert_array_equal(other, states[0])
+    assert not np.array_equal(states[0][0, 16:], states[0][1, 16:])

@@ -208,17 +208,20 @@ pub fn with_array<R>(
     then: impl FnOnce(&[usize], Numbers<'_>) -> PyResult<R>,
 ) -> PyResult<R> {
     if let Ok(array) = object.cast::<PyArrayDyn<f32>>()
-        && array.is_c_contiguous()
+        && is_plain(array)
     {
         return then(array.shape(), Numbers::Single(array.try_readonly()?.as_slice()?));
     }
     let converted;
     let array = match object.cast::<PyArrayDyn<f64>>() {
-        Ok(array) if array.is_c_contiguous() => array,
+        Ok(array) if is_plain(array) => array,
         _ => {
             let options = PyDict::new(object.py());
             options.set_item("dtype", "float64")?;
-            let array = object.py().import("numpy")?.call_method("ascontiguousarray", (object,), Some(&options))?;
+            options.set_item("order", "C")?;
+            options.set_item("ndmin", 1)?;
+            // a copy is aligned
+            let array = object.py().import("numpy")?.call_method("array", (object,), Some(&options))?;
             converted = array.cast_into::<PyArrayDyn<f64>>()?;
             &converted
         }
@@ -252,6 +255,11 @@ pub fn to_vec(object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
 fn check_shape(shape: &[usize], rows: usize, size: usize) -> PyResult<()> {
     if shape.first() == Some(&rows) && shape[1..].iter().product::<usize>() == size {
         return Ok(());
+/// Returns true if a slice can represent the numbers of an array in the order of their indices.
+fn is_plain<T>(array: &Bound<'_, PyArrayDyn<T>>) -> bool {
+    array.is_c_contiguous() && array.is_aligned()
+}
+
     }
     let got: Vec<_> = shape.iter().map(usize::to_string).collect();
     let comma = if got.len() == 1 { "," } else { "" };
