@@ -27,9 +27,9 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
 
 /// A batch of environments with its own buffers.
 ///
-/// The arrays that hold the results belong to the batch and keep their memory alive by themselves: an array outlives the
-/// batch. One thread at a time may use a batch. A batch exists in the process that has created it: the threads of a
-/// batch do not exist in a forked child.
+/// The arrays that hold the results belong to the batch and keep their memory alive by themselves: an array outlives
+/// the batch. One thread at a time may use a batch. A batch exists in the process that has created it: the threads of
+/// a batch do not exist in a forked child.
 #[pyclass(frozen, module = "mujoco_drones_gym._native")]
 pub struct Batch {
     /// Process that has created the batch.
@@ -40,7 +40,7 @@ pub struct Batch {
     action_size: usize,
 }
 
-/// What a step changes.
+/// Environments of a batch and the memory of their results.
 struct Inner {
     env: Box<dyn VecEnv>,
     outputs: Outputs,
@@ -50,6 +50,18 @@ struct Inner {
 impl Inner {
     /// Steps the environments and returns true if an episode has ended.
     fn step(&mut self, actions: Numbers<'_>) -> PyResult<bool> {
+        // the step must not overwrite its actions
+        if self.outputs.overlap(actions) {
+            return match actions {
+                Numbers::Single(actions) => self.step_apart(Numbers::Single(&actions.to_vec())),
+                Numbers::Double(actions) => self.step_apart(Numbers::Double(&actions.to_vec())),
+            };
+        }
+        self.step_apart(actions)
+    }
+
+    /// Steps the environments with actions outside the buffers of the batch.
+    fn step_apart(&mut self, actions: Numbers<'_>) -> PyResult<bool> {
         let step = self.outputs.step();
         match actions {
             Numbers::Single(actions) => self.env.step(actions, step),

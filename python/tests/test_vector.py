@@ -160,6 +160,73 @@ def test_actions_of_any_layout_and_type_are_accepted():
 
 def test_shapes_types_and_attributes():
     env = VectorAviary("multi_hover", 6, num_threads=2, autoreset_mode="SameStep")
+def misaligned(array):
+    """Returns a copy of an array at an address that is not a multiple of the size of its numbers."""
+    copy = np.frombuffer(b"x" + array.tobytes(), array.dtype, offset=1).reshape(array.shape)
+    assert not copy.flags.aligned
+    return copy
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_misaligned_actions_are_accepted(dtype):
+    actions = (0.1 * np.arange(12).reshape(3, 4) / 12).astype(dtype)
+    states = []
+    for form in [actions, misaligned(actions)]:
+        env = VectorAviary("hover", 3)
+        env.reset(seed=1)
+        env.step(form)
+        states.append(env.states())
+    np.testing.assert_array_equal(states[0], states[1])
+    alone = single("hover", 2)
+    alone.reset(seed=1)
+    alone.step(misaligned(actions[2]))
+    np.testing.assert_array_equal(alone._getDroneStateVector(0), states[0][2, 0])
+
+
+OVERLAPS = {
+    "rewards": lambda obs, rewards: rewards.reshape(40, 1),
+    "observations": lambda obs, rewards: obs.reshape(-1)[5:45].reshape(40, 1),
+    "observations as float64": lambda obs, rewards: obs.reshape(-1)[4:84].view(np.float64).reshape(40, 1),
+}
+
+
+@pytest.mark.parametrize("part", OVERLAPS)
+def test_actions_in_the_buffers_of_the_batch_are_read_before_the_step(part):
+    options = {"act_type": "one_d_rpm", "copy": False, "on_fault": "truncate", "num_threads": 2}
+    envs = [VectorAviary("hover", 40, **options) for _ in range(2)]
+    results = []
+    for env in envs:
+        env.reset(seed=1)
+        for step in range(5):
+            last = env.step(0.3 * np.sin(np.arange(40.0) + step).reshape(40, 1))
+        results.append(last[:4])
+    for _ in range(3):
+        actions = OVERLAPS[part](*results[0][:2])
+        assert any(np.shares_memory(actions, buffer) for buffer in results[0])
+        copy = actions.copy()
+        envs[0].step(actions)
+        envs[1].step(copy)
+        for a, b in zip(*results, strict=True):
+            np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(envs[0].states(), envs[1].states())
+
+
+def test_a_rejected_step_changes_no_result():
+    env = VectorAviary("hover", 9, copy=False, autoreset_mode="Disabled", max_episode_steps=3)
+    env.reset(seed=1)
+    for _ in range(3):
+        results = env.step(np.zeros((9, 4)))
+    kept = [array.copy() for array in results[:4]]
+    assert kept[3].all()
+    bad = np.zeros((9, 4))
+    bad[8, 3] = np.inf
+    for actions, error in [(np.zeros((9, 4)), ResetNeeded), (bad, ResetNeeded), (np.zeros((9, 3)), ValueError)]:
+        with pytest.raises(error):
+            env.step(actions)
+        for array, before in zip(results[:4], kept, strict=True):
+            np.testing.assert_array_equal(array, before)
+
+
     assert isinstance(env, gym.vector.VectorEnv)
     assert (env.num_envs, env.num_threads, env.closed, env.render_mode) == (6, 1, False, None)
     assert env.metadata["autoreset_mode"] is env.autoreset_mode is AutoresetMode.SAME_STEP

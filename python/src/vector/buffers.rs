@@ -1,5 +1,7 @@
 //! Buffers of a batch as numpy arrays, and the numbers of actions.
 
+use std::ops::Range;
+
 use aviary::env::ObservationSpace;
 use aviary::observation::Observation;
 use aviary::vector::{VecEnv, VecImages, VecStep};
@@ -44,6 +46,12 @@ impl<T: numpy::Element + Copy + Default> Memory<T> {
         Self { start: std::ptr::NonNull::dangling().as_ptr(), len: 0 }
     }
 
+    /// Returns true if the memory has a byte in common with a range of addresses.
+    fn overlaps(&self, addresses: &Range<usize>) -> bool {
+        let start = self.start.addr();
+        self.len > 0 && start < addresses.end && addresses.start < start + self.len * size_of::<T>()
+    }
+
     fn slice(&mut self) -> &mut [T] {
         // SAFETY: the arrays of the batch keep the memory alive, and its numbers have been initialized. Python code of
         // another thread that reads or writes an array during a step may see or leave any numbers, as in numpy itself.
@@ -64,13 +72,12 @@ impl Memory<bool> {
         }
     }
 
-    /// Returns the flags, all false.
-    fn cleared(&mut self) -> &mut [bool] {
-        // SAFETY: the memory has `len` bytes, and zero is a valid `bool`.
+    /// Returns the flags. A byte that Python code has written counts as true unless it is 0.
+    fn flags(&mut self) -> &mut [bool] {
+        // SAFETY: as for `slice`; a byte may have any value.
         #[allow(unsafe_code)]
-        unsafe {
-            std::ptr::write_bytes(self.start, 0, self.len);
-        }
+        let bytes: &mut [u8] = unsafe { std::slice::from_raw_parts_mut(self.start.cast(), self.len) };
+        bytes.iter_mut().for_each(|byte| *byte = u8::from(*byte != 0));
         self.slice()
     }
 }
@@ -92,14 +99,27 @@ impl Outputs {
         self.observations.slice()
     }
 
-    /// Returns the output of a step. Clears the ends of the last one.
+    /// Returns the output of a step. It holds the results of the last step until the next one writes them: a step that
+    /// is rejected changes nothing.
     pub fn step(&mut self) -> VecStep<'_> {
         VecStep {
             observations: self.observations.slice(),
             rewards: self.rewards.slice(),
-            terminated: self.terminated.cleared(),
-            truncated: self.truncated.cleared(),
+            terminated: self.terminated.flags(),
+            truncated: self.truncated.flags(),
         }
+    }
+
+    /// Returns true if numbers lie in one of the buffers, at least in part.
+    pub fn overlap(&self, numbers: Numbers<'_>) -> bool {
+        let addresses = match numbers {
+            Numbers::Single(numbers) => addresses(numbers),
+            Numbers::Double(numbers) => addresses(numbers),
+        };
+        let Self { observations, rewards, terminated, truncated, rgb, depth, segmentation } = self;
+        let floats = [observations, rewards, depth].into_iter().any(|memory| memory.overlaps(&addresses));
+        let flags = [terminated, truncated].into_iter().any(|memory| memory.overlaps(&addresses));
+        floats || flags || rgb.overlaps(&addresses) || segmentation.overlaps(&addresses)
     }
 
     /// Returns the indices of the environments whose flags say that the last step has ended an episode.
@@ -201,8 +221,14 @@ pub enum Numbers<'a> {
     Double(&'a [f64]),
 }
 
-/// Calls a function with the shape and the numbers of an array-like object. Numbers of other types than float32 are
-/// converted to float64.
+/// Returns the addresses of the bytes of a slice.
+fn addresses<T>(slice: &[T]) -> Range<usize> {
+    let start = slice.as_ptr().addr();
+    start..start + size_of_val(slice)
+}
+
+/// Calls a function with the shape and the numbers of an array-like object in the order of their indices. Numbers of
+/// other types than float32 are converted to float64. Arrays that are not C-contiguous or not aligned are copied.
 pub fn with_array<R>(
     object: &Bound<'_, PyAny>,
     then: impl FnOnce(&[usize], Numbers<'_>) -> PyResult<R>,
@@ -227,6 +253,11 @@ pub fn with_array<R>(
         }
     };
     then(array.shape(), Numbers::Double(array.try_readonly()?.as_slice()?))
+}
+
+/// Returns true if a slice can represent the numbers of an array in the order of their indices.
+fn is_plain<T>(array: &Bound<'_, PyArrayDyn<T>>) -> bool {
+    array.is_c_contiguous() && array.is_aligned()
 }
 
 /// Calls a function with the numbers of an array-like object of `rows` rows with `size` numbers each.
@@ -255,11 +286,6 @@ pub fn to_vec(object: &Bound<'_, PyAny>) -> PyResult<Vec<f64>> {
 fn check_shape(shape: &[usize], rows: usize, size: usize) -> PyResult<()> {
     if shape.first() == Some(&rows) && shape[1..].iter().product::<usize>() == size {
         return Ok(());
-/// Returns true if a slice can represent the numbers of an array in the order of their indices.
-fn is_plain<T>(array: &Bound<'_, PyArrayDyn<T>>) -> bool {
-    array.is_c_contiguous() && array.is_aligned()
-}
-
     }
     let got: Vec<_> = shape.iter().map(usize::to_string).collect();
     let comma = if got.len() == 1 { "," } else { "" };
