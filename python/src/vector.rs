@@ -292,16 +292,18 @@ impl Batch {
 
     /// Returns the present states of all drones, float64 (num_envs, drones, 20), in the layout of `state`.
     fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        self.with(py, |inner| {
+        let (drones, numbers) = self.work(py, |inner| {
             let drones = (0..).take_while(|&drone| inner.env.kinematic(0, drone).is_some()).count();
             let all = (0..self.environments).flat_map(|i| (0..drones).map(move |drone| (i, drone)));
-            let numbers: Vec<f64> = all.filter_map(|(i, drone)| inner.env.kinematic(i, drone)).flatten().collect();
-            numbers.to_pyarray(py).reshape([self.environments, drones, KIN_SIZE])
-        })
+            all.filter_map(|(i, drone)| inner.env.kinematic(i, drone)).for_each(|state| numbers.extend(state));
+            Ok((drones, numbers))
+        })?;
+        numbers.into_pyarray(py).reshape([self.environments, drones, KIN_SIZE])
     }
 
     /// Returns the info of an environment.
     fn info<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
+            let mut numbers = Vec::with_capacity(self.environments * drones * KIN_SIZE);
         self.with_env(py, index, |env| info_dict(py, env))
     }
 
