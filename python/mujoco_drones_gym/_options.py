@@ -24,6 +24,7 @@ __all__ = [
     "flag",
     "integer",
     "native_options",
+    "numbers",
     "randomization_options",
     "seed_of",
     "short",
@@ -90,7 +91,7 @@ def native_options(
         if own.get(name) is not None:
             own[name] = _points(name, own[name])
     if own.get("target_heights") is not None:
-        own["target_heights"] = _numbers("target_heights", own["target_heights"]).reshape(-1).tolist()
+        own["target_heights"] = numbers("target_heights", own["target_heights"]).reshape(-1).tolist()
     if "obstacles" in own:
         own["obstacles"] = obstacle_options(options["obstacles"])
     if "wind" in own:
@@ -185,10 +186,11 @@ def action_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Any:
     raise ValueError(f"{name} is {short(value)}, expected an array of numbers of the shape {shape}")
 
 
-def _numbers(name: str, value: Any) -> np.ndarray:
+def numbers(name: str, value: Any) -> np.ndarray:
+    """Returns an option of finite numbers as a float64 array."""
     try:
         array = np.asarray(value, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError, RuntimeError):
         raise ValueError(f"{name} is {short(value)}, expected an array of numbers") from None
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {short(value)}, expected finite numbers")
@@ -196,7 +198,7 @@ def _numbers(name: str, value: Any) -> np.ndarray:
 
 
 def _points(name: str, value: Any) -> list[list[float]]:
-    array = _numbers(name, value)
+    array = numbers(name, value)
     if array.size == 0 or array.shape[-1:] != (3,) or array.ndim > 2:
         raise ValueError(f"{name} has the shape {array.shape}, expected (n, 3)")
     return array.reshape(-1, 3).tolist()

@@ -37,6 +37,9 @@ _AUTORESET = {
 }
 
 
+#: Longest episode, s.
+_LONGEST = 39_999_999
+
 #: Names of the reasons why an episode ends; the last entry is that of an episode that has not ended.
 _ENDS = np.array([*_native.END_REASONS, None], object)
 
@@ -285,7 +288,9 @@ class VectorAviary(VectorEnv):
         count = integer("num_envs", num_envs, 1, 1 << 24)
         threads = integer("num_threads", num_threads, 0, 1024)
         if max_episode_steps is not None:
-            max_episode_steps = integer("max_episode_steps", max_episode_steps, 1, 1 << 53)
+            rate = options.get("ctrl_freq", 48)
+            most = _LONGEST * (rate if isinstance(rate, (int, np.integer)) and rate > 0 else 48)
+            max_episode_steps = integer("max_episode_steps", max_episode_steps, 1, most)
         if not isinstance(on_fault, str):
             raise ValueError(f'on_fault is {short(on_fault)}, expected "error" or "truncate"')
         self.copy = flag("copy", copy)

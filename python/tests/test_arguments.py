@@ -108,6 +108,9 @@ def test_flags_and_names_have_their_types():
     one_line(lambda: mdg.VectorAviary("hover", copy=1), "copy is 1, expected True or False")
     one_line(lambda: mdg.HoverAviary(vision_attributes="yes"), "vision_attributes is 'yes', expected True or False")
     one_line(lambda: mdg.VectorAviary("hover", on_fault=3), 'on_fault is 3, expected "error" or "truncate"')
+    one_line(lambda: mdg.VectorAviary("hover", max_episode_steps=1 << 40), "max_episode_steps is 1099511627776, ")
+    one_line(lambda: mdg.MultiHoverAviary(target_heights=["x", 1]), "target_heights is ['x', 1]")
+    one_line(lambda: setattr(mdg.MultiHoverAviary(), "TARGET_HEIGHTS", "x"), "target_heights is 'x'")
     assert mdg.VectorAviary("hover", copy=np.False_).copy is False
     assert mdg.BaseAviary(neighbourhood_radius=None).NEIGHBOURHOOD_RADIUS == np.inf
     assert mdg.BaseAviary(num_drones=3, neighbourhood_radius=None)._getAdjacencyMatrix().all()

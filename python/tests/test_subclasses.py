@@ -82,9 +82,9 @@ def test_time_limits_change_from_the_next_reset_on():
     assert mass == env.M and (start == env.pos).all()
     for bad in (0, -1.0, np.inf, np.nan, "x", None, True, np.zeros((2, 2))):
         env.EPISODE_LEN_SEC = bad
-        with pytest.raises(ValueError, match="EPISODE_LEN_SEC is .*, expected a positive number of seconds") as error:
+        with pytest.raises(ValueError, match="EPISODE_LEN_SEC is") as error:
             env.reset(seed=3)
-        assert "\n" not in str(error.value)
+        assert "\n" not in str(error.value) and "expected a positive number of seconds" in str(error.value)
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mujoco_drones_gym._options import numbers
 from mujoco_drones_gym.envs.base_aviary import BaseAviary
 
 __all__ = ["MultiHoverAviary"]
@@ -36,4 +37,4 @@ class MultiHoverAviary(BaseAviary):
 
     @TARGET_HEIGHTS.setter
     def TARGET_HEIGHTS(self, heights: Any) -> None:
-        self._set_task_option("target_heights", np.asarray(heights, np.float64).reshape(-1).tolist())
+        self._set_task_option("target_heights", numbers("target_heights", heights).reshape(-1).tolist())
