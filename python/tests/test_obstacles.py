@@ -126,6 +126,7 @@ def test_mjcf_bodies_have_the_pose_of_the_obstacle():
         ({"obstacle_type": 5}, "obstacle_type is 5, expected one of none, forest, urban, indoor"),
         ({"custom_obstacles": 5}, "custom_obstacles is 5, expected a list of Obstacle"),
         ({"safe_zone_centers": "here"}, "safe_zone_centers is 'here', expected points (n, 3)"),
+        ({"arena_size": "abc"}, "arena_size is 'abc', expected three lengths in m"),
         ({"arena_size": 3}, "arena_size is 3, expected three lengths in m"),
         ({"safe_zone_radius": -0.5}, "safe_zone_radius is -0.5, expected 0 to 1000 m"),
         ({"safe_zone_centers": [(0, 0)]}, "safe_zone_centers"),
@@ -160,6 +161,8 @@ def test_other_errors():
         Obstacle(3, [0, 0, 0], [1])
     with pytest.raises(ValueError, match="size of an obstacle is 'big', expected numbers"):
         Obstacle("box", [0, 0, 0], "big")
+    with pytest.raises(ValueError, match="obstacles is 5, expected True, False, an ObstacleConfig"):
+        generate_obstacles(5)
     with pytest.raises(ValueError, match="num_obstacles is -1, expected a whole number"):
         obstacle_options({"num_obstacles": -1})
 

@@ -217,6 +217,7 @@ def test_errors_of_the_field():
         ((DT, [0, 0], ZERO), "position has the shape (2,), expected (3,)"),
         ((DT, "high", ZERO), "position is 'high', expected 3 numbers"),
         ((DT, HIGH, None), "velocity"),
+        ((DT, HIGH, [0, 0, 1e300]), "velocity[2] is 1e+300, expected a number from -1e+09 to 1e+09"),
         ((DT, HIGH, [0, math.nan, 0]), "velocity[1] is NaN"),
     ]:
         with pytest.raises(ValueError) as error:

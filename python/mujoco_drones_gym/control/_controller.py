@@ -37,7 +37,7 @@ def number(name: str, value: Any, expected: str = "a number") -> float:
         raise ValueError(f"{name} is {short(value)}, expected {expected}") from None
 
 
-def _check_sizes(arguments: dict[str, np.ndarray]) -> None:
+def check_sizes(arguments: dict[str, np.ndarray]) -> None:
     """Raises a ValueError for a finite number with which a control law overflows."""
     if np.abs(np.concatenate(list(arguments.values()))).max() <= _MAX:
         return
@@ -104,7 +104,7 @@ class Controller:
             "target_rpy": vector("target_rpy", target_rpy),
             "target_rpy_rates": vector("target_rpy_rates", target_rpy_rates),
         }
-        _check_sizes(arguments)
+        check_sizes(arguments)
         *plain, rpy, rates = arguments.values()
         native.set_integrals(
             vector("integral_pos_e", self.integral_pos_e), vector("integral_rpy_e", self.integral_rpy_e)

@@ -107,7 +107,7 @@ def _halves(arena: Sequence[float]) -> tuple[float, ...]:
 
 
 def _lengths(arena_size: Sequence[float]) -> list[float]:
-    length, width, height = arena_size
+    length, width, height = map(float, arena_size)
     return [2 * length, 2 * width, height]
 
 
@@ -279,7 +279,7 @@ def obstacle_options(obstacles: Any) -> dict[str, Any] | None:
     raise ValueError(f"obstacles is {short(obstacles)}, expected {expected}")
 
 
-def generate_obstacles(config: ObstacleConfig | dict[str, Any]) -> list[Obstacle]:
+def generate_obstacles(config: ObstacleConfig | Mapping[str, Any]) -> list[Obstacle]:
     """Generates the layout of a seed.
 
     The spheres around `safe_zone_centers` stay free. An environment also keeps the starts of its drones free.
@@ -293,7 +293,7 @@ def generate_obstacles(config: ObstacleConfig | dict[str, Any]) -> list[Obstacle
     Raises:
         ValueError: if a setting is out of range, or if the arena has too little room.
     """
-    options = config._to_options() if isinstance(config, ObstacleConfig) else dict_options(config)
+    options = obstacle_options(config)
     if options is None:
         return []
     return [Obstacle._from_options(entry) for entry in _native.generate_obstacles(options, np.empty((0, 3)))]

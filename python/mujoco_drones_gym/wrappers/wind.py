@@ -13,7 +13,7 @@ import numpy as np
 from mujoco_drones_gym import _native
 from mujoco_drones_gym._config import Alias, Fixed, accept_aliases, complete, short, translated, with_aliases
 from mujoco_drones_gym.control._airframe import airframe_of
-from mujoco_drones_gym.control._controller import number, vector
+from mujoco_drones_gym.control._controller import check_sizes, number, vector
 
 __all__ = ["WindConfig", "WindField", "WindModel"]
 
@@ -193,12 +193,14 @@ class WindField:
             Force, world frame, N, shape (3,).
 
         Raises:
-            ValueError: for an argument of another shape, or that is not finite; the wind has not advanced.
+            ValueError: for an argument of another shape, that is not finite or beyond ±1e9; the wind has not advanced.
         """
         return self._advance(dt, position, velocity)[0]
 
     def _advance(self, dt, position, velocity):
-        return self._field.advance(number("dt", dt), vector("position", position), vector("velocity", velocity))
+        arguments = {"position": vector("position", position), "velocity": vector("velocity", velocity)}
+        check_sizes(arguments)
+        return self._field.advance(number("dt", dt), *arguments.values())
 
     def __getstate__(self):
         return {**self.__dict__, "_field": self._field.to_json()}
