@@ -76,4 +76,5 @@ fn errors_of_actions_in_double_precision_change_nothing() {
     assert!(error.contains("actions has 35 entries, expected 36"), "{error}");
     assert_eq!((buffers, batch.kinematic(8, 0)), before);
     assert_eq!([batch.kinematic(9, 0), batch.kinematic(8, 1)], [None; 2]);
+    assert_eq!([batch.kinematic(16, 0), batch.kinematic(1000, 0), batch.kinematic(usize::MAX, 0)], [None; 3]);
 }

@@ -543,9 +543,11 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {
-        let exists = environment < self.num_envs() && drone < self.model.drones;
-        let lanes = &self.environments.lanes[environment / LANES * self.model.drones..];
-        let (lanes, lane) = (exists.then(|| &lanes[drone])?, environment % LANES);
+        if environment >= self.num_envs() || drone >= self.model.drones {
+            return None;
+        }
+        let lanes = &self.environments.lanes[environment / LANES * self.model.drones + drone];
+        let lane = environment % LANES;
         Some(kinematic(&lanes.state(lane), &lanes.command(lane)))
     }
 
