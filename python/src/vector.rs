@@ -77,20 +77,12 @@ impl Inner {
     }
 
     fn reset(&mut self, mask: &[bool], seeds: &Seeds) -> PyResult<()> {
-        let mut reset =
-            |mask: &[bool], seed| self.env.reset_where(mask, seed, self.outputs.observations()).map_err(env_error);
+        let observations = self.outputs.observations();
         match seeds {
-            Seeds::Same(seed) => reset(mask, *seed)?,
-            Seeds::Each(seeds) => {
-                let mut waiting = mask.to_vec();
-                while let Some(first) = waiting.iter().position(|waits| *waits) {
-                    let same = |(&waits, seed): (&bool, &Option<u64>)| waits && *seed == seeds[first];
-                    let group: Vec<bool> = waiting.iter().zip(seeds).map(same).collect();
-                    reset(&group, seeds[first])?;
-                    waiting.iter_mut().zip(&group).for_each(|(waits, done)| *waits &= !done);
-                }
-            }
+            Seeds::Same(seed) => self.env.reset_where(mask, *seed, observations),
+            Seeds::Each(seeds) => self.env.reset_with_seeds(mask, seeds, observations),
         }
+        .map_err(env_error)?;
         self.render_images()
     }
 }
@@ -294,6 +286,7 @@ impl Batch {
     fn states<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
         let (drones, numbers) = self.work(py, |inner| {
             let drones = (0..).take_while(|&drone| inner.env.kinematic(0, drone).is_some()).count();
+            let mut numbers = Vec::with_capacity(self.environments * drones * KIN_SIZE);
             let all = (0..self.environments).flat_map(|i| (0..drones).map(move |drone| (i, drone)));
             all.filter_map(|(i, drone)| inner.env.kinematic(i, drone)).for_each(|state| numbers.extend(state));
             Ok((drones, numbers))
@@ -303,7 +296,6 @@ impl Batch {
 
     /// Returns the info of an environment.
     fn info<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
-            let mut numbers = Vec::with_capacity(self.environments * drones * KIN_SIZE);
         self.with_env(py, index, |env| info_dict(py, env))
     }
 

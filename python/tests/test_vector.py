@@ -158,8 +158,6 @@ def test_actions_of_any_layout_and_type_are_accepted():
     env.step(np.zeros((3, 4), np.float16))
 
 
-def test_shapes_types_and_attributes():
-    env = VectorAviary("multi_hover", 6, num_threads=2, autoreset_mode="SameStep")
 def misaligned(array):
     """Returns a copy of an array at an address that is not a multiple of the size of its numbers."""
     copy = np.frombuffer(b"x" + array.tobytes(), array.dtype, offset=1).reshape(array.shape)
@@ -227,6 +225,8 @@ def test_a_rejected_step_changes_no_result():
             np.testing.assert_array_equal(array, before)
 
 
+def test_shapes_types_and_attributes():
+    env = VectorAviary("multi_hover", 6, num_threads=2, autoreset_mode="SameStep")
     assert isinstance(env, gym.vector.VectorEnv)
     assert (env.num_envs, env.num_threads, env.closed, env.render_mode) == (6, 1, False, None)
     assert env.metadata["autoreset_mode"] is env.autoreset_mode is AutoresetMode.SAME_STEP
@@ -263,6 +263,11 @@ def test_seeds_of_single_environments_and_repeated_resets():
     each, _ = env.reset(seed=[7, 8, 7, 9])
     np.testing.assert_array_equal(each[[0, 2]], first[[0, 2]])
     np.testing.assert_array_equal(each[1], env.reset(seed=8)[0][1])
+    mask = np.array([True, False, True, True])
+    masked, _ = env.reset(seed=[8, 3, 9, None], options={"reset_mask": mask})
+    for i, seed in [(0, 8), (2, 9)]:
+        np.testing.assert_array_equal(masked[i], single("stabilize", i).reset(seed=seed)[0])
+    np.testing.assert_array_equal(masked[1], env.reset(seed=8)[0][1])
     mixed, _ = env.reset(seed=[None, 8, None, np.int64(9)])
     np.testing.assert_array_equal(mixed[3], each[3])
     with pytest.raises(ValueError, match="seed has 3 entries, expected one, or 4"):
@@ -270,6 +275,21 @@ def test_seeds_of_single_environments_and_repeated_resets():
     for bad in [-1, 2**64, 1.5, "a"]:
         with pytest.raises(ValueError, match="seed is "):
             env.reset(seed=bad)
+
+
+def test_many_seeds_take_as_long_as_one():
+    env = VectorAviary("hover", 20_000, num_threads=1)
+    seeds = list(range(20_000))
+    obs, _ = env.reset(seed=seeds)
+    np.testing.assert_array_equal(obs[12_345], single("hover", 12_345).reset(seed=12_345)[0])
+    start = time.perf_counter()
+    env.reset(seed=1)
+    one = time.perf_counter() - start
+    start = time.perf_counter()
+    env.reset(seed=seeds)
+    many = time.perf_counter() - start
+    # a reset for every distinct seed would take hundreds of times as long
+    assert many < 50 * one + 1, f"{one:.3f} s for one seed, {many:.3f} s for {len(seeds)}"
 
 
 def test_reset_masks():

@@ -7,6 +7,7 @@ use mujoco_drones_gym::{Rng, RngExt, SeedableRng};
 
 use super::Wander;
 use super::common::reset_batch;
+use super::pair::Pair;
 
 #[test]
 fn a_masked_reset_changes_the_environments_in_the_mask_alone() {
@@ -212,4 +213,21 @@ fn an_environment_without_an_episode_has_nominal_parameters() {
     batch.reset_where(&[true, false, true], Some(4), &mut buffers.observations).unwrap();
     let masses: Vec<f64> = (0..3).map(|i| batch.with(i, |env| env.simulation().params(0).mass).unwrap()).collect();
     assert!(masses[0] != nominal && masses[1] == nominal && masses[2] != nominal, "{masses:?}");
+}
+
+#[test]
+fn a_seed_per_environment_is_that_of_a_single_environment() {
+    for threads in [1, 3] {
+        let config = VecConfig { threads, autoreset: Autoreset::Disabled, ..VecConfig::new(43) };
+        let mut pair = Pair::new(&Stabilize::builder().engine(EngineKind::Hybrid), config, 1);
+        pair.step(&[0.1; 43 * 4]);
+        let seeds: Vec<_> = (0..43).map(|i| (i % 5 != 2).then_some(1000 - 7 * i)).collect();
+        let mask: Vec<_> = (0..43).map(|i| i % 3 != 1).collect();
+        pair.reset_with_seeds(&mask, &seeds);
+        pair.step(&[0.2; 43 * 4]);
+        pair.compare_all_exactly();
+        let Pair { batch, buffers, .. } = &mut pair;
+        let error = batch.reset_with_seeds(&mask, &seeds[1..], &mut buffers.observations).unwrap_err().to_string();
+        assert!(error.contains("seeds has 42 entries, expected 43"), "{error}");
+    }
 }

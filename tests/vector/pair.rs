@@ -43,6 +43,15 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
         }
     }
 
+    /// Resets the environments in a mask, each with its own seed.
+    pub fn reset_with_seeds(&mut self, mask: &[bool], seeds: &[Option<u64>]) {
+        self.batch.reset_with_seeds(mask, seeds, &mut self.buffers.observations).unwrap();
+        for i in (0..mask.len()).filter(|&i| mask[i]) {
+            self.reset_alone(i, seeds[i]);
+            self.compare_row(i, "the reset");
+        }
+    }
+
     /// Advances all environments by one step. An action that is not finite must end its episode, see
     /// [`OnFault::Truncate`].
     pub fn step(&mut self, actions: &[f32]) {

@@ -441,6 +441,24 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         bad(environment, EnvError::Action { index, got: actions.get(entry), time: self.time_of(environment) })
     }
 
+    /// Starts an episode in every environment that the mask selects, with the seeds that `seed_of` returns for the
+    /// indices of the environments.
+    fn reset_with(
+        &mut self,
+        mask: &[bool],
+        seed_of: impl Fn(usize) -> Option<u64> + Sync,
+        observations: &mut [f32],
+    ) -> Result<(), EnvError> {
+        self.faults.clear();
+        check_len("mask", mask.len(), self.num_envs())?;
+        check_len("observations", observations.len(), self.num_envs() * self.model.observation_size)?;
+        let (model, envs) = (&self.model, self.environments.slices());
+        let step = StepSlices { observations, ..StepSlices::default() };
+        let shard = Shard { first: 0, mask, envs, step, images: ImageSlices::default() };
+        self.pool.run(model, shard, &|worker, shard, faults| worker.reset_where(model, shard, &seed_of, faults))?;
+        self.take_faults(true)
+    }
+
     /// Advances every environment by one control step.
     fn step_with(&mut self, actions: Actions<'_>, out: VecStep<'_>) -> Result<(), EnvError> {
         self.faults.clear();
@@ -503,14 +521,17 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
-        self.faults.clear();
-        check_len("mask", mask.len(), self.num_envs())?;
-        check_len("observations", observations.len(), self.num_envs() * self.model.observation_size)?;
-        let (model, envs) = (&self.model, self.environments.slices());
-        let step = StepSlices { observations, ..StepSlices::default() };
-        let shard = Shard { first: 0, mask, envs, step, images: ImageSlices::default() };
-        self.pool.run(model, shard, &|worker, shard, faults| worker.reset_where(model, shard, seed, faults))?;
-        self.take_faults(true)
+        self.reset_with(mask, |_| seed, observations)
+    }
+
+    fn reset_with_seeds(
+        &mut self,
+        mask: &[bool],
+        seeds: &[Option<u64>],
+        observations: &mut [f32],
+    ) -> Result<(), EnvError> {
+        check_len("seeds", seeds.len(), self.num_envs())?;
+        self.reset_with(mask, |environment| seeds[environment], observations)
     }
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {

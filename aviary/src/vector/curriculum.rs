@@ -154,6 +154,16 @@ where
         self.env.reset_where(mask, seed, observations)
     }
 
+    fn reset_with_seeds(
+        &mut self,
+        mask: &[bool],
+        seeds: &[Option<u64>],
+        observations: &mut [f32],
+    ) -> Result<(), EnvError> {
+        self.set_up(|_, environment| mask.get(environment) == Some(&true))?;
+        self.env.reset_with_seeds(mask, seeds, observations)
+    }
+
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
         self.step_with(|env| env.step(actions, out))
     }

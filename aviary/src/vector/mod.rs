@@ -412,6 +412,35 @@ pub trait VecEnv: Send {
     /// Returns the errors of [`reset`](Self::reset).
     fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError>;
 
+    /// Starts an episode in every environment that `mask` selects, like [`reset_where`](Self::reset_where), with a seed
+    /// per environment, M. An environment without a seed continues its random stream. Each environment uses its own
+    /// stream of its seed.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, Env};
+    /// use aviary::tasks::Stabilize;
+    /// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+    ///
+    /// let mut env = VecAviary::new(Stabilize::builder(), VecConfig::new(3))?;
+    /// let mut buffers = VecBuffers::new(&env);
+    /// env.reset_with_seeds(&[true; 3], &[Some(5), Some(6), None], &mut buffers.observations)?;
+    /// // environment 1 alone
+    /// let mut alone = Stabilize::builder().stream(1).build()?;
+    /// alone.reset(Some(6))?;
+    /// let row = &buffers.observations[env.observation_size()..];
+    /// assert!(row.iter().zip(&alone.observation().vector).all(|(got, &expected)| *got == expected as f32));
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the errors of [`reset`](Self::reset).
+    fn reset_with_seeds(
+        &mut self,
+        mask: &[bool],
+        seeds: &[Option<u64>],
+        observations: &mut [f32],
+    ) -> Result<(), EnvError>;
+
     /// Advances every environment by one control step. `actions` is M × [`action_size`](Self::action_size).
     ///
     /// # Errors

@@ -485,12 +485,19 @@ impl<T: Task> Worker<T> {
         self.store_task(model, shard, index, None);
     }
 
-    /// Starts an episode in every environment that the mask selects.
-    pub fn reset_where(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, seed: Option<u64>, faults: &Faults) {
+    /// Starts an episode in every environment that the mask selects, with the seeds that `seed_of` returns for the
+    /// indices of the environments in the batch.
+    pub fn reset_where(
+        &mut self,
+        model: &BatchModel,
+        shard: &mut Shard<'_, T>,
+        seed_of: impl Fn(usize) -> Option<u64>,
+        faults: &Faults,
+    ) {
         for index in 0..shard.envs.slots.len() {
             if shard.mask[index] {
                 shard.envs.blocks[index / LANES].ended[index % LANES] = false;
-                self.reset(model, shard, index, seed, faults);
+                self.reset(model, shard, index, seed_of(shard.first + index), faults);
             }
         }
     }
