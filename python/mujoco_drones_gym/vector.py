@@ -462,7 +462,7 @@ class VectorAviary(VectorEnv):
 
     def _end_infos(self) -> dict[str, Any]:
         """Returns the infos of a step in which an episode has ended."""
-        indices, successes, ends, steps = self._batch.ends()
+        indices, successes, ends, _ = self._batch.ends()
         if not indices.size:
             return {}
         count = self.num_envs
@@ -475,9 +475,12 @@ class VectorAviary(VectorEnv):
         infos = {"success": success, "_success": mask, "end": end, "_end": mask.copy()}
         if self.autoreset_mode is not AutoresetMode.SAME_STEP:
             return infos
-        time = np.zeros(count)
-        time[indices] = steps * self.CTRL_TIMESTEP
-        infos.update(is_success=success.copy(), _is_success=mask.copy(), time=time, _time=mask.copy())
+        infos.update(is_success=success.copy(), _is_success=mask.copy())
+        names = ("time", "progress", "position_error", "crashed")
+        for name, values in zip(names, self._batch.final_infos(indices), strict=True):
+            infos[name] = np.zeros(count, values.dtype)
+            infos[name][indices] = values
+            infos[f"_{name}"] = mask.copy()
         final = np.empty(count, object)
         rows = self._batch.final_observations(indices)
         if not self._has_images:

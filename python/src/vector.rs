@@ -4,7 +4,7 @@ pub mod buffers;
 
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-use aviary::env::{DroneEnv, EndReason, EnvError};
+use aviary::env::{DroneEnv, EndReason, EnvError, Info};
 use aviary::observation::{KIN_SIZE, Observation};
 use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, make_vec};
 use aviary::vision::ImageSize;
@@ -261,6 +261,22 @@ impl Batch {
         })
     }
 
+    /// Returns time (s), progress, position error (m) and crashes at the ends of the episodes that ended in the last
+    /// step, for the indices that `ends` has returned; zeros for an episode that could not start.
+    fn final_infos<'py>(&self, py: Python<'py>, indices: PyReadonlyArray1<'py, i64>) -> PyResult<FinalInfos<'py>> {
+        self.with(py, |inner| {
+            let (mut numbers, mut crashes) = ([Vec::new(), Vec::new(), Vec::new()], Vec::new());
+            for &index in indices.as_array() {
+                let info = usize::try_from(index).ok().and_then(|index| inner.env.final_info(index));
+                let values = info.map_or([0.0; 3], |info| [info.time, info.progress, info.position_error]);
+                numbers.iter_mut().zip(values).for_each(|(numbers, value)| numbers.push(value));
+                crashes.push(info.is_some_and(Info::crashed));
+            }
+            let [time, progress, position_error] = numbers.map(|numbers| numbers.into_pyarray(py));
+            Ok((time, progress, position_error, crashes.into_pyarray(py)))
+        })
+    }
+
     /// Returns the last images of the last episode that ended in an environment, by name.
     fn final_images<'py>(&self, py: Python<'py>, index: usize) -> PyResult<Bound<'py, PyDict>> {
         self.with(py, |inner| {
@@ -402,6 +418,10 @@ impl Batch {
 /// Indices, successes, ends and lengths of the episodes that have ended.
 type Ends<'py> =
     (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<bool>>, Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<i64>>);
+
+/// Times, progress, position errors and crashes at the ends of episodes.
+type FinalInfos<'py> =
+    (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<bool>>);
 
 /// Lower and upper bounds.
 type Bounds<'py> = (Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>);

@@ -75,7 +75,9 @@ def compare(task, count, mode, threads, steps, **options):
                 np.testing.assert_array_equal(infos["final_obs"][i], last)
                 final = infos["final_info"]
                 assert (final["success"][i], final["end"][i]) == (info["success"], info["end"])
-                assert final["time"][i] == pytest.approx(info["time"], abs=1e-12)
+                for key in ("time", "progress", "position_error", "crashed", "is_success"):
+                    assert final[key][i] == info[key], key
+                    np.testing.assert_array_equal(final[f"_{key}"], infos["_final_info"])
                 np.testing.assert_array_equal(obs[i], env.reset()[0])
                 continue
             np.testing.assert_array_equal(obs[i], last)

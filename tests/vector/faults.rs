@@ -4,7 +4,7 @@ use mujoco_drones_gym::Rng;
 use mujoco_drones_gym::env::{AviaryBuilder, BoxSpace, EndReason, TaskDefaults};
 use mujoco_drones_gym::prelude::*;
 
-use super::common::reset_batch;
+use super::common::{no_gl, reset_batch};
 use super::{Wander, compare};
 
 #[test]
@@ -247,6 +247,8 @@ fn a_step_that_fails_to_start_an_episode_is_not_counted() {
             match batch.episode_summary(8) {
                 Some(summary) => {
                     assert!(buffers.truncated[8] && !buffers.terminated[8]);
+                    let kept = autoreset == Autoreset::SameStep && summary.end != Some(EndReason::Fault);
+                    assert_eq!(batch.final_info(8).map(|info| info.end), kept.then_some(summary.end));
                     ends.push((summary.end.unwrap(), summary.steps));
                     steps += u32::from(summary.end != Some(EndReason::Fault));
                 }
@@ -268,4 +270,24 @@ fn a_step_that_fails_to_start_an_episode_is_not_counted() {
             "{autoreset:?}: every step that starts no episode belongs to an episode"
         );
     }
+}
+
+#[test]
+fn an_episode_that_cannot_start_has_no_images() {
+    if no_gl() {
+        return;
+    }
+    let config = VecConfig { autoreset: Autoreset::SameStep, on_fault: OnFault::Truncate, ..VecConfig::new(1) };
+    // each start is tried 20 times
+    let builder = odd(|_| {}).episode_seconds(0.04).observation_type(ObservationType::KIN_RGB);
+    let builder = builder.task(|odd| odd.impossible = |start| (2..22).contains(&start));
+    let (mut batch, mut buffers) = reset_batch(builder, config, 1);
+    let mut ends = Vec::new();
+    for _ in 0..4 {
+        batch.step(&[0.01; 4], buffers.step()).unwrap();
+        if let Some(summary) = batch.episode_summary(0) {
+            ends.push((summary.end.unwrap(), batch.final_images(0).is_some()));
+        }
+    }
+    assert_eq!(ends[..2], [(EndReason::TimeLimit, true), (EndReason::Fault, false)]);
 }

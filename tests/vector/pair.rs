@@ -101,6 +101,7 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
                 assert_eq!((summary.success, summary.steps), (info.success, control_steps), "{context}");
                 self.ended += 1;
                 if autoreset == Autoreset::SameStep {
+                    assert_eq!(self.batch.final_info(i), Some(&info), "{context}: the last info");
                     self.write_row(i);
                     let last = &self.batch.final_observations()[self.row.len() * i..][..self.row.len()];
                     assert_eq!(bits(last), bits(&self.row), "{context}: the last observation");

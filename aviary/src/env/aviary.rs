@@ -308,24 +308,7 @@ impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
     }
 
     fn info(&self) -> Info {
-        let (simulation, count) = (self.simulation.view(), self.simulation.num_drones());
-        // the task must not be evaluated with options that have not been validated
-        let evaluated = if self.episode.task_changed { 0 } else { count };
-        let position_error =
-            (0..evaluated).map(|drone| simulation.distance(drone, &self.reference(drone).position)).fold(0.0, f64::max);
-        let started = self.episode.phase != Phase::New;
-        Info {
-            time: simulation.time(),
-            success: started && self.episode.is_success(simulation, self.episode.end),
-            progress: if started {
-                (0..count).map(|drone| self.episode.task.progress(simulation, drone)).sum::<f64>() / count as f64
-            } else {
-                0.0
-            },
-            end: self.episode.end,
-            position_error,
-            contacts: simulation.contacts().len(),
-        }
+        self.episode.info(self.simulation.view())
     }
 
     fn metrics(&self, report: &mut dyn FnMut(&'static str, f64)) {

@@ -2,7 +2,7 @@ use rand::SeedableRng as _;
 use smallvec::SmallVec;
 
 use super::randomization::Randomizer;
-use super::{EndReason, EnvError, Randomization, Rng, Task};
+use super::{EndReason, EnvError, Info, Randomization, Rng, Task};
 use crate::random::CompactRng;
 use crate::simulation::SimView;
 
@@ -123,6 +123,27 @@ impl<T: Task> Episode<T> {
     pub(crate) fn is_success(&self, simulation: SimView<'_>, end: Option<EndReason>) -> bool {
         let crashed = end.is_some_and(EndReason::is_crash);
         !crashed && (0..self.ends.len()).all(|drone| self.task.success(simulation, drone))
+    }
+
+    /// Returns the state of the episode.
+    pub(crate) fn info(&self, simulation: SimView<'_>) -> Info {
+        let count = self.ends.len();
+        // the task must not be evaluated with options that have not been validated
+        let evaluated = if self.task_changed { 0 } else { count };
+        let distance = |drone| simulation.distance(drone, &self.task.reference(simulation, drone).position);
+        let started = self.phase != Phase::New;
+        Info {
+            time: simulation.time(),
+            success: started && self.is_success(simulation, self.end),
+            progress: if started {
+                (0..count).map(|drone| self.task.progress(simulation, drone)).sum::<f64>() / count as f64
+            } else {
+                0.0
+            },
+            end: self.end,
+            position_error: (0..evaluated).map(distance).fold(0.0, f64::max),
+            contacts: simulation.contacts().len(),
+        }
     }
 
     /// Returns the outcome of the last control step in an episode of at most `episode_steps` steps.

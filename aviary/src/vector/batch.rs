@@ -12,8 +12,8 @@ use crate::control::CollisionCone;
 use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes};
 use crate::engine::{ClearanceCache, Engine, EngineKind, Substeps};
 use crate::env::{
-    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, Episode, EpisodeSummary, LaneFunctions, ObservationSpace,
-    Phase, Task,
+    Aviary, AviaryBuilder, BoxSpace, DroneEnv, Env, EnvError, Episode, EpisodeSummary, Info, LaneFunctions,
+    ObservationSpace, Phase, Task,
 };
 use crate::observation::{KIN_SIZE, Observation, kinematic};
 use crate::simulation::{SimData, SimView, Simulation};
@@ -362,7 +362,7 @@ impl<T: Task + Clone> Environments<T> {
                 lanes.clear_downwash();
             }
         }
-        let finals = if model.autoreset == Autoreset::SameStep { model.observation_size * count } else { 0 };
+        let finals = if model.autoreset == Autoreset::SameStep { count } else { 0 };
         Self {
             slots: (0..count).map(slot).collect(),
             blocks: vec![Block::default(); blocks],
@@ -373,7 +373,8 @@ impl<T: Task + Clone> Environments<T> {
             control_memories: if keeps_memory { vec![LoopLanes::default(); blocks * drones] } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
-            finals: vec![0.0; finals],
+            finals: vec![0.0; model.observation_size * finals],
+            final_infos: vec![None; finals],
         }
     }
 }
@@ -561,6 +562,11 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
 
     fn final_images(&self, environment: usize) -> Option<&Observation> {
         self.environments.slots.get(environment)?.final_images.as_deref()
+    }
+
+    fn final_info(&self, environment: usize) -> Option<&Info> {
+        self.episode_summary(environment)?;
+        self.environments.final_infos.get(environment)?.as_ref()
     }
 
     fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {

@@ -1,6 +1,6 @@
 use super::{Autoreset, VecAviary, VecEnv, VecImages, VecStep};
 use crate::engine::Substeps;
-use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, ObservationSpace, Task};
+use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, Info, ObservationSpace, Task};
 use crate::observation::{KIN_SIZE, Observation};
 use crate::wrappers::{Curriculum, CurriculumConfig};
 
@@ -182,6 +182,10 @@ where
 
     fn final_images(&self, environment: usize) -> Option<&Observation> {
         self.env.final_images(environment)
+    }
+
+    fn final_info(&self, environment: usize) -> Option<&Info> {
+        self.env.final_info(environment)
     }
 
     fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {

@@ -27,7 +27,7 @@ pub use curriculum::VecCurriculum;
 
 use crate::engine::Substeps;
 use crate::engine::flight::Width;
-use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, ObservationSpace};
+use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, Info, ObservationSpace};
 use crate::observation::{KIN_SIZE, Observation};
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
@@ -469,8 +469,14 @@ pub trait VecEnv: Send {
     fn final_observations(&self) -> &[f32];
 
     /// Returns the last observation, with its images, of the last episode that ended in an environment. Returns `None`
-    /// if no episode has ended, or unless the batch uses [`Autoreset::SameStep`] and observes images.
+    /// if no episode has ended, if the last one could not start, or unless the batch uses [`Autoreset::SameStep`] and
+    /// observes images.
     fn final_images(&self, environment: usize) -> Option<&Observation>;
+
+    /// Returns the state of the episode that ended in the last step of an environment, as [`DroneEnv::info`] returned
+    /// it at the end of the episode. Returns `None` if no episode ended, if it could not start, if a change of the task
+    /// has made its options invalid, or unless the batch uses [`Autoreset::SameStep`].
+    fn final_info(&self, environment: usize) -> Option<&Info>;
 
     /// Returns the present state of a drone: the numbers of [`kinematic`](crate::observation::kinematic) with the motor
     /// speeds commanded in the last control step. The states of an environment without an episode are those of its

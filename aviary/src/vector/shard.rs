@@ -8,7 +8,7 @@ use super::control_loops::LoopLanes;
 use super::{Autoreset, OnFault};
 use crate::engine::ClearanceCache;
 use crate::engine::flight::{Decoding, Flow, LANES, LaneParams, Lanes, LateCommands, Width};
-use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, LaneFunctions, Phase, Task};
+use crate::env::{Aviary, EnvParts, Episode, EpisodeSummary, Info, LaneFunctions, Phase, Task};
 use crate::math::Row;
 use crate::observation::Observation;
 use crate::simulation::{SimData, SimModel, SimView, Simulation};
@@ -142,6 +142,8 @@ pub(super) struct Environments<T> {
     pub clearance_caches: Vec<ClearanceCache>,
     /// Last observations of the episodes that ended in the last step.
     pub finals: Vec<f32>,
+    /// Infos at the ends of these episodes.
+    pub final_infos: Vec<Option<Info>>,
 }
 
 impl<T> Environments<T> {
@@ -158,13 +160,14 @@ impl<T> Environments<T> {
             warm_starts: &mut self.warm_starts,
             clearance_caches: &mut self.clearance_caches,
             finals: &mut self.finals,
+            final_infos: &mut self.final_infos,
         }
     }
 
     /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
         let Self { slots, blocks, task_rows, lanes, lane_params, conditions, warm_starts, .. } = self;
-        let Self { control_memories, clearance_caches, finals, .. } = self;
+        let Self { control_memories, clearance_caches, finals, final_infos, .. } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
@@ -179,7 +182,8 @@ impl<T> Environments<T> {
             + size_of_val(&control_memories[..])
             + size_of_val(&warm_starts[..])
             + size_of_val(&clearance_caches[..])
-            + size_of_val(&finals[..]);
+            + size_of_val(&finals[..])
+            + size_of_val(&final_infos[..]);
         sum.div_ceil(slots.len())
     }
 }
@@ -206,6 +210,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub warm_starts: &'a mut [f64],
     pub clearance_caches: &'a mut [ClearanceCache],
     pub finals: &'a mut [f32],
+    pub final_infos: &'a mut [Option<Info>],
 }
 
 /// Slices of the buffers of a step.
@@ -280,6 +285,7 @@ impl<'a, T> EnvSlices<'a, T> {
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
         let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
+        let (final_infos, final_infos2) = cut(self.final_infos, count);
         (
             Self {
                 slots,
@@ -292,6 +298,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 warm_starts,
                 clearance_caches,
                 finals,
+                final_infos,
             },
             Self {
                 slots: slots2,
@@ -304,6 +311,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 warm_starts: warm_starts2,
                 clearance_caches: clearance_caches2,
                 finals: finals2,
+                final_infos: final_infos2,
             },
         )
     }

@@ -13,7 +13,7 @@ use super::shard::{BatchModel, Shard};
 use super::{Autoreset, OnFault};
 use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record, compute_rpys, set_commands};
 use crate::env::{
-    Aviary, EndReason, EnvError, EpisodeSummary, LaneFunctions, LaneStep, Phase, Sensing, SensorLanes, Task,
+    Aviary, EndReason, EnvError, EpisodeSummary, Info, LaneFunctions, LaneStep, Phase, Sensing, SensorLanes, Task,
 };
 use crate::math::Row;
 use crate::physics::wind::MovingWind;
@@ -384,6 +384,12 @@ impl<T: Task> Worker<T> {
         let slot = &mut shard.envs.slots[index];
         slot.summary = Some(EpisodeSummary { end: Some(reason), success, steps, reward });
         slot.episode.finish(reason);
+        if model.autoreset == Autoreset::SameStep {
+            let parts = slot.parts(&mut self.env, Some(&mut self.grounded[lane]));
+            // a task with invalid options must not be evaluated
+            let info = (!parts.episode.task_changed).then(|| Info { success, ..parts.episode.info(parts.view()) });
+            shard.envs.final_infos[index] = info;
+        }
         self.observe(model, shard, index, Some(lane), faults);
         self.store_task(model, shard, index, Some(lane));
         if model.autoreset == Autoreset::SameStep {
@@ -419,6 +425,9 @@ impl<T: Task> Worker<T> {
         shard.envs.blocks[index / LANES].ended[index % LANES] = true;
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
+            // those of an earlier episode
+            shard.envs.slots[index].final_images = None;
+            shard.envs.final_infos[index] = None;
         }
     }
 
