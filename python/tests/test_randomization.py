@@ -345,3 +345,29 @@ def test_a_range_of_the_user_next_to_a_wind_is_an_error():
         hover(wind=WIND, randomization={"environment": {"wind": [0.5, 2]}})
     assert hover(wind=WIND, randomization=DomainRandomizationConfig(wind_speed_range=None)) is not None
     assert pickle.loads(pickle.dumps(DomainRandomizationConfig())) == DomainRandomizationConfig()
+
+
+def test_the_wind_can_change_after_a_state_with_a_sampled_wind():
+    env = hover(randomization=True)
+    env.reset(seed=1)
+    state = env.get_state()
+    env.set_wind(WIND)
+    env.set_state(state)
+    assert env.sampled_params()["wind"] is not None
+    env.set_wind(WIND)
+    assert np.array_equal(drift(env)[0], drift(hover(wind=WIND, randomization=True))[0])
+
+
+def test_a_curriculum_can_set_the_wind_of_a_randomization():
+    def harder(env, level):
+        env.set_wind(WindConfig("constant", velocity=(2.0 * level, 0.0, 0.0)) if level else None)
+
+    config = CurriculumConfig(metric="episode_length", num_levels=3, window_size=1, threshold_advance=1.0)
+    env = CurriculumWrapper(DomainRandomizationWrapper(hover(episode_seconds=0.5)), harder, config)
+    sampled, ends = [], []
+    for level in range(3):
+        rows, info = flight(env, 5, steps=60)
+        assert info["curriculum_level"] == level
+        sampled.append(info["domain_params"]["wind"] is not None)
+        ends.append(rows[-1][0])
+    assert sampled == [True, False, False] and ends[2] > ends[1] + 0.005

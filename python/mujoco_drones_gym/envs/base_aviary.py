@@ -395,18 +395,14 @@ class BaseAviary(Readings, gym.Env):
             ValueError: next to a range of the wind in the randomization; nothing has changed.
         """
         options = wind_options(wind)
-        randomization = self._options["randomization"]
-        before, after = (
-            randomization_options(randomization, self.CTRL_FREQ, own)
-            for own in (wind_options(self._options["wind"]), options)
-        )
-        # without a moment of two winds
-        brings_range = before != after and (options is None or options["model"] == "none")
-        if before != after and not brings_range:
-            self._env.set_randomization(after)
+        ranges = randomization_options(self._options["randomization"], self.CTRL_FREQ, options)
+        # the simulator never gets a wind together with a range of the wind
+        has_wind = options is not None and options["model"] != "none"
+        if ranges is not None and has_wind:
+            self._env.set_randomization(ranges)
         self._env.set_wind(options)
-        if brings_range:
-            self._env.set_randomization(after)
+        if ranges is not None and not has_wind:
+            self._env.set_randomization(ranges)
         self._options["wind"] = wind
 
     def set_randomization(self, randomization: Any) -> None:
