@@ -117,7 +117,7 @@ class Logger:
         aviary = aviary_of(env, "log_env")
         if self.NUM_DRONES != aviary.NUM_DRONES:
             raise ValueError(f"num_drones is {self.NUM_DRONES}, expected {aviary.NUM_DRONES}, as the environment has")
-        time = aviary._env.info()["time"]
+        time = aviary.time
         for drone in range(self.NUM_DRONES):
             self.log(drone, time, aviary._getDroneStateVector(drone))
 
