@@ -116,8 +116,8 @@ pub trait Task: std::fmt::Debug + 'static {
         TaskOptions::default()
     }
 
-    /// Returns the space of one drone's observation. In every task of [`NAMES`](crate::tasks::NAMES), entries 0 to 11 are
-    /// those of [`state_vector`](crate::observation::state_vector).
+    /// Returns the space of one drone's observation. In every task of [`NAMES`](crate::tasks::NAMES), entries 0 to 11
+    /// are those of [`state_vector`](crate::observation::state_vector).
     fn observation_space(&self) -> BoxSpace;
 
     /// Validates the options of the task for these drones.

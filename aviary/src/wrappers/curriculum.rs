@@ -279,8 +279,8 @@ pub struct CurriculumWrapper<E, F> {
 }
 
 impl<E: DroneEnv, F: FnMut(&mut E, usize) -> Result<(), EnvError>> CurriculumWrapper<E, F> {
-    /// Creates a curriculum around an environment, at [`start_level`](CurriculumConfig::start_level). Every reset calls `difficulty` with the environment
-    /// and the level.
+    /// Creates a curriculum around an environment, at [`start_level`](CurriculumConfig::start_level). Every reset calls
+    /// `difficulty` with the environment and the level.
     ///
     /// # Errors
     /// [`EnvError::Option`] if a setting is invalid.

@@ -122,7 +122,8 @@ impl WindField {
         Ok(field)
     }
 
-    /// Replaces the settings and the drag areas of the airframes (m²); the number of drones and the state of the wind stay the same.
+    /// Replaces the settings and the drag areas of the airframes (m²); the number of drones and the state of the wind
+    /// stay the same.
     pub(crate) fn set(&mut self, config: WindConfig, areas: impl Iterator<Item = f64>) -> Result<(), OptionError> {
         config.validate()?;
         for (local, airframe) in self.locals.iter_mut().zip(areas) {
