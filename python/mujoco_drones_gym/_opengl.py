@@ -22,11 +22,10 @@ class _TritonFinder(MetaPathFinder):
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """Returns None: the other finders find the module."""
-        if fullname == "triton" and not self._is_done:
-            # it stays in the list of finders: whoever calls it walks through that list
+        # the finder stays in the list of finders, through which its caller walks; a search is not always an import
+        if fullname == "triton" and not self._is_done and _has_llvm_of_mesa():
             self._is_done = True
-            if _has_llvm_of_mesa():
-                _load_triton()
+            _load_triton()
         return None
 
 

@@ -1,7 +1,7 @@
 """Arguments of methods: errors of one line after which nothing has moved, and seeds of first resets."""
 
-import copy
 import importlib
+import importlib.util
 import sys
 
 import numpy as np
@@ -254,12 +254,13 @@ def test_the_finder_of_triton_leaves_the_other_finders_alone(monkeypatch):
             asked.append(name)
             return None
 
-    monkeypatch.setattr(sys, "meta_path", [opengl._TritonFinder(), Next, *copy.copy(sys.meta_path)])
+    has_llvm, loads = [False, True, True], []
+    monkeypatch.setattr(sys, "meta_path", [opengl._TritonFinder(), Next])
     monkeypatch.delitem(sys.modules, "triton", raising=False)
-    loads = []
-    monkeypatch.setattr(opengl, "_has_llvm_of_mesa", lambda: bool(loads.append(1)))
+    monkeypatch.setattr(opengl, "_has_llvm_of_mesa", lambda: has_llvm[len(asked)])
+    monkeypatch.setattr(opengl, "_load_triton", lambda: loads.append(len(asked)))
     finders = list(sys.meta_path)
-    for _ in range(2):
-        importlib.util.find_spec("triton")
+    for _ in range(3):
+        assert importlib.util.find_spec("triton") is None
         assert sys.meta_path == finders
-    assert asked == ["triton", "triton"] and loads == [1]
+    assert asked == ["triton"] * 3 and loads == [1], "once, and not before there is a library to fear"
