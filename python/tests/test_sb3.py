@@ -80,7 +80,7 @@ def test_attributes_and_methods():
     with pytest.raises(TypeError, match="autoreset_mode"):
         SB3VecEnv("hover", 2, autoreset_mode="NextStep")
     with pytest.raises(TypeError):
-        SB3VecEnv("hover", 2, hight=2)
+        SB3VecEnv("hover", 2, size=2)
     again = pickle.loads(pickle.dumps(env))
     assert (again.num_envs, again.venv.task) == (3, "multi_hover")
 
