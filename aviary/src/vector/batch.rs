@@ -346,7 +346,6 @@ impl<T: Task + Clone> Environments<T> {
                 start_failed: false,
                 wind_seed: simulation.wind_seed(),
                 summary: None,
-                final_images: None,
             }
         };
         let blocks = count.div_ceil(LANES);
@@ -375,6 +374,7 @@ impl<T: Task + Clone> Environments<T> {
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
             finals: vec![0.0; model.observation_size * finals],
             final_infos: vec![None; finals],
+            final_images: if model.images == [0; 3] { Vec::new() } else { vec![None; finals] },
         }
     }
 }
@@ -561,7 +561,7 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
     }
 
     fn final_images(&self, environment: usize) -> Option<&Observation> {
-        self.environments.slots.get(environment)?.final_images.as_deref()
+        self.environments.final_images.get(environment)?.as_deref()
     }
 
     fn final_info(&self, environment: usize) -> Option<&Info> {

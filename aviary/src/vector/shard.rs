@@ -69,8 +69,6 @@ pub(super) struct EnvSlot<T> {
     pub start_failed: bool,
     /// Summary of the last episode that ended; see [`Block::ended`].
     pub summary: Option<EpisodeSummary>,
-    /// Last observation with images of the last episode that ended, if the batch resets in the same step.
-    pub final_images: Option<Box<Observation>>,
 }
 
 /// State of a block of environments that every step reads and writes, as a structure of arrays.
@@ -144,6 +142,9 @@ pub(super) struct Environments<T> {
     pub finals: Vec<f32>,
     /// Infos at the ends of these episodes.
     pub final_infos: Vec<Option<Info>>,
+    /// Last observations with images of the episodes that ended, if the batch observes images and resets in the same
+    /// step.
+    pub final_images: Vec<Option<Box<Observation>>>,
 }
 
 impl<T> Environments<T> {
@@ -161,17 +162,19 @@ impl<T> Environments<T> {
             clearance_caches: &mut self.clearance_caches,
             finals: &mut self.finals,
             final_infos: &mut self.final_infos,
+            final_images: &mut self.final_images,
         }
     }
 
     /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
         let Self { slots, blocks, task_rows, lanes, lane_params, conditions, warm_starts, .. } = self;
-        let Self { control_memories, clearance_caches, finals, final_infos, .. } = self;
+        let Self { control_memories, clearance_caches, finals, final_infos, final_images, .. } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
-            + slots.iter().filter_map(|slot| slot.final_images.as_ref()).map(|images| images.bytes()).sum::<usize>()
+            + size_of_val(&final_images[..])
+            + final_images.iter().flatten().map(|images| images.bytes()).sum::<usize>()
             + size_of_val(&blocks[..])
             + size_of_val(&task_rows[..])
             + size_of_val(&lanes[..])
@@ -211,6 +214,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub clearance_caches: &'a mut [ClearanceCache],
     pub finals: &'a mut [f32],
     pub final_infos: &'a mut [Option<Info>],
+    pub final_images: &'a mut [Option<Box<Observation>>],
 }
 
 /// Slices of the buffers of a step.
@@ -286,6 +290,7 @@ impl<'a, T> EnvSlices<'a, T> {
         let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
         let (final_infos, final_infos2) = cut(self.final_infos, count);
+        let (final_images, final_images2) = cut(self.final_images, count);
         (
             Self {
                 slots,
@@ -299,6 +304,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 clearance_caches,
                 finals,
                 final_infos,
+                final_images,
             },
             Self {
                 slots: slots2,
@@ -312,6 +318,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 clearance_caches: clearance_caches2,
                 finals: finals2,
                 final_infos: final_infos2,
+                final_images: final_images2,
             },
         )
     }

@@ -394,21 +394,19 @@ impl<T: Task> Worker<T> {
         self.store_task(model, shard, index, Some(lane));
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
-            self.keep_final_images(model, shard, index, faults);
+            self.keep_final_images(shard, index, faults);
             self.reset(model, shard, index, None, faults);
         }
     }
 
     /// Renders the last images of an episode, if the batch observes images.
-    fn keep_final_images(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, faults: &Faults) {
-        if model.images == [0; 3] {
-            return;
-        }
+    fn keep_final_images(&mut self, shard: &mut Shard<'_, T>, index: usize, faults: &Faults) {
+        let Some(images) = shard.envs.final_images.get_mut(index) else { return };
         let slot = &mut shard.envs.slots[index];
         let mut parts = slot.parts(&mut self.env, Some(&mut self.grounded[index % LANES]));
         let drawn = parts.observe_images();
         let seen = parts.workspace.observation.clone();
-        match &mut slot.final_images {
+        match images {
             Some(images) => **images = seen,
             none => *none = Some(Box::new(seen)),
         }
@@ -426,8 +424,10 @@ impl<T: Task> Worker<T> {
         if model.autoreset == Autoreset::SameStep {
             shard.keep_final(model, index);
             // those of an earlier episode
-            shard.envs.slots[index].final_images = None;
             shard.envs.final_infos[index] = None;
+            if let Some(images) = shard.envs.final_images.get_mut(index) {
+                *images = None;
+            }
         }
     }
 
