@@ -58,6 +58,7 @@ fn has_placeholder(command: &str) -> bool {
         || command.split(' ').any(|word| {
             word.len() > 1 && word.trim_end_matches(char::is_numeric).chars().all(|c| c.is_ascii_uppercase())
                 || word.contains("FILE")
+                || word == "I/N"
                 || word == "T"
         })
 }

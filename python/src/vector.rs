@@ -53,8 +53,14 @@ impl Inner {
         // the step must not overwrite its actions
         if self.outputs.overlap(actions) {
             return match actions {
-                Numbers::Single(actions) => self.step_apart(Numbers::Single(&actions.to_vec())),
-                Numbers::Double(actions) => self.step_apart(Numbers::Double(&actions.to_vec())),
+                Numbers::Single(actions) => {
+                    let copy = actions.to_vec();
+                    self.step_apart(Numbers::Single(&copy))
+                }
+                Numbers::Double(actions) => {
+                    let copy = actions.to_vec();
+                    self.step_apart(Numbers::Double(&copy))
+                }
             };
         }
         self.step_apart(actions)

@@ -111,7 +111,8 @@ fn every_condition_is_bit_identical_in_a_batch_and_alone() {
 /// Environments that do not fly in lanes keep wind, late commands and late observations of their own, too.
 #[test]
 fn every_condition_is_bit_identical_with_engines_that_do_not_fly_in_lanes() {
-    let engines: [(&str, fn(AviaryBuilder<Hover>) -> AviaryBuilder<Hover>); 3] = [
+    type Change = fn(AviaryBuilder<Hover>) -> AviaryBuilder<Hover>;
+    let engines: [(&str, Change); 3] = [
         ("mujoco", |builder| builder.engine(EngineKind::Mujoco)),
         ("hybrid, Euler", |builder| builder.integrator(Integrator::Euler)),
         ("dyn", |builder| builder.physics(Physics::Dyn).engine(EngineKind::Explicit)),
