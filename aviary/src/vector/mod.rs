@@ -163,7 +163,7 @@ pub struct VecStep<'a> {
 }
 
 /// Camera images of all environments, in buffers of the caller. The shapes are M times those of an
-/// [`Observation`](crate::observation::Observation). Buffers of images outside the observation type are empty.
+/// [`Observation`]. Buffers of images outside the observation type are empty.
 ///
 /// ```
 /// use aviary::observation::ObservationType;
@@ -473,9 +473,10 @@ pub trait VecEnv: Send {
     /// observes images.
     fn final_images(&self, environment: usize) -> Option<&Observation>;
 
-    /// Returns the state of the episode that ended in the last step of an environment, as [`DroneEnv::info`] returned
-    /// it at the end of the episode. Returns `None` if no episode ended, if it could not start, if a change of the task
-    /// has made its options invalid, or unless the batch uses [`Autoreset::SameStep`].
+    /// Returns the state of the episode that ended in the last step of an environment, as
+    /// [`Env::info`](crate::env::Env::info) returned it at the end of the episode. Returns `None` if no episode ended, if
+    /// it could not start, if a change of the task has made its options invalid, or unless the batch uses
+    /// [`Autoreset::SameStep`].
     fn final_info(&self, environment: usize) -> Option<&Info>;
 
     /// Returns the present state of a drone: the numbers of [`kinematic`](crate::observation::kinematic) with the motor
