@@ -87,10 +87,41 @@ class Controller:
         self._native.reset()
         self.integral_pos_e, self.integral_rpy_e = self._native.integrals()
 
-    def _compute(
-        self, control_timestep, cur_pos, cur_quat, cur_vel, cur_ang_vel, target_pos, target_rpy, target_vel, target_acc,
-        target_rpy_rates,
-    ):  # fmt: skip
+    def computeControl(
+        self,
+        control_timestep: float,
+        cur_pos: Any,
+        cur_quat: Any,
+        cur_vel: Any,
+        cur_ang_vel: Any,
+        target_pos: Any,
+        target_rpy: Any = _ZEROS,
+        target_vel: Any = _ZEROS,
+        target_acc: Any = _ZEROS,
+        target_rpy_rates: Any = _ZEROS,
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Computes the motor speeds for the next control step.
+
+        Args:
+            control_timestep: Time since the last call, s.
+            cur_pos: Position, world frame, m, shape (3,).
+            cur_quat: Attitude, body to world, quaternion (w, x, y, z), shape (4,), of any length; it is normalized.
+            cur_vel: Velocity, world frame, m/s, shape (3,).
+            cur_ang_vel: Angular velocity, body frame, rad/s, shape (3,).
+            target_pos: Target position, world frame, m, shape (3,).
+            target_rpy: Target roll, pitch and yaw, rad, shape (3,); only the yaw is used.
+            target_vel: Target velocity, world frame, m/s, shape (3,).
+            target_acc: Target acceleration, world frame, m/s², shape (3,).
+            target_rpy_rates: Target rates of roll, pitch and yaw, rad/s, shape (3,); only the yaw rate is used.
+
+        Returns:
+            Motor speeds, rpm, shape (4,); position error (target minus actual), world frame, m, shape (3,); yaw error,
+            rad.
+
+        Raises:
+            ValueError: for a wrong shape, a number that is not finite or beyond ±1e9, or a quaternion of zeros. The
+                integral terms are unchanged.
+        """
         native = self._native
         timestep = number("control_timestep", control_timestep, "1e-6 to 10 s")
         arguments = {
@@ -104,14 +135,34 @@ class Controller:
             "target_rpy": vector("target_rpy", target_rpy),
             "target_rpy_rates": vector("target_rpy_rates", target_rpy_rates),
         }
-        check_sizes(arguments)
+        integrals = {
+            "integral_pos_e": vector("integral_pos_e", self.integral_pos_e),
+            "integral_rpy_e": vector("integral_rpy_e", self.integral_rpy_e),
+        }
+        check_sizes({**arguments, **integrals})
         *plain, rpy, rates = arguments.values()
-        native.set_integrals(
-            vector("integral_pos_e", self.integral_pos_e), vector("integral_rpy_e", self.integral_rpy_e)
-        )
+        native.set_integrals(*integrals.values())
         output = native.compute(timestep, *plain, float(rpy[2]), float(rates[2]))
         self.integral_pos_e, self.integral_rpy_e = native.integrals()
         return output
+
+    def computeControlFromState(
+        self,
+        control_timestep: float,
+        state: Any,
+        target_pos: Any,
+        target_rpy: Any = _ZEROS,
+        target_vel: Any = _ZEROS,
+        target_acc: Any = _ZEROS,
+        target_rpy_rates: Any = _ZEROS,
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Computes the motor speeds from the 20 numbers of a drone's state, shape (20,), as `computeControl` does."""
+        return self.computeControl(
+            control_timestep, *split(state), target_pos, target_rpy, target_vel, target_acc, target_rpy_rates
+        )
+
+    compute_control = computeControl
+    compute_control_from_state = computeControlFromState
 
     def __getstate__(self):
         return {**self.__dict__, "_native": self._native.to_json()}

@@ -55,9 +55,9 @@ class PIDControl(Cascade):
             ValueError: for a wrong shape, a number that is not finite or beyond ±1e9, or a quaternion of zeros. The
                 integral terms are unchanged.
         """
-        return self._compute(
-            control_timestep, cur_pos, cur_quat, cur_vel, cur_ang_vel, target_pos, target_rpy, target_vel, _ZEROS,
-            target_rpy_rates,
+        return super().computeControl(
+            control_timestep, cur_pos, cur_quat, cur_vel, cur_ang_vel, target_pos, target_rpy, target_vel,
+            target_rpy_rates=target_rpy_rates,
         )  # fmt: skip
 
     def computeControlFromState(
