@@ -83,12 +83,12 @@ fn invalid_calls_are_errors_that_change_nothing() {
 
 /// Hover with a function in `update`, invalid starts, and loads and commands in the reward.
 #[derive(Debug, Clone)]
-struct Odd {
+pub struct Odd {
     hover: Hover,
     /// Function that `update` calls.
     update: fn(SimView<'_>),
     /// Returns true if the n-th call of `start` gives an invalid state.
-    impossible: fn(u32) -> bool,
+    pub impossible: fn(u32) -> bool,
     /// Calls of `start`.
     starts: u32,
 }
@@ -151,7 +151,7 @@ impl Task for Odd {
 }
 
 /// Creates a builder with a function for `update` and valid starts.
-fn odd(update: fn(SimView<'_>)) -> AviaryBuilder<Odd> {
+pub fn odd(update: fn(SimView<'_>)) -> AviaryBuilder<Odd> {
     AviaryBuilder::new(Odd { hover: Hover::default(), update, impossible: |_| false, starts: 0 })
 }
 

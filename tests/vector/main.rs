@@ -8,6 +8,7 @@ mod conditions;
 mod controllers;
 mod episodes;
 mod faults;
+mod kept;
 mod pair;
 mod precision;
 mod tasks;

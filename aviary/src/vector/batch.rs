@@ -295,6 +295,7 @@ fn batch_model<T: Task>(
         observation_size: numbers,
         autoreset: config.autoreset,
         on_fault: config.on_fault,
+        keep_observations: config.keep_observations,
         flow: flies.then(|| Flow {
             dt: world.timestep,
             body_fixed: world.forcing == Forcing::BodyFixed,
@@ -372,6 +373,7 @@ impl<T: Task + Clone> Environments<T> {
             control_memories: if keeps_memory { vec![LoopLanes::default(); blocks * drones] } else { Vec::new() },
             warm_starts: vec![0.0; 6 * drones * count],
             clearance_caches: vec![ClearanceCache::default(); clearance_caches],
+            kept_observations: vec![0.0; model.observation_size * if model.keep_observations { count } else { 0 }],
             finals: vec![0.0; model.observation_size * finals],
             final_infos: vec![None; finals],
             final_images: if model.images == [0; 3] { Vec::new() } else { vec![None; finals] },
@@ -543,15 +545,16 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
         self.step_with(Actions::Double(actions), out)
     }
 
-    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
+    fn render_images_where(&mut self, mask: &[bool], out: VecImages<'_>) -> Result<(), EnvError> {
         self.faults.clear();
+        check_len("mask", mask.len(), self.num_envs())?;
         let (count, [rgb, depth, objects]) = (self.num_envs(), self.model.images);
         check_len("rgb", out.rgb.len(), count * rgb)?;
         check_len("depth", out.depth.len(), count * depth)?;
         check_len("segmentation", out.segmentation.len(), count * objects)?;
         let images = ImageSlices { rgb: out.rgb, depth: out.depth, segmentation: out.segmentation };
         let (model, envs) = (&self.model, self.environments.slices());
-        let shard = Shard { first: 0, mask: &[], envs, step: StepSlices::default(), images };
+        let shard = Shard { first: 0, mask, envs, step: StepSlices::default(), images };
         self.pool.run(model, shard, &|worker, shard, faults| worker.render(model, shard, faults))?;
         self.take_faults(true)
     }

@@ -172,8 +172,8 @@ where
         self.step_with(|env| env.step_f64(actions, out))
     }
 
-    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
-        self.env.render_images(out)
+    fn render_images_where(&mut self, mask: &[bool], out: VecImages<'_>) -> Result<(), EnvError> {
+        self.env.render_images_where(mask, out)
     }
 
     fn final_observations(&self) -> &[f32] {

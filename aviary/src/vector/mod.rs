@@ -115,6 +115,26 @@ pub struct VecConfig {
     pub autoreset: Autoreset,
     /// Handling of environments that fail.
     pub on_fault: OnFault,
+    /// If true, the batch keeps a copy of the last observations, so that every step and reset writes all rows of the
+    /// observations and the caller may pass another buffer each time. A reset writes the last observations of the
+    /// environments that its mask does not select, zeros before their first reset. By default it leaves their rows as
+    /// they are, and the caller passes the buffer of the last step again.
+    ///
+    /// ```
+    /// use aviary::tasks::Hover;
+    /// use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+    ///
+    /// let config = VecConfig { keep_observations: true, ..VecConfig::new(2) };
+    /// let mut env = VecAviary::new(Hover::builder(), config)?;
+    /// let mut buffers = VecBuffers::new(&env);
+    /// env.reset(Some(1), &mut buffers.observations)?;
+    /// env.step(&[0.5; 8], buffers.step())?;
+    /// let mut observations = [0.0; 2 * 12];
+    /// env.reset_where(&[false, true], None, &mut observations)?;
+    /// assert_eq!(observations[..12], buffers.observations[..12]);
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    pub keep_observations: bool,
     /// Instruction set of the flight kernel; default the widest of the machine. The results are bit-identical for
     /// all of them. The kernel runs with the baseline if the machine lacks the selected one.
     pub width: Width,
@@ -406,7 +426,7 @@ pub trait VecEnv: Send {
     }
 
     /// Starts an episode in every environment that `mask` selects, and writes the observations of those
-    /// environments.
+    /// environments. With [`VecConfig::keep_observations`], it also writes the last observations of the others.
     ///
     /// # Errors
     /// Returns the errors of [`reset`](Self::reset).
@@ -461,7 +481,17 @@ pub trait VecEnv: Send {
     /// # Errors
     /// [`EnvError::Buffer`] for a buffer of the wrong length, [`EnvError::InBatch`] around an [`EnvError::Vision`]
     /// if an image cannot be rendered, and [`EnvError::Panicked`] after a panic in a task.
-    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError>;
+    fn render_images(&mut self, out: VecImages<'_>) -> Result<(), EnvError> {
+        let all = vec![true; self.num_envs()];
+        self.render_images_where(&all, out)
+    }
+
+    /// Renders the images of the environments that `mask` selects, like [`render_images`](Self::render_images). The
+    /// images of other environments stay as they are.
+    ///
+    /// # Errors
+    /// Returns the errors of [`render_images`](Self::render_images).
+    fn render_images_where(&mut self, mask: &[bool], out: VecImages<'_>) -> Result<(), EnvError>;
 
     /// Returns the last observations of the episodes that ended in the last step, in the rows of their
     /// environments, M × [`observation_size`](Self::observation_size). The slice is empty unless the batch uses

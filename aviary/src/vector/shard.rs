@@ -1,5 +1,7 @@
 //! Environments of a batch and the slices of them that a worker processes.
 
+use std::ops::Range;
+
 use smallvec::SmallVec;
 
 use super::actions::Actions;
@@ -21,6 +23,8 @@ pub(super) struct BatchModel {
     pub observation_size: usize,
     pub autoreset: Autoreset,
     pub on_fault: OnFault,
+    /// True if the batch keeps the last observations, see [`VecConfig`](super::VecConfig).
+    pub keep_observations: bool,
     /// Settings of the flight kernel; `None` if no environment flies in lanes.
     pub flow: Option<Flow>,
     /// Instruction set.
@@ -138,6 +142,8 @@ pub(super) struct Environments<T> {
     pub control_memories: Vec<LoopLanes>,
     pub warm_starts: Vec<f64>,
     pub clearance_caches: Vec<ClearanceCache>,
+    /// Observations of all environments as last written, if the batch keeps them; otherwise empty.
+    pub kept_observations: Vec<f32>,
     /// Last observations of the episodes that ended in the last step.
     pub finals: Vec<f32>,
     /// Infos at the ends of these episodes.
@@ -160,6 +166,7 @@ impl<T> Environments<T> {
             control_memories: &mut self.control_memories,
             warm_starts: &mut self.warm_starts,
             clearance_caches: &mut self.clearance_caches,
+            kept_observations: &mut self.kept_observations,
             finals: &mut self.finals,
             final_infos: &mut self.final_infos,
             final_images: &mut self.final_images,
@@ -169,7 +176,8 @@ impl<T> Environments<T> {
     /// Returns the memory per environment, bytes.
     pub fn bytes_per_env(&self) -> usize {
         let Self { slots, blocks, task_rows, lanes, lane_params, conditions, warm_starts, .. } = self;
-        let Self { control_memories, clearance_caches, finals, final_infos, final_images, .. } = self;
+        let Self { control_memories, clearance_caches, kept_observations, .. } = self;
+        let Self { finals, final_infos, final_images, .. } = self;
         let sum = size_of_val(&slots[..])
             + slots.iter().filter_map(|slot| slot.data.as_ref()).map(|data| data.bytes()).sum::<usize>()
             + slots.iter().map(|slot| slot.episode.bytes()).sum::<usize>()
@@ -185,6 +193,7 @@ impl<T> Environments<T> {
             + size_of_val(&control_memories[..])
             + size_of_val(&warm_starts[..])
             + size_of_val(&clearance_caches[..])
+            + size_of_val(&kept_observations[..])
             + size_of_val(&finals[..])
             + size_of_val(&final_infos[..]);
         sum.div_ceil(slots.len())
@@ -212,6 +221,7 @@ pub(super) struct EnvSlices<'a, T> {
     pub control_memories: &'a mut [LoopLanes],
     pub warm_starts: &'a mut [f64],
     pub clearance_caches: &'a mut [ClearanceCache],
+    pub kept_observations: &'a mut [f32],
     pub finals: &'a mut [f32],
     pub final_infos: &'a mut [Option<Info>],
     pub final_images: &'a mut [Option<Box<Observation>>],
@@ -253,6 +263,22 @@ impl<'a, T> Shard<'a, T> {
         self.envs.finals[row.clone()].copy_from_slice(&self.step.observations[row]);
     }
 
+    /// Copies the observations of environments to the kept observations, if the batch keeps them.
+    pub fn keep_observations(&mut self, model: &BatchModel, range: Range<usize>) {
+        if model.keep_observations {
+            let rows = model.observation_size * range.start..model.observation_size * range.end;
+            self.envs.kept_observations[rows.clone()].copy_from_slice(&self.step.observations[rows]);
+        }
+    }
+
+    /// Writes the kept observations of environments to their rows of the output, if the batch keeps them.
+    pub fn recall_observations(&mut self, model: &BatchModel, range: Range<usize>) {
+        if model.keep_observations {
+            let rows = model.observation_size * range.start..model.observation_size * range.end;
+            self.step.observations[rows.clone()].copy_from_slice(&self.envs.kept_observations[rows]);
+        }
+    }
+
     /// Computes the commands that reach the motors of a block during a control step, if any arrive late.
     pub fn delay_commands(&mut self, model: &BatchModel, block: usize, late: &mut [LateCommands]) {
         let lanes = &self.envs.lanes[block * model.drones..(block + 1) * model.drones];
@@ -288,6 +314,7 @@ impl<'a, T> EnvSlices<'a, T> {
         let (control_memories, control_memories2) = cut(self.control_memories, blocks * drones);
         let (warm_starts, warm_starts2) = cut(self.warm_starts, 6 * drones * count);
         let (clearance_caches, clearance_caches2) = cut(self.clearance_caches, drones * count);
+        let (kept_observations, kept_observations2) = cut(self.kept_observations, model.observation_size * count);
         let (finals, finals2) = cut(self.finals, model.observation_size * count);
         let (final_infos, final_infos2) = cut(self.final_infos, count);
         let (final_images, final_images2) = cut(self.final_images, count);
@@ -302,6 +329,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 control_memories,
                 warm_starts,
                 clearance_caches,
+                kept_observations,
                 finals,
                 final_infos,
                 final_images,
@@ -316,6 +344,7 @@ impl<'a, T> EnvSlices<'a, T> {
                 control_memories: control_memories2,
                 warm_starts: warm_starts2,
                 clearance_caches: clearance_caches2,
+                kept_observations: kept_observations2,
                 finals: finals2,
                 final_infos: final_infos2,
                 final_images: final_images2,

@@ -107,9 +107,12 @@ impl<T: Task> Worker<T> {
             shard.delay_commands(model, block, &mut self.late);
             let (flew, evaluable) = self.advance(model, shard, range.clone(), &fits_lanes);
             let done = self.evaluate_lanes(model, shard, range.clone(), &flew, &evaluable);
-            for index in range.filter(|index| !done[index % LANES]) {
+            for index in range.clone().filter(|index| !done[index % LANES]) {
+                // an environment that fails does not always write its observation
+                shard.recall_observations(model, index..index + 1);
                 self.evaluate(model, shard, index, flew[index % LANES], faults);
             }
+            shard.keep_observations(model, range);
         }
     }
 
@@ -503,20 +506,23 @@ impl<T: Task> Worker<T> {
         seed_of: impl Fn(usize) -> Option<u64>,
         faults: &Faults,
     ) {
-        for index in 0..shard.envs.slots.len() {
+        let count = shard.envs.slots.len();
+        shard.recall_observations(model, 0..count);
+        for index in 0..count {
             if shard.mask[index] {
                 shard.envs.blocks[index / LANES].ended[index % LANES] = false;
                 self.reset(model, shard, index, seed_of(shard.first + index), faults);
+                shard.keep_observations(model, index..index + 1);
             }
         }
     }
 
-    /// Renders the camera images of every environment.
+    /// Renders the camera images of every environment that the mask selects.
     pub fn render(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, faults: &Faults) {
         let Some(cameras) = &self.env.workspace.cameras else { return };
         // a change of the context takes a noticeable part of the time of a small image
         let drawn = cameras.value.context().keep_current(|| {
-            for index in 0..shard.envs.slots.len() {
+            for index in (0..shard.envs.slots.len()).filter(|&index| shard.mask[index]) {
                 if let Err(error) = self.render_one(model, shard, index) {
                     report(faults, shard.first + index, error);
                 }
