@@ -180,7 +180,7 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         let shares = environments.slots[environment].data.is_none();
         if shares {
             // the data of a worker has the sampled parameters of its last environment
-            let started = environments.slots[environment].started;
+            let started = environments.blocks[environment / LANES].started[environment % LANES];
             let mut data = Box::new(if started { env.simulation.snapshot() } else { model.fresh.clone() });
             environments.slices().load(model, &env.simulation.model, environment, &mut data);
             data.forget_start();
@@ -343,8 +343,6 @@ impl<T: Task + Clone> Environments<T> {
             EnvSlot {
                 episode,
                 data: individual.then(|| Box::new(simulation.snapshot())),
-                started: false,
-                start_failed: false,
                 wind_seed: simulation.wind_seed(),
                 summary: None,
             }
@@ -410,9 +408,10 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         // reset automatically
         if !self.all_started || self.config.autoreset == Autoreset::Disabled {
             for (environment, slot) in self.environments.slots.iter().enumerate() {
+                let block = &self.environments.blocks[environment / LANES];
                 match slot.episode.phase {
                     Phase::Running => {}
-                    Phase::New if !slot.started => {
+                    Phase::New if !block.started[environment % LANES] => {
                         return bad(environment, EnvError::NeedsReset { when: "on a new environment" });
                     }
                     _ if self.config.autoreset == Autoreset::Disabled => {
@@ -428,8 +427,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         }
         let Some(entry) = actions.first_bad() else { return Ok(()) };
         let (environment, index) = (entry / self.model.action_size, entry % self.model.action_size);
-        let slot = &self.environments.slots[environment];
-        if slot.awaits_episode() {
+        let phase = self.environments.slots[environment].episode.phase;
+        if self.environments.blocks[environment / LANES].awaits_episode(environment % LANES, phase) {
             // this environment ignores its action, but the actions of later environments count
             let size = self.model.action_size;
             for (environment, slot) in self.environments.slots.iter().enumerate() {

@@ -67,10 +67,6 @@ pub(super) struct EnvSlot<T> {
     pub data: Option<Box<SimData>>,
     /// Seed of the wind of this episode.
     pub wind_seed: u64,
-    /// True if the environment has ever started an episode.
-    pub started: bool,
-    /// True if the last attempt to start an episode failed.
-    pub start_failed: bool,
     /// Summary of the last episode that ended; see [`Block::ended`].
     pub summary: Option<EpisodeSummary>,
 }
@@ -91,16 +87,20 @@ pub(super) struct Block {
     pub ended: [bool; LANES],
     /// True if the rows of the task are ahead of the scalar task: if the last step was evaluated in lanes.
     pub rows_ahead: [bool; LANES],
+    /// True if the environment has ever started an episode.
+    pub started: [bool; LANES],
+    /// True if the last attempt to start an episode failed.
+    pub start_failed: [bool; LANES],
 }
 
-impl<T> EnvSlot<T> {
-    /// Returns true if the next step starts an episode because the last one ended or a change of the task cut it
-    /// off.
-    pub fn awaits_episode(&self) -> bool {
-        match self.episode.phase {
+impl Block {
+    /// Returns true if the next step of an environment with an episode in this phase starts an episode because the last
+    /// one ended or a change of the task cut it off.
+    pub fn awaits_episode(&self, lane: usize, phase: Phase) -> bool {
+        match phase {
             Phase::Running => false,
             Phase::Over => true,
-            Phase::New => self.started,
+            Phase::New => self.started[lane],
         }
     }
 }
@@ -388,7 +388,7 @@ impl<'a, T> EnvSlices<'a, T> {
         let data = match slot.data.as_deref_mut() {
             Some(own) => own,
             None => {
-                if let Some(randomizer) = slot.episode.randomizer().filter(|_| slot.started) {
+                if let Some(randomizer) = slot.episode.randomizer().filter(|_| block.started[lane]) {
                     // the start of the episode has accepted the parameters
                     let _ = randomizer.apply(sim_model, shared);
                     shared.refresh(sim_model);

@@ -165,19 +165,20 @@ impl<T: Task> Worker<T> {
 
     /// Returns the action of an environment in this step.
     fn step_kind(&mut self, model: &BatchModel, shard: &Shard<'_, T>, index: usize, action: Actions<'_>) -> StepKind {
-        let slot = &shard.envs.slots[index];
-        let error = match slot.episode.phase {
+        let (phase, block) = (shard.envs.slots[index].episode.phase, &shard.envs.blocks[index / LANES]);
+        let error = match phase {
             // `check_actions` has rejected actions that are not finite before the step
             Phase::Running if model.on_fault == OnFault::Error => return StepKind::Fly,
             Phase::Running => match action.first_bad() {
                 None => return StepKind::Fly,
                 Some(entry) => {
-                    let steps = shard.envs.blocks[index / LANES].steps[index % LANES];
-                    let time = steps as f64 * model.control_period;
+                    let time = block.steps[index % LANES] as f64 * model.control_period;
                     EnvError::Action { index: entry, got: action.get(entry), time }
                 }
             },
-            _ if slot.awaits_episode() && model.autoreset != Autoreset::Disabled => return StepKind::Begin,
+            _ if block.awaits_episode(index % LANES, phase) && model.autoreset != Autoreset::Disabled => {
+                return StepKind::Begin;
+            }
             Phase::Over => EnvError::NeedsReset { when: "after the end of the episode" },
             Phase::New => EnvError::NeedsReset { when: "on a new environment" },
         };
@@ -338,9 +339,10 @@ impl<T: Task> Worker<T> {
             StepKind::Begin => {
                 shard.step.write(index, 0.0, false, false);
                 // under `SameStep`, a reset is pending here only after a failed start in the step before
-                let late = model.autoreset == Autoreset::SameStep && shard.envs.slots[index].start_failed;
+                let failed = |shard: &Shard<'_, T>| shard.envs.blocks[index / LANES].start_failed[lane];
+                let late = model.autoreset == Autoreset::SameStep && failed(shard);
                 self.reset(model, shard, index, None, faults);
-                if late || shard.envs.slots[index].start_failed {
+                if late || failed(shard) {
                     self.end_without_start(model, shard, index);
                 }
             }
@@ -457,8 +459,9 @@ impl<T: Task> Worker<T> {
     fn fail(&mut self, model: &BatchModel, shard: &mut Shard<'_, T>, index: usize, error: EnvError, faults: &Faults) {
         report(faults, shard.first + index, error);
         // an episode that has already ended is not truncated again
-        let slot = &shard.envs.slots[index];
-        let running = slot.started && slot.episode.end.is_none() && slot.episode.phase != Phase::New;
+        let episode = &shard.envs.slots[index].episode;
+        let started = shard.envs.blocks[index / LANES].started[index % LANES];
+        let running = started && episode.end.is_none() && episode.phase != Phase::New;
         shard.step.write(index, 0.0, false, running);
         if running {
             self.end(model, shard, index, EndReason::Fault, false, faults);
@@ -475,11 +478,11 @@ impl<T: Task> Worker<T> {
         faults: &Faults,
     ) {
         shard.envs.forget_clearances(model, index);
-        shard.envs.blocks[index / LANES].rewards[index % LANES] = 0.0;
+        let (lane, block) = (index % LANES, &mut shard.envs.blocks[index / LANES]);
         let slot = &mut shard.envs.slots[index];
-        slot.started = true;
+        (block.rewards[lane], block.started[lane]) = (0.0, true);
         let started = slot.parts(&mut self.env, None).begin(seed);
-        slot.start_failed = started.is_err();
+        block.start_failed[lane] = started.is_err();
         match started {
             Ok(()) => self.observe(model, shard, index, None, faults),
             Err(error) => {
