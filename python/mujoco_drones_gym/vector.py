@@ -299,7 +299,7 @@ class VectorAviary(VectorEnv):
         self._frame_size = (render.width, render.height)
         _opengl.prepare()
         mode = _AUTORESET[self.autoreset_mode]
-        batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps)
+        batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps, self.copy)
         self._batch: Any = batch
         # attributes of single environments that the caller has set
         self._attributes: dict[int, dict[str, Any]] = {}
@@ -321,20 +321,15 @@ class VectorAviary(VectorEnv):
             "render_fps": self.CTRL_FREQ,
             "autoreset_mode": self.autoreset_mode,
         }
-        self._rewards = batch.rewards
-        self._terminations = batch.terminated
-        self._truncations = batch.truncated
         low, high = batch.observation_bounds()
-        parts, boxes = {}, {}
-        if low.size:
-            parts["kin"] = batch.observations
-            boxes["kin"] = spaces.Box(low, high, dtype=np.float32)
-        for name, image in batch.images().items():
-            parts[name] = image
+        boxes = {"kin": spaces.Box(low, high, dtype=np.float32)} if low.size else {}
+        # the arrays of the images are the same in every step
+        self._images: dict[str, np.ndarray] = batch.images()
+        for name, image in self._images.items():
             boxes[name] = _layout.image_space(name, image.shape[1:])
-        self._parts = parts
-        self._observations = _layout.pack(parts)
-        self._has_images = len(parts) > ("kin" in parts)
+        self._has_numbers = "kin" in boxes
+        # the observations with images, if they are the same in every step
+        self._packed: Any = None
         self.single_observation_space = _layout.observation_space(boxes)
         low, high = batch.action_bounds()
         self.single_action_space = spaces.Box(low, high, dtype=np.float32)
@@ -374,11 +369,11 @@ class VectorAviary(VectorEnv):
         mask = check_reset_options(options).get("reset_mask")
         selected = np.ones(self.num_envs, np.bool_) if mask is None else self._checked_mask(mask)
         seeds = _checked_seed(seed)
-        self._batch.reset(self._seeds_of_reset(seeds, selected), None if mask is None else selected)
+        numbers = self._batch.reset(self._seeds_of_reset(seeds, selected), None if mask is None else selected)
         self._started |= selected
         if not isinstance(seeds, list):
             super().reset(seed=seeds)
-        return self._observed(), {}
+        return self._observed(numbers), {}
 
     def _seeds_of_reset(self, seeds: Any, selected: np.ndarray) -> Any:
         """Returns the seeds of a reset, in which environments that start for the first time have one."""
@@ -407,10 +402,9 @@ class VectorAviary(VectorEnv):
         """
         if type(actions) is not np.ndarray or actions.dtype.char not in "fd":
             actions = action_numbers("actions", actions, (self.num_envs, *self.single_action_space.shape))
-        infos = self._end_infos() if self._batch.step(actions) else {}
-        if not self.copy:
-            return self._observations, self._rewards, self._terminations, self._truncations, infos
-        return self._observed(), self._rewards.copy(), self._terminations.copy(), self._truncations.copy(), infos
+        (numbers, rewards, terminations, truncations), ended = self._batch.step(actions)
+        infos = self._end_infos() if ended else {}
+        return self._observed(numbers), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Returns a frame of every environment, uint8 (height, width, 3), if the render mode is "rgb_array"."""
@@ -453,12 +447,18 @@ class VectorAviary(VectorEnv):
         for env, value in zip(self.envs, values, strict=True):
             setattr(env, name, value)
 
-    def _observed(self) -> Any:
+    def _observed(self, numbers: np.ndarray) -> Any:
+        """Returns the observations with these numbers of the tasks."""
+        if not self._images:
+            return numbers
         if not self.copy:
-            return self._observations
-        if len(self._parts) == 1:
-            return self._observations.copy()
-        return {name: part.copy() for name, part in self._parts.items()}
+            if self._packed is None:
+                self._packed = self._pack(numbers, self._images)
+            return self._packed
+        return self._pack(numbers, {name: image.copy() for name, image in self._images.items()})
+
+    def _pack(self, numbers: np.ndarray, images: dict[str, np.ndarray]) -> Any:
+        return _layout.pack({"kin": numbers, **images} if self._has_numbers else images)
 
     def _end_infos(self) -> dict[str, Any]:
         """Returns the infos of a step in which an episode has ended."""
@@ -483,13 +483,13 @@ class VectorAviary(VectorEnv):
             infos[f"_{name}"] = mask.copy()
         final = np.empty(count, object)
         rows = self._batch.final_observations(indices)
-        if not self._has_images:
+        if not self._images:
             for index, row in zip(indices.tolist(), rows, strict=True):
                 final[index] = row
         else:
             for index, row in zip(indices.tolist(), rows, strict=True):
                 images = self._batch.final_images(index)
-                final[index] = _layout.pack({"kin": row, **images} if "kin" in self._parts else images)
+                final[index] = self._pack(row, images)
         return {"final_obs": final, "_final_obs": mask.copy(), "final_info": infos, "_final_info": mask.copy()}
 
     def _frame(self, index: int) -> np.ndarray | None:

@@ -1,19 +1,22 @@
 //! Batches of environments.
 
 pub mod buffers;
+mod members;
+mod outputs;
 
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
 use aviary::env::{DroneEnv, EndReason, EnvError, Info};
 use aviary::observation::{KIN_SIZE, Observation};
-use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, make_vec};
+use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
 use aviary::vision::ImageSize;
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArray3, PyArrayMethods as _, PyReadonlyArray1, ToPyArray as _};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use self::buffers::{Arrays, Numbers, Outputs};
+use self::members::{Members, Seeds};
+use self::outputs::{Images, Outputs, StepArrays, StepMemory};
 use crate::conditions;
 use crate::env::info_dict;
 use crate::error::{env_error, guard};
@@ -25,16 +28,16 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Batch>()
 }
 
-/// A batch of environments with its own buffers.
+/// A batch of environments with the memory of its results.
 ///
-/// The arrays that hold the results belong to the batch and keep their memory alive by themselves: an array outlives
-/// the batch. One thread at a time may use a batch. A batch exists in the process that has created it: the threads of
-/// a batch do not exist in a forked child.
+/// An array outlives the batch. One thread at a time may use a batch. A batch exists in the process that has created
+/// it: the threads of a batch do not exist in a forked child.
 #[pyclass(frozen, module = "mujoco_drones_gym._native")]
 pub struct Batch {
     /// Process that has created the batch.
     process: u32,
-    arrays: Arrays,
+    /// Images by name.
+    images: Py<PyDict>,
     inner: Mutex<Option<Inner>>,
     environments: usize,
     action_size: usize,
@@ -42,64 +45,8 @@ pub struct Batch {
 
 /// Environments of a batch and the memory of their results.
 struct Inner {
-    env: Box<dyn VecEnv>,
+    members: Members,
     outputs: Outputs,
-    has_images: bool,
-}
-
-impl Inner {
-    /// Steps the environments and returns true if an episode has ended.
-    fn step(&mut self, actions: Numbers<'_>) -> PyResult<bool> {
-        // the step must not overwrite its actions
-        if self.outputs.overlap(actions) {
-            return match actions {
-                Numbers::Single(actions) => {
-                    let copy = actions.to_vec();
-                    self.step_apart(Numbers::Single(&copy))
-                }
-                Numbers::Double(actions) => {
-                    let copy = actions.to_vec();
-                    self.step_apart(Numbers::Double(&copy))
-                }
-            };
-        }
-        self.step_apart(actions)
-    }
-
-    /// Steps the environments with actions outside the buffers of the batch.
-    fn step_apart(&mut self, actions: Numbers<'_>) -> PyResult<bool> {
-        let step = self.outputs.step();
-        match actions {
-            Numbers::Single(actions) => self.env.step(actions, step),
-            Numbers::Double(actions) => self.env.step_f64(actions, step),
-        }
-        .map_err(env_error)?;
-        self.render_images()?;
-        Ok(self.outputs.has_ends())
-    }
-
-    fn render_images(&mut self) -> PyResult<()> {
-        if self.has_images { self.env.render_images(self.outputs.images()).map_err(env_error) } else { Ok(()) }
-    }
-
-    fn reset(&mut self, mask: &[bool], seeds: &Seeds) -> PyResult<()> {
-        let observations = self.outputs.observations();
-        match seeds {
-            Seeds::Same(seed) => self.env.reset_where(mask, *seed, observations),
-            Seeds::Each(seeds) => self.env.reset_with_seeds(mask, seeds, observations),
-        }
-        .map_err(env_error)?;
-        self.render_images()
-    }
-}
-
-/// Seeds of a reset.
-#[derive(FromPyObject)]
-enum Seeds {
-    /// One seed, of which every environment uses its own stream.
-    Same(Option<u64>),
-    /// A seed per environment.
-    Each(Vec<Option<u64>>),
 }
 
 /// Returns the error of an option by its name in Python.
@@ -118,9 +65,10 @@ fn option_error(error: EnvError) -> PyErr {
 #[pymethods]
 impl Batch {
     /// Creates a batch. `autoreset` is "next_step", "same_step" or "disabled", `on_fault` is "error" or "truncate".
-    /// An episode has at most `max_episode_steps` control steps; None for the time limit of the task.
+    /// An episode has at most `max_episode_steps` control steps; None for the time limit of the task. With `copy`,
+    /// steps and resets return new arrays, otherwise the same ones every time.
     #[new]
-    #[pyo3(signature = (task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None))]
+    #[pyo3(signature = (task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None, copy = true))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -131,6 +79,7 @@ impl Batch {
         autoreset: &str,
         on_fault: &str,
         max_episode_steps: Option<u64>,
+        copy: bool,
     ) -> PyResult<Self> {
         let autoreset = match autoreset {
             "next_step" => Autoreset::NextStep,
@@ -151,7 +100,7 @@ impl Batch {
             }
         };
         let mut config = env_config(task, options)?;
-        let batch = VecConfig { threads, autoreset, on_fault, ..VecConfig::new(num_envs) };
+        let batch = VecConfig { threads, autoreset, on_fault, keep_observations: copy, ..VecConfig::new(num_envs) };
         let env = py.detach(|| {
             guard(|| {
                 if let Some(steps) = max_episode_steps {
@@ -164,17 +113,22 @@ impl Batch {
                 make_vec(task, config, batch).map_err(option_error)
             })
         })?;
-        let (arrays, outputs) = Arrays::new(py, &*env)?;
+        let (images, arrays) = Images::new(py, &*env)?;
+        let outputs = Outputs::new(py, &*env, copy)?;
         let (environments, action_size) = (env.num_envs(), env.action_size());
-        let has_images = env.observation_space().kind.has_images();
-        let inner = Mutex::new(Some(Inner { env, outputs, has_images }));
-        Ok(Self { process: std::process::id(), arrays, inner, environments, action_size })
+        let inner = Mutex::new(Some(Inner { members: Members::new(env, images), outputs }));
+        Ok(Self { process: std::process::id(), images: arrays.unbind(), inner, environments, action_size })
     }
 
-    /// Starts an episode in every environment, or in those of a mask. `seed` is None, a seed, or a seed or None for
-    /// every environment.
+    /// Starts an episode in every environment, or in those of a mask, and returns the observations, float32 (num_envs,
+    /// entries). `seed` is None, a seed, or a seed or None for every environment.
     #[pyo3(signature = (seed = None, mask = None))]
-    fn reset(&self, py: Python<'_>, seed: Option<Seeds>, mask: Option<PyReadonlyArray1<'_, bool>>) -> PyResult<()> {
+    fn reset<'py>(
+        &self,
+        py: Python<'py>,
+        seed: Option<Seeds>,
+        mask: Option<PyReadonlyArray1<'py, bool>>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let seeds = seed.unwrap_or(Seeds::Same(None));
         if let Seeds::Each(seeds) = &seeds
             && seeds.len() != self.environments
@@ -186,54 +140,32 @@ impl Batch {
             Some(mask) => mask.as_array().to_vec(),
             None => vec![true; self.environments],
         };
-        self.work(py, |inner| inner.reset(&mask, &seeds))
+        let (arrays, ()) = self.write(py, |members, memory| members.reset(&mask, &seeds, memory))?;
+        Ok(arrays.0)
     }
 
     /// Advances every environment by one control step. `actions` is an array of `num_envs` rows; float32 and float64
-    /// are taken as they are, other types as float64. Returns True if an episode has ended.
-    fn step(&self, py: Python<'_>, actions: &Bound<'_, PyAny>) -> PyResult<bool> {
+    /// are taken as they are, other types as float64. Returns observations, float32 (num_envs, entries), rewards,
+    /// float32 (num_envs,), terminations and truncations, bool (num_envs,), and True if an episode has ended.
+    fn step<'py>(&self, py: Python<'py>, actions: &Bound<'py, PyAny>) -> PyResult<(StepArrays<'py>, bool)> {
         buffers::with_numbers(actions, self.environments, self.action_size, |numbers| {
-            self.work(py, |inner| inner.step(numbers))
+            self.write(py, |members, memory| members.step(numbers, memory))
         })
-    }
-
-    /// Observations, float32 (num_envs, entries): a view of the buffer.
-    #[getter]
-    fn observations(&self, py: Python<'_>) -> Py<PyArray2<f32>> {
-        self.arrays.observations.clone_ref(py)
-    }
-
-    /// Rewards of the last step, float32 (num_envs,): a view of the buffer.
-    #[getter]
-    fn rewards(&self, py: Python<'_>) -> Py<PyArray1<f32>> {
-        self.arrays.rewards.clone_ref(py)
-    }
-
-    /// True where the task ended the episode, bool (num_envs,): a view of the buffer.
-    #[getter]
-    fn terminated(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
-        self.arrays.terminated.clone_ref(py)
-    }
-
-    /// True where the episode was cut off, bool (num_envs,): a view of the buffer.
-    #[getter]
-    fn truncated(&self, py: Python<'_>) -> Py<PyArray1<bool>> {
-        self.arrays.truncated.clone_ref(py)
     }
 
     /// Images of the onboard cameras by name, as views of their buffers: "rgb" uint8 (num_envs, drones, height, width,
     /// 4), "depth" float32 (num_envs, drones, height, width), "segmentation" int32 (num_envs, drones, height, width,
     /// 2).
-    fn images<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        self.arrays.images(py)
+    fn images(&self, py: Python<'_>) -> Py<PyDict> {
+        self.images.clone_ref(py)
     }
 
     /// Returns the episodes that ended in the last step: indices of the environments, successes, ends as indices of
     /// `END_REASONS`, and lengths in control steps.
     fn ends<'py>(&self, py: Python<'py>) -> PyResult<Ends<'py>> {
         self.with(py, |inner| {
-            let ended = inner.outputs.ends();
-            let summaries = ended.filter_map(|index| Some((index as i64, inner.env.episode_summary(index)?)));
+            let ended = inner.ended.iter();
+            let summaries = ended.filter_map(|&index| Some((index as i64, inner.env.episode_summary(index)?)));
             let mut ends = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
             for (index, summary) in summaries {
                 let reason = summary.end.and_then(|end| EndReason::ALL.iter().position(|reason| *reason == end));
@@ -344,6 +276,11 @@ impl Batch {
     /// Sets target heights of an environment from the next step on.
     fn set_task_options(&self, py: Python<'_>, index: usize, options: &Bound<'_, PyDict>) -> PyResult<()> {
         let options = task_options(options)?;
+        // images may show the target
+        self.with(py, |inner| {
+            inner.images_are_current = false;
+            Ok(())
+        })?;
         self.with_env(py, index, |env| env.set_task_options(&options).map_err(env_error))
     }
 
@@ -449,17 +386,31 @@ impl Batch {
     }
 
     /// Calls a function with the environments, without the GIL.
-    fn work<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Inner) -> PyResult<R> + Send) -> PyResult<R> {
+    fn work<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Members) -> PyResult<R> + Send) -> PyResult<R> {
         let mut inner = self.lock()?;
         let inner = inner.as_mut().ok_or_else(gone)?;
-        py.detach(|| guard(|| work(inner)))
+        py.detach(|| guard(|| work(&mut inner.members)))
+    }
+
+    /// Calls a function with the environments and the memory of their next results, without the GIL, and returns the
+    /// arrays of that memory.
+    fn write<'py, R: Send>(
+        &self,
+        py: Python<'py>,
+        work: impl FnOnce(&mut Members, &mut StepMemory) -> PyResult<R> + Send,
+    ) -> PyResult<(StepArrays<'py>, R)> {
+        let mut inner = self.lock()?;
+        let Inner { members, outputs } = inner.as_mut().ok_or_else(gone)?;
+        let (arrays, memory) = outputs.next(py)?;
+        let result = py.detach(|| guard(|| work(members, memory)))?;
+        Ok((arrays, result))
     }
 
     /// Calls a function with the environments.
-    fn with<R>(&self, _: Python<'_>, look: impl FnOnce(&mut Inner) -> PyResult<R>) -> PyResult<R> {
+    fn with<R>(&self, _: Python<'_>, look: impl FnOnce(&mut Members) -> PyResult<R>) -> PyResult<R> {
         let mut inner = self.lock()?;
         let inner = inner.as_mut().ok_or_else(gone)?;
-        guard(|| look(inner))
+        guard(|| look(&mut inner.members))
     }
 
     /// Calls a function with one environment as a single environment.
