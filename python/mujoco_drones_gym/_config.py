@@ -81,7 +81,7 @@ def _converted(name: str, alias: Alias, value: Any) -> Any:
 
 
 def short(value: Any) -> str:
-    """Returns a value as error messages print it: on one line, shortened."""
+    """Returns the text of a value in an error: one line of at most 80 characters."""
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else text[:79] + "…"
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mujoco_drones_gym._config import short
 from mujoco_drones_gym.wrappers.obstacles import obstacle_options
 from mujoco_drones_gym.wrappers.randomization import randomization_options
 from mujoco_drones_gym.wrappers.wind import wind_options
@@ -26,8 +27,8 @@ __all__ = [
     "native_options",
     "numbers",
     "randomization_options",
+    "replace_wind",
     "seed_of",
-    "short",
     "wind_options",
 ]
 
@@ -101,6 +102,28 @@ def native_options(
         rate = rate if _is_rate(rate) else 48
         own["randomization"] = randomization_options(options["randomization"], rate, own.get("wind"))
     return task, own, render
+
+
+def replace_wind(target: Any, wind: Mapping[str, Any] | None, randomization: Any, ctrl_freq: float) -> None:
+    """Sets the wind of an environment with the functions `set_wind` and `set_randomization` of the simulator.
+
+    Args:
+        target: Object that has the functions.
+        wind: Section `[wind]`, or None for still air.
+        randomization: Option `randomization` of the environment. The wind replaces its default wind.
+        ctrl_freq: Control rate, Hz.
+
+    Raises:
+        ValueError: next to a range of the wind in the randomization; nothing has changed.
+    """
+    ranges = randomization_options(randomization, ctrl_freq, wind)
+    # the simulator never gets a wind together with a range of the wind
+    has_wind = wind is not None and wind["model"] != "none"
+    if ranges is not None and has_wind:
+        target.set_randomization(ranges)
+    target.set_wind(wind)
+    if ranges is not None and not has_wind:
+        target.set_randomization(ranges)
 
 
 def _is_rate(rate: Any) -> bool:
@@ -202,9 +225,3 @@ def _points(name: str, value: Any) -> list[list[float]]:
     if array.size == 0 or array.shape[-1:] != (3,) or array.ndim > 2:
         raise ValueError(f"{name} has the shape {array.shape}, expected (n, 3)")
     return array.reshape(-1, 3).tolist()
-
-
-def short(value: Any) -> str:
-    """Returns the text of a value in an error: one line of at most 80 characters."""
-    text = " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:79] + "…"

@@ -15,6 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from mujoco_drones_gym import _layout, _native, _opengl
+from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
     check_render_mode,
@@ -23,8 +24,9 @@ from mujoco_drones_gym._options import (
     flag,
     integer,
     native_options,
+    replace_wind,
     seed_of,
-    short,
+    wind_options,
 )
 from mujoco_drones_gym._states import DroneStates
 
@@ -60,6 +62,14 @@ class _Closed:
 
     def __getattr__(self, name: str) -> Any:
         raise ClosedEnvironmentError("this VectorAviary is closed, expected a new one")
+
+
+class _Conditions:
+    """Wind and randomization of one environment of a batch."""
+
+    def __init__(self, batch: Any, index: int) -> None:
+        self.set_wind = partial(batch.set_wind, index)
+        self.set_randomization = partial(batch.set_randomization, index)
 
 
 class VectorMember(DroneStates):
@@ -186,11 +196,15 @@ class VectorMember(DroneStates):
         """Sets the wind from now on, also for later episodes.
 
         Args:
-            config: A `WindConfig`, a dict with the keys of the TOML files, or None for still air.
-        """
-        from mujoco_drones_gym.wrappers.wind import wind_options
+            config: A `WindConfig`, a dict with the keys of the TOML files, or None for still air. It replaces the
+                default wind of a randomization.
 
-        self._env._batch.set_wind(self._index, wind_options(config))
+        Raises:
+            ValueError: next to a range of the wind in the randomization; nothing has changed.
+        """
+        randomization = self._env._arguments.get("randomization")
+        target = _Conditions(self._env._batch, self._index)
+        replace_wind(target, wind_options(config), randomization, self._env.CTRL_FREQ)
 
     def render(self) -> np.ndarray | None:
         """Returns a frame of the environment, uint8 (height, width, 3), if the render mode is "rgb_array"."""

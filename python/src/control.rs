@@ -229,11 +229,11 @@ fn check_bandwidths(bandwidths: &Bandwidths) -> PyResult<()> {
     Ok(())
 }
 
-/// Returns an error for gains that are not finite and for negative limits of the integrals.
+/// Returns an error for gains with which a control law overflows, and for negative limits of the integrals.
 fn check_gains(gains: &PidGains) -> PyResult<()> {
     let PositionGains { proportional: p, integral: i, derivative: d, integral_clamp } = gains.position;
     let AttitudeGains { proportional, integral, derivative, integral_clamp: clamp } = gains.attitude;
-    let finite = |gain: &Vector3<f64>| gain.iter().all(|x| x.is_finite());
+    let usual = |gain: &Vector3<f64>| gain.iter().all(|x| x.abs() <= 1e9);
     for (name, gain) in [
         ("P_COEFF_FOR", p),
         ("I_COEFF_FOR", i),
@@ -242,8 +242,9 @@ fn check_gains(gains: &PidGains) -> PyResult<()> {
         ("I_COEFF_TOR", integral),
         ("D_COEFF_TOR", derivative),
     ] {
-        if !finite(&gain) {
-            return Err(value_error(format_args!("{name} is {:?}, expected three finite numbers", gain.as_slice())));
+        if !usual(&gain) {
+            let got = gain.as_slice();
+            return Err(value_error(format_args!("{name} is {got:?}, expected three finite numbers from -1e9 to 1e9")));
         }
     }
     for (name, got) in [("INTEGRAL_POS_LIMIT", integral_clamp), ("INTEGRAL_RPY_LIMIT", clamp)] {

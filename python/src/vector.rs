@@ -11,7 +11,7 @@ use aviary::observation::{KIN_SIZE, Observation};
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
 use aviary::vision::ImageSize;
 use numpy::{IntoPyArray as _, PyArray1, PyArray2, PyArray3, PyArrayMethods as _, PyReadonlyArray1, ToPyArray as _};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -20,6 +20,7 @@ use self::outputs::{Images, Outputs, StepArrays, StepMemory};
 use crate::conditions;
 use crate::env::info_dict;
 use crate::error::{env_error, guard};
+use crate::memory;
 use crate::options::{env_config, task_options};
 
 /// Adds the classes and functions of this file to the module.
@@ -109,6 +110,9 @@ impl Batch {
                     if steps != probe.episode_steps() {
                         config = config.clone().episode_seconds(steps as f64 * probe.control_period());
                     }
+                }
+                if let Some(message) = memory::check(task, &config, batch).map_err(option_error)? {
+                    return Err(PyMemoryError::new_err(message));
                 }
                 make_vec(task, config, batch).map_err(option_error)
             })
@@ -271,6 +275,12 @@ impl Batch {
     fn set_wind(&self, py: Python<'_>, index: usize, wind: Option<Bound<'_, PyAny>>) -> PyResult<()> {
         let wind = wind.as_ref().map(conditions::wind).transpose()?;
         self.with_env(py, index, |env| env.set_wind(wind).map_err(env_error))
+    }
+
+    /// Sets the parameters that are sampled for every episode of an environment from its next reset on; None for none.
+    fn set_randomization(&self, py: Python<'_>, index: usize, randomization: Option<Bound<'_, PyAny>>) -> PyResult<()> {
+        let ranges = randomization.as_ref().map(conditions::randomization).transpose()?;
+        self.with_env(py, index, |env| env.set_randomization(ranges).map_err(env_error))
     }
 
     /// Sets target heights of an environment from the next step on.

@@ -248,6 +248,36 @@ def test_gains_are_readable_and_writable():
     assert control.P_COEFF_TOR == pytest.approx([1e-3] * 3) and control.P_COEFF_FOR[2] == 4.0
 
 
+@pytest.mark.parametrize("kind", [PIDControl, DSLPIDControl])
+@pytest.mark.parametrize(
+    "gain", ["P_COEFF_FOR", "I_COEFF_FOR", "D_COEFF_FOR", "P_COEFF_TOR", "I_COEFF_TOR", "D_COEFF_TOR"]
+)
+def test_outputs_are_finite_with_all_gains_that_are_possible(kind, gain):
+    for value in (1e308, 1.1e9, -math.inf, math.nan):
+        control = kind()
+        with pytest.raises(ValueError, match=rf"^{gain} is \[.*\], expected three finite numbers from -1e9 to 1e9$"):
+            setattr(control, gain, [1.0, value, 1.0])
+    for value in (1e9, -1e9):
+        control = kind()
+        for name in ("P_COEFF_FOR", "I_COEFF_FOR", "D_COEFF_FOR", "P_COEFF_TOR", "I_COEFF_TOR", "D_COEFF_TOR"):
+            setattr(control, name, [-value] * 3)
+        setattr(control, gain, [value] * 3)
+        control.INTEGRAL_POS_LIMIT = control.INTEGRAL_RPY_LIMIT = 1e9
+        state = [1e9, -1e9, 1e9], [0.6, 0.0, -0.8, 0.0], [-1e9] * 3, [1e9] * 3
+        for target in ([-1e9] * 3, [1e9, 1e9, -1e9]) * 3:
+            rpm, error, yaw = control.computeControl(DT, *state, target, [0, 0, 1e9], [1e9] * 3)
+            assert np.isfinite([*rpm, *error, yaw, *control.integral_pos_e, *control.integral_rpy_e]).all()
+            assert (rpm >= 0).all() and (rpm <= control.MAX_RPM * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("name", ["integral_pos_e", "integral_rpy_e"])
+def test_integrals_beyond_the_numbers_of_a_control_law_are_errors(name):
+    control = PIDControl()
+    setattr(control, name, np.array([0.0, 1e300, 0.0]))
+    with pytest.raises(ValueError, match=rf"{name}\[1\] is 1e\+300, expected a number from -1e\+09 to 1e\+09"):
+        control.computeControl(DT, *HERE, [0, 0, 1])
+
+
 @pytest.mark.parametrize("kind", ALL)
 def test_controllers_can_be_pickled_and_copied(kind):
     control = kind("cf2p")

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from mujoco_drones_gym import _native
+from mujoco_drones_gym import HoverAviary, _native
 from mujoco_drones_gym.wrappers import Obstacle, ObstacleConfig, ObstacleType, generate_obstacles, obstacles_to_xml
 from mujoco_drones_gym.wrappers.obstacles import obstacle_options
 
@@ -27,6 +27,16 @@ def test_members_and_defaults():
     assert ObstacleConfig().num_obstacles == 20
     file = _native.complete_options("obstacles", {})
     assert ObstacleConfig()._to_options() == {**file, "arena": [6.0, 6.0, 2.0]}
+
+
+@pytest.mark.parametrize("name", ["kind", "obstacle_type"])
+@pytest.mark.parametrize("value", [7, "forrest", [1, 2]])
+def test_an_unknown_kind_is_an_error_that_lists_all_kinds(name, value):
+    kinds = "none, forest, urban, indoor, random, gates, custom"
+    option = "obstacle_type" if name == "obstacle_type" else "obstacles.kind"
+    with pytest.raises(ValueError) as error:
+        HoverAviary(obstacles={name: value})
+    assert str(error.value) == f"{option} is {value!r}, expected one of {kinds}"
 
 
 @pytest.mark.parametrize("kind", RANDOM)

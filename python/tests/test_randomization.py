@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from mujoco_drones_gym import _native
+from mujoco_drones_gym import VectorAviary, _native
 from mujoco_drones_gym.wrappers import (
     CurriculumConfig,
     CurriculumWrapper,
@@ -328,6 +328,30 @@ def test_the_wind_can_change_between_episodes_of_a_randomization():
     env.set_wind(None)
     env.set_randomization(True)
     assert np.array_equal(drift(env)[0], sampled)
+
+
+@pytest.mark.parametrize("copy", [True, False])
+def test_a_wind_of_a_member_of_a_batch_replaces_the_default_wind(copy):
+    options = {"initial_xyzs": [[0, 0, 1]], "randomization": True}
+    wind = {"model": "constant", "velocity": (3.0, 0.0, 0.0)}
+    env = VectorAviary("hover", 3, copy=copy, **options)
+    env.reset(seed=1)
+    env.envs[1].set_wind(wind)
+    obs, _ = env.reset(seed=1)
+    alone = gym.make("mujoco_drones_gym/Hover-v0", stream=1, engine="hybrid", **options)
+    alone.reset(seed=1)
+    alone.unwrapped.set_wind(wind)
+    expected, _ = alone.reset(seed=1)
+    for _ in range(6):
+        np.testing.assert_array_equal(obs[1], expected)
+        obs, expected = env.step(np.zeros((3, 4)))[0], alone.step(np.zeros(4))[0]
+    assert env.envs[1].vel[0, 0] > env.envs[2].vel[0, 0] + 0.005, "downwind"
+    ranged = VectorAviary("hover", 2, randomization=DomainRandomizationConfig(wind_speed_range=(1.0, 3.0)))
+    ranged.reset(seed=1)
+    message = r"^wind_speed_range is \(1.0, 3.0\), expected \(0, 0\), because the environment has a wind \(constant\)$"
+    with pytest.raises(ValueError, match=message):
+        ranged.envs[0].set_wind(wind)
+    ranged.envs[0].set_wind(None)
 
 
 def test_a_range_of_the_user_next_to_a_wind_is_an_error():

@@ -2,6 +2,8 @@
 
 import gc
 import pickle
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -163,3 +165,23 @@ def test_a_masked_reset_renders_the_images_of_its_mask(copy):
     for name in ("kin", "rgb"):
         np.testing.assert_array_equal(obs[name][~mask], last[name][~mask])
         assert not np.array_equal(obs[name][1], last[name][1])
+
+
+def test_more_environments_than_fit_into_memory_are_an_error_of_one_line():
+    code = """
+import resource
+from mujoco_drones_gym import VectorAviary
+VectorAviary("hover", 300)
+resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+for count, options in [(1 << 24, {}), (1 << 22, {"randomization": True}), (1 << 19, {"obs_type": "rgb"})]:
+    try:
+        VectorAviary("hover", count, **options)
+    except MemoryError as error:
+        print(error)
+VectorAviary("hover", 300).reset(seed=1)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    assert len(lines) == 3
+    for line, count in zip(lines, (1 << 24, 1 << 22, 1 << 19), strict=True):
+        assert line.startswith(f"num_envs is {count}, expected at most ")

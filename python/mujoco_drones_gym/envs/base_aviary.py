@@ -16,6 +16,7 @@ from gymnasium.error import ResetNeeded
 from gymnasium.logger import warn
 
 from mujoco_drones_gym import _layout, _native, _opengl
+from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     Render,
     action_numbers,
@@ -24,8 +25,8 @@ from mujoco_drones_gym._options import (
     drone_index,
     native_options,
     randomization_options,
+    replace_wind,
     seed_of,
-    short,
     wind_options,
 )
 from mujoco_drones_gym.envs._readings import Readings
@@ -394,15 +395,7 @@ class BaseAviary(Readings, gym.Env):
         Raises:
             ValueError: next to a range of the wind in the randomization; nothing has changed.
         """
-        options = wind_options(wind)
-        ranges = randomization_options(self._options["randomization"], self.CTRL_FREQ, options)
-        # the simulator never gets a wind together with a range of the wind
-        has_wind = options is not None and options["model"] != "none"
-        if ranges is not None and has_wind:
-            self._env.set_randomization(ranges)
-        self._env.set_wind(options)
-        if ranges is not None and not has_wind:
-            self._env.set_randomization(ranges)
+        replace_wind(self._env, wind_options(wind), self._options["randomization"], self.CTRL_FREQ)
         self._options["wind"] = wind
 
     def set_randomization(self, randomization: Any) -> None:

@@ -12,6 +12,7 @@ from gymnasium.logger import warn
 from pettingzoo import ParallelEnv
 
 from mujoco_drones_gym import _layout, _native, _opengl
+from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
     check_render_mode,
@@ -19,7 +20,6 @@ from mujoco_drones_gym._options import (
     drone_index,
     native_options,
     seed_of,
-    short,
 )
 from mujoco_drones_gym._states import DroneStates
 

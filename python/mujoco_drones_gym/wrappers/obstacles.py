@@ -177,10 +177,7 @@ class ObstacleConfig:
 
     def _to_options(self) -> dict[str, Any] | None:
         """Returns the settings as the keys of the section `[obstacles]`; None for no obstacles."""
-        kind = getattr(self.obstacle_type, "value", self.obstacle_type)
-        kinds = [member.value for member in ObstacleType]
-        if kind is not None and kind not in kinds:
-            raise ValueError(f"obstacle_type is {short(kind)}, expected one of {', '.join(kinds)}")
+        kind = _kind("obstacle_type", self.obstacle_type)
         if kind == "none":
             return None
         try:
@@ -208,6 +205,15 @@ class ObstacleConfig:
             side = side.removeprefix("arena_size is ")
             message = f"arena_size is {short(self.arena_size)}: a whole side is {side} m, expected sides{expected}"
             raise ValueError(message) from None
+
+
+def _kind(option: str, value: Any) -> str | None:
+    """Returns the name of a kind of obstacles; None for None."""
+    kind = getattr(value, "value", value)
+    kinds = [member.value for member in ObstacleType]
+    if kind is not None and kind not in kinds:
+        raise ValueError(f"{option} is {short(kind)}, expected one of {', '.join(kinds)}")
+    return kind
 
 
 def _centers(centers: Any) -> list[Any]:
@@ -247,7 +253,7 @@ _KEYS = {
 def dict_options(obstacles: Mapping[str, Any]) -> dict[str, Any] | None:
     """Returns the options of a dict with the keys of a configuration file or the fields of an `ObstacleConfig`."""
     options = translated("obstacles", obstacles, _KEYS)
-    if getattr(options.get("kind"), "value", options.get("kind")) == "none":
+    if _kind("obstacle_type" if "obstacle_type" in obstacles else "obstacles.kind", options.get("kind")) == "none":
         return None
     if "custom" in options:
         options["custom"] = _entries(options["custom"])
