@@ -76,7 +76,7 @@ fn tumbling_lanes_match_mj_step_in_every_simd_width() {
                 }
                 let (body_fixed, medium) = (forcing == Forcing::BodyFixed, medium.is_some());
                 advance(
-                    &Flow { dt, body_fixed, medium, lag: false, air: false, width: *width },
+                    &Flow { dt, body_fixed, medium, lag: false, air: false, airframe_effects: false, width: *width },
                     lanes,
                     &frames,
                     LANES,
@@ -150,7 +150,7 @@ fn the_first_lanes_are_bit_identical_alone_and_among_eight() {
             first.set(lane, &start(lane, 50.0), &[14_000.0; 4], &tumbling(&params, lane, 3));
         }
         let fly = |width, count| {
-            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium: medium.is_some(), lag: air, air, width };
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium: medium.is_some(), lag: air, air, airframe_effects: false, width };
             let mut lanes = first.clone();
             advance(&flow, &mut lanes, &frames, count, 5);
             compute_rpys(width, &mut lanes, count);
@@ -224,7 +224,7 @@ fn lanes_in_wind_and_medium_are_bit_identical_to_single_drones() {
                     lanes.set_wind(lane, &force, &air);
                 }
             }
-            let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), lag: true, air: true, width };
+            let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), lag: true, air: true, airframe_effects: false, width };
             advance(&flow, &mut lanes, &frames, LANES, 1);
             for lane in 0..LANES {
                 let state = start(lane, 50.0);

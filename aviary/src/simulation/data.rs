@@ -9,6 +9,7 @@ use crate::drone::DroneParams;
 use crate::engine::{Bodies, BuildError, Contact, Load};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -90,6 +91,8 @@ pub(super) struct Drone {
     pub params: DroneParams,
     pub rotors: RotorModel,
     pub ground: GroundEffect,
+    /// Effects of the airframe's own parameters; `None` if there are none.
+    pub effects: Option<AirframeEffects>,
     /// Maximum motor speed of the airframe that the drone was built with, rpm.
     pub max_rpm: f64,
     pub actuators: ActuatorParams,
@@ -170,6 +173,7 @@ impl SimData {
         let drone = |params: &DroneParams| Drone {
             rotors: RotorModel::new(params),
             ground: GroundEffect::new(params),
+            effects: AirframeEffects::of_params(params),
             max_rpm: params.max_rpm(),
             actuators: *actuators,
             params: params.clone(),
@@ -245,7 +249,8 @@ impl SimData {
         if self.model == model.fingerprint { Ok(()) } else { Err(SimulationError::Model) }
     }
 
-    /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
+    /// Resets to the initial states, time 0 and no command. Motors with lag, latency or rotor inertia turn at hover
+    /// speed.
     ///
     /// # Errors
     /// [`SimulationError::Model`] for data of another model; the data is unchanged.

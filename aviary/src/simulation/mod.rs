@@ -140,7 +140,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
+    /// Resets to the initial states, time 0 and no command. Motors with lag, latency or rotor inertia turn at hover
+    /// speed.
     ///
     /// # Errors
     /// [`SimulationError::Engine`] if MuJoCo cannot recover from an earlier error.

@@ -4,8 +4,9 @@ use super::data::Drone;
 use super::{SimData, SimModel, SimulationError};
 use crate::drone::{DroneError, DroneParams};
 use crate::engine::Body;
-use crate::engine::flight::{Airframe, FreeBody, ReachBound};
+use crate::engine::flight::{Airframe, DrivenBound, FreeBody, ReachBound};
 use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -40,22 +41,23 @@ impl SimData {
             if effects.downwash {
                 force += wakes;
             }
-            let mut quadratic = 0.0;
+            let (mut quadratic, mut air_speed) = (0.0, 0.0);
             if let Some(wind) = &self.wind {
                 let bound = wind.config().bound(params.drag_area());
                 // a moving medium exerts further forces
                 force += if world.medium.is_some() { f64::INFINITY } else { bound[0] };
                 slowing += bound[1] / params.mass;
                 quadratic = bound[2] / params.mass;
+                air_speed = wind.config().air_speed_bound();
             }
             let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
             let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
-            Body {
-                mass: params.mass,
-                inertia,
-                free,
-                reach_bound: ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]),
+            let mut reach_bound = ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]);
+            if let Some(effects) = &drone.effects {
+                let (driven, at_rest) = DrivenBound::new(effects, &free, rpm, air_speed);
+                reach_bound = reach_bound.driven_by(&free, driven, at_rest);
             }
+            Body { mass: params.mass, inertia, free, reach_bound }
         };
         self.bodies.drones.clear();
         self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
@@ -78,6 +80,7 @@ impl SimData {
         params.thrust_to_weight = ratio;
         (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
         self.wakes[drone] = Wake::new(&own.params);
+        own.effects = AirframeEffects::of_params(&own.params);
         if let Some(wind) = &mut self.wind {
             wind.set_area(drone, own.params.drag_area());
         }
@@ -90,6 +93,20 @@ impl SimData {
     /// # Errors
     /// [`SimulationError::Drone`] for invalid parameters, which stay in place.
     pub(crate) fn change_params(
+    /// Returns true if the motors of any drone have lag.
+    pub(crate) fn has_lag(&self) -> bool {
+        self.actuators.iter().any(Actuators::has_lag)
+    }
+
+    /// Returns true if the lanes of any drone need [`Flow::airframe_effects`](crate::engine::flight::Flow), with the
+    /// present motors or with those that a randomization can sample.
+    pub(crate) fn has_airframe_effects(&self, model: &SimModel) -> bool {
+        self.drones.iter().enumerate().any(|(index, drone)| {
+            let motors = &model.nominal_params(index).motors;
+            drone.effects.is_some() || motors.rise_time != motors.fall_time
+        })
+    }
+
         &mut self,
         drone: usize,
         change: impl FnOnce(&mut DroneParams),
@@ -141,8 +158,8 @@ impl SimData {
         Ok(())
     }
 
-    /// Reserves memory for these latencies (s) of motors and sensors, so that later changes up to them do not
-    /// allocate.
+    /// Reserves memory for these latencies (s) of motors, without that of the airframe, and of sensors, so that later
+    /// changes up to them do not allocate.
     pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
         let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
         let entries = steps(sensors) / model.substeps() as usize + 1;
@@ -150,6 +167,7 @@ impl SimData {
         self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
         self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
     }
+        let motors = motors + model.motor_latency();
 
     /// Sets gravity (m/s², downwards), from the next step on.
     ///
@@ -202,7 +220,7 @@ impl SimData {
         let effects = model.effects;
         // collision cylinders always keep the size that the scene was built with
         let cylinder = CollisionCylinder::from(model.nominal_params(drone));
-        let Drone { params, rotors, ground, .. } = &self.drones[drone];
+        let Drone { params, rotors, ground, effects: own_effects, .. } = &self.drones[drone];
         Airframe {
             body: self.bodies.drones[drone].free,
             rotors: *rotors,
@@ -214,7 +232,9 @@ impl SimData {
             gains: *self.actuators[drone].gains(),
             max_rpm: self.actuators[drone].max_rpm(),
             cylinder: [cylinder.radius, cylinder.height],
+            effects: own_effects.unwrap_or_default(),
             reach_bound: self.bodies.drones[drone].reach_bound,
+            fall_share: self.actuators[drone].fall_share(),
         }
     }
 }

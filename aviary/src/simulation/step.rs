@@ -149,7 +149,8 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
     }
     for (index, (drone, state)) in drones.iter().zip(&*states).enumerate() {
         let rpm = actuators[index].advance(&motor_speeds[index]);
-        let rotors = drone.rotors.wrench(rpm);
+        let mut rotors = drone.rotors.wrench(rpm);
+        let before = *actuators[index].rpm();
         let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
         if let Some(wind) = wind {
             (force, air) = wind.advance(dt, index, state);
@@ -168,6 +169,9 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
         }
         loads[index] = Load { rotors, external: Wrench { force_world: force, ..Wrench::ZERO } };
     }
+        if let Some(effects) = &drone.effects {
+            force += effects.change(dt, state, &air, [&before, rpm], &mut rotors);
+        }
 }
 
 /// Checks the states after a physics step, and restores the previous ones on an error.

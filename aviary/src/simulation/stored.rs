@@ -8,6 +8,7 @@ use crate::drone::DroneParams;
 use crate::engine::{Bodies, Contact, Load, Touched};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
@@ -126,6 +127,7 @@ impl TryFrom<Stored> for SimData {
         });
         let mut data = Self {
             model: stored.model,
+            effects: AirframeEffects::of_params(&drone.params),
             rpys: vec![nalgebra::Vector3::zeros(); count],
             states: stored.states,
             started: stored.started,

@@ -19,13 +19,14 @@ pub(super) struct Needs {
 
 impl Needs {
     /// Returns the needs of an environment, in this episode and in those that its randomization can sample.
-    pub fn of<T>(episode: &Episode<T>, data: &SimData, dt: f64) -> Self {
+    /// `motor_latency` is the part of the motors' latency that no randomization replaces, s.
+    pub fn of<T>(episode: &Episode<T>, data: &SimData, dt: f64, motor_latency: f64) -> Self {
         let [motors, states] = data.latencies();
         let mut needs = Self { wind: data.wind_field().is_some(), sensors: false, motors, states };
         let steps = |seconds: f64| (seconds / dt).round() as u32;
         for config in episode.randomizations() {
             needs.wind |= config.draws_wind();
-            needs.motors = needs.motors.max(config.actuators.map_or(0, |ranges| steps(ranges.latency[1])));
+            needs.motors = needs.motors.max(config.actuators.map_or(0, |ranges| steps(ranges.latency[1] + motor_latency)));
             if let Some(ranges) = &config.sensors {
                 needs.sensors = true;
                 needs.states = needs.states.max(steps(ranges.latency[1]));

@@ -66,7 +66,7 @@ pub(super) fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                     lanes.set(lane, &state, &[hover; 4], &[hover; 4]);
                 }
             }
-            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, lag: false, air, width };
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, lag: false, air, airframe_effects: false, width };
             let mut all = start.clone();
             let measured = meter.measure(|| {
                 all.clone_from(&start);

@@ -26,3 +26,4 @@ pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};
 pub use reach_bound::ReachBound;
 pub use width::Width;
+pub(crate) use reach_bound::DrivenBound;
