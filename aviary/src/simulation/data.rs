@@ -10,6 +10,7 @@ use crate::engine::{Bodies, BuildError, Contact, Load};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
 use crate::physics::airframe::AirframeEffects;
+use crate::physics::battery::BatteryState;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -61,6 +62,8 @@ pub struct SimData {
     pub(super) loads: Vec<Load>,
     pub(super) drones: Vec<Drone>,
     pub(super) actuators: Vec<Actuators>,
+    /// States of the batteries; empty if no drone has one.
+    pub(super) batteries: Vec<BatteryState>,
     pub(super) wakes: Vec<Wake>,
     pub(super) bodies: Bodies,
     pub(super) wind: Option<WindField>,
@@ -93,7 +96,7 @@ pub(super) struct Drone {
     pub ground: GroundEffect,
     /// Effects of the airframe's own parameters; `None` if there are none.
     pub effects: Option<AirframeEffects>,
-    /// Maximum motor speed of the airframe that the drone was built with, rpm.
+    /// Maximum motor speed of the airframe that the drone was built with, rpm. A battery limits it further.
     pub max_rpm: f64,
     pub actuators: ActuatorParams,
 }
@@ -129,6 +132,7 @@ impl SimData {
             loads,
             drones,
             actuators,
+            batteries,
             wakes,
             bodies,
             wind,
@@ -153,6 +157,7 @@ impl SimData {
         self.loads.clone_from(loads);
         self.drones.clone_from(drones);
         self.actuators.clone_from(actuators);
+        self.batteries.clone_from(batteries);
         self.wakes.clone_from(wakes);
         self.bodies.clone_from(bodies);
         self.wind.clone_from(wind);
@@ -174,7 +179,7 @@ impl SimData {
             rotors: RotorModel::new(params),
             ground: GroundEffect::new(params),
             effects: AirframeEffects::of_params(params),
-            max_rpm: params.max_rpm(),
+            max_rpm: params.max_command_rpm(),
             actuators: *actuators,
             params: params.clone(),
         };
@@ -196,6 +201,7 @@ impl SimData {
                 .iter()
                 .map(|body| Actuators::new(&body.params, actuators, world.timestep))
                 .collect(),
+            batteries: Vec::new(),
             wakes: world.drones.iter().map(|body| Wake::new(&body.params)).collect(),
             bodies: Bodies { drones: Vec::with_capacity(count), gravity: world.gravity, obstacle_drift: 0.0 },
             wind: None,
@@ -210,6 +216,7 @@ impl SimData {
             in_mujoco: false,
             stamp: 0,
         };
+        data.need_batteries();
         data.reset_unchecked(model);
         data
     }
@@ -299,6 +306,7 @@ impl SimData {
             actuators.reset();
             *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
+        self.reset_batteries();
         self.memory.forget(&self.states);
         self.started.copy_from_slice(&self.states);
         self.contacts.clear();
@@ -432,6 +440,7 @@ impl SimData {
         for ((drone, speeds), command) in self.drones.iter().zip(&mut self.motor_speeds).zip(commands) {
             *speeds = command.map(|rpm| rpm.clamp(0.0, drone.max_rpm));
         }
+        self.limit_to_batteries();
         Ok(())
     }
 }

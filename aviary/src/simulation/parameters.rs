@@ -71,6 +71,7 @@ impl SimData {
     /// Changes the parameters of a drone's airframe. Invalid parameters are an error and stay in place.
     pub(super) fn change(&mut self, drone: usize, change: impl FnOnce(&mut DroneParams)) -> Result<(), DroneError> {
         let own = &mut self.drones[drone];
+        let had_battery = own.params.battery.is_some();
         change(&mut own.params);
         let params = &mut own.params;
         // randomized parameters may have a thrust-to-weight ratio below 1
@@ -79,20 +80,19 @@ impl SimData {
         let result = params.validate();
         params.thrust_to_weight = ratio;
         (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
-        self.wakes[drone] = Wake::new(&own.params);
         own.effects = AirframeEffects::of_params(&own.params);
+        self.wakes[drone] = Wake::new(&own.params);
         if let Some(wind) = &mut self.wind {
             wind.set_area(drone, own.params.drag_area());
         }
         self.changed = true;
+        if result.is_ok() && !had_battery && self.drones[drone].params.battery.is_some() {
+            self.need_batteries();
+            self.reset_battery(drone);
+        }
         result
     }
 
-    /// Changes the parameters of a drone's airframe, from the next step on.
-    ///
-    /// # Errors
-    /// [`SimulationError::Drone`] for invalid parameters, which stay in place.
-    pub(crate) fn change_params(
     /// Returns true if the motors of any drone have lag.
     pub(crate) fn has_lag(&self) -> bool {
         self.actuators.iter().any(Actuators::has_lag)
@@ -107,6 +107,11 @@ impl SimData {
         })
     }
 
+    /// Changes the parameters of a drone's airframe, from the next step on.
+    ///
+    /// # Errors
+    /// [`SimulationError::Drone`] for invalid parameters, which stay in place.
+    pub(crate) fn change_params(
         &mut self,
         drone: usize,
         change: impl FnOnce(&mut DroneParams),
@@ -162,12 +167,12 @@ impl SimData {
     /// changes up to them do not allocate.
     pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
         let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
+        let motors = motors + model.motor_latency();
         let entries = steps(sensors) / model.substeps() as usize + 1;
         let (motors, states) = (steps(motors), self.states.len() * entries);
         self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
         self.memory.states.reserve(states.saturating_sub(self.memory.states.len()));
     }
-        let motors = motors + model.motor_latency();
 
     /// Sets gravity (m/s², downwards), from the next step on.
     ///
@@ -227,14 +232,14 @@ impl SimData {
             ground: if effects.ground { *ground } else { GroundEffect::default() },
             drag: if effects.drag { params.drag_coefficients.into() } else { nalgebra::Vector3::zeros() },
             wake: if effects.downwash { self.wakes[drone] } else { Wake::default() },
+            effects: own_effects.unwrap_or_default(),
             share: self.actuators[drone].share(),
+            fall_share: self.actuators[drone].fall_share(),
             max_command: self.drones[drone].max_rpm,
             gains: *self.actuators[drone].gains(),
             max_rpm: self.actuators[drone].max_rpm(),
             cylinder: [cylinder.radius, cylinder.height],
-            effects: own_effects.unwrap_or_default(),
             reach_bound: self.bodies.drones[drone].reach_bound,
-            fall_share: self.actuators[drone].fall_share(),
         }
     }
 }

@@ -16,6 +16,7 @@ use crate::env::{
     ObservationSpace, Phase, Task,
 };
 use crate::observation::{KIN_SIZE, Observation, kinematic};
+use crate::physics::battery::BatteryState;
 use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
 use crate::wrappers::VelocityFilter;
@@ -264,8 +265,9 @@ fn lane_functions<T: Task>(first: &Aviary<T>, flies: bool) -> Option<LaneFunctio
 
 /// Returns the conversion of the numbers of each drone to motor speeds: those of an action, or of its control loops.
 fn decoding<T>(first: &Aviary<T>) -> Vec<Decoding> {
-    let decoding = |decoder: &ActionDecoder| match first.model.action_type {
-        ActionType::Rpm | ActionType::OneDRpm => Decoding::Scaled(*decoder.scale()),
+    let decoding = |decoder: &ActionDecoder| match (first.model.action_type, decoder.duty_scale()) {
+        (ActionType::Rpm | ActionType::OneDRpm, _) => Decoding::Scaled(*decoder.scale()),
+        (_, Some(scale)) => Decoding::Duty(*scale),
         _ => Decoding::Raw,
     };
     first.decoders.iter().map(decoding).collect()
@@ -353,6 +355,7 @@ impl<T: Task + Clone> Environments<T> {
         let mut conditions = ConditionLanes::default();
         let motor_latency = simulation.model.motor_latency();
         conditions.extend(Needs::of(&first.episode, &simulation.data, model.dt, motor_latency), model, blocks);
+        conditions.start_batteries(&simulation.data);
         let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
@@ -577,6 +580,13 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
         let lanes = &self.environments.lanes[environment / LANES * self.model.drones + drone];
         let lane = environment % LANES;
         Some(kinematic(&lanes.state(lane), &lanes.command(lane)))
+    }
+
+    fn battery(&self, environment: usize, drone: usize) -> Option<BatteryState> {
+        if environment >= self.num_envs() || drone >= self.model.drones {
+            return None;
+        }
+        self.environments.conditions.battery(environment / LANES * self.model.drones + drone, environment % LANES)
     }
 
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {

@@ -7,8 +7,7 @@ use pulp::{Simd, WithSimd};
 use super::Width;
 use super::body::Push;
 use super::lanes::{LANES, LaneParams, Lanes, Part};
-use crate::action::MotorScale;
-use crate::math::{Pack, Real, Row, V3, clamped};
+use crate::math::{Pack, Real, Row, V3};
 use crate::physics::airframe::AirframeMotion;
 use crate::physics::downwash::Wake;
 use crate::physics::drag;
@@ -251,55 +250,6 @@ pub(crate) fn advance_with(
         (true, false) => go!(true, false, mode::GENERAL),
         (true, true) => go!(true, true, mode::GENERAL),
     }
-}
-
-/// Conversion of the numbers of a control step to motor speeds; see [`set_commands`].
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Decoding {
-    /// Normalized speeds.
-    Scaled(MotorScale),
-    /// Speeds, rpm.
-    Raw,
-}
-
-struct Commands<'a> {
-    lanes: &'a mut Lanes,
-    lane_params: &'a LaneParams,
-    count: usize,
-    decoding: Decoding,
-    actions: &'a [Row; 4],
-}
-
-impl WithSimd for Commands<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { lanes, lane_params, count, decoding, actions } = self;
-        for part in Part::first(simd, count) {
-            let max = part.get(&lane_params.max_command);
-            for (motor, row) in actions.iter().enumerate() {
-                let action = part.get(row);
-                let speed = match decoding {
-                    Decoding::Scaled(scale) => scale.speed(action),
-                    Decoding::Raw => action,
-                };
-                part.put(&mut lanes.command[motor], clamped(speed, max.all(0.0), max));
-            }
-        }
-    }
-}
-
-/// Decodes actions to the commanded motor speeds of the first `count` lanes. `actions` has a row per motor.
-pub(crate) fn set_commands(
-    width: Width,
-    decoding: Decoding,
-    lanes: &mut Lanes,
-    lane_params: &LaneParams,
-    count: usize,
-    actions: &[Row; 4],
-) {
-    width.run(count, Commands { lanes, lane_params, count, decoding, actions });
 }
 
 struct Downwash<'a> {

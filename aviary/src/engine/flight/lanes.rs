@@ -109,11 +109,7 @@ pub(super) struct EffectRows {
 impl EffectRows {
     /// Creates the rows of airframes without effects whose rotor speeds rise and fall with these shares.
     fn new(share: Row) -> Self {
-        Self {
-            coefficients: [[0.0; LANES]; EFFECTS],
-            fall_share: share,
-            driven: [[0.0; LANES]; DRIVEN],
-        }
+        Self { coefficients: [[0.0; LANES]; EFFECTS], fall_share: share, driven: [[0.0; LANES]; DRIVEN] }
     }
 
     fn set(&mut self, lane: usize, Airframe { effects, fall_share, reach_bound, .. }: &Airframe) {
