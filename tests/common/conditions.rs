@@ -1,10 +1,22 @@
 //! Conditions under which tests fly, each with its name.
 
-use mujoco_drones_gym::env::{EnvironmentRanges, InitialRanges, Randomization, SensorRanges};
+use mujoco_drones_gym::env::{BatteryRanges, EnvironmentRanges, InitialRanges, Randomization, SensorRanges};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{Forcing, Medium, ObstacleConfig, ObstacleKind};
+
+use super::supplied;
+
+/// Batteries of the conditions, and how long a drone hovers with them, s.
+const HOVER_SECONDS: [(&str, f64); 2] = [("battery", 10.0), ("small battery", 1.0)];
+
+/// Returns an airframe that can fly under a condition: with a battery where the condition has one, and with a law from
+/// duty to speed.
+pub fn airframe_for(condition: &str, drone: DroneModel) -> DroneParams {
+    let battery = HOVER_SECONDS.iter().find(|(name, _)| condition.starts_with(name));
+    supplied(drone.params(), battery.map(|(_, seconds)| *seconds))
+}
 
 /// Length of a physics step at the default rate, s.
 const STEP: f64 = 1.0 / 240.0;
@@ -129,9 +141,23 @@ pub fn all() -> Vec<(String, EnvConfig)> {
     add("new obstacles and default randomization", late.obstacle_generator(forest(true)));
 
     for action_type in ActionType::ALL.into_iter().filter(|kind| *kind != ActionType::Rpm) {
+        let base = || base().drone(supplied(DroneModel::Cf2x.params(), None));
         add(&format!("{action_type} actions"), base().action_type(action_type));
         let randomized = base().action_type(action_type).randomization(Randomization::default());
         add(&format!("{action_type} actions and default randomization"), randomized);
+    }
+
+    // a battery that lasts for the flight, and one that becomes empty
+    for (name, seconds) in HOVER_SECONDS {
+        let flown = || base().drone(supplied(DroneModel::Cf2x.params(), Some(seconds)));
+        add(name, flown());
+        add(&format!("{name}, duty"), flown().action_type(ActionType::Duty));
+        add(&format!("{name}, motors"), flown().actuators(MOTORS).action_type(ActionType::Duty));
+        let sampled = Randomization { battery: Some(BatteryRanges::default()), ..Randomization::default() };
+        add(&format!("{name}, randomization"), flown().action_type(ActionType::Ctbr).randomization(sampled));
+        let charge = only(|r| r.battery = Some(BatteryRanges { charge: [0.0, 1.0] }));
+        add(&format!("{name}, charge"), flown().action_type(ActionType::Duty).randomization(charge));
+        add(&format!("{name} among obstacles"), flown().obstacle_generator(forest(true)).action_type(ActionType::Duty));
     }
 
     for rate in [24, 60, 80, 120, 240] {
