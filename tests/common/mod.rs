@@ -20,7 +20,7 @@ pub fn airframe_with_duty() -> DroneParams {
 pub fn supplied(params: DroneParams, hover_seconds: Option<f64>) -> DroneParams {
     let (hover, max) = (params.hover_rpm(), params.max_rpm());
     let (speed_at_zero, speed_per_volt) = (0.1 * max, max / 3.8);
-    let motors = MotorParams { speed_at_zero, speed_per_volt, voltage: 3.7, ..MotorParams::default() };
+    let motors = MotorParams { speed_at_zero, speed_per_volt, voltage: 3.7, ..params.motors };
     let efficiency = 0.5;
     let power = 4.0 * params.torque_coefficient * hover.powi(3) * std::f64::consts::TAU / 60.0 / efficiency;
     let current = power / 3.7;

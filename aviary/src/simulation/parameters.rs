@@ -54,8 +54,7 @@ impl SimData {
             let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
             let mut reach_bound = ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]);
             if let Some(effects) = &drone.effects {
-                let (driven, at_rest) = DrivenBound::new(effects, &free, rpm, air_speed);
-                reach_bound = reach_bound.driven_by(&free, driven, at_rest);
+                reach_bound = reach_bound.driven_by(&free, DrivenBound::new(effects, &free, rpm, air_speed));
             }
             Body { mass: params.mass, inertia, free, reach_bound }
         };
@@ -243,3 +242,6 @@ impl SimData {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -37,7 +37,7 @@ pub(crate) struct DrivenBound<R = f64> {
     accelerating: [R; 2],
     /// Largest angular acceleration per speed, rad/s² per m/s.
     turning_per_speed: R,
-    /// Largest growth rate of the angular momentum by torques that are proportional to the body rate, 1/s.
+    /// Largest growth rate of the angular momentum by torques that grow with the body rate, 1/s.
     turning_per_rate: R,
     /// Largest change of the body rate by changes of the rotor speeds during a control step, rad/s.
     spin_up: R,
@@ -55,8 +55,8 @@ const SLACK: f64 = 1e-9;
 impl DrivenBound {
     /// Creates the bound of the effects of an airframe with this body, whose rotors turn with at most `max_rpm`, in air
     /// that moves with at most `air_speed` (m/s). Returns with it the acceleration (m/s²) and the torque (N·m) that are
-    /// possible at rest.
-    pub(crate) fn new(effects: &AirframeEffects, body: &FreeBody, max_rpm: f64, air_speed: f64) -> (Self, [f64; 2]) {
+    /// possible at rest, and the coefficient of the damping (1/s).
+    pub(crate) fn new(effects: &AirframeEffects, body: &FreeBody, max_rpm: f64, air_speed: f64) -> (Self, [f64; 3]) {
         let [x, y, z] = body.inverse_inertia;
         let (max, largest) = (x.max(y).max(z), |numbers: [f64; 3]| numbers.into_iter().fold(0.0, f64::max));
         let linear = largest(effects.linear_drag) * body.inverse_mass;
@@ -67,14 +67,17 @@ impl DrivenBound {
             // (v + w)² = v² + 2·w·v + w²
             accelerating: [linear + 2.0 * quadratic * air_speed, quadratic],
             turning_per_speed: moment * max,
-            // two rotors turn in each direction
-            turning_per_rate: (largest(effects.rotational_damping) + 2.0 * momentum) * max,
+            // two rotors turn in each direction. Damping that is constant during a step reduces the angular momentum
+            // where its direction is constant too; the body turns by half of `FreeBody::MAX_TURN` on average
+            turning_per_rate: (largest(effects.rotational_damping) * (0.5 * FreeBody::MAX_TURN) + 2.0 * momentum) * max,
             // a command is constant during a control step, or changes once if it arrives late: each of four rotors
             // approaches at most two speeds
             spin_up: 8.0 * momentum * max,
         };
         let trim = Vector3::from(effects.trim_torque).norm();
-        (bound, [(linear + quadratic * air_speed) * air_speed, trim + moment * air_speed])
+        let [a, b, c] = effects.rotational_damping;
+        let damping = largest([a * x, b * y, c * z]);
+        (bound, [(linear + quadratic * air_speed) * air_speed, trim + moment * air_speed, damping])
     }
 }
 
@@ -135,12 +138,12 @@ impl ReachBound {
         }
     }
 
-    /// Returns the bound of a drone with further effects, which at rest are an acceleration (m/s²) and a torque of a
-    /// body (N·m).
+    /// Returns the bound of a drone with the effects of [`DrivenBound::new`].
     #[must_use]
-    pub(crate) fn driven_by(self, body: &FreeBody, driven: DrivenBound, [acceleration, torque]: [f64; 2]) -> Self {
-        let [x, y, z] = body.inverse_inertia;
+    pub(crate) fn driven_by(self, body: &FreeBody, effects: (DrivenBound, [f64; 3])) -> Self {
+        let ([x, y, z], (driven, [acceleration, torque, damping])) = (body.inverse_inertia, effects);
         Self {
+            braking: [self.braking[0] + damping, self.braking[1]],
             acceleration: self.acceleration + acceleration,
             turning: self.turning + torque * x.max(y).max(z),
             driven: Some(driven),

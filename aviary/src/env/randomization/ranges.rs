@@ -71,7 +71,7 @@ pub struct AerodynamicRanges {
     /// Factor on the torque coefficient.
     #[serde(deserialize_with = "pair")]
     pub torque: Range,
-    /// Factors on the blade drag: one sample for x and y, one for z.
+    /// Factors on the blade drag and on the linear drag: one sample for x and y, one for z.
     #[serde(deserialize_with = "pair")]
     pub drag: Range,
     /// Factor on the ground-effect coefficient.
@@ -89,10 +89,10 @@ pub struct ActuatorRanges {
     /// Factor on the speed of each motor, four samples.
     #[serde(deserialize_with = "pair")]
     pub gain: Range,
-    /// Time constant of the lag, s.
+    /// Time constant of the lag, s; 0 for those of the airframe.
     #[serde(deserialize_with = "pair")]
     pub lag: Range,
-    /// Latency of commands, s.
+    /// Latency of commands, s, in addition to that of the airframe.
     #[serde(deserialize_with = "pair")]
     pub latency: Range,
     /// Factor on the maximum motor speed.

@@ -32,7 +32,7 @@ pub struct SampledDroneParams {
     pub thrust: f64,
     /// Factor on the torque coefficient.
     pub torque: f64,
-    /// Factors on the blade drag: x and y, and z.
+    /// Factors on the blade drag and on the linear drag: x and y, and z.
     pub drag: [f64; 2],
     /// Factor on the ground-effect coefficient.
     pub ground: f64,
@@ -410,6 +410,8 @@ fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &SampledDron
     params.torque_coefficient = nominal.torque_coefficient * draw.torque;
     params.thrust_to_weight = nominal.thrust_to_weight * draw.thrust / draw.mass;
     params.drag_coefficients = [x * sideways, y * sideways, z * upwards];
+    let [x, y, z] = nominal.air.linear_drag;
+    params.air.linear_drag = [x * sideways, y * sideways, z * upwards];
     params.ground_effect_coefficient = nominal.ground_effect_coefficient * draw.ground;
     params.downwash_coefficients = [c1 * draw.downwash, c2, c3];
     if let (Some(battery), Some(charge)) = (&mut params.battery, draw.charge) {

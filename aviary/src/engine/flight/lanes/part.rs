@@ -233,6 +233,7 @@ impl<S: Simd> Part<S> {
     #[inline(always)]
     fn reach_bound(self, lane_params: &LaneParams) -> ReachBound<Pack<S>> {
         let rows = &lane_params.reach_bound;
+        #[expect(clippy::manual_map, reason = "a closure is not always inlined and then lacks the instruction set")]
         let driven = match lane_params.effects() {
             Some(rows) => Some(self.driven_bound(rows)),
             None => None,
