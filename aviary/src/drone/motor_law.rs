@@ -61,10 +61,9 @@ impl DroneParams {
         if self.battery.is_none() && motors.has_duty() && motors.voltage == 0.0 {
             return wrong("motors.voltage", motors.voltage, "a positive voltage, or a section [battery]");
         }
-        let full = motors.speed(1.0, self.nominal_voltage());
-        // an empty battery is a valid start
-        let is_empty = self.battery.is_some_and(|battery| battery.initial_charge == 0.0);
-        if motors.has_duty() && !is_empty && full <= 0.0 {
+        // with a full battery, because an empty one is a valid start
+        let voltage = self.battery.map_or(motors.voltage, |battery| battery.open_circuit_voltage(1.0));
+        if motors.has_duty() && motors.speed(1.0, voltage) <= 0.0 {
             return wrong("motors.speed_at_zero", motors.speed_at_zero, "a speed that full duty raises above 0");
         }
         Ok(())

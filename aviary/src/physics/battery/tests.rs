@@ -57,7 +57,7 @@ fn constant_speeds_approach_the_stationary_voltage() {
         let mut state = battery.at_rest(0.7, &[rpm; 4]);
         assert!((state.voltage - stationary).abs() < 1e-12, "{rpm}");
         for start in [0.6, 1.3] {
-            state.voltage = stationary * start;
+            state = BatteryState { charge: 0.7, voltage: stationary * start, current: 0.0 };
             let mut error = f64::INFINITY;
             for _ in 0..steps {
                 state = battery.advance(DT, &state, &[rpm; 4]);
