@@ -279,8 +279,8 @@ impl ActionDecoder {
         if let Loops::Duty(scale) = &self.loops { Some(scale) } else { None }
     }
 
-    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from an action within its bounds. Duties
-    /// are those at the voltage of the charged battery; see [`motor_speeds_at`](Self::motor_speeds_at).
+    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from an action within its bounds. The
+    /// speeds of duties are those at the voltage of the charged battery; see [`motor_speeds_at`](Self::motor_speeds_at).
     ///
     /// # Panics
     /// If the length of the action is not [`size`](ActionType::size).

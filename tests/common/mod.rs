@@ -15,8 +15,8 @@ pub fn airframe_with_duty() -> DroneParams {
     DroneParams { motors, ..DroneModel::Cf2x.params() }
 }
 
-/// Returns an airframe with a law from duty to speed, and with a battery for some seconds of hover or a constant voltage.
-/// The sag in hover is 6 % of 3.7 V.
+/// Returns an airframe with a law from duty to speed, and with a battery for some seconds of hover or a constant
+/// voltage. The sag in hover is 6 % of 3.7 V.
 pub fn supplied(params: DroneParams, hover_seconds: Option<f64>) -> DroneParams {
     let (hover, max) = (params.hover_rpm(), params.max_rpm());
     let (speed_at_zero, speed_per_volt) = (0.1 * max, max / 3.8);
