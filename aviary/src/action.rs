@@ -1,5 +1,9 @@
 //! Action types, and the decoder that converts actions into motor speeds.
 
+mod duty;
+
+pub(crate) use duty::DutyScale;
+
 use crate::error::OptionError;
 use std::f64::consts::{FRAC_PI_6, PI};
 
@@ -9,7 +13,7 @@ use crate::control::{
     AnyController, AttitudeControl, ControlMemory, Controller as _, ControllerKind, Goal, HeadingHold,
     LaneController as _, RateControl, Target,
 };
-use crate::drone::{DroneParams, MotorLaw};
+use crate::drone::DroneParams;
 use crate::math::{Real, Turn, V3, clamped, finite_zero, sin_cos, wrap_angle};
 use crate::names::named_enum;
 use crate::state::{DroneState, FlightState};
@@ -280,7 +284,8 @@ impl ActionDecoder {
     }
 
     /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from an action within its bounds. The
-    /// speeds of duties are those at the voltage of the charged battery; see [`motor_speeds_at`](Self::motor_speeds_at).
+    /// speeds of duties are those at the voltage of the charged battery, see
+    /// [`motor_speeds_at`](Self::motor_speeds_at).
     ///
     /// # Panics
     /// If the length of the action is not [`size`](ActionType::size).
@@ -467,40 +472,6 @@ impl MotorScale {
         } else {
             (rpm - self.hover_rpm) / (self.max_rpm - self.hover_rpm)
         }
-    }
-}
-
-/// Conversion between duties and motor speeds.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-pub(crate) struct DutyScale {
-    law: MotorLaw,
-    /// Voltage of the charged battery, or the constant voltage of an airframe without a battery, V.
-    voltage: f64,
-}
-
-impl DutyScale {
-    /// Creates the conversion of an airframe that has a law from duty to speed.
-    fn new(params: &DroneParams) -> Result<Self, OptionError> {
-        if !params.motors.has_duty() {
-            return Err(OptionError {
-                option: "action_type",
-                got: format!("duty for the airframe {}, which has no law from duty to motor speed", params.name),
-                expected: "an airframe with [motors] speed_per_volt, or another action type",
-            });
-        }
-        Ok(Self { law: MotorLaw::from(&params.motors), voltage: params.nominal_voltage() })
-    }
-
-    /// Returns the voltage without a battery, V.
-    pub fn voltage(&self) -> f64 {
-        self.voltage
-    }
-
-    /// Returns the motor speed (rpm) of a duty, which the function clamps to [0, 1], at a voltage (V).
-    #[inline(always)]
-    pub fn speed<R: Real>(&self, duty: R, voltage: R) -> R {
-        let zero = duty.all(0.0);
-        self.law.all(duty).speed(clamped(duty, zero, zero.all(1.0)), voltage)
     }
 }
 

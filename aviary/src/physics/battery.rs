@@ -4,9 +4,10 @@
 //! current I = P/V + I₀. P is the electric power of the motors and I₀ the idle current. The charge decreases by ∫ I dt.
 //!
 //! The battery advances once per control step, with the rotor speeds at its end. The power depends on the speeds, the
-//! speeds on the voltage, and the voltage on the power. Computed one after the other, step by step, they would oscillate
-//! if the sag is strong. The step therefore assumes that the speeds follow the voltage within the step, as those of motors at
-//! constant duty do: a power that is P at the last voltage U is P·(V/U)³ at V. Then V solves the quadratic equation
+//! speeds on the voltage, and the voltage on the power. Computed one after the other, step by step, they would
+//! oscillate if the sag is strong. The step therefore assumes that the speeds follow the voltage within the step, as
+//! those of motors at constant duty do: a power that is P at the last voltage U is P·(V/U)³ at V. Then V solves the
+//! quadratic equation
 //! R·P/U³·V² + V = E − R·I₀. Its positive solution always exists. If the speeds stay constant, V converges within a few
 //! steps to the stationary solution, where P·(V/U)³ is P, unless P exceeds the largest power of the battery.
 
