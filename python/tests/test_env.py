@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from airframes import AIRFRAME_WITH_DUTY
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 
@@ -56,7 +57,7 @@ def print_counts():
 @pytest.mark.parametrize("task", CLASSES)
 def test_check_env(task, obs_type):
     for act_type in ActionType:
-        check_env(CLASSES[task](obs_type=obs_type, act_type=act_type), skip_render_check=True)
+        check_env(CLASSES[task](obs_type=obs_type, act_type=act_type, drone_model=AIRFRAME_WITH_DUTY), skip_render_check=True)
         checked["gymnasium"] += 1
 
 
@@ -66,7 +67,7 @@ def test_check_env_of_sb3(task):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     for obs_type in ("kin", "kin_rgb"):
         for act_type in ActionType:
-            checker.check_env(CLASSES[task](obs_type=obs_type, act_type=act_type), warn=False)
+            checker.check_env(CLASSES[task](obs_type=obs_type, act_type=act_type, drone_model=AIRFRAME_WITH_DUTY), warn=False)
             checked["sb3"] += 1
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from airframes import AIRFRAME_WITH_DUTY
 
 import mujoco_drones_gym as mdg
 from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ImageType, ObservationType, Physics
@@ -27,7 +28,7 @@ def flown(env, steps=24):
 def test_enums_have_the_names_and_values_of_the_paper():
     assert [m.name for m in DroneModel] == ["CF2X", "CF2P", "RACE"]
     assert [m.name for m in Physics] == ["MJC", "MJC_GND", "MJC_DRAG", "MJC_DW", "MJC_GND_DRAG_DW", "DYN"]
-    assert {m.name for m in ActionType} == {"RPM", "ONE_D_RPM", "VEL", "PID", "ATTITUDE", "CTBR", "RAW_RPM"}
+    assert {m.name for m in ActionType} == {"RPM", "ONE_D_RPM", "VEL", "PID", "ATTITUDE", "CTBR", "RAW_RPM", "DUTY"}
     assert {m.name for m in ObservationType} == {"KIN", "RGB", "KIN_RGB", "DEPTH", "SEGMENTATION"}
     assert [m.name for m in ImageType] == ["RGB", "DEP", "SEG"]
     for enum in (DroneModel, Physics, ActionType, ObservationType):
@@ -38,8 +39,9 @@ def test_enums_have_the_names_and_values_of_the_paper():
     ("option", "enum"), [("drone_model", DroneModel), ("physics", Physics), ("act_type", ActionType)]
 )
 def test_a_value_does_wherever_a_member_does(option, enum):
+    others = {"drone_model": AIRFRAME_WITH_DUTY} if enum is ActionType else {}
     for member in enum:
-        states = [flown(mdg.HoverAviary(**{option: value})) for value in (member, member.value)]
+        states = [flown(mdg.HoverAviary(**{option: value}, **others)) for value in (member, member.value)]
         assert (states[0] == states[1]).all()
 
 

@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from airframes import AIRFRAME_WITH_DUTY
 from gymnasium.error import ResetNeeded
 
 pettingzoo = pytest.importorskip("pettingzoo")
@@ -28,7 +29,7 @@ TASKS = [
     "stabilize",
     "track",
 ]
-ACTIONS = ["rpm", "one_d_rpm", "vel", "pid", "attitude", "ctbr", "raw_rpm"]
+ACTIONS = ["rpm", "one_d_rpm", "vel", "pid", "attitude", "ctbr", "raw_rpm", "duty"]
 
 
 def drones(task):
@@ -38,7 +39,7 @@ def drones(task):
 @pytest.mark.parametrize("act_type", ACTIONS)
 @pytest.mark.parametrize("task", TASKS)
 def test_api_and_seeds(task, act_type):
-    options = {"act_type": act_type, "episode_seconds": 1.0, **drones(task)}
+    options = {"act_type": act_type, "drone_model": AIRFRAME_WITH_DUTY, "episode_seconds": 1.0, **drones(task)}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         parallel_api_test(parallel_env(task, **options), num_cycles=60)

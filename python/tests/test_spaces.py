@@ -5,6 +5,7 @@ import math
 import gymnasium as gym
 import numpy as np
 import pytest
+from airframes import AIRFRAME_WITH_DUTY
 from test_env import CLASSES
 
 import mujoco_drones_gym as mdg
@@ -39,7 +40,7 @@ def test_angles_at_the_bounds_are_in_the_space():
 
 @pytest.mark.parametrize("act_type", ActionType)
 def test_action_spaces(act_type):
-    env = mdg.MultiHoverAviary(act_type=act_type)
+    env = mdg.MultiHoverAviary(act_type=act_type, drone_model=AIRFRAME_WITH_DUTY)
     size = 1 if act_type is ActionType.ONE_D_RPM else 4
     space = env.action_space
     assert space.shape == (2 * size,) and space.dtype == np.float32
@@ -48,6 +49,8 @@ def test_action_spaces(act_type):
         assert (space.high.astype(np.float64) <= env.MAX_RPM).all()
     elif act_type is ActionType.PID:
         assert space.low.tolist()[:3] == [-10, -10, 0] and space.high.tolist()[:3] == [10, 10, 10]
+    elif act_type is ActionType.DUTY:
+        assert (space.low == 0).all() and (space.high == 1).all()
     elif act_type is not ActionType.VEL:
         assert (space.low == -1).all() and (space.high == 1).all()
 

@@ -10,6 +10,7 @@ import time
 import gymnasium as gym
 import numpy as np
 import pytest
+from airframes import AIRFRAME_WITH_BATTERY
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
@@ -112,10 +113,11 @@ def test_modes_threads_and_rates_are_bit_identical(mode, count, threads):
     assert compare("hover", count, mode, threads, 60, **options) >= count
 
 
-@pytest.mark.parametrize("act_type", ["rpm", "one_d_rpm", "vel", "pid", "attitude", "ctbr", "raw_rpm"])
+@pytest.mark.parametrize("act_type", ["rpm", "one_d_rpm", "vel", "pid", "attitude", "ctbr", "raw_rpm", "duty"])
 def test_action_types_of_swarms_are_bit_identical(act_type):
     yaws = [[0.0, 0.0, 1.2 - drone] for drone in range(3)]
     options = {"act_type": act_type, "num_drones": 3, "initial_rpys": yaws, "episode_seconds": 0.4}
+    options["drone_model"] = AIRFRAME_WITH_BATTERY
     assert compare("formation", 9, AutoresetMode.NEXT_STEP, 2, 30, **options) >= 9
 
 

@@ -310,6 +310,7 @@ fn to_bounds(x: f32, low: f32, high: f32) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::drone::{DroneModel, DroneParams, MotorParams};
     use crate::env::Env as _;
     use crate::tasks::Hover;
 
@@ -317,8 +318,10 @@ mod tests {
     #[test]
     fn saturated_actions_are_in_the_action_space() {
         let mut rounded_up = 0;
+        let motors = MotorParams { speed_per_volt: 6000.0, voltage: 3.7, ..MotorParams::default() };
+        let params = DroneParams { motors, ..DroneModel::Cf2x.params() };
         for action_type in ActionType::ALL {
-            let env = Hover::builder().action_type(action_type).build().unwrap();
+            let env = Hover::builder().drone(params.clone()).action_type(action_type).build().unwrap();
             let (seen, space) = (env.observation_space().vector.clone(), env.action_space().clone());
             rounded_up += space.high().iter().filter(|&&x| f64::from(x as f32) > x).count();
             let sizes = [seen.size(), space.size()];
