@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 use nalgebra::{UnitQuaternion, Vector3};
 use rayon::prelude::*;
 
-use super::FlightError;
 use super::table::{
     ACCELERATION, ATTITUDE, BODY_RATE, COLUMNS, FlightTable, MOTORS, POSITION, TableError, VELOCITY, VOLTAGE,
 };
+use super::{FlightError, NORM_TOLERANCE};
 use crate::drone::GRAVITY;
 use crate::state::{DroneState, attitude_from_wxyz, wxyz};
 
@@ -19,9 +19,6 @@ const MIN_ROWS: usize = 10;
 
 /// Largest deviation of a time from the constant step, as a fraction of the step.
 const STEP_TOLERANCE: f64 = 0.1;
-
-/// Largest deviation of the norm of a quaternion from 1.
-const NORM_TOLERANCE: f64 = 1e-3;
 
 /// Smallest and largest battery voltage, V. Other values are in a wrong unit.
 const VOLTAGES: std::ops::RangeInclusive<f64> = 0.5..=100.0;
@@ -405,12 +402,12 @@ fn constant_step(times: &[f64]) -> Result<f64, (usize, String)> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use proptest::prelude::*;
 
     /// Returns a flight on a tumbling path in closed form: position, velocity, attitude and body rate agree.
-    fn tumbling(rows: usize, step: f64) -> Flight {
+    pub(crate) fn tumbling(rows: usize, step: f64) -> Flight {
         let axis = nalgebra::Unit::new_normalize(Vector3::new(0.3, -0.5, 0.8));
         let rate = axis.into_inner() * 2.5;
         let times: Vec<f64> = (0..rows).map(|row| row as f64 * step).collect();

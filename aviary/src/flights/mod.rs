@@ -3,15 +3,24 @@
 //! A [`Flight`] is a table with one row per time step: motion capture, gyro, accelerometer, motor commands and battery
 //! voltage. [`COLUMNS`] lists its columns with their units.
 
+pub mod identify;
+
+mod exchange;
 mod log;
 mod table;
+mod window;
 
 use std::path::{Path, PathBuf};
 
+pub use exchange::{PREDICTION_COLUMNS, PredictionRow, read_predictions, write_predictions};
 pub use log::{Flight, read_flights};
 pub use table::{COLUMNS, FlightTable};
+pub use window::{Errors, HORIZONS, Predicted, Score, Window};
 
 use crate::SystemError;
+
+/// Largest deviation of the norm of a quaternion in a file from 1.
+const NORM_TOLERANCE: f64 = 1e-3;
 
 /// Error of a recorded flight.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -33,6 +42,14 @@ pub enum FlightError {
         path: PathBuf,
         /// Line in the file, from 1; 0 for the whole file.
         line: usize,
+        /// Description of the error and the expected content.
+        message: String,
+    },
+    /// A flight without windows for predictions.
+    #[error("{flight}: {message}")]
+    Windows {
+        /// Name of the flight.
+        flight: String,
         /// Description of the error and the expected content.
         message: String,
     },

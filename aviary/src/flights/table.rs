@@ -143,7 +143,7 @@ fn next<R: Read>(reader: &mut csv::Reader<R>, record: &mut csv::ByteRecord) -> R
 }
 
 /// Returns a cell as messages print it: on one line, at most 40 characters.
-fn shown(cell: &str) -> String {
+pub(super) fn shown(cell: &str) -> String {
     cell.trim().chars().map(|c| if c.is_control() { '?' } else { c }).take(40).collect()
 }
 
