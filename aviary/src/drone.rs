@@ -2,6 +2,8 @@
 //!
 //! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
+mod air;
+mod motors;
 mod plausibility;
 
 use std::path::{Path, PathBuf};
@@ -10,6 +12,8 @@ use std::sync::OnceLock;
 use nalgebra::{Matrix4, Vector3};
 use serde::{Deserialize, Serialize};
 
+pub use air::AirParams;
+pub use motors::MotorParams;
 pub use plausibility::DerivedNumber;
 
 use crate::SystemError;
@@ -80,7 +84,8 @@ pub enum YawConvention {
 }
 
 impl YawConvention {
-    fn sign(self) -> f64 {
+    /// Returns 1 or −1: the sign of the reaction torque of motors 1 and 3 about body z.
+    pub(crate) fn sign(self) -> f64 {
         match self {
             Self::Crazyflie => 1.0,
             Self::Reversed => -1.0,
@@ -159,6 +164,30 @@ pub struct DroneParams {
     /// Source of the values, as free text.
     #[serde(default)]
     pub provenance: String,
+    /// Position `[x, y]` of the centre of mass relative to the centre of the motors, body frame, m. It shifts the
+    /// lever arms of the motors in [`allocation`](Self::allocation), and has no other effect.
+    #[serde(default, deserialize_with = "crate::error::pair", skip_serializing_if = "is_centred")]
+    pub center_of_mass: [f64; 2],
+    /// Motors.
+    #[serde(default, skip_serializing_if = "MotorParams::is_default")]
+    pub motors: MotorParams,
+    /// Forces and torques of the air in addition to blade drag.
+    #[serde(default, skip_serializing_if = "AirParams::is_default")]
+    pub air: AirParams,
+}
+
+fn is_centred(center_of_mass: &[f64; 2]) -> bool {
+    *center_of_mass == [0.0; 2]
+}
+
+/// Returns an error for the first of several fields whose value is outside its range. An entry has the name, the value,
+/// the range and the range as text.
+fn check_ranges(ranges: &[(&'static str, f64, f64, f64, &'static str)]) -> Result<(), DroneError> {
+    // a range never contains NaN
+    match ranges.iter().find(|(_, got, min, max, _)| !(*min..=*max).contains(got)) {
+        Some(&(field, got, _, _, expected)) => Err(DroneError::Parameter { field, got, expected }),
+        None => Ok(()),
+    }
 }
 
 impl DroneParams {
@@ -250,6 +279,19 @@ impl DroneParams {
                 return Err(DroneError::Parameter { field, got, expected: "a finite number" });
             }
         }
+        // between the motors, or no speeds of the motors could balance
+        let [x, y] = self.center_of_mass;
+        let room = match self.layout {
+            Layout::X => self.arm_length / std::f64::consts::SQRT_2 - x.abs().max(y.abs()),
+            Layout::Plus => self.arm_length - x.abs() - y.abs(),
+        };
+        if !(room > 0.0 && x.is_finite() && y.is_finite()) {
+            let is_second = y.abs() > x.abs() || y.is_nan();
+            let (field, got) = if is_second { ("center_of_mass[1]", y) } else { ("center_of_mass[0]", x) };
+            return Err(DroneError::Parameter { field, got, expected: "a position between the motors, m" });
+        }
+        self.motors.validate()?;
+        self.air.validate()?;
         if self.name.is_empty() || !self.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
             return Err(DroneError::Name { name: self.name.clone() });
         }
@@ -296,7 +338,7 @@ impl DroneParams {
         Vector3::from(self.inertia)
     }
 
-    /// Returns the positions of the motors, `[x, y]` in the body frame, m.
+    /// Returns the positions of the motors relative to their centre, `[x, y]` in the body frame, m.
     pub fn motor_positions(&self) -> [[f64; 2]; 4] {
         match self.layout {
             Layout::X => {
@@ -313,9 +355,9 @@ impl DroneParams {
     /// Returns the allocation matrix, which maps the four rotor thrusts F (N) to `[T, τx, τy, τz]` (N and N·m, body
     /// frame).
     ///
-    /// A force F along body z at (x, y) has the torque (y·F, −x·F, 0). In the X layout this gives the equations of the
-    /// paper, τx = L/√2·(F0 + F1 − F2 − F3) and τy = L/√2·(−F0 + F1 + F2 − F3). The reaction torque of a rotor is
-    /// k_m/k_f times its thrust.
+    /// A force F along body z at (x, y) from the [centre of mass](Self::center_of_mass) has the torque (y·F, −x·F, 0).
+    /// In the X layout with a centred mass this gives the equations of the paper, τx = L/√2·(F0 + F1 − F2 − F3) and
+    /// τy = L/√2·(−F0 + F1 + F2 − F3). The reaction torque of a rotor is k_m/k_f times its thrust.
     ///
     /// ```
     /// use aviary::drone::DroneModel;
@@ -329,7 +371,8 @@ impl DroneParams {
     /// ```
     pub fn allocation(&self) -> Matrix4<f64> {
         let yaw = self.yaw_convention.sign() * self.torque_coefficient / self.thrust_coefficient;
-        let m = self.motor_positions();
+        let [x, y] = self.center_of_mass;
+        let m = self.motor_positions().map(|[mx, my]| [mx - x, my - y]);
         #[rustfmt::skip]
         let matrix = Matrix4::new(
             1.0,       1.0,       1.0,       1.0,

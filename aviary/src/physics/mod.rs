@@ -1,6 +1,7 @@
 //! Forces on a drone: pure functions of parameters, state and rotor speeds, independent of MuJoCo and of tasks.
 
 pub mod actuators;
+pub mod airframe;
 pub mod downwash;
 pub mod drag;
 pub mod ground_effect;
