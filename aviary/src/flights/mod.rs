@@ -5,8 +5,11 @@
 
 pub mod identify;
 
+mod dynamics;
 mod exchange;
 mod log;
+mod observer;
+mod predict;
 mod table;
 mod window;
 
@@ -14,6 +17,8 @@ use std::path::{Path, PathBuf};
 
 pub use exchange::{PREDICTION_COLUMNS, PredictionRow, read_predictions, write_predictions};
 pub use log::{Flight, read_flights};
+pub use observer::{FastModel, FilterParams, ObserverParams};
+pub use predict::{AttitudeSource, Predictor};
 pub use table::{COLUMNS, FlightTable};
 pub use window::{Errors, HORIZONS, Predicted, Score, Window};
 
@@ -44,6 +49,12 @@ pub enum FlightError {
         line: usize,
         /// Description of the error and the expected content.
         message: String,
+    },
+    /// An airframe whose motors a duty cannot drive.
+    #[error("the airframe {name} has no `motors.speed_per_volt`, expected motors that a duty drives")]
+    Airframe {
+        /// Name of the airframe.
+        name: String,
     },
     /// A flight without windows for predictions.
     #[error("{flight}: {message}")]

@@ -9,13 +9,13 @@ use crate::world::Medium;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FreeBody<R = f64> {
     /// Reciprocal of the mass, 1/kg.
-    pub(super) inverse_mass: R,
+    pub(crate) inverse_mass: R,
     /// Acceleration of gravity, downwards, m/s².
-    pub(super) gravity: R,
+    pub(crate) gravity: R,
     /// Reciprocals of the moments of inertia, body frame, 1/(kg·m²).
-    pub(super) inverse_inertia: [R; 3],
+    pub(crate) inverse_inertia: [R; 3],
     /// Gyroscopic coefficients (Jy − Jz)/Jx, (Jz − Jx)/Jy and (Jx − Jy)/Jz.
-    pub(super) gyration: [R; 3],
+    pub(crate) gyration: [R; 3],
     /// Coefficients of the medium's drag.
     pub(super) fluid: Fluid<R>,
 }
@@ -37,7 +37,7 @@ pub(super) struct Fluid<R = f64> {
 /// Load on a body during a step: thrust along body z (N) and torque (body frame, N·m) of the rotors, and an external
 /// force (world frame, N).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Push<R> {
+pub(crate) struct Push<R> {
     pub thrust: R,
     pub torque: V3<R>,
     pub force: V3<R>,
@@ -103,7 +103,7 @@ impl<R: Real> FreeBody<R> {
     /// are therefore rotations from the initial attitude, and this function computes in the body frame of that
     /// attitude.
     #[inline(always)]
-    pub(super) fn rk4<const BODY_FIXED: bool, const MEDIUM: bool>(
+    pub(crate) fn rk4<const BODY_FIXED: bool, const MEDIUM: bool>(
         &self,
         dt: f64,
         push: &Push<R>,
@@ -270,14 +270,14 @@ impl<R: Real> Fluid<R> {
 
 /// Returns the rotation by a rotation vector, rad.
 #[inline(always)]
-fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
+pub(crate) fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
     let (cos, sinc) = half_angle(angle.dot(angle) * 0.25);
     Turn { w: cos, v: angle * (sinc * 0.5) }
 }
 
 /// Returns an attitude after a rotation.
 #[inline(always)]
-fn rotated<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
+pub(crate) fn rotated<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
     let (w, V3 { x, y, z }, c, s) = (attitude.w, attitude.v, turn.w, turn.v);
     let q = [
         w * c - x * s.x - y * s.y - z * s.z,

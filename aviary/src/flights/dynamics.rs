@@ -1,0 +1,204 @@
+//! Motion of a drone under recorded commands: rotor speeds, one physics step, and disturbances.
+//!
+//! The forces are those of the simulator, by the same functions: [`RotorModel`], [`AirframeEffects`] and the flight
+//! kernel's [`FreeBody`]. Everything that a step computes is generic over a double and a SIMD register.
+
+use super::{Flight, FlightError};
+use crate::drone::{DroneParams, GRAVITY};
+use crate::engine::flight::{FreeBody, Push};
+use crate::math::{Real, Turn, V3};
+use crate::physics::airframe::{AirframeEffects, AirframeMotion};
+use crate::physics::rotor::RotorModel;
+use crate::state::FlightState;
+
+/// Longest physics step of a prediction, s.
+const MAX_STEP: f64 = 2e-3;
+
+/// Returns the number of physics steps between two rows of a flight.
+pub(crate) fn substeps(flight: &Flight) -> usize {
+    // a step of 10 ms is five steps of 2 ms, also after rounding
+    ((flight.step / MAX_STEP - 1e-6).ceil() as usize).max(1)
+}
+
+/// Returns the rotor speeds (rpm) of an airframe under the recorded duty and voltage: at the start of every physics
+/// step, and at the end of the last one. Element `row · substeps` is the speed at a row.
+///
+/// Duty and voltage are linear between rows and constant before the first and after the last row. The speeds start in
+/// balance with the first command.
+pub(crate) fn rotor_speeds(params: &DroneParams, flight: &Flight) -> Result<Vec<[f64; 4]>, FlightError> {
+    let motors = &params.motors;
+    flight.require(&["m1", "m2", "m3", "m4"], "the motor commands of a prediction")?;
+    if motors.voltage <= 0.0 {
+        flight.require(&["vbat"], "the motor speeds of a prediction")?;
+    }
+    if motors.speed_per_volt <= 0.0 {
+        return Err(FlightError::Airframe { name: params.name.clone() });
+    }
+    let duty = flight.duty.as_deref().unwrap_or_default();
+    let (count, rows) = (substeps(flight), flight.rows());
+    let dt = flight.step / count as f64;
+    let share = |time: f64| if time > 0.0 { -(-dt / time).exp_m1() } else { 1.0 };
+    let (rise, fall) = (share(motors.rise_time), share(motors.fall_time));
+    let command = |row: f64| {
+        let row = row.clamp(0.0, (rows - 1) as f64);
+        let before = (row as usize).min(rows - 2);
+        let part = row - before as f64;
+        let between = |a: f64, b: f64| a + (b - a) * part;
+        let voltage = flight.voltage.as_ref().map_or(motors.voltage, |v| between(v[before], v[before + 1]));
+        [0, 1, 2, 3].map(|motor| {
+            let duty = between(duty[before][motor], duty[before + 1][motor]);
+            (motors.speed_at_zero + motors.speed_per_volt * duty * voltage).max(0.0)
+        })
+    };
+    let mut speeds = Vec::with_capacity((rows - 1) * count + 1);
+    let mut speed = command(0.0);
+    speeds.push(speed);
+    for step in 0..(rows - 1) * count {
+        // the middle of the step, which makes the lag second order
+        let command = command((step as f64 + 0.5) / count as f64 - motors.latency / flight.step);
+        for (speed, command) in speed.iter_mut().zip(command) {
+            *speed += (command - *speed) * if command > *speed { rise } else { fall };
+        }
+        speeds.push(speed);
+    }
+    Ok(speeds)
+}
+
+/// Coefficients of the motion of a drone, scalar or SIMD.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Dynamics<R = f64> {
+    /// Length of a physics step, s.
+    pub dt: f64,
+    /// Rotors.
+    pub rotors: RotorModel<R>,
+    /// Air, trim and inertia of the rotors.
+    pub effects: AirframeEffects<R>,
+    /// Equations of motion.
+    pub body: FreeBody<R>,
+    /// Mass, kg.
+    pub mass: R,
+    /// Moments of inertia, body frame, kg·m².
+    pub inertia: [R; 3],
+}
+
+impl Dynamics {
+    /// Creates the coefficients of an airframe for physics steps of `dt` seconds.
+    pub fn new(params: &DroneParams, dt: f64) -> Self {
+        Self {
+            dt,
+            rotors: RotorModel::new(params),
+            effects: AirframeEffects::new(params),
+            body: FreeBody::new(params.mass, &params.inertia_vector(), GRAVITY, None),
+            mass: params.mass,
+            inertia: params.inertia,
+        }
+    }
+}
+
+impl<R: Real> Dynamics<R> {
+    /// Returns thrust (N), torque (body frame, N·m) and drag (world frame, N) of a physics step with these rotor speeds
+    /// at its start and end.
+    #[inline(always)]
+    fn load(&self, speeds: [&[R; 4]; 2], attitude: &Turn<R>, velocity: V3<R>, rate: V3<R>) -> Push<R> {
+        let [a, b] = speeds;
+        let middle = [(a[0] + b[0]) * 0.5, (a[1] + b[1]) * 0.5, (a[2] + b[2]) * 0.5, (a[3] + b[3]) * 0.5];
+        let (mut thrust, mut torque) = self.rotors.thrust_and_torque(&middle);
+        let momentum = [self.effects.momentum(a), self.effects.momentum(b)];
+        let motion = AirframeMotion { attitude, relative: velocity, rate, momentum };
+        let force = self.effects.add(self.dt, &motion, &mut thrust, &mut torque);
+        Push { thrust, torque, force }
+    }
+
+    /// Computes a physics step under the rotors' thrust and a disturbance: an acceleration (body frame, m/s²) and an
+    /// angular acceleration (body frame, rad/s²).
+    #[inline(always)]
+    pub fn fly(
+        &self,
+        speeds: [&[R; 4]; 2],
+        acceleration: V3<R>,
+        angular: V3<R>,
+        state: &FlightState<R>,
+    ) -> FlightState<R> {
+        let mut push = self.load(speeds, &state.attitude, state.velocity, state.rate);
+        let [jx, jy, jz] = self.inertia;
+        push.torque = push.torque + angular.times(V3::new(jx, jy, jz));
+        push.force = push.force + state.attitude.forth(acceleration * self.mass);
+        self.body.rk4::<true, false>(self.dt, &push, state)
+    }
+
+    /// Computes position (m) and velocity (m/s) after a physics step with a given attitude in its middle, under the
+    /// rotors' thrust and a disturbance: an acceleration (body frame, m/s²).
+    #[inline(always)]
+    pub fn translate(
+        &self,
+        speeds: [&[R; 4]; 2],
+        attitude: &Turn<R>,
+        acceleration: V3<R>,
+        (position, velocity): (V3<R>, V3<R>),
+    ) -> (V3<R>, V3<R>) {
+        let push = self.load(speeds, attitude, velocity, V3::zero(self.mass));
+        let mut total = acceleration * self.mass;
+        total.z = total.z + push.thrust;
+        let mut change = (attitude.forth(total) + push.force) * self.body.inverse_mass;
+        change.z = change.z - self.body.gravity;
+        (position + (velocity + change * (0.5 * self.dt)) * self.dt, velocity + change * self.dt)
+    }
+}
+
+/// A disturbance of an acceleration or of an angular acceleration, body frame: a constant part and a fast part, whose
+/// model is linear and may oscillate.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Disturbance<R> {
+    /// Constant part.
+    pub slow: V3<R>,
+    /// Fast part.
+    pub fast: V3<R>,
+    /// Second state of the fast part, which makes it oscillate.
+    pub swing: V3<R>,
+}
+
+impl<R: Real> Disturbance<R> {
+    /// Returns no disturbance.
+    #[inline(always)]
+    pub fn zero(like: R) -> Self {
+        let zero = V3::zero(like);
+        Self { slow: zero, fast: zero, swing: zero }
+    }
+
+    /// Returns the disturbance.
+    #[inline(always)]
+    pub fn total(&self) -> V3<R> {
+        self.slow + self.fast
+    }
+
+    /// Advances the fast part.
+    #[inline(always)]
+    pub fn advance(&mut self, by: &FastStep<R>) {
+        let ([a, b, c, d], [e, f, g, h]) = (by.level, by.vertical);
+        let (fast, swing) = (self.fast, self.swing);
+        self.fast = V3::new(a * fast.x + b * swing.x, a * fast.y + b * swing.y, e * fast.z + f * swing.z);
+        self.swing = V3::new(c * fast.x + d * swing.x, c * fast.y + d * swing.y, g * fast.z + h * swing.z);
+    }
+}
+
+/// Transition of the fast part of a [`Disturbance`] over a time: `[a, b, c, d]` maps (fast, swing) to
+/// (a·fast + b·swing, c·fast + d·swing).
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct FastStep<R> {
+    /// Transition of the x and y components.
+    pub level: [R; 4],
+    /// Transition of the z component.
+    pub vertical: [R; 4],
+}
+
+/// Returns the attitude at a part (0 to 1) of the time between two attitudes.
+#[inline(always)]
+pub(crate) fn between<R: Real>(a: &Turn<R>, b: &Turn<R>, part: f64) -> Turn<R> {
+    let zero = a.w.all(0.0);
+    // a quaternion and its negative are the same rotation
+    let is_opposite = (a.w * b.w + a.v.dot(b.v)).less(zero);
+    let (bw, bv) = (R::choose(is_opposite, -b.w, b.w), V3::choose(is_opposite, -b.v, b.v));
+    let (w, v) = (a.w + (bw - a.w) * part, a.v + (bv - a.v) * part);
+    let scale = zero.all(1.0) / (w * w + v.dot(v)).sqrt();
+    Turn { w: w * scale, v: v * scale }
+}
