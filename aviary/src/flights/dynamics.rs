@@ -110,7 +110,8 @@ impl<R: Real> Dynamics<R> {
     }
 
     /// Computes a physics step under the rotors' thrust and a disturbance: an acceleration (body frame, m/s²) and an
-    /// angular acceleration (body frame, rad/s²).
+    /// angular acceleration (body frame, rad/s²). The disturbances of roll and pitch, which unequal motors cause, are
+    /// those at a thrust equal to the weight, and grow with the thrust.
     #[inline(always)]
     pub fn fly(
         &self,
@@ -121,7 +122,8 @@ impl<R: Real> Dynamics<R> {
     ) -> FlightState<R> {
         let mut push = self.load(speeds, &state.attitude, state.velocity, state.rate);
         let [jx, jy, jz] = self.inertia;
-        push.torque = push.torque + angular.times(V3::new(jx, jy, jz));
+        let load = push.thrust * self.body.inverse_mass / self.body.gravity;
+        push.torque = push.torque + angular.times(V3::new(jx * load, jy * load, jz));
         push.force = push.force + state.attitude.forth(acceleration * self.mass);
         self.body.rk4::<true, false>(self.dt, &push, state)
     }
@@ -145,24 +147,20 @@ impl<R: Real> Dynamics<R> {
     }
 }
 
-/// A disturbance of an acceleration or of an angular acceleration, body frame: a constant part and a fast part, whose
-/// model is linear and may oscillate.
+/// A disturbance of an acceleration or of an angular acceleration, body frame.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Disturbance<R> {
-    /// Constant part.
+    /// Slow part, which is constant during a prediction.
     pub slow: V3<R>,
-    /// Fast part.
+    /// Fast part, which relaxes to zero.
     pub fast: V3<R>,
-    /// Second state of the fast part, which makes it oscillate.
-    pub swing: V3<R>,
 }
 
 impl<R: Real> Disturbance<R> {
     /// Returns no disturbance.
     #[inline(always)]
     pub fn zero(like: R) -> Self {
-        let zero = V3::zero(like);
-        Self { slow: zero, fast: zero, swing: zero }
+        Self { slow: V3::zero(like), fast: V3::zero(like) }
     }
 
     /// Returns the disturbance.
@@ -174,21 +172,17 @@ impl<R: Real> Disturbance<R> {
     /// Advances the fast part.
     #[inline(always)]
     pub fn advance(&mut self, by: &FastStep<R>) {
-        let ([a, b, c, d], [e, f, g, h]) = (by.level, by.vertical);
-        let (fast, swing) = (self.fast, self.swing);
-        self.fast = V3::new(a * fast.x + b * swing.x, a * fast.y + b * swing.y, e * fast.z + f * swing.z);
-        self.swing = V3::new(c * fast.x + d * swing.x, c * fast.y + d * swing.y, g * fast.z + h * swing.z);
+        self.fast = self.fast.times(V3::new(by.level, by.level, by.vertical));
     }
 }
 
-/// Transition of the fast part of a [`Disturbance`] over a time: `[a, b, c, d]` maps (fast, swing) to
-/// (a·fast + b·swing, c·fast + d·swing).
+/// Factors of the fast part of a [`Disturbance`] over a time.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct FastStep<R> {
-    /// Transition of the x and y components.
-    pub level: [R; 4],
-    /// Transition of the z component.
-    pub vertical: [R; 4],
+    /// Factor of the x and y components.
+    pub level: R,
+    /// Factor of the z component.
+    pub vertical: R,
 }
 
 /// Returns the attitude at a part (0 to 1) of the time between two attitudes.

@@ -5,20 +5,26 @@
 
 pub mod identify;
 
+mod cflib_log;
+mod compare;
 mod dynamics;
 mod exchange;
 mod log;
 mod observer;
 mod predict;
+mod raw_log;
 mod table;
+mod usd_log;
 mod window;
 
 use std::path::{Path, PathBuf};
 
+pub use compare::{Compared, Track, compare, plot_window};
 pub use exchange::{PREDICTION_COLUMNS, PredictionRow, read_predictions, write_predictions};
 pub use log::{Flight, read_flights};
-pub use observer::{FastModel, FilterParams, ObserverParams};
+pub use observer::{ObserverParams, RotationFilter, TranslationFilter};
 pub use predict::{AttitudeSource, Predictor};
+pub use raw_log::CrazyflieLog;
 pub use table::{COLUMNS, FlightTable};
 pub use window::{Errors, HORIZONS, Predicted, Score, Window};
 

@@ -79,7 +79,7 @@ pub struct Predictor<'a> {
     flight: &'a Flight,
     windows: &'a [Window],
     dynamics: Dynamics,
-    /// Transitions over a physics step.
+    /// Factors of the fast disturbances over a physics step.
     fast: FastSteps<f64>,
     substeps: usize,
     speeds: Vec<[f64; 4]>,

@@ -97,6 +97,12 @@ impl FreeBody {
 
 #[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> FreeBody<R> {
+    /// Creates a body without a medium from its coefficients.
+    #[inline(always)]
+    pub(crate) fn without_medium(inverse_mass: R, gravity: R, inverse_inertia: [R; 3], gyration: [R; 3]) -> Self {
+        Self { inverse_mass, gravity, inverse_inertia, gyration, fluid: Fluid::none(gravity) }
+    }
+
     /// Computes [`step`](FreeBody::step), scalar or SIMD.
     ///
     /// MuJoCo adds the angular velocities of the stages as vectors and rotates the attitude by the sum. All stages
@@ -270,14 +276,14 @@ impl<R: Real> Fluid<R> {
 
 /// Returns the rotation by a rotation vector, rad.
 #[inline(always)]
-pub(crate) fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
+fn rotation<R: Real>(angle: V3<R>) -> Turn<R> {
     let (cos, sinc) = half_angle(angle.dot(angle) * 0.25);
     Turn { w: cos, v: angle * (sinc * 0.5) }
 }
 
 /// Returns an attitude after a rotation.
 #[inline(always)]
-pub(crate) fn rotated<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
+fn rotated<R: Real>(attitude: &Turn<R>, turn: &Turn<R>) -> Turn<R> {
     let (w, V3 { x, y, z }, c, s) = (attitude.w, attitude.v, turn.w, turn.v);
     let q = [
         w * c - x * s.x - y * s.y - z * s.z,

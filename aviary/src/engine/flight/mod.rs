@@ -18,7 +18,7 @@ mod reach_bound;
 mod width;
 
 pub use body::FreeBody;
-pub(crate) use body::{Push, rotated, rotation};
+pub(crate) use body::Push;
 pub(super) use floor::{FloorKernel, StepKind};
 pub(super) use floor_model::FloorModel;
 pub(crate) use kernel::{Decoding, Extras, LateCommands, Record, advance_with, find_apart, set_commands};
