@@ -16,13 +16,15 @@ const MAX_SHIFT: f64 = 0.3;
 /// Rows on both sides of a row in the differences and in the kernel of the acceleration.
 const HALF: usize = 4;
 
-/// Smallest corrections that are applied, in addition to three standard errors.
+/// Smallest corrections that are applied.
 const MIN_SHIFT: f64 = 2e-3;
-const MIN_TILT: f64 = 1.5e-3;
-const MIN_OFFSET: f64 = 1e-3;
+pub(super) const MIN_MOTOR_SHIFT: f64 = 5e-3;
+const MIN_TILT: f64 = 4e-3;
+const MIN_OFFSET: f64 = 3e-3;
 
-/// Differences between the frames and clocks of one recorded flight. A correction is applied if it exceeds three
-/// standard errors and a minimum (2 ms, 1.5 mrad, 1 mm); [`applied`](Self::applied) has the numbers that were.
+/// Differences between the frames and clocks of one recorded flight. A correction is applied if it exceeds a minimum
+/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and its standard error is at most a quarter of it and half of the
+/// minimum; [`applied`](Self::applied) has the numbers that were.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Alignment {
     /// Name of the flight.
@@ -62,9 +64,9 @@ impl Correction {
 }
 
 /// Returns an estimate as a correction, or zero if it is not significant.
-fn significant(estimate: &Estimate, min: f64) -> f64 {
-    let is_significant = estimate.value.abs() > min.max(3.0 * estimate.error) && estimate.error.is_finite();
-    if is_significant { estimate.value } else { 0.0 }
+pub(super) fn significant(estimate: &Estimate, min: f64) -> f64 {
+    let size = estimate.value.abs();
+    if size > min && estimate.error <= (0.25 * size).min(0.5 * min) { estimate.value } else { 0.0 }
 }
 
 /// Estimates the alignment of a flight, and returns it with the corrected flight.
@@ -85,8 +87,7 @@ pub(super) fn align(flight: &Flight) -> (Alignment, Flight) {
         offset: offset.map(|estimate| significant(&estimate, MIN_OFFSET)),
     };
     correct_marker_frame(&mut corrected, &applied);
-    let alignment =
-        Alignment { flight: flight.name.clone(), onboard_shift, motor_shift: None, tilt, offset, applied };
+    let alignment = Alignment { flight: flight.name.clone(), onboard_shift, motor_shift: None, tilt, offset, applied };
     (alignment, corrected)
 }
 
@@ -298,5 +299,145 @@ fn correct_marker_frame(flight: &mut Flight, correction: &Correction) {
     if [x, y] != [0.0; 2] {
         let back = UnitQuaternion::from_scaled_axis(Vector3::new(-x, -y, 0.0));
         flight.attitude.iter_mut().for_each(|attitude| *attitude *= back);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// Returns position, velocity, attitude and body rate of a drone that flies a curve with tilts up to 30° under
+    /// thrust along body z and a drag of 0.3 1/s.
+    fn motion(t: f64) -> (Vector3<f64>, Vector3<f64>, UnitQuaternion<f64>, Vector3<f64>) {
+        let waves = [(0.5, 2.6, 0.0), (0.4, 3.1, 1.0), (0.2, 1.7, 2.0)];
+        let part = |derivative: u32, at: f64| {
+            Vector3::from_iterator(waves.iter().map(|(size, w, phase)| {
+                let angle = w * at + phase + f64::from(derivative) * std::f64::consts::FRAC_PI_2;
+                size * w.powi(derivative.cast_signed()) * angle.sin()
+            }))
+        };
+        let attitude = |at: f64| {
+            let up = part(2, at) + Vector3::z() * GRAVITY + part(1, at) * 0.3;
+            let yaw = 0.4 * (1.3 * at).sin();
+            let tilted = UnitQuaternion::rotation_between(&Vector3::z(), &up).unwrap();
+            tilted * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw)
+        };
+        let (before, after) = (attitude(t - 1e-4), attitude(t + 1e-4));
+        (part(0, t), part(1, t), attitude(t), (before.inverse() * after).scaled_axis() / 2e-4)
+    }
+
+    /// Returns the recorded flight of a drone whose markers and onboard sensors have errors.
+    fn recorded(shift: f64, tilt: [f64; 2], offset: Vector3<f64>, noise: f64) -> Flight {
+        let turned = UnitQuaternion::from_scaled_axis(Vector3::new(tilt[0], tilt[1], 0.0));
+        let mut random = 1_u64;
+        let mut draw = || {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (random >> 11) as f64 / 2.0_f64.powi(52) - 1.0
+        };
+        let mut vector = |size: f64| Vector3::new(draw(), draw(), draw()) * size * noise;
+        let rows = 1500;
+        let mut flight = Flight {
+            name: "curve".into(),
+            start: 0.0,
+            step: 0.01,
+            position: Vec::new(),
+            attitude: Vec::new(),
+            velocity: Vec::new(),
+            body_rate: None,
+            acceleration: None,
+            duty: Some((0..rows).map(|row| [(0.01 * f64::from(row) - shift).sin().abs(); 4]).collect()),
+            voltage: None,
+        };
+        let mut gyro = Vec::new();
+        for row in 0..rows {
+            let t = 0.01 * f64::from(row);
+            let (position, velocity, attitude, rate) = motion(t);
+            flight.position.push(position + attitude * offset + vector(2e-4));
+            flight.velocity.push(velocity + attitude * rate.cross(&offset) + vector(3e-3));
+            flight.attitude.push(attitude * turned * UnitQuaternion::from_scaled_axis(vector(2e-3)));
+            gyro.push(motion(t - shift).3 + Vector3::new(0.01, -0.02, 0.005) + vector(0.1));
+        }
+        flight.body_rate = Some(gyro);
+        flight
+    }
+
+    #[test]
+    fn an_aligned_flight_is_unchanged() {
+        for noise in [0.0, 1.0] {
+            let flight = recorded(0.0, [0.0; 2], Vector3::zeros(), noise);
+            let (alignment, corrected) = align(&flight);
+            assert!(alignment.applied.is_zero(), "{alignment:?}");
+            assert_eq!(corrected, flight);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+
+        #[test]
+        fn shift_tilt_and_offset_are_found_and_removed(
+            shift in -0.2..0.2_f64, tilt in prop::array::uniform2(-0.03..0.03_f64),
+            offset in prop::array::uniform3(-0.03..0.03_f64), noise in 0.0..1.0_f64,
+        ) {
+            let offset = Vector3::from(offset);
+            let (alignment, corrected) = align(&recorded(shift, tilt, offset, noise));
+            let onboard = alignment.onboard_shift.unwrap();
+            prop_assert!((onboard.value - shift).abs() < 4e-4, "{onboard:?} {shift}");
+            for (found, truth) in alignment.tilt.iter().zip(tilt) {
+                prop_assert!((found.value - truth).abs() < 1e-3, "{found:?} {truth}");
+            }
+            for (found, truth) in alignment.offset.iter().zip(offset.iter()) {
+                prop_assert!((found.value - truth).abs() < 1.5e-3, "{found:?} {truth}");
+            }
+            // rows away from the ends, where the shift has no samples
+            let mut worst = [0.0_f64; 3];
+            for row in 50..1450 {
+                let (position, _, attitude, rate) = motion(0.01 * row as f64);
+                worst[0] = worst[0].max((corrected.position[row] - position).norm());
+                worst[1] = worst[1].max(corrected.attitude[row].angle_to(&attitude));
+                worst[2] = worst[2].max((corrected.body_rate.as_ref().unwrap()[row] - rate).norm());
+            }
+            prop_assert!(worst[0] < 3e-3 && worst[1] < 7e-3 && worst[2] < 0.25, "{worst:?}");
+            let duty = corrected.duty.unwrap()[700][0];
+            prop_assert!((duty - 7.0_f64.sin().abs()).abs() < 3e-3);
+        }
+    }
+
+    #[test]
+    fn a_short_or_still_flight_has_no_estimate_and_no_correction() {
+        let mut still = recorded(0.05, [0.01, 0.0], Vector3::z() * 0.01, 1.0);
+        still.attitude.fill(UnitQuaternion::identity());
+        still.position.fill(Vector3::z());
+        still.velocity.fill(Vector3::zeros());
+        still.body_rate.as_mut().unwrap().fill(Vector3::zeros());
+        let (alignment, corrected) = align(&still);
+        assert!(alignment.applied.is_zero() && corrected == still, "{alignment:?}");
+        let Flight { position, velocity, attitude, .. } = &mut still;
+        position.truncate(20);
+        velocity.truncate(20);
+        attitude.truncate(20);
+        still.body_rate = None;
+        still.duty = None;
+        assert!(align(&still).0.applied.is_zero());
+    }
+
+    #[test]
+    fn zz_shared() {
+        for path in std::fs::read_dir("/work/shared/flights").unwrap() {
+            let path = path.unwrap().path();
+            if path.extension().is_some_and(|e| e == "csv") {
+                let (a, _) = align(&Flight::read(&path).unwrap());
+                let e = |x: &Estimate| format!("{:.5}±{:.5}", x.value, x.error);
+                eprintln!(
+                    "{} shift {} tilt {:?} off {:?} {:?}",
+                    a.flight,
+                    a.onboard_shift.as_ref().map_or("-".into(), e),
+                    a.tilt.each_ref().map(e),
+                    a.offset.each_ref().map(e),
+                    a.applied
+                );
+            }
+        }
     }
 }

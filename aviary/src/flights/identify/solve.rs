@@ -29,7 +29,7 @@ pub(super) struct Minimum {
 }
 
 /// Minimizes the sum of the squared residuals from `start`, with parameters in units of `scales`. It stops when the
-/// relative change of the sum or of the parameters is below `tolerance`.
+/// relative change of the sum or of the parameters is below `tolerance`, or after about 60 evaluations.
 pub(super) fn minimize(problem: &impl Residuals, start: &[f64], scales: &[f64], tolerance: f64) -> Minimum {
     let scaled = start.iter().zip(scales).map(|(x, scale)| x / scale);
     let state = Scaled {
@@ -38,7 +38,7 @@ pub(super) fn minimize(problem: &impl Residuals, start: &[f64], scales: &[f64], 
         parameters: DVector::from_iterator(start.len(), scaled),
         residuals: RefCell::new(None),
     };
-    let solver = LevenbergMarquardt::new().with_tol(tolerance).with_patience(MAX_EVALUATIONS);
+    let solver = LevenbergMarquardt::new().with_tol(tolerance).with_patience(MAX_EVALUATIONS.div_ceil(start.len() + 1));
     let (state, report) = solver.minimize(state);
     Minimum {
         parameters: state.unscaled(&state.parameters),
@@ -48,8 +48,8 @@ pub(super) fn minimize(problem: &impl Residuals, start: &[f64], scales: &[f64], 
     }
 }
 
-/// Largest number of evaluations per parameter and one.
-const MAX_EVALUATIONS: usize = 4;
+/// Largest number of evaluations.
+const MAX_EVALUATIONS: usize = 60;
 
 /// A problem with parameters in units of their scales.
 struct Scaled<'a, P> {

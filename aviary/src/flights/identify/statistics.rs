@@ -46,7 +46,8 @@ impl Information {
 
     /// Returns the sums for some of the parameters, the others held constant.
     pub fn of(&self, parameters: &[usize]) -> Self {
-        let pick = |score: &DVector<f64>| DVector::from_iterator(parameters.len(), parameters.iter().map(|&i| score[i]));
+        let pick =
+            |score: &DVector<f64>| DVector::from_iterator(parameters.len(), parameters.iter().map(|&i| score[i]));
         Self {
             matrix: DMatrix::from_fn(parameters.len(), parameters.len(), |row, column| {
                 self.matrix[(parameters[row], parameters[column])]
@@ -88,17 +89,28 @@ impl Information {
     /// Returns the standard errors of all parameters: the sandwich H⁻¹·(Σ g·gᵀ)·H⁻¹·B/(B − 1) with H = JᵀJ and the
     /// gradients g of B blocks. They are infinite with less than two blocks.
     pub fn standard_errors(&self) -> Vec<f64> {
-        let blocks = self.scores.len();
         let (inverse, determined) = self.inverse();
-        let correction = if blocks < 2 { f64::INFINITY } else { blocks as f64 / (blocks - 1) as f64 };
         let mut squares = DVector::zeros(self.len());
         for score in &self.scores {
             squares += (&inverse * score).map(|x| x * x);
         }
         let error = |(square, determined): (&f64, bool)| {
-            if determined { (square * correction).sqrt() } else { f64::INFINITY }
+            if determined { (square * self.correction()).sqrt() } else { f64::INFINITY }
         };
         squares.iter().zip(determined).map(error).collect()
+    }
+
+    /// Returns the standard error of a number with these derivatives by the parameters.
+    pub fn standard_error_of(&self, slopes: &DVector<f64>) -> f64 {
+        let direction = self.inverse().0 * slopes;
+        let squares: f64 = self.scores.iter().map(|score| score.dot(&direction).powi(2)).sum();
+        (squares * self.correction()).sqrt()
+    }
+
+    /// Returns the factor B/(B − 1) for the number of blocks.
+    fn correction(&self) -> f64 {
+        let blocks = self.scores.len();
+        if blocks < 2 { f64::INFINITY } else { blocks as f64 / (blocks - 1) as f64 }
     }
 
     /// Returns the standard error of a parameter if all others were known.
@@ -131,15 +143,6 @@ impl Information {
         partners.sort_by(|a, b| shares[*b].total_cmp(&shares[*a]));
         partners.truncate(3);
         partners
-    }
-
-    /// Returns the correlations of the estimates by (JᵀJ)⁻¹.
-    pub fn correlations(&self) -> DMatrix<f64> {
-        let (inverse, _) = self.inverse();
-        DMatrix::from_fn(self.len(), self.len(), |row, column| {
-            let product = inverse[(row, row)] * inverse[(column, column)];
-            if product > 0.0 { inverse[(row, column)] / product.sqrt() } else { 0.0 }
-        })
     }
 }
 
@@ -217,7 +220,11 @@ mod tests {
         assert_eq!((information.partners(0), information.partners(1)), (vec![1], vec![0]));
         assert!(information.partners(3).is_empty());
         let alone = information.of(&[1, 3]);
-        assert!(alone.standard_errors().iter().all(|error| error.is_finite()));
+        let errors = alone.standard_errors();
+        assert!(errors.iter().all(|error| error.is_finite()));
+        // the error of a number that is one of the parameters, in another unit
+        let error = alone.standard_error_of(&DVector::from_row_slice(&[0.0, 5.0]));
+        assert!((error / (5.0 * errors[1]) - 1.0).abs() < 1e-12);
     }
 
     proptest! {
