@@ -110,3 +110,51 @@ fn unwrapped(angles: impl Iterator<Item = f64>) -> Vec<f64> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flights::dynamics::tests::airframe;
+    use crate::flights::log::tests::tumbling;
+
+    #[test]
+    fn flights_are_compared_in_their_order_with_every_source() {
+        let flights = [tumbling(450, 0.01), Flight { name: "longer".into(), ..tumbling(651, 0.01) }];
+        let compared = compare(&airframe(), &flights, &AttitudeSource::ALL).unwrap();
+        assert_eq!(compared.iter().map(|compared| compared.windows.len()).collect::<Vec<_>>(), [1, 6]);
+        for compared in &compared {
+            let sources: Vec<_> = compared.tracks.iter().map(|track| track.attitude).collect();
+            assert_eq!(sources, AttitudeSource::ALL);
+            assert!(compared.tracks[0].predictions[0][0].attitude.is_none());
+            assert!(compared.tracks[1].predictions[0][0].attitude.is_some());
+            assert_eq!(compared.tracks[1].scores[3].windows, compared.windows.len());
+        }
+        let alone = compare(&airframe(), &flights[1..], &[AttitudeSource::Recorded]).unwrap();
+        assert_eq!(alone[0].tracks[0], compared[1].tracks[0]);
+        let without = [flights[0].clone(), Flight { duty: None, ..flights[1].clone() }];
+        let error = compare(&airframe(), &without, &AttitudeSource::ALL).unwrap_err().to_string();
+        assert!(error.starts_with("longer: no columns `m1`"), "{error}");
+    }
+
+    #[test]
+    fn the_plot_of_a_window_has_measured_and_predicted_lines() {
+        let flight = tumbling(450, 0.01);
+        let windows = Window::of(&flight).unwrap();
+        let predictor = Predictor::new(&airframe(), &flight, &windows).unwrap();
+        for (source, labels) in
+            [(AttitudeSource::Recorded, ["x (m)", "vz (m/s)"]), (AttitudeSource::Predicted, ["z (m)", "yaw (°)"])]
+        {
+            let trace = predictor.trace(0, source).unwrap();
+            let svg = plot_window("A window", &flight, &windows[0], &trace).unwrap().svg().unwrap();
+            for text in labels.iter().chain(&["A window", "measured", "predicted", "time (s)"]) {
+                assert!(svg.contains(text), "{source}: {text}");
+            }
+        }
+    }
+
+    #[test]
+    fn unwrapped_angles_have_no_jumps() {
+        let angles = unwrapped((0..100).map(|i| (f64::from(i) * 17.0 + 180.0) % 360.0 - 180.0));
+        assert!(angles.windows(2).all(|pair| (pair[1] - pair[0] - 17.0).abs() < 1e-9), "{angles:?}");
+    }
+}

@@ -302,6 +302,7 @@ impl<R: Real> Observer<R> {
         translation.slow = translation.slow + corrections(&gains.translation, 2, off, slip);
         translation.fast = translation.fast + corrections(&gains.translation, 3, off, slip);
         let unexplained = mean_acceleration(dynamics, measured.rate - turned.rate, dynamics.dt * steps);
+        // the filter neglects the ratio of the thrust to the weight
         let deviation = unexplained - rotation.total();
         let [level, vertical] = gains.rotation;
         rotation.slow = rotation.slow + deviation.times(V3::new(level[0], level[0], vertical[0]));
@@ -340,4 +341,127 @@ fn shortened<R: Real>(x: R) -> R {
 fn corrections<R: Real>([level, vertical]: &[Gain<R>; 2], state: usize, off: V3<R>, slip: V3<R>) -> V3<R> {
     let ([a, b], [c, d]) = (level[state], vertical[state]);
     V3::new(a * off.x + b * slip.x, a * off.y + b * slip.y, c * off.z + d * slip.z)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, DVector};
+
+    /// Returns the mean of the last state of a linear Gaussian model given all measurements, by the joint covariance.
+    fn batch(
+        f: &DMatrix<f64>,
+        q: &DMatrix<f64>,
+        h: &DMatrix<f64>,
+        r: &DMatrix<f64>,
+        start: &DMatrix<f64>,
+        measured: &[DVector<f64>],
+    ) -> DVector<f64> {
+        let (states, outputs, count) = (f.nrows(), h.nrows(), measured.len());
+        // covariance of the states at every time
+        let mut variance = vec![start.clone()];
+        for k in 1..count {
+            variance.push(f * &variance[k - 1] * f.transpose() + q);
+        }
+        let power = |n: usize| (0..n).fold(DMatrix::identity(states, states), |power, _| f * power);
+        let covariance = |i: usize, j: usize| {
+            if i >= j { power(i - j) * &variance[j] } else { &variance[i] * power(j - i).transpose() }
+        };
+        let mut joint = DMatrix::zeros(outputs * count, outputs * count);
+        let mut cross = DMatrix::zeros(states, outputs * count);
+        for i in 0..count {
+            for j in 0..count {
+                let mut block = h * covariance(i, j) * h.transpose();
+                if i == j {
+                    block += r;
+                }
+                joint.view_mut((outputs * i, outputs * j), (outputs, outputs)).copy_from(&block);
+            }
+            let block = covariance(count - 1, i) * h.transpose();
+            cross.view_mut((0, outputs * i), (states, outputs)).copy_from(&block);
+        }
+        let stacked = DVector::from_iterator(outputs * count, measured.iter().flat_map(|y| y.iter().copied()));
+        cross * joint.lu().solve(&stacked).unwrap()
+    }
+
+    #[test]
+    fn gains_of_the_translation_are_those_of_the_optimal_filter() {
+        let params = ObserverParams::default().vertical;
+        let (step, damping) = (0.01, 0.7);
+        let decay = (-step / params.fast_time).exp();
+        let half = 0.5 * step * step;
+        #[rustfmt::skip]
+        let f = DMatrix::from_row_slice(4, 4, &[
+            1.0, step, half, half,
+            0.0, (-damping * step).exp(), step, step,
+            0.0, 0.0, 1.0, 0.0,
+            0.0, 0.0, 0.0, decay,
+        ]);
+        let diagonal = |numbers: &[f64]| DMatrix::from_diagonal(&DVector::from_row_slice(numbers));
+        let fast = square(params.fast_deviation);
+        let q = diagonal(&[
+            0.0,
+            square(params.velocity_noise) * step,
+            square(params.slow_noise) * step,
+            fast * (1.0 - decay * decay),
+        ]);
+        let (p, v) = (square(params.position_error), square(params.velocity_error));
+        let start = diagonal(&[p, 4.0 * v, square(params.slow_deviation), fast]);
+        let h = DMatrix::from_row_slice(2, 4, &[1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0]);
+        let rows = 12;
+        let measured: Vec<_> = (0..rows)
+            .map(|k| DVector::from_row_slice(&[1e-3 * (1.7 * k as f64).sin(), 1e-2 * (2.3 * k as f64).cos()]))
+            .collect();
+        let gains = params.gains(rows, step, damping);
+        let mut x = DVector::zeros(4);
+        for (k, y) in measured.iter().enumerate() {
+            if k > 0 {
+                x = &f * x;
+            }
+            let deviation = y - &h * &x;
+            for (state, gain) in x.iter_mut().zip(&gains[k]) {
+                *state += gain[0] * deviation[0] + gain[1] * deviation[1];
+            }
+        }
+        let expected = batch(&f, &q, &h, &diagonal(&[p, v]), &start, &measured);
+        for (found, expected) in x.iter().zip(&expected) {
+            assert!((found - expected).abs() < 1e-9 * (1.0 + expected.abs()), "{x} {expected}");
+        }
+    }
+
+    #[test]
+    fn gains_of_the_rotation_are_those_of_the_optimal_filter() {
+        let params = ObserverParams::default().roll_pitch;
+        let step = 0.01;
+        let decay = (-step / params.fast_time).exp();
+        let fast = square(params.fast_deviation);
+        let diagonal = |numbers: &[f64]| DMatrix::from_diagonal(&DVector::from_row_slice(numbers));
+        let f = diagonal(&[1.0, decay]);
+        let q = diagonal(&[square(params.slow_noise) * step, fast * (1.0 - decay * decay)]);
+        let start = diagonal(&[square(params.slow_deviation), fast]);
+        let (h, r) = (DMatrix::from_row_slice(1, 2, &[1.0, 1.0]), diagonal(&[square(params.rate_noise) / step]));
+        let rows = 15;
+        let gains = params.gains(rows, step);
+        assert_eq!(gains[0], [0.0; 2], "the first row has no measurement");
+        let (mut x, mut measured) = (DVector::zeros(2), Vec::new());
+        for gain in &gains[1..] {
+            let y = 10.0 * (3.1 * measured.len() as f64).sin() + 4.0;
+            measured.push(DVector::from_row_slice(&[y]));
+            x = &f * x;
+            let deviation = y - x[0] - x[1];
+            x += DVector::from_row_slice(gain) * deviation;
+        }
+        // the prior is that before the first row
+        let before = &f * start * f.transpose() + &q;
+        let expected = batch(&f, &q, &h, &r, &before, &measured);
+        assert!((&x - &expected).norm() < 1e-9 * expected.norm(), "{x} {expected}");
+    }
+
+    #[test]
+    fn the_series_of_a_shortened_response_is_accurate() {
+        for x in [1e-9, 0.01, 0.3, 0.7, 1.0_f64] {
+            assert!((shortened(x) / (-(-x).exp_m1() / x) - 1.0).abs() < 3e-4, "{x}");
+        }
+        assert_eq!(shortened(0.0), 1.0);
+    }
 }

@@ -307,3 +307,178 @@ fn decompressed(bits: u32) -> [f64; 4] {
     let [x, y, z, w] = xyzw;
     [w, x, y, z]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flights::usd_log::tests::{Writer, sample};
+    use proptest::prelude::*;
+
+    fn table(bytes: &[u8], step: f64) -> Result<FlightTable, String> {
+        let log = CrazyflieLog::from_bytes("log00", bytes).map_err(|error| error.to_string())?;
+        log.table("log00", step).map_err(|error| error.to_string())
+    }
+
+    fn near(found: &[f64], expected: impl Fn(f64) -> f64, times: &[f64], tolerance: f64) {
+        assert_eq!(found.len(), times.len());
+        for (found, &time) in found.iter().zip(times) {
+            assert!((found - expected(time)).abs() < tolerance, "{time}: {found} {}", expected(time));
+        }
+    }
+
+    #[test]
+    fn variables_of_both_versions_have_the_units_of_the_table() {
+        for version in [1, 2] {
+            let table = table(&sample(version), 0.01).unwrap();
+            assert_eq!(table.missing(), [""; 0]);
+            let times = table.column("t").unwrap();
+            // the voltage starts 20 ms after the other variables
+            let start = 0.02;
+            assert_eq!((times[0], times[1], times.len()), (0.0, 0.01, 299));
+            let column = |name: &str| table.column(name).unwrap();
+            near(column("px"), |t| 0.5 * (t + start), times, 1e-6);
+            near(column("vx"), |_| 0.5, times, 1e-6);
+            near(column("gz"), |_| 90_f64.to_radians(), times, 1e-6);
+            near(column("az"), |_| GRAVITY, times, 1e-6);
+            near(column("m2"), |_| 40_000.0 / 65_535.0, times, 1e-9);
+            near(column("vbat"), |t| 4.0 - 0.01 * (t + start), times, 1e-5);
+            near(column("qw"), |t| (0.5 * 90_f64.to_radians() * (t + start)).cos(), times, 1e-6);
+            near(column("qz"), |t| (0.5 * 90_f64.to_radians() * (t + start)).sin(), times, 1e-6);
+        }
+    }
+
+    #[test]
+    fn a_converted_log_is_a_flight() {
+        let mut text = Vec::new();
+        table(&sample(2), 0.01).unwrap().write(&mut text).unwrap();
+        let flight = crate::flights::Flight::from_csv("log00", &text[..]).unwrap();
+        assert!(flight.missing().is_empty());
+        // motor 3 of the airframe is m1
+        assert!((flight.duty.unwrap()[3][3] - 30_000.0 / 65_535.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn compressed_variables_and_angles_replace_missing_ones() {
+        let mut writer = Writer::new(2);
+        let event = writer.event(
+            "fixedFrequency",
+            &[
+                ("stateEstimateZ.x", 'h'),
+                ("stateEstimateZ.y", 'h'),
+                ("stateEstimateZ.z", 'h'),
+                ("stateEstimateZ.rateRoll", 'h'),
+                ("stateEstimateZ.ratePitch", 'h'),
+                ("stateEstimateZ.rateYaw", 'h'),
+                ("stabilizer.roll", 'f'),
+                ("stabilizer.pitch", 'f'),
+                ("stabilizer.yaw", 'f'),
+                ("pm.vbatMV", 'H'),
+            ],
+        );
+        for row in 0..5 {
+            writer.sample(event, 10_000 * row, &[100.0, -200.0, 300.0, 10.0, 20.0, -30.0, 5.0, -10.0, 40.0, 3700.0]);
+        }
+        let table = table(&writer.finish(), 0.01).unwrap();
+        assert_eq!(table.missing(), ["vx", "vy", "vz", "ax", "ay", "az", "m1", "m2", "m3", "m4"]);
+        let first = |name: &str| table.column(name).unwrap()[0];
+        assert_eq!([first("px"), first("py"), first("pz")].map(|x| (1e3 * x).round()), [100.0, -200.0, 300.0]);
+        // the firmware's pitch and pitch rate are inverted
+        assert_eq!([first("gx"), first("gy"), first("gz")].map(|x| (1e3 * x).round()), [10.0, -20.0, -30.0]);
+        let attitude = attitude_from_wxyz(["qw", "qx", "qy", "qz"].map(first));
+        let rpy = crate::state::rpy_from_attitude(&attitude).map(f64::to_degrees);
+        assert!((rpy - Vector3::new(5.0, 10.0, 40.0)).norm() < 1e-4, "{rpy}");
+        assert!((first("vbat") - 3.7).abs() < 1e-12);
+    }
+
+    #[test]
+    fn csv_logs_of_several_blocks_have_empty_cells() {
+        let mut text = String::from("timestamp,stateEstimate.x,stateEstimate.y,stateEstimate.z,pm.vbat,block\n");
+        for row in 0..50 {
+            let time = 123_456 + 10 * row;
+            text += &match row % 10 {
+                0 => format!("{time},,,,{},battery\n", 3.8 - 1e-3 * f64::from(row)),
+                _ => format!("{time},{},1,2,nan,position\n", 0.1 * f64::from(row)),
+            };
+        }
+        let converted = table(text.as_bytes(), 0.02).unwrap();
+        assert_eq!(converted.column("py").unwrap(), [1.0; 20]);
+        near(converted.column("px").unwrap(), |t| 10.0 * (t + 0.01), converted.column("t").unwrap(), 1e-9);
+        near(converted.column("vbat").unwrap(), |t| 3.8 - 0.1 * (t + 0.01), converted.column("t").unwrap(), 1e-9);
+        // seconds in place of milliseconds
+        let mut seconds = String::from("t,gyro.x,gyro.y,gyro.z\n");
+        (0..20).for_each(|row| seconds += &format!("{},0,180,0\n", 5.0 + 0.01 * f64::from(row)));
+        let converted = table(seconds.as_bytes(), 0.01).unwrap();
+        assert_eq!(converted.rows(), 20);
+        assert!((converted.column("gy").unwrap()[3] - std::f64::consts::PI).abs() < 1e-12);
+    }
+
+    #[test]
+    fn invalid_logs_are_errors_of_one_line() {
+        let csv = |text: &str| table(text.as_bytes(), 0.01).unwrap_err();
+        assert!(csv("").starts_with("log00: line 1: no column timestamp with variables, expected a uSD log"));
+        assert!(csv("a,b\n1,2\n").starts_with("log00: line 1: no column timestamp"));
+        let header = "timestamp,gyro.x,gyro.y,gyro.z\n";
+        assert_eq!(
+            csv(&format!("{header}0,1,2,3\n10,1,x,3\n")),
+            "log00: line 3: gyro.y is `x`, expected a finite number"
+        );
+        assert_eq!(csv(&format!("{header}0,1,2,3\n10,1\n")), "log00: line 3: 2 cells, expected 4");
+        assert_eq!(
+            csv(&format!("{header}0,1,2,3\n,1,2,3\n")),
+            "log00: line 3: timestamp is ``, expected a finite number"
+        );
+        assert!(csv("timestamp,gyro.x,gyro.x\n").ends_with("two columns `gyro.x`, expected one"));
+        assert!(csv("timestamp,foo.x\n0,1\n").starts_with("log00: no variable of a flight"));
+        let gap = csv(&format!("{header}0,1,2,3\n10,1,2,3\n9000,1,2,3\n"));
+        assert_eq!(gap, "log00: no sample from 0.010 s to 9.000 s, expected one every 5 s");
+        let motors = "timestamp,motor.m1,motor.m2,motor.m3,motor.m4\n0,1,2,3,4\n10,1,2,70000,4\n";
+        assert_eq!(csv(motors), "log00: motor.m3 at 0.010 s is 70000, expected 0 to 65535");
+        let apart = "timestamp,pm.vbat,acc.x,acc.y,acc.z\n0,3.7,,,\n10,3.7,,,\n20,,0,0,1\n30,,0,0,1\n";
+        assert!(csv(apart).starts_with("log00: variables end at 0.010 s before others start at 0.020 s"));
+        let zero =
+            "timestamp,stateEstimate.qw,stateEstimate.qx,stateEstimate.qy,stateEstimate.qz\n0,0,0,0,0\n10,1,0,0,0\n";
+        assert!(csv(zero).starts_with("log00: the quaternion at 0.000 s has the norm 0.000"));
+        for step in [0.0, -1.0, f64::NAN, 2.0] {
+            assert!(table(&sample(2), step).unwrap_err().contains("the time step is"), "{step}");
+        }
+    }
+
+    #[test]
+    fn samples_out_of_order_are_sorted() {
+        let text = "timestamp,pm.vbat\n0,1\n20,3\n10,2\n20,9\n30,4\n";
+        assert_eq!(table(text.as_bytes(), 0.01).unwrap().column("vbat").unwrap(), [1.0, 2.0, 3.0, 4.0]);
+    }
+
+    /// Compresses a quaternion as the firmware does.
+    fn compressed([w, x, y, z]: [f64; 4]) -> u32 {
+        let xyzw = [x, y, z, w];
+        let largest = (0..4).max_by(|a, b| xyzw[*a].abs().total_cmp(&xyzw[*b].abs())).unwrap();
+        (0..4).filter(|index| *index != largest).fold(largest as u32, |bits, index| {
+            let is_negative = u32::from((xyzw[index] < 0.0) != (xyzw[largest] < 0.0));
+            let magnitude = (511.0 * xyzw[index].abs() * std::f64::consts::SQRT_2 + 0.5) as u32;
+            bits << 10 | is_negative << 9 | magnitude.min(511)
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn compressed_quaternions_are_within_their_resolution(angles in prop::array::uniform3(-3.0_f64..3.0)) {
+            let attitude = UnitQuaternion::from_scaled_axis(Vector3::from(angles));
+            let again = attitude_from_wxyz(decompressed(compressed(wxyz(&attitude))));
+            prop_assert!(attitude.angle_to(&again) < 0.008, "{}", attitude.angle_to(&again));
+        }
+
+        #[test]
+        fn any_file_is_a_log_or_an_error_of_one_line(
+            noise in prop::collection::vec(any::<u8>(), 0..400), binary in any::<bool>(),
+        ) {
+            let mut bytes = noise;
+            if binary && !bytes.is_empty() {
+                bytes[0] = 0xBC;
+            }
+            if let Err(error) = table(&bytes, 0.01) {
+                prop_assert!(error.lines().count() == 1 && error.chars().count() < 300, "{}", error);
+            }
+        }
+    }
+}
