@@ -3,7 +3,7 @@
 mod common;
 
 use allocation_counter::measure;
-use common::reset_batch;
+use common::{airframe_with_battery, reset_batch};
 use mujoco_drones_gym::control::{ControllerKind, trajectory};
 use mujoco_drones_gym::env::{AviaryBuilder, Randomization};
 use mujoco_drones_gym::prelude::*;
@@ -65,7 +65,8 @@ fn controllers_trajectories_and_action_types_do_not_allocate() {
         assert_eq!(allocations.count_total, 0, "{kind}");
     }
     for action_type in ActionType::ALL {
-        let mut env = Hover::builder().action_type(action_type).initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
+        let builder = Hover::builder().drone(airframe_with_battery(0.25)).action_type(action_type);
+        let mut env = builder.initial_positions([[0.0, 0.0, 1.0]]).build().unwrap();
         let action = vec![0.1; env.action_space().size()];
         env.reset(Some(1)).unwrap();
         let allocations = measure(|| {

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{assert_contract, no_gl};
+use common::{airframe_with_duty, assert_contract, no_gl};
 use mujoco_drones_gym::control::{CollisionCone, ControllerKind};
 use mujoco_drones_gym::env::{BoxSpace, EndReason, EnvConfig, TaskDefaults, check_env, check_independence};
 use mujoco_drones_gym::multi_agent::{AgentMap, MultiAgentAviary, ParallelAviary, ParallelEnv, check_parallel_env};
@@ -63,7 +63,7 @@ fn rows_in_single_precision_are_in_their_space_at_the_bounds_of_angles() {
 fn every_task_keeps_the_contract_with_every_action_type_and_with_several_drones() {
     for name in tasks::NAMES {
         for action_type in ActionType::ALL {
-            let config = EnvConfig::default().action_type(action_type).episode_seconds(5.0);
+            let config = EnvConfig::default().drone(airframe_with_duty()).action_type(action_type).episode_seconds(5.0);
             let mut env = make(name, config).unwrap();
             check_env(&mut *env).unwrap_or_else(|error| panic!("{action_type}: {error}"));
         }

@@ -6,7 +6,7 @@ mod common;
 
 use std::f64::consts::FRAC_PI_2;
 
-use common::step_env;
+use common::{airframe_with_duty, step_env};
 use mujoco_drones_gym::action::ActionLimits;
 use mujoco_drones_gym::control::trajectory::{Heading, PeriodicTrajectory, Plane, Steps, Trajectory, Waypoints, named};
 use mujoco_drones_gym::control::{Bandwidths, ControllerKind, GeometricControl};
@@ -412,7 +412,7 @@ fn attitude_commands_are_reached() {
 #[test]
 fn non_finite_actions_are_errors_and_actions_out_of_bounds_are_clipped() {
     for action_type in ActionType::ALL {
-        let build = || Hover::builder().action_type(action_type).build().unwrap();
+        let build = || Hover::builder().drone(airframe_with_duty()).action_type(action_type).build().unwrap();
         let (mut env, mut twin) = (build(), build());
         env.reset(Some(1)).unwrap();
         twin.reset(Some(1)).unwrap();

@@ -76,7 +76,7 @@ fn tumbling_lanes_match_mj_step_in_every_simd_width() {
                 }
                 let (body_fixed, medium) = (forcing == Forcing::BodyFixed, medium.is_some());
                 advance(
-                    &Flow { dt, body_fixed, medium, lag: false, air: false, width: *width },
+                    &Flow { dt, body_fixed, medium, lag: false, air: false, airframe_effects: false, width: *width },
                     lanes,
                     &frames,
                     LANES,
@@ -150,7 +150,15 @@ fn the_first_lanes_are_bit_identical_alone_and_among_eight() {
             first.set(lane, &start(lane, 50.0), &[14_000.0; 4], &tumbling(&params, lane, 3));
         }
         let fly = |width, count| {
-            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium: medium.is_some(), lag: air, air, width };
+            let flow = Flow {
+                dt: 1.0 / 240.0,
+                body_fixed,
+                medium: medium.is_some(),
+                lag: air,
+                air,
+                airframe_effects: false,
+                width,
+            };
             let mut lanes = first.clone();
             advance(&flow, &mut lanes, &frames, count, 5);
             compute_rpys(width, &mut lanes, count);
@@ -224,7 +232,15 @@ fn lanes_in_wind_and_medium_are_bit_identical_to_single_drones() {
                     lanes.set_wind(lane, &force, &air);
                 }
             }
-            let flow = Flow { dt, body_fixed: false, medium: medium.is_some(), lag: true, air: true, width };
+            let flow = Flow {
+                dt,
+                body_fixed: false,
+                medium: medium.is_some(),
+                lag: true,
+                air: true,
+                airframe_effects: false,
+                width,
+            };
             advance(&flow, &mut lanes, &frames, LANES, 1);
             for lane in 0..LANES {
                 let state = start(lane, 50.0);
@@ -398,12 +414,19 @@ fn random_flights_under_every_condition_are_identical_with_both_engines() {
             };
             for name in tasks {
                 let mut wander = wandering(seed);
-                let result = compare(&config.clone().drone(drone), name, seed, |env, action| {
+                let params = match condition.contains("battery") || condition.contains("duty") {
+                    true => common::conditions::airframe_for(&condition, drone),
+                    false => drone.params(),
+                };
+                let result = compare(&config.clone().drone(params.clone()), name, seed, |env, action| {
                     wander(env, action);
-                    if env.action_type() == ActionType::RawRpm {
-                        let hover = drone.params().hover_rpm();
-                        action.iter_mut().for_each(|speed| *speed = hover * (1.0 + 0.3 * *speed));
-                    }
+                    let hover = params.hover_rpm();
+                    let hover = match env.action_type() {
+                        ActionType::RawRpm => hover,
+                        ActionType::Duty => params.motors.duty(hover, params.nominal_voltage()),
+                        _ => return,
+                    };
+                    action.iter_mut().for_each(|command| *command = hover * (1.0 + 0.3 * *command));
                 });
                 check(&format!("{condition}, {name}, {drone:?}, seed {seed}"), &result);
                 touched += usize::from(result.touched);

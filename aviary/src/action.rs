@@ -9,7 +9,7 @@ use crate::control::{
     AnyController, AttitudeControl, ControlMemory, Controller as _, ControllerKind, Goal, HeadingHold,
     LaneController as _, RateControl, Target,
 };
-use crate::drone::DroneParams;
+use crate::drone::{DroneParams, MotorLaw};
 use crate::math::{Real, Turn, V3, clamped, finite_zero, sin_cos, wrap_angle};
 use crate::names::named_enum;
 use crate::state::{DroneState, FlightState};
@@ -27,11 +27,16 @@ named_enum! {
     /// | `pid` | waypoint: position x, y, z in the world frame, m; yaw, rad | `arena`; ± π |
     /// | `attitude` | collective thrust as a normalized motor speed; roll, pitch; yaw rate | −1 to 1 |
     /// | `ctbr` | collective thrust as a normalized motor speed; body rates x, y, z | −1 to 1 |
+    /// | `duty` | four duties of the motors (normalized PWM) | 0 to 1 |
     ///
     /// The heading frame is the body frame without roll and pitch. `max_speed` is [`DroneParams::max_speed`];
     /// `yaw_rate` and `arena` are fields of [`ActionLimits`]. The limits also scale the angles and rates of
     /// `attitude` and `ctbr`: an action of 1 is [`tilt`](ActionLimits::tilt), [`yaw_rate`](ActionLimits::yaw_rate) or
     /// [`body_rate`](ActionLimits::body_rate). The environment clips actions to their bounds.
+    ///
+    /// The action type `duty` needs an airframe with [`MotorParams::speed_per_volt`](crate::drone::MotorParams): the
+    /// speed of a motor is [`MotorParams::speed`](crate::drone::MotorParams::speed) of its duty and of the voltage of
+    /// the battery at the start of the control step.
     ///
     /// ```
     /// use aviary::action::ActionType;
@@ -65,6 +70,8 @@ named_enum! {
         Attitude = "attitude",
         /// Collective thrust and body rates, through a rate loop.
         Ctbr = "ctbr",
+        /// Four duties of the motors, for airframes with a law from duty to speed.
+        Duty = "duty",
     }
 }
 
@@ -83,6 +90,7 @@ impl ActionType {
         match self {
             Self::Rpm | Self::OneDRpm | Self::Attitude | Self::Ctbr => vec![[-1.0, 1.0]; self.size()],
             Self::RawRpm => vec![[0.0, params.max_rpm()]; 4],
+            Self::Duty => vec![[0.0, 1.0]; 4],
             Self::Vel => {
                 let speed = around_zero(params.max_speed);
                 vec![speed, speed, speed, around_zero(limits.yaw_rate)]
@@ -190,6 +198,7 @@ pub struct ActionDecoder {
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 enum Loops {
     None,
+    Duty(DutyScale),
     Velocity { controller: AnyController, heading: HeadingHold },
     Waypoint { controller: AnyController },
     Attitude { control: AttitudeControl, heading: HeadingHold, thrust_coefficient: f64 },
@@ -200,7 +209,8 @@ impl ActionDecoder {
     /// Creates the decoder of an action type. `controller` follows velocities and waypoints.
     ///
     /// # Errors
-    /// [`OptionError`] that names the first invalid limit.
+    /// [`OptionError`] that names the first invalid limit, or the action type if the airframe has no law from duty to
+    /// speed.
     pub fn new(
         kind: ActionType,
         controller: ControllerKind,
@@ -211,6 +221,7 @@ impl ActionDecoder {
         let thrust_coefficient = params.thrust_coefficient;
         let loops = match kind {
             ActionType::Rpm | ActionType::RawRpm | ActionType::OneDRpm => Loops::None,
+            ActionType::Duty => Loops::Duty(DutyScale::new(params)?),
             ActionType::Vel => {
                 Loops::Velocity { controller: controller.build(params), heading: HeadingHold::default() }
             }
@@ -244,13 +255,13 @@ impl ActionDecoder {
 
     /// Returns true if the decoder has control loops, which depend on the drone's state and on earlier actions.
     pub fn has_memory(&self) -> bool {
-        !matches!(self.loops, Loops::None)
+        !matches!(self.loops, Loops::None | Loops::Duty(_))
     }
 
     /// Clears the state of the controllers.
     pub fn reset(&mut self) {
         match &mut self.loops {
-            Loops::None | Loops::Rates { .. } => {}
+            Loops::None | Loops::Duty(_) | Loops::Rates { .. } => {}
             Loops::Velocity { controller, heading } => {
                 controller.reset();
                 heading.reset();
@@ -263,16 +274,35 @@ impl ActionDecoder {
         }
     }
 
-    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from an action within its bounds.
+    /// Returns the conversion of the action type `duty`.
+    pub(crate) fn duty_scale(&self) -> Option<&DutyScale> {
+        if let Loops::Duty(scale) = &self.loops { Some(scale) } else { None }
+    }
+
+    /// Returns the motor speeds (rpm) for the next control step of `dt` seconds, from an action within its bounds. Duties
+    /// are those at the voltage of the charged battery; see [`motor_speeds_at`](Self::motor_speeds_at).
     ///
     /// # Panics
     /// If the length of the action is not [`size`](ActionType::size).
     pub fn motor_speeds(&mut self, dt: f64, state: &DroneState, action: &[f64]) -> [f64; 4] {
+        let voltage = self.duty_scale().map_or(0.0, DutyScale::voltage);
+        self.motor_speeds_at(voltage, dt, state, action)
+    }
+
+    /// Returns the motor speeds of [`motor_speeds`](Self::motor_speeds) at a voltage of the battery (V), on which those
+    /// of duties depend.
+    ///
+    /// # Panics
+    /// If the length of the action is not [`size`](ActionType::size).
+    pub fn motor_speeds_at(&mut self, voltage: f64, dt: f64, state: &DroneState, action: &[f64]) -> [f64; 4] {
         let numbers = match (self.kind, action) {
             (ActionType::OneDRpm, &[x]) => [x; 4],
             (kind, &[a, b, c, d]) if kind.size() == 4 => [a, b, c, d],
             (kind, _) => panic!("an action of length {}, expected {}", action.len(), kind.size()),
         };
+        if let Loops::Duty(scale) = &self.loops {
+            return numbers.map(|duty| scale.speed(duty, voltage));
+        }
         let mut memory = self.memory();
         let speeds = self.speeds(dt, &mut memory, &FlightState::from(state), numbers);
         self.set_memory(&memory);
@@ -293,6 +323,10 @@ impl ActionDecoder {
         let (controller, target, goal) = match &self.loops {
             Loops::None if self.kind == ActionType::RawRpm => return [a, b, c, d],
             Loops::None => return [scale.speed(a), scale.speed(b), scale.speed(c), scale.speed(d)],
+            Loops::Duty(scale) => {
+                let volts = a.all(scale.voltage());
+                return [scale.speed(a, volts), scale.speed(b, volts), scale.speed(c, volts), scale.speed(d, volts)];
+            }
             Loops::Attitude { control, thrust_coefficient, .. } => {
                 let rate = d * limits.yaw_rate;
                 let yaw = HeadingHold::turn(&mut memory.heading, dt, state.attitude.yaw(), rate);
@@ -336,7 +370,7 @@ impl ActionDecoder {
     /// Returns the memory of the control loops; the parts that no loop uses have their default values.
     pub(crate) fn memory(&self) -> ControlMemory<f64> {
         match &self.loops {
-            Loops::None | Loops::Rates { .. } => ControlMemory::default(),
+            Loops::None | Loops::Duty(_) | Loops::Rates { .. } => ControlMemory::default(),
             Loops::Velocity { controller, heading } => {
                 ControlMemory { heading: heading.setpoint(), ..controller.memory() }
             }
@@ -352,7 +386,7 @@ impl ActionDecoder {
     /// Sets the memory of the control loops.
     pub(crate) fn set_memory(&mut self, memory: &ControlMemory<f64>) {
         match &mut self.loops {
-            Loops::None | Loops::Rates { .. } => {}
+            Loops::None | Loops::Duty(_) | Loops::Rates { .. } => {}
             Loops::Velocity { controller, heading } => {
                 controller.set_memory(memory);
                 heading.set_setpoint(memory.heading);
@@ -367,7 +401,7 @@ impl ActionDecoder {
 
     /// Returns true if the motor speeds depend on earlier actions of the episode.
     pub(crate) fn keeps_memory(&self) -> bool {
-        !matches!(self.loops, Loops::None | Loops::Rates { .. })
+        !matches!(self.loops, Loops::None | Loops::Duty(_) | Loops::Rates { .. })
     }
 }
 
@@ -433,6 +467,40 @@ impl MotorScale {
         } else {
             (rpm - self.hover_rpm) / (self.max_rpm - self.hover_rpm)
         }
+    }
+}
+
+/// Conversion between duties and motor speeds.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+pub(crate) struct DutyScale {
+    law: MotorLaw,
+    /// Voltage of the charged battery, or the constant voltage of an airframe without a battery, V.
+    voltage: f64,
+}
+
+impl DutyScale {
+    /// Creates the conversion of an airframe that has a law from duty to speed.
+    fn new(params: &DroneParams) -> Result<Self, OptionError> {
+        if !params.motors.has_duty() {
+            return Err(OptionError {
+                option: "action_type",
+                got: format!("duty for the airframe {}, which has no law from duty to motor speed", params.name),
+                expected: "an airframe with [motors] speed_per_volt, or another action type",
+            });
+        }
+        Ok(Self { law: MotorLaw::from(&params.motors), voltage: params.nominal_voltage() })
+    }
+
+    /// Returns the voltage without a battery, V.
+    pub fn voltage(&self) -> f64 {
+        self.voltage
+    }
+
+    /// Returns the motor speed (rpm) of a duty, which the function clamps to [0, 1], at a voltage (V).
+    #[inline(always)]
+    pub fn speed<R: Real>(&self, duty: R, voltage: R) -> R {
+        let zero = duty.all(0.0);
+        self.law.all(duty).speed(clamped(duty, zero, zero.all(1.0)), voltage)
     }
 }
 

@@ -3,6 +3,8 @@
 //! "The paper" is *MuJoCo-Drones-Gym* (Tayal).
 
 mod air;
+mod battery;
+mod motor_law;
 mod motors;
 mod plausibility;
 
@@ -13,6 +15,9 @@ use nalgebra::{Matrix4, Vector3};
 use serde::{Deserialize, Serialize};
 
 pub use air::AirParams;
+pub use battery::BatteryParams;
+pub(crate) use battery::cell_voltage;
+pub(crate) use motor_law::MotorLaw;
 pub use motors::MotorParams;
 pub use plausibility::DerivedNumber;
 
@@ -174,6 +179,9 @@ pub struct DroneParams {
     /// Forces and torques of the air in addition to blade drag.
     #[serde(default, skip_serializing_if = "AirParams::is_default")]
     pub air: AirParams,
+    /// Battery; `None` for the constant voltage [`MotorParams::voltage`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub battery: Option<BatteryParams>,
 }
 
 fn is_centred(center_of_mass: &[f64; 2]) -> bool {
@@ -291,6 +299,8 @@ impl DroneParams {
             return Err(DroneError::Parameter { field, got, expected: "a position between the motors, m" });
         }
         self.motors.validate()?;
+        self.battery.as_ref().map_or(Ok(()), BatteryParams::validate)?;
+        self.validate_supply()?;
         self.air.validate()?;
         if self.name.is_empty() || !self.name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-') {
             return Err(DroneError::Name { name: self.name.clone() });

@@ -6,12 +6,23 @@ import numpy as np
 
 
 class DroneStates:
-    """Parts of the states of all drones. `_states` returns the states, float64 (N, 20)."""
+    """Parts of the states of all drones.
+
+    `_states` returns the states, float64 (N, 20), and `_batteries` those of the batteries, float64 (N, 3).
+    """
 
     __slots__ = ()
 
     def _states(self) -> np.ndarray:
         raise NotImplementedError
+
+    def _batteries(self) -> np.ndarray:
+        raise NotImplementedError
+
+    @property
+    def battery(self) -> np.ndarray:
+        """Charge (0 to 1), voltage (V) and current (A) of the batteries, float64 (N, 3); NaN without a battery."""
+        return self._batteries()
 
     @property
     def pos(self) -> np.ndarray:

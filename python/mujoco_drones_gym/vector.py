@@ -170,6 +170,9 @@ class VectorMember(DroneStates):
     def _states(self) -> np.ndarray:
         return np.stack([self._getDroneStateVector(drone) for drone in range(self.NUM_DRONES)])
 
+    def _batteries(self) -> np.ndarray:
+        return self._env._batch.batteries()[self._index]
+
     def _getDroneStateVector(self, nth_drone: int) -> np.ndarray:
         """Returns the state of a drone, float64 (20,): pos, quat (w, x, y, z), rpy, vel, ang_v, motor speeds (rpm)."""
         return self._env._batch.state(self._index, drone_index(nth_drone, self.NUM_DRONES))
@@ -430,6 +433,13 @@ class VectorAviary(VectorEnv):
         velocity in the body frame, and the motor speeds (rpm) of the last step.
         """
         return self._batch.states()
+
+    def batteries(self) -> np.ndarray:
+        """Returns charge (0 to 1), voltage (V) and current (A) of all batteries, float64 (M, N, 3).
+
+        They are NaN without a battery.
+        """
+        return self._batch.batteries()
 
     def faults(self) -> dict[int, str]:
         """Returns the errors of the environments that failed in the last step, by the index of the environment."""

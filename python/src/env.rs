@@ -7,6 +7,7 @@ use aviary::action::MotorScale;
 use aviary::engine::EngineKind;
 use aviary::env::{BoxSpace, DroneEnv, EnvSnapshot};
 use aviary::observation::{KIN_SIZE, Observation, kinematic};
+use aviary::physics::battery::BatteryState;
 use aviary::record::Recorded;
 use aviary::simulation::Simulation;
 use aviary::tasks::make;
@@ -183,6 +184,18 @@ pub fn info_dict<'py>(py: Python<'py>, env: &dyn DroneEnv) -> PyResult<Bound<'py
     Ok(dict)
 }
 
+/// Returns the numbers of a battery: charge (0 to 1), voltage (V), current (A); NaN for none.
+pub fn battery_numbers(battery: Option<BatteryState>) -> [f64; 3] {
+    battery.map_or([f64::NAN; 3], |BatteryState { charge, voltage, current }| [charge, voltage, current])
+}
+
+/// Returns the numbers of the batteries of a simulation, float64 (N, 3).
+pub fn battery_rows<'py>(py: Python<'py>, simulation: &Simulation) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let count = simulation.num_drones();
+    let numbers: Vec<f64> = (0..count).flat_map(|drone| battery_numbers(simulation.battery(drone))).collect();
+    numbers.to_pyarray(py).reshape([count, 3])
+}
+
 #[pymethods]
 impl Env {
     /// Creates the environment of a task by name, or the one without a task, "base". `output_folder` receives the
@@ -345,6 +358,11 @@ impl Env {
         let count = inner.simulation().num_drones();
         let numbers: Vec<f64> = (0..count).flat_map(|drone| inner.state(drone)).collect();
         numbers.to_pyarray(py).reshape([count, KIN_SIZE])
+    }
+
+    /// Returns charge, voltage and current of all batteries, float64 (N, 3); NaN without a battery.
+    fn batteries<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        battery_rows(py, self.inner().simulation())
     }
 
     /// Returns the rewards of the drones in the last step, float64 (N,).

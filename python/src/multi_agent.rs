@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::conditions;
+use crate::env::battery_rows;
 use crate::error::{env_error, guard, value_error};
 use crate::options::env_config;
 use crate::vector::buffers::{image_dict, to_vec};
@@ -131,6 +132,11 @@ impl Parallel {
         let drones = simulation.states().iter().zip(simulation.motor_speeds());
         let numbers: Vec<f64> = drones.flat_map(|(state, speeds)| kinematic(state, speeds)).collect();
         numbers.to_pyarray(py).reshape([simulation.num_drones(), KIN_SIZE])
+    }
+
+    /// Returns charge, voltage and current of all batteries, float64 (N, 3); NaN without a battery.
+    fn batteries<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        battery_rows(py, self.lock()?.simulation())
     }
 
     /// Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file.

@@ -15,7 +15,7 @@ use pyo3::types::PyDict;
 
 use self::buffers::{Arrays, Numbers, Outputs};
 use crate::conditions;
-use crate::env::info_dict;
+use crate::env::{battery_numbers, info_dict};
 use crate::error::{env_error, guard};
 use crate::options::{env_config, task_options};
 
@@ -314,6 +314,17 @@ impl Batch {
             Ok((drones, numbers))
         })?;
         numbers.into_pyarray(py).reshape([self.environments, drones, KIN_SIZE])
+    }
+
+    /// Returns charge, voltage and current of all batteries, float64 (num_envs, drones, 3); NaN without a battery.
+    fn batteries<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let (drones, numbers) = self.work(py, |inner| {
+            let drones = (0..).take_while(|&drone| inner.env.kinematic(0, drone).is_some()).count();
+            let all = (0..self.environments).flat_map(|i| (0..drones).map(move |drone| (i, drone)));
+            let numbers: Vec<f64> = all.flat_map(|(i, drone)| battery_numbers(inner.env.battery(i, drone))).collect();
+            Ok((drones, numbers))
+        })?;
+        numbers.into_pyarray(py).reshape([self.environments, drones, 3])
     }
 
     /// Returns the info of an environment.

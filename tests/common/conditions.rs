@@ -1,10 +1,23 @@
 //! Conditions under which tests fly, each with its name.
 
-use mujoco_drones_gym::env::{EnvironmentRanges, InitialRanges, Randomization, SensorRanges};
+use mujoco_drones_gym::drone::{AirParams, MotorParams};
+use mujoco_drones_gym::env::{BatteryRanges, EnvironmentRanges, InitialRanges, Randomization, SensorRanges};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{Forcing, Medium, ObstacleConfig, ObstacleKind};
+
+use super::supplied;
+
+/// Batteries of the conditions, and how long a drone hovers with them, s.
+const HOVER_SECONDS: [(&str, f64); 2] = [("battery", 10.0), ("small battery", 1.0)];
+
+/// Returns an airframe that can fly under a condition: with a battery where the condition has one, and with a law from
+/// duty to speed.
+pub fn airframe_for(condition: &str, drone: DroneModel) -> DroneParams {
+    let battery = HOVER_SECONDS.iter().find(|(name, _)| condition.starts_with(name));
+    supplied(drone.params(), battery.map(|(_, seconds)| *seconds))
+}
 
 /// Length of a physics step at the default rate, s.
 const STEP: f64 = 1.0 / 240.0;
@@ -12,6 +25,21 @@ const STEP: f64 = 1.0 / 240.0;
 /// Motors that differ from each other, with lag, latency and saturation.
 const MOTORS: ActuatorParams =
     ActuatorParams { lag: 0.03, latency: 0.017, gains: [1.02, 0.98, 1.0, 0.99], saturation: 0.9 };
+
+/// Returns a Crazyflie with every effect of an airframe's own parameters. `times` are rise time, fall time and latency of
+/// its motors, s; the spin of the rotors grows by a factor of 1 + `spin`.
+pub fn airframe([rise_time, fall_time, latency]: [f64; 3], spin: f64) -> DroneParams {
+    let rotor_inertia = (1.0 + spin) * 4e-8;
+    let motors = MotorParams { rise_time, fall_time, latency, rotor_inertia, ..MotorParams::default() };
+    let air = AirParams {
+        linear_drag: [0.02, 0.03, 0.04],
+        translational_lift: 0.01,
+        velocity_moment: 2e-4,
+        rotational_damping: [1e-4, 2e-4, 3e-4],
+        trim_torque: [1e-5, -2e-5, 5e-6],
+    };
+    DroneParams { center_of_mass: [1e-3, -5e-4], motors, air, ..DroneModel::Cf2x.params() }
+}
 
 /// Returns motors with a latency, s.
 pub fn late_motors(latency: f64) -> ActuatorParams {
@@ -109,6 +137,19 @@ pub fn all() -> Vec<(String, EnvConfig)> {
             base().wind(wind).medium(Medium::AIR).effects(Effects::ALL),
         );
     }
+    // every effect, with motors that the kernel for a common lag does not fly
+    let drone = base().drone(airframe([0.05, 0.03, 0.02], 0.0));
+    add("effects of the airframe", drone.clone());
+    add("effects of the airframe without lag", base().drone(airframe([0.0; 3], 0.0)));
+    add("effects of the airframe with late motors", base().drone(airframe([0.02, 0.06, 0.013], 7.0)));
+    add("effects of the airframe under a lag of the environment", drone.clone().actuators(MOTORS));
+    for forcing in [Forcing::Frozen, Forcing::BodyFixed] {
+        let physics = drone.clone().physics(Physics::MjcGndDragDw).forcing(forcing).medium(Medium::AIR);
+        let name = format!("effects of the airframe in wind and a medium, {forcing:?}");
+        add(&name, physics.wind(strong(WindModel::Combined)));
+    }
+    add("effects of the airframe in a constant wind", drone.clone().wind(strong(WindModel::Constant)));
+    add("effects of a randomized airframe", drone.randomization(Randomization::default()));
     let still = WindConfig { still_air_drag: true, ..WindConfig::default() };
     add("drag in still air", base().wind(still));
     add("gusts with drag in still air", base().wind(WindConfig { still_air_drag: true, ..strong(WindModel::Gust) }));
@@ -129,9 +170,25 @@ pub fn all() -> Vec<(String, EnvConfig)> {
     add("new obstacles and default randomization", late.obstacle_generator(forest(true)));
 
     for action_type in ActionType::ALL.into_iter().filter(|kind| *kind != ActionType::Rpm) {
+        let base = || base().drone(supplied(DroneModel::Cf2x.params(), None));
         add(&format!("{action_type} actions"), base().action_type(action_type));
         let randomized = base().action_type(action_type).randomization(Randomization::default());
         add(&format!("{action_type} actions and default randomization"), randomized);
+    }
+
+    // a battery that lasts for the flight, and one that becomes empty
+    for (name, seconds) in HOVER_SECONDS {
+        let flown = || base().drone(supplied(DroneModel::Cf2x.params(), Some(seconds)));
+        add(name, flown());
+        add(&format!("{name}, duty"), flown().action_type(ActionType::Duty));
+        add(&format!("{name}, motors"), flown().actuators(MOTORS).action_type(ActionType::Duty));
+        let sampled = Randomization { battery: Some(BatteryRanges::default()), ..Randomization::default() };
+        add(&format!("{name}, randomization"), flown().action_type(ActionType::Ctbr).randomization(sampled));
+        let charge = only(|r| r.battery = Some(BatteryRanges { charge: [0.0, 1.0] }));
+        add(&format!("{name}, charge"), flown().action_type(ActionType::Duty).randomization(charge));
+        let effects = supplied(airframe([0.05, 0.03, 0.02], 1.0), Some(seconds));
+        add(&format!("{name}, effects of the airframe"), base().drone(effects).action_type(ActionType::Duty));
+        add(&format!("{name} among obstacles"), flown().obstacle_generator(forest(true)).action_type(ActionType::Duty));
     }
 
     for rate in [24, 60, 80, 120, 240] {

@@ -4,9 +4,44 @@
 
 pub mod conditions;
 
+use mujoco_drones_gym::drone::{BatteryParams, MotorParams};
 use mujoco_drones_gym::env::{check_env, check_independence};
 use mujoco_drones_gym::mujoco::{Error, gl_info};
 use mujoco_drones_gym::prelude::*;
+
+/// Returns a Crazyflie that flies with every action type: with a law from duty to speed and a constant voltage.
+pub fn airframe_with_duty() -> DroneParams {
+    let motors = MotorParams { speed_at_zero: 1500.0, speed_per_volt: 5800.0, voltage: 3.7, ..MotorParams::default() };
+    DroneParams { motors, ..DroneModel::Cf2x.params() }
+}
+
+/// Returns an airframe with a law from duty to speed, and with a battery for some seconds of hover or a constant voltage.
+/// The sag in hover is 6 % of 3.7 V.
+pub fn supplied(params: DroneParams, hover_seconds: Option<f64>) -> DroneParams {
+    let (hover, max) = (params.hover_rpm(), params.max_rpm());
+    let (speed_at_zero, speed_per_volt) = (0.1 * max, max / 3.8);
+    let motors = MotorParams { speed_at_zero, speed_per_volt, voltage: 3.7, ..params.motors };
+    let efficiency = 0.5;
+    let power = 4.0 * params.torque_coefficient * hover.powi(3) * std::f64::consts::TAU / 60.0 / efficiency;
+    let current = power / 3.7;
+    let battery = |seconds: f64| BatteryParams {
+        capacity: current * seconds / 3600.0,
+        resistance: 0.06 * 3.7 / current,
+        efficiency,
+        idle_current: 0.01 * current,
+        ..BatteryParams::default()
+    };
+    DroneParams { motors, battery: hover_seconds.map(battery), ..params }
+}
+
+/// Returns a Crazyflie with a battery of one cell. Its capacity is small, so that a flight of seconds empties it by a
+/// noticeable part. The reaction torque is that of measured propellers, a quarter of the paper's.
+pub fn airframe_with_battery(capacity: f64) -> DroneParams {
+    let battery =
+        BatteryParams { capacity, resistance: 0.12, efficiency: 0.4, idle_current: 0.1, ..BatteryParams::default() };
+    let motors = MotorParams { voltage: 0.0, ..airframe_with_duty().motors };
+    DroneParams { battery: Some(battery), torque_coefficient: 1.9e-12, motors, ..airframe_with_duty() }
+}
 
 /// Returns true if no OpenGL library is found. A test that renders then passes without rendering.
 pub fn no_gl() -> bool {

@@ -10,6 +10,7 @@ use mujoco_drones_gym::world::{Forcing, Integrator, Medium};
 use proptest::prelude::*;
 
 use super::common::conditions::{all, everything, forest, late_motors, sensors, strong};
+use super::common::supplied;
 use super::pair::Pair;
 use super::{Wander, bits};
 
@@ -43,7 +44,7 @@ fn hover(condition: &EnvConfig, tough: bool) -> AviaryBuilder<Hover> {
 /// Random actions of the environments of a pair, within the bounds of their action type and sometimes beyond.
 struct Pilot {
     wander: Wander,
-    /// Motor speed of an action 0 and of an action 1, rpm, if actions are motor speeds in rpm.
+    /// Action at hover and at one and a half times of it, if actions are motor speeds in rpm or duties.
     speeds: Option<[f32; 2]>,
     actions: Vec<f32>,
 }
@@ -51,10 +52,16 @@ struct Pilot {
 impl Pilot {
     fn new<T: Task + Clone + Send + Sync>(pair: &Pair<T>, seed: u64) -> Self {
         let env = &pair.alone[0];
-        let hover = env.simulation().world().drones[0].params.hover_rpm() as f32;
+        let params = &env.simulation().world().drones[0].params;
+        let hover = params.hover_rpm() as f32;
+        let duty = params.motors.duty(params.hover_rpm(), params.nominal_voltage()) as f32;
         Self {
             wander: Wander::new(seed, pair.batch.num_envs(), pair.batch.action_size()),
-            speeds: (env.action_type() == ActionType::RawRpm).then_some([hover, 1.5 * hover]),
+            speeds: match env.action_type() {
+                ActionType::RawRpm => Some([hover, 1.5 * hover]),
+                ActionType::Duty => Some([duty, 1.5 * duty]),
+                _ => None,
+            },
             actions: Vec::new(),
         }
     }
@@ -269,20 +276,29 @@ fn randomizations() -> impl Strategy<Value = Option<Randomization>> {
             sensors,
             environment: environment.then(Default::default),
             initial: initial.then(Default::default),
+            battery: None,
         }
     });
     prop_oneof![2 => Just(None), 3 => some.prop_map(Some), 1 => Just(Some(Randomization::default()))]
 }
 
+/// Built-in airframes with a law from duty to speed, some of them with a battery.
+fn airframes() -> impl Strategy<Value = DroneParams> {
+    let seconds = prop_oneof![2 => Just(None), 1 => (0.3..10.0).prop_map(Some)];
+    (one_of(DroneModel::ALL), seconds).prop_map(|(model, seconds)| supplied(model.params(), seconds))
+}
+
 fn cases() -> impl Strategy<Value = Case> {
     let rates = one_of([(240, 48), (240, 48), (240, 24), (240, 60), (240, 120), (240, 240), (480, 48), (500, 100)]);
-    let flight = (any::<[bool; 5]>(), one_of(ActionType::ALL), rates, one_of(DroneModel::ALL), 0..4_u32);
+    let flight = (any::<[bool; 5]>(), one_of(ActionType::ALL), rates, airframes(), 0..4_u32);
     let batch =
         (1..=14_usize, one_of([1, 2, 3, 5]), one_of(AUTORESETS), one_of(Width::available().collect::<Vec<_>>()));
     let task = (0..9_usize, 2..=4_usize, 0..1000_u64);
     (flight, batch, task, winds(), motors(), randomizations()).prop_map(
         |(flight, (environments, threads, autoreset, width), (task, drones, seed), wind, motors, mut randomization)| {
             let ([ground, drag, downwash, body_fixed, medium], action_type, (sim, ctrl), drone, obstacles) = flight;
+            let is_racer = drone.name == DroneModel::Race.name();
+            let has_battery = drone.battery.is_some();
             let mut condition = EnvConfig::default()
                 .drone(drone)
                 .sim_freq(sim)
@@ -298,13 +314,16 @@ fn cases() -> impl Strategy<Value = Case> {
                 condition = condition.medium(Medium::AIR);
             }
             // only among the obstacles of these tasks is room for the start of every airframe
-            if obstacles < 2 && task == 0 && drone != DroneModel::Race {
+            if obstacles < 2 && task == 0 && !is_racer {
                 condition = condition.obstacle_generator(forest(obstacles == 0));
             }
             if let (Some(wind), Some(Randomization { environment: Some(ranges), .. })) = (wind, &mut randomization)
                 && wind.model != WindModel::None
             {
                 ranges.wind = [0.0; 2];
+            }
+            if let Some(randomization) = &mut randomization {
+                randomization.battery = has_battery.then(Default::default);
             }
             let config = VecConfig { threads, autoreset, width, ..VecConfig::new(environments) };
             Case { task, drones, condition: condition.randomization(randomization), config, seed }

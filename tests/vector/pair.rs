@@ -131,6 +131,7 @@ impl<T: Task + Clone + Send + Sync> Pair<T> {
         for (drone, (state, speeds)) in simulation.states().iter().zip(simulation.motor_speeds()).enumerate() {
             let got = self.batch.kinematic(i, drone).unwrap().map(f64::to_bits);
             assert_eq!(got, kinematic(state, speeds).map(f64::to_bits), "drone {drone} of environment {i}");
+            assert_eq!(self.batch.battery(i, drone), simulation.battery(drone));
         }
         let sampled = self.batch.with(i, |env| env.sampled_params().cloned()).unwrap();
         assert_eq!(sampled.as_ref(), self.alone[i].sampled_params());
@@ -184,6 +185,9 @@ fn exact<T: Task + Clone + Send + Sync>(env: &Aviary<T>) -> Vec<(&'static str, f
         add("roll, pitch, yaw", simulation.rpy(drone).as_slice());
         add("rotor speed", simulation.rotor_speeds(drone));
         add("motor speed", &simulation.motor_speeds()[drone]);
+        if let Some(battery) = simulation.battery(drone) {
+            add("battery", &[battery.charge, battery.voltage, battery.current]);
+        }
         let load = &simulation.loads()[drone];
         add("thrust", &[load.rotors.thrust]);
         add("torque", load.rotors.torque_body.as_slice());

@@ -152,7 +152,136 @@ impl DroneParams {
         let fields = "collision_height, collision_radius";
         add("collision_flatness", "collision height over radius", flat, "", Some([0.05, 3.0]), fields);
         add("max_speed", "top speed of velocity commands", self.max_speed, "m/s", Some([0.2, 80.0]), "max_speed");
+        numbers.extend(self.derived_from_motors());
+        numbers.extend(self.derived_from_air());
         numbers
+    }
+
+    /// Returns the derived numbers of the centre of mass and of the motors that differ from zero.
+    fn derived_from_motors(&self) -> Vec<DerivedNumber> {
+        let (motors, [x, y]) = (&self.motors, self.center_of_mass);
+        let max_spin = motors.rotor_inertia * self.max_rpm() * (std::f64::consts::TAU / 60.0);
+        let lag = Some([0.002, 1.0]);
+        let all = [
+            DerivedNumber {
+                name: "center_of_mass_ratio",
+                label: "offset of the centre of mass over arm",
+                value: x.hypot(y) / self.arm_length,
+                unit: "",
+                plausible: Some([0.0, 0.3]),
+                fields: "center_of_mass, arm_length",
+            },
+            DerivedNumber {
+                name: "rise_time",
+                label: "time constant of a rising motor speed",
+                value: motors.rise_time,
+                unit: "s",
+                plausible: lag,
+                fields: "motors.rise_time",
+            },
+            DerivedNumber {
+                name: "fall_time",
+                label: "time constant of a falling motor speed",
+                value: motors.fall_time,
+                unit: "s",
+                plausible: lag,
+                fields: "motors.fall_time",
+            },
+            DerivedNumber {
+                name: "motor_latency",
+                label: "latency of the motors",
+                value: motors.latency,
+                unit: "s",
+                plausible: Some([0.0, 0.2]),
+                fields: "motors.latency",
+            },
+            DerivedNumber {
+                name: "rotor_inertia_ratio",
+                label: "inertia of four rotors over yaw inertia",
+                value: 4.0 * motors.rotor_inertia / self.inertia[2],
+                unit: "",
+                plausible: Some([1e-5, 0.2]),
+                fields: "motors.rotor_inertia, inertia[2]",
+            },
+            DerivedNumber {
+                name: "spin_rate",
+                label: "yaw rate of a rotor's momentum at full speed",
+                value: max_spin / self.inertia[2],
+                unit: "rad/s",
+                plausible: None,
+                fields: "motors.rotor_inertia, inertia[2], mass, thrust_coefficient, thrust_to_weight",
+            },
+        ];
+        all.into_iter().filter(|number| number.value != 0.0).collect()
+    }
+
+    /// Returns the derived numbers of the air that differ from zero.
+    fn derived_from_air(&self) -> Vec<DerivedNumber> {
+        let air = &self.air;
+        let drag = air.linear_drag.into_iter().fold(0.0, f64::max);
+        let damping = (0..3).map(|axis| air.rotational_damping[axis] / self.inertia[axis]).fold(0.0, f64::max);
+        // half of the rotors at full speed, the others stopped
+        let max_torque = 0.5 * self.max_thrust() * self.arm_length;
+        let trim = air.trim_torque.into_iter().map(f64::abs).fold(0.0, f64::max);
+        let of = |value: f64, number: DerivedNumber| (value != 0.0).then_some(number);
+        let all = [
+            of(
+                drag,
+                DerivedNumber {
+                    name: "linear_drag_time_constant",
+                    label: "shortest time constant of linear drag",
+                    value: self.mass / drag,
+                    unit: "s",
+                    plausible: Some([0.1, f64::INFINITY]),
+                    fields: "air.linear_drag, mass",
+                },
+            ),
+            of(
+                damping,
+                DerivedNumber {
+                    name: "damping_time_constant",
+                    label: "shortest time constant of rotational damping",
+                    value: 1.0 / damping,
+                    unit: "s",
+                    plausible: Some([0.01, f64::INFINITY]),
+                    fields: "air.rotational_damping, inertia",
+                },
+            ),
+            of(
+                air.translational_lift,
+                DerivedNumber {
+                    name: "lift_ratio",
+                    label: "translational lift at 1 m/s over weight",
+                    value: air.translational_lift / self.weight(),
+                    unit: "",
+                    plausible: Some([-0.1, 0.1]),
+                    fields: "air.translational_lift, mass",
+                },
+            ),
+            of(
+                air.velocity_moment,
+                DerivedNumber {
+                    name: "velocity_moment_ratio",
+                    label: "torque of 1 m/s over the largest of the motors",
+                    value: air.velocity_moment / max_torque,
+                    unit: "",
+                    plausible: Some([-0.2, 0.2]),
+                    fields: "air.velocity_moment, arm_length, mass, thrust_to_weight",
+                },
+            ),
+            of(
+                trim,
+                DerivedNumber {
+                    name: "trim_ratio",
+                    label: "trim torque over the largest of the motors",
+                    value: trim / max_torque,
+                    unit: "",
+                    plausible: Some([0.0, 0.3]),
+                    fields: "air.trim_torque, arm_length, mass, thrust_to_weight",
+                },
+            ),
+        ];
+        all.into_iter().flatten().collect()
     }
 
     /// Returns a unit mistake that explains every implausible number, or `None` if no single mistake does.
@@ -197,7 +326,7 @@ fn short(number: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::drone::DroneModel;
+    use crate::drone::{AirParams, DroneModel, MotorParams};
 
     /// Reads an airframe from the first TOML block of a text.
     fn toml_of(text: &str, start: &str, end: &str) -> DroneParams {
@@ -228,6 +357,42 @@ mod tests {
         assert!((of("roll_acceleration") - torque / 1.4e-5).abs() < 1e-9);
         let alpha = torque / 1.4e-5;
         assert!((0.25 * alpha * of("tilt_time").powi(2) - 30_f64.to_radians()).abs() < 1e-12, "both halves");
+    }
+
+    #[test]
+    fn optional_parameters_have_numbers_only_if_they_are_present() {
+        let count = DroneModel::Cf2x.params().derived().len();
+        let motors = MotorParams { rise_time: 0.05, latency: 0.01, rotor_inertia: 4e-8, ..MotorParams::default() };
+        let air = AirParams {
+            linear_drag: [0.01, 0.02, 0.01],
+            rotational_damping: [1.4e-5, 0.0, 0.0],
+            velocity_moment: 2e-4,
+            ..AirParams::default()
+        };
+        let measured = DroneParams { motors, air, center_of_mass: [3e-4, 4e-4], ..DroneModel::Cf2x.params() };
+        let numbers = measured.derived();
+        let of = |name: &str| numbers.iter().find(|number| number.name == name).unwrap();
+        for (name, value) in [
+            ("center_of_mass_ratio", 5e-4 / 0.0397),
+            ("rise_time", 0.05),
+            ("motor_latency", 0.01),
+            ("rotor_inertia_ratio", 1.6e-7 / 2.17e-5),
+            ("linear_drag_time_constant", 0.027 / 0.02),
+            ("damping_time_constant", 1.0),
+            ("velocity_moment_ratio", 2e-4 / (0.5 * 2.25 * 0.027 * 9.81 * 0.0397)),
+        ] {
+            assert!((of(name).value / value - 1.0).abs() < 1e-3 && of(name).is_plausible(), "{:?}", of(name));
+        }
+        assert_eq!(numbers.len(), count + 8, "with the yaw rate of a rotor's momentum");
+        for wrong in [
+            DroneParams { center_of_mass: [0.02, 0.0], ..DroneModel::Cf2x.params() },
+            DroneParams { motors: MotorParams { fall_time: 50.0, ..motors }, ..DroneModel::Cf2x.params() },
+            DroneParams { motors: MotorParams { rotor_inertia: 4e-5, ..motors }, ..DroneModel::Cf2x.params() },
+            DroneParams { air: AirParams { linear_drag: [1.0; 3], ..air }, ..DroneModel::Cf2x.params() },
+            DroneParams { air: AirParams { trim_torque: [0.1, 0.0, 0.0], ..air }, ..DroneModel::Cf2x.params() },
+        ] {
+            assert!(wrong.derived().iter().any(|number| !number.is_plausible()), "{wrong:?}");
+        }
     }
 
     #[test]

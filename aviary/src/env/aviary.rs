@@ -14,6 +14,7 @@ use crate::action::{ActionDecoder, ActionType};
 use crate::control::Reference;
 use crate::control::trajectory::Trajectory;
 use crate::observation::Observation;
+use crate::physics::battery::BatteryState;
 use crate::physics::wind::WindConfig;
 use crate::sensing::Rangefinder;
 use crate::simulation::{self, SimData, SimModel, SimView, Simulation};
@@ -91,8 +92,8 @@ impl<T: Task> Aviary<T> {
         self.episode.check_running()?;
         self.check_action(action)?;
         let mut parts = self.parts();
-        let (dt, states) = (parts.sim_model.control_period(), parts.data.states());
-        parts.workspace.decode(parts.model, dt, states, parts.decoders, action.iter().copied());
+        let dt = parts.sim_model.control_period();
+        parts.workspace.decode(parts.model, dt, parts.data, parts.decoders, action.iter().copied());
         let commands = parts.workspace.commands.iter_mut().zip(parts.data.states()).enumerate();
         for (drone, (command, state)) in commands {
             if let Some(speeds) = instead(drone, state) {
@@ -219,7 +220,7 @@ impl EnvWorkspace {
         &mut self,
         model: &EnvModel,
         control_period: f64,
-        states: &[DroneState],
+        data: &SimData,
         decoders: &mut [ActionDecoder],
         action: impl Iterator<Item = f64>,
     ) {
@@ -227,10 +228,13 @@ impl EnvWorkspace {
         for ((clipped, x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
             *clipped = x.clamp(low, high);
         }
-        let drones = decoders.iter_mut().zip(states);
+        let drones = decoders.iter_mut().zip(data.states()).enumerate();
         let parts = self.clipped.chunks_exact(model.action_type.size());
-        for ((command, (decoder, state)), part) in self.commands.iter_mut().zip(drones).zip(parts) {
-            *command = decoder.motor_speeds(control_period, state, part);
+        for ((command, (drone, (decoder, state))), part) in self.commands.iter_mut().zip(drones).zip(parts) {
+            *command = match data.battery(drone) {
+                Some((_, battery)) => decoder.motor_speeds_at(battery.voltage, control_period, state, part),
+                None => decoder.motor_speeds(control_period, state, part),
+            };
         }
     }
 }
@@ -314,6 +318,19 @@ impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
     fn metrics(&self, report: &mut dyn FnMut(&'static str, f64)) {
         if self.episode.phase != Phase::New {
             self.episode.task.metrics(self.simulation.view(), report);
+        }
+        let batteries = (0..self.simulation.num_drones()).filter_map(|drone| self.simulation.battery(drone));
+        let lowest = |a: BatteryState, b: BatteryState| BatteryState {
+            charge: a.charge.min(b.charge),
+            voltage: a.voltage.min(b.voltage),
+            current: a.current.max(b.current),
+        };
+        if let Some(BatteryState { charge, voltage, current }) = batteries.reduce(lowest) {
+            for (name, value) in
+                [("battery_charge", charge), ("battery_voltage", voltage), ("battery_current", current)]
+            {
+                report(name, value);
+            }
         }
         if let Some(draw) = self.sampled_params() {
             let first = &draw.drones[0];
@@ -411,6 +428,7 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
         if let Some(config) = &randomization {
             config.validate()?;
+            config.validate_batteries(self.simulation.world().drones.iter().map(|drone| &drone.params))?;
             let own = match &self.episode.randomizer {
                 Some(randomizer) => randomizer.own_wind(),
                 None => self.simulation.wind(),
@@ -457,11 +475,11 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
     }
 
     fn action_of_motor_speeds(&self, speeds: &[[f64; 4]], action: &mut [f64]) -> Result<(), EnvError> {
-        if !matches!(self.model.action_type, ActionType::Rpm | ActionType::RawRpm) {
+        if !matches!(self.model.action_type, ActionType::Rpm | ActionType::RawRpm | ActionType::Duty) {
             return Err(EnvError::Option {
                 option: "action_type",
                 got: self.model.action_type.to_string(),
-                expected: "rpm or raw_rpm, which command single motors",
+                expected: "rpm, raw_rpm or duty, which command single motors",
             });
         }
         let expected = self.model.action_space.size();
@@ -469,9 +487,17 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
             return Err(EnvError::ActionLength { got: action.len().min(4 * speeds.len()), expected });
         }
         let raw = self.model.action_type == ActionType::RawRpm;
-        for ((part, speeds), decoder) in action.chunks_exact_mut(4).zip(speeds).zip(&self.decoders) {
+        let drones = self.decoders.iter().zip(&self.simulation.world().drones).enumerate();
+        for ((part, speeds), (drone, (decoder, nominal))) in action.chunks_exact_mut(4).zip(speeds).zip(drones) {
+            let voltage = decoder
+                .duty_scale()
+                .map(|scale| self.simulation.battery(drone).map_or(scale.voltage(), |battery| battery.voltage));
             for (command, &rpm) in part.iter_mut().zip(speeds) {
-                *command = if raw { rpm } else { decoder.scale().command(rpm) };
+                *command = match voltage {
+                    Some(voltage) => nominal.params.motors.duty(rpm, voltage),
+                    None if raw => rpm,
+                    None => decoder.scale().command(rpm),
+                };
             }
         }
         Ok(())

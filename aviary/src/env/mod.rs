@@ -28,8 +28,8 @@ pub use lane_task::LaneFunctions;
 pub(crate) use lane_task::{LaneMask, LaneRows, LaneScene, LaneStep, LaneTask, Sensing, TaskRows};
 pub(crate) use randomization::SensorLanes;
 pub use randomization::{
-    ActuatorRanges, AerodynamicRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization, Range,
-    SampledDroneParams, SampledParams, SensorRanges,
+    ActuatorRanges, AerodynamicRanges, BatteryRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization,
+    Range, SampledDroneParams, SampledParams, SensorRanges,
 };
 pub use snapshot::{EnvSnapshot, Saved};
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};
@@ -406,7 +406,8 @@ pub trait Env {
     /// Returns the state of the episode.
     fn info(&self) -> Info;
 
-    /// Reports the scalar metrics of the task by name: gates passed, formation error.
+    /// Reports the scalar metrics of the task by name: gates passed, formation error. If drones have batteries, reports
+    /// their lowest charge (0 to 1) and voltage (V), and their highest current (A).
     fn metrics(&self, report: &mut dyn FnMut(&'static str, f64)) {
         let _ = report;
     }

@@ -1,4 +1,5 @@
-//! Motor dynamics: lag, latency, gains and saturation. All of them are off by default.
+//! Motor dynamics: lag, latency, gains and saturation, from the settings of an environment and from the airframe. All of
+//! them are off by default.
 
 use crate::drone::DroneParams;
 use crate::error::OptionError;
@@ -22,9 +23,10 @@ use crate::error::OptionError;
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ActuatorParams {
-    /// Time constant τ of the first-order lag of the rotor speed, s; 0 for no lag.
+    /// Time constant τ of the first-order lag of the rotor speed, s; 0 for that of the airframe, which has none by
+    /// default (see [`MotorParams`](crate::drone::MotorParams)).
     pub lag: f64,
-    /// Delay of a command, s, rounded to whole physics steps; 0 for no delay.
+    /// Delay of a command, s, in addition to that of the airframe. The sum is rounded to whole physics steps.
     pub latency: f64,
     /// Factor on each motor's commanded speed.
     pub gains: [f64; 4],
@@ -78,6 +80,9 @@ pub struct Actuators {
     initial_rpm: f64,
     /// Fraction of the remaining speed difference that the lag closes in one physics step: 1 − exp(−dt/τ).
     share: f64,
+    /// The same fraction while the speed falls, if it is another one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    fall_share: Option<f64>,
     /// Ring buffer of delayed commands, one per physics step of latency.
     queue: Vec<[f64; 4]>,
     next: usize,
@@ -87,36 +92,38 @@ pub struct Actuators {
 impl Actuators {
     /// Creates the motors of a drone for physics steps of `dt` seconds.
     ///
-    /// Motors with lag or latency turn at hover speed when an episode begins, because a drone that starts in the air
-    /// was already flying.
+    /// Motors with lag, latency or rotor inertia turn at hover speed when an episode begins, because a drone that
+    /// starts in the air was already flying.
     pub fn new(params: &DroneParams, actuators: &ActuatorParams, dt: f64) -> Self {
-        let steps = (actuators.latency / dt).round() as usize;
-        let slow = actuators.lag > 0.0 || steps > 0;
-        let max_rpm = params.max_rpm() * actuators.saturation;
-        let initial_rpm = if slow { params.hover_rpm().min(max_rpm) } else { 0.0 };
-        Self {
-            gains: actuators.gains,
-            max_rpm,
-            initial_rpm,
-            share: if actuators.lag > 0.0 { -(-dt / actuators.lag).exp_m1() } else { 1.0 },
-            queue: vec![[initial_rpm; 4]; steps],
-            next: 0,
-            rpm: [initial_rpm; 4],
-        }
+        Self::with_queue(params, actuators, dt, Vec::new())
     }
 
     /// Replaces the parameters and resets the motors; reuses the allocated queue.
     pub(crate) fn set(&mut self, params: &DroneParams, actuators: &ActuatorParams, dt: f64) {
-        let mut queue = std::mem::take(&mut self.queue);
-        let steps = (actuators.latency / dt).round() as usize;
-        *self = Self::new(params, &ActuatorParams { latency: 0.0, ..*actuators }, dt);
-        if steps > 0 {
-            self.initial_rpm = params.hover_rpm().min(self.max_rpm);
-        }
+        let queue = std::mem::take(&mut self.queue);
+        *self = Self::with_queue(params, actuators, dt, queue);
+    }
+
+    fn with_queue(params: &DroneParams, actuators: &ActuatorParams, dt: f64, mut queue: Vec<[f64; 4]>) -> Self {
+        let motors = &params.motors;
+        let times = if actuators.lag > 0.0 { [actuators.lag; 2] } else { [motors.rise_time, motors.fall_time] };
+        let [share, fall_share] = times.map(|time| if time > 0.0 { -(-dt / time).exp_m1() } else { 1.0 });
+        let steps = ((actuators.latency + motors.latency) / dt).round() as usize;
+        let has_memory = times != [0.0; 2] || steps > 0 || motors.rotor_inertia > 0.0;
+        let max_rpm = params.max_rpm() * actuators.saturation;
+        let initial_rpm = if has_memory { params.hover_rpm().min(max_rpm) } else { 0.0 };
         queue.clear();
-        queue.resize(steps, [0.0; 4]);
-        self.queue = queue;
-        self.reset();
+        queue.resize(steps, [initial_rpm; 4]);
+        Self {
+            gains: actuators.gains,
+            max_rpm,
+            initial_rpm,
+            share,
+            fall_share: (fall_share != share).then_some(fall_share),
+            queue,
+            next: 0,
+            rpm: [initial_rpm; 4],
+        }
     }
 
     /// Reserves queue capacity for a latency of `steps` physics steps.
@@ -133,7 +140,7 @@ impl Actuators {
 
     /// Returns true if the queue index is in range and every number is finite and not negative.
     pub(crate) fn is_valid(&self) -> bool {
-        let numbers = [self.max_rpm, self.initial_rpm, self.share].into_iter();
+        let numbers = [self.max_rpm, self.initial_rpm, self.share, self.fall_share()].into_iter();
         let mut numbers = numbers.chain(self.gains).chain(self.rpm).chain(self.queue.iter().flatten().copied());
         numbers.all(|x| x.is_finite() && x >= 0.0) && (self.next == 0 || self.next < self.queue.len())
     }
@@ -167,10 +174,23 @@ impl Actuators {
         &self.gains
     }
 
-    /// Returns the fraction of the remaining speed difference that the lag closes in one physics step; 1 without lag.
+    /// Returns the fraction of the remaining speed difference that the lag closes in one physics step while the speed
+    /// rises; 1 without lag.
     #[inline]
     pub fn share(&self) -> f64 {
         self.share
+    }
+
+    /// Returns the fraction of the remaining speed difference that the lag closes in one physics step while the speed
+    /// falls; 1 without lag.
+    #[inline]
+    pub fn fall_share(&self) -> f64 {
+        self.fall_share.unwrap_or(self.share)
+    }
+
+    /// Returns true if the speed follows a command with a lag.
+    pub(crate) fn has_lag(&self) -> bool {
+        self.share.min(self.fall_share()) < 1.0
     }
 
     /// Returns true if the motors have no latency.
@@ -195,7 +215,7 @@ impl Actuators {
     }
 
     /// Advances the motors by one physics step under a command (rpm) and returns the rotor speeds (rpm) of that step:
-    /// n += (n_cmd − n)·(1 − exp(−dt/τ)).
+    /// n += (n_cmd − n)·(1 − exp(−dt/τ)), with the τ of a rising speed for n_cmd > n and that of a falling one otherwise.
     #[inline]
     pub fn advance(&mut self, command: &[f64; 4]) -> &[f64; 4] {
         let mut arrived = *command;
@@ -204,9 +224,11 @@ impl Actuators {
             self.next = (self.next + 1) % self.queue.len();
         }
         let targets = self.target(&arrived);
+        let (rise, fall) = (self.share, self.fall_share());
         for (rpm, target) in self.rpm.iter_mut().zip(targets) {
+            let share = if *rpm < target { rise } else { fall };
             // without lag the speed is exactly the command; the formula would add a rounding error
-            *rpm = if self.share < 1.0 { *rpm + (target - *rpm) * self.share } else { target };
+            *rpm = if share < 1.0 { *rpm + (target - *rpm) * share } else { target };
         }
         &self.rpm
     }

@@ -14,8 +14,12 @@
 //!
 //! Like blade drag, they follow from the state at the start of a physics step and stay constant during the step.
 
+use nalgebra::Vector3;
+
+use super::rotor::RotorWrench;
 use crate::drone::DroneParams;
 use crate::math::{Real, Turn, V3};
+use crate::state::DroneState;
 
 /// Coefficients of the forces and torques of an airframe in [`AirParams`](crate::drone::AirParams) and of its rotors'
 /// inertia, scalar or SIMD.
@@ -35,6 +39,9 @@ pub struct AirframeEffects<R = f64> {
     pub(crate) momentum_per_rpm: R,
 }
 
+/// Number of coefficients of [`AirframeEffects`].
+pub(crate) const EFFECTS: usize = 12;
+
 /// Motion of a drone in [`AirframeEffects::add`] at the start of a physics step, scalar or SIMD.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AirframeMotion<'a, R> {
@@ -50,6 +57,7 @@ pub(crate) struct AirframeMotion<'a, R> {
 
 impl AirframeEffects {
     /// Creates the coefficients of an airframe.
+    #[must_use]
     pub fn new(params: &DroneParams) -> Self {
         let air = &params.air;
         Self {
@@ -64,6 +72,53 @@ impl AirframeEffects {
         }
     }
 
+    /// Adds the effects of a physics step of `dt` seconds to the wrench of the rotors, and returns the drag, world frame,
+    /// N.
+    ///
+    /// `state` is that at the start of the step, `air` the velocity of the air (world frame, m/s), `rpm` the rotor
+    /// speeds in the physics step before and in this one.
+    ///
+    /// ```
+    /// use aviary::drone::{AirParams, DroneModel, DroneParams};
+    /// use aviary::physics::airframe::AirframeEffects;
+    /// use aviary::physics::rotor::RotorModel;
+    /// use aviary::state::DroneState;
+    /// use nalgebra::Vector3;
+    ///
+    /// let air = AirParams { linear_drag: [0.02, 0.03, 0.0], ..AirParams::default() };
+    /// let params = DroneParams { air, ..DroneModel::Cf2x.params() };
+    /// let state = DroneState { velocity: Vector3::new(1.0, -1.0, 5.0), ..DroneState::default() };
+    /// let rpm = [params.hover_rpm(); 4];
+    /// let mut wrench = RotorModel::new(&params).wrench(&rpm);
+    /// let drag = AirframeEffects::new(&params).change(1.0 / 240.0, &state, &Vector3::zeros(), [&rpm; 2], &mut wrench);
+    /// assert!((drag - Vector3::new(-0.02, 0.03, 0.0)).norm() < 1e-15);
+    /// ```
+    #[inline]
+    pub fn change(
+        &self,
+        dt: f64,
+        state: &DroneState,
+        air: &Vector3<f64>,
+        rpm: [&[f64; 4]; 2],
+        rotors: &mut RotorWrench,
+    ) -> Vector3<f64> {
+        let motion = AirframeMotion {
+            attitude: &Turn::from(&state.attitude),
+            relative: V3::from(&state.velocity) - V3::from(air),
+            rate: V3::from(&state.angular_velocity),
+            momentum: rpm.map(|rpm| self.momentum(rpm)),
+        };
+        let mut torque = V3::from(&rotors.torque_body);
+        let drag = self.add(dt, &motion, &mut rotors.thrust, &mut torque);
+        rotors.torque_body = torque.into();
+        drag.into()
+    }
+
+    /// Creates the coefficients of an airframe; `None` if none of them has an effect.
+    pub(crate) fn of_params(params: &DroneParams) -> Option<Self> {
+        Some(Self::new(params)).filter(|effects| !effects.are_absent())
+    }
+
     /// Returns true if no coefficient has an effect.
     pub fn are_absent(&self) -> bool {
         *self == Self::default()
@@ -72,6 +127,25 @@ impl AirframeEffects {
 
 #[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> AirframeEffects<R> {
+    /// Returns all coefficients, in the order of [`of`](Self::of).
+    pub(crate) fn numbers(&self) -> [R; EFFECTS] {
+        let Self { linear_drag: [a, b, c], rotational_damping: [d, e, f], trim_torque: [g, h, i], .. } = *self;
+        [a, b, c, d, e, f, g, h, i, self.translational_lift, self.velocity_moment, self.momentum_per_rpm]
+    }
+
+    /// Creates the effects of [`numbers`](Self::numbers).
+    #[inline(always)]
+    pub(crate) fn of([a, b, c, d, e, f, g, h, i, lift, moment, momentum]: [R; EFFECTS]) -> Self {
+        Self {
+            linear_drag: [a, b, c],
+            rotational_damping: [d, e, f],
+            trim_torque: [g, h, i],
+            translational_lift: lift,
+            velocity_moment: moment,
+            momentum_per_rpm: momentum,
+        }
+    }
+
     /// Returns the angular momentum of the rotors at these speeds (rpm) about body z, N·m·s.
     #[inline(always)]
     pub(crate) fn momentum(&self, rpm: &[R; 4]) -> R {

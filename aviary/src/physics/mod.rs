@@ -2,6 +2,7 @@
 
 pub mod actuators;
 pub mod airframe;
+pub mod battery;
 pub mod downwash;
 pub mod drag;
 pub mod ground_effect;

@@ -8,10 +8,10 @@ use crate::env::{DroneEnv, EnvError};
 /// Flies a task with one controller per drone.
 ///
 /// Each drone follows its given trajectory, or the [plan](DroneEnv::plans) of the task for the episode, or the
-/// present [reference](DroneEnv::reference) of the task. The controllers command motor speeds ([`ActionType::Rpm`]
-/// and [`ActionType::RawRpm`]). With velocity actions ([`ActionType::Vel`]) the environment runs the controllers; the
-/// policy then commands velocities of up to 1 m/s towards the references, with a bias to the right so that drones
-/// pass each other.
+/// present [reference](DroneEnv::reference) of the task. The controllers command motor speeds ([`ActionType::Rpm`],
+/// [`ActionType::RawRpm`], and [`ActionType::Duty`] at the present voltage). With velocity actions
+/// ([`ActionType::Vel`]) the environment runs the controllers; the policy then commands velocities of up to 1 m/s
+/// towards the references, with a bias to the right so that drones pass each other.
 ///
 /// ```
 /// use aviary::control::trajectory::named;
@@ -164,7 +164,7 @@ mod tests {
         let error = refused(&mut MultiHover::builder().build().unwrap(), &mut one);
         assert_eq!(error, "controllers is 1 for 2 drones, expected one for each drone");
         let error = refused(&mut Hover::builder().action_type(ActionType::Attitude).build().unwrap(), &mut one);
-        assert!(error.starts_with("action_type is attitude, expected rpm or raw_rpm"), "{error}");
+        assert!(error.starts_with("action_type is attitude, expected rpm, raw_rpm or duty"), "{error}");
     }
 
     #[test]

@@ -9,6 +9,8 @@ use crate::drone::DroneParams;
 use crate::engine::{Bodies, BuildError, Contact, Load};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::airframe::AirframeEffects;
+use crate::physics::battery::BatteryState;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -60,6 +62,8 @@ pub struct SimData {
     pub(super) loads: Vec<Load>,
     pub(super) drones: Vec<Drone>,
     pub(super) actuators: Vec<Actuators>,
+    /// States of the batteries; empty if no drone has one.
+    pub(super) batteries: Vec<BatteryState>,
     pub(super) wakes: Vec<Wake>,
     pub(super) bodies: Bodies,
     pub(super) wind: Option<WindField>,
@@ -90,7 +94,9 @@ pub(super) struct Drone {
     pub params: DroneParams,
     pub rotors: RotorModel,
     pub ground: GroundEffect,
-    /// Maximum motor speed of the airframe that the drone was built with, rpm.
+    /// Effects of the airframe's own parameters; `None` if there are none.
+    pub effects: Option<AirframeEffects>,
+    /// Maximum motor speed of the airframe that the drone was built with, rpm. A battery limits it further.
     pub max_rpm: f64,
     pub actuators: ActuatorParams,
 }
@@ -126,6 +132,7 @@ impl SimData {
             loads,
             drones,
             actuators,
+            batteries,
             wakes,
             bodies,
             wind,
@@ -150,6 +157,7 @@ impl SimData {
         self.loads.clone_from(loads);
         self.drones.clone_from(drones);
         self.actuators.clone_from(actuators);
+        self.batteries.clone_from(batteries);
         self.wakes.clone_from(wakes);
         self.bodies.clone_from(bodies);
         self.wind.clone_from(wind);
@@ -170,7 +178,8 @@ impl SimData {
         let drone = |params: &DroneParams| Drone {
             rotors: RotorModel::new(params),
             ground: GroundEffect::new(params),
-            max_rpm: params.max_rpm(),
+            effects: AirframeEffects::of_params(params),
+            max_rpm: params.max_command_rpm(),
             actuators: *actuators,
             params: params.clone(),
         };
@@ -192,6 +201,7 @@ impl SimData {
                 .iter()
                 .map(|body| Actuators::new(&body.params, actuators, world.timestep))
                 .collect(),
+            batteries: Vec::new(),
             wakes: world.drones.iter().map(|body| Wake::new(&body.params)).collect(),
             bodies: Bodies { drones: Vec::with_capacity(count), gravity: world.gravity, obstacle_drift: 0.0 },
             wind: None,
@@ -206,6 +216,7 @@ impl SimData {
             in_mujoco: false,
             stamp: 0,
         };
+        data.need_batteries();
         data.reset_unchecked(model);
         data
     }
@@ -245,7 +256,8 @@ impl SimData {
         if self.model == model.fingerprint { Ok(()) } else { Err(SimulationError::Model) }
     }
 
-    /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
+    /// Resets to the initial states, time 0 and no command. Motors with lag, latency or rotor inertia turn at hover
+    /// speed.
     ///
     /// # Errors
     /// [`SimulationError::Model`] for data of another model; the data is unchanged.
@@ -294,6 +306,7 @@ impl SimData {
             actuators.reset();
             *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
+        self.reset_batteries();
         self.memory.forget(&self.states);
         self.started.copy_from_slice(&self.states);
         self.contacts.clear();
@@ -427,6 +440,7 @@ impl SimData {
         for ((drone, speeds), command) in self.drones.iter().zip(&mut self.motor_speeds).zip(commands) {
             *speeds = command.map(|rpm| rpm.clamp(0.0, drone.max_rpm));
         }
+        self.limit_to_batteries();
         Ok(())
     }
 }

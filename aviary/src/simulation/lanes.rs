@@ -159,6 +159,7 @@ impl SimData {
             + size_of_val(&self.warm_start[..])
             + size_of_val(&self.drones[..])
             + size_of_val(&self.actuators[..])
+            + size_of_val(&self.batteries[..])
             + size_of_val(&self.wakes[..])
             + size_of_val(&self.bodies.drones[..])
             + self.wind.as_ref().map_or(0, WindField::bytes)

@@ -3,6 +3,7 @@
 //! [`SimModel`] holds the constants, [`SimData`] the state, and [`Workspace`] the scratch memory of one thread.
 //! [`step`] advances data by one control step. [`Simulation`] owns one of each.
 
+mod batteries;
 mod builder;
 mod data;
 mod error;
@@ -28,6 +29,7 @@ use nalgebra::Vector3;
 use crate::drone::DroneParams;
 use crate::engine::{Contact, Engine, Load, Substeps};
 use crate::physics::actuators::ActuatorParams;
+use crate::physics::battery::BatteryState;
 use crate::physics::wind::WindConfig;
 use crate::physics::{Effects, Physics};
 use crate::state::DroneState;
@@ -140,7 +142,8 @@ impl Simulation {
         Ok(())
     }
 
-    /// Resets to the initial states, time 0 and no command. Motors with lag or latency turn at hover speed.
+    /// Resets to the initial states, time 0 and no command. Motors with lag, latency or rotor inertia turn at hover
+    /// speed.
     ///
     /// # Errors
     /// [`SimulationError::Engine`] if MuJoCo cannot recover from an earlier error.
@@ -306,6 +309,22 @@ impl Simulation {
     /// If `drone` is out of range.
     pub fn rotor_speeds(&self, drone: usize) -> &[f64; 4] {
         self.view().rotor_speeds(drone)
+    }
+
+    /// Returns charge, voltage and current of a drone's battery after the last control step; `None` without a battery.
+    ///
+    /// # Panics
+    /// If `drone` is out of range.
+    pub fn battery(&self, drone: usize) -> Option<BatteryState> {
+        self.view().battery(drone)
+    }
+
+    /// Returns the voltage at a drone's motors, V: that of its battery, otherwise the constant voltage of the airframe.
+    ///
+    /// # Panics
+    /// If `drone` is out of range.
+    pub fn voltage(&self, drone: usize) -> f64 {
+        self.view().voltage(drone)
     }
 
     /// Returns the motor speeds commanded to all drones during the last control step, rpm.

@@ -88,6 +88,11 @@ impl SimModel {
         &self.world.drones[drone].params
     }
 
+    /// Returns the largest latency of the airframes' motors, s.
+    pub(crate) fn motor_latency(&self) -> f64 {
+        self.world.drones.iter().map(|drone| drone.params.motors.latency).fold(0.0, f64::max)
+    }
+
     /// Creates the data of a simulation at its initial states, in still air.
     pub fn data(&self) -> SimData {
         SimData::new(self)

@@ -4,8 +4,9 @@ use super::data::Drone;
 use super::{SimData, SimModel, SimulationError};
 use crate::drone::{DroneError, DroneParams};
 use crate::engine::Body;
-use crate::engine::flight::{Airframe, FreeBody, ReachBound};
+use crate::engine::flight::{Airframe, DrivenBound, FreeBody, ReachBound};
 use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::RotorModel;
@@ -40,22 +41,22 @@ impl SimData {
             if effects.downwash {
                 force += wakes;
             }
-            let mut quadratic = 0.0;
+            let (mut quadratic, mut air_speed) = (0.0, 0.0);
             if let Some(wind) = &self.wind {
                 let bound = wind.config().bound(params.drag_area());
                 // a moving medium exerts further forces
                 force += if world.medium.is_some() { f64::INFINITY } else { bound[0] };
                 slowing += bound[1] / params.mass;
                 quadratic = bound[2] / params.mass;
+                air_speed = wind.config().air_speed_bound();
             }
             let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
             let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
-            Body {
-                mass: params.mass,
-                inertia,
-                free,
-                reach_bound: ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]),
+            let mut reach_bound = ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]);
+            if let Some(effects) = &drone.effects {
+                reach_bound = reach_bound.driven_by(&free, DrivenBound::new(effects, &free, rpm, air_speed));
             }
+            Body { mass: params.mass, inertia, free, reach_bound }
         };
         self.bodies.drones.clear();
         self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
@@ -69,6 +70,7 @@ impl SimData {
     /// Changes the parameters of a drone's airframe. Invalid parameters are an error and stay in place.
     pub(super) fn change(&mut self, drone: usize, change: impl FnOnce(&mut DroneParams)) -> Result<(), DroneError> {
         let own = &mut self.drones[drone];
+        let had_battery = own.params.battery.is_some();
         change(&mut own.params);
         let params = &mut own.params;
         // randomized parameters may have a thrust-to-weight ratio below 1
@@ -77,12 +79,31 @@ impl SimData {
         let result = params.validate();
         params.thrust_to_weight = ratio;
         (own.rotors, own.ground) = (RotorModel::new(&own.params), GroundEffect::new(&own.params));
+        own.effects = AirframeEffects::of_params(&own.params);
         self.wakes[drone] = Wake::new(&own.params);
         if let Some(wind) = &mut self.wind {
             wind.set_area(drone, own.params.drag_area());
         }
         self.changed = true;
+        if result.is_ok() && !had_battery && self.drones[drone].params.battery.is_some() {
+            self.need_batteries();
+            self.reset_battery(drone);
+        }
         result
+    }
+
+    /// Returns true if the motors of any drone have lag.
+    pub(crate) fn has_lag(&self) -> bool {
+        self.actuators.iter().any(Actuators::has_lag)
+    }
+
+    /// Returns true if the lanes of any drone need [`Flow::airframe_effects`](crate::engine::flight::Flow), with the
+    /// present motors or with those that a randomization can sample.
+    pub(crate) fn has_airframe_effects(&self, model: &SimModel) -> bool {
+        self.drones.iter().enumerate().any(|(index, drone)| {
+            let motors = &model.nominal_params(index).motors;
+            drone.effects.is_some() || motors.rise_time != motors.fall_time
+        })
     }
 
     /// Changes the parameters of a drone's airframe, from the next step on.
@@ -141,10 +162,11 @@ impl SimData {
         Ok(())
     }
 
-    /// Reserves memory for these latencies (s) of motors and sensors, so that later changes up to them do not
-    /// allocate.
+    /// Reserves memory for these latencies (s) of motors, without that of the airframe, and of sensors, so that later
+    /// changes up to them do not allocate.
     pub(crate) fn reserve(&mut self, model: &SimModel, motors: f64, sensors: f64) {
         let steps = |seconds: f64| (seconds / model.world.timestep).round() as usize;
+        let motors = motors + model.motor_latency();
         let entries = steps(sensors) / model.substeps() as usize + 1;
         let (motors, states) = (steps(motors), self.states.len() * entries);
         self.actuators.iter_mut().for_each(|actuators| actuators.reserve(motors));
@@ -202,14 +224,16 @@ impl SimData {
         let effects = model.effects;
         // collision cylinders always keep the size that the scene was built with
         let cylinder = CollisionCylinder::from(model.nominal_params(drone));
-        let Drone { params, rotors, ground, .. } = &self.drones[drone];
+        let Drone { params, rotors, ground, effects: own_effects, .. } = &self.drones[drone];
         Airframe {
             body: self.bodies.drones[drone].free,
             rotors: *rotors,
             ground: if effects.ground { *ground } else { GroundEffect::default() },
             drag: if effects.drag { params.drag_coefficients.into() } else { nalgebra::Vector3::zeros() },
             wake: if effects.downwash { self.wakes[drone] } else { Wake::default() },
+            effects: own_effects.unwrap_or_default(),
             share: self.actuators[drone].share(),
+            fall_share: self.actuators[drone].fall_share(),
             max_command: self.drones[drone].max_rpm,
             gains: *self.actuators[drone].gains(),
             max_rpm: self.actuators[drone].max_rpm(),
@@ -218,3 +242,6 @@ impl SimData {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -80,10 +80,11 @@ impl Workspace {
     }
 }
 
-/// Advances data by one control step with four motor speeds (rpm) per drone, clipped to 0 to `MAX_RPM`.
+/// Advances data by one control step with four motor speeds (rpm) per drone, clipped to 0 to `MAX_RPM` and to the
+/// speed that the voltage allows.
 ///
 /// Every physics step advances the motors and the wind, computes forces and torques from the states at its start,
-/// and lets the engine integrate.
+/// and lets the engine integrate. The batteries advance at the end of the control step.
 ///
 /// # Errors
 /// [`SimulationError::Model`] for data of another model, [`Command`](SimulationError::Command) and
@@ -131,6 +132,7 @@ pub fn step(
         note_contacts(workspace, data);
     }
     data.memory.note(&data.states, data.control_steps, model.substeps(), model.substeps());
+    data.advance_batteries(model.control_period());
     data.control_steps += 1;
     data.update_rpys();
     workspace.leave(data);
@@ -148,8 +150,9 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
         downwash::add_forces(wakes, states, &mut workspace.downwash);
     }
     for (index, (drone, state)) in drones.iter().zip(&*states).enumerate() {
+        let before = *actuators[index].rpm();
         let rpm = actuators[index].advance(&motor_speeds[index]);
-        let rotors = drone.rotors.wrench(rpm);
+        let mut rotors = drone.rotors.wrench(rpm);
         let (mut force, mut air) = (Vector3::zeros(), Vector3::zeros());
         if let Some(wind) = wind {
             (force, air) = wind.advance(dt, index, state);
@@ -165,6 +168,9 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
         }
         if effects.downwash {
             force.z += workspace.downwash[index];
+        }
+        if let Some(effects) = &drone.effects {
+            force += effects.change(dt, state, &air, [&before, rpm], &mut rotors);
         }
         loads[index] = Load { rotors, external: Wrench { force_world: force, ..Wrench::ZERO } };
     }

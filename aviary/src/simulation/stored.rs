@@ -8,6 +8,8 @@ use crate::drone::DroneParams;
 use crate::engine::{Bodies, Contact, Load, Touched};
 use crate::physics::Wrench;
 use crate::physics::actuators::{ActuatorParams, Actuators};
+use crate::physics::airframe::AirframeEffects;
+use crate::physics::battery::BatteryState;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
@@ -27,6 +29,9 @@ struct Stored {
     started: Vec<DroneState>,
     drones: Vec<StoredDrone>,
     motor_speeds: Vec<[f64; 4]>,
+    /// States of the batteries; empty if no drone has one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    batteries: Vec<BatteryState>,
     /// Thrust and torque of the rotors in the body frame, other forces and torques in the world frame. They
     /// overflow if a simulation diverges.
     loads: Vec<[Extended; 10]>,
@@ -86,6 +91,7 @@ impl From<&SimData> for Stored {
             started: data.started.clone(),
             drones: drones.collect(),
             motor_speeds: data.motor_speeds.clone(),
+            batteries: data.batteries.clone(),
             loads: data.loads.iter().map(load).collect(),
             contacts: data.contacts.to_vec(),
             failed: data.failed.as_ref().map(ToString::to_string),
@@ -120,6 +126,7 @@ impl TryFrom<Stored> for SimData {
         let drones = stored.drones.into_iter().map(|drone| Drone {
             rotors: RotorModel::new(&drone.params),
             ground: GroundEffect::new(&drone.params),
+            effects: AirframeEffects::of_params(&drone.params),
             max_rpm: drone.max_rpm,
             actuators: drone.actuators,
             params: drone.params,
@@ -135,6 +142,7 @@ impl TryFrom<Stored> for SimData {
             loads: stored.loads.into_iter().map(load).collect(),
             drones: drones.collect(),
             actuators,
+            batteries: stored.batteries,
             wakes,
             bodies: Bodies {
                 drones: Vec::with_capacity(count),
@@ -168,10 +176,13 @@ impl Stored {
         }
         let warm_start = self.warm_start.as_ref().map_or(6 * count, Vec::len);
         let wind = self.wind.as_ref().map_or(count, WindField::num_drones);
+        let has_batteries = self.drones.iter().any(|drone| drone.params.battery.is_some());
+        let batteries = if has_batteries { count } else { self.batteries.len().min(count) };
         for (field, got, expected) in [
             ("started", self.started.len(), count),
             ("drones", self.drones.len(), count),
             ("motor_speeds", self.motor_speeds.len(), count),
+            ("batteries", self.batteries.len(), batteries),
             ("loads", self.loads.len(), count),
             ("wind", wind, count),
             ("warm_start", warm_start, 6 * count),
@@ -191,6 +202,10 @@ impl Stored {
         }
         for (index, drone) in self.drones.iter().enumerate() {
             drone.validate().map_err(|error| format!("drone {index}: {error}"))?;
+        }
+        if let Some(state) = self.batteries.iter().find(|state| !state.is_valid()) {
+            let expected = "a charge from 0 to 1, and a voltage and a current that are finite and not negative";
+            return Err(format!("a battery is {state:?}, expected {expected}"));
         }
         let numbers = self.motor_speeds.iter().flatten().chain(self.warm_start.iter().flatten());
         if let Some(x) = numbers.chain([&self.gravity, &self.obstacle_drift]).find(|x| !x.is_finite()) {

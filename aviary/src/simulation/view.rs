@@ -4,6 +4,7 @@ use super::{SimData, SimModel};
 use crate::drone::DroneParams;
 use crate::engine::{Contact, Load};
 use crate::physics::actuators::ActuatorParams;
+use crate::physics::battery::BatteryState;
 use crate::physics::wind::{WindConfig, WindField};
 use crate::physics::{Effects, Physics};
 use crate::state::DroneState;
@@ -123,6 +124,22 @@ impl<'a> SimView<'a> {
     /// If `drone` is out of range.
     pub fn rotor_speeds(self, drone: usize) -> &'a [f64; 4] {
         self.data.actuators[drone].rpm()
+    }
+
+    /// Returns charge, voltage and current of a drone's battery after the last control step; `None` without a battery.
+    ///
+    /// # Panics
+    /// If `drone` is out of range.
+    pub fn battery(self, drone: usize) -> Option<BatteryState> {
+        self.data.battery(drone).map(|(_, state)| *state)
+    }
+
+    /// Returns the voltage at a drone's motors, V: that of its battery, otherwise the constant voltage of the airframe.
+    ///
+    /// # Panics
+    /// If `drone` is out of range.
+    pub fn voltage(self, drone: usize) -> f64 {
+        self.data.voltage(drone)
     }
 
     /// Returns the motor speeds commanded to all drones during the last control step, rpm.

@@ -16,6 +16,7 @@ use crate::env::{
     ObservationSpace, Phase, Task,
 };
 use crate::observation::{KIN_SIZE, Observation, kinematic};
+use crate::physics::battery::BatteryState;
 use crate::simulation::{SimData, SimView, Simulation};
 use crate::world::Forcing;
 use crate::wrappers::VelocityFilter;
@@ -211,7 +212,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             environments.lane_params = repeated(&model.lane_params, count.div_ceil(LANES));
         }
         if let Some(data) = environments.slots[environment].data.as_deref() {
-            let needs = Needs::of(&environments.slots[environment].episode, data, model.dt);
+            let motor_latency = env.simulation.model.motor_latency();
+            let needs = Needs::of(&environments.slots[environment].episode, data, model.dt, motor_latency);
             if environments.conditions.needs.and(needs) != environments.conditions.needs {
                 environments.conditions.extend(needs, model, environments.blocks.len());
             }
@@ -228,13 +230,11 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         if unchanged {
             slot.data = None;
         }
-        // motor lag needs the longer form of the kernel
+        // motor lag and effects of the airframe need the longer forms of the kernel
         if let Some(flow) = &mut model.flow {
-            let lag = |data: &SimData| {
-                let view = SimView::new(&env.simulation.model, data);
-                (0..view.num_drones()).any(|drone| view.actuator_params(drone).lag > 0.0)
-            };
-            flow.lag |= slot.data.as_deref().is_some_and(lag) || randomizes_lag(&slot.episode);
+            let data = slot.data.as_deref();
+            flow.lag |= data.is_some_and(SimData::has_lag) || randomizes_lag(&slot.episode);
+            flow.airframe_effects |= data.is_some_and(|data| data.has_airframe_effects(&env.simulation.model));
         }
         Ok(result)
     }
@@ -265,8 +265,9 @@ fn lane_functions<T: Task>(first: &Aviary<T>, flies: bool) -> Option<LaneFunctio
 
 /// Returns the conversion of the numbers of each drone to motor speeds: those of an action, or of its control loops.
 fn decoding<T>(first: &Aviary<T>) -> Vec<Decoding> {
-    let decoding = |decoder: &ActionDecoder| match first.model.action_type {
-        ActionType::Rpm | ActionType::OneDRpm => Decoding::Scaled(*decoder.scale()),
+    let decoding = |decoder: &ActionDecoder| match (first.model.action_type, decoder.duty_scale()) {
+        (ActionType::Rpm | ActionType::OneDRpm, _) => Decoding::Scaled(*decoder.scale()),
+        (_, Some(scale)) => Decoding::Duty(*scale),
         _ => Decoding::Raw,
     };
     first.decoders.iter().map(decoding).collect()
@@ -280,7 +281,7 @@ fn batch_model<T: Task>(
 ) -> BatchModel {
     let simulation = &first.simulation;
     let (drones, effects, world) = (simulation.num_drones(), simulation.effects(), simulation.world());
-    let lag = (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0) || randomizes_lag(&first.episode);
+    let lag = simulation.data.has_lag() || randomizes_lag(&first.episode);
     let space = &first.model.observation_space;
     let numbers = space.vector.size()
         + if space.kind.obstacle { drones } else { 0 }
@@ -302,6 +303,7 @@ fn batch_model<T: Task>(
             lag,
             air: effects.ground || effects.drag || effects.downwash && drones > 1,
             width: config.width,
+            airframe_effects: simulation.data.has_airframe_effects(&simulation.model),
         }),
         width: config.width,
         downwash: effects.downwash && drones > 1,
@@ -351,7 +353,9 @@ impl<T: Task + Clone> Environments<T> {
         let blocks = count.div_ceil(LANES);
         // also for environments that do not fly in lanes: between steps the lanes hold the state of their conditions
         let mut conditions = ConditionLanes::default();
-        conditions.extend(Needs::of(&first.episode, &simulation.data, model.dt), model, blocks);
+        let motor_latency = simulation.model.motor_latency();
+        conditions.extend(Needs::of(&first.episode, &simulation.data, model.dt, motor_latency), model, blocks);
+        conditions.start_batteries(&simulation.data);
         let clearance_caches = if flies && !simulation.obstacles().is_empty() { count * drones } else { 0 };
         let mut lanes = vec![Lanes::default(); blocks * drones];
         for (index, lanes) in lanes.iter_mut().enumerate() {
@@ -576,6 +580,13 @@ impl<T: Task + Clone + Send + Sync> VecEnv for VecAviary<T> {
         let lanes = &self.environments.lanes[environment / LANES * self.model.drones + drone];
         let lane = environment % LANES;
         Some(kinematic(&lanes.state(lane), &lanes.command(lane)))
+    }
+
+    fn battery(&self, environment: usize, drone: usize) -> Option<BatteryState> {
+        if environment >= self.num_envs() || drone >= self.model.drones {
+            return None;
+        }
+        self.environments.conditions.battery(environment / LANES * self.model.drones + drone, environment % LANES)
     }
 
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {

@@ -1,8 +1,10 @@
-//! Conditions in lanes that only some batches have: wind, sensor errors, latencies.
+//! Conditions in lanes that only some batches have: wind, sensor errors, latencies, batteries.
 
 use super::delays::{MotorDelays, StateDelays};
 use super::shard::{BatchModel, cut};
+use crate::engine::flight::LANES;
 use crate::env::{Episode, SensorLanes};
+use crate::physics::battery::{BatteryLanes, BatteryState};
 use crate::physics::wind::WindLanes;
 use crate::simulation::SimData;
 
@@ -11,6 +13,7 @@ use crate::simulation::SimData;
 pub(super) struct Needs {
     pub wind: bool,
     pub sensors: bool,
+    pub batteries: bool,
     /// Largest latency of the motors, physics steps.
     pub motors: u32,
     /// Largest latency of the observed states, physics steps.
@@ -19,13 +22,16 @@ pub(super) struct Needs {
 
 impl Needs {
     /// Returns the needs of an environment, in this episode and in those that its randomization can sample.
-    pub fn of<T>(episode: &Episode<T>, data: &SimData, dt: f64) -> Self {
+    /// `motor_latency` is the part of the motors' latency that no randomization replaces, s.
+    pub fn of<T>(episode: &Episode<T>, data: &SimData, dt: f64, motor_latency: f64) -> Self {
         let [motors, states] = data.latencies();
-        let mut needs = Self { wind: data.wind_field().is_some(), sensors: false, motors, states };
+        let (wind, batteries) = (data.wind_field().is_some(), data.has_batteries());
+        let mut needs = Self { wind, sensors: false, batteries, motors, states };
         let steps = |seconds: f64| (seconds / dt).round() as u32;
         for config in episode.randomizations() {
             needs.wind |= config.draws_wind();
-            needs.motors = needs.motors.max(config.actuators.map_or(0, |ranges| steps(ranges.latency[1])));
+            needs.motors =
+                needs.motors.max(config.actuators.map_or(0, |ranges| steps(ranges.latency[1] + motor_latency)));
             if let Some(ranges) = &config.sensors {
                 needs.sensors = true;
                 needs.states = needs.states.max(steps(ranges.latency[1]));
@@ -40,6 +46,7 @@ impl Needs {
         Self {
             wind: self.wind || other.wind,
             sensors: self.sensors || other.sensors,
+            batteries: self.batteries || other.batteries,
             motors: self.motors.max(other.motors),
             states: self.states.max(other.states),
         }
@@ -52,6 +59,7 @@ pub(super) struct ConditionLanes {
     pub needs: Needs,
     wind: Vec<WindLanes>,
     sensors: Vec<SensorLanes>,
+    batteries: Vec<BatteryLanes>,
     motors: Vec<MotorDelays>,
     states: Vec<StateDelays>,
 }
@@ -67,6 +75,9 @@ impl ConditionLanes {
         if needs.sensors {
             self.sensors.resize_with(count, SensorLanes::default);
         }
+        if needs.batteries {
+            self.batteries.resize_with(count, BatteryLanes::default);
+        }
         if needs.motors > self.needs.motors {
             self.motors.resize_with(count, MotorDelays::default);
             self.motors.iter_mut().for_each(|motors| motors.extend(needs.motors, substeps));
@@ -79,14 +90,30 @@ impl ConditionLanes {
     }
 
     pub fn slices(&mut self) -> ConditionSlices<'_> {
-        let Self { wind, sensors, motors, states, .. } = self;
-        ConditionSlices { wind, sensors, motors, states }
+        let Self { wind, sensors, batteries, motors, states, .. } = self;
+        ConditionSlices { wind, sensors, batteries, motors, states }
+    }
+
+    /// Sets all batteries to those of the data of an environment.
+    pub fn start_batteries(&mut self, data: &SimData) {
+        let drones = data.states().len();
+        for (index, batteries) in self.batteries.iter_mut().enumerate() {
+            if let Some((battery, state)) = data.battery(index % drones) {
+                (0..LANES).for_each(|lane| batteries.set(lane, &battery, state));
+            }
+        }
+    }
+
+    /// Returns the state of the battery in a lane of one block and drone, if it has one.
+    pub fn battery(&self, index: usize, lane: usize) -> Option<BatteryState> {
+        self.batteries.get(index)?.state(lane)
     }
 
     /// Returns the size in bytes.
     pub fn bytes(&self) -> usize {
         size_of_val(&self.wind[..])
             + size_of_val(&self.sensors[..])
+            + size_of_val(&self.batteries[..])
             + size_of_val(&self.motors[..])
             + size_of_val(&self.states[..])
             + self.motors.iter().map(MotorDelays::bytes).sum::<usize>()
@@ -98,6 +125,7 @@ impl ConditionLanes {
 pub(super) struct ConditionSlices<'a> {
     pub wind: &'a mut [WindLanes],
     pub sensors: &'a mut [SensorLanes],
+    pub batteries: &'a mut [BatteryLanes],
     pub motors: &'a mut [MotorDelays],
     pub states: &'a mut [StateDelays],
 }
@@ -106,11 +134,12 @@ impl<'a> ConditionSlices<'a> {
     pub fn split(self, at: usize) -> (Self, Self) {
         let (wind, wind2) = cut(self.wind, at);
         let (sensors, sensors2) = cut(self.sensors, at);
+        let (batteries, batteries2) = cut(self.batteries, at);
         let (motors, motors2) = cut(self.motors, at);
         let (states, states2) = cut(self.states, at);
         (
-            Self { wind, sensors, motors, states },
-            Self { wind: wind2, sensors: sensors2, motors: motors2, states: states2 },
+            Self { wind, sensors, batteries, motors, states },
+            Self { wind: wind2, sensors: sensors2, batteries: batteries2, motors: motors2, states: states2 },
         )
     }
 
@@ -122,19 +151,26 @@ impl<'a> ConditionSlices<'a> {
         ConditionSlices {
             wind: part(self.wind, block, drones),
             sensors: part(self.sensors, block, drones),
+            batteries: part(self.batteries, block, drones),
             motors: part(self.motors, block, drones),
             states: part(self.states, block, drones),
         }
     }
 
-    /// Sets a lane of one block to the state of an environment: wind and latencies, and, if `parameters` is set, also
-    /// the sensors.
+    /// Sets a lane of one block to the state of an environment: wind, latencies and batteries, and, if `parameters` is
+    /// set, also the sensors.
     pub fn set<T>(&mut self, lane: usize, data: &SimData, episode: &Episode<T>, substeps: u32, parameters: bool) {
         for (drone, wind) in self.wind.iter_mut().enumerate() {
             match data.wind_field() {
                 Some(field) => wind.set(lane, field, drone),
                 None if parameters => wind.clear(lane),
                 None => {}
+            }
+        }
+        for (drone, batteries) in self.batteries.iter_mut().enumerate() {
+            match data.battery(drone) {
+                Some((battery, state)) => batteries.set(lane, &battery, state),
+                None => batteries.clear(lane),
             }
         }
         for (drone, motors) in self.motors.iter_mut().enumerate() {
@@ -153,11 +189,16 @@ impl<'a> ConditionSlices<'a> {
         }
     }
 
-    /// Reads wind and latencies of a lane of one block.
+    /// Reads wind, latencies and batteries of a lane of one block.
     pub fn read(&self, lane: usize, data: &mut SimData, substeps: u32) {
         if let Some(field) = data.wind_field_mut() {
             for (drone, wind) in self.wind.iter().enumerate() {
                 wind.read(lane, field, drone);
+            }
+        }
+        for (drone, batteries) in self.batteries.iter().enumerate() {
+            if let Some(state) = batteries.state(lane) {
+                data.set_battery_state(drone, state);
             }
         }
         for (drone, motors) in self.motors.iter().enumerate() {

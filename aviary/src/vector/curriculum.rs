@@ -2,6 +2,7 @@ use super::{Autoreset, VecAviary, VecEnv, VecImages, VecStep};
 use crate::engine::Substeps;
 use crate::env::{Aviary, BoxSpace, DroneEnv, EnvError, EpisodeSummary, Info, ObservationSpace, Task};
 use crate::observation::{KIN_SIZE, Observation};
+use crate::physics::battery::BatteryState;
 use crate::wrappers::{Curriculum, CurriculumConfig};
 
 /// A batch that becomes harder as an agent improves. All environments share one level, which follows the episodes
@@ -190,6 +191,10 @@ where
 
     fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {
         self.env.kinematic(environment, drone)
+    }
+
+    fn battery(&self, environment: usize, drone: usize) -> Option<BatteryState> {
+        self.env.battery(environment, drone)
     }
 
     fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {

@@ -6,7 +6,9 @@ use super::conditions::ConditionSlices;
 use super::shard::{BatchModel, EnvSlices, Shard};
 use super::worker::{Worker, lanes_and_params};
 use crate::engine::ClearanceCache;
-use crate::engine::flight::{Extras, Flow, LANES, Lanes, advance_with, compute_downwash, find_apart, find_clear};
+use crate::engine::flight::{
+    Extras, Flow, LANES, Lanes, advance_batteries, advance_with, compute_downwash, find_apart, find_clear,
+};
 use crate::env::Task;
 use crate::physics::wind::WindLanes;
 use crate::simulation::SimData;
@@ -140,6 +142,14 @@ impl<T: Task> Worker<T> {
         let block_lanes = &shard.envs.lanes[start / LANES * drones..][..drones];
         let motors = shard.envs.conditions.block(start / LANES, drones).motors;
         motors.iter_mut().zip(block_lanes).for_each(|(motors, lanes)| motors.commit(lanes, &flew));
+        let batteries = shard.envs.conditions.block(start / LANES, drones).batteries;
+        for (batteries, lanes) in batteries.iter_mut().zip(block_lanes) {
+            let before = (flew[..count] != [true; LANES][..count]).then(|| batteries.clone());
+            advance_batteries(model.width, batteries, lanes, model.control_period, count);
+            if let Some(before) = before {
+                batteries.keep(&before, &flew);
+            }
+        }
         let block = &mut shard.envs.blocks[start / LANES];
         for lane in (0..count).filter(|&lane| flew[lane]) {
             block.steps[lane] += 1;

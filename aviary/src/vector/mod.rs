@@ -29,6 +29,7 @@ use crate::engine::Substeps;
 use crate::engine::flight::Width;
 use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, Info, ObservationSpace};
 use crate::observation::{KIN_SIZE, Observation};
+use crate::physics::battery::BatteryState;
 use crate::tasks::for_task;
 use crate::vision::ImageSize;
 
@@ -483,6 +484,11 @@ pub trait VecEnv: Send {
     /// speeds commanded in the last control step. The states of an environment without an episode are those of its
     /// start. Returns `None` if the environment or the drone does not exist.
     fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]>;
+
+    /// Returns charge, voltage and current of a drone's battery after the last control step, for
+    /// [duties](crate::action::ActionType::Duty) that follow from motor speeds. Returns `None` without a battery, or if
+    /// the environment or the drone does not exist.
+    fn battery(&self, environment: usize, drone: usize) -> Option<BatteryState>;
 
     /// Returns the summary of the episode that ended in the last step of an environment. Returns `None` if no
     /// episode ended, or if the environment does not exist.

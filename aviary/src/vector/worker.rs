@@ -9,7 +9,7 @@ use smallvec::SmallVec;
 use super::actions::Actions;
 use super::control_loops::clear_memories;
 use super::delays::StateDelays;
-use super::shard::{BatchModel, Shard};
+use super::shard::{BatchModel, EnvSlices, Shard};
 use super::{Autoreset, OnFault};
 use crate::engine::flight::{LANES, LaneParams, Lanes, LateCommands, Record, compute_rpys, set_commands};
 use crate::env::{
@@ -149,10 +149,15 @@ impl<T: Task> Worker<T> {
         if model.control_loops {
             self.run_loops(model, shard, range, &mut fits_lanes);
         }
-        let (lanes, lane_params) = lanes_and_params(model, shard, start);
-        let drones = lanes.iter_mut().zip(lane_params).zip(&model.decoding);
-        for (((lanes, lane_params), decoding), actions) in drones.zip(&self.actions) {
-            set_commands(model.width, *decoding, lanes, lane_params, count, actions);
+        let (block, drones) = (start / LANES, model.drones);
+        let EnvSlices { lanes, lane_params, conditions, .. } = &mut shard.envs;
+        let block_range = block * drones..(block + 1) * drones;
+        let lanes = &mut lanes[block_range.clone()];
+        let lane_params = if lane_params.is_empty() { &model.lane_params[..] } else { &lane_params[block_range] };
+        let batteries = conditions.block(block, drones).batteries;
+        let drones = lanes.iter_mut().zip(lane_params).zip(&model.decoding).zip(&self.actions);
+        for (drone, (((lanes, lane_params), decoding), actions)) in drones.enumerate() {
+            set_commands(model.width, *decoding, lanes, lane_params, batteries.get(drone), count, actions);
         }
         for (lane, kept) in grounded.zip(kept.chunks_exact(lanes.len())) {
             lanes.iter_mut().zip(kept).for_each(|(lanes, command)| lanes.set_command(lane, command));

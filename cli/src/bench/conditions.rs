@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use aviary::action::ActionType;
+use aviary::drone::{AirParams, DroneModel, DroneParams, MotorParams};
 use aviary::env::{AviaryBuilder, BodyRanges, EnvError, Randomization};
 use aviary::physics::Physics;
 use aviary::physics::actuators::ActuatorParams;
@@ -18,7 +19,7 @@ use super::policy::LinearPolicy;
 const SIZE: usize = 4096;
 
 /// Conditions and action types with the names of their rows; the first one is the reference of the others.
-fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 12] {
+fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 13] {
     let hover = Hover::builder;
     let wind = |model| hover().wind(WindConfig::new(model));
     let actions = |kind| hover().action_type(kind).initial_positions([[0.0, 0.0, 1.0]]);
@@ -27,6 +28,7 @@ fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 12] {
         ("conditions/plain", hover()),
         ("conditions/effects", hover().physics(Physics::MjcGndDragDw)),
         ("conditions/lag", hover().actuators(ActuatorParams { lag: 0.02, ..ActuatorParams::default() })),
+        ("conditions/airframe_effects", hover().drone(measured())),
         ("conditions/body", hover().randomization(body)),
         ("conditions/constant_wind", wind(WindModel::Constant)),
         ("conditions/dryden", wind(WindModel::Dryden)),
@@ -37,6 +39,19 @@ fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 12] {
         ("actions/attitude", actions(ActionType::Attitude)),
         ("actions/ctbr", actions(ActionType::Ctbr)),
     ]
+}
+
+/// Returns a Crazyflie with every effect that an airframe can have, of the size that flights show.
+fn measured() -> DroneParams {
+    let motors = MotorParams { rise_time: 0.06, fall_time: 0.08, rotor_inertia: 4e-8, ..MotorParams::default() };
+    let air = AirParams {
+        linear_drag: [0.012, 0.012, 0.02],
+        translational_lift: 0.002,
+        velocity_moment: 1e-4,
+        rotational_damping: [1e-4, 1e-4, 5e-5],
+        trim_torque: [5e-6, -5e-6, 1e-6],
+    };
+    DroneParams { center_of_mass: [2e-4, -1e-4], motors, air, ..DroneModel::Cf2x.params() }
 }
 
 /// A batch under one condition.
@@ -146,7 +161,7 @@ pub(super) fn rows(meter: &mut Meter, wanted: impl Fn(&str) -> bool) -> Result<V
             task: "hover".into(),
             environments: SIZE,
             drones: 1,
-            physics: if name.ends_with("effects") { Physics::MjcGndDragDw } else { Physics::Mjc },
+            physics: if *name == "conditions/effects" { Physics::MjcGndDragDw } else { Physics::Mjc },
             threads: 1,
             env_steps_per_second: rate,
             physics_steps_per_second: rate * substeps,

@@ -9,6 +9,7 @@ use aviary::engine::flight::{Airframe, Flow, FreeBody, LANES, LaneParams, Lanes,
 use aviary::env::{AviaryBuilder, DroneEnv, Env, EnvConfig, EnvError, Task};
 use aviary::observation::ObservationType;
 use aviary::physics::Physics;
+use aviary::physics::airframe::AirframeEffects;
 use aviary::physics::downwash::Wake;
 use aviary::physics::ground_effect::GroundEffect;
 use aviary::physics::rotor::RotorModel;
@@ -48,7 +49,9 @@ pub(super) fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                 ground: if air { GroundEffect::new(&params) } else { GroundEffect::default() },
                 drag: if air { params.drag_coefficients.into() } else { Vector3::zeros() },
                 wake: Wake::new(&params),
+                effects: AirframeEffects::default(),
                 share: 1.0,
+                fall_share: 1.0,
                 max_command: params.max_rpm(),
                 gains: [1.0; 4],
                 max_rpm: params.max_rpm(),
@@ -66,7 +69,7 @@ pub(super) fn kernel_rows(meter: &mut Meter, rows: &mut Vec<Row>) {
                     lanes.set(lane, &state, &[hover; 4], &[hover; 4]);
                 }
             }
-            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, lag: false, air, width };
+            let flow = Flow { dt: 1.0 / 240.0, body_fixed, medium, lag: false, air, airframe_effects: false, width };
             let mut all = start.clone();
             let measured = meter.measure(|| {
                 all.clone_from(&start);

@@ -23,6 +23,9 @@ class Readings(DroneStates):
     def _states(self) -> np.ndarray:
         return self._env.states()
 
+    def _batteries(self) -> np.ndarray:
+        return self._env.batteries()
+
     @property
     def M(self) -> float:
         """Mass of the first drone in this episode, kg."""

@@ -52,6 +52,8 @@ class ActionType(Enum):
     """Collective thrust and body rates x, y, z, each in [-1, 1]."""
     RAW_RPM = "raw_rpm"
     """Four motor speeds, rpm."""
+    DUTY = "duty"
+    """Four duties of the motors (normalized PWM), each in [0, 1], for an airframe with `speed_per_volt`."""
 
 
 class ObservationType(Enum):

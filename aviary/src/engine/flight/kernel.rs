@@ -7,8 +7,8 @@ use pulp::{Simd, WithSimd};
 use super::Width;
 use super::body::Push;
 use super::lanes::{LANES, LaneParams, Lanes, Part};
-use crate::action::MotorScale;
-use crate::math::{Pack, Real, Row, V3, clamped};
+use crate::math::{Pack, Real, Row, V3};
+use crate::physics::airframe::AirframeMotion;
 use crate::physics::downwash::Wake;
 use crate::physics::drag;
 use crate::physics::ground_effect::GroundEffect;
@@ -28,6 +28,9 @@ pub struct Flow {
     pub lag: bool,
     /// True if a force besides the rotors acts.
     pub air: bool,
+    /// True if an airframe has [effects of its own parameters](crate::physics::airframe), or motors whose speed rises
+    /// and falls with different time constants.
+    pub airframe_effects: bool,
     /// Instruction set.
     pub width: Width,
 }
@@ -117,6 +120,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                     if general { (black_box(flow), black_box(&mut *extras)) } else { (flow, &mut *extras) };
                 let with_lag = MODE == mode::LAG || general && flow.lag;
                 let with_air = MODE == mode::AIR || general && flow.air;
+                let effects = if general && flow.airframe_effects { lane_params.effects() } else { None };
                 let mut arrived = target;
                 if general {
                     let now = none.all(f64::from(step));
@@ -137,10 +141,16 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                         }
                     }
                 }
+                let before = rpm;
                 if with_lag {
                     let share = part.get(&lane_params.share);
-                    let lag = share.less(share.all(1.0));
                     for motor in 0..4 {
+                        let mut share = share;
+                        if general && let Some(rows) = effects {
+                            let rises = rpm[motor].less(arrived[motor]);
+                            share = Real::choose(rises, share, part.get(&rows.fall_share));
+                        }
+                        let lag = share.less(share.all(1.0));
                         let slow = rpm[motor] + (arrived[motor] - rpm[motor]) * share;
                         // without lag the speed is exactly the command; the formula would add a rounding error
                         rpm[motor] = Real::choose(lag, slow, arrived[motor]);
@@ -149,7 +159,7 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                     rpm = arrived;
                 }
                 (push.thrust, push.torque) = rotors.thrust_and_torque(&rpm);
-                if with_air || general && extras.wind.is_some() {
+                if with_air || general && (extras.wind.is_some() || effects.is_some()) {
                     let (mut sum, air) = match &mut extras.wind {
                         Some(wind) if general => {
                             let (simd, index) = part.register();
@@ -170,6 +180,16 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                         let relative = motion.velocity - air;
                         sum = sum + drag::push(part.get3(&coefficients.drag), &motion.attitude, &rpm, relative);
                         sum.z = sum.z + part.get(&lanes.outside().downwash);
+                    }
+                    if general && let Some(rows) = effects {
+                        let effects = part.effects(rows);
+                        let motion = AirframeMotion {
+                            attitude: &motion.attitude,
+                            relative: motion.velocity - air,
+                            rate: motion.rate,
+                            momentum: [effects.momentum(&before), effects.momentum(&rpm)],
+                        };
+                        sum = sum + effects.add(flow.dt, &motion, &mut push.thrust, &mut push.torque);
                     }
                     push.force = sum;
                 }
@@ -219,6 +239,7 @@ pub(crate) fn advance_with(
         }};
     }
     let usual = extras.wind.is_none() && extras.late.is_none() && extras.record.is_none() && extras.travel.is_none();
+    let usual = usual && !flow.airframe_effects;
     // the most common flights have specialized kernels
     match (flow.body_fixed, flow.medium) {
         (false, false) if usual && !flow.air && !flow.lag => go!(false, false, mode::PLAIN),
@@ -229,55 +250,6 @@ pub(crate) fn advance_with(
         (true, false) => go!(true, false, mode::GENERAL),
         (true, true) => go!(true, true, mode::GENERAL),
     }
-}
-
-/// Conversion of the numbers of a control step to motor speeds; see [`set_commands`].
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Decoding {
-    /// Normalized speeds.
-    Scaled(MotorScale),
-    /// Speeds, rpm.
-    Raw,
-}
-
-struct Commands<'a> {
-    lanes: &'a mut Lanes,
-    lane_params: &'a LaneParams,
-    count: usize,
-    decoding: Decoding,
-    actions: &'a [Row; 4],
-}
-
-impl WithSimd for Commands<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let Self { lanes, lane_params, count, decoding, actions } = self;
-        for part in Part::first(simd, count) {
-            let max = part.get(&lane_params.max_command);
-            for (motor, row) in actions.iter().enumerate() {
-                let action = part.get(row);
-                let speed = match decoding {
-                    Decoding::Scaled(scale) => scale.speed(action),
-                    Decoding::Raw => action,
-                };
-                part.put(&mut lanes.command[motor], clamped(speed, max.all(0.0), max));
-            }
-        }
-    }
-}
-
-/// Decodes actions to the commanded motor speeds of the first `count` lanes. `actions` has a row per motor.
-pub(crate) fn set_commands(
-    width: Width,
-    decoding: Decoding,
-    lanes: &mut Lanes,
-    lane_params: &LaneParams,
-    count: usize,
-    actions: &[Row; 4],
-) {
-    width.run(count, Commands { lanes, lane_params, count, decoding, actions });
 }
 
 struct Downwash<'a> {

@@ -6,8 +6,9 @@ pub(crate) use part::Part;
 
 use super::FreeBody;
 use super::body::Fluid;
-use super::reach_bound::ReachBound;
+use super::reach_bound::{DRIVEN, ReachBound};
 use crate::math::Row;
+use crate::physics::airframe::{AirframeEffects, EFFECTS};
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
@@ -29,8 +30,15 @@ pub struct Airframe {
     pub drag: Vector3<f64>,
     /// Wake; the default value for none.
     pub wake: Wake,
-    /// Fraction of the remaining speed difference that the rotors close in one physics step; 1 without lag.
+    /// Forces and torques of the airframe's own parameters; the default value for none.
+    pub effects: AirframeEffects,
+    /// Fraction of the remaining speed difference that the rotors close in one physics step while their speed rises; 1
+    /// without lag.
     pub share: f64,
+    /// The same fraction while the speed falls. It is equal to `share` unless [`Flow::airframe_effects`] is set.
+    ///
+    /// [`Flow::airframe_effects`]: super::Flow::airframe_effects
+    pub fall_share: f64,
     /// Largest commanded motor speed, rpm.
     pub max_command: f64,
     /// Factors on the commanded speeds of the motors.
@@ -52,7 +60,9 @@ impl Default for Airframe {
             ground: GroundEffect::default(),
             drag: Vector3::zeros(),
             wake: Wake::default(),
+            effects: AirframeEffects::default(),
             share: 0.0,
+            fall_share: 0.0,
             max_command: f64::INFINITY,
             gains: [1.0; 4],
             max_rpm: f64::INFINITY,
@@ -73,7 +83,9 @@ pub struct LaneParams {
     pub(super) thrust: Row,
     torque: [[Row; 4]; 3],
     /// Coefficients of air and medium; `None` if all are zero.
-    air: Option<Box<AirParams>>,
+    air: Option<Box<AirRows>>,
+    /// Effects of the airframes' own parameters; `None` if there are none.
+    effects: Option<Box<EffectRows>>,
     pub(super) share: Row,
     pub(super) max_command: Row,
     pub(super) gains: [Row; 4],
@@ -82,10 +94,35 @@ pub struct LaneParams {
     reach_bound: [Row; 8],
 }
 
+/// Effects of the airframes' own parameters in [`LaneParams`].
+#[derive(Debug, Clone)]
+#[repr(align(64))]
+pub(super) struct EffectRows {
+    /// Numbers of [`AirframeEffects`].
+    pub coefficients: [Row; EFFECTS],
+    /// Fraction of the remaining speed difference that a falling rotor speed closes in one physics step.
+    pub fall_share: Row,
+    /// Numbers of [`DrivenBound`](super::reach_bound::DrivenBound).
+    pub driven: [Row; DRIVEN],
+}
+
+impl EffectRows {
+    /// Creates the rows of airframes without effects whose rotor speeds rise and fall with these shares.
+    fn new(share: Row) -> Self {
+        Self { coefficients: [[0.0; LANES]; EFFECTS], fall_share: share, driven: [[0.0; LANES]; DRIVEN] }
+    }
+
+    fn set(&mut self, lane: usize, Airframe { effects, fall_share, reach_bound, .. }: &Airframe) {
+        put(&mut self.coefficients, lane, effects.numbers());
+        self.fall_share[lane] = *fall_share;
+        put(&mut self.driven, lane, reach_bound.driven().unwrap_or_default().numbers());
+    }
+}
+
 /// Coefficients of air and medium in [`LaneParams`].
 #[derive(Debug, Clone)]
 #[repr(align(64))]
-pub(super) struct AirParams {
+pub(super) struct AirRows {
     viscous: Row,
     quadratic: [Row; 3],
     viscous_rate: [Row; 3],
@@ -95,7 +132,7 @@ pub(super) struct AirParams {
     wake: [Row; 4],
 }
 
-impl AirParams {
+impl AirRows {
     const NONE: Self = Self {
         viscous: [0.0; LANES],
         quadratic: [[0.0; LANES]; 3],
@@ -169,6 +206,11 @@ fn take<const N: usize>(rows: &[Row; N], lane: usize) -> [f64; N] {
 }
 
 impl Airframe {
+    /// Returns true if the airframe has effects of its own parameters.
+    fn has_effects(&self) -> bool {
+        !self.effects.are_absent() || self.fall_share != self.share
+    }
+
     /// Returns true if air or a medium acts on the airframe.
     fn has_air(&self) -> bool {
         let Self { body, ground, drag, wake, .. } = self;
@@ -194,13 +236,20 @@ impl LaneParams {
 
     /// Returns the size on the heap in bytes.
     pub(crate) fn heap_bytes(&self) -> usize {
-        if self.air.is_some() { size_of::<AirParams>() } else { 0 }
+        (if self.air.is_some() { size_of::<AirRows>() } else { 0 })
+            + if self.effects.is_some() { size_of::<EffectRows>() } else { 0 }
+    }
+
+    /// Returns the effects of the airframes' own parameters.
+    #[inline(always)]
+    pub(super) fn effects(&self) -> Option<&EffectRows> {
+        self.effects.as_deref()
     }
 
     /// Returns the coefficients of air and medium.
     #[inline(always)]
-    pub(super) fn air(&self) -> &AirParams {
-        self.air.as_deref().unwrap_or(&AirParams::NONE)
+    pub(super) fn air(&self) -> &AirRows {
+        self.air.as_deref().unwrap_or(&AirRows::NONE)
     }
 
     /// Sets the parameters of a lane.
@@ -208,7 +257,14 @@ impl LaneParams {
         let Airframe { body, rotors, share, max_command, gains, max_rpm, cylinder, reach_bound, .. } = airframe;
         match &mut self.air {
             Some(air) => air.set(lane, airframe),
-            none if airframe.has_air() => none.insert(Box::new(AirParams::NONE)).set(lane, airframe),
+            none if airframe.has_air() => none.insert(Box::new(AirRows::NONE)).set(lane, airframe),
+            None => {}
+        }
+        match &mut self.effects {
+            Some(effects) => effects.set(lane, airframe),
+            none if airframe.has_effects() => {
+                none.insert(Box::new(EffectRows::new(self.share))).set(lane, airframe);
+            }
             None => {}
         }
         self.inverse_mass[lane] = body.inverse_mass;

@@ -9,6 +9,7 @@
 //! The module `floor` computes a step of drones that touch the floor, as `mj_step` does.
 
 mod body;
+mod commands;
 mod contact_solver;
 mod floor;
 mod floor_model;
@@ -19,11 +20,13 @@ mod width;
 
 pub use body::FreeBody;
 pub(crate) use body::Push;
+pub(crate) use commands::{Decoding, advance_batteries, set_commands};
 pub(super) use floor::{FloorKernel, StepKind};
 pub(super) use floor_model::FloorModel;
-pub(crate) use kernel::{Decoding, Extras, LateCommands, Record, advance_with, find_apart, set_commands};
+pub(crate) use kernel::{Extras, LateCommands, Record, advance_with, find_apart};
 pub use kernel::{Flow, advance, compute_downwash, compute_rpys, find_clear};
 pub(crate) use lanes::Part;
 pub use lanes::{Airframe, LANES, LaneParams, Lanes};
+pub(crate) use reach_bound::DrivenBound;
 pub use reach_bound::ReachBound;
 pub use width::Width;

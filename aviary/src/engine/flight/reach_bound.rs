@@ -3,6 +3,7 @@ use nalgebra::Vector3;
 use super::FreeBody;
 use super::body::Push;
 use crate::math::{Real, V3};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::rotor::RotorWrench;
 use crate::state::{DroneState, FlightState};
 use crate::world::placement::{CollisionCylinder, sphere_floor_clearance};
@@ -25,13 +26,98 @@ pub struct ReachBound<R = f64> {
     growth: R,
     /// Largest angular acceleration by the rotors, rad/s².
     turning: R,
+    /// Bound of the airframe's own effects; `None` if there are none.
+    driven: Option<DrivenBound<R>>,
 }
+
+/// Upper bound of forces and torques that grow with the motion and may drive it; scalar or SIMD.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct DrivenBound<R = f64> {
+    /// Linear (1/s) and quadratic (1/m) coefficients of the acceleration at a speed.
+    accelerating: [R; 2],
+    /// Largest angular acceleration per speed, rad/s² per m/s.
+    turning_per_speed: R,
+    /// Largest growth rate of the angular momentum by torques that grow with the body rate, 1/s.
+    turning_per_rate: R,
+    /// Largest change of the body rate by changes of the rotor speeds during a control step, rad/s.
+    spin_up: R,
+}
+
+/// Number of coefficients of a [`DrivenBound`].
+pub(super) const DRIVEN: usize = 5;
 
 /// Largest coordinate (m) and speed (m/s) with a finite bound.
 const FAR: f64 = 1e6;
 
 /// Margin for rounding, m.
 const SLACK: f64 = 1e-9;
+
+impl DrivenBound {
+    /// Creates the bound of the effects of an airframe with this body, whose rotors turn with at most `max_rpm`, in air
+    /// that moves with at most `air_speed` (m/s). Returns with it the acceleration (m/s²) and the torque (N·m) that are
+    /// possible at rest, and the coefficient of the damping (1/s).
+    pub(crate) fn new(effects: &AirframeEffects, body: &FreeBody, max_rpm: f64, air_speed: f64) -> (Self, [f64; 3]) {
+        let [x, y, z] = body.inverse_inertia;
+        let (max, largest) = (x.max(y).max(z), |numbers: [f64; 3]| numbers.into_iter().fold(0.0, f64::max));
+        let linear = largest(effects.linear_drag) * body.inverse_mass;
+        let quadratic = effects.translational_lift.abs() * body.inverse_mass;
+        let moment = effects.velocity_moment.abs();
+        let momentum = effects.momentum_per_rpm.abs() * max_rpm;
+        let bound = Self {
+            // (v + w)² = v² + 2·w·v + w²
+            accelerating: [linear + 2.0 * quadratic * air_speed, quadratic],
+            turning_per_speed: moment * max,
+            // two rotors turn in each direction. Damping that is constant during a step reduces the angular momentum
+            // where its direction is constant too; the body turns by half of `FreeBody::MAX_TURN` on average
+            turning_per_rate: (largest(effects.rotational_damping) * (0.5 * FreeBody::MAX_TURN) + 2.0 * momentum) * max,
+            // a command is constant during a control step, or changes once if it arrives late: each of four rotors
+            // approaches at most two speeds
+            spin_up: 8.0 * momentum * max,
+        };
+        let trim = Vector3::from(effects.trim_torque).norm();
+        let [a, b, c] = effects.rotational_damping;
+        let damping = largest([a * x, b * y, c * z]);
+        (bound, [(linear + quadratic * air_speed) * air_speed, trim + moment * air_speed, damping])
+    }
+}
+
+#[allow(private_bounds)] // scalar or SIMD
+impl<R: Real> DrivenBound<R> {
+    #[inline(always)]
+    pub(super) fn numbers(&self) -> [R; DRIVEN] {
+        let [linear, quadratic] = self.accelerating;
+        [linear, quadratic, self.turning_per_speed, self.turning_per_rate, self.spin_up]
+    }
+
+    #[inline(always)]
+    pub(super) fn of([linear, quadratic, turning_per_speed, turning_per_rate, spin_up]: [R; DRIVEN]) -> Self {
+        Self { accelerating: [linear, quadratic], turning_per_speed, turning_per_rate, spin_up }
+    }
+
+    /// Returns a bound of |v₀| + ∫|F(v)|/m·dt for forces F that drive the motion, where other forces accelerate it by
+    /// at most `acceleration`; infinite if `time` is too long for a bound.
+    ///
+    /// While |v| ≤ V = 2·(|v₀| + a·t), these forces add at most (k₁ + k₂·V)·V·t. If (k₁ + k₂·V)·t ≤ ½, |v| stays below
+    /// |v₀| + a·t + V/2 = V.
+    #[inline(always)]
+    fn speed(&self, time: f64, acceleration: R, speed: R) -> R {
+        let max = (speed + acceleration * time) * 2.0;
+        let share = (self.accelerating[0] + self.accelerating[1] * max) * time;
+        R::choose(share.less(speed.all(0.5)), speed + share * max, speed.all(f64::INFINITY))
+    }
+
+    /// Returns the bound of the body rate for a bound without these torques and a bound of the speed; infinite if
+    /// `time` is too long.
+    ///
+    /// The angular momentum L grows by at most k·|L|, so that its growth is at most exp(k·t) ≤ 1/(1 − k·t).
+    #[inline(always)]
+    fn turn_rate(&self, time: f64, rate: R, speed: R) -> R {
+        let share = self.turning_per_rate * time;
+        let total = rate + self.turning_per_speed * speed * time + self.spin_up;
+        let one = rate.all(1.0);
+        R::choose(share.less(one * 0.5), total / (one - share), rate.all(f64::INFINITY))
+    }
+}
 
 impl ReachBound {
     /// Creates the bound of a drone of radius `reach` (m) with this body. `acceleration` (m/s², without gravity) and
@@ -48,7 +134,26 @@ impl ReachBound {
             braking,
             growth: max / min,
             turning: torque * max,
+            driven: None,
         }
+    }
+
+    /// Returns the bound of a drone with the effects of [`DrivenBound::new`].
+    #[must_use]
+    pub(crate) fn driven_by(self, body: &FreeBody, effects: (DrivenBound, [f64; 3])) -> Self {
+        let ([x, y, z], (driven, [acceleration, torque, damping])) = (body.inverse_inertia, effects);
+        Self {
+            braking: [self.braking[0] + damping, self.braking[1]],
+            acceleration: self.acceleration + acceleration,
+            turning: self.turning + torque * x.max(y).max(z),
+            driven: Some(driven),
+            ..self
+        }
+    }
+
+    /// Returns the bound of the airframe's own effects.
+    pub(super) fn driven(&self) -> Option<DrivenBound> {
+        self.driven
     }
 
     /// Returns the bound of a drone of another radius, m.
@@ -92,8 +197,11 @@ impl ReachBound {
 #[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> ReachBound<R> {
     #[inline(always)]
-    pub(super) fn of([reach, acceleration, linear, quadratic, viscous, drag, growth, turning]: [R; 8]) -> Self {
-        Self { reach, acceleration, slowing: [linear, quadratic], braking: [viscous, drag], growth, turning }
+    pub(super) fn of(
+        [reach, acceleration, linear, quadratic, viscous, drag, growth, turning]: [R; 8],
+        driven: Option<DrivenBound<R>>,
+    ) -> Self {
+        Self { reach, acceleration, slowing: [linear, quadratic], braking: [viscous, drag], growth, turning, driven }
     }
 
     /// Computes [`one_step`](ReachBound::one_step), scalar or SIMD.
@@ -111,10 +219,12 @@ impl<R: Real> ReachBound<R> {
         let known = Self {
             acceleration: force * body.inverse_mass + body.gravity.abs(),
             turning: push.torque.norm() * x.greater(y).greater(z),
+            // the load contains them
+            driven: None,
             ..*self
         };
         let (speed, rate) = (velocity.norm(), body_rate.norm());
-        let turn = known.turn_rate(dt, rate) * dt;
+        let turn = known.turn_rate(dt, rate, speed) * dt;
         let stable = known.is_stable(dt, dt, speed, rate);
         (known.travel(dt, speed) + SLACK, R::choose(stable, turn, turn.all(f64::INFINITY)))
     }
@@ -146,8 +256,11 @@ impl<R: Real> ReachBound<R> {
     #[inline(always)]
     pub(super) fn ball(&self, dt: f64, steps: u32, motion: &FlightState<R>) -> R {
         let time = dt * f64::from(steps);
-        let (speed, rate) = (motion.velocity.norm(), motion.rate.norm());
-        let slow_enough = (self.turn_rate(time, rate) * dt).less(rate.all(FreeBody::MAX_TURN));
+        let (mut speed, rate) = (motion.velocity.norm(), motion.rate.norm());
+        if let Some(driven) = &self.driven {
+            speed = driven.speed(time, self.acceleration, speed);
+        }
+        let slow_enough = (self.turn_rate(time, rate, speed) * dt).less(rate.all(FreeBody::MAX_TURN));
         let V3 { x, y, z } = motion.position;
         let far = x.all(FAR);
         let stable = self.is_stable(dt, time, speed, rate);
@@ -167,15 +280,21 @@ impl<R: Real> ReachBound<R> {
     /// during `time`. Otherwise a step can overshoot and no bound holds.
     #[inline(always)]
     fn is_stable(&self, dt: f64, time: f64, speed: R, rate: R) -> R::Mask {
-        let (max, turning) = (speed + self.acceleration * time, self.turn_rate(time, rate));
+        let max = speed + self.acceleration * time;
+        let turning = self.turn_rate(time, rate, speed);
         let half = speed.all(0.5);
         ((self.slowing[0] + self.slowing[1] * max) * dt).less(half)
             & ((self.braking[0] + self.braking[1] * turning) * dt).less(half)
     }
 
-    /// Returns the bound of the body rate, |ω| ≤ (J_max·|ω₀| + t·τ)/J_min.
+    /// Returns the bound of the body rate, |ω| ≤ (J_max·|ω₀| + t·τ)/J_min, for a bound of the speed.
     #[inline(always)]
-    fn turn_rate(&self, time: f64, rate: R) -> R {
-        self.growth * rate + self.turning * time
+    fn turn_rate(&self, time: f64, rate: R, speed: R) -> R {
+        let free = self.growth * rate + self.turning * time;
+        match &self.driven {
+            // the speed during `time`, accelerations included
+            Some(driven) => driven.turn_rate(time, free, speed + self.acceleration * time),
+            None => free,
+        }
     }
 }

@@ -1,5 +1,6 @@
 use serde::{Deserialize, Serialize};
 
+use crate::drone::DroneParams;
 use crate::env::EnvError;
 use crate::error::pair;
 use crate::physics::actuators::ActuatorParams;
@@ -40,6 +41,9 @@ pub struct Randomization {
     pub environment: Option<EnvironmentRanges>,
     /// Initial states.
     pub initial: Option<InitialRanges>,
+    /// Batteries; for airframes with [one](crate::drone::BatteryParams). The paper has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub battery: Option<BatteryRanges>,
 }
 
 /// Factors on mass, inertia and arm length.
@@ -67,7 +71,7 @@ pub struct AerodynamicRanges {
     /// Factor on the torque coefficient.
     #[serde(deserialize_with = "pair")]
     pub torque: Range,
-    /// Factors on the blade drag: one sample for x and y, one for z.
+    /// Factors on the blade drag and on the linear drag: one sample for x and y, one for z.
     #[serde(deserialize_with = "pair")]
     pub drag: Range,
     /// Factor on the ground-effect coefficient.
@@ -85,10 +89,10 @@ pub struct ActuatorRanges {
     /// Factor on the speed of each motor, four samples.
     #[serde(deserialize_with = "pair")]
     pub gain: Range,
-    /// Time constant of the lag, s.
+    /// Time constant of the lag, s; 0 for those of the airframe.
     #[serde(deserialize_with = "pair")]
     pub lag: Range,
-    /// Latency of commands, s.
+    /// Latency of commands, s, in addition to that of the airframe.
     #[serde(deserialize_with = "pair")]
     pub latency: Range,
     /// Factor on the maximum motor speed.
@@ -147,6 +151,21 @@ pub struct InitialRanges {
     pub offset: [f64; 3],
 }
 
+/// Batteries.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct BatteryRanges {
+    /// Charge at the start of the episode as a fraction of the capacity.
+    #[serde(deserialize_with = "pair")]
+    pub charge: Range,
+}
+
+impl Default for BatteryRanges {
+    fn default() -> Self {
+        Self { charge: [0.3, 1.0] }
+    }
+}
+
 impl Default for BodyRanges {
     fn default() -> Self {
         Self { mass: [0.8, 1.2], inertia: [0.8, 1.2], arm_length: [0.98, 1.02] }
@@ -192,7 +211,7 @@ impl Default for InitialRanges {
     }
 }
 
-/// Enables every group with the paper's ranges.
+/// Enables every group of the paper with its ranges.
 impl Default for Randomization {
     fn default() -> Self {
         Self {
@@ -202,14 +221,22 @@ impl Default for Randomization {
             sensors: Some(SensorRanges::default()),
             environment: Some(EnvironmentRanges::default()),
             initial: Some(InitialRanges::default()),
+            battery: None,
         }
     }
 }
 
 impl Randomization {
     /// No groups; a base for struct update syntax.
-    pub const NONE: Self =
-        Self { body: None, aerodynamics: None, actuators: None, sensors: None, environment: None, initial: None };
+    pub const NONE: Self = Self {
+        body: None,
+        aerodynamics: None,
+        actuators: None,
+        sensors: None,
+        environment: None,
+        initial: None,
+        battery: None,
+    };
 
     /// Reads and validates a randomization from TOML text.
     ///
@@ -236,6 +263,20 @@ impl Randomization {
         Err(EnvError::Option { option: "wind", got: wind.model.to_string(), expected })
     }
 
+    /// Returns an error for a charge that is sampled without batteries in all airframes.
+    pub(in crate::env) fn validate_batteries<'a>(
+        &self,
+        mut airframes: impl Iterator<Item = &'a DroneParams>,
+    ) -> Result<(), EnvError> {
+        match airframes.find(|params| params.battery.is_none()) {
+            Some(params) if self.battery.is_some() => {
+                let (option, got) = ("the randomized battery", format!("set for {}, which has none", params.name));
+                Err(EnvError::Option { option, got, expected: "an airframe with a section [battery]" })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Validates every range.
     ///
     /// # Errors
@@ -255,6 +296,11 @@ impl Randomization {
             if !(low >= 1e-2 && high >= low && high <= 1e2) {
                 return wrong(option, range_text([low, high]), "a range of factors from 0.01 to 100");
             }
+        }
+        if let Some(BatteryRanges { charge: [low, high] }) = self.battery
+            && !(low >= 0.0 && high >= low && high <= 1.0)
+        {
+            return wrong("the randomized battery.charge", range_text([low, high]), "a range from 0 to 1");
         }
         let s = self.sensors.unwrap_or_default();
         let factor = (1e2, "a range of factors from 0 to 100");

@@ -32,7 +32,7 @@ pub struct SampledDroneParams {
     pub thrust: f64,
     /// Factor on the torque coefficient.
     pub torque: f64,
-    /// Factors on the blade drag: x and y, and z.
+    /// Factors on the blade drag and on the linear drag: x and y, and z.
     pub drag: [f64; 2],
     /// Factor on the ground-effect coefficient.
     pub ground: f64,
@@ -40,6 +40,9 @@ pub struct SampledDroneParams {
     pub downwash: f64,
     /// Motor parameters.
     pub actuators: ActuatorParams,
+    /// Charge of the battery as a fraction of its capacity; `None` if it is not sampled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub charge: Option<f64>,
     /// Bias of the observed position (m), velocity (m/s), roll-pitch-yaw (rad) and angular velocity (rad/s).
     #[serde(with = "crate::serial::vector_array")]
     pub bias: [Vector3<f64>; 4],
@@ -119,6 +122,7 @@ impl Randomizer {
     ) -> Result<Self, EnvError> {
         config.validate()?;
         let nominal: Vec<_> = simulation.world().drones.iter().map(|drone| drone.params.clone()).collect();
+        config.validate_batteries(nominal.iter())?;
         let initial = simulation.initial_states().to_vec();
         let still = |initial: &DroneState| SampledDroneParams {
             mass: 1.0,
@@ -130,6 +134,7 @@ impl Randomizer {
             ground: 1.0,
             downwash: 1.0,
             actuators: ActuatorParams::default(),
+            charge: None,
             bias: [Vector3::zeros(); 4],
             initial: *initial,
         };
@@ -241,6 +246,13 @@ impl Randomizer {
             }
         }
         self.noise_seed = streams[3].random();
+        // after all other samples, which stay as they are without batteries
+        if let Some(ranges) = &config.battery {
+            let mut charges = stream(rng);
+            for draw in &mut self.draw.drones {
+                draw.charge = Some(within(&mut charges, ranges.charge));
+            }
+        }
     }
 
     /// Samples an initial state around `start` outside the floor, the obstacles and the drones already placed.
@@ -302,7 +314,8 @@ impl Randomizer {
             max(self.basis.config.sensors.map(|ranges| ranges.latency)),
         );
         for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&self.basis.nominal).enumerate() {
-            if self.basis.config.body.is_some() || self.basis.config.aerodynamics.is_some() {
+            let Randomization { body, aerodynamics, battery, .. } = &self.basis.config;
+            if body.is_some() || aerodynamics.is_some() || battery.is_some() {
                 data.change_params(drone, |params| randomize(params, nominal, draw))?;
             }
             if self.basis.config.actuators.is_some() {
@@ -397,6 +410,11 @@ fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &SampledDron
     params.torque_coefficient = nominal.torque_coefficient * draw.torque;
     params.thrust_to_weight = nominal.thrust_to_weight * draw.thrust / draw.mass;
     params.drag_coefficients = [x * sideways, y * sideways, z * upwards];
+    let [x, y, z] = nominal.air.linear_drag;
+    params.air.linear_drag = [x * sideways, y * sideways, z * upwards];
     params.ground_effect_coefficient = nominal.ground_effect_coefficient * draw.ground;
     params.downwash_coefficients = [c1 * draw.downwash, c2, c3];
+    if let (Some(battery), Some(charge)) = (&mut params.battery, draw.charge) {
+        battery.initial_charge = charge;
+    }
 }

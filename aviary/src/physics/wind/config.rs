@@ -172,14 +172,20 @@ impl WindConfig {
     pub(crate) fn bound(&self, drag_area: f64) -> [f64; 3] {
         let drag_area = self.area_of(drag_area);
         let has = |part| self.model.has(part);
-        let constant = if has(WindModel::Constant) { nalgebra::Vector3::from(self.velocity).norm() } else { 0.0 };
-        let air = constant + if has(WindModel::Dryden) { max_speed(self.turbulence) } else { 0.0 };
+        let air = self.air_speed_bound();
         let drag = if self.has_drag() { 0.5 * self.air_density * drag_area } else { 0.0 };
         let gust = if has(WindModel::Gust) { self.gust_force } else { 0.0 };
         // A·(sin, cos, 0.6·sin·cos) is at most A·√1.09 long
         let sinusoidal = if has(WindModel::Sinusoidal) { 1.05 * self.sinusoidal_force } else { 0.0 };
         // a margin for rounding
         [drag * air * air + gust + sinusoidal, 2.0 * drag * air, drag].map(|x| x * 1.000_001)
+    }
+
+    /// Returns an upper bound of the speed of the air, m/s.
+    pub(crate) fn air_speed_bound(&self) -> f64 {
+        let has = |part| self.model.has(part);
+        let constant = if has(WindModel::Constant) { nalgebra::Vector3::from(self.velocity).norm() } else { 0.0 };
+        constant + if has(WindModel::Dryden) { max_speed(self.turbulence) } else { 0.0 }
     }
 
     /// Returns true if a flight with these settings is equal to a flight without wind.

@@ -2,11 +2,12 @@
 
 use pulp::Simd;
 
-use super::{LANES, LaneParams, Lanes};
+use super::{EffectRows, LANES, LaneParams, Lanes};
 use crate::engine::flight::FreeBody;
 use crate::engine::flight::body::{Fluid, Push};
-use crate::engine::flight::reach_bound::ReachBound;
+use crate::engine::flight::reach_bound::{DrivenBound, ReachBound};
 use crate::math::{Pack, Real, Row, Turn, V3, clamped};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::downwash::Wake;
 use crate::physics::rotor::RotorModel;
 use crate::state::FlightState;
@@ -122,6 +123,15 @@ impl<S: Simd> Part<S> {
         RotorModel { thrust: self.get(&lane_params.thrust), torque: [self.get4(x), self.get4(y), self.get4(z)] }
     }
 
+    /// Returns the effects of the airframes' own parameters.
+    #[inline(always)]
+    pub(in crate::engine::flight) fn effects(self, rows: &EffectRows) -> AirframeEffects<Pack<S>> {
+        AirframeEffects::of(std::array::from_fn(
+            #[inline(always)]
+            |index| self.get(&rows.coefficients[index]),
+        ))
+    }
+
     #[inline(always)]
     pub(in crate::engine::flight) fn wake(self, lane_params: &LaneParams) -> Wake<Pack<S>> {
         let [strength, spread, offset, cap] = self.get4(&lane_params.air().wake);
@@ -213,9 +223,22 @@ impl<S: Simd> Part<S> {
     }
 
     #[inline(always)]
+    fn driven_bound(self, rows: &EffectRows) -> DrivenBound<Pack<S>> {
+        DrivenBound::of(std::array::from_fn(
+            #[inline(always)]
+            |index| self.get(&rows.driven[index]),
+        ))
+    }
+
+    #[inline(always)]
     fn reach_bound(self, lane_params: &LaneParams) -> ReachBound<Pack<S>> {
         let rows = &lane_params.reach_bound;
-        ReachBound::of([
+        #[expect(clippy::manual_map, reason = "a closure is not always inlined and then lacks the instruction set")]
+        let driven = match lane_params.effects() {
+            Some(rows) => Some(self.driven_bound(rows)),
+            None => None,
+        };
+        let numbers = [
             self.get(&rows[0]),
             self.get(&rows[1]),
             self.get(&rows[2]),
@@ -224,7 +247,8 @@ impl<S: Simd> Part<S> {
             self.get(&rows[5]),
             self.get(&rows[6]),
             self.get(&rows[7]),
-        ])
+        ];
+        ReachBound::of(numbers, driven)
     }
 
     #[inline(always)]
