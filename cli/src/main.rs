@@ -6,6 +6,7 @@ mod bench;
 mod capture;
 mod compare;
 mod completions;
+mod convert;
 mod doctor;
 mod failure;
 mod fly;
@@ -53,6 +54,7 @@ enum Command {
     Play(Box<play::Play>),
     Bench(bench::Bench),
     Compare(compare::Compare),
+    Convert(convert::Convert),
     Identify(identify::Identify),
     Tasks(tasks::Tasks),
     Airframe(airframe::Airframe),
@@ -85,6 +87,7 @@ fn main() -> ExitCode {
         Command::Play(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Compare(command) => command.run(),
+        Command::Convert(command) => command.run(),
         Command::Identify(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Airframe(command) => command.run(),

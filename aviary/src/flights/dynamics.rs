@@ -24,14 +24,15 @@ pub(crate) fn substeps(flight: &Flight) -> usize {
 /// step, and at the end of the last one. Element `row · substeps` is the speed at a row.
 ///
 /// Duty and voltage are linear between rows and constant before the first and after the last row. The speeds start in
-/// balance with the first command.
+/// balance with the first command. Without a recorded voltage, the airframe's nominal voltage drives the motors.
 pub(crate) fn rotor_speeds(params: &DroneParams, flight: &Flight) -> Result<Vec<[f64; 4]>, FlightError> {
     let motors = &params.motors;
     flight.require(&["m1", "m2", "m3", "m4"], "the motor commands of a prediction")?;
-    if motors.voltage <= 0.0 {
+    let nominal = params.nominal_voltage();
+    if nominal <= 0.0 {
         flight.require(&["vbat"], "the motor speeds of a prediction")?;
     }
-    if motors.speed_per_volt <= 0.0 {
+    if !motors.has_duty() {
         return Err(FlightError::Airframe { name: params.name.clone() });
     }
     let duty = flight.duty.as_deref().unwrap_or_default();
@@ -44,11 +45,8 @@ pub(crate) fn rotor_speeds(params: &DroneParams, flight: &Flight) -> Result<Vec<
         let before = (row as usize).min(rows - 2);
         let part = row - before as f64;
         let between = |a: f64, b: f64| a + (b - a) * part;
-        let voltage = flight.voltage.as_ref().map_or(motors.voltage, |v| between(v[before], v[before + 1]));
-        [0, 1, 2, 3].map(|motor| {
-            let duty = between(duty[before][motor], duty[before + 1][motor]);
-            (motors.speed_at_zero + motors.speed_per_volt * duty * voltage).max(0.0)
-        })
+        let voltage = flight.voltage.as_ref().map_or(nominal, |v| between(v[before], v[before + 1]));
+        [0, 1, 2, 3].map(|motor| motors.speed(between(duty[before][motor], duty[before + 1][motor]), voltage))
     };
     let mut speeds = Vec::with_capacity((rows - 1) * count + 1);
     let mut speed = command(0.0);
