@@ -45,8 +45,10 @@ impl Window {
         let rows = rows.map(|rows| rows.round() as usize);
         let longest = rows[rows.len() - 1];
         let glitches = flight.glitches();
-        let starts = (0..).map(|index| FIRST_START + f64::from(index) * BETWEEN_STARTS);
-        let starts = starts.skip_while(|t0| *t0 < flight.start + MIN_PAST - 0.5 * flight.step);
+        // computed, because the first row may be at any time
+        let skipped = (flight.start + MIN_PAST - 0.5 * flight.step - FIRST_START) / BETWEEN_STARTS;
+        let skipped = skipped.ceil().max(0.0);
+        let starts = (0_u32..).map(|index| FIRST_START + (skipped + f64::from(index)) * BETWEEN_STARTS);
         let end = flight.time(flight.rows() - 1) + 0.5 * flight.step;
         let windows: Vec<_> = starts
             .take_while(|t0| t0 + HORIZONS[HORIZONS.len() - 1] <= end)
@@ -238,6 +240,9 @@ mod tests {
         assert_eq!(Window::of(&tumbling(650, 0.01)).unwrap().len(), 5);
         // rows of 5 ms
         assert_eq!(Window::of(&tumbling(1301, 0.005)).unwrap()[1].ends, [720, 750, 800, 900]);
+        // a flight whose first row is much later
+        let times = Window::of(&Flight { start: 1e6, ..flight.clone() }).unwrap();
+        assert_eq!((times[0].t0, times[0].row, times.len()), (1e6 + 1.0, 100, 10));
         // a flight whose first row is later needs a second before the first window
         let later = Flight { start: 4.2, ..flight.clone() };
         assert_eq!(Window::of(&later).unwrap()[0].t0, 5.5);
@@ -321,8 +326,8 @@ mod tests {
     proptest! {
         #[test]
         fn the_attitude_error_is_the_geodesic_angle(
-            axis in prop::array::uniform3(-1.0_f64..1.0), angle in 0.0_f64..3.141, first in prop::array::uniform3(-3.0_f64..3.0),
-            exponent in 0_i32..9,
+            axis in prop::array::uniform3(-1.0_f64..1.0), angle in 0.0_f64..3.141,
+            first in prop::array::uniform3(-3.0_f64..3.0), exponent in 0_i32..9,
         ) {
             let axis = Vector3::from(axis);
             prop_assume!(axis.norm() > 0.1);
