@@ -79,6 +79,10 @@ struct CameraGuide;
 struct RecordGuide;
 
 #[cfg(doctest)]
+#[doc = include_str!("../docs/real-flights.md")]
+struct RealFlightGuide;
+
+#[cfg(doctest)]
 #[doc = include_str!("../docs/tasks.md")]
 struct TaskGuide;
 

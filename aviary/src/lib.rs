@@ -45,6 +45,8 @@ pub mod rollout;
 
 pub mod record;
 
+pub mod flights;
+
 mod error;
 
 pub use error::{OptionError, SystemError, count, did_you_mean, number, toml_message, without_byte_order_mark};

@@ -4,10 +4,13 @@ mod airframe;
 mod animation;
 mod bench;
 mod capture;
+mod compare;
 mod completions;
+mod convert;
 mod doctor;
 mod failure;
 mod fly;
+mod identify;
 mod interrupt;
 mod options;
 mod output;
@@ -50,6 +53,9 @@ enum Command {
     Train(Box<train::Train>),
     Play(Box<play::Play>),
     Bench(bench::Bench),
+    Compare(compare::Compare),
+    Convert(convert::Convert),
+    Identify(identify::Identify),
     Tasks(tasks::Tasks),
     Airframe(airframe::Airframe),
     Doctor(doctor::Doctor),
@@ -80,6 +86,9 @@ fn main() -> ExitCode {
         Command::Train(command) => command.run(),
         Command::Play(command) => command.run(),
         Command::Bench(command) => command.run(),
+        Command::Compare(command) => command.run(),
+        Command::Convert(command) => command.run(),
+        Command::Identify(command) => command.run(),
         Command::Tasks(command) => command.run(),
         Command::Airframe(command) => command.run(),
         Command::Doctor(command) => command.run(),

@@ -5,6 +5,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+mod common;
+
 /// Addresses of files of this repository, which pages of the book link to: the built book has only `docs/`.
 const REPOSITORY: [&str; 2] = [
     "https://github.com/mujoco-drones-gym/mujoco-drones-gym/blob/main/",
@@ -80,9 +82,12 @@ fn commands(page: &str) -> Vec<String> {
                 .filter(|text| !has_placeholder(text))
                 // a name without arguments refers to the command
                 .filter(|text| {
-                    !["fly", "capture", "render", "replay", "train", "play", "airframe"]
-                        .iter()
-                        .any(|name| *text == format!("aviary {name}"))
+                    ![
+                        "fly", "capture", "render", "replay", "train", "play", "airframe", "compare", "convert",
+                        "identify",
+                    ]
+                    .iter()
+                    .any(|name| *text == format!("aviary {name}"))
                 })
                 .map(str::to_string),
         );
@@ -172,6 +177,9 @@ fn every_documented_command_runs() {
     }
     let airframe = &blocks(&read(&root().join("docs/airframes.md")), "toml")[0];
     std::fs::write(directory.join("my_quad.toml"), airframe).unwrap();
+    common::write(&directory.join("cf21.toml"), &common::airframe_with_motors());
+    common::write(&directory.join("flights/climb.csv"), &common::recorded_flight(4.5));
+    common::write(&directory.join("log00.csv"), "timestamp,pm.vbat\n0,3.7\n10,3.7\n20,3.6\n");
 
     let (mut lines, mut cargo) = (BTreeSet::new(), BTreeSet::new());
     for page in pages() {

@@ -3,6 +3,7 @@
 use aviary::control::trajectory;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::env::{Conditions, Env as _, EnvConfig, Rng};
+use aviary::flights::{self, CrazyflieLog};
 use aviary::physics::Physics;
 use aviary::physics::wind::{WindConfig, WindModel};
 use aviary::policy::PolicyNetwork;
@@ -29,7 +30,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub static ALL: [Target; 12] = [
+pub static ALL: [Target; 14] = [
     Target { name: "actions", about: "motor speeds as CSV", more: &[], run: actions },
     Target {
         name: "airframe",
@@ -50,6 +51,7 @@ pub static ALL: [Target; 12] = [
         run: data,
     },
     Target { name: "flight", about: "a recorded flight as CSV", more: &[], run: flight },
+    Target { name: "log", about: "a log of a Crazyflie, binary or CSV: its table", more: &[], run: log },
     Target { name: "mesh", about: "an OBJ mesh: compiled by MuJoCo if it is valid", more: &[], run: mesh },
     Target { name: "mjcf", about: "a scene as MJCF text: compiled and stepped", more: &[], run: mjcf },
     Target {
@@ -63,6 +65,12 @@ pub static ALL: [Target; 12] = [
         about: "a policy in safetensors: round trip, then one action",
         more: &["assets/policies/hover.safetensors"],
         run: policy,
+    },
+    Target {
+        name: "recorded",
+        about: "a recorded flight of a real drone as CSV: round trip, then the windows of a comparison",
+        more: &[],
+        run: recorded,
     },
     Target {
         name: "scenario",
@@ -162,6 +170,20 @@ fn flight(input: &[u8]) -> Result<(), String> {
     Ok(())
 }
 
+fn log(input: &[u8]) -> Result<(), String> {
+    let mut input = input.to_vec();
+    // a valid checksum, so that mutations reach the parser
+    if let (Some(0xBC), Some((content, _))) = (input.first(), input.split_last_chunk::<4>()) {
+        let checksum = crc32fast::hash(content).to_le_bytes();
+        let end = content.len();
+        input[end..].copy_from_slice(&checksum);
+    }
+    let log = CrazyflieLog::from_bytes("log", &input).map_err(message)?;
+    let table = log.table("log", 0.01).map_err(message)?;
+    assert!(table.rows() > 0 && table.column("t").is_some_and(|times| times.iter().all(|time| time.is_finite())));
+    Ok(())
+}
+
 fn mesh(input: &[u8]) -> Result<(), String> {
     check_obj(input)?;
     let scene = "<mujoco><asset><mesh name='m' file='m.obj'/></asset>\
@@ -211,6 +233,17 @@ fn policy(input: &[u8]) -> Result<(), String> {
     policy.forward(&vec![0.5; policy.observation_size()], &mut action);
     let written = policy.to_bytes().map_err(message)?;
     assert_eq!(PolicyNetwork::from_bytes(&written).and_then(|again| again.to_bytes()).as_ref(), Ok(&written));
+    Ok(())
+}
+
+fn recorded(input: &[u8]) -> Result<(), String> {
+    let flight = flights::Flight::from_csv("recorded", input).map_err(message)?;
+    let mut written = Vec::new();
+    flight.write(&mut written).map_err(message)?;
+    let again = flights::Flight::from_csv("recorded", &written[..]).map_err(message)?;
+    assert_eq!((again.rows(), again.missing()), (flight.rows(), flight.missing()));
+    assert_eq!((&again.position, &again.velocity, &again.duty), (&flight.position, &flight.velocity, &flight.duty));
+    flights::Window::of(&flight).map_err(message)?;
     Ok(())
 }
 

@@ -164,3 +164,23 @@ pub fn wait_while(child: &mut Child, condition: impl Fn() -> bool) {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
 }
+
+/// Returns an airframe whose motors a duty drives: cf2x with motors that hover at a duty of 0.7 and 3.7 V.
+pub fn airframe_with_motors() -> String {
+    let cf2x = include_str!("../../../assets/airframes/cf2x.toml");
+    format!("{cf2x}\n[motors]\nspeed_per_volt = 5589.0\nvoltage = 3.7\n")
+}
+
+/// Returns a recorded flight of the [`airframe_with_motors`]: the drone climbs and descends while it yaws.
+pub fn recorded_flight(seconds: f64) -> String {
+    let mut text = String::from("t,px,py,pz,qw,qx,qy,qz,vx,vy,vz,gx,gy,gz,ax,ay,az,m1,m2,m3,m4,vbat\n");
+    for row in 0..=(100.0 * seconds).round() as u32 {
+        let t = 0.01 * f64::from(row);
+        let (wave, slope, change) = (0.2 * (2.0 * t).sin(), 0.4 * (2.0 * t).cos(), -0.8 * (2.0 * t).sin());
+        let (qz, qw) = (0.25 * t).sin_cos();
+        let duty = 0.7 * (1.0 + change / 9.81).sqrt();
+        text += &format!("{t:.2},0.5,-0.2,{},{qw},0,0,{qz},0,0,{slope}", 1.0 + wave);
+        text += &format!(",0,0,0.5,0,0,{},{duty},{duty},{duty},{duty},3.7\n", 9.81 + change);
+    }
+    text
+}

@@ -9,13 +9,13 @@ use crate::world::Medium;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FreeBody<R = f64> {
     /// Reciprocal of the mass, 1/kg.
-    pub(super) inverse_mass: R,
+    pub(crate) inverse_mass: R,
     /// Acceleration of gravity, downwards, m/s².
-    pub(super) gravity: R,
+    pub(crate) gravity: R,
     /// Reciprocals of the moments of inertia, body frame, 1/(kg·m²).
-    pub(super) inverse_inertia: [R; 3],
+    pub(crate) inverse_inertia: [R; 3],
     /// Gyroscopic coefficients (Jy − Jz)/Jx, (Jz − Jx)/Jy and (Jx − Jy)/Jz.
-    pub(super) gyration: [R; 3],
+    pub(crate) gyration: [R; 3],
     /// Coefficients of the medium's drag.
     pub(super) fluid: Fluid<R>,
 }
@@ -37,7 +37,7 @@ pub(super) struct Fluid<R = f64> {
 /// Load on a body during a step: thrust along body z (N) and torque (body frame, N·m) of the rotors, and an external
 /// force (world frame, N).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Push<R> {
+pub(crate) struct Push<R> {
     pub thrust: R,
     pub torque: V3<R>,
     pub force: V3<R>,
@@ -97,13 +97,19 @@ impl FreeBody {
 
 #[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> FreeBody<R> {
+    /// Creates a body without a medium from its coefficients.
+    #[inline(always)]
+    pub(crate) fn without_medium(inverse_mass: R, gravity: R, inverse_inertia: [R; 3], gyration: [R; 3]) -> Self {
+        Self { inverse_mass, gravity, inverse_inertia, gyration, fluid: Fluid::none(gravity) }
+    }
+
     /// Computes [`step`](FreeBody::step), scalar or SIMD.
     ///
     /// MuJoCo adds the angular velocities of the stages as vectors and rotates the attitude by the sum. All stages
     /// are therefore rotations from the initial attitude, and this function computes in the body frame of that
     /// attitude.
     #[inline(always)]
-    pub(super) fn rk4<const BODY_FIXED: bool, const MEDIUM: bool>(
+    pub(crate) fn rk4<const BODY_FIXED: bool, const MEDIUM: bool>(
         &self,
         dt: f64,
         push: &Push<R>,

@@ -19,6 +19,7 @@ mod reach_bound;
 mod width;
 
 pub use body::FreeBody;
+pub(crate) use body::Push;
 pub(crate) use commands::{Decoding, advance_batteries, set_commands};
 pub(super) use floor::{FloorKernel, StepKind};
 pub(super) use floor_model::FloorModel;

@@ -93,6 +93,17 @@ impl Plot {
         self
     }
 
+    /// Arranges the panels of a time series in columns, row by row. A legend above all panels replaces those of the
+    /// panels if all panels have lines of the same names. Plots of paths ignore it.
+    #[must_use]
+    pub fn in_columns(mut self, columns: usize) -> Self {
+        if let Kind::Panels(panels) = &mut self.kind {
+            panels.arrange(columns.max(1));
+            self.size = (1100, 80 + 250 * panels.rows());
+        }
+        self
+    }
+
     /// Creates a plot of position, attitude, velocity and motor speeds over time, with dashed references. A flight
     /// of one drone has one panel for each. A flight of several drones has a panel for each component, with a line
     /// per drone.
@@ -219,6 +230,20 @@ mod tests {
         assert_eq!((png.width(), png.height()), (1600, 1100));
         let blue = png.to_rgb8().pixels().filter(|pixel| pixel.0 == COLOURS[0]).count();
         assert!(blue > 1000, "{blue} pixels of the first line");
+    }
+
+    #[test]
+    fn panels_in_columns_have_one_legend() {
+        let panels = ["a", "b", "c", "d"].map(|label| (label, line(&[(0.0, 1.0), (1.0, 2.0)])));
+        let legends = |plot: Plot| plot.svg().unwrap().matches("another").count();
+        let stacked = Plot::time_series("", &panels).unwrap();
+        let arranged = stacked.clone().in_columns(2);
+        let png = image::load_from_memory(&arranged.png().unwrap()).unwrap();
+        assert_eq!((png.width(), png.height()), (2200, 1160));
+        assert_eq!((legends(stacked), legends(arranged)), (4, 1));
+        let mut other = panels;
+        other[2].1.pop();
+        assert_eq!(legends(Plot::time_series("", &other).unwrap().in_columns(2)), 3, "the third panel has one line");
     }
 
     /// Regression test: all ticks of a constant line had the label 0.0.

@@ -186,6 +186,20 @@ impl Panels {
         Self { panels: panels.collect(), columns: 4, over: TIME.into(), legend }
     }
 
+    /// Arranges the panels in columns, with a common legend if all panels have lines of the same names.
+    pub fn arrange(&mut self, columns: usize) {
+        self.columns = columns;
+        let entries =
+            |panel: &Panel| -> Vec<_> { panel.lines.iter().map(|line| (line.name.clone(), line.stroke)).collect() };
+        let Some(first) = self.panels.first().map(entries) else { return };
+        if self.legend.is_empty() && self.panels.iter().all(|panel| entries(panel) == first) {
+            self.legend = first;
+            for line in self.panels.iter_mut().flat_map(|panel| &mut panel.lines) {
+                line.name.clear();
+            }
+        }
+    }
+
     pub fn columns(&self) -> usize {
         self.columns
     }
