@@ -502,7 +502,7 @@ fn errors_of_the_tables_name_the_field() {
     refused(motors(|motors| motors.latency = 1.5), "motors.latency is 1.5, expected 0 to 1 s");
     refused(motors(|motors| motors.rotor_inertia = -1e-9), "motors.rotor_inertia is -1e-9");
     for (offset, start) in [
-        ([0.04, 0.0], "center_of_mass[0] is 0.04, expected a position between the motors"),
+        ([0.04, 0.0], "center_of_mass[0] is 0.04, expected a position where all motors carry weight"),
         ([0.0, f64::NAN], "center_of_mass[1] is NaN"),
         ([-0.01, -0.03], "center_of_mass[1] is -0.03"),
     ] {

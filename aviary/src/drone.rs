@@ -287,16 +287,16 @@ impl DroneParams {
                 return Err(DroneError::Parameter { field, got, expected: "a finite number" });
             }
         }
-        // between the motors, or no speeds of the motors could balance
+        // farther away a motor would have to pull down to balance the weight without a yaw torque
         let [x, y] = self.center_of_mass;
         let room = match self.layout {
-            Layout::X => self.arm_length / std::f64::consts::SQRT_2 - x.abs().max(y.abs()),
-            Layout::Plus => self.arm_length - x.abs() - y.abs(),
+            Layout::X => self.arm_length / std::f64::consts::SQRT_2 - x.abs() - y.abs(),
+            Layout::Plus => 0.5 * self.arm_length - x.abs().max(y.abs()),
         };
         if !(room > 0.0 && x.is_finite() && y.is_finite()) {
             let is_second = y.abs() > x.abs() || y.is_nan();
             let (field, got) = if is_second { ("center_of_mass[1]", y) } else { ("center_of_mass[0]", x) };
-            return Err(DroneError::Parameter { field, got, expected: "a position between the motors, m" });
+            return Err(DroneError::Parameter { field, got, expected: "a position where all motors carry weight, m" });
         }
         self.motors.validate()?;
         self.battery.as_ref().map_or(Ok(()), BatteryParams::validate)?;

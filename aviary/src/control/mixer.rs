@@ -23,6 +23,9 @@ use crate::math::{Real, V3, finite_zero};
 pub struct Mixer {
     #[serde(with = "crate::serial::matrix")]
     inverse: Matrix4<f64>,
+    /// Shares of the motors in the collective thrust; `None` for a quarter each.
+    #[serde(default)]
+    shares: Option<[f64; 4]>,
     thrust_coefficient: f64,
     /// Maximum thrust of one rotor, N.
     max_rotor_thrust: f64,
@@ -35,8 +38,11 @@ impl Mixer {
     pub fn new(params: &DroneParams) -> Self {
         let inverse = params.allocation().try_inverse().unwrap_or_else(|| Matrix4::repeat(f64::NAN));
         let max_rpm = params.max_rpm();
+        // in the inverse the shares of a centred mass have rounding errors
+        let shares = (params.center_of_mass != [0.0; 2]).then(|| [0, 1, 2, 3].map(|motor| inverse[(motor, 0)]));
         Self {
             inverse,
+            shares,
             thrust_coefficient: params.thrust_coefficient,
             max_rotor_thrust: params.thrust_coefficient * max_rpm * max_rpm,
             max_rpm,
@@ -73,17 +79,26 @@ impl Mixer {
         speeds
     }
 
+    /// Returns the part of a motor in the collective thrust of [`saturate`](Self::saturate), N.
+    #[inline(always)]
+    fn share<R: Real>(&self, motor: usize, collective: R) -> R {
+        match &self.shares {
+            None => collective,
+            Some(shares) => collective * shares[motor],
+        }
+    }
+
     /// Returns the thrusts of the rotors, N, which are below the maximum.
     #[inline(always)]
     fn saturate<R: Real>(&self, thrust: R, torque: V3<R>) -> [R; 4] {
         let (zero, one, max) = (thrust.all(0.0), thrust.all(1.0), thrust.all(self.max_rotor_thrust));
-        let collective = thrust * 0.25;
+        let collective = if self.shares.is_some() { thrust } else { thrust * 0.25 };
         let (mut roll_pitch, mut yaw, mut forces) = ([zero; 4], [zero; 4], [zero; 4]);
         for motor in 0..4 {
             let row = self.inverse.row(motor);
             roll_pitch[motor] = torque.x * row[1] + torque.y * row[2];
             yaw[motor] = torque.z * row[3];
-            forces[motor] = roll_pitch[motor] + yaw[motor] + collective;
+            forces[motor] = roll_pitch[motor] + yaw[motor] + self.share(motor, collective);
         }
         let (low, high) = extremes(&forces);
         let saturates = low.less(zero) | max.less(high);
@@ -92,15 +107,20 @@ impl Mixer {
         }
 
         // moves the thrust to leave room for roll and pitch, and scales these if no thrust leaves enough
-        let (low, high) = extremes(&roll_pitch);
-        let scale = R::choose(max.less(high - low), max / (high - low), one);
-        let (lowest, highest) = (-low * scale, max - high * scale);
+        let (scale, lowest, highest) = match &self.shares {
+            None => {
+                let (low, high) = extremes(&roll_pitch);
+                let scale = R::choose(max.less(high - low), max / (high - low), one);
+                (scale, -low * scale, max - high * scale)
+            }
+            Some(shares) => room(shares, &roll_pitch, max),
+        };
         let collective = collective.lesser(highest).greater(lowest);
 
         // largest share of the yaw torque that fits
         let mut share = one;
         for motor in 0..4 {
-            roll_pitch[motor] = roll_pitch[motor] * scale + collective;
+            roll_pitch[motor] = roll_pitch[motor] * scale + self.share(motor, collective);
             let room = R::choose(zero.less(yaw[motor]), max - roll_pitch[motor], roll_pitch[motor]);
             let size = yaw[motor].abs();
             share = R::choose(zero.less(size), share.lesser(room / size), share);
@@ -111,6 +131,31 @@ impl Mixer {
         }
         forces
     }
+}
+
+/// Returns the largest factor up to 1 on the thrusts for roll and pitch that leaves room for a collective thrust, and
+/// the smallest and the largest collective thrust (N) with this factor.
+#[inline(always)]
+fn room<R: Real>(shares: &[f64; 4], roll_pitch: &[R; 4], max: R) -> (R, R, R) {
+    // a motor has room for the collective thrusts T with 0 <= scale·demand + T <= cap
+    let (mut demand, mut cap) = ([max; 4], [max; 4]);
+    for motor in 0..4 {
+        demand[motor] = roll_pitch[motor] / max.all(shares[motor]);
+        cap[motor] = max / max.all(shares[motor]);
+    }
+    let mut scale = max.all(1.0);
+    for high in 0..4 {
+        for low in 0..4 {
+            let apart = demand[high] - demand[low];
+            scale = R::choose(cap[high].less(apart), scale.lesser(cap[high] / apart), scale);
+        }
+    }
+    let (mut lowest, mut highest) = (-demand[0] * scale, cap[0] - demand[0] * scale);
+    for motor in 1..4 {
+        lowest = lowest.greater(-demand[motor] * scale);
+        highest = highest.lesser(cap[motor] - demand[motor] * scale);
+    }
+    (scale, lowest, highest)
 }
 
 /// Returns the smallest and the largest number.
@@ -128,8 +173,15 @@ mod tests {
     use crate::physics::rotor::RotorModel;
     use proptest::prelude::*;
 
-    fn model() -> impl Strategy<Value = DroneModel> {
-        prop::sample::select(DroneModel::ALL.to_vec())
+    /// Airframes with a centred mass, and with a centre of mass at a fraction of the way to the motors.
+    fn airframe() -> impl Strategy<Value = DroneParams> {
+        let models = prop::sample::select(DroneModel::ALL.to_vec());
+        let offset = prop::option::of(prop::array::uniform2(-0.34..0.34));
+        (models, offset).prop_map(|(model, offset)| {
+            let params = model.params();
+            let center_of_mass = offset.map_or([0.0; 2], |offset| offset.map(|x: f64| x * params.arm_length));
+            DroneParams { center_of_mass, ..params }
+        })
     }
 
     #[test]
@@ -151,8 +203,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn feasible_wrenches_are_reproduced(model in model(), speeds in prop::array::uniform4(0.0..1.0)) {
-            let params = model.params();
+        fn feasible_wrenches_are_reproduced(params in airframe(), speeds in prop::array::uniform4(0.0..1.0)) {
             let rotors = RotorModel::new(&params);
             let asked = rotors.wrench(&speeds.map(|share: f64| share * params.max_rpm()));
             let given = rotors.wrench(&Mixer::new(&params).rpm(asked.thrust, asked.torque_body));
@@ -163,15 +214,14 @@ mod tests {
 
         #[test]
         fn saturation_reduces_yaw_first_then_thrust_then_roll_and_pitch(
-            model in model(), thrust in -1.0..3.0, x in -2.0..2.0, y in -2.0..2.0, z in -2.0..2.0,
+            params in airframe(), thrust in -1.0..3.0, x in -2.0..2.0, y in -2.0..2.0, z in -2.0..2.0,
         ) {
-            let params = model.params();
             let rotors = RotorModel::new(&params);
             let lever = params.max_thrust() * params.arm_length / 4.0;
             let reaction = params.max_thrust() * params.torque_coefficient / params.thrust_coefficient;
             let (thrust, torque) = (thrust * params.max_thrust(), Vector3::new(x * lever, y * lever, z * reaction));
             let rpm = Mixer::new(&params).rpm(thrust, torque);
-            prop_assert!(rpm.iter().all(|&n| (0.0..=params.max_rpm()).contains(&n)));
+            prop_assert!(rpm.iter().all(|&n| (0.0..=params.max_rpm()).contains(&n)), "{rpm:?}");
             let given = rotors.wrench(&rpm);
             let tolerance = 1e-9 * lever;
             let kept = |a: f64, b: f64| (a - b).abs() < tolerance;
