@@ -285,9 +285,14 @@ fn snapshots_and_files_keep_the_battery() {
     let without = format!("{}{}", &text[..begin], &text[end..]);
     let error = serde_json::from_str::<SimData>(&without).unwrap_err().to_string();
     assert!(error.contains("`batteries` has 0 entries, expected 1"), "{error}");
-    // airframes without a battery are written as before
+    // airframes without a battery are written as before, and have no other number of entries
     let plain = Simulation::builder(DroneModel::Cf2x).build().unwrap();
-    assert!(!serde_json::to_string(&plain.snapshot()).unwrap().contains("batter"));
+    let plain = serde_json::to_string(&plain.snapshot()).unwrap();
+    assert!(!plain.contains("batter"));
+    let entry = &text[begin + "\"batteries\":[".len()..end - 2];
+    let twice = plain.replacen('{', &format!("{{\"batteries\":[{entry},{entry}],"), 1);
+    let error = serde_json::from_str::<SimData>(&twice).unwrap_err().to_string();
+    assert!(error.contains("`batteries` has 2 entries, expected 1"), "{error}");
 }
 
 /// Returns the text of the charge in serialized data.
