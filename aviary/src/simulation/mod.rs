@@ -164,8 +164,8 @@ impl Simulation {
 
     /// Replaces the airframe of a drone, from the next step on: mass, inertia, rotors and aerodynamic coefficients.
     /// The maximum motor speed, the time constants and the latency of the motors, and the collision cylinder stay those
-    /// of the airframe that the drone was built with. A battery keeps its charge; one that the drone did not have before
-    /// starts at its initial charge. Action decoders keep the law from duty to speed of the airframe that the
+    /// of the airframe that the drone was built with. A battery keeps its charge; one that the drone did not have
+    /// before starts at its initial charge. Action decoders keep the law from duty to speed of the airframe that the
     /// environment was built with.
     ///
     /// # Errors
