@@ -28,6 +28,19 @@ fn samples_of_episodes(config: Randomization, episodes: u64) -> Vec<SampledParam
         .collect()
 }
 
+#[test]
+fn the_centre_of_mass_scales_with_the_arm_length() {
+    let nominal = DroneParams { center_of_mass: [1e-3, -2e-3], ..DroneModel::Cf2x.params() };
+    let mut env = MultiHover::builder().drone(nominal).randomization(only("[body]\n")).build().unwrap();
+    for seed in 0..5 {
+        env.reset(Some(seed)).unwrap();
+        for (drone, sampled) in env.sampled_params().unwrap().drones.iter().enumerate() {
+            let [x, y] = env.simulation().params(drone).center_of_mass;
+            assert!(sampled.arm_length != 1.0 && [x, y] == [1e-3 * sampled.arm_length, -2e-3 * sampled.arm_length]);
+        }
+    }
+}
+
 /// Returns the Kolmogorov-Smirnov statistic times √n for a distribution function. It exceeds 1.95 with a probability of
 /// 0.001.
 fn kolmogorov_smirnov(mut samples: Vec<f64>, cdf: impl Fn(f64) -> f64) -> f64 {

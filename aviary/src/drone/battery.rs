@@ -14,7 +14,9 @@ use crate::math::{Real, exp_of_negative, polynomial};
 /// battery supplies no voltage. Charge, voltage and current change once per control step.
 ///
 /// The voltage limits every command, whatever the action type: no motor is commanded to turn faster than at full duty,
-/// [`MotorParams::speed`](super::MotorParams::speed)(1, voltage).
+/// [`MotorParams::speed`](super::MotorParams::speed)(1, voltage). The
+/// [gains](crate::physics::actuators::ActuatorParams::gains) of an environment multiply the speeds of its motors after
+/// this limit.
 ///
 /// ```
 /// use aviary::drone::{BatteryParams, DroneModel, DroneParams, MotorParams};

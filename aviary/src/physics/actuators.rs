@@ -28,7 +28,8 @@ pub struct ActuatorParams {
     pub lag: f64,
     /// Delay of a command, s, in addition to that of the airframe. The sum is rounded to whole physics steps.
     pub latency: f64,
-    /// Factor on each motor's commanded speed.
+    /// Factor on each motor's commanded speed, after the voltage has limited it: a motor with a gain of 1.05 turns 5 %
+    /// faster at every duty, also at full duty.
     pub gains: [f64; 4],
     /// Factor on `MAX_RPM`, the speed at which the rotors saturate.
     pub saturation: f64,

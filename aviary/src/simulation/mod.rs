@@ -163,7 +163,10 @@ impl Simulation {
     }
 
     /// Replaces the airframe of a drone, from the next step on: mass, inertia, rotors and aerodynamic coefficients.
-    /// The maximum motor speed and the collision cylinder stay those of the airframe that the drone was built with.
+    /// The maximum motor speed, the time constants and the latency of the motors, and the collision cylinder stay those
+    /// of the airframe that the drone was built with. A battery keeps its charge; one that the drone did not have
+    /// before starts at its initial charge. Action decoders keep the law from duty to speed of the airframe that the
+    /// environment was built with.
     ///
     /// # Errors
     /// [`SimulationError::Drone`] for invalid parameters, [`SimulationError::NoDrone`] for an index out of range; the

@@ -123,7 +123,8 @@ impl SimData {
         if drone < drones { Ok(()) } else { Err(SimulationError::NoDrone { got: drone, drones }) }
     }
 
-    /// Replaces the parameters of a drone's airframe, from the next step on.
+    /// Replaces the parameters of a drone's airframe, from the next step on; see
+    /// [`Simulation::set_airframe`](super::Simulation::set_airframe).
     ///
     /// # Errors
     /// [`SimulationError::Drone`] for invalid parameters, [`SimulationError::NoDrone`] for an index out of range; the

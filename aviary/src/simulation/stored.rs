@@ -177,7 +177,7 @@ impl Stored {
         let warm_start = self.warm_start.as_ref().map_or(6 * count, Vec::len);
         let wind = self.wind.as_ref().map_or(count, WindField::num_drones);
         let has_batteries = self.drones.iter().any(|drone| drone.params.battery.is_some());
-        let batteries = if has_batteries { count } else { self.batteries.len().min(count) };
+        let batteries = if has_batteries || !self.batteries.is_empty() { count } else { 0 };
         for (field, got, expected) in [
             ("started", self.started.len(), count),
             ("drones", self.drones.len(), count),

@@ -56,7 +56,7 @@ pub struct BodyRanges {
     /// Common factor on all moments of inertia.
     #[serde(deserialize_with = "pair")]
     pub inertia: Range,
-    /// Factor on the arm length.
+    /// Factor on the arm length, and on the offset of the centre of mass.
     #[serde(deserialize_with = "pair")]
     pub arm_length: Range,
 }

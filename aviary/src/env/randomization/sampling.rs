@@ -406,6 +406,7 @@ fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &SampledDron
     params.mass = nominal.mass * draw.mass;
     params.inertia = nominal.inertia.map(|moment| moment * draw.inertia);
     params.arm_length = nominal.arm_length * draw.arm_length;
+    params.center_of_mass = nominal.center_of_mass.map(|offset| offset * draw.arm_length);
     params.thrust_coefficient = nominal.thrust_coefficient * draw.thrust;
     params.torque_coefficient = nominal.torque_coefficient * draw.torque;
     params.thrust_to_weight = nominal.thrust_to_weight * draw.thrust / draw.mass;
