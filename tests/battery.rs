@@ -102,8 +102,8 @@ fn the_hover_time_agrees_with_the_calculation_by_hand() {
 fn every_command_is_limited_to_the_speed_at_full_duty() {
     let full = |params: DroneParams, voltage| params.motors.speed(1.0, voltage);
     // constant voltage
-    let weak = MotorParams { voltage: 3.0, ..airframe_with_duty().motors };
-    let params = DroneParams { motors: weak, ..airframe_with_duty() };
+    let motors = MotorParams { voltage: 3.0, ..airframe_with_duty().motors };
+    let params = DroneParams { motors, ..airframe_with_duty() };
     let limit = full(params.clone(), 3.0);
     assert!(limit < params.max_rpm() && params.max_command_rpm() == limit);
     let mut simulation = Simulation::builder(params).build().unwrap();
