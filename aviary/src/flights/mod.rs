@@ -14,6 +14,7 @@ mod observer;
 mod predict;
 mod raw_log;
 mod table;
+mod units;
 mod usd_log;
 mod window;
 

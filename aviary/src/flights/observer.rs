@@ -6,8 +6,8 @@
 //! predictions. Of the angular acceleration, a filter per axis estimates a slow and a fast disturbance from the changes
 //! of the body rate that the model does not explain.
 //!
-//! The model of the motion is that of the prediction, so that the disturbances are what the airframe lacks: trim torque,
-//! thrust error, tilt error of the attitude, wind.
+//! The model of the motion is that of the prediction, so that the disturbances are what the airframe lacks: trim
+//! torque, thrust error, tilt error of the attitude, wind.
 //!
 //! [`Observer::advance`] receives the rows in their order. An estimate therefore depends on no later row.
 

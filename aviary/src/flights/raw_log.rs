@@ -14,6 +14,9 @@ use crate::state::{attitude_from_rpy, attitude_from_wxyz, wxyz};
 /// Longest time without a sample of a variable, s. It limits the size of the table.
 const MAX_GAP: f64 = 5.0;
 
+/// Samples of N variables with their times, s, in the order of time.
+type Samples<const N: usize> = Vec<(f64, [f64; N])>;
+
 /// Variables with common times.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(super) struct Stream {
@@ -92,8 +95,8 @@ impl CrazyflieLog {
 
     /// Returns the samples of a set of variables: one element per time at which all of them have a sample, in the
     /// order of time.
-    fn set<const N: usize>(&self, names: [&str; N]) -> Option<Vec<(f64, [f64; N])>> {
-        let find = |stream: &Stream| -> Option<Vec<(f64, [f64; N])>> {
+    fn set<const N: usize>(&self, names: [&str; N]) -> Option<Samples<N>> {
+        let find = |stream: &Stream| -> Option<Samples<N>> {
             let mut columns = [&[][..]; N];
             for (column, name) in columns.iter_mut().zip(names) {
                 *column = &stream.variables.iter().find(|(variable, _)| variable == name)?.1;
@@ -112,7 +115,7 @@ impl CrazyflieLog {
     }
 
     /// Returns the three components of a vector times a factor.
-    fn vector(&self, group: &str, names: [&str; 3], factors: [f64; 3]) -> Option<Vec<(f64, [f64; 3])>> {
+    fn vector(&self, group: &str, names: [&str; 3], factors: [f64; 3]) -> Option<Samples<3>> {
         let names = names.map(|name| format!("{group}.{name}"));
         let mut samples = self.set([&*names[0], &names[1], &names[2]])?;
         for (_, sample) in &mut samples {
@@ -122,7 +125,7 @@ impl CrazyflieLog {
     }
 
     /// Returns the attitude as quaternions `[w, x, y, z]`.
-    fn attitude(&self) -> Result<Option<Vec<(f64, [f64; 4])>>, String> {
+    fn attitude(&self) -> Result<Option<Samples<4>>, String> {
         let quaternion = |group: &str| {
             let [w, x, y, z] = ["qw", "qx", "qy", "qz"].map(|name| format!("{group}.{name}"));
             self.set([&*w, &x, &y, &z])
@@ -145,7 +148,7 @@ impl CrazyflieLog {
         };
         let unit = |(time, q): (f64, [f64; 4])| {
             let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
-            if norm < 0.5 || norm > 2.0 {
+            if !(0.5..=2.0).contains(&norm) {
                 return Err(format!("the quaternion at {time:.3} s has the norm {norm:.3}, expected 1"));
             }
             Ok((time, q.map(|x| x / norm)))
@@ -154,7 +157,7 @@ impl CrazyflieLog {
     }
 
     /// Returns the duty of the motors, 0 to 1.
-    fn duty(&self) -> Result<Option<Vec<(f64, [f64; 4])>>, String> {
+    fn duty(&self) -> Result<Option<Samples<4>>, String> {
         const FULL: f64 = 65_535.0;
         for names in
             [["pwm.m1_pwm", "pwm.m2_pwm", "pwm.m3_pwm", "pwm.m4_pwm"], ["motor.m1", "motor.m2", "motor.m3", "motor.m4"]]
@@ -292,8 +295,8 @@ fn slerp(a: &[f64; 4], b: &[f64; 4], part: f64) -> [f64; 4] {
     wxyz(&(a * UnitQuaternion::from_scaled_axis(turn * part)))
 }
 
-/// Returns the quaternion `[w, x, y, z]` of the firmware's 32-bit form: the index of the largest of x, y, z, w (2 bits),
-/// and the other three with a sign bit and nine bits of magnitude, in units of 1/(511·√2).
+/// Returns the quaternion `[w, x, y, z]` of the firmware's 32-bit form: the index of the largest of x, y, z, w (2
+/// bits), and the other three with a sign bit and nine bits of magnitude, in units of 1/(511·√2).
 fn decompressed(bits: u32) -> [f64; 4] {
     let largest = (bits >> 30) as usize;
     let (mut rest, mut sum, mut xyzw) = (bits, 0.0, [0.0; 4]);

@@ -364,7 +364,8 @@ pub(super) mod tests {
         /// The checksum of the damaged log is valid, so that the damage reaches the parser.
         #[test]
         fn damaged_logs_with_a_valid_checksum_are_errors_or_logs(
-            version in 1_u16..=2, damage in prop::collection::vec((any::<u16>(), any::<u8>()), 0..6), cut in any::<u16>(),
+            version in 1_u16..=2, cut in any::<u16>(),
+            damage in prop::collection::vec((any::<u16>(), any::<u8>()), 0..6),
         ) {
             let mut bytes = sample(version);
             for (at, byte) in damage {

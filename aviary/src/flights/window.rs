@@ -326,7 +326,7 @@ mod tests {
     proptest! {
         #[test]
         fn the_attitude_error_is_the_geodesic_angle(
-            axis in prop::array::uniform3(-1.0_f64..1.0), angle in 0.0_f64..3.141,
+            axis in prop::array::uniform3(-1.0_f64..1.0), angle in 0.0_f64..3.1,
             first in prop::array::uniform3(-3.0_f64..3.0), exponent in 0_i32..9,
         ) {
             let axis = Vector3::from(axis);

@@ -23,8 +23,8 @@ const MIN_TILT: f64 = 4e-3;
 const MIN_OFFSET: f64 = 3e-3;
 
 /// Differences between the frames and clocks of one recorded flight. A correction is applied if it exceeds a minimum
-/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and its standard error is at most a quarter of it and half of the
-/// minimum; [`applied`](Self::applied) has the numbers that were.
+/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and four standard errors, and if the standard error is at most half
+/// of the minimum (not for the motors); [`applied`](Self::applied) has the numbers that were.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Alignment {
     /// Name of the flight.
@@ -64,7 +64,7 @@ impl Correction {
 }
 
 /// Returns an estimate as a correction, or zero if it is not significant.
-pub(super) fn significant(estimate: &Estimate, min: f64) -> f64 {
+fn significant(estimate: &Estimate, min: f64) -> f64 {
     let size = estimate.value.abs();
     if size > min && estimate.error <= (0.25 * size).min(0.5 * min) { estimate.value } else { 0.0 }
 }
@@ -319,7 +319,7 @@ mod tests {
         };
         let attitude = |at: f64| {
             let up = part(2, at) + Vector3::z() * GRAVITY + part(1, at) * 0.3;
-            let yaw = 0.4 * (1.3 * at).sin();
+            let yaw = 1.2 * (2.3 * at).sin();
             let tilted = UnitQuaternion::rotation_between(&Vector3::z(), &up).unwrap();
             tilted * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw)
         };
@@ -388,7 +388,8 @@ mod tests {
                 prop_assert!((found.value - truth).abs() < 1e-3, "{found:?} {truth}");
             }
             for (found, truth) in alignment.offset.iter().zip(offset.iter()) {
-                prop_assert!((found.value - truth).abs() < 1.5e-3, "{found:?} {truth}");
+                prop_assert!((found.value - truth).abs() < 5e-4 + 4.0 * found.error, "{found:?} {truth}");
+                prop_assert!(found.error < 1.5e-3, "{found:?}");
             }
             // rows away from the ends, where the shift has no samples
             let mut worst = [0.0_f64; 3];
@@ -398,7 +399,7 @@ mod tests {
                 worst[1] = worst[1].max(corrected.attitude[row].angle_to(&attitude));
                 worst[2] = worst[2].max((corrected.body_rate.as_ref().unwrap()[row] - rate).norm());
             }
-            prop_assert!(worst[0] < 3e-3 && worst[1] < 7e-3 && worst[2] < 0.25, "{worst:?}");
+            prop_assert!(worst[0] < 9e-3 && worst[1] < 0.015 && worst[2] < 0.3, "{worst:?}");
             let duty = corrected.duty.unwrap()[700][0];
             prop_assert!((duty - 7.0_f64.sin().abs()).abs() < 3e-3);
         }
@@ -420,24 +421,5 @@ mod tests {
         still.body_rate = None;
         still.duty = None;
         assert!(align(&still).0.applied.is_zero());
-    }
-
-    #[test]
-    fn zz_shared() {
-        for path in std::fs::read_dir("/work/shared/flights").unwrap() {
-            let path = path.unwrap().path();
-            if path.extension().is_some_and(|e| e == "csv") {
-                let (a, _) = align(&Flight::read(&path).unwrap());
-                let e = |x: &Estimate| format!("{:.5}±{:.5}", x.value, x.error);
-                eprintln!(
-                    "{} shift {} tilt {:?} off {:?} {:?}",
-                    a.flight,
-                    a.onboard_shift.as_ref().map_or("-".into(), e),
-                    a.tilt.each_ref().map(e),
-                    a.offset.each_ref().map(e),
-                    a.applied
-                );
-            }
-        }
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::align::{Alignment, MIN_MOTOR_SHIFT, align, shift_motors, significant};
+use super::align::{Alignment, MIN_MOTOR_SHIFT, align, shift_motors};
 use super::parameters::{PARAMETERS, Role, Stage};
 use super::problem::{Problem, Weights, filters};
 use super::propagate::{Filter, FittedFlight, Tracks};
@@ -20,7 +20,10 @@ const BETWEEN_STARTS: f64 = 0.25;
 
 /// Relative change of the cost at which a stage of the fit, and the last fit, ends.
 const STAGE_TOLERANCE: f64 = 1e-3;
-const TOLERANCE: f64 = 1e-5;
+const TOLERANCE: f64 = 1e-9;
+
+/// Largest number of fits of the motion with a new trim, or with newly aligned motors.
+const MAX_ROUNDS: usize = 5;
 
 /// Largest standard error of an identifiable parameter, as a part of its scale.
 const MAX_ERROR: f64 = 0.5;
@@ -92,6 +95,13 @@ impl Fit<'_> {
         let filters = filters(&self.options.observer, &self.airframe, &self.flights);
         let problem = self.problem(fitted, tracks, &filters);
         let minimum = minimize(&problem, &problem.values(&self.airframe), &problem.scales(), tolerance);
+        eprintln!(
+            "XXX run {tracks:?} {} cost {} evals {} {}",
+            fitted.len(),
+            minimum.cost,
+            minimum.evaluations,
+            minimum.converged
+        );
         let airframe = problem.airframe(&minimum.parameters);
         self.airframe = airframe;
         self.evaluations += minimum.evaluations;
@@ -133,10 +143,7 @@ impl Fit<'_> {
             }
             free = inside;
         }
-        let parts = self.information(&free, tracks);
-        let total = sum(&parts);
-        let values = free.iter().map(|&index| (PARAMETERS[index].get)(&self.airframe)).collect();
-        (Group { free, values, parts, total, cost }, dropped)
+        (Group { free, cost }, dropped)
     }
 
     /// Returns the sums of the least-squares problem of some parameters, for every flight.
@@ -147,6 +154,7 @@ impl Fit<'_> {
         let jacobian = DMatrix::from_vec(residuals.len(), fitted.len(), derivatives);
         let residuals = DVector::from_vec(residuals);
         let (blocks, owners) = problem.blocks();
+        // the flights have blocks of their own
         let mut first = 0;
         (0..self.flights.len())
             .map(|flight| {
@@ -154,7 +162,7 @@ impl Fit<'_> {
                 let rows = first..first + count;
                 first += count;
                 let part = jacobian.rows(rows.start, count).into_owned();
-                Information::new(&part, &residuals.rows(rows.start, count).into_owned(), &blocks[rows])
+                Information::new(&part, &residuals.rows(rows.start, count).into_owned(), &blocks[rows], owners.len())
             })
             .collect()
     }
@@ -163,38 +171,81 @@ impl Fit<'_> {
 /// Parameters that were fitted together.
 struct Group {
     free: Vec<usize>,
-    values: Vec<f64>,
-    parts: Vec<Information>,
-    total: Information,
+    /// Half the sum of the squared residuals.
     cost: f64,
 }
 
-impl Group {
-    /// Sets the parameters to those of a fit without a flight: one Gauss–Newton step.
-    fn step_without(&self, flight: usize, params: &mut DroneParams) {
-        let step = difference(&self.total, &self.parts[flight]).step();
-        for ((&index, value), step) in self.free.iter().zip(&self.values).zip(step.iter()) {
-            (PARAMETERS[index].set)(params, value + step);
-        }
-        for &index in &self.free {
-            bound(params, index);
+/// Changes of the parameters of both groups, by which standard errors and leave-one-out fits are computed.
+struct Influence {
+    /// Parameters of both groups, and their values.
+    free: Vec<usize>,
+    values: Vec<f64>,
+    /// Changes of the values by the residuals of every block.
+    blocks: Vec<DVector<f64>>,
+    /// Factor on squared errors for the number of blocks.
+    correction: f64,
+    /// Changes of the values if a flight is left out: one Gauss–Newton step.
+    without: Vec<DVector<f64>>,
+}
+
+impl Influence {
+    /// Computes the changes. The trim depends on the motion, and the motion does not depend on the trim, which the
+    /// estimator finds in every flight.
+    fn of(fit: &Fit<'_>, motion: &[usize], trim: &[usize]) -> Self {
+        let free: Vec<usize> = motion.iter().chain(trim).copied().collect();
+        let (first, second): (Vec<usize>, Vec<usize>) =
+            ((0..motion.len()).collect(), (motion.len()..free.len()).collect());
+        let of_motion = fit.information(motion, BOTH);
+        let of_trim = fit.information(&free, NEITHER);
+        let step = |of_motion: &Information, of_trim: &Information, by_block: bool| {
+            let gradients = |information: &Information| match by_block {
+                true => information.scores.clone(),
+                false => vec![information.gradient()],
+            };
+            let trim = of_trim.of(&second);
+            let cross = of_trim.cross(&second, &first);
+            let motion = of_motion.step_for(&gradients(of_motion));
+            let gradients = gradients(&trim).into_iter().zip(&motion).map(|(own, motion)| own + &cross * motion);
+            let trim = trim.step_for(&gradients.collect::<Vec<_>>());
+            let join = |(motion, trim): (&DVector<f64>, &DVector<f64>)| {
+                DVector::from_iterator(free.len(), motion.iter().chain(trim.iter()).copied())
+            };
+            motion.iter().zip(&trim).map(join).collect::<Vec<_>>()
+        };
+        let totals = (sum(&of_motion), sum(&of_trim));
+        let without = of_motion
+            .iter()
+            .zip(&of_trim)
+            .flat_map(|(motion, trim)| step(&difference(&totals.0, motion), &difference(&totals.1, trim), false));
+        Self {
+            values: free.iter().map(|&index| (PARAMETERS[index].get)(&fit.airframe)).collect(),
+            blocks: step(&totals.0, &totals.1, true),
+            correction: totals.0.correction(),
+            without: without.collect(),
+            free,
         }
     }
 
-    /// Returns the standard error of a number by the blocks of windows: from its derivatives by the fitted values.
+    /// Returns an airframe with changed values.
+    fn changed(&self, airframe: &DroneParams, change: &DVector<f64>) -> DroneParams {
+        let mut params = airframe.clone();
+        for ((&index, value), change) in self.free.iter().zip(&self.values).zip(change.iter()) {
+            (PARAMETERS[index].set)(&mut params, value + change);
+        }
+        params
+    }
+
+    /// Returns the standard error of a number by the blocks of windows: from its derivatives by the values.
     fn error(&self, index: usize, airframe: &DroneParams) -> f64 {
-        let number_at = |place: usize, by: f64| {
-            let mut params = airframe.clone();
-            for (other, (&index, value)) in self.free.iter().zip(&self.values).enumerate() {
-                (PARAMETERS[index].set)(&mut params, if other == place { value + by } else { *value });
-            }
-            get_number(&params, index)
-        };
-        let slopes = (0..self.free.len()).map(|place| {
+        let slopes = DVector::from_fn(self.free.len(), |place, _| {
             let by = 1e-4 * (PARAMETERS[self.free[place]].scale)(airframe);
-            (number_at(place, by) - number_at(place, -by)) / (2.0 * by)
+            let mut change = DVector::zeros(self.free.len());
+            change[place] = by;
+            let (above, below) = (self.changed(airframe, &change), self.changed(airframe, &-change));
+            (get_number(&above, index) - get_number(&below, index)) / (2.0 * by)
         });
-        self.total.standard_error_of(&DVector::from_iterator(self.free.len(), slopes))
+        let squares: f64 = self.blocks.iter().map(|change| change.dot(&slopes).powi(2)).sum();
+        (squares * self.correction).sqrt()
     }
 }
 
@@ -311,7 +362,7 @@ pub(super) fn run(
     let mut fit = Fit { options, flights: fitted, weights, airframe: start.clone(), evaluations: 0 };
     progress(0.05);
 
-    let (translation, rotation) = (basic(Stage::Translation), basic(Stage::Rotation));
+    let (translation, rotation, trim) = (basic(Stage::Translation), basic(Stage::Rotation), basic(Stage::Trim));
     fit.run(&translation, RECORDED, STAGE_TOLERANCE);
     fit.keep_inside(&translation);
     progress(0.15);
@@ -323,51 +374,56 @@ pub(super) fn run(
     fit.airframe = if a < b { first } else { second };
     fit.run(&rotation, PREDICTED, STAGE_TOLERANCE);
     fit.keep_inside(&rotation);
+    // the estimator finds the trim for the present thrust only, so that a large one must be in the airframe
+    fit.run(&trim, NEITHER, STAGE_TOLERANCE);
     progress(0.35);
 
     let basics: Vec<usize> = translation.iter().chain(&rotation).copied().collect();
     fit.run(&basics, BOTH, STAGE_TOLERANCE);
     let mut inside = fit.keep_inside(&basics);
+    fit.run(&trim, NEITHER, STAGE_TOLERANCE);
     progress(0.55);
-    if shift_apart(&mut fit, &mut alignments) {
+    for _ in 0..MAX_ROUNDS {
+        if !shift_apart(&mut fit, &mut alignments) {
+            break;
+        }
         fit.run(&basics, BOTH, STAGE_TOLERANCE);
         inside = fit.keep_inside(&basics);
     }
     let of_motion = |index: &usize| PARAMETERS[*index].stage != Stage::Trim;
     let at_bound = |index: &usize| basics.contains(index) && !inside.contains(index);
     let candidates: Vec<usize> = (0..PARAMETERS.len()).filter(|index| of_motion(index) && !at_bound(index)).collect();
-    let (motion, mut dropped) = fit.solve(&candidates, BOTH, &start);
+    let (mut motion, mut dropped) = fit.solve(&candidates, BOTH, &start);
     progress(0.85);
     let candidates: Vec<usize> = (0..PARAMETERS.len()).filter(|index| !of_motion(index)).collect();
-    fit.run(&basic(Stage::Trim), NEITHER, TOLERANCE);
+    fit.run(&trim, NEITHER, TOLERANCE);
     let (trim, others) = fit.solve(&candidates, NEITHER, &start);
     dropped.extend(others);
-    let groups = [motion, trim];
+    // motion and trim depend on each other slightly
+    let mut cost = motion.cost;
+    for _ in 0..MAX_ROUNDS {
+        let before = cost;
+        cost = fit.run(&motion.free, BOTH, TOLERANCE);
+        motion.free = fit.keep_inside(&motion.free);
+        fit.run(&trim.free, NEITHER, TOLERANCE);
+        if (before - cost).abs() <= STAGE_TOLERANCE * before {
+            break;
+        }
+    }
+    let influence = Influence::of(&fit, &motion.free, &trim.free);
     // the airframes of fits without one flight each
-    let without: Vec<DroneParams> = (0..flights.len())
-        .map(|flight| {
-            let mut params = fit.airframe.clone();
-            groups.iter().for_each(|group| group.step_without(flight, &mut params));
-            params
-        })
-        .collect();
-    let error_of = |index: usize| {
-        let error: f64 = groups.iter().map(|group| group.error(index, &fit.airframe).powi(2)).sum::<f64>().sqrt();
+    let without = influence.without.iter().map(|change| {
+        let mut params = influence.changed(&fit.airframe, change);
+        influence.free.iter().for_each(|&index| _ = bound(&mut params, index));
+        params
+    });
+    let without: Vec<DroneParams> = without.collect();
+    let error = |index: usize| {
+        let error = influence.error(index, &fit.airframe);
         let estimates: Vec<f64> = without.iter().map(|params| get_number(params, index)).collect();
         if flights.len() >= JACKKNIFE_FLIGHTS { error.max(jackknife(&estimates)) } else { error }
     };
-    // the flights show trim per inertia
-    let inertia_error = |axis: usize| {
-        let name = format!("inertia[{axis}]");
-        let index = PARAMETERS.iter().position(|parameter| parameter.name == name);
-        index.map_or(0.0, |index| error_of(index) / get_number(&fit.airframe, index))
-    };
-    let error = |index: usize| match PARAMETERS[index].name {
-        "air.trim_torque[0]" => error_of(index).hypot(get_number(&fit.airframe, index) * inertia_error(0)),
-        "air.trim_torque[1]" => error_of(index).hypot(get_number(&fit.airframe, index) * inertia_error(1)),
-        _ => error_of(index),
-    };
-    let is_free = |index: usize| groups.iter().any(|group| group.free.contains(&index));
+    let is_free = |index: usize| influence.free.contains(&index);
     let airframe = finished(fit.airframe.clone(), options);
     let sources = [AttitudeSource::Recorded, AttitudeSource::Predicted];
     let compared = compare(&airframe, flights, &sources)?;
@@ -403,7 +459,7 @@ pub(super) fn run(
         parameters,
         alignments,
         windows,
-        cost: groups[0].cost,
+        cost,
         evaluations: fit.evaluations,
         compared,
         leave_one_out,
@@ -412,18 +468,15 @@ pub(super) fn run(
 
 fn sum(parts: &[Information]) -> Information {
     let mut total = parts[0].clone();
-    for part in &parts[1..] {
-        total.matrix += &part.matrix;
-        total.scores.extend(part.scores.iter().cloned());
-    }
+    parts[1..].iter().for_each(|part| total.add(part, 1.0));
     total
 }
 
 /// Returns the sums without those of a flight.
 fn difference(total: &Information, part: &Information) -> Information {
-    let mut scores = total.scores.clone();
-    scores.extend(part.scores.iter().map(|score| -score));
-    Information { matrix: &total.matrix - &part.matrix, scores }
+    let mut rest = total.clone();
+    rest.add(part, -1.0);
+    rest
 }
 
 /// Estimates the time shift of the motors of every flight against the common latency, and moves the motors of flights
@@ -439,11 +492,12 @@ fn shift_apart(fit: &mut Fit<'_>, alignments: &mut [Alignment]) -> bool {
         .collect();
     let mut has_moved = false;
     for ((fitted, alignment), shift) in fit.flights.iter_mut().zip(alignments).zip(shifts) {
-        alignment.motor_shift = Some(shift);
-        let by = significant(&shift, MIN_MOTOR_SHIFT);
-        if by != 0.0 {
-            shift_motors(&mut fitted.flight, by);
-            alignment.applied.motor_shift = by;
+        let applied = &mut alignment.applied.motor_shift;
+        alignment.motor_shift = Some(Estimate { value: *applied + shift.value, ..shift });
+        let size = shift.value.abs();
+        if size > MIN_MOTOR_SHIFT && shift.error <= 0.25 * size {
+            shift_motors(&mut fitted.flight, shift.value);
+            *applied += shift.value;
             has_moved = true;
         }
     }

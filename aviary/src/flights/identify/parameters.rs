@@ -192,16 +192,16 @@ pub(super) static PARAMETERS: &[Parameter] = parameters! {
         second([air.rotational_damping[0]] [air.rotational_damping[1]] like "air.rotational_damping[0]");
     "air.rotational_damping[2]" "N·m/(rad/s)" Rotation Basic
         min 0.0, scale |params| 20.0 * params.inertia[2], plain(air.rotational_damping[2]);
-    "air.trim_torque[0]" "N·m" Trim Basic
+    "air.trim_torque[0]" "N·m" Trim Additional
         min ANY, scale |params| 5.0 * torque(params), plain(air.trim_torque[0]);
-    "air.trim_torque[1]" "N·m" Trim Basic
+    "air.trim_torque[1]" "N·m" Trim Additional
         min ANY, scale |params| 5.0 * torque(params), plain(air.trim_torque[1]);
     "air.trim_torque[2]" "N·m" Trim Basic
         min ANY, scale |params| torque(params), plain(air.trim_torque[2]);
-    "center_of_mass[0]" "m" Trim Additional
-        min ANY, scale |params| 0.03 * params.arm_length, plain(center_of_mass[0]);
-    "center_of_mass[1]" "m" Trim Additional
-        min ANY, scale |params| 0.03 * params.arm_length, plain(center_of_mass[1]);
+    "center_of_mass[0]" "m" Trim Basic
+        min ANY, scale |params| 0.05 * params.arm_length, plain(center_of_mass[0]);
+    "center_of_mass[1]" "m" Trim Basic
+        min ANY, scale |params| 0.05 * params.arm_length, plain(center_of_mass[1]);
     "inertia[0]" "kg·m²" Rotation Basic
         min 0.0, scale |_| 0.7, first_of_ratio([inertia[0]] [inertia[1]]);
     "inertia[1]" "kg·m²" Rotation Additional
