@@ -5,9 +5,11 @@ mod common;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use common::conditions::strong;
+use common::conditions::{strong, with_effects};
 use mujoco_drones_gym::drone::{AirParams, DroneError, GRAVITY, MotorParams, YawConvention};
+use mujoco_drones_gym::engine::flight::{Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, Width, advance};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
+use mujoco_drones_gym::physics::airframe::AirframeEffects;
 use mujoco_drones_gym::physics::rotor::RotorModel;
 use mujoco_drones_gym::physics::wind::{WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
@@ -161,8 +163,9 @@ fn a_free_tumble_conserves_the_angular_momentum_of_airframe_and_rotors() {
             let [coarse, fine] = [2000, 4000].map(|rate| tumble(convention, forcing, rate));
             // the torque is constant during a step, so that the error is first order
             let ratio = coarse[0] / fine[0];
-            assert!(fine[0] < 5e-3 && (1.8..2.2).contains(&ratio), "{convention:?} {forcing:?}: {coarse:?} {fine:?}");
-            assert!(fine[1] > 0.3, "the rotors exchange momentum with the airframe: {fine:?}");
+            let text = format!("{convention:?} {forcing:?}: {coarse:?} {fine:?}");
+            // the rotors exchange several times the momentum of the airframe with it
+            assert!(fine[1] > 1.0 && fine[0] < 0.01 * fine[1] && (1.8..2.2).contains(&ratio), "{text}");
         }
     }
 }
@@ -416,15 +419,17 @@ proptest! {
             let commands: Vec<_> = params.iter().enumerate().map(|(drone, p)| command(p, drone, step)).collect();
             let results = simulations.each_mut().map(|simulation| simulation.step(&commands));
             // a drone that turns beyond the range of the simulator has left the comparison
-            if results.iter().any(Result::is_err) {
+            prop_assert_eq!(results[0].is_err(), results[1].is_err(), "{:?}", results);
+            if results[0].is_err() {
                 break;
             }
             let [mujoco, hybrid] = &simulations;
             let error = apart(mujoco, hybrid);
             prop_assert!(error < 1e-11, "{error:e} after {} s", mujoco.time());
         }
-        let substeps = simulations[1].engine_substeps();
-        prop_assert!(substeps.flight > 10 * substeps.mujoco, "{substeps:?}");
+        // the kernel passes drones that turn fast for a physics rate to MuJoCo
+        let (substeps, share) = (simulations[1].engine_substeps(), if rates.0 < 240 { 0 } else { 10 });
+        prop_assert!(substeps.flight > share * substeps.mujoco, "{substeps:?}");
     }
 
     /// A clone of the data and data that was serialized go on bit-identically.
@@ -446,21 +451,67 @@ proptest! {
     }
 }
 
-/// Controllers hover and follow with every effect at the size that flights show.
+/// Every controller hovers with every effect. Constant torques, which only controllers with an integral of the attitude
+/// balance, move the others.
 #[test]
 fn controllers_hover_with_every_effect() {
-    let params = common::conditions::airframe([0.03, 0.04, 0.008], 0.0);
+    let motors =
+        MotorParams { rise_time: 0.02, fall_time: 0.03, latency: 0.004, rotor_inertia: 4e-8, ..MotorParams::default() };
+    let air = AirParams {
+        linear_drag: [0.012, 0.012, 0.02],
+        translational_lift: 0.002,
+        velocity_moment: 1e-5,
+        rotational_damping: [3e-5, 3e-5, 5e-5],
+        trim_torque: [1e-6, -2e-6, 1e-6],
+    };
+    let params = DroneParams { center_of_mass: [1e-4, -1e-4], motors, ..with_air(air) };
     for controller in ControllerKind::ALL {
         let mut env = Hover::builder().drone(params.clone()).build().unwrap();
         let mut pilot = ControllerPolicy::new(controller, &env);
         let summary = fly_episode(&mut env, &mut pilot, Some(1)).unwrap();
-        assert!(summary.success, "{controller}: {summary:?}");
+        let (state, target) = (env.simulation().states()[0], env.reference(0).position);
+        let error = (state.position - target).norm();
+        assert!(summary.steps == 480 && error < 0.6 && state.velocity.norm() < 0.1, "{controller}: {error} {state:?}");
     }
 }
 
-/// Effects that are absent change no bit of a flight, and a file without them has no key of theirs.
+/// A lane without effects is bit-identical to a flight without them, also next to lanes with effects, whose kernel
+/// computes them for all.
 #[test]
-fn absent_effects_change_nothing() {
+fn a_lane_without_effects_flies_as_if_there_were_none() {
+    let plain = DroneModel::Cf2x.params();
+    let measured = with_effects(plain.clone(), [0.05, 0.03, 0.0], 1.0);
+    let airframe = |params: &DroneParams, fall_share| {
+        let body = FreeBody::new(params.mass, &params.inertia_vector(), 9.81, None);
+        let (rotors, effects) = (RotorModel::new(params), AirframeEffects::new(params));
+        Airframe { body, rotors, effects, share: 0.3, fall_share, ..Airframe::default() }
+    };
+    let (without, with) = (airframe(&plain, 0.3), airframe(&measured, 0.1));
+    for (count, width) in Width::available().flat_map(|width| [1, 5, LANES].map(|count| (count, width))) {
+        let fly = |effects: bool| {
+            let mut frames = LaneParams::all(&without);
+            (0..LANES).filter(|lane| effects && lane % 2 == 1).for_each(|lane| frames.set(lane, &with));
+            let mut lanes = Lanes::default();
+            for lane in 0..LANES {
+                let numbers = [0.1 * lane as f64; 16];
+                lanes.set(lane, &start(lane, &numbers), &[14_000.0; 4], &command(&plain, lane, 2));
+            }
+            let (dt, body_fixed, medium) = (1.0 / 240.0, false, false);
+            let flow = Flow { dt, body_fixed, medium, lag: true, air: false, airframe_effects: effects, width };
+            advance(&flow, &mut lanes, &frames, count, 24);
+            lanes
+        };
+        let [lanes, reference] = [true, false].map(fly);
+        for lane in 0..count {
+            let same = lanes.state(lane) == reference.state(lane) && lanes.push(lane) == reference.push(lane);
+            assert_eq!(same && lanes.rpm(lane) == reference.rpm(lane), lane % 2 == 0, "{width:?} {lane} of {count}");
+        }
+    }
+}
+
+/// A file without effects has no key of theirs, and zeros mean the same.
+#[test]
+fn absent_effects_have_no_keys() {
     for model in DroneModel::ALL {
         let params = model.params();
         let text = toml::to_string(&params).unwrap();
@@ -471,7 +522,7 @@ fn absent_effects_change_nothing() {
             text + "center_of_mass = [0, 0]\n[motors]\nrise_time = 0\nlatency = 0\n[air]\ntrim_torque = [0, 0, 0]\n";
         assert_eq!(DroneParams::from_toml(&explicit).unwrap(), params);
     }
-    let full = common::conditions::airframe([0.1, 0.2, 0.3], 0.0);
+    let full = with_effects(DroneModel::Cf2x.params(), [0.1, 0.2, 0.3], 1.0);
     assert_eq!(DroneParams::from_toml(&toml::to_string(&full).unwrap()).unwrap(), full);
 }
 

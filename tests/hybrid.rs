@@ -414,10 +414,7 @@ fn random_flights_under_every_condition_are_identical_with_both_engines() {
             };
             for name in tasks {
                 let mut wander = wandering(seed);
-                let params = match condition.contains("battery") || condition.contains("duty") {
-                    true => common::conditions::airframe_for(&condition, drone),
-                    false => drone.params(),
-                };
+                let params = common::conditions::airframe_for(&condition, drone);
                 let result = compare(&config.clone().drone(params.clone()), name, seed, |env, action| {
                     wander(env, action);
                     let hover = params.hover_rpm();

@@ -12,11 +12,25 @@ use super::supplied;
 /// Batteries of the conditions, and how long a drone hovers with them, s.
 const HOVER_SECONDS: [(&str, f64); 2] = [("battery", 10.0), ("small battery", 1.0)];
 
-/// Returns an airframe that can fly under a condition: with a battery where the condition has one, and with a law from
-/// duty to speed.
+/// Rise time, fall time and latency of the motors in the conditions with effects of the airframe, s.
+const TIMES: [f64; 3] = [0.05, 0.03, 0.02];
+const LATE_TIMES: [f64; 3] = [0.02, 0.06, 0.013];
+
+/// Returns a drone with the airframe of a condition: with effects of its own parameters, a battery or a law from duty to
+/// speed where the condition has them.
 pub fn airframe_for(condition: &str, drone: DroneModel) -> DroneParams {
-    let battery = HOVER_SECONDS.iter().find(|(name, _)| condition.starts_with(name));
-    supplied(drone.params(), battery.map(|(_, seconds)| *seconds))
+    let battery = HOVER_SECONDS.iter().find(|(name, _)| condition.starts_with(name)).map(|(_, seconds)| *seconds);
+    let params = match condition {
+        _ if !(condition.contains("effects of the airframe") || condition.contains("randomized airframe")) => {
+            drone.params()
+        }
+        _ if battery.is_some() => with_effects(drone.params(), TIMES, 0.5),
+        _ if condition.contains("without lag") => with_effects(drone.params(), [0.0; 3], 1.0),
+        _ if condition.contains("late motors") => with_effects(drone.params(), LATE_TIMES, 4.0),
+        _ => with_effects(drone.params(), TIMES, 1.0),
+    };
+    let needs_supply = battery.is_some() || condition.contains("duty");
+    if needs_supply { supplied(params, battery) } else { params }
 }
 
 /// Length of a physics step at the default rate, s.
@@ -26,19 +40,19 @@ const STEP: f64 = 1.0 / 240.0;
 const MOTORS: ActuatorParams =
     ActuatorParams { lag: 0.03, latency: 0.017, gains: [1.02, 0.98, 1.0, 0.99], saturation: 0.9 };
 
-/// Returns a Crazyflie with every effect of an airframe's own parameters. `times` are rise time, fall time and latency of
-/// its motors, s; the spin of the rotors grows by a factor of 1 + `spin`.
-pub fn airframe([rise_time, fall_time, latency]: [f64; 3], spin: f64) -> DroneParams {
-    let rotor_inertia = (1.0 + spin) * 4e-8;
-    let motors = MotorParams { rise_time, fall_time, latency, rotor_inertia, ..MotorParams::default() };
+/// Returns an airframe with every effect of its own parameters. `times` are rise time, fall time and latency of its
+/// motors, s. The effects of `strength` 1 are stronger than those that flights show.
+pub fn with_effects(params: DroneParams, [rise_time, fall_time, latency]: [f64; 3], strength: f64) -> DroneParams {
+    let scaled = |numbers: [f64; 3]| numbers.map(|x| x * strength);
+    let motors = MotorParams { rise_time, fall_time, latency, rotor_inertia: 4e-8 * strength, ..params.motors };
     let air = AirParams {
-        linear_drag: [0.02, 0.03, 0.04],
-        translational_lift: 0.01,
-        velocity_moment: 2e-4,
-        rotational_damping: [1e-4, 2e-4, 3e-4],
-        trim_torque: [1e-5, -2e-5, 5e-6],
+        linear_drag: scaled([0.02, 0.03, 0.04]),
+        translational_lift: 0.01 * strength,
+        velocity_moment: 2e-4 * strength,
+        rotational_damping: scaled([1e-4, 2e-4, 3e-4]),
+        trim_torque: scaled([1e-5, -2e-5, 5e-6]),
     };
-    DroneParams { center_of_mass: [1e-3, -5e-4], motors, air, ..DroneModel::Cf2x.params() }
+    DroneParams { center_of_mass: [1e-3, -5e-4], motors, air, ..params }
 }
 
 /// Returns motors with a latency, s.
@@ -138,10 +152,13 @@ pub fn all() -> Vec<(String, EnvConfig)> {
         );
     }
     // every effect, with motors that the kernel for a common lag does not fly
-    let drone = base().drone(airframe([0.05, 0.03, 0.02], 0.0));
+    let drone = base().drone(with_effects(DroneModel::Cf2x.params(), TIMES, 1.0));
     add("effects of the airframe", drone.clone());
-    add("effects of the airframe without lag", base().drone(airframe([0.0; 3], 0.0)));
-    add("effects of the airframe with late motors", base().drone(airframe([0.02, 0.06, 0.013], 7.0)));
+    add("effects of the airframe without lag", base().drone(with_effects(DroneModel::Cf2x.params(), [0.0; 3], 1.0)));
+    add(
+        "effects of the airframe with late motors",
+        base().drone(with_effects(DroneModel::Cf2x.params(), LATE_TIMES, 4.0)),
+    );
     add("effects of the airframe under a lag of the environment", drone.clone().actuators(MOTORS));
     for forcing in [Forcing::Frozen, Forcing::BodyFixed] {
         let physics = drone.clone().physics(Physics::MjcGndDragDw).forcing(forcing).medium(Medium::AIR);
@@ -186,7 +203,7 @@ pub fn all() -> Vec<(String, EnvConfig)> {
         add(&format!("{name}, randomization"), flown().action_type(ActionType::Ctbr).randomization(sampled));
         let charge = only(|r| r.battery = Some(BatteryRanges { charge: [0.0, 1.0] }));
         add(&format!("{name}, charge"), flown().action_type(ActionType::Duty).randomization(charge));
-        let effects = supplied(airframe([0.05, 0.03, 0.02], 1.0), Some(seconds));
+        let effects = supplied(with_effects(DroneModel::Cf2x.params(), TIMES, 0.5), Some(seconds));
         add(&format!("{name}, effects of the airframe"), base().drone(effects).action_type(ActionType::Duty));
         add(&format!("{name} among obstacles"), flown().obstacle_generator(forest(true)).action_type(ActionType::Duty));
     }

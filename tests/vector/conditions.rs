@@ -9,7 +9,7 @@ use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::world::{Forcing, Integrator, Medium};
 use proptest::prelude::*;
 
-use super::common::conditions::{all, everything, forest, late_motors, sensors, strong};
+use super::common::conditions::{all, everything, forest, late_motors, sensors, strong, with_effects};
 use super::common::supplied;
 use super::pair::Pair;
 use super::{Wander, bits};
@@ -282,10 +282,19 @@ fn randomizations() -> impl Strategy<Value = Option<Randomization>> {
     prop_oneof![2 => Just(None), 3 => some.prop_map(Some), 1 => Just(Some(Randomization::default()))]
 }
 
-/// Built-in airframes with a law from duty to speed, some of them with a battery.
+/// Built-in airframes with a law from duty to speed, some of them with a battery, some with effects of their own
+/// parameters.
 fn airframes() -> impl Strategy<Value = DroneParams> {
     let seconds = prop_oneof![2 => Just(None), 1 => (0.3..10.0).prop_map(Some)];
-    (one_of(DroneModel::ALL), seconds).prop_map(|(model, seconds)| supplied(model.params(), seconds))
+    let time = || prop_oneof![Just(0.0), 0.0..0.1];
+    let effects = proptest::option::of(([time(), time(), time()], 0.0..2.0f64));
+    (one_of(DroneModel::ALL), seconds, effects).prop_map(|(model, seconds, effects)| {
+        let params = supplied(model.params(), seconds);
+        match effects {
+            Some((times, strength)) => with_effects(params, times, strength),
+            None => params,
+        }
+    })
 }
 
 fn cases() -> impl Strategy<Value = Case> {

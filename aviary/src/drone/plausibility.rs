@@ -220,8 +220,9 @@ impl DroneParams {
         let air = &self.air;
         let drag = air.linear_drag.into_iter().fold(0.0, f64::max);
         let damping = (0..3).map(|axis| air.rotational_damping[axis] / self.inertia[axis]).fold(0.0, f64::max);
-        // half of the rotors at full speed, the others stopped
-        let max_torque = 0.5 * self.max_thrust() * self.arm_length;
+        // the motors on one side at full speed, the others stopped
+        let left: f64 = self.motor_positions().iter().map(|[_, y]| y.max(0.0)).sum();
+        let max_torque = left * self.max_thrust() / 4.0;
         let trim = air.trim_torque.into_iter().map(f64::abs).fold(0.0, f64::max);
         let of = |value: f64, number: DerivedNumber| (value != 0.0).then_some(number);
         let all = [
@@ -379,7 +380,7 @@ mod tests {
             ("rotor_inertia_ratio", 1.6e-7 / 2.17e-5),
             ("linear_drag_time_constant", 0.027 / 0.02),
             ("damping_time_constant", 1.0),
-            ("velocity_moment_ratio", 2e-4 / (0.5 * 2.25 * 0.027 * 9.81 * 0.0397)),
+            ("velocity_moment_ratio", 2e-4 * 2_f64.sqrt() / (0.5 * 2.25 * 0.027 * 9.81 * 0.0397)),
         ] {
             assert!((of(name).value / value - 1.0).abs() < 1e-3 && of(name).is_plausible(), "{:?}", of(name));
         }

@@ -100,9 +100,10 @@ impl SimData {
     /// Returns true if the lanes of any drone need [`Flow::airframe_effects`](crate::engine::flight::Flow), with the
     /// present motors or with those that a randomization can sample.
     pub(crate) fn has_airframe_effects(&self, model: &SimModel) -> bool {
-        self.drones.iter().enumerate().any(|(index, drone)| {
+        self.drones.iter().zip(&self.actuators).enumerate().any(|(index, (drone, actuators))| {
             let motors = &model.nominal_params(index).motors;
-            drone.effects.is_some() || motors.rise_time != motors.fall_time
+            let rises_as_it_falls = motors.rise_time == motors.fall_time && actuators.share() == actuators.fall_share();
+            drone.effects.is_some() || !rises_as_it_falls
         })
     }
 

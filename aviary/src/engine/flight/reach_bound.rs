@@ -39,7 +39,7 @@ pub(crate) struct DrivenBound<R = f64> {
     turning_per_speed: R,
     /// Largest growth rate of the angular momentum by torques that grow with the body rate, 1/s.
     turning_per_rate: R,
-    /// Largest change of the body rate by changes of the rotor speeds during a control step, rad/s.
+    /// Largest change of the body rate by an exchange of angular momentum with the rotors, rad/s.
     spin_up: R,
 }
 
@@ -67,12 +67,14 @@ impl DrivenBound {
             // (v + w)² = v² + 2·w·v + w²
             accelerating: [linear + 2.0 * quadratic * air_speed, quadratic],
             turning_per_speed: moment * max,
-            // two rotors turn in each direction. Damping that is constant during a step reduces the angular momentum
-            // where its direction is constant too; the body turns by half of `FreeBody::MAX_TURN` on average
-            turning_per_rate: (largest(effects.rotational_damping) * (0.5 * FreeBody::MAX_TURN) + 2.0 * momentum) * max,
-            // a command is constant during a control step, or changes once if it arrives late: each of four rotors
-            // approaches at most two speeds
-            spin_up: 8.0 * momentum * max,
+            // Damping in a constant direction reduces the angular momentum. It turns with the body, by half of
+            // `FreeBody::MAX_TURN` on average.
+            //
+            // Body and rotors exchange momentum, and the sum is constant (see `spin_up`), except that the torques of
+            // the rotors are constant during a step: they miss up to ¾ of the turn of the rotors' momentum
+            turning_per_rate: (largest(effects.rotational_damping) * (0.5 * FreeBody::MAX_TURN) + 1.5 * momentum) * max,
+            // two rotors turn in each direction, so that their momentum is at most twice that of one, before and after
+            spin_up: 4.0 * momentum * max,
         };
         let trim = Vector3::from(effects.trim_torque).norm();
         let [a, b, c] = effects.rotational_damping;
@@ -109,13 +111,14 @@ impl<R: Real> DrivenBound<R> {
     /// Returns the bound of the body rate for a bound without these torques and a bound of the speed; infinite if
     /// `time` is too long.
     ///
-    /// The angular momentum L grows by at most k·|L|, so that its growth is at most exp(k·t) ≤ 1/(1 − k·t).
+    /// The angular momentum L grows by at most k·|L|, so that its growth is at most exp(x) ≤ (1 + x/2)/(1 − x/2) with
+    /// x = k·t < 1.
     #[inline(always)]
     fn turn_rate(&self, time: f64, rate: R, speed: R) -> R {
         let share = self.turning_per_rate * time;
         let total = rate + self.turning_per_speed * speed * time + self.spin_up;
-        let one = rate.all(1.0);
-        R::choose(share.less(one * 0.5), total / (one - share), rate.all(f64::INFINITY))
+        let (one, half) = (rate.all(1.0), share * 0.5);
+        R::choose(share.less(one), total * (one + half) / (one - half), rate.all(f64::INFINITY))
     }
 }
 

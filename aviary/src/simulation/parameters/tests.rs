@@ -1,7 +1,10 @@
 //! Reach bounds of random airframes: no flight leaves its ball.
 
+use std::cell::Cell;
+
 use nalgebra::Vector3;
 use proptest::prelude::*;
+use proptest::test_runner::{Config, TestRunner};
 
 use crate::drone::{AirParams, DroneModel, DroneParams, MotorParams};
 use crate::engine::EngineKind;
@@ -34,54 +37,104 @@ fn airframe(f: &[f64]) -> DroneParams {
     DroneParams { air, motors, ..DroneModel::Cf2x.params() }
 }
 
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+/// Airframe, initial motion, conditions and commands of a flight.
+#[derive(Debug, Clone)]
+struct Flight {
+    factors: Vec<f64>,
+    state: [f64; 9],
+    commands: Vec<[f64; 4]>,
+    air: [f64; 3],
+    speed: f64,
+    rate: f64,
+    body_fixed: bool,
+    lag: bool,
+    rates: (u32, u32),
+}
 
-    /// A drone stays in the ball of its bound, and turns slowly enough for the kernel, for any effects, wind, state and
-    /// motor commands.
-    #[test]
-    fn drones_stay_within_their_reach(
-        f in prop::collection::vec(factor(), 14), state in prop::array::uniform9(-1.0..1.0f64),
-        commands in prop::collection::vec(prop::array::uniform4(0.0..1.0f64), 12), air in prop::array::uniform3(-8.0..8.0f64),
-        speed in 0.0..30.0f64, rate in 0.0..60.0f64, body_fixed in any::<bool>(), lag in any::<bool>(),
-        rates in prop::sample::select(vec![(240, 240), (240, 48), (240, 24), (500, 50)]),
-    ) {
-        let params = airframe(&f);
-        let max = params.max_rpm();
-        let wind = WindConfig { velocity: air, ..WindConfig::new(WindModel::Combined) };
-        let motors = ActuatorParams { lag: if lag { 0.004 } else { 0.0 }, ..ActuatorParams::default() };
-        let builder = Simulation::builder(params).engine(EngineKind::Hybrid).wind(wind).actuators(motors);
-        let builder = builder.sim_freq(rates.0).ctrl_freq(rates.1);
-        let builder = builder.forcing(if body_fixed { Forcing::BodyFixed } else { Forcing::Frozen });
-        let mut simulation = builder.initial_positions([[0.0, 0.0, 500.0]]).build().unwrap();
-        let [a, b, c, d, e, g, roll, pitch, yaw] = state;
-        let start = DroneState {
-            velocity: Vector3::new(a, b, c) * speed,
-            angular_velocity: Vector3::new(d, e, g) * rate,
-            ..DroneState::at_rest(Vector3::new(0.0, 0.0, 500.0), Vector3::new(3.0 * roll, 1.5 * pitch, 3.0 * yaw))
-        };
-        simulation.reset_to(&[start]).unwrap();
-        let dt = simulation.model.world.timestep;
-        for command in commands {
-            let model = simulation.model.clone();
-            simulation.data.refresh(&model);
-            let before = simulation.states()[0];
-            let bound = simulation.data.bodies.drones[0].reach_bound;
-            let radius = bound.radius(dt, model.substeps(), &before);
-            // the numbers at full throttle and at none are the extremes
-            let command = command.map(|x| max * if x < 0.3 { 0.0 } else if x > 0.7 { 1.0 } else { x });
-            if simulation.step(&[command]).is_err() {
-                break;
+fn flights() -> impl Strategy<Value = Flight> {
+    let rates = prop::sample::select(vec![(240, 240), (240, 48), (240, 24), (500, 50)]);
+    let motion = (prop::array::uniform9(-1.0..1.0f64), prop::array::uniform3(-8.0..8.0f64), 0.0..30.0f64, 0.0..60.0f64);
+    let commands = prop::collection::vec(prop::array::uniform4(0.0..1.0f64), 12);
+    let numbers = (prop::collection::vec(factor(), 14), commands, motion, any::<bool>(), any::<bool>(), rates);
+    numbers.prop_map(|(factors, commands, (state, air, speed, rate), body_fixed, lag, rates)| Flight {
+        factors,
+        state,
+        commands,
+        air,
+        speed,
+        rate,
+        body_fixed,
+        lag,
+        rates,
+    })
+}
+
+/// Flies random commands and returns the number of control steps, and of those with a finite bound.
+fn fly(flight: &Flight) -> Result<[u32; 2], TestCaseError> {
+    let params = airframe(&flight.factors);
+    let max = params.max_rpm();
+    let wind = WindConfig { velocity: flight.air, ..WindConfig::new(WindModel::Combined) };
+    let motors = ActuatorParams { lag: if flight.lag { 0.004 } else { 0.0 }, ..ActuatorParams::default() };
+    let builder = Simulation::builder(params).engine(EngineKind::Hybrid).wind(wind).actuators(motors);
+    let builder = builder.sim_freq(flight.rates.0).ctrl_freq(flight.rates.1);
+    let builder = builder.forcing(if flight.body_fixed { Forcing::BodyFixed } else { Forcing::Frozen });
+    let mut simulation = builder.initial_positions([[0.0, 0.0, 500.0]]).build().unwrap();
+    let [a, b, c, d, e, g, roll, pitch, yaw] = flight.state;
+    let start = DroneState {
+        velocity: Vector3::new(a, b, c) * flight.speed,
+        angular_velocity: Vector3::new(d, e, g) * flight.rate,
+        ..DroneState::at_rest(Vector3::new(0.0, 0.0, 500.0), Vector3::new(3.0 * roll, 1.5 * pitch, 3.0 * yaw))
+    };
+    simulation.reset_to(&[start]).unwrap();
+    let (dt, model) = (simulation.model.world.timestep, simulation.model.clone());
+    let mut counts = [0; 2];
+    for command in &flight.commands {
+        simulation.data.refresh(&model);
+        let before = simulation.states()[0];
+        let bound = simulation.data.bodies.drones[0].reach_bound;
+        let radius = bound.radius(dt, model.substeps(), &before);
+        // full throttle and none are the extremes
+        let command = command.map(|x| {
+            max * if x < 0.3 {
+                0.0
+            } else if x > 0.7 {
+                1.0
+            } else {
+                x
             }
+        });
+        if simulation.step(&[command]).is_err() {
+            break;
+        }
+        counts[0] += 1;
+        if radius.is_finite() {
+            counts[1] += 1;
             let after = simulation.states()[0];
-            if radius.is_finite() {
-                let travel = (after.position - before.position).norm();
-                prop_assert!(travel <= radius - bound.reach(), "{travel} {radius} {before:?}");
-                let turn = after.angular_velocity.norm() * dt;
-                prop_assert!(turn < FreeBody::MAX_TURN, "{turn} {before:?}");
-            }
+            let travel = (after.position - before.position).norm();
+            prop_assert!(travel <= radius - bound.reach(), "{travel} {radius} {before:?}");
+            let turn = after.angular_velocity.norm() * dt;
+            prop_assert!(turn < FreeBody::MAX_TURN, "{turn} {before:?}");
         }
     }
+    Ok(counts)
+}
+
+/// A drone stays in the ball of its bound, and turns slowly enough for the kernel, for any effects, wind, state and
+/// motor commands.
+#[test]
+fn drones_stay_within_their_reach() {
+    let mut runner = TestRunner::new(Config { failure_persistence: None, ..Config::with_cases(400) });
+    let (steps, bounded) = (Cell::new(0), Cell::new(0));
+    let result = runner.run(&flights(), |flight| {
+        let [all, finite] = fly(&flight)?;
+        steps.set(steps.get() + all);
+        bounded.set(bounded.get() + finite);
+        Ok(())
+    });
+    assert!(result.is_ok(), "{}", result.unwrap_err());
+    // many of these flights are too violent for any bound
+    let (steps, bounded) = (steps.get(), bounded.get());
+    assert!(steps > 1000 && bounded > steps / 10, "{bounded} of {steps}");
 }
 
 /// The bound has a finite radius at the motions of usual flights with every effect of the size that flights show, and
