@@ -23,11 +23,10 @@ pub(super) fn read(bytes: &[u8]) -> Result<CrazyflieLog, TableError> {
     let names: Vec<_> = header.iter().map(|name| crate::without_byte_order_mark(name).trim().to_string()).collect();
     let time = names.iter().position(|name| TIMES.contains(&&*name.to_lowercase()));
     let Some(time) = time.filter(|_| names.iter().any(|name| name.contains('.'))) else {
-        let expected = "expected a uSD log (first byte 0xBC), or CSV with timestamp and variables such as gyro.x";
-        return Err((1, format!("no column timestamp with variables, {expected}")));
+        let expected = "expected a uSD log (first byte 0xBC) or CSV with variables such as gyro.x";
+        return Err((1, format!("no column timestamp, {expected}")));
     };
-    if let Some((index, name)) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
-        let _ = index;
+    if let Some((_, name)) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
         return Err((1, format!("two columns `{}`, expected one", shown(name))));
     }
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); names.len()];

@@ -418,7 +418,7 @@ mod tests {
     #[test]
     fn invalid_logs_are_errors_of_one_line() {
         let csv = |text: &str| table(text.as_bytes(), 0.01).unwrap_err();
-        assert!(csv("").starts_with("log00: line 1: no column timestamp with variables, expected a uSD log"));
+        assert!(csv("").starts_with("log00: line 1: no column timestamp, expected a uSD log"));
         assert!(csv("a,b\n1,2\n").starts_with("log00: line 1: no column timestamp"));
         let header = "timestamp,gyro.x,gyro.y,gyro.z\n";
         assert_eq!(

@@ -91,7 +91,7 @@ impl FlightTable {
         let mut record = csv::ByteRecord::new();
         let mut table = Self::default();
         let Some(line) = next(&mut reader, &mut record)? else {
-            return Err((1, format!("the file is empty, expected a line with the columns {}", COLUMNS.join(","))));
+            return Err((1, format!("the file is empty, expected the columns {}", COLUMNS[..REQUIRED].join(","))));
         };
         let header = Header::of(&record).map_err(|message| (line, message))?;
         let mut numbers: Vec<Vec<f64>> = vec![Vec::new(); COLUMNS.len()];
