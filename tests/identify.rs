@@ -290,7 +290,7 @@ fn case(seed: u64) -> Vec<(&'static str, f64)> {
 
 #[test]
 fn parameters_of_random_airframes_are_within_three_standard_errors() {
-    for seed in [1, 2, 3] {
+    for seed in [1, 2, 3, 4] {
         for (name, deviation) in case(seed) {
             assert!(deviation < 3.0, "seed {seed}: {name} is {deviation:.1} standard errors off");
         }
@@ -366,7 +366,7 @@ fn a_lag_of_the_motor_columns_of_one_flight_is_found_and_removed() {
     }
     let result = identified(&truth, &flights);
     let shifts: Vec<f64> = result.alignments.iter().map(|alignment| alignment.applied.motor_shift).collect();
-    assert!((shifts[1] - shifts[0] - lag as f64 * ROW).abs() < 6e-3, "{shifts:?}");
+    assert!((shifts[1] - shifts[0] - lag as f64 * ROW).abs() < 6e-3, "{:?}", result.alignments);
 }
 
 #[test]

@@ -95,13 +95,6 @@ impl Fit<'_> {
         let filters = filters(&self.options.observer, &self.airframe, &self.flights);
         let problem = self.problem(fitted, tracks, &filters);
         let minimum = minimize(&problem, &problem.values(&self.airframe), &problem.scales(), tolerance);
-        eprintln!(
-            "XXX run {tracks:?} {} cost {} evals {} {}",
-            fitted.len(),
-            minimum.cost,
-            minimum.evaluations,
-            minimum.converged
-        );
         let airframe = problem.airframe(&minimum.parameters);
         self.airframe = airframe;
         self.evaluations += minimum.evaluations;
@@ -126,11 +119,12 @@ impl Fit<'_> {
         inside
     }
 
-    /// Selects parameters from candidates, sets the others to their defaults, and fits the selected ones.
+    /// Selects parameters from candidates, sets the other additional ones to their defaults, and fits the selected ones.
+    /// Other basic parameters stay as they are: their values fit these flights, although others would fit as well.
     fn solve(&mut self, candidates: &[usize], tracks: Tracks, defaults: &DroneParams) -> (Group, Vec<Dropped>) {
         let parts = self.information(candidates, tracks);
         let (mut free, dropped) = select(&parts, candidates, &self.airframe, defaults);
-        for (index, _) in &dropped {
+        for (index, _) in dropped.iter().filter(|(index, _)| PARAMETERS[*index].role == Role::Additional) {
             // the present values of these parameters are noise
             (PARAMETERS[*index].set)(&mut self.airframe, (PARAMETERS[*index].get)(defaults));
         }

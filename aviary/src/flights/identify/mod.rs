@@ -68,7 +68,8 @@ impl std::fmt::Display for Unidentified {
 pub enum Status {
     /// The flights determine the parameter.
     Identified,
-    /// The flights do not determine the parameter. It has its default.
+    /// The flights do not determine the parameter. It has its default, or a number near it that fits these flights as
+    /// well as others would.
     NotIdentifiable(Unidentified),
     /// The flights do not show that the parameter differs from its default. It has its default. The estimate is the
     /// difference from the default in one step of the fit, for an inertia that of the logarithms.

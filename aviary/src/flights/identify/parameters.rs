@@ -162,7 +162,7 @@ pub(super) static PARAMETERS: &[Parameter] = parameters! {
     "motors.speed_at_zero" "rpm" Translation Additional
         min ANY, scale |params| 0.3 * params.hover_rpm(), plain(motors.speed_at_zero);
     "motors.speed_per_volt" "rpm/V" Translation Basic
-        min 0.0, scale |params| 0.3 * params.motors.speed_per_volt, plain(motors.speed_per_volt);
+        min 0.0, scale |_| 0.3, logarithm(motors.speed_per_volt);
     "motors.rise_time" "s" Translation Basic
         min 0.0, scale |_| 0.05, first([motors.rise_time] [motors.fall_time]);
     "motors.fall_time" "s" Translation Additional

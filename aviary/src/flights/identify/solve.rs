@@ -28,20 +28,17 @@ pub(super) struct Minimum {
     pub converged: bool,
 }
 
+/// Weight of a change of a parameter by its scale. It keeps parameters without effect where they are.
+const RIDGE: f64 = 0.05;
+
 /// Minimizes the sum of the squared residuals from `start`, with parameters in units of `scales`. It stops when the
 /// relative change of the sum or of the parameters is below `tolerance`, or after about 60 evaluations.
 pub(super) fn minimize(problem: &impl Residuals, start: &[f64], scales: &[f64], tolerance: f64) -> Minimum {
-    let scaled = start.iter().zip(scales).map(|(x, scale)| x / scale);
-    let state = Scaled {
-        problem,
-        scales,
-        parameters: DVector::from_iterator(start.len(), scaled),
-        residuals: RefCell::new(None),
-    };
+    let state = Scaled { problem, start, scales, changes: DVector::zeros(start.len()), residuals: RefCell::new(None) };
     let solver = LevenbergMarquardt::new().with_tol(tolerance).with_patience(MAX_EVALUATIONS.div_ceil(start.len() + 1));
     let (state, report) = solver.minimize(state);
     Minimum {
-        parameters: state.unscaled(&state.parameters),
+        parameters: state.parameters(),
         cost: report.objective_function,
         evaluations: report.number_of_evaluations,
         converged: report.termination.was_successful(),
@@ -51,18 +48,20 @@ pub(super) fn minimize(problem: &impl Residuals, start: &[f64], scales: &[f64], 
 /// Largest number of evaluations.
 const MAX_EVALUATIONS: usize = 60;
 
-/// A problem with parameters in units of their scales.
+/// A problem whose parameters are changes from the start in units of the scales, with the ridge as further residuals.
 struct Scaled<'a, P> {
     problem: &'a P,
+    start: &'a [f64],
     scales: &'a [f64],
-    parameters: DVector<f64>,
-    /// Residuals of the last parameters.
+    changes: DVector<f64>,
+    /// Residuals of the last changes.
     residuals: RefCell<Option<DVector<f64>>>,
 }
 
 impl<P> Scaled<'_, P> {
-    fn unscaled(&self, parameters: &DVector<f64>) -> Vec<f64> {
-        parameters.iter().zip(self.scales).map(|(x, scale)| x * scale).collect()
+    fn parameters(&self) -> Vec<f64> {
+        let changes = self.changes.iter().zip(self.scales).map(|(x, scale)| x * scale);
+        self.start.iter().zip(changes).map(|(start, change)| start + change).collect()
     }
 }
 
@@ -71,28 +70,37 @@ impl<P: Residuals> LeastSquaresProblem<f64, Dyn, Dyn> for Scaled<'_, P> {
     type JacobianStorage = VecStorage<f64, Dyn, Dyn>;
     type ParameterStorage = VecStorage<f64, Dyn, nalgebra_of_solver::U1>;
 
-    fn set_params(&mut self, parameters: &DVector<f64>) {
-        if self.parameters != *parameters {
-            self.parameters.copy_from(parameters);
+    fn set_params(&mut self, changes: &DVector<f64>) {
+        if self.changes != *changes {
+            self.changes.copy_from(changes);
             self.residuals.replace(None);
         }
     }
 
     fn params(&self) -> DVector<f64> {
-        self.parameters.clone()
+        self.changes.clone()
     }
 
     fn residuals(&self) -> Option<DVector<f64>> {
         let mut known = self.residuals.borrow_mut();
-        let compute = || DVector::from_vec(self.problem.residuals(&self.unscaled(&self.parameters)));
+        let compute = || {
+            let mut residuals = self.problem.residuals(&self.parameters());
+            residuals.extend(self.changes.iter().map(|change| RIDGE * change));
+            DVector::from_vec(residuals)
+        };
         Some(known.get_or_insert_with(compute).clone())
     }
 
     fn jacobian(&self) -> Option<DMatrix<f64>> {
-        let (residuals, derivatives) = self.problem.jacobian(&self.unscaled(&self.parameters));
-        let mut jacobian = DMatrix::from_vec(residuals.len(), self.parameters.len(), derivatives);
-        for (mut column, scale) in jacobian.column_iter_mut().zip(self.scales) {
-            column *= *scale;
+        let (residuals, derivatives) = self.problem.jacobian(&self.parameters());
+        let (rows, count) = (residuals.len(), self.changes.len());
+        let mut jacobian = DMatrix::zeros(rows + count, count);
+        let columns = jacobian.column_iter_mut().zip(derivatives.chunks(rows.max(1))).zip(self.scales);
+        for (index, ((mut column, derivatives), scale)) in columns.enumerate() {
+            for (entry, derivative) in column.iter_mut().zip(derivatives) {
+                *entry = derivative * scale;
+            }
+            column[rows + index] = RIDGE;
         }
         Some(jacobian)
     }
@@ -125,9 +133,10 @@ mod tests {
         let problem = Decay((0..40).map(|t| truth[0] * (-truth[1] * f64::from(t)).exp()).collect());
         for scales in [[1e4, 1e-2], [1e3, 1.0], [1e5, 1e-3]] {
             let found = minimize(&problem, &[1e3, 0.2], &scales, 1e-12);
-            assert!(found.converged && found.cost < 1e-12, "{found:?}");
+            assert!(found.converged, "{found:?}");
+            // the ridge has next to no weight
             for (found, truth) in found.parameters.iter().zip(truth) {
-                assert!((found / truth - 1.0).abs() < 1e-8, "{found} {truth}");
+                assert!((found / truth - 1.0).abs() < 1e-5, "{found} {truth}");
             }
         }
     }

@@ -98,12 +98,14 @@ impl Information {
     }
 
     /// Returns the standard errors of all parameters: the sandwich H⁻¹·(Σ g·gᵀ)·H⁻¹·B/(B − 1) with H = JᵀJ and the
-    /// gradients g of B blocks. They are infinite with less than two blocks.
+    /// gradients g of B blocks minus their mean, which is not zero away from the minimum. They are infinite with less
+    /// than two blocks.
     pub fn standard_errors(&self) -> Vec<f64> {
         let (inverse, determined) = self.inverse();
         let mut squares = DVector::zeros(self.len());
-        for score in &self.scores {
-            squares += (&inverse * score).map(|x| x * x);
+        let mean = self.gradient() / self.blocks().count().max(1) as f64;
+        for score in self.blocks() {
+            squares += (&inverse * (score - &mean)).map(|x| x * x);
         }
         let error = |(square, determined): (&f64, bool)| {
             if determined { (square * self.correction()).sqrt() } else { f64::INFINITY }
@@ -111,9 +113,14 @@ impl Information {
         squares.iter().zip(determined).map(error).collect()
     }
 
+    /// Returns the gradients of the blocks with residuals.
+    fn blocks(&self) -> impl Iterator<Item = &DVector<f64>> {
+        self.scores.iter().filter(|score| score.iter().any(|x| *x != 0.0))
+    }
+
     /// Returns the factor B/(B − 1) for the number of blocks.
     pub fn correction(&self) -> f64 {
-        let blocks = self.scores.iter().filter(|score| score.iter().any(|x| *x != 0.0)).count();
+        let blocks = self.blocks().count();
         if blocks < 2 { f64::INFINITY } else { blocks as f64 / (blocks - 1) as f64 }
     }
 
