@@ -137,18 +137,18 @@ fn drones_stay_within_their_reach() {
     assert!(steps > 1000 && bounded > steps / 10, "{bounded} of {steps}");
 }
 
-/// The bound has a finite radius at the motions of usual flights with every effect of the size that flights show, and
-/// grows by little.
+/// The bound has a finite radius at the motions of usual flights with every effect of the size that recorded flights of
+/// a Crazyflie show, and grows by little.
 #[test]
 fn usual_effects_keep_the_bound_useful() {
     let air = AirParams {
         linear_drag: [0.02, 0.02, 0.03],
         translational_lift: 0.003,
         velocity_moment: 2e-4,
-        rotational_damping: [6e-4; 3],
+        rotational_damping: [4.6e-4; 3],
         trim_torque: [1e-5; 3],
     };
-    let motors = MotorParams { rotor_inertia: 5e-8, ..MotorParams::default() };
+    let motors = MotorParams { rotor_inertia: 3e-8, ..MotorParams::default() };
     let radius = |params: DroneParams| {
         let builder = Simulation::builder(params).initial_positions([[0.0, 0.0, 2.0]]);
         let mut simulation = builder.initial_velocities([[2.0, -1.0, 0.5]]).build().unwrap();
