@@ -29,8 +29,8 @@ const MIN_OFFSET: f64 = 3e-3;
 pub struct Alignment {
     /// Name of the flight.
     pub flight: String,
-    /// Time by which the onboard columns (gyro, accelerometer, motors, voltage) lag behind the motion capture, s; `None`
-    /// without a gyro, or if the drone hardly turns.
+    /// Time by which the onboard columns (gyro, accelerometer, motors, voltage) lag behind the motion capture, s;
+    /// `None` without a gyro, or if the drone hardly turns.
     pub onboard_shift: Option<Estimate>,
     /// Time by which the motor columns lag behind the other flights, s, in addition to the onboard shift; `None` before
     /// the fit of the rotation.

@@ -119,8 +119,8 @@ impl Fit<'_> {
         inside
     }
 
-    /// Selects parameters from candidates, sets the other additional ones to their defaults, and fits the selected ones.
-    /// Other basic parameters stay as they are: their values fit these flights, although others would fit as well.
+    /// Selects parameters from candidates, sets the other additional ones to their defaults, and fits the selected
+    /// ones. Other basic parameters stay as they are: their values fit these flights, as others would.
     fn solve(&mut self, candidates: &[usize], tracks: Tracks, defaults: &DroneParams) -> (Group, Vec<Dropped>) {
         let parts = self.information(candidates, tracks);
         let (mut free, dropped) = select(&parts, candidates, &self.airframe, defaults);

@@ -115,8 +115,8 @@ pub struct Identification {
     pub cost: f64,
     /// Number of evaluations of all deviations.
     pub evaluations: usize,
-    /// Predictions of the flights by the airframe, with the recorded and with the predicted attitude. The flights are as
-    /// recorded, without the corrections of their alignment.
+    /// Predictions of the flights by the airframe, with the recorded and with the predicted attitude. The flights are
+    /// as recorded, without the corrections of their alignment.
     pub compared: Vec<Compared>,
     /// Predictions of every flight by an airframe that was fitted to the other flights; empty for a single flight.
     pub leave_one_out: Vec<LeftOut>,

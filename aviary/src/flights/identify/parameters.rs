@@ -54,7 +54,8 @@ fn torque(params: &DroneParams) -> f64 {
 
 /// Declares parameters. A number whose fitted value is the number itself needs only its place.
 macro_rules! parameters {
-    ($($name:literal $unit:literal $stage:ident $role:ident min $min:expr, scale $scale:expr, $kind:ident($($place:tt)+);)*) => {
+    ($($name:literal $unit:literal $stage:ident $role:ident
+        min $min:expr, scale $scale:expr, $kind:ident($($place:tt)+);)*) => {
         &[$(parameters!(@ $kind $name, $unit, $stage, $role, $min, $scale, $($place)+)),*]
     };
     (@ plain $name:literal, $unit:literal, $stage:ident, $role:ident, $min:expr, $scale:expr, $($place:tt)+) => {
@@ -186,7 +187,8 @@ pub(super) static PARAMETERS: &[Parameter] = parameters! {
     "air.velocity_moment" "N·m/(m/s)" Rotation Basic
         min ANY, scale |params| 20.0 * params.inertia[0], plain(air.velocity_moment);
     "air.rotational_damping[0]" "N·m/(rad/s)" Rotation Basic
-        min 0.0, scale |params| 20.0 * params.inertia[0], first([air.rotational_damping[0]] [air.rotational_damping[1]]);
+        min 0.0, scale |params| 20.0 * params.inertia[0],
+        first([air.rotational_damping[0]] [air.rotational_damping[1]]);
     "air.rotational_damping[1]" "N·m/(rad/s)" Rotation Additional
         min 0.0, scale |params| 10.0 * params.inertia[1],
         second([air.rotational_damping[0]] [air.rotational_damping[1]] like "air.rotational_damping[0]");

@@ -19,8 +19,8 @@ const PREDICTED_WEIGHTS: [f64; 4] = [3.0, 0.8, 2.0, 0.6];
 /// Factor on the weight of the predicted position at the longest horizon, where errors of all parameters add up.
 const LAST_POSITION_WEIGHT: f64 = 2.0;
 
-/// Slow disturbance along body z with a weight of 1, m/s². It determines the mean thrust, which the estimator hides from
-/// the predictions.
+/// Slow disturbance along body z with a weight of 1, m/s². It determines the mean thrust, which the estimator hides
+/// from the predictions.
 const SLOW_THRUST: f64 = 2.0;
 
 /// Slow disturbances of the angular acceleration with a weight of 1, rad/s². They determine the trim torque, and only

@@ -4,12 +4,12 @@ use super::{Estimate, FittedParameter, Identification, Status};
 
 /// First lines of an airframe file.
 const HEADER: [&str; 6] = [
-    "# Identified by `aviary identify`. Comments have standard errors. The mass, the dimensions, thrust_coefficient and",
-    "# every number without an error come from the command line and the base airframe.",
-    "# The numbers are those that predict the flights best. The controller on board answered every disturbance in these",
-    "# flights, and an error of the predicted torque is forgotten sooner with more damping: rotational_damping,",
-    "# velocity_moment and the time constants contain a part of this closed loop. They are not physical constants of the",
-    "# airframe alone.",
+    "# Identified by `aviary identify`. Comments have standard errors. The mass, the dimensions, thrust_coefficient",
+    "# and every number without an error come from the command line and the base airframe.",
+    "# The numbers are those that predict the flights best. The controller on board answered every disturbance in",
+    "# these flights, and an error of the predicted torque is forgotten sooner with more damping: torque_coefficient,",
+    "# rotational_damping, velocity_moment and the time constants contain a part of this closed loop. They are not",
+    "# physical constants of the airframe alone.",
 ];
 
 /// Returns the standard error of a parameter as text, with two significant digits.
