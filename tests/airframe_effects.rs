@@ -61,7 +61,7 @@ fn numbers() -> impl Strategy<Value = [f64; 16]> {
     prop::array::uniform16(-1.0..1.0f64)
 }
 
-/// With a fixed attitude, each component of the body-frame velocity approaches its own terminal speed g_b·m/d. The
+/// At a constant attitude, each component of the body-frame velocity approaches its own terminal speed g_b·m/d. The
 /// drag is constant during a step, so that the distance to it shrinks by exactly 1 − d·dt/m per step.
 #[test]
 fn linear_drag_approaches_the_terminal_velocity_exponentially() {

@@ -16,8 +16,8 @@ const HOVER_SECONDS: [(&str, f64); 2] = [("battery", 10.0), ("small battery", 1.
 const TIMES: [f64; 3] = [0.05, 0.03, 0.02];
 const LATE_TIMES: [f64; 3] = [0.02, 0.06, 0.013];
 
-/// Returns a drone with the airframe of a condition: with effects of its own parameters, a battery or a law from duty to
-/// speed where the condition has them.
+/// Returns a drone with the airframe of a condition: with effects of its own parameters, a battery or a law from duty
+/// to speed where the condition has them.
 pub fn airframe_for(condition: &str, drone: DroneModel) -> DroneParams {
     let battery = HOVER_SECONDS.iter().find(|(name, _)| condition.starts_with(name)).map(|(_, seconds)| *seconds);
     let params = match condition {
@@ -45,11 +45,13 @@ const MOTORS: ActuatorParams =
 pub fn with_effects(params: DroneParams, [rise_time, fall_time, latency]: [f64; 3], strength: f64) -> DroneParams {
     let scaled = |numbers: [f64; 3]| numbers.map(|x| x * strength);
     let motors = MotorParams { rise_time, fall_time, latency, rotor_inertia: 4e-8 * strength, ..params.motors };
+    // a torque of the velocity without damping, or more lift, makes a flight so unstable that it amplifies rounding
+    // errors to meters within an episode
     let air = AirParams {
         linear_drag: scaled([0.02, 0.03, 0.04]),
-        translational_lift: 0.01 * strength,
+        translational_lift: 0.002 * strength,
         velocity_moment: 2e-4 * strength,
-        rotational_damping: scaled([1e-4, 2e-4, 3e-4]),
+        rotational_damping: scaled([4e-4, 5e-4, 3e-4]),
         trim_torque: scaled([1e-5, -2e-5, 5e-6]),
     };
     DroneParams { center_of_mass: [1e-3, -5e-4], motors, air, ..params }

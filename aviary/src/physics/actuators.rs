@@ -1,5 +1,5 @@
-//! Motor dynamics: lag, latency, gains and saturation, from the settings of an environment and from the airframe. All of
-//! them are off by default.
+//! Motor dynamics: lag, latency, gains and saturation, from the settings of an environment and from the airframe. All
+//! of them are off by default.
 
 use crate::drone::DroneParams;
 use crate::error::OptionError;
@@ -81,7 +81,7 @@ pub struct Actuators {
     initial_rpm: f64,
     /// Fraction of the remaining speed difference that the lag closes in one physics step: 1 − exp(−dt/τ).
     share: f64,
-    /// The same fraction while the speed falls, if it is another one.
+    /// Fraction while the speed falls, if it is another one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     fall_share: Option<f64>,
     /// Ring buffer of delayed commands, one per physics step of latency.
@@ -216,7 +216,8 @@ impl Actuators {
     }
 
     /// Advances the motors by one physics step under a command (rpm) and returns the rotor speeds (rpm) of that step:
-    /// n += (n_cmd − n)·(1 − exp(−dt/τ)), with the τ of a rising speed for n_cmd > n and that of a falling one otherwise.
+    /// n += (n_cmd − n)·(1 − exp(−dt/τ)), with the τ of a rising speed for n_cmd > n and that of a falling one
+    /// otherwise.
     #[inline]
     pub fn advance(&mut self, command: &[f64; 4]) -> &[f64; 4] {
         let mut arrived = *command;

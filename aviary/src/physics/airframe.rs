@@ -72,8 +72,8 @@ impl AirframeEffects {
         }
     }
 
-    /// Adds the effects of a physics step of `dt` seconds to the wrench of the rotors, and returns the drag, world frame,
-    /// N.
+    /// Adds the effects of a physics step of `dt` seconds to the wrench of the rotors, and returns the drag, world
+    /// frame, N.
     ///
     /// `state` is that at the start of the step, `air` the velocity of the air (world frame, m/s), `rpm` the rotor
     /// speeds in the physics step before and in this one.

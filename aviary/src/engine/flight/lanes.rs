@@ -35,7 +35,7 @@ pub struct Airframe {
     /// Fraction of the remaining speed difference that the rotors close in one physics step while their speed rises; 1
     /// without lag.
     pub share: f64,
-    /// The same fraction while the speed falls. It is equal to `share` unless [`Flow::airframe_effects`] is set.
+    /// Fraction while the speed falls. It is equal to `share` unless [`Flow::airframe_effects`] is set.
     ///
     /// [`Flow::airframe_effects`]: super::Flow::airframe_effects
     pub fall_share: f64,

@@ -273,8 +273,9 @@ fn select(
     loop {
         let (part, errors) = errors_of(parts, &kept);
         let ratio = |place: usize| errors[place] / scale(parameters[kept[place]]);
-        // a comparison that is true for NaN; additional parameters are dropped first
-        let worst = (0..kept.len()).filter(|&place| !(ratio(place) <= MAX_ERROR)).max_by(|&a, &b| {
+        // NaN is an error that is too large; additional parameters are dropped first
+        let is_known = |place: usize| ratio(place) <= MAX_ERROR;
+        let worst = (0..kept.len()).filter(|&place| !is_known(place)).max_by(|&a, &b| {
             let key = |place: usize| is_additional(parameters[kept[place]]);
             key(a).cmp(&key(b)).then(ratio(a).total_cmp(&ratio(b)))
         });
@@ -303,7 +304,8 @@ fn select(
         };
         let additional = (0..kept.len()).filter(|&place| is_additional(parameters[kept[place]]));
         let least = additional.min_by(|&a, &b| ratio(a).total_cmp(&ratio(b)));
-        let Some(place) = least.filter(|&place| !(ratio(place) >= SIGNIFICANCE)) else { break };
+        let is_significant = |place: usize| ratio(place) >= SIGNIFICANCE;
+        let Some(place) = least.filter(|&place| !is_significant(place)) else { break };
         let deviation = Estimate { value: deviation(place), error: errors[place] };
         dropped.push((parameters[kept[place]], Status::Insignificant(deviation)));
         kept.remove(place);
@@ -348,7 +350,7 @@ pub(super) fn run(
     let start = initial(base, &corrected);
     let fitted: Vec<_> =
         corrected.into_iter().map(|flight| FittedFlight::new(flight, FIRST_START, BETWEEN_STARTS)).collect();
-    for fitted in fitted.iter().filter(|fitted| fitted.windows.is_empty()) {
+    if let Some(fitted) = fitted.iter().find(|fitted| fitted.windows.is_empty()) {
         let message = "every window starts near a jump of the markers, expected a window without one".into();
         return Err(FlightError::Windows { flight: fitted.flight.name.clone(), message });
     }

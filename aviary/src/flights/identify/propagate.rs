@@ -347,13 +347,16 @@ fn run<L: Loader>(l: &L, job: &Job<'_>, out: &mut [Row]) {
     }
 }
 
+/// Dynamics, decay of the fast disturbances, and start of a prediction.
+type Start<'a, R> = (&'a Dynamics<R>, &'a FastSteps<R>, &'a Estimate<R>);
+
 /// Writes the deviations of one prediction.
 #[inline(always)]
 fn predict<L: Loader, const WITH_ATTITUDE: bool>(
     l: &L,
     job: &Job<'_>,
     window: &Window,
-    (dynamics, fast, start): (&Dynamics<L::Register>, &FastSteps<L::Register>, &Estimate<L::Register>),
+    (dynamics, fast, start): Start<'_, L::Register>,
     inputs: &Inputs<'_, L::Register>,
     out: &mut std::slice::IterMut<'_, Row>,
 ) {

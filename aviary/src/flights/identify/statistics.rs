@@ -29,9 +29,9 @@ impl Information {
     /// Creates the sums from a Jacobian, its residuals and the block of every residual, which is below `count`.
     pub fn new(jacobian: &DMatrix<f64>, residuals: &DVector<f64>, blocks: &[usize], count: usize) -> Self {
         let mut scores = vec![DVector::zeros(jacobian.ncols()); count];
-        for column in 0..jacobian.ncols() {
-            for ((slope, residual), block) in jacobian.column(column).iter().zip(residuals.iter()).zip(blocks) {
-                scores[*block][column] += slope * residual;
+        for (index, column) in jacobian.column_iter().enumerate() {
+            for ((slope, residual), block) in column.iter().zip(residuals.iter()).zip(blocks) {
+                scores[*block][index] += slope * residual;
             }
         }
         Self { matrix: jacobian.tr_mul(jacobian), scores }

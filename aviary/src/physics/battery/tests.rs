@@ -186,7 +186,7 @@ proptest! {
         let own: Vec<_> = own.into_iter().map(|own| own.map(params)).collect();
         let singles: Vec<_> = own.iter().map(|own| own.as_ref().map(battery)).collect();
         let mut lanes = BatteryLanes::default();
-        let mut states = vec![BatteryState::default(); LANES];
+        let mut states = [BatteryState::default(); LANES];
         for lane in 0..LANES {
             let Some(single) = &singles[lane] else { continue };
             let charge = own[lane].as_ref().and_then(|own| own.battery).unwrap().initial_charge;
