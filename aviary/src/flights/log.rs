@@ -39,7 +39,8 @@ const VOLTAGES: std::ops::RangeInclusive<f64> = 0.5..=100.0;
 /// assert_eq!(flight.row_at(0.1), Some(10));
 ///
 /// let error = Flight::from_csv("damaged", text.replace("0.05,", "0.06,").as_bytes()).unwrap_err();
-/// assert_eq!(error.to_string(), "damaged: line 7: t is 0.06, expected 0.05 (a constant step of 0.01 s)");
+/// let expected = "damaged: line 8: t is 0.06, expected a time after 0.06 (rows in the order of time)";
+/// assert_eq!(error.to_string(), expected);
 /// # Ok::<(), aviary::flights::FlightError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
