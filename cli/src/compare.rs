@@ -32,7 +32,7 @@ pub struct Compare {
     /// Recorded flights: CSV files, or directories with CSV files
     #[arg(long, value_name = "PATH", value_hint = ValueHint::AnyPath, num_args = 1.., required = true)]
     flights: Vec<PathBuf>,
-    /// Airframe: a built-in airframe or a TOML file, with [motors] speed_per_volt
+    /// Airframe: built-in or a TOML file, with [motors] speed_per_volt
     #[arg(
         long,
         value_name = "AIRFRAME",

@@ -153,22 +153,6 @@ pub fn all() -> Vec<(String, EnvConfig)> {
             base().wind(wind).medium(Medium::AIR).effects(Effects::ALL),
         );
     }
-    // every effect, with motors that the kernel for a common lag does not fly
-    let drone = base().drone(with_effects(DroneModel::Cf2x.params(), TIMES, 1.0));
-    add("effects of the airframe", drone.clone());
-    add("effects of the airframe without lag", base().drone(with_effects(DroneModel::Cf2x.params(), [0.0; 3], 1.0)));
-    add(
-        "effects of the airframe with late motors",
-        base().drone(with_effects(DroneModel::Cf2x.params(), LATE_TIMES, 4.0)),
-    );
-    add("effects of the airframe under a lag of the environment", drone.clone().actuators(MOTORS));
-    for forcing in [Forcing::Frozen, Forcing::BodyFixed] {
-        let physics = drone.clone().physics(Physics::MjcGndDragDw).forcing(forcing).medium(Medium::AIR);
-        let name = format!("effects of the airframe in wind and a medium, {forcing:?}");
-        add(&name, physics.wind(strong(WindModel::Combined)));
-    }
-    add("effects of the airframe in a constant wind", drone.clone().wind(strong(WindModel::Constant)));
-    add("effects of a randomized airframe", drone.randomization(Randomization::default()));
     let still = WindConfig { still_air_drag: true, ..WindConfig::default() };
     add("drag in still air", base().wind(still));
     add("gusts with drag in still air", base().wind(WindConfig { still_air_drag: true, ..strong(WindModel::Gust) }));
@@ -219,5 +203,22 @@ pub fn all() -> Vec<(String, EnvConfig)> {
 
     add("everything", everything());
     add("everything at 60 Hz", everything().ctrl_freq(60));
+
+    // every effect, with motors that the kernel for a common lag does not fly
+    let drone = base().drone(with_effects(DroneModel::Cf2x.params(), TIMES, 1.0));
+    add("effects of the airframe", drone.clone());
+    add("effects of the airframe without lag", base().drone(with_effects(DroneModel::Cf2x.params(), [0.0; 3], 1.0)));
+    add(
+        "effects of the airframe with late motors",
+        base().drone(with_effects(DroneModel::Cf2x.params(), LATE_TIMES, 4.0)),
+    );
+    add("effects of the airframe under a lag of the environment", drone.clone().actuators(MOTORS));
+    for forcing in [Forcing::Frozen, Forcing::BodyFixed] {
+        let physics = drone.clone().physics(Physics::MjcGndDragDw).forcing(forcing).medium(Medium::AIR);
+        let name = format!("effects of the airframe in wind and a medium, {forcing:?}");
+        add(&name, physics.wind(strong(WindModel::Combined)));
+    }
+    add("effects of the airframe in a constant wind", drone.clone().wind(strong(WindModel::Constant)));
+    add("effects of a randomized airframe", drone.randomization(Randomization::default()));
     all
 }

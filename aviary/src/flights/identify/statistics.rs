@@ -80,6 +80,10 @@ impl Information {
 
     /// Returns the pseudo-inverse of JᵀJ, and for every parameter whether the data determine it.
     fn inverse(&self) -> (DMatrix<f64>, Vec<bool>) {
+        // the decomposition of an empty matrix panics
+        if self.len() == 0 {
+            return (DMatrix::zeros(0, 0), Vec::new());
+        }
         let (scales, eigen) = (self.scales(), self.eigen());
         let count = self.len();
         let mut inverse = DMatrix::zeros(count, count);
