@@ -41,7 +41,7 @@ pub struct Compare {
         hide_possible_values = true
     )]
     drone: NameOrFile<DroneModel>,
-    /// Attitude: recorded (only position and velocity are predicted) or predicted
+    /// Attitude: recorded (predicts position and velocity) or predicted
     ///
     /// Without this option, the output has both.
     #[arg(

@@ -45,7 +45,7 @@ pub struct Identify {
     /// Mass in flight, kg
     #[arg(long, value_name = "KG")]
     mass: f64,
-    /// File of the identified airframe (TOML); its name becomes the name of the airframe
+    /// File of the identified airframe (TOML), which has the file's name
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     out: Option<PathBuf>,
     /// Plot of measured and predicted position and attitude (.svg or .png)
