@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector, UnitQuaternion, Vector3};
 
-use super::statistics::{Estimate, block_regression};
+use super::statistics::{Estimate, block_regression, instrumented_regression};
 use crate::drone::GRAVITY;
 use crate::flights::Flight;
 
@@ -23,8 +23,8 @@ const MIN_TILT: f64 = 4e-3;
 const MIN_OFFSET: f64 = 3e-3;
 
 /// Differences between the frames and clocks of one recorded flight. A correction is applied if it exceeds a minimum
-/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and four standard errors, and if the standard error is at most half
-/// of the minimum (not for the motors); [`applied`](Self::applied) has the numbers that were.
+/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and four standard errors; that of a tilt or an offset must also have
+/// a standard error below the minimum. [`applied`](Self::applied) has the numbers that were.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Alignment {
     /// Name of the flight.
@@ -63,17 +63,17 @@ impl Correction {
     }
 }
 
-/// Returns an estimate as a correction, or zero if it is not significant.
-fn significant(estimate: &Estimate, min: f64) -> f64 {
+/// Returns an estimate as a correction, or zero if it is below a minimum, below four standard errors, or not accurate.
+pub(super) fn significant(estimate: &Estimate, min: f64, max_error: f64) -> f64 {
     let size = estimate.value.abs();
-    if size > min && estimate.error <= (0.25 * size).min(0.5 * min) { estimate.value } else { 0.0 }
+    if size > min && estimate.error <= (0.25 * size).min(max_error) { estimate.value } else { 0.0 }
 }
 
 /// Estimates the alignment of a flight, and returns it with the corrected flight.
 pub(super) fn align(flight: &Flight) -> (Alignment, Flight) {
     let mut corrected = flight.clone();
     let onboard_shift = onboard_shift(flight);
-    let shift = onboard_shift.as_ref().map_or(0.0, |estimate| significant(estimate, MIN_SHIFT));
+    let shift = onboard_shift.as_ref().map_or(0.0, |estimate| significant(estimate, MIN_SHIFT, f64::INFINITY));
     if shift != 0.0 {
         shift_onboard(&mut corrected, shift);
     }
@@ -83,8 +83,8 @@ pub(super) fn align(flight: &Flight) -> (Alignment, Flight) {
     let applied = Correction {
         onboard_shift: shift,
         motor_shift: 0.0,
-        tilt: tilt.map(|estimate| significant(&estimate, MIN_TILT)),
-        offset: offset.map(|estimate| significant(&estimate, MIN_OFFSET)),
+        tilt: tilt.map(|estimate| significant(&estimate, MIN_TILT, MIN_TILT)),
+        offset: offset.map(|estimate| significant(&estimate, MIN_OFFSET, MIN_OFFSET)),
     };
     correct_marker_frame(&mut corrected, &applied);
     let alignment = Alignment { flight: flight.name.clone(), onboard_shift, motor_shift: None, tilt, offset, applied };
@@ -131,7 +131,7 @@ fn rates_of_attitude(flight: &Flight) -> Vec<Vector3<f64>> {
 }
 
 /// Returns the time by which the gyro lags behind the attitude: the shift with the smallest squared difference of mean
-/// body rates, with a bias per axis.
+/// body rates, with a bias per axis and a small rotation between the frames.
 fn onboard_shift(flight: &Flight) -> Option<Estimate> {
     let gyro = flight.body_rate.as_ref()?;
     let max_rows = (MAX_SHIFT / flight.step).ceil() as usize;
@@ -178,15 +178,20 @@ fn onboard_shift(flight: &Flight) -> Option<Estimate> {
     let (mut rows, mut error) = (start, f64::INFINITY);
     for _ in 0..5 {
         let count = used.len();
-        let mut design = DMatrix::zeros(3 * count, 4);
+        // shift, three biases, three rotations
+        let mut design = DMatrix::zeros(3 * count, 7);
         let mut target = DVector::zeros(3 * count);
         let mut blocks = Vec::with_capacity(3 * count);
         for (place, &index) in used.iter().enumerate() {
+            let rate = value(index, rows);
             let slope = (value(index, rows + 1.0) - value(index, rows - 1.0)) * 0.5;
-            let rest = reference[index] - value(index, rows);
+            let rest = reference[index] - rate;
             for axis in 0..3 {
                 design[(3 * place + axis, 0)] = slope[axis];
                 design[(3 * place + axis, axis + 1)] = 1.0;
+                for turn in 0..3 {
+                    design[(3 * place + axis, turn + 4)] = rate.cross(&Vector3::ith(turn, 1.0))[axis];
+                }
                 target[3 * place + axis] = rest[axis];
                 blocks.push((index as f64 * flight.step / BLOCK) as usize);
             }
@@ -218,28 +223,24 @@ fn kernels() -> ([f64; 2 * HALF + 1], [f64; 2 * HALF + 1]) {
 ///
 /// With the tilt θ and the offset r, the lateral specific force of the marker frame's origin in the measured body frame
 /// is (−θ_y·T, θ_x·T) − diag(d)·v + (ω̇ × r + ω × (ω × r)): a linear regression with one drag coefficient per axis.
+/// Noise of the gyro in ω̇ would make r too small, so that the same terms with the rates from the attitude, whose noise
+/// is independent, serve as instrumental variables.
 fn marker_frame(flight: &Flight) -> [Estimate; 5] {
     let unknown = Estimate { value: 0.0, error: f64::INFINITY };
     let rows = flight.rows();
     if rows < 6 * HALF + 20 {
         return [unknown; 5];
     }
-    let own_rates;
-    let rates = match &flight.body_rate {
-        Some(rates) => rates,
-        None => {
-            let inner = rates_of_attitude(flight);
-            let row_of = |row: usize| inner[row.clamp(HALF, rows - HALF - 1) - HALF];
-            own_rates = (0..rows).map(row_of).collect();
-            &own_rates
-        }
-    };
+    let inner = rates_of_attitude(flight);
+    let own_rates: Vec<_> = (0..rows).map(|row| inner[row.clamp(HALF, rows - HALF - 1) - HALF]).collect();
+    let rates = flight.body_rate.as_ref().unwrap_or(&own_rates);
     let (second, weights) = kernels();
     let squared = flight.step * flight.step;
     let glitches = flight.glitches();
     let used: Vec<usize> = (HALF + 1..rows - HALF - 1).filter(|&row| !glitches[row]).collect();
     // two equations a row; θ_x, θ_y, r_x, r_y, r_z, d_x, d_y
     let mut design = DMatrix::zeros(2 * used.len(), 7);
+    let mut instruments = DMatrix::zeros(2 * used.len(), 7);
     let mut target = DVector::zeros(2 * used.len());
     let mut blocks = Vec::with_capacity(2 * used.len());
     for (place, &row) in used.iter().enumerate() {
@@ -251,7 +252,8 @@ fn marker_frame(flight: &Flight) -> [Estimate; 5] {
         let force = back * force;
         let thrust = force.z;
         let (mut up, mut drag) = (Vector3::zeros(), [Vector3::zeros(); 2]);
-        let mut lever = [Vector3::zeros(); 3];
+        // with the measured rates, and with those from the attitude
+        let mut levers = [[Vector3::zeros(); 3]; 2];
         for (index, &weight) in weights.iter().enumerate() {
             let at = row + index - HALF;
             let turn = back * flight.attitude[at];
@@ -259,26 +261,30 @@ fn marker_frame(flight: &Flight) -> [Estimate; 5] {
             let velocity = flight.attitude[at].inverse() * flight.velocity[at];
             drag[0] -= turn * Vector3::x() * (velocity.x * weight);
             drag[1] -= turn * Vector3::y() * (velocity.y * weight);
-            let acceleration = (rates[at + 1] - rates[at - 1]) / (2.0 * flight.step);
-            for (axis, lever) in lever.iter_mut().enumerate() {
-                let r = Vector3::ith(axis, 1.0);
-                *lever += turn * (acceleration.cross(&r) + rates[at].cross(&rates[at].cross(&r))) * weight;
+            for (lever, rates) in levers.iter_mut().zip([rates, &own_rates]) {
+                let acceleration = (rates[at + 1] - rates[at - 1]) / (2.0 * flight.step);
+                for (axis, lever) in lever.iter_mut().enumerate() {
+                    let r = Vector3::ith(axis, 1.0);
+                    *lever += turn * (acceleration.cross(&r) + rates[at].cross(&rates[at].cross(&r))) * weight;
+                }
             }
         }
         for axis in 0..2 {
             let line = 2 * place + axis;
             // the direction of the thrust changes within the kernel
             target[line] = force[axis] - up[axis] * thrust;
-            design[(line, 1 - axis)] = if axis == 0 { -thrust } else { thrust };
-            for (column, lever) in lever.iter().enumerate() {
-                design[(line, 2 + column)] = lever[axis];
+            for (matrix, lever) in [&mut design, &mut instruments].into_iter().zip(&levers) {
+                matrix[(line, 1 - axis)] = if axis == 0 { -thrust } else { thrust };
+                for (column, lever) in lever.iter().enumerate() {
+                    matrix[(line, 2 + column)] = lever[axis];
+                }
+                matrix[(line, 5)] = drag[0][axis];
+                matrix[(line, 6)] = drag[1][axis];
             }
-            design[(line, 5)] = drag[0][axis];
-            design[(line, 6)] = drag[1][axis];
             blocks.push((row as f64 * flight.step / BLOCK) as usize);
         }
     }
-    let estimates = block_regression(&design, &target, &blocks);
+    let estimates = instrumented_regression(&design, &instruments, &target, &blocks);
     if estimates.len() < 5 { [unknown; 5] } else { std::array::from_fn(|index| estimates[index]) }
 }
 
@@ -383,16 +389,15 @@ mod tests {
             let offset = Vector3::from(offset);
             let (alignment, corrected) = align(&recorded(shift, tilt, offset, noise));
             let onboard = alignment.onboard_shift.unwrap();
-            prop_assert!((onboard.value - shift).abs() < 4e-4 + 4.0 * onboard.error, "{onboard:?} {shift}");
-            prop_assert!(onboard.error < 1e-3, "{onboard:?}");
+            prop_assert!((onboard.value - shift).abs() < 3e-4 + 4.0 * onboard.error, "{onboard:?} {shift}");
+            prop_assert!(onboard.error < 5e-4, "{onboard:?}");
             for (found, truth) in alignment.tilt.iter().zip(tilt) {
-                prop_assert!((found.value - truth).abs() < 1e-3, "{found:?} {truth}");
+                prop_assert!((found.value - truth).abs() < 5e-4 + 4.0 * found.error, "{found:?} {truth}");
+                prop_assert!(found.error < 1e-3, "{found:?}");
             }
             for (found, truth) in alignment.offset.iter().zip(offset.iter()) {
-                // noise of the angular acceleration, the regressor, makes the offset too small by a part of it
-                let limit = 5e-4 + 4.0 * found.error + 0.15 * truth.abs();
-                prop_assert!((found.value - truth).abs() < limit, "{found:?} {truth}");
-                prop_assert!(found.error < 1.5e-3, "{found:?}");
+                prop_assert!((found.value - truth).abs() < 5e-4 + 4.0 * found.error, "{found:?} {truth}");
+                prop_assert!(found.error < 2e-3, "{found:?}");
             }
             // rows away from the ends, where the shift has no samples
             let mut worst = [0.0_f64; 3];

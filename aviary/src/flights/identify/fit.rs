@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::align::{Alignment, MIN_MOTOR_SHIFT, align, shift_motors};
+use super::align::{Alignment, MIN_MOTOR_SHIFT, align, shift_motors, significant};
 use super::parameters::{PARAMETERS, Role, Stage};
 use super::problem::{Problem, Weights, filters};
 use super::propagate::{Filter, FittedFlight, Tracks};
@@ -490,10 +490,10 @@ fn shift_apart(fit: &mut Fit<'_>, alignments: &mut [Alignment]) -> bool {
     for ((fitted, alignment), shift) in fit.flights.iter_mut().zip(alignments).zip(shifts) {
         let applied = &mut alignment.applied.motor_shift;
         alignment.motor_shift = Some(Estimate { value: *applied + shift.value, ..shift });
-        let size = shift.value.abs();
-        if size > MIN_MOTOR_SHIFT && shift.error <= 0.25 * size {
-            shift_motors(&mut fitted.flight, shift.value);
-            *applied += shift.value;
+        let by = significant(&shift, MIN_MOTOR_SHIFT, f64::INFINITY);
+        if by != 0.0 {
+            shift_motors(&mut fitted.flight, by);
+            *applied += by;
             has_moved = true;
         }
     }
