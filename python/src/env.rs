@@ -20,6 +20,7 @@ use pyo3::types::{PyBytes, PyDict, PyTuple, PyType};
 
 use crate::conditions;
 use crate::error::{env_error, guard, value_error};
+use crate::gil::without_gil;
 use crate::options::{env_config, task_options};
 use crate::vector::buffers::{Numbers, image_dict, to_vec, with_array};
 
@@ -91,7 +92,7 @@ impl Inner {
 
     /// Calls a function of the environment, without the GIL if it takes long.
     fn work<T: Send>(&mut self, py: Python<'_>, function: impl FnOnce(&mut Self) -> PyResult<T> + Send) -> PyResult<T> {
-        if self.releases_gil { py.detach(|| guard(|| function(self))) } else { guard(|| function(self)) }
+        if self.releases_gil { without_gil(py, || guard(|| function(self))) } else { guard(|| function(self)) }
     }
 
     /// Returns the last observation: an array if it has one part, otherwise a dict of arrays.
@@ -204,7 +205,7 @@ impl Env {
     #[pyo3(signature = (task, options, output_folder = None))]
     fn new(py: Python<'_>, task: &str, options: &Bound<'_, PyDict>, output_folder: Option<PathBuf>) -> PyResult<Self> {
         let config = env_config(task, options)?;
-        let env = py.detach(|| {
+        let env = without_gil(py, || {
             guard(|| {
                 let env = make(task, config).map_err(env_error)?;
                 let Some(folder) = output_folder else { return Ok(env) };
@@ -269,7 +270,7 @@ impl Env {
     /// "depth" float32 (N, 48, 64), "segmentation" int32 (N, 48, 64, 2).
     fn onboard<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let inner = self.inner();
-        let images = py.detach(|| guard(|| inner.onboard(CAMERA_SIZE)))?;
+        let images = without_gil(py, || guard(|| inner.onboard(CAMERA_SIZE)))?;
         let shape = [inner.simulation().num_drones(), CAMERA_SIZE.height as usize, CAMERA_SIZE.width as usize];
         let dict = PyDict::new(py);
         dict.set_item("rgb", images.rgb.to_pyarray(py).reshape([shape[0], shape[1], shape[2], 4])?)?;
@@ -291,7 +292,7 @@ impl Env {
         let inner = self.inner();
         let mut rgb = vec![0; 3 * width as usize * height as usize];
         let buffer = &mut rgb;
-        py.detach(|| guard(|| inner.env.render(view, ImageSize { width, height }, buffer).map_err(env_error)))?;
+        without_gil(py, || guard(|| inner.env.render(view, ImageSize { width, height }, buffer).map_err(env_error)))?;
         rgb.to_pyarray(py).reshape([height as usize, width as usize, 3])
     }
 

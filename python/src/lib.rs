@@ -4,6 +4,7 @@ mod conditions;
 mod control;
 mod env;
 mod error;
+mod gil;
 mod memory;
 mod multi_agent;
 mod options;

@@ -14,6 +14,7 @@ use pyo3::types::PyDict;
 use crate::conditions;
 use crate::env::battery_rows;
 use crate::error::{env_error, guard, value_error};
+use crate::gil::without_gil;
 use crate::options::env_config;
 use crate::vector::buffers::{image_dict, to_vec};
 
@@ -43,7 +44,7 @@ impl Parallel {
     #[new]
     fn new(py: Python<'_>, task: &str, options: &Bound<'_, PyDict>) -> PyResult<Self> {
         let config = env_config(task, options)?;
-        let env = py.detach(|| guard(|| make_parallel(task, config).map_err(env_error)))?;
+        let env = without_gil(py, || guard(|| make_parallel(task, config).map_err(env_error)))?;
         Ok(Self { env: Mutex::new(env) })
     }
 
@@ -197,7 +198,7 @@ impl Parallel {
     ) -> PyResult<R> {
         let mut env = self.lock()?;
         let env = &mut **env;
-        py.detach(|| guard(|| work(env)))
+        without_gil(py, || guard(|| work(env)))
     }
 
     /// Returns the parts of the observations by agent.

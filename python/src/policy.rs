@@ -8,6 +8,7 @@ use pyo3::types::PyBytes;
 
 use crate::conditions::python_of;
 use crate::error::{guard, value_error};
+use crate::gil::without_gil;
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -89,7 +90,7 @@ impl Policy {
         let mut actions = vec![0.0; count * outputs];
         if count > 0 {
             guard(|| {
-                py.detach(|| self.network.forward(observations, &mut actions));
+                without_gil(py, || self.network.forward(observations, &mut actions));
                 Ok(())
             })?;
         }

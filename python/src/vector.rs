@@ -20,6 +20,7 @@ use self::outputs::{Images, Outputs, StepArrays, StepMemory};
 use crate::conditions;
 use crate::env::{battery_numbers, info_dict};
 use crate::error::{env_error, guard};
+use crate::gil::without_gil;
 use crate::memory;
 use crate::options::{env_config, task_options};
 
@@ -102,7 +103,7 @@ impl Batch {
         };
         let mut config = env_config(task, options)?;
         let batch = VecConfig { threads, autoreset, on_fault, keep_observations: copy, ..VecConfig::new(num_envs) };
-        let env = py.detach(|| {
+        let env = without_gil(py, || {
             guard(|| {
                 if let Some(steps) = max_episode_steps {
                     let one = VecConfig { threads: 1, ..VecConfig::new(1) };
@@ -410,7 +411,7 @@ impl Batch {
     fn work<R: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut Members) -> PyResult<R> + Send) -> PyResult<R> {
         let mut inner = self.lock()?;
         let inner = inner.as_mut().ok_or_else(gone)?;
-        py.detach(|| guard(|| work(&mut inner.members)))
+        without_gil(py, || guard(|| work(&mut inner.members)))
     }
 
     /// Calls a function with the environments and the memory of their next results, without the GIL, and returns the
@@ -423,7 +424,7 @@ impl Batch {
         let mut inner = self.lock()?;
         let Inner { members, outputs } = inner.as_mut().ok_or_else(gone)?;
         let (arrays, memory) = outputs.next(py)?;
-        let result = py.detach(|| guard(|| work(members, memory)))?;
+        let result = without_gil(py, || guard(|| work(members, memory)))?;
         Ok((arrays, result))
     }
 
