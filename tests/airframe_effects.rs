@@ -54,7 +54,13 @@ fn random_airframe(numbers: [f64; 16]) -> DroneParams {
     };
     let yaw_convention = if p > 0.0 { YawConvention::Crazyflie } else { YawConvention::Reversed };
     let center_of_mass = [2e-3 * p, 2e-3 * o];
-    DroneParams { air, motors, yaw_convention, center_of_mass, ..DroneModel::ALL[(n.to_bits() % 3) as usize].params() }
+    DroneParams {
+        air,
+        motors,
+        yaw_convention,
+        center_of_mass,
+        ..DroneModel::PAPER[(n.to_bits() % 3) as usize].params()
+    }
 }
 
 fn numbers() -> impl Strategy<Value = [f64; 16]> {
@@ -244,7 +250,7 @@ fn motors_rise_and_fall_with_their_own_time_constants() {
 /// The thrust of equal rotors acts at the centre of the motors: c × T about the centre of mass.
 #[test]
 fn an_offset_of_the_centre_of_mass_shifts_the_lever_arms() {
-    for model in DroneModel::ALL {
+    for model in DroneModel::PAPER {
         let offset = [4e-3, -3e-3];
         let params = DroneParams { center_of_mass: offset, ..model.params() };
         let speeds = [0.9, 1.0, 1.1, 1.05].map(|x| x * params.hover_rpm());
@@ -512,7 +518,7 @@ fn a_lane_without_effects_flies_as_if_there_were_none() {
 /// A file without effects has no key of theirs, and zeros mean the same.
 #[test]
 fn absent_effects_have_no_keys() {
-    for model in DroneModel::ALL {
+    for model in DroneModel::PAPER {
         let params = model.params();
         let text = toml::to_string(&params).unwrap();
         for key in ["center_of_mass", "motors", "air"] {

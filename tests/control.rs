@@ -10,6 +10,7 @@ use common::{airframe_with_duty, step_env};
 use mujoco_drones_gym::action::ActionLimits;
 use mujoco_drones_gym::control::trajectory::{Heading, PeriodicTrajectory, Plane, Steps, Trajectory, Waypoints, named};
 use mujoco_drones_gym::control::{Bandwidths, ControllerKind, GeometricControl};
+use mujoco_drones_gym::drone::{AirParams, MotorParams};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::prelude::*;
 use mujoco_drones_gym::rollout::from_fn;
@@ -51,7 +52,7 @@ fn fly(mut simulation: Simulation, controller: &mut dyn Controller, path: &dyn T
 }
 
 /// Creates a simulation of a drone at rest at the start of a trajectory.
-fn at_start(model: DroneModel, path: &dyn Trajectory) -> Simulation {
+fn at_start(model: impl Into<DroneParams>, path: &dyn Trajectory) -> Simulation {
     let start = path.start();
     Simulation::builder(model)
         .initial_positions([start.position.into()])
@@ -64,10 +65,31 @@ fn at_start(model: DroneModel, path: &dyn Trajectory) -> Simulation {
 #[test]
 fn the_mean_error_on_the_papers_vertical_circle_is_below_one_millimetre() {
     let circle = PeriodicTrajectory::circle(0.3, 8.0).unwrap().plane(Plane::YZ);
-    for model in DroneModel::ALL {
+    for model in DroneModel::PAPER {
         let mut control = GeometricControl::new(&model.params());
         let flight = fly(at_start(model, &circle), &mut control, &circle, 8.0);
         assert!(flight.mean < 0.001 && flight.peak < 0.012, "{model}: {} {}", flight.mean, flight.peak);
+    }
+}
+
+/// Airframes with lag, latency and rotational damping: the default bandwidths follow the motors.
+#[test]
+fn geometric_control_settles_with_slow_motors() {
+    let hover = Steps::step([0.3, -0.4, 0.8], [0.0, 0.0, 1.0], 20.0).unwrap();
+    let mut airframes = vec![DroneModel::Cf21.params()];
+    for base in [DroneModel::Cf2x, DroneModel::Race].map(DroneModel::params) {
+        for (lag, latency) in [(0.02, 0.0), (0.05, 0.01), (0.04, 0.04), (0.1, 0.0), (0.1, 0.03)] {
+            for damping in [0.0, 5.0, 30.0] {
+                let motors = MotorParams { rise_time: lag, fall_time: 0.5 * lag, latency, ..MotorParams::default() };
+                let air = AirParams { rotational_damping: base.inertia.map(|j| damping * j), ..AirParams::default() };
+                airframes.push(DroneParams { motors, air, ..base.clone() });
+            }
+        }
+    }
+    for params in airframes {
+        let mut control = GeometricControl::new(&params);
+        let last = fly(at_start(params.clone(), &hover), &mut control, &hover, 20.0).last;
+        assert!(last < 0.01, "{}, {:?}, {:?}: {last}", params.name, params.motors, params.air);
     }
 }
 
@@ -95,7 +117,7 @@ fn a_lemniscate_at_three_metres_per_second_is_tracked_with_a_forward_heading() {
         .unwrap();
     let fastest = (0..2000).map(|i| path.reference(f64::from(i) * 0.005).velocity.norm()).fold(0.0, f64::max);
     assert!((fastest - 3.0).abs() < 1e-3, "{fastest}");
-    for model in DroneModel::ALL {
+    for model in DroneModel::PAPER {
         let flight = fly(at_start(model, &path), &mut GeometricControl::new(&model.params()), &path, path.duration());
         assert!(flight.peak < 0.01 && flight.yaw < 0.05, "{model}: {} {}", flight.peak, flight.yaw);
     }
@@ -105,7 +127,12 @@ fn a_lemniscate_at_three_metres_per_second_is_tracked_with_a_forward_heading() {
 fn every_controller_settles_on_a_step_and_dsl_and_geometric_on_a_square() {
     let hover = Steps::step([0.0, 0.0, 0.1], [0.0, 0.0, 1.0], 10.0).unwrap();
     let square = Steps::square(1.0, 4.0).unwrap();
-    for model in DroneModel::ALL {
+    for kind in ControllerKind::ALL {
+        let model = DroneModel::Cf21;
+        let flight = fly(at_start(model, &hover), &mut kind.build(&model.params()), &hover, 10.0);
+        assert!(flight.last < 0.03, "{model} with {kind}: {}", flight.last);
+    }
+    for model in DroneModel::PAPER {
         for (kind, within) in
             [(ControllerKind::Pid, 0.02), (ControllerKind::Dsl, 0.005), (ControllerKind::Geometric, 1e-4)]
         {
@@ -278,7 +305,7 @@ fn invalid_numbers_and_control_periods_give_nan_motor_speeds() {
 
 /// Asserts that an agent, a function of the observation, completes Hover through an action type.
 fn assert_hovers(action_type: ActionType, controller: ControllerKind, agent: impl Fn(&[f64]) -> Vec<f64>) {
-    for model in DroneModel::ALL {
+    for model in DroneModel::PAPER {
         let mut env = Hover::builder()
             .drone(model)
             .action_type(action_type)

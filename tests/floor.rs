@@ -185,7 +185,7 @@ fn every_substep_of_a_second_on_the_floor_matches_mj_step() {
         let mut rng = Rng::seed_from_u64(regime as u64);
         let mut result = Substeps::default();
         for case in 0..cases(12, 200) {
-            let params = DroneModel::ALL[case % 3].params();
+            let params = DroneModel::PAPER[case % 3].params();
             let dt = [1.0 / 240.0, 1.0 / 1000.0, 1.0 / 100.0][rng.random_range(0..3)];
             let mut pair = random_pair(case, &params, dt, &mut rng);
             let mut state = start(regime, &params, &mut rng);
@@ -211,7 +211,7 @@ fn substeps_of_user_made_airframes_match_mj_step() {
     let mut result = Substeps::default();
     for case in 0..cases(100, 2000) {
         let mut log = |a: f64, b: f64| (a.ln() + (b.ln() - a.ln()) * rng.random::<f64>()).exp();
-        let mut params = DroneModel::ALL[case % 3].params();
+        let mut params = DroneModel::PAPER[case % 3].params();
         params.collision_radius = log(1e-3, 10.0);
         params.collision_height = params.collision_radius * log(0.03, 4.0);
         params.mass = log(1e-4, 1e4);
@@ -252,7 +252,7 @@ fn the_first_second_of_contact_matches_mj_step() {
     for (regime, name) in REGIMES.iter().enumerate() {
         let mut rng = Rng::seed_from_u64(100 + regime as u64);
         for case in 0..cases(12, 200) {
-            let params = DroneModel::ALL[case % 3].params();
+            let params = DroneModel::PAPER[case % 3].params();
             let dt = 1.0 / 240.0;
             let mut pair = random_pair(case, &params, dt, &mut rng);
             let first = start(regime, &params, &mut rng);
@@ -297,7 +297,7 @@ fn several_drones_on_the_floor_match_mj_step() {
     let (mut worst, mut touching, mut handed_over) = (0.0_f64, 0, 0);
     for case in 0..cases(20, 200) {
         let count = 2 + case % 6;
-        let params = DroneModel::ALL[case % 3].params();
+        let params = DroneModel::PAPER[case % 3].params();
         let drone = DroneBody { params: params.clone(), position: Vector3::z(), rpy: Vector3::zeros() };
         let world = World::new(vec![drone; count]);
         let single = random_pair(0, &params, world.timestep, &mut rng);

@@ -102,7 +102,7 @@ fn the_explicit_engine_converges_to_mujoco_at_first_order() {
 
 #[test]
 fn constant_thrust_without_rotation_matches_its_closed_form_in_every_engine() {
-    for model in DroneModel::ALL {
+    for model in DroneModel::PAPER {
         let params = model.params();
         for engine in EngineKind::ALL {
             for forcing in [Forcing::Frozen, Forcing::BodyFixed] {

@@ -18,7 +18,7 @@ use crate::parse::{self, NameOrFile};
   aviary airframe my_quad.toml
   aviary airframe my_quad.toml --json")]
 pub struct Airframe {
-    /// Airframe: cf2x, cf2p, race or a TOML file
+    /// Airframe: cf2x, cf2p, race, cf21 or a TOML file
     #[arg(
         value_name = "AIRFRAME",
         value_hint = ValueHint::FilePath,

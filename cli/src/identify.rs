@@ -33,7 +33,7 @@ pub struct Identify {
     /// Recorded flights: CSV files, or directories with CSV files
     #[arg(value_name = "FLIGHTS", value_hint = ValueHint::AnyPath, num_args = 1.., required = true)]
     flights: Vec<PathBuf>,
-    /// Airframe with the dimensions: cf2x, cf2p, race or a TOML file
+    /// Airframe with the dimensions: cf2x, cf2p, race, cf21 or a TOML file
     #[arg(
         long,
         value_name = "AIRFRAME",

@@ -91,7 +91,7 @@ pub struct FlightOptions {
     /// Task to fly; `aviary tasks` lists them
     #[arg(long, value_name = "NAME", value_parser = parse::task(), hide_possible_values = true)]
     pub task: TaskSummary,
-    /// Airframe: cf2x, cf2p, race or a TOML file
+    /// Airframe: cf2x, cf2p, race, cf21 or a TOML file
     ///
     /// `aviary airframe` checks a file.
     #[arg(

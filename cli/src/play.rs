@@ -49,7 +49,7 @@ pub struct Play {
     /// Task to fly [default: the policy's]
     #[arg(long, value_name = "NAME", value_parser = parse::task(), hide_possible_values = true)]
     task: Option<TaskSummary>,
-    /// Airframe: cf2x, cf2p, race or a TOML file [default: the policy's]
+    /// Airframe: cf2x, cf2p, race, cf21 or a TOML file [default: the policy's]
     #[arg(long, value_name = "NAME", value_parser = parse::airframe(), hide_possible_values = true)]
     drone: Option<NameOrFile<DroneModel>>,
     /// Physics, wind, obstacles and randomization of the training

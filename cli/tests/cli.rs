@@ -14,7 +14,7 @@ use common::{
 
 #[test]
 fn hover_ends_at_its_target_and_reports_the_error() {
-    for drone in ["cf2x", "cf2p", "race"] {
+    for drone in ["cf2x", "cf2p", "race", "cf21"] {
         let flight = json(&["fly", "--task", "hover", "--drone", drone]);
         let number = |key: &str| flight[key].as_f64().unwrap_or_else(|| panic!("{key}"));
         assert_eq!(flight["task"], "hover");
@@ -106,7 +106,7 @@ fn an_unwritable_output_has_status_1_before_the_flight() {
 #[test]
 fn every_airframe_hovers_in_every_physics_mode() {
     for physics in ["mjc", "mjc_gnd", "mjc_drag", "mjc_dw", "mjc_gnd_drag_dw", "dyn"] {
-        for drone in ["cf2x", "cf2p", "race"] {
+        for drone in ["cf2x", "cf2p", "race", "cf21"] {
             let flight = json(&["fly", "--task", "hover", "--physics", physics, "--drone", drone]);
             assert_eq!((&flight["physics"], &flight["success"]), (&physics.into(), &true.into()), "{physics} {drone}");
         }

@@ -110,7 +110,8 @@ impl Controller {
         let control = match bandwidths {
             None => kind.build(&params),
             Some(given) => {
-                let bandwidths: Bandwidths = section("bandwidths", given)?;
+                let given: GivenBandwidths = section("bandwidths", given)?;
+                let bandwidths = given.complete(&Bandwidths::for_airframe(&params));
                 check_bandwidths(&bandwidths)?;
                 AnyController::Geometric(GeometricControl::with_bandwidths(&params, bandwidths))
             }
@@ -211,6 +212,30 @@ impl Controller {
     #[staticmethod]
     fn from_json(text: &str) -> PyResult<Self> {
         Ok(Self { control: serde_json::from_str(text).map_err(value_error)? })
+    }
+}
+
+/// Bandwidths of which any can be missing.
+#[derive(Default, serde::Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct GivenBandwidths {
+    horizontal: Option<f64>,
+    vertical: Option<f64>,
+    tilt: Option<f64>,
+    yaw: Option<f64>,
+    integral: Option<f64>,
+}
+
+impl GivenBandwidths {
+    /// Returns the bandwidths with those of an airframe in place of missing ones.
+    fn complete(&self, default: &Bandwidths) -> Bandwidths {
+        Bandwidths {
+            horizontal: self.horizontal.unwrap_or(default.horizontal),
+            vertical: self.vertical.unwrap_or(default.vertical),
+            tilt: self.tilt.unwrap_or(default.tilt),
+            yaw: self.yaw.unwrap_or(default.yaw),
+            integral: self.integral.unwrap_or(default.integral),
+        }
     }
 }
 

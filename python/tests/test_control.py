@@ -348,7 +348,7 @@ def test_the_largest_arguments_give_finite_speeds(kind):
 
 
 def test_errors_of_the_constructor():
-    with pytest.raises(ValueError, match="drone_model: no drone model `cf3`, expected cf2x, cf2p or race"):
+    with pytest.raises(ValueError, match="drone_model: no drone model `cf3`, expected cf2x, cf2p, race or cf21"):
         PIDControl("cf3")
     with pytest.raises(TypeError, match="env is object, expected an environment, a drone model or None"):
         PIDControl(object())

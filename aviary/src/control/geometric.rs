@@ -35,8 +35,55 @@ pub struct Bandwidths {
 }
 
 impl Default for Bandwidths {
+    /// Returns the frequencies for ideal motors.
     fn default() -> Self {
         Self { horizontal: 5.0, vertical: 11.0, tilt: 18.0, yaw: 10.0, integral: 0.0 }
+    }
+}
+
+impl Bandwidths {
+    /// Largest crossover frequency of a loop times the time constant and latency of the motors.
+    const FASTEST_CROSSOVER: f64 = 0.5;
+    /// Largest ratio of the frequency of the horizontal loop to that of the attitude loop within it.
+    const FASTEST_HORIZONTAL: f64 = 0.45;
+
+    /// Returns the default frequencies, limited by the [motors](crate::drone::MotorParams) of an airframe: a loop that is
+    /// faster than the thrust oscillates. [Rotational damping](crate::drone::AirParams::rotational_damping) permits
+    /// a faster attitude loop.
+    ///
+    /// ```
+    /// use aviary::control::Bandwidths;
+    /// use aviary::drone::DroneModel;
+    ///
+    /// assert_eq!(Bandwidths::for_airframe(&DroneModel::Race.params()), Bandwidths::default());
+    /// let slow = Bandwidths::for_airframe(&DroneModel::Cf21.params());
+    /// assert!(slow.vertical < 0.5 * Bandwidths::default().vertical);
+    /// ```
+    pub fn for_airframe(params: &DroneParams) -> Self {
+        let (default, motors) = (Self::default(), &params.motors);
+        let delay = motors.rise_time.max(motors.fall_time) + motors.latency;
+        if delay == 0.0 {
+            return default;
+        }
+        let crossover = Self::FASTEST_CROSSOVER / delay;
+        let rate_gain = 2.0 * GeometricControl::ATTITUDE_DAMPING;
+        // the loop of the body rate has the crossover rate_gain·ω − d, that of the attitude ω²/(d + rate_gain·ω)
+        let limit = |frequency: f64, damping: f64| {
+            let half = 0.5 * rate_gain * crossover;
+            let by_angle = half + (half * half + crossover * damping).sqrt();
+            frequency.min((damping + crossover) / rate_gain).min(by_angle)
+        };
+        let [x, y, z] = [0, 1, 2].map(|axis| params.air.rotational_damping[axis] / params.inertia[axis]);
+        let damping = x.min(y);
+        let tilt = limit(default.tilt, damping);
+        let attitude = tilt * tilt / (damping + rate_gain * tilt);
+        Self {
+            horizontal: default.horizontal.min(Self::FASTEST_HORIZONTAL * attitude),
+            vertical: default.vertical.min(crossover),
+            tilt,
+            yaw: limit(default.yaw, z),
+            ..default
+        }
     }
 }
 
@@ -93,9 +140,9 @@ impl GeometricControl {
     /// Target thrust per unit mass below which its direction is undefined, m/s².
     const FREE_FALL: f64 = 0.3;
 
-    /// Creates a controller with the default [`Bandwidths`].
+    /// Creates a controller with the [bandwidths for the airframe](Bandwidths::for_airframe).
     pub fn new(params: &DroneParams) -> Self {
-        Self::with_bandwidths(params, Bandwidths::default())
+        Self::with_bandwidths(params, Bandwidths::for_airframe(params))
     }
 
     /// Creates a controller with the given bandwidths.

@@ -339,7 +339,7 @@ mod tests {
     fn built_in_and_documented_airframes_are_plausible() {
         let guide = toml_of(include_str!("../../../docs/airframes.md"), "```toml\n", "```");
         let example = toml_of(include_str!("../../../examples/custom_airframe.rs"), "r#\"\n", "\"#;");
-        for params in DroneModel::ALL.map(DroneModel::params).into_iter().chain([guide, example]) {
+        for params in DroneModel::PAPER.map(DroneModel::params).into_iter().chain([guide, example]) {
             for number in params.derived() {
                 assert!(number.is_plausible(), "{}: {number:?}", params.name);
             }

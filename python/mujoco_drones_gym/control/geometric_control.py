@@ -24,6 +24,8 @@ class GeometricControl(Controller):
         tilt: Frequency of the attitude loop about body x and y, rad/s; 18 by default.
         yaw: Frequency of the attitude loop about body z, rad/s; 10 by default.
         integral: Gain of the integral, relative to the cube of the frequency of its axis, 0 to 1; 0 by default.
+
+    An airframe whose motors have time constants or a latency has smaller default frequencies.
     """
 
     _KIND = "geometric"

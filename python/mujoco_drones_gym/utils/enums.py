@@ -8,7 +8,7 @@ __all__ = ["ActionType", "DroneModel", "ImageType", "ObservationType", "Physics"
 
 
 class DroneModel(Enum):
-    """Airframes."""
+    """Airframes of the paper. The identified Crazyflie 2.1 is `"cf21"`."""
 
     CF2X = "cf2x"
     """Bitcraze Crazyflie 2.x, motors on the diagonals."""
