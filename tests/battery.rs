@@ -317,14 +317,14 @@ fn sampled_charges_are_the_charges_at_the_start_and_leave_other_samples_alone() 
         let (with, without) = (sampled.sampled_params().unwrap().clone(), plain.sampled_params().unwrap());
         for (drone, (with, without)) in with.drones.iter().zip(&without.drones).enumerate() {
             let charge = with.charge.unwrap();
-            assert_eq!(sampled.simulation().battery(drone).unwrap().charge, charge);
+            assert_eq!(sampled.simulation().battery(drone).unwrap().charge, f64::from(charge));
             assert_eq!((plain.simulation().battery(drone).unwrap().charge, without.charge), (1.0, None));
             assert_eq!((with.mass, with.actuators, with.initial), (without.mass, without.actuators, without.initial));
             assert!((0.2..=0.6).contains(&charge));
             seen.push(charge);
         }
     }
-    seen.sort_by(f64::total_cmp);
+    seen.sort_by(f32::total_cmp);
     seen.dedup();
     assert!(seen.len() == 30 && seen[0] < 0.25 && seen[29] > 0.55, "{seen:?}");
     // without the randomization the battery is full again

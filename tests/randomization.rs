@@ -406,10 +406,44 @@ fn removing_randomization_restores_nominal_flights_and_a_seed_reproduces_its_sam
 }
 
 #[test]
+fn torques_of_the_air_are_sampled_and_leave_other_samples_alone() {
+    let fly = |text: &str| {
+        let mut env = MultiHover::builder().drone(DroneModel::Cf21).randomization(only(text)).build().unwrap();
+        let mut all = Vec::new();
+        for seed in 0..20 {
+            env.reset(Some(seed)).unwrap();
+            for (drone, sampled) in env.sampled_params().unwrap().drones.iter().enumerate() {
+                all.push((*sampled, env.simulation().params(drone).air));
+            }
+        }
+        all
+    };
+    let nominal = DroneModel::Cf21.params().air;
+    let (sampled, plain) =
+        (fly("[aerodynamics]\nmoment = [0.9, 1.1]\ndamping = [0.5, 0.6]\n"), fly("[aerodynamics]\n"));
+    for ((with, air), (without, plain)) in sampled.iter().zip(&plain) {
+        assert_eq!((with.thrust, with.drag), (without.thrust, without.drag));
+        assert!((0.9..=1.1).contains(&with.moment) && (0.5..=0.6).contains(&with.damping));
+        assert_eq!(air.velocity_moment, nominal.velocity_moment * f64::from(with.moment));
+        assert_eq!(air.rotational_damping, nominal.rotational_damping.map(|d| d * f64::from(with.damping)));
+        assert_eq!((without.moment, without.damping), (1.0, 1.0));
+        assert_eq!(
+            (plain.velocity_moment, plain.rotational_damping),
+            (nominal.velocity_moment, nominal.rotational_damping)
+        );
+    }
+    let mut moments: Vec<_> = sampled.iter().map(|(with, _)| with.moment).collect();
+    moments.sort_by(f32::total_cmp);
+    moments.dedup();
+    assert!(moments.len() > 35 && moments[0] < 0.93 && moments[moments.len() - 1] > 1.07, "{moments:?}");
+}
+
+#[test]
 fn invalid_ranges_are_errors_with_the_field_and_invalid_toml_with_the_line() {
     let error = |text: &str| Randomization::from_toml(text).unwrap_err().to_string();
     assert!(error("[body]\nmass = [1.2, 0.8]\n").contains("body.mass is [1.2, 0.8]"));
     assert!(error("[body]\nmass = [0.0, 1.0]\n").contains("body.mass"));
+    assert!(error("[aerodynamics]\ndamping = [0.5, -1]\n").contains("aerodynamics.damping is [0.5, -1]"));
     assert!(error("[actuators]\nlatency = [0, 9]\n").contains("actuators.latency"));
     assert!(error("[sensors]\nbias = -1\n").contains("sensors.bias is -1"));
     assert!(error("[sensors]\nposition = nan\n").contains("sensors.position is NaN"));

@@ -2,7 +2,9 @@
 //! sensors, sampled parameters, obstacles, action types, control rates.
 
 use mujoco_drones_gym::engine::flight::Width;
-use mujoco_drones_gym::env::{ActuatorRanges, AviaryBuilder, EnvironmentRanges, Randomization, SensorRanges};
+use mujoco_drones_gym::env::{
+    ActuatorRanges, AerodynamicRanges, AviaryBuilder, EnvironmentRanges, Randomization, SensorRanges,
+};
 use mujoco_drones_gym::physics::actuators::ActuatorParams;
 use mujoco_drones_gym::physics::wind::{DrydenFilter, WindConfig, WindModel};
 use mujoco_drones_gym::prelude::*;
@@ -269,9 +271,14 @@ fn randomizations() -> impl Strategy<Value = Option<Randomization>> {
     let some = groups.prop_map(|([body, aerodynamics, actuators, sensors, environment, initial], latency, quiet)| {
         let sensors =
             sensors.then(|| SensorRanges { latency, bias: if quiet { 0.0 } else { 1.0 }, ..SensorRanges::default() });
+        let torques = [0.5, 1.5];
         Randomization {
             body: body.then(Default::default),
-            aerodynamics: aerodynamics.then(Default::default),
+            aerodynamics: aerodynamics.then_some(AerodynamicRanges {
+                moment: torques,
+                damping: torques,
+                ..Default::default()
+            }),
             actuators: actuators.then(Default::default),
             sensors,
             environment: environment.then(Default::default),

@@ -29,6 +29,8 @@ _KEYS = {
     "drag_range": ("aerodynamics", "drag", (1.0, 1.0)),
     "ground_effect_range": ("aerodynamics", "ground", (1.0, 1.0)),
     "downwash_range": ("aerodynamics", "downwash", (1.0, 1.0)),
+    "velocity_moment_range": ("aerodynamics", "moment", (1.0, 1.0)),
+    "rotational_damping_range": ("aerodynamics", "damping", (1.0, 1.0)),
     "motor_gain_range": ("actuators", "gain", (1.0, 1.0)),
     "motor_constant_range": ("actuators", "max_rpm", (1.0, 1.0)),
     "motor_time_constant_range": ("actuators", "lag", (0.0, 0.0)),
@@ -128,6 +130,10 @@ class DomainRandomizationConfig:
     """Factor on the ground-effect coefficient."""
     downwash_range: tuple[float, float] | None = _default("downwash_range")
     """Factor on the strength of the wake."""
+    velocity_moment_range: tuple[float, float] | None = _default("velocity_moment_range")
+    """Factor on the moment of the velocity; (1, 1) by default."""
+    rotational_damping_range: tuple[float, float] | None = _default("rotational_damping_range")
+    """Factor on the rotational damping; (1, 1) by default."""
     motor_gain_range: tuple[float, float] | None = _default("motor_gain_range")
     """Factor on the speed of each motor, four samples."""
     motor_time_constant_range: tuple[float, float] | None = _default("motor_time_constant_range")

@@ -80,6 +80,12 @@ pub struct AerodynamicRanges {
     /// Factor on the strength of the wake.
     #[serde(deserialize_with = "pair")]
     pub downwash: Range,
+    /// Factor on the [moment of the velocity](crate::drone::AirParams::velocity_moment). The paper has none.
+    #[serde(deserialize_with = "pair")]
+    pub moment: Range,
+    /// Factor on the [rotational damping](crate::drone::AirParams::rotational_damping). The paper has none.
+    #[serde(deserialize_with = "pair")]
+    pub damping: Range,
 }
 
 /// Ranges of the motor parameters.
@@ -174,8 +180,16 @@ impl Default for BodyRanges {
 
 impl Default for AerodynamicRanges {
     fn default() -> Self {
-        let (rotor, effect) = ([0.85, 1.15], [0.7, 1.3]);
-        Self { thrust: rotor, torque: rotor, drag: effect, ground: effect, downwash: effect }
+        let (rotor, effect, none) = ([0.85, 1.15], [0.7, 1.3], [1.0, 1.0]);
+        let (moment, damping) = (none, none);
+        Self { thrust: rotor, torque: rotor, drag: effect, ground: effect, downwash: effect, moment, damping }
+    }
+}
+
+impl AerodynamicRanges {
+    /// Returns true if the torques of the air are sampled.
+    pub(super) fn has_torques(&self) -> bool {
+        [self.moment, self.damping] != [[1.0; 2]; 2]
     }
 }
 
@@ -309,6 +323,8 @@ impl Randomization {
             ("the randomized aerodynamics.drag", a.drag, factor),
             ("the randomized aerodynamics.ground", a.ground, factor),
             ("the randomized aerodynamics.downwash", a.downwash, factor),
+            ("the randomized aerodynamics.moment", a.moment, factor),
+            ("the randomized aerodynamics.damping", a.damping, factor),
             ("the randomized actuators.gain", m.gain, factor),
             ("the randomized actuators.lag", m.lag, (10.0, "a range from 0 to 10 s")),
             ("the randomized actuators.latency", m.latency, latency),

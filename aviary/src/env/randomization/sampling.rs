@@ -5,7 +5,7 @@ use rand::RngExt as _;
 use smallvec::SmallVec;
 
 use super::sensors::{Sensed, SensorParams};
-use super::{InitialRanges, Randomization, Range};
+use super::{AerodynamicRanges, InitialRanges, Randomization, Range};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::EnvError;
 use crate::env::workspace::Measured;
@@ -40,9 +40,13 @@ pub struct SampledDroneParams {
     pub downwash: f64,
     /// Motor parameters.
     pub actuators: ActuatorParams,
+    /// Factor on the moment of the velocity; in single precision, so that thousands of environments stay small.
+    pub moment: f32,
+    /// Factor on the rotational damping.
+    pub damping: f32,
     /// Charge of the battery as a fraction of its capacity; `None` if it is not sampled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub charge: Option<f64>,
+    pub charge: Option<f32>,
     /// Bias of the observed position (m), velocity (m/s), roll-pitch-yaw (rad) and angular velocity (rad/s).
     #[serde(with = "crate::serial::vector_array")]
     pub bias: [Vector3<f64>; 4],
@@ -134,6 +138,8 @@ impl Randomizer {
             ground: 1.0,
             downwash: 1.0,
             actuators: ActuatorParams::default(),
+            moment: 1.0,
+            damping: 1.0,
             charge: None,
             bias: [Vector3::zeros(); 4],
             initial: *initial,
@@ -246,11 +252,18 @@ impl Randomizer {
             }
         }
         self.noise_seed = streams[3].random();
-        // after all other samples, which stay as they are without batteries
+        // after all other samples, which stay as they are without these
         if let Some(ranges) = &config.battery {
             let mut charges = stream(rng);
             for draw in &mut self.draw.drones {
-                draw.charge = Some(within(&mut charges, ranges.charge));
+                draw.charge = Some(within(&mut charges, ranges.charge) as f32);
+            }
+        }
+        if let Some(ranges) = config.aerodynamics.filter(AerodynamicRanges::has_torques) {
+            let mut torques = stream(rng);
+            for draw in &mut self.draw.drones {
+                draw.moment = within(&mut torques, ranges.moment) as f32;
+                draw.damping = within(&mut torques, ranges.damping) as f32;
             }
         }
     }
@@ -413,9 +426,11 @@ fn randomize(params: &mut DroneParams, nominal: &DroneParams, draw: &SampledDron
     params.drag_coefficients = [x * sideways, y * sideways, z * upwards];
     let [x, y, z] = nominal.air.linear_drag;
     params.air.linear_drag = [x * sideways, y * sideways, z * upwards];
+    params.air.velocity_moment = nominal.air.velocity_moment * f64::from(draw.moment);
+    params.air.rotational_damping = nominal.air.rotational_damping.map(|damping| damping * f64::from(draw.damping));
     params.ground_effect_coefficient = nominal.ground_effect_coefficient * draw.ground;
     params.downwash_coefficients = [c1 * draw.downwash, c2, c3];
     if let (Some(battery), Some(charge)) = (&mut params.battery, draw.charge) {
-        battery.initial_charge = charge;
+        battery.initial_charge = f64::from(charge);
     }
 }
