@@ -96,6 +96,9 @@ impl Bandwidths {
 /// rotation vector of the attitude error instead of its sine: the two agree for small errors, and the rotation vector
 /// does not vanish for large ones.
 ///
+/// The controller compensates the linear drag, the moment of the velocity, the rotational damping and the trim torque of
+/// an airframe that has them, in still air.
+///
 /// The controller tracks any attitude. Yaw is undefined where body z points to the left or right of the heading, so
 /// the controller switches to a second chart of the attitude near these directions. It switches back where body z
 /// points along the heading, which is the singularity of the second chart (and of Lee et al.).
@@ -119,6 +122,9 @@ pub struct GeometricControl {
     mixer: Mixer,
     /// Largest acceleration from the feedback of position and velocity errors, m/s².
     max_feedback: f64,
+    /// Effects of the air that the controller compensates; `None` for an airframe without them.
+    #[serde(default)]
+    air: Option<Compensation>,
     chart: Chart,
     /// True if the bandwidths are in their ranges.
     valid: bool,
@@ -158,6 +164,7 @@ impl GeometricControl {
             mixer: Mixer::new(params),
             // less than g, so that feedback never turns a drone over, and within the thrust margin of the motors
             max_feedback: GRAVITY * (0.8 * (params.thrust_to_weight - 1.0)).clamp(0.1, 0.7),
+            air: Compensation::new(params),
             chart: Chart::Left(1.0),
             valid: [bandwidths.horizontal, bandwidths.vertical, bandwidths.tilt, bandwidths.yaw]
                 .iter()
@@ -230,7 +237,52 @@ impl GeometricControl {
             + (rate - omega).weighted(&(2.0 * Self::ATTITUDE_DAMPING * frequency))
             + to_body.forth(wanted.angular_acceleration)
             - omega.cross(rate);
-        angular_acceleration.weighted(&self.inertia) + omega.cross(omega.weighted(&self.inertia))
+        let torque = angular_acceleration.weighted(&self.inertia) + omega.cross(omega.weighted(&self.inertia));
+        match &self.air {
+            Some(air) => torque + air.torque(state.attitude.back(state.velocity), rate),
+            None => torque,
+        }
+    }
+}
+
+/// Thrust and torques against the [air](crate::drone::AirParams) of an airframe.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+struct Compensation {
+    /// Linear drag over mass along the body axes, 1/s.
+    #[serde(with = "crate::serial::vector")]
+    drag: Vector3<f64>,
+    /// Moment of the velocity, N·m/(m/s).
+    moment: f64,
+    /// Rotational damping, N·m/(rad/s).
+    #[serde(with = "crate::serial::vector")]
+    damping: Vector3<f64>,
+    /// Trim torque, N·m.
+    #[serde(with = "crate::serial::vector")]
+    trim: Vector3<f64>,
+}
+
+impl Compensation {
+    fn new(params: &DroneParams) -> Option<Self> {
+        let air = &params.air;
+        let (drag, damping) = (Vector3::from(air.linear_drag) / params.mass, Vector3::from(air.rotational_damping));
+        let (moment, trim) = (air.velocity_moment, Vector3::from(air.trim_torque));
+        let has_effect = [drag, damping, trim] != [Vector3::zeros(); 3] || moment != 0.0;
+        has_effect.then_some(Self { drag, moment, damping, trim })
+    }
+
+    /// Returns the acceleration against the drag of a velocity, world frame, m/s².
+    #[inline(always)]
+    fn acceleration<R: Real>(&self, attitude: &Turn<R>, velocity: V3<R>) -> V3<R> {
+        attitude.forth(attitude.back(velocity).weighted(&self.drag))
+    }
+
+    /// Returns the torque against the air at a velocity and a body rate, both in the body frame, N·m.
+    #[inline(always)]
+    fn torque<R: Real>(&self, velocity: V3<R>, rate: V3<R>) -> V3<R> {
+        let zero = velocity.x.all(0.0);
+        let moment = V3::new(-velocity.y, velocity.x, zero) * self.moment;
+        let trim = V3::new(zero.all(self.trim.x), zero.all(self.trim.y), zero.all(self.trim.z));
+        rate.weighted(&self.damping) + moment - trim
     }
 }
 
@@ -272,7 +324,10 @@ impl LaneController for GeometricControl {
             self.integrate(dt, &mut integral, position);
         }
         let (feedback, is_live) = self.feedback(&[stiffness, damping], integral, [position, velocity]);
-        let value = target.acceleration + gravity + feedback;
+        let mut value = target.acceleration + gravity + feedback;
+        if let Some(air) = &self.air {
+            value = value + air.acceleration(&state.attitude, target.velocity);
+        }
         // finite errors can overflow, and invalid controllers have NaN speeds
         let valid = if self.valid { zero } else { zero.all(f64::NAN) };
         let valid = valid + finite_zero([value.x, value.y, value.z]);
