@@ -269,6 +269,8 @@ struct Apart {
     /// Largest difference within 1 s after the first contact.
     after: f64,
     touched: bool,
+    /// True if a difference by rounding has grown above 1e-9 in the MuJoCo engine.
+    unstable: bool,
     /// Physics steps of the hybrid engine in the flight kernel.
     flown: u64,
     /// Physics steps of the hybrid engine in MuJoCo.
@@ -276,8 +278,13 @@ struct Apart {
 }
 
 /// Flies the same episode with both engines. `act` computes the action from the environment of the first engine.
+///
+/// A third environment has a first action that differs by rounding. The comparison ends where that flight departs,
+/// because an unstable control loop amplifies any difference.
 fn compare(config: &EnvConfig, name: &str, seed: u64, mut act: impl FnMut(&dyn DroneEnv, &mut [f64])) -> Apart {
     let mut envs = EngineKind::WITH_CONTACTS.map(|engine| make(name, config.clone().engine(engine)).unwrap());
+    let mut twin = make(name, config.clone().engine(EngineKind::Mujoco)).unwrap();
+    twin.reset(Some(seed)).unwrap();
     envs.iter_mut().for_each(|env| {
         env.reset(Some(seed)).unwrap();
     });
@@ -290,6 +297,12 @@ fn compare(config: &EnvConfig, name: &str, seed: u64, mut act: impl FnMut(&dyn D
             let step = env.step(&action).unwrap();
             step.terminated || step.truncated
         });
+        if since.is_none() {
+            if envs[0].simulation().control_steps() == 1 {
+                action.iter_mut().for_each(|x| *x += 1e-13 * (1.0 + x.abs()));
+            }
+            twin.step(&action).unwrap();
+        }
         let [a, b] = envs.each_ref().map(|env| env.simulation());
         if since.is_none() && a.contacts().iter().chain(b.contacts()).next().is_some() {
             since = Some(a.time());
@@ -299,6 +312,11 @@ fn compare(config: &EnvConfig, name: &str, seed: u64, mut act: impl FnMut(&dyn D
             None => result.before = result.before.max(error),
             Some(time) if a.time() - time <= 1.0 => result.after = result.after.max(error),
             Some(_) => break,
+        }
+        let twins = a.states().iter().zip(twin.simulation().states());
+        if since.is_none() && twins.map(|(a, b)| apart(a, b)).fold(0.0, f64::max) > 1e-9 {
+            result.unstable = true;
+            break;
         }
         assert_eq!(ends[0], ends[1], "{name} {seed} {result:?}");
         if ends[0] {
@@ -392,17 +410,21 @@ fn random_flights_with_contacts_are_identical_with_both_engines() {
                 worst.after = worst.after.max(result.after);
                 worst.flown += result.flown;
                 worst.stepped += result.stepped;
+                flights += 1;
+                unstable += usize::from(result.unstable);
             }
         }
     }
     assert!(touched > 20 && worst.flown > worst.stepped, "{touched} {worst:?}");
+    // motors that lag by 50 ms with a latency of 50 ms make the default loops unstable
+    assert!(unstable * 10 < flights, "{unstable} of {flights}");
 }
 
 /// Flies at random under wind, slow and late motors, late sensors, sampled parameters, among obstacles, with every
 /// action type, at odd control rates, and under all of that together.
 #[test]
 fn random_flights_under_every_condition_are_identical_with_both_engines() {
-    let (mut touched, mut worst) = (0, Apart::default());
+    let (mut touched, mut flights, mut unstable, mut worst) = (0, 0, 0, Apart::default());
     for (n, (condition, config)) in common::conditions::all().into_iter().enumerate() {
         let among_obstacles = condition.contains("obstacles") || condition.contains("everything");
         for seed in 0..if cfg!(debug_assertions) { 2 } else { 10 } {

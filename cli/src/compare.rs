@@ -77,6 +77,10 @@ impl Compare {
         let params = options::params(&self.drone)?;
         let sources = self.attitude.map_or(AttitudeSource::ALL.to_vec(), |source| vec![source]);
         let flights = read_flights(&self.flights).map_err(Failure::input)?;
+        let doubts: Vec<_> = flights.iter().map(|flight| flight.check_units().err().map(|e| e.to_string())).collect();
+        for doubt in doubts.iter().flatten() {
+            eprintln!("warning: {doubt}");
+        }
         let predictions = self.predictions.as_deref().map(OutputFile::begin).transpose()?;
         let out = self.plot.then(|| OutputDir::create(self.out.as_deref().unwrap_or(Path::new("out/compare"))));
         let out = out.transpose()?;
@@ -113,9 +117,11 @@ impl Compare {
             let flights: Vec<_> = flights
                 .iter()
                 .zip(&compared)
-                .map(|(flight, compared)| {
+                .zip(&doubts)
+                .map(|((flight, compared), doubt)| {
                     json!({
                         "name": flight.name,
+                        "warning": doubt,
                         "missing_columns": flight.missing(),
                         "tracks": tracks(&sources, std::slice::from_ref(compared)),
                     })

@@ -64,6 +64,55 @@ fn comparisons_have_the_errors_of_both_tracks() {
     assert_eq!(alone["tracks"], comparison["flights"][1]["tracks"]);
 }
 
+/// Measurements after the start of a window change no prediction from it.
+#[test]
+fn predictions_are_causal() {
+    let (dir, airframe) = flights("compare-blind");
+    let predict = |flight: &Path| {
+        let out = dir.join("predictions.csv");
+        run(&["compare", "--flights", text(flight), "--drone", &airframe, "--predictions", text(&out)]);
+        rows(&out)
+    };
+    let flight = recorded_flight(6.5);
+    let path = write(&dir.join("blind/flight.csv"), &flight);
+    let whole = predict(&path);
+    let names: Vec<_> = flight.lines().next().unwrap().split(',').collect();
+    for (blinded, t0) in [("constant", 3.0), ("zero", 4.0), ("random", 3.5), ("constant", 5.5)] {
+        let mut last = Vec::new();
+        let mut text = String::new();
+        for (index, line) in flight.lines().enumerate() {
+            let mut cells: Vec<_> = line.split(',').map(str::to_string).collect();
+            if index > 0 && cells[0].parse::<f64>().unwrap() > t0 + 1e-6 {
+                for (column, name) in names.iter().enumerate() {
+                    // time and the inputs of the prediction
+                    if *name == "t" || name.starts_with('m') || *name == "vbat" {
+                        continue;
+                    }
+                    cells[column] = match blinded {
+                        "zero" if name.starts_with('q') => f64::from(u8::from(*name == "qw")).to_string(),
+                        "zero" => "0".into(),
+                        "random" if !name.starts_with('q') => ((index * 7919 + column) % 11).to_string(),
+                        _ => last[column].clone(),
+                    };
+                }
+            } else {
+                last.clone_from(&cells);
+            }
+            text += &(cells.join(",") + "\n");
+        }
+        let path = write(&dir.join("blind/flight.csv"), &text);
+        let predicted = predict(&path);
+        let early = |rows: &[Vec<String>]| -> Vec<Vec<String>> {
+            rows[1..].iter().filter(|row| row[1].parse::<f64>().unwrap() <= t0).cloned().collect()
+        };
+        let (found, expected) = (early(&predicted), early(&whole));
+        assert!(!found.is_empty() && found == expected, "{blinded} after {t0} s");
+    }
+    let output = aviary(&["compare", "--flights", text(&path), "--drone", &airframe]);
+    let warning = String::from_utf8(output.stderr).unwrap();
+    assert!(warning.starts_with("warning: flight: ") && warning.lines().count() == 1, "{warning}");
+}
+
 #[test]
 fn predictions_are_written_for_every_window_and_horizon() {
     let (dir, airframe) = flights("compare-predictions");

@@ -285,6 +285,13 @@ fn the_policies_in_assets_complete_their_tasks() {
     let randomized = pretrained("hover_randomized");
     let flown = json(&["play", "--policy", &randomized, "--as-trained", "--episodes", "10", "--seed", "777"]);
     assert_eq!(flown["success_rate"], 1.0, "{flown:#}");
+    let identified = pretrained("hover_cf21");
+    let flown = json(&["play", "--policy", &identified, "--as-trained", "--episodes", "40", "--seed", "777"]);
+    assert_eq!(flown["drone_model"], "cf21");
+    // a drone that starts down near the floor touches it before slow motors carry it
+    let airborne = |episode: &&Value| episode["seconds"].as_f64().unwrap() > 0.5;
+    let flights: Vec<_> = flown["episodes"].as_array().unwrap().iter().filter(airborne).collect();
+    assert!(flights.len() >= 34 && flights.iter().all(|episode| episode["success"] == true), "{flown:#}");
     let table = run(&["play", "--policy", &pretrained("hover"), "--episodes", "3"]);
     assert!(table.lines().count() == 5 && table.contains("3 of 3 episodes of hover succeeded"), "{table}");
 }

@@ -33,6 +33,10 @@ pub struct Mixer {
 }
 
 impl Mixer {
+    /// Share of the maximum thrust below which a motor stops. The thrust of a motor that just stops is zero up to
+    /// rounding, of which the square root would make a speed.
+    const LEAST_SHARE: f64 = 1e-13;
+
     /// Creates the mixer of an airframe. Parameters that fail [`validate`](DroneParams::validate) can give NaN
     /// speeds.
     pub fn new(params: &DroneParams) -> Self {
@@ -64,10 +68,11 @@ impl Mixer {
         let valid = self.inverse[0].is_finite() && self.max_rotor_thrust.is_finite();
         let mut zero = finite_zero([thrust, torque.x, torque.y, torque.z]);
         let (none, max, coefficient) = (thrust.all(0.0), thrust.all(self.max_rpm), thrust.all(self.thrust_coefficient));
+        let least = thrust.all(Self::LEAST_SHARE * self.max_rotor_thrust);
         let mut speeds = self.saturate(thrust, torque);
         for speed in &mut speeds {
             // a comparison with NaN is false, so that NaN stays NaN
-            let force = R::choose(speed.less(none), none, *speed);
+            let force = R::choose(speed.less(least), none, *speed);
             let unlimited = (force / coefficient).sqrt();
             *speed = R::choose(max.less(unlimited), max, unlimited);
             // finite inputs can overflow

@@ -12,6 +12,9 @@ const TIMES: [&str; 6] = ["timestamp", "time", "t", "timestamp_ms", "time_ms", "
 /// Smallest median of the time between samples in milliseconds. Smaller ones are in seconds.
 const MIN_MILLISECONDS: f64 = 0.5;
 
+/// Largest step back in time between two rows, s.
+const MAX_DISORDER: f64 = 0.1;
+
 /// Reads a log. Errors have the line.
 pub(super) fn read(bytes: &[u8]) -> Result<CrazyflieLog, TableError> {
     let mut reader = csv::ReaderBuilder::new().flexible(true).from_reader(bytes);
@@ -29,7 +32,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<CrazyflieLog, TableError> {
     if let Some((_, name)) = names.iter().enumerate().find(|(index, name)| names[..*index].contains(name)) {
         return Err((1, format!("two columns `{}`, expected one", shown(name))));
     }
-    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); names.len()];
+    let (mut columns, mut lines): (Vec<Vec<f64>>, _) = (vec![Vec::new(); names.len()], Vec::new());
     for record in reader.records() {
         let record = record.map_err(at)?;
         let line = record.position().map_or(0, |position| position.line() as usize);
@@ -37,6 +40,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<CrazyflieLog, TableError> {
             let found = crate::count(record.len(), "cell");
             return Err((line, format!("{found}, expected {}", names.len())));
         }
+        lines.push(line);
         for (index, cell) in record.iter().map(str::trim).enumerate() {
             let number = match cell {
                 "" if index != time => f64::NAN,
@@ -56,6 +60,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<CrazyflieLog, TableError> {
         }
     }
     let times = seconds(&columns[time]);
+    // log blocks arrive slightly out of order
+    let is_back = |pair: &[f64]| pair[1] < pair[0] - MAX_DISORDER;
+    if let Some(row) = times.windows(2).position(is_back) {
+        let [before, got] = [row, row + 1].map(|row| crate::number(columns[time][row]));
+        let name = shown(&names[time]);
+        return Err((lines[row + 1], format!("{name} is {got} after {before}, expected increasing times")));
+    }
     let variables = names.into_iter().zip(columns).enumerate();
     let variables = variables.filter(|(index, _)| *index != time).map(|(_, variable)| variable).collect();
     Ok(CrazyflieLog { streams: vec![Stream { times, variables }] })

@@ -35,6 +35,7 @@ pub struct Track {
 ///
 /// # Errors
 /// Returns the error of the first flight that cannot be predicted; see [`Window::of`] and [`Predictor`].
+/// [`FlightError::Windows`] for a prediction that is not finite.
 pub fn compare(
     params: &DroneParams,
     flights: &[Flight],
@@ -45,6 +46,11 @@ pub fn compare(
         let predictor = Predictor::new(params, flight, &windows)?;
         let track = |&attitude: &AttitudeSource| {
             let predictions = predictor.predict(attitude)?;
+            if let Some(index) = predictions.iter().position(|window| !window.iter().all(Predicted::is_finite)) {
+                let message =
+                    format!("the prediction from {} s is not finite, expected another airframe", windows[index].t0);
+                return Err(FlightError::Windows { flight: flight.name.clone(), message });
+            }
             let scores = Score::of_flight(flight, &windows, &predictions);
             Ok(Track { attitude, predictions, scores })
         };

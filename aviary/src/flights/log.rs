@@ -68,6 +68,35 @@ pub struct Flight {
     pub voltage: Option<Vec<f64>>,
 }
 
+/// Largest numbers of the measured columns, and largest changes within a row and back: m, m/s, rad/s, m/s².
+const MAGNITUDES: [((usize, usize), f64, f64); 4] =
+    [(POSITION, 1e6, 1.0), (VELOCITY, 1e4, 5.0), (BODY_RATE, 1e3, 30.0), (ACCELERATION, 1e5, 200.0)];
+
+/// Smallest duty that a motor of a flying drone reaches.
+const MIN_DUTY: f64 = 0.01;
+
+/// Returns an error for a number that no flight has, or that differs from both neighbours where these agree.
+fn check_magnitudes(table: &FlightTable) -> Result<(), TableError> {
+    for ((first, count), max, max_jump) in MAGNITUDES {
+        for column in first..first + count {
+            let (name, numbers) = (COLUMNS[column], table.column(COLUMNS[column]).unwrap_or_default());
+            if let Some(row) = numbers.iter().position(|x| x.abs() > max) {
+                let got = crate::number(numbers[row]);
+                return Err((table.line(row), format!("{name} is {got}, expected at most {max:e} (SI units)")));
+            }
+            let jumps = |[a, b, c]: [f64; 3]| {
+                let (up, down) = ((b - a).abs(), (b - c).abs());
+                up.min(down) > max_jump && (c - a).abs() < 0.1 * up.min(down)
+            };
+            if let Some(row) = numbers.windows(3).position(|three| jumps([three[0], three[1], three[2]])) {
+                let [before, got, after] = [0, 1, 2].map(|index| crate::number(numbers[row + index]));
+                return Err((table.line(row + 1), format!("{name} is {got} between {before} and {after}")));
+            }
+        }
+    }
+    Ok(())
+}
+
 impl Flight {
     /// Largest third difference of the position that is motion, m, for rows 10 ms apart or less.
     const MAX_THIRD_DIFFERENCE: f64 = 3e-3;
@@ -101,7 +130,7 @@ impl Flight {
     fn from_table(name: &str, source: impl Read) -> Result<Self, TableError> {
         let table = FlightTable::read(source)?;
         let flight = Self::of(name, &table)?;
-        flight.check_units().map_err(|(row, message)| (table.line(row), message))?;
+        flight.check_start().map_err(|(row, message)| (table.line(row), message))?;
         Ok(flight)
     }
 
@@ -134,8 +163,15 @@ impl Flight {
                 None => Ok(()),
             }
         };
+        check_magnitudes(table)?;
         for motor in 0..4 {
             in_range(MOTORS.0 + motor, 0.0..=1.0, "a duty from 0 to 1")?;
+        }
+        let duties = (0..4).filter_map(|motor| table.column(COLUMNS[MOTORS.0 + motor])).flatten();
+        let highest = duties.fold(0.0_f64, |highest, duty| highest.max(*duty));
+        if highest > 0.0 && highest < MIN_DUTY {
+            let got = crate::number(highest);
+            return Err((0, format!("m1 to m4 are at most {got}, expected duties from 0 to 1")));
         }
         in_range(VOLTAGE.0, VOLTAGES, "a battery voltage from 0.5 to 100 V")?;
         let vectors = |group| {

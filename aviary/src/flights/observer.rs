@@ -12,7 +12,7 @@
 //! [`Observer::advance`] receives the rows in their order. An estimate therefore depends on no later row.
 
 use super::dynamics::{Disturbance, Dynamics, FastStep, between};
-use crate::math::{Real, V3};
+use crate::math::{Real, V3, exp_of_negative};
 use crate::state::FlightState;
 
 /// Settings of the filter of the translation along one axis.
@@ -328,12 +328,14 @@ fn mean_acceleration<R: Real>(dynamics: &Dynamics<R>, change: V3<R>, time: f64) 
     )
 }
 
-/// Returns (1 − e^(−x))/x by its series, with an error below 2e-4 for x from 0 to 1.
+/// Returns (1 − e^(−x))/x, by its series with an error below 2e-4 for x from 0 to 1.
 #[inline(always)]
 fn shortened<R: Real>(x: R) -> R {
     let one = x.all(1.0);
     let inner = one - x * (one - x * (1.0 / 6.0)) * (1.0 / 5.0);
-    one - x * (one - x * (one - x * inner * (1.0 / 4.0)) * (1.0 / 3.0)) * (1.0 / 2.0)
+    let series = one - x * (one - x * (one - x * inner * (1.0 / 4.0)) * (1.0 / 3.0)) * (1.0 / 2.0);
+    let is_large = one.less(x);
+    if R::any(is_large) { R::choose(is_large, (one - exp_of_negative(-x)) / x, series) } else { series }
 }
 
 /// Returns the corrections of a state of the three axes of the translation, body frame.

@@ -434,6 +434,8 @@ mod tests {
         assert!(csv("timestamp,foo.x\n0,1\n").starts_with("log00: no variable of a flight"));
         let gap = csv(&format!("{header}0,1,2,3\n10,1,2,3\n9000,1,2,3\n"));
         assert_eq!(gap, "log00: no sample from 0.010 s to 9.000 s, expected one every 5 s");
+        let back = "timestamp,gyro.x,gyro.y,gyro.z\n0,0,0,0\n200,0,0,0\n50,0,0,0\n";
+        assert_eq!(csv(back), "log00: line 4: timestamp is 50 after 200, expected increasing times");
         let motors = "timestamp,motor.m1,motor.m2,motor.m3,motor.m4\n0,1,2,3,4\n10,1,2,70000,4\n";
         assert_eq!(csv(motors), "log00: motor.m3 at 0.010 s is 70000, expected 0 to 65535");
         let apart = "timestamp,pm.vbat,acc.x,acc.y,acc.z\n0,3.7,,,\n10,3.7,,,\n20,,0,0,1\n30,,0,0,1\n";

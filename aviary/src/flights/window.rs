@@ -52,7 +52,8 @@ impl Window {
         let end = flight.time(flight.rows() - 1) + 0.5 * flight.step;
         let windows: Vec<_> = starts
             .take_while(|t0| t0 + HORIZONS[HORIZONS.len() - 1] <= end)
-            .filter_map(|t0| Some((t0, flight.row_at(t0)?)))
+            // the rows may be between the starts
+            .map(|t0| (t0, ((t0 - flight.start) / flight.step).round() as usize))
             .filter(|(_, row)| row + longest < flight.rows())
             .map(|(t0, row)| {
                 let ends = rows.map(|rows| row + rows);
@@ -81,6 +82,13 @@ pub struct Predicted {
 }
 
 impl Predicted {
+    /// Returns true if every number is finite.
+    pub fn is_finite(&self) -> bool {
+        let attitude = self.attitude.is_none_or(|attitude| attitude.coords.iter().all(|x| x.is_finite()));
+        let vectors = [Some(self.position), Some(self.velocity), self.body_rate];
+        attitude && vectors.iter().flatten().flat_map(|vector| vector.iter()).all(|x| x.is_finite())
+    }
+
     /// Creates a prediction of all quantities from a state.
     pub fn of(state: &DroneState) -> Self {
         Self {

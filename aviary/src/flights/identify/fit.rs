@@ -10,7 +10,7 @@ use super::solve::{Residuals, minimize};
 use super::statistics::{Estimate, Information, jackknife};
 use super::{FittedParameter, Identification, IdentifyOptions, LeftOut, Status, Unidentified};
 use crate::drone::{DroneParams, YawConvention};
-use crate::flights::{AttitudeSource, Flight, FlightError, Window, compare};
+use crate::flights::{AttitudeSource, Flight, FlightError, HORIZONS, Window, compare};
 
 /// First start of a window after the first row of a flight, s. The estimator settles before it.
 const FIRST_START: f64 = 2.0;
@@ -344,6 +344,12 @@ pub(super) fn run(
         if base.motors.voltage <= 0.0 {
             flight.require(&["vbat"], "the identification of the motors")?;
         }
+        let duties = flight.duty.iter().flatten().flatten();
+        if duties.clone().sum::<f64>() <= 0.01 * duties.count() as f64 {
+            let message = "m1 to m4 are zero, expected the duties of a flight".into();
+            return Err(FlightError::Windows { flight: flight.name.clone(), message });
+        }
+        flight.check_units()?;
         Window::of(flight)?;
     }
     let (mut alignments, corrected): (Vec<Alignment>, Vec<Flight>) = flights.iter().map(align).unzip();
@@ -351,7 +357,13 @@ pub(super) fn run(
     let fitted: Vec<_> =
         corrected.into_iter().map(|flight| FittedFlight::new(flight, FIRST_START, BETWEEN_STARTS)).collect();
     if let Some(fitted) = fitted.iter().find(|fitted| fitted.windows.is_empty()) {
-        let message = "every window starts near a jump of the markers, expected a window without one".into();
+        let seconds = fitted.flight.time(fitted.flight.rows() - 1) - fitted.flight.start;
+        let shortest = FIRST_START + HORIZONS[HORIZONS.len() - 1];
+        let message = if seconds < shortest {
+            format!("the flight lasts {seconds:.2} s, expected at least {shortest} s")
+        } else {
+            "every window starts near a jump of the markers, expected a window without one".into()
+        };
         return Err(FlightError::Windows { flight: fitted.flight.name.clone(), message });
     }
     let weights = Weights::of(&fitted);

@@ -154,6 +154,81 @@ fn columns_in_a_wrong_unit_or_under_a_wrong_name_are_errors() {
 }
 
 #[test]
+fn a_damaged_cell_is_an_error_at_its_line_and_column() {
+    let text = text_of(&tumbling(900, 0.01));
+    let changed = |row: usize, column: &str, value: &str| {
+        let at = COLUMNS.iter().position(|name| *name == column).unwrap();
+        let text = with_cells(&text, |index, cells| {
+            if index == row + 1 {
+                cells[at] = value.into();
+            }
+        });
+        read(&text).unwrap_err()
+    };
+    // after the first seconds as well
+    for (row, column, value) in [(500, "px", "1e3"), (50, "vz", "-40"), (800, "gx", "200"), (333, "az", "-9000")] {
+        let message = changed(row, column, value);
+        let number = crate::number(value.parse().unwrap());
+        let expected = format!("f: line {}: {column} is {number} between ", row + 2);
+        assert!(message.starts_with(&expected), "{message}");
+    }
+    for (column, value) in [("px", "1e200"), ("vy", "-1e5"), ("gz", "1e4"), ("ax", "1e300")] {
+        let message = changed(700, column, value);
+        let number = crate::number(value.parse().unwrap());
+        assert!(message.starts_with(&format!("f: line 702: {column} is {number}, expected at most ")), "{message}");
+    }
+    // PWM/65535 of duties that were duties already
+    let scaled = with_cells(&text, |index, cells| {
+        if index > 0 {
+            (17..21).for_each(|cell| cells[cell] = (cells[cell].parse::<f64>().unwrap() / 65535.0).to_string());
+        }
+    });
+    assert!(read(&scaled).unwrap_err().contains("m1 to m4 are at most"));
+}
+
+/// Rows after a time that are constant, zero or random do not prevent predictions before that time.
+#[test]
+fn later_rows_that_disagree_are_readable_and_fail_the_check_of_units() {
+    let flight = tumbling(900, 0.01);
+    assert!(flight.check_units().is_ok());
+    for kind in 0..3 {
+        let mut blind = flight.clone();
+        for row in 310..900 {
+            let number = |x: f64, salt: usize| match kind {
+                0 => x,
+                1 => 0.0,
+                _ => ((row * 7919 + salt * 104_729) % 1000) as f64 * 0.02 - 10.0,
+            };
+            let (position, velocity) = (flight.position[309], flight.velocity[309]);
+            for axis in 0..3 {
+                blind.position[row][axis] = number(position[axis], axis);
+                blind.velocity[row][axis] = number(velocity[axis], axis + 3);
+                blind.body_rate.as_mut().unwrap()[row][axis] = number(1.0, axis + 6);
+            }
+            blind.attitude[row] = flight.attitude[309];
+        }
+        let read = Flight::from_csv("f", text_of(&blind).as_bytes()).unwrap();
+        // rows that do not change agree with each other
+        if kind == 2 {
+            let error = read.check_units().unwrap_err().to_string();
+            assert!(error.contains("differs from") && error.contains("the largest deviation is at"), "{error}");
+        }
+    }
+}
+
+#[test]
+fn a_late_gyro_is_readable_and_a_short_flight_at_a_high_rate_is_no_panic() {
+    let mut late = tumbling(900, 0.01);
+    let rates = late.body_rate.take().unwrap();
+    late.body_rate = Some((0..900_usize).map(|row| rates[row.saturating_sub(25)]).collect());
+    assert!(late.check_units().is_ok());
+    for (rows, step) in [(10, 1e-3), (15, 1e-3), (100, 1e-5), (11, 0.5)] {
+        // any result without a panic
+        let _ = read(&text_of(&tumbling(rows, step)));
+    }
+}
+
+#[test]
 fn glitches_are_jumps_of_the_position_and_four_rows_around_them() {
     let mut flight = tumbling(100, 0.01);
     assert!(!flight.glitches().contains(&true));
