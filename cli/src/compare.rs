@@ -3,7 +3,8 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use aviary::drone::DroneModel;
 use aviary::flights::{
-    AttitudeSource, Compared, Errors, Flight, HORIZONS, Predictor, Score, plot_window, read_flights, write_predictions,
+    AttitudeSource, Compared, Errors, Flight, HORIZONS, Predictor, Score, flight_files, plot_window, read_flights,
+    write_predictions,
 };
 use clap::{Args, ValueHint};
 use serde_json::{Map, Value, json};
@@ -25,8 +26,8 @@ const PLOTS: [&str; 2] = ["window.svg", "window.png"];
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
-  aviary compare --flights flights --drone cf21.toml
-  aviary compare --flights flights --drone cf21.toml --attitude recorded --json
+  aviary compare --flights flights --drone cf21
+  aviary compare --flights flights --drone cf21 --attitude recorded --json
   aviary compare --flights flights/star.csv --drone cf21.toml --predictions out/star.csv --plot")]
 pub struct Compare {
     /// Recorded flights: CSV files, or directories with CSV files
@@ -81,7 +82,9 @@ impl Compare {
         for doubt in doubts.iter().flatten() {
             eprintln!("warning: {doubt}");
         }
-        let predictions = self.predictions.as_deref().map(OutputFile::begin).transpose()?;
+        let inputs = flight_files(&self.flights).map_err(Failure::input)?;
+        let predictions = self.predictions.as_deref();
+        let predictions = predictions.map(|path| OutputFile::begin_apart(path, &inputs)).transpose()?;
         let out = self.plot.then(|| OutputDir::create(self.out.as_deref().unwrap_or(Path::new("out/compare"))));
         let out = out.transpose()?;
         let compared = aviary::flights::compare(&params, &flights, &sources).map_err(Failure::input)?;

@@ -17,7 +17,7 @@ use crate::output::{self, OutputFile};
 #[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary convert log00 --out flight.csv
-  aviary convert cflib_log.csv --out flight.csv --rate 50")]
+  aviary convert cflib_log.csv --out flight.csv --rate 200")]
 pub struct Convert {
     /// Log: a uSD file, or a CSV file with a column `timestamp`
     #[arg(value_name = "LOG", value_hint = ValueHint::FilePath)]
@@ -41,7 +41,7 @@ impl Convert {
         }
         let log = CrazyflieLog::read(&self.log).map_err(Failure::input)?;
         let table = log.table(&self.log.to_string_lossy(), 1.0 / self.rate).map_err(Failure::input)?;
-        let mut writer = OutputFile::begin(&self.out)?.into_writer();
+        let mut writer = OutputFile::begin_apart(&self.out, [&self.log])?.into_writer();
         table.write(&mut writer).map_err(Failure::work)?;
         writer.keep()?;
         let (variables, missing) = (log.variables().count(), table.missing());

@@ -10,6 +10,7 @@ use aviary::flights::{AttitudeSource, Compared, Flight, Predictor, plot_window, 
 use clap::{Args, ValueHint};
 use serde_json::{Value, json};
 
+use crate::airframe;
 use crate::compare::{flight_table, total_table, totals, tracks, typical};
 use crate::failure::Failure;
 use crate::options;
@@ -63,6 +64,10 @@ impl Identify {
     pub fn run(&self) -> Result<(), Failure> {
         let base = DroneParams { mass: self.mass, ..options::params(&self.drone)? };
         base.validate().map_err(|error| Failure::Input(anyhow!("--mass or --drone: {error}")))?;
+        let numbers = base.derived();
+        for warning in numbers.iter().filter(|number| number.fields.contains("mass")).filter_map(airframe::warning) {
+            eprintln!("warning: {warning} (--mass in kg)");
+        }
         let name = self.name()?;
         let plot_kind = self.plot.as_deref().map(|path| path.extension().and_then(|ending| ending.to_str()));
         if plot_kind.is_some_and(|kind| !matches!(kind, Some("svg" | "png"))) {

@@ -123,7 +123,18 @@ pub struct OutputFile {
 impl OutputFile {
     /// Creates the temporary file, before the work. An existing path that is not a regular file is an error.
     pub fn begin(path: &Path) -> Result<Self, Failure> {
+        Self::begin_apart(path, std::iter::empty::<&Path>())
+    }
+
+    /// Begins a file as [`begin`](Self::begin) does, unless it is one of the inputs.
+    pub fn begin_apart<P: AsRef<Path>>(path: &Path, inputs: impl IntoIterator<Item = P>) -> Result<Self, Failure> {
         let target = path.canonicalize();
+        if let Ok(target) = &target
+            && inputs.into_iter().any(|input| input.as_ref().canonicalize().is_ok_and(|input| input == *target))
+        {
+            let message = anyhow!("{}: it is an input, expected another output file", path.display());
+            return Err(Failure::Input(message));
+        }
         if target.as_ref().is_ok_and(|target| !target.is_file()) {
             return Err(Failure::work(anyhow!("{}: it exists and is not a file", path.display())));
         }

@@ -78,7 +78,7 @@ fn predictions_are_causal() {
     let whole = predict(&path);
     let names: Vec<_> = flight.lines().next().unwrap().split(',').collect();
     for (blinded, t0) in [("constant", 3.0), ("zero", 4.0), ("random", 3.5), ("constant", 5.5)] {
-        let mut last = Vec::new();
+        let mut last: Vec<String> = Vec::new();
         let mut text = String::new();
         for (index, line) in flight.lines().enumerate() {
             let mut cells: Vec<_> = line.split(',').map(str::to_string).collect();
@@ -108,6 +108,11 @@ fn predictions_are_causal() {
         let (found, expected) = (early(&predicted), early(&whole));
         assert!(!found.is_empty() && found == expected, "{blinded} after {t0} s");
     }
+    let folder = path.parent().unwrap();
+    let onto_input = ["compare", "--flights", text(folder), "--drone", &airframe, "--predictions", text(&path)];
+    let before = std::fs::read(&path).unwrap();
+    refused(&onto_input, 2, &["it is an input"]);
+    assert_eq!(std::fs::read(&path).unwrap(), before);
     let output = aviary(&["compare", "--flights", text(&path), "--drone", &airframe]);
     let warning = String::from_utf8(output.stderr).unwrap();
     assert!(warning.starts_with("warning: flight: ") && warning.lines().count() == 1, "{warning}");
@@ -251,6 +256,10 @@ fn logs_are_converted_to_flights_that_can_be_compared() {
     refuse(&[0xBC, 2, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0], &["bad: the checksum is 00000000, expected "]);
     refuse(&[0xBC, 9, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0], &["bad: byte 1: the version is 9, expected 1 or 2"]);
     refused(&["convert", "nowhere", "--out", text(&out)], 2, &["nowhere: No such file"]);
+    // the input is not an output
+    let before = std::fs::read(&log).unwrap();
+    refused(&["convert", text(&log), "--out", text(&log)], 2, &["it is an input"]);
+    assert_eq!(std::fs::read(&log).unwrap(), before);
     for rate in ["0", "nan", "1e300"] {
         refused(
             &["convert", text(&log), "--out", text(&out), "--rate", rate],

@@ -26,6 +26,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<CrazyflieLog, TableError> {
     let names: Vec<_> = header.iter().map(|name| crate::without_byte_order_mark(name).trim().to_string()).collect();
     let time = names.iter().position(|name| TIMES.contains(&&*name.to_lowercase()));
     let Some(time) = time.filter(|_| names.iter().any(|name| name.contains('.'))) else {
+        if let Some(separator) =
+            [';', '\t'].into_iter().find(|separator| names.iter().any(|name| name.contains(*separator)))
+        {
+            return Err((1, format!("cells are separated by {separator:?}, expected commas")));
+        }
         let expected = "expected a uSD log (first byte 0xBC) or CSV with variables such as gyro.x";
         return Err((1, format!("no column timestamp, {expected}")));
     };

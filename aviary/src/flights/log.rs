@@ -72,6 +72,9 @@ pub struct Flight {
 const MAGNITUDES: [((usize, usize), f64, f64); 4] =
     [(POSITION, 1e6, 1.0), (VELOCITY, 1e4, 5.0), (BODY_RATE, 1e3, 30.0), (ACCELERATION, 1e5, 200.0)];
 
+/// Largest time between rows, s.
+const MAX_STEP: f64 = 0.5;
+
 /// Smallest duty that a motor of a flying drone reaches.
 const MIN_DUTY: f64 = 0.01;
 
@@ -143,6 +146,13 @@ impl Flight {
         let required = "the reader requires these columns";
         let times = table.column("t").expect(required);
         let step = constant_step(times).map_err(|(row, message)| (table.line(row), message))?;
+        if step > MAX_STEP {
+            let got = crate::number(step);
+            return Err((
+                table.line(1),
+                format!("t has a step of {got} s, expected at most {MAX_STEP} s (t in seconds)"),
+            ));
+        }
         let [w, x, y, z] = table.group(ATTITUDE).expect(required);
         let attitude = (0..rows).map(|row| {
             let q = [w[row], x[row], y[row], z[row]];
@@ -311,6 +321,24 @@ impl Flight {
 /// [`FlightError::File`] for a path that cannot be read, [`FlightError::Read`] for a directory without a `.csv` file,
 /// two flights of the same name, and an invalid file.
 pub fn read_flights(paths: &[PathBuf]) -> Result<Vec<Flight>, FlightError> {
+    let files = flight_files(paths)?;
+    let flights = files.par_iter().map(Flight::read).collect::<Vec<_>>();
+    // the first error in the order of the files
+    let flights = flights.into_iter().collect::<Result<Vec<_>, _>>()?;
+    for (index, flight) in flights.iter().enumerate() {
+        if let Some(other) = flights[..index].iter().position(|other| other.name == flight.name) {
+            let message = format!("it has the name of {}, expected different names", files[other].display());
+            return Err(FlightError::read(&files[index], (0, message)));
+        }
+    }
+    Ok(flights)
+}
+
+/// Returns the files that [`read_flights`] reads.
+///
+/// # Errors
+/// [`FlightError::File`] for a directory that cannot be read, [`FlightError::Read`] for one without a `.csv` file.
+pub fn flight_files(paths: &[PathBuf]) -> Result<Vec<PathBuf>, FlightError> {
     let mut files = Vec::new();
     for path in paths {
         if !path.is_dir() {
@@ -327,16 +355,7 @@ pub fn read_flights(paths: &[PathBuf]) -> Result<Vec<Flight>, FlightError> {
         found.sort();
         files.extend(found);
     }
-    let flights = files.par_iter().map(Flight::read).collect::<Vec<_>>();
-    // the first error in the order of the files
-    let flights = flights.into_iter().collect::<Result<Vec<_>, _>>()?;
-    for (index, flight) in flights.iter().enumerate() {
-        if let Some(other) = flights[..index].iter().position(|other| other.name == flight.name) {
-            let message = format!("it has the name of {}, expected different names", files[other].display());
-            return Err(FlightError::read(&files[index], (0, message)));
-        }
-    }
-    Ok(flights)
+    Ok(files)
 }
 
 /// Returns the constant step of times, s. The error contains the row.

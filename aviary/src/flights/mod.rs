@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 
 pub use compare::{Compared, Track, compare, plot_window};
 pub use exchange::{PREDICTION_COLUMNS, PredictionRow, read_predictions, write_predictions};
-pub use log::{Flight, read_flights};
+pub use log::{Flight, flight_files, read_flights};
 pub use observer::{ObserverParams, RotationFilter, TranslationFilter};
 pub use predict::{AttitudeSource, Predictor};
 pub use raw_log::CrazyflieLog;

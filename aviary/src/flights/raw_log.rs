@@ -12,7 +12,10 @@ use crate::drone::GRAVITY;
 use crate::state::{attitude_from_rpy, attitude_from_wxyz, wxyz};
 
 /// Longest time without a sample of a variable, s. It limits the size of the table.
-const MAX_GAP: f64 = 5.0;
+const MAX_GAP: f64 = 0.45;
+
+/// Largest time between two samples of the voltage, s.
+const MAX_VOLTAGE_GAP: f64 = 5.0;
 
 /// Samples of N variables with their times, s, in the order of time.
 type Samples<const N: usize> = Vec<(f64, [f64; N])>;
@@ -209,9 +212,13 @@ impl CrazyflieLog {
         });
 
         let mut span = Span::default();
-        groups3.iter().filter_map(|(_, samples)| samples.as_deref()).try_for_each(|samples| span.add(samples))?;
-        attitude.iter().chain(&duty).try_for_each(|samples| span.add(samples))?;
-        voltage.iter().try_for_each(|samples| span.add(samples))?;
+        for ((first, _), samples) in &groups3 {
+            samples.iter().try_for_each(|samples| span.add(COLUMNS[*first], samples, MAX_GAP))?;
+        }
+        for ((first, _), samples) in [(ATTITUDE, &attitude), (MOTORS, &duty)] {
+            samples.iter().try_for_each(|samples| span.add(COLUMNS[first], samples, MAX_GAP))?;
+        }
+        voltage.iter().try_for_each(|samples| span.add(COLUMNS[VOLTAGE.0], samples, MAX_VOLTAGE_GAP))?;
         let times = span.times(step)?;
 
         let mut table = FlightTable::default();
@@ -231,11 +238,11 @@ impl CrazyflieLog {
 struct Span(Option<(f64, f64)>);
 
 impl Span {
-    /// Restricts the time to that of samples.
-    fn add<const N: usize>(&mut self, samples: &[(f64, [f64; N])]) -> Result<(), String> {
-        if let Some(pair) = samples.windows(2).find(|pair| pair[1].0 - pair[0].0 > MAX_GAP) {
+    /// Restricts the time to that of the samples of a column.
+    fn add<const N: usize>(&mut self, name: &str, samples: &[(f64, [f64; N])], max_gap: f64) -> Result<(), String> {
+        if let Some(pair) = samples.windows(2).find(|pair| pair[1].0 - pair[0].0 > max_gap) {
             let (from, to) = (pair[0].0, pair[1].0);
-            return Err(format!("no sample from {from:.3} s to {to:.3} s, expected one every {MAX_GAP} s"));
+            return Err(format!("no sample of {name} from {from:.3} s to {to:.3} s, expected one every {max_gap} s"));
         }
         let (first, last) = (samples[0].0, samples[samples.len() - 1].0);
         let (start, end) = self.0.unwrap_or((first, last));
@@ -433,7 +440,7 @@ mod tests {
         assert!(csv("timestamp,gyro.x,gyro.x\n").ends_with("two columns `gyro.x`, expected one"));
         assert!(csv("timestamp,foo.x\n0,1\n").starts_with("log00: no variable of a flight"));
         let gap = csv(&format!("{header}0,1,2,3\n10,1,2,3\n9000,1,2,3\n"));
-        assert_eq!(gap, "log00: no sample from 0.010 s to 9.000 s, expected one every 5 s");
+        assert_eq!(gap, "log00: no sample of gx from 0.010 s to 9.000 s, expected one every 0.45 s");
         let back = "timestamp,gyro.x,gyro.y,gyro.z\n0,0,0,0\n200,0,0,0\n50,0,0,0\n";
         assert_eq!(csv(back), "log00: line 4: timestamp is 50 after 200, expected increasing times");
         let motors = "timestamp,motor.m1,motor.m2,motor.m3,motor.m4\n0,1,2,3,4\n10,1,2,70000,4\n";

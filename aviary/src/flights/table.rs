@@ -178,6 +178,11 @@ impl Header {
         if let Some(name) = required.first() {
             let unknown: Vec<_> = unknown.iter().map(String::as_str).collect();
             let near = crate::did_you_mean(name, &unknown).replace("did you mean", "is it");
+            let separator =
+                [';', '\t'].into_iter().find(|separator| unknown.iter().any(|name| name.contains(*separator)));
+            if let Some(separator) = separator {
+                return Err(format!("cells are separated by {separator:?}, expected commas"));
+            }
             return Err(match required.len() {
                 1..=5 => format!("no column {}, expected time and motion capture{near}", quoted(&required)),
                 _ => format!("no columns {} …, expected {} …", quoted(&required[..3]), COLUMNS[..REQUIRED].join(",")),

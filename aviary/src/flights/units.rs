@@ -18,6 +18,12 @@ const RATE_SPAN: f64 = 0.05;
 /// Largest time shift of a gyro against the attitude, s.
 const MAX_SHIFT: f64 = 0.3;
 
+/// Largest deviation of a column as a share of its size.
+const MAX_SHARE: f64 = 0.3;
+
+/// Largest acceleration of a drone (root mean square over the first seconds), m/s².
+const MAX_ACCELERATION: f64 = 80.0;
+
 /// Time from the first row in which columns must agree for a flight to be read, s; the first window of a comparison
 /// starts then.
 const FIRST: f64 = 3.0;
@@ -59,6 +65,14 @@ impl Flight {
             let differs = format!("{name} differs from the derivative of {of} by {error:.2} m/s (RMS)");
             return Err((row, format!("{differs}, expected m/s in the world frame")));
         }
+        let change = |row: usize| (self.velocity[row + half] - self.velocity[row - half]) / span;
+        let squares = rows.clone().map(|row| change(row).norm_squared());
+        let acceleration = (squares.sum::<f64>() / rows.len().max(1) as f64).sqrt();
+        if acceleration > MAX_ACCELERATION {
+            let names = COLUMNS[VELOCITY.0..VELOCITY.0 + 3].join(", ");
+            let message = format!("{names} have an acceleration of {acceleration:.0} m/s² (RMS), expected m and m/s");
+            return Err((half.min(count - 1), message));
+        }
         if let Some(rates) = &self.body_rate {
             let half = half_of(RATE_SPAN);
             let span = 2.0 * half as f64 * self.step;
@@ -76,10 +90,7 @@ impl Flight {
         if let Some(forces) = &self.acceleration {
             // the mean, because of the vibration of the accelerometer
             let count = rows.len().max(1) as f64;
-            let expected = |row: usize| {
-                let change = (self.velocity[row + half] - self.velocity[row - half]) / span;
-                (self.attitude[row].inverse() * (change + Vector3::z() * GRAVITY)).z
-            };
+            let expected = |row: usize| (self.attitude[row].inverse() * (change(row) + Vector3::z() * GRAVITY)).z;
             let (mut measured, mut sum, mut largest) = (0.0, 0.0, (0.0, 0));
             for row in rows {
                 let (found, expected) = (forces[row].z, expected(row));
@@ -99,7 +110,7 @@ impl Flight {
 
 /// Compares the means of a column over `2·half + 1` rows with values from differences, one for every row from `half`
 /// on, at the time shift of up to `shift` rows with the smallest deviation. Returns the first axis whose deviation
-/// exceeds half of the signal plus `room`, with the deviation (root mean square) and the row of the largest one.
+/// exceeds [`MAX_SHARE`] of the signal plus `room`, with the deviation (root mean square) and the row of the largest one.
 fn worst_axis(
     measured: &[Vector3<f64>],
     half: usize,
@@ -141,6 +152,6 @@ fn worst_axis(
         }
     }
     let rms = |sum: f64| (sum / rows.max(1.0)).sqrt();
-    let exceeds = |axis: &usize| rms(error[*axis]) > 0.5 * rms(signal[*axis].max(expected[*axis])) + room;
+    let exceeds = |axis: &usize| rms(error[*axis]) > MAX_SHARE * rms(signal[*axis].max(expected[*axis])) + room;
     (0..3).find(exceeds).map(|axis| (axis, rms(error[axis]), largest[axis].1))
 }

@@ -148,6 +148,16 @@ fn columns_in_a_wrong_unit_or_under_a_wrong_name_are_errors() {
     let degrees = flight.body_rate.as_ref().map(|rates| rates.iter().map(|rate| rate.map(f64::to_degrees)).collect());
     let error = read(&text_of(&Flight { body_rate: degrees, ..flight.clone() })).unwrap_err();
     assert!(error.contains("expected rad/s, body frame"), "{error}");
+    let slow = Flight { velocity: flight.velocity.iter().map(|v| v * 0.5).collect(), ..flight.clone() };
+    assert!(read(&text_of(&slow)).unwrap_err().contains("differs from the derivative of p"));
+    let no_gyro = Flight { body_rate: Some(vec![Vector3::zeros(); 300]), ..flight.clone() };
+    assert!(read(&text_of(&no_gyro)).unwrap_err().contains("expected rad/s, body frame"));
+    let thousand = |vectors: &[Vector3<f64>]| vectors.iter().map(|v| v * 1e3).collect::<Vec<_>>();
+    let (position, velocity) = (thousand(&flight.position), thousand(&flight.velocity));
+    let in_millimetres = Flight { position, velocity, acceleration: None, ..flight.clone() };
+    assert!(read(&text_of(&in_millimetres)).unwrap_err().contains("expected m and m/s"));
+    assert!(read(&text_of(&Flight { step: 10.0, ..flight.clone() })).unwrap_err().contains("(t in seconds)"));
+    assert!(read(&text.replace(',', ";")).unwrap_err().contains("separated by ';', expected commas"));
     let in_g = flight.acceleration.as_ref().map(|forces| forces.iter().map(|force| force / GRAVITY).collect());
     let error = read(&text_of(&Flight { acceleration: in_g, ..flight })).unwrap_err();
     assert!(error.contains("the mean of az is") && error.contains("expected"), "{error}");
