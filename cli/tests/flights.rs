@@ -77,7 +77,7 @@ fn predictions_are_causal() {
     let path = write(&dir.join("blind/flight.csv"), &flight);
     let whole = predict(&path);
     let names: Vec<_> = flight.lines().next().unwrap().split(',').collect();
-    for (blinded, t0) in [("constant", 3.0), ("zero", 4.0), ("random", 3.5), ("constant", 5.5)] {
+    for (blinded, t0) in [("constant", 3.0), ("zero", 4.0), ("constant", 5.5), ("random", 3.5)] {
         let mut last: Vec<String> = Vec::new();
         let mut text = String::new();
         for (index, line) in flight.lines().enumerate() {

@@ -47,8 +47,8 @@ impl Bandwidths {
     /// Largest ratio of the frequency of the horizontal loop to that of the attitude loop within it.
     const FASTEST_HORIZONTAL: f64 = 0.45;
 
-    /// Returns the default frequencies, limited by the [motors](crate::drone::MotorParams) of an airframe: a loop that is
-    /// faster than the thrust oscillates. [Rotational damping](crate::drone::AirParams::rotational_damping) permits
+    /// Returns the default frequencies, limited by the [motors](crate::drone::MotorParams) of an airframe: a loop that
+    /// is faster than the thrust oscillates. [Rotational damping](crate::drone::AirParams::rotational_damping) permits
     /// a faster attitude loop.
     ///
     /// ```
@@ -96,8 +96,8 @@ impl Bandwidths {
 /// rotation vector of the attitude error instead of its sine: the two agree for small errors, and the rotation vector
 /// does not vanish for large ones.
 ///
-/// The controller compensates the linear drag, the moment of the velocity, the rotational damping and the trim torque of
-/// an airframe that has them, in still air.
+/// The controller compensates the linear drag, the moment of the velocity, the rotational damping and the trim torque
+/// of an airframe that has them, in still air.
 ///
 /// The controller tracks any attitude. Yaw is undefined where body z points to the left or right of the heading, so
 /// the controller switches to a second chart of the attitude near these directions. It switches back where body z

@@ -41,16 +41,31 @@ pub fn compare(
     flights: &[Flight],
     sources: &[AttitudeSource],
 ) -> Result<Vec<Compared>, FlightError> {
+    let compared = compare_any(params, flights, sources)?;
+    for (flight, compared) in flights.iter().zip(&compared) {
+        for track in &compared.tracks {
+            let is_finite = |window: &[Predicted; HORIZONS.len()]| window.iter().all(Predicted::is_finite);
+            if let Some(index) = track.predictions.iter().position(|window| !is_finite(window)) {
+                let t0 = compared.windows[index].t0;
+                let message = format!("the prediction from {t0} s is not finite, expected another airframe");
+                return Err(FlightError::Windows { flight: flight.name.clone(), message });
+            }
+        }
+    }
+    Ok(compared)
+}
+
+/// Compares flights as [`compare`] does; predictions need not be finite.
+pub(super) fn compare_any(
+    params: &DroneParams,
+    flights: &[Flight],
+    sources: &[AttitudeSource],
+) -> Result<Vec<Compared>, FlightError> {
     let compared = flights.par_iter().map(|flight| {
         let windows = Window::of(flight)?;
         let predictor = Predictor::new(params, flight, &windows)?;
         let track = |&attitude: &AttitudeSource| {
             let predictions = predictor.predict(attitude)?;
-            if let Some(index) = predictions.iter().position(|window| !window.iter().all(Predicted::is_finite)) {
-                let message =
-                    format!("the prediction from {} s is not finite, expected another airframe", windows[index].t0);
-                return Err(FlightError::Windows { flight: flight.name.clone(), message });
-            }
             let scores = Score::of_flight(flight, &windows, &predictions);
             Ok(Track { attitude, predictions, scores })
         };

@@ -110,7 +110,8 @@ impl Flight {
 
 /// Compares the means of a column over `2·half + 1` rows with values from differences, one for every row from `half`
 /// on, at the time shift of up to `shift` rows with the smallest deviation. Returns the first axis whose deviation
-/// exceeds [`MAX_SHARE`] of the signal plus `room`, with the deviation (root mean square) and the row of the largest one.
+/// exceeds [`MAX_SHARE`] of the signal plus `room`, with the deviation (root mean square) and the row of the largest
+/// one.
 fn worst_axis(
     measured: &[Vector3<f64>],
     half: usize,

@@ -23,8 +23,8 @@ const MIN_TILT: f64 = 4e-3;
 const MIN_OFFSET: f64 = 3e-3;
 
 /// Differences between the frames and clocks of one recorded flight. A correction is applied if it exceeds a minimum
-/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and four standard errors; that of a tilt or an offset must also have
-/// a standard error below the minimum. [`applied`](Self::applied) has the numbers that were.
+/// (2 ms onboard, 5 ms of the motors, 4 mrad, 3 mm) and four standard errors; that of a tilt or an offset must also
+/// have a standard error below the minimum. [`applied`](Self::applied) has the numbers that were.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct Alignment {
     /// Name of the flight.

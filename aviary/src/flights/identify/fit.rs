@@ -10,7 +10,8 @@ use super::solve::{Residuals, minimize};
 use super::statistics::{Estimate, Information, jackknife};
 use super::{FittedParameter, Identification, IdentifyOptions, LeftOut, Status, Unidentified};
 use crate::drone::{DroneParams, YawConvention};
-use crate::flights::{AttitudeSource, Flight, FlightError, HORIZONS, Window, compare};
+use crate::flights::compare::compare_any;
+use crate::flights::{AttitudeSource, Flight, FlightError, HORIZONS, Window};
 
 /// First start of a window after the first row of a flight, s. The estimator settles before it.
 const FIRST_START: f64 = 2.0;
@@ -434,13 +435,13 @@ pub(super) fn run(
     let is_free = |index: usize| influence.free.contains(&index);
     let airframe = finished(fit.airframe.clone(), options);
     let sources = [AttitudeSource::Recorded, AttitudeSource::Predicted];
-    let compared = compare(&airframe, flights, &sources)?;
+    let compared = compare_any(&airframe, flights, &sources)?;
     let mut leave_one_out = Vec::new();
     if flights.len() > 1 {
         for (flight, params) in flights.iter().zip(&without) {
             let airframe = finished(params.clone(), options);
             // one flight has one element
-            for compared in compare(&airframe, std::slice::from_ref(flight), &sources)? {
+            for compared in compare_any(&airframe, std::slice::from_ref(flight), &sources)? {
                 leave_one_out.push(LeftOut { airframe: airframe.clone(), compared });
             }
         }
