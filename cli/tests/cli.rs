@@ -14,7 +14,7 @@ use common::{
 
 #[test]
 fn hover_ends_at_its_target_and_reports_the_error() {
-    for drone in ["cf2x", "cf2p", "race", "cf21"] {
+    for drone in ["cf2x", "cf2p", "race"] {
         let flight = json(&["fly", "--task", "hover", "--drone", drone]);
         let number = |key: &str| flight[key].as_f64().unwrap_or_else(|| panic!("{key}"));
         assert_eq!(flight["task"], "hover");
