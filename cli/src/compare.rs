@@ -79,9 +79,6 @@ impl Compare {
         let sources = self.attitude.map_or(AttitudeSource::ALL.to_vec(), |source| vec![source]);
         let flights = read_flights(&self.flights).map_err(Failure::input)?;
         let doubts: Vec<_> = flights.iter().map(|flight| flight.check_units().err().map(|e| e.to_string())).collect();
-        for doubt in doubts.iter().flatten() {
-            eprintln!("warning: {doubt}");
-        }
         let inputs = flight_files(&self.flights).map_err(Failure::input)?;
         let predictions = self.predictions.as_deref();
         let predictions = predictions.map(|path| OutputFile::begin_apart(path, &inputs)).transpose()?;
@@ -89,6 +86,9 @@ impl Compare {
         let out = out.transpose()?;
         let compared = aviary::flights::compare(&params, &flights, &sources).map_err(Failure::input)?;
 
+        for doubt in doubts.iter().flatten() {
+            eprintln!("warning: {doubt}");
+        }
         let mut written = Vec::new();
         if let (Some(file), Some(path)) = (predictions, &self.predictions) {
             let mut writer = file.into_writer();

@@ -64,10 +64,6 @@ impl Identify {
     pub fn run(&self) -> Result<(), Failure> {
         let base = DroneParams { mass: self.mass, ..options::params(&self.drone)? };
         base.validate().map_err(|error| Failure::Input(anyhow!("--mass or --drone: {error}")))?;
-        let numbers = base.derived();
-        for warning in numbers.iter().filter(|number| number.fields.contains("mass")).filter_map(airframe::warning) {
-            eprintln!("warning: {warning} (--mass in kg)");
-        }
         let name = self.name()?;
         let plot_kind = self.plot.as_deref().map(|path| path.extension().and_then(|ending| ending.to_str()));
         if plot_kind.is_some_and(|kind| !matches!(kind, Some("svg" | "png"))) {
@@ -85,6 +81,11 @@ impl Identify {
             .map_err(Failure::input)?;
         progress.finish_and_clear();
         let seconds = start.elapsed().as_secs_f64();
+
+        let numbers = base.derived();
+        for warning in numbers.iter().filter(|number| number.fields.contains("mass")).filter_map(airframe::warning) {
+            eprintln!("warning: {warning} (--mass in kg)");
+        }
 
         let mut written = Vec::new();
         if let (Some(file), Some(path)) = (out, &self.out) {
