@@ -12,8 +12,8 @@ use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
 use aviary::physics::wind::WindConfig;
 use aviary::policy::Mlp;
-use aviary::tasks::{self, FlyThrough, Race};
-use aviary::vector::{Autoreset, OnFault, VecAviary, VecConfig, VecEnv, make_vec};
+use aviary::tasks::{self, Course, FlyThrough, Race};
+use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec, make_vec_course};
 use aviary::world::ObstacleConfig;
 use serde::{Deserialize, Serialize};
 
@@ -337,7 +337,7 @@ impl TrainConfig {
             let got = aviary::number(self.out_of_bounds.into());
             return Err(TrainError::Option { option: "out_of_bounds", got, expected: "0 to 1,000,000" });
         }
-        if self.course.is_some_and(|rewards| self.per_drone || CourseTask::of_name(&self.task, rewards).is_none()) {
+        if self.course.is_some_and(|rewards| self.per_drone || course_of(&self.task, rewards).is_none()) {
             let got = format!("set for {}", self.task);
             return Err(TrainError::Option {
                 option: "course",
@@ -432,10 +432,9 @@ impl TrainConfig {
                 width: self.width,
                 ..VecConfig::new(environments)
             };
-            let course = self.course.and_then(|rewards| CourseTask::of_name(&self.task, rewards));
-            let mut env: Box<dyn VecEnv> = match course {
-                Some(CourseTask::FlyThrough(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
-                Some(CourseTask::Race(task)) => Box::new(VecAviary::new(options.with_task(task), config)?),
+            let course = self.course.and_then(|rewards| course_of(&self.task, rewards));
+            let mut env = match course {
+                Some(course) => make_vec_course(course, options, config)?,
                 None => make_vec(&self.task, options, config)?,
             };
             for (environment, start) in (0..environments).zip(starts.iter().cycle()) {
@@ -474,28 +473,20 @@ fn wrong(error: impl ToString) -> TrainError {
     TrainError::Toml { message: error.to_string() }
 }
 
-/// Task with configured course rewards.
-enum CourseTask {
-    FlyThrough(FlyThrough),
-    Race(Race),
-}
-
-impl CourseTask {
-    /// Returns the task with a name; `None` if it has no course.
-    fn of_name(name: &str, rewards: CourseRewards) -> Option<Self> {
-        let CourseRewards { point, distance, speed } = rewards;
-        match name {
-            "fly_through" => {
-                let mut task = FlyThrough::default();
-                (task.capture_reward, task.distance_penalty) = (point, distance);
-                Some(Self::FlyThrough(task))
-            }
-            "race" => {
-                let mut race = Race::default();
-                (race.gate_reward, race.speed_reward, race.distance_penalty) = (point, speed, distance);
-                Some(Self::Race(race))
-            }
-            _ => None,
+/// Returns the task with a name and with course rewards; `None` if it has no course.
+fn course_of(name: &str, rewards: CourseRewards) -> Option<Course> {
+    let CourseRewards { point, distance, speed } = rewards;
+    match name {
+        "fly_through" => {
+            let mut task = FlyThrough::default();
+            (task.capture_reward, task.distance_penalty) = (point, distance);
+            Some(Course::FlyThrough(task))
         }
+        "race" => {
+            let mut race = Race::default();
+            (race.gate_reward, race.speed_reward, race.distance_penalty) = (point, speed, distance);
+            Some(Course::Race(race))
+        }
+        _ => None,
     }
 }

@@ -3,6 +3,7 @@
 mod antipodal;
 mod base;
 mod conditions;
+mod course;
 mod fly_through;
 mod formation;
 mod hover;
@@ -18,6 +19,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 pub use antipodal::Antipodal;
 pub use base::Base;
 pub use conditions::{CrashConditions, CrashWatch};
+pub use course::Course;
 pub use fly_through::FlyThrough;
 pub use formation::Formation;
 pub use hover::{Hover, hover_reward};

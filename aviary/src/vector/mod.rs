@@ -30,7 +30,7 @@ use crate::engine::flight::Width;
 use crate::env::{BoxSpace, DroneEnv, EnvConfig, EnvError, EpisodeSummary, Info, ObservationSpace};
 use crate::observation::{KIN_SIZE, Observation};
 use crate::physics::battery::BatteryState;
-use crate::tasks::for_task;
+use crate::tasks::{Course, for_task};
 use crate::vision::ImageSize;
 
 /// Time of the reset after the end of an episode, as in Gymnasium's vector environments.
@@ -359,6 +359,18 @@ impl<E: VecEnv + ?Sized> BufferedVecEnv<E> {
 pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
     let env = for_task!(name, |task| Box::new(VecAviary::new(options.for_task(task)?, config)?) as Box<dyn VecEnv>);
     env.map_err(EnvError::from)
+}
+
+/// Creates a batch of a task with a course, for example with other rewards. A program that calls
+/// [`VecAviary::new`] instead compiles the batch of the task once more, which takes minutes.
+///
+/// # Errors
+/// The errors of [`VecAviary::new`].
+pub fn make_vec_course(course: Course, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
+    Ok(match course {
+        Course::FlyThrough(task) => Box::new(VecAviary::new(options.with_task(task), config)?),
+        Course::Race(task) => Box::new(VecAviary::new(options.with_task(task), config)?),
+    })
 }
 
 /// A batch of environments of one task. M is the number of environments, N the number of drones in each.

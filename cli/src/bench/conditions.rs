@@ -4,12 +4,11 @@ use std::time::{Duration, Instant};
 
 use aviary::action::ActionType;
 use aviary::drone::{AirParams, DroneModel, DroneParams, MotorParams};
-use aviary::env::{AviaryBuilder, BodyRanges, EnvError, Randomization};
+use aviary::env::{BodyRanges, EnvConfig, EnvError, Randomization};
 use aviary::physics::Physics;
 use aviary::physics::actuators::ActuatorParams;
 use aviary::physics::wind::{WindConfig, WindModel};
-use aviary::tasks::Hover;
-use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+use aviary::vector::{VecBuffers, VecConfig, VecEnv, make_vec};
 
 use super::Row;
 use super::meter::{Meter, median, spread};
@@ -19,8 +18,8 @@ use super::policy::LinearPolicy;
 const SIZE: usize = 4096;
 
 /// Conditions and action types with the names of their rows; the first one is the reference of the others.
-fn conditions() -> [(&'static str, AviaryBuilder<Hover>); 13] {
-    let hover = Hover::builder;
+fn conditions() -> [(&'static str, EnvConfig); 13] {
+    let hover = EnvConfig::default;
     let wind = |model| hover().wind(WindConfig::new(model));
     let actions = |kind| hover().action_type(kind).initial_positions([[0.0, 0.0, 1.0]]);
     let body = Randomization { body: Some(BodyRanges::default()), ..Randomization::NONE };
@@ -56,7 +55,7 @@ fn measured() -> DroneParams {
 
 /// A batch under one condition.
 struct Batch {
-    env: VecAviary<Hover>,
+    env: Box<dyn VecEnv>,
     buffers: VecBuffers,
     policy: LinearPolicy,
     source: Source,
@@ -137,8 +136,8 @@ pub(super) fn rows(meter: &mut Meter, wanted: impl Fn(&str) -> bool) -> Result<V
         if index > 0 && !wanted(name) {
             continue;
         }
-        let mut env = VecAviary::new(builder, VecConfig { threads: 1, width: meter.width, ..VecConfig::new(SIZE) })?;
-        let mut buffers = VecBuffers::new(&env);
+        let mut env = make_vec("hover", builder, VecConfig { threads: 1, width: meter.width, ..VecConfig::new(SIZE) })?;
+        let mut buffers = VecBuffers::new(&*env);
         env.reset(Some(1), &mut buffers.observations)?;
         let policy = LinearPolicy::new(meter.seed, SIZE, 1, env.observation_size()).gentle();
         let mut batch = Batch { env, buffers, policy, source: Source::of(name) };

@@ -5,10 +5,10 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use aviary::engine::flight::Width;
+use aviary::env::EnvConfig;
 use aviary::env::EnvError;
 use aviary::physics::Physics;
-use aviary::tasks::Hover;
-use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv};
+use aviary::vector::{VecBuffers, VecConfig, make_vec};
 
 use super::Row;
 use super::meter::Meter;
@@ -22,8 +22,8 @@ const TURN: Duration = Duration::from_millis(60);
 /// number of environment steps and the seconds that they took.
 pub(super) fn serve(size: usize, width: Width) -> Result<(), Failure> {
     let config = VecConfig { threads: 1, width, ..VecConfig::new(size) };
-    let mut env = VecAviary::new(Hover::builder(), config).map_err(Failure::work)?;
-    let mut buffers = VecBuffers::new(&env);
+    let mut env = make_vec("hover", EnvConfig::default(), config).map_err(Failure::work)?;
+    let mut buffers = VecBuffers::new(&*env);
     env.reset(Some(1), &mut buffers.observations).map_err(Failure::work)?;
     let actions = LinearPolicy::new(0, size, 1, env.observation_size()).climb();
     let mut turn = 0_usize;

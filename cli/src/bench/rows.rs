@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use aviary::drone::DroneModel;
 use aviary::engine::EngineKind;
 use aviary::engine::flight::{Airframe, Flow, FreeBody, LANES, LaneParams, Lanes, ReachBound, Width, advance};
-use aviary::env::{AviaryBuilder, DroneEnv, Env, EnvConfig, EnvError, Task};
+use aviary::env::{DroneEnv, Env, EnvConfig, EnvError};
 use aviary::observation::ObservationType;
 use aviary::physics::Physics;
 use aviary::physics::airframe::AirframeEffects;
@@ -14,8 +14,8 @@ use aviary::physics::downwash::Wake;
 use aviary::physics::ground_effect::GroundEffect;
 use aviary::physics::rotor::RotorModel;
 use aviary::state::DroneState;
-use aviary::tasks::{Hover, MultiHover, make};
-use aviary::vector::{VecAviary, VecBuffers, VecConfig, VecEnv, VecImages};
+use aviary::tasks::make;
+use aviary::vector::{VecBuffers, VecConfig, VecEnv, VecImages, make_vec};
 use aviary::world::Medium;
 use nalgebra::Vector3;
 
@@ -177,32 +177,32 @@ pub(super) fn batch(
     engine: EngineKind,
     actions: Actions,
 ) -> Result<Row, EnvError> {
-    let builder = Hover::builder().physics(physics).engine(engine);
+    let options = EnvConfig::default().physics(physics).engine(engine);
     let before = resident();
-    let mut env = VecAviary::new(builder, VecConfig { threads, width: meter.width, ..VecConfig::new(size) })?;
+    let mut env = make_vec("hover", options, VecConfig { threads, width: meter.width, ..VecConfig::new(size) })?;
     let bytes = (size >= 65_536).then(|| resident().saturating_sub(before) / size);
     let label = if actions == Actions::Random { "random actions, " } else { "" };
     let row_name = format!("hover × {size}, {label}{engine}, {physics}");
-    fly(meter, &mut env, row_name, physics, engine, actions, bytes)
+    fly(meter, &mut *env, row_name, physics, engine, actions, bytes)
 }
 
 /// Measures a batch of swarms with all effects.
 pub(super) fn swarm(meter: &mut Meter, drones: usize, size: usize, threads: usize) -> Result<Row, EnvError> {
     let (physics, engine) = (Physics::MjcGndDragDw, EngineKind::Hybrid);
-    let builder = MultiHover::builder()
+    let options = EnvConfig::default()
         .num_drones(drones)
         .physics(physics)
         .engine(engine)
         .task(|task| task.target_heights = Some((0..drones).map(|drone| place(drone)[2]).collect()))
         .initial_positions((0..drones).map(place));
-    let mut env = VecAviary::new(builder, VecConfig { threads, width: meter.width, ..VecConfig::new(size) })?;
+    let mut env = make_vec("multi_hover", options, VecConfig { threads, width: meter.width, ..VecConfig::new(size) })?;
     let name = format!("multi_hover × {size}, {engine}, {physics}");
-    fly(meter, &mut env, name, physics, engine, Actions::Policy, None)
+    fly(meter, &mut *env, name, physics, engine, Actions::Policy, None)
 }
 
-fn fly<T: Task + Clone + Send + Sync>(
+fn fly(
     meter: &mut Meter,
-    env: &mut VecAviary<T>,
+    env: &mut dyn VecEnv,
     name: String,
     physics: Physics,
     engine: EngineKind,
@@ -263,9 +263,9 @@ fn fly<T: Task + Clone + Send + Sync>(
 /// Measures drones that rest on the floor, with the ratio to bare MuJoCo steps with the same contacts.
 pub(super) fn resting(meter: &mut Meter) -> Result<Row, EnvError> {
     let (size, engine) = (64, EngineKind::Hybrid);
-    let builder = Hover::builder().engine(engine).initial_positions([[0.0, 0.0, 0.015]]);
-    let mut env = VecAviary::new(builder, VecConfig { threads: 1, width: meter.width, ..VecConfig::new(size) })?;
-    let mut buffers = VecBuffers::new(&env);
+    let options = EnvConfig::default().engine(engine).initial_positions([[0.0, 0.0, 0.015]]);
+    let mut env = make_vec("hover", options, VecConfig { threads: 1, width: meter.width, ..VecConfig::new(size) })?;
+    let mut buffers = VecBuffers::new(&*env);
     env.reset(Some(1), &mut buffers.observations)?;
     // rotors at half their hover speed
     let action = vec![-0.5; 4 * size];
@@ -306,10 +306,9 @@ pub(super) fn resting(meter: &mut Meter) -> Result<Row, EnvError> {
 /// Measures a batch with onboard cameras.
 pub(super) fn cameras(meter: &mut Meter, threads: usize) -> Result<Row, EnvError> {
     let size = 64;
-    let builder: AviaryBuilder<Hover> =
-        Hover::builder().observation_type(ObservationType::KIN_RGB).engine(EngineKind::Hybrid);
-    let mut env = VecAviary::new(builder, VecConfig { threads, width: meter.width, ..VecConfig::new(size) })?;
-    let mut buffers = VecBuffers::new(&env);
+    let options = EnvConfig::default().observation_type(ObservationType::KIN_RGB).engine(EngineKind::Hybrid);
+    let mut env = make_vec("hover", options, VecConfig { threads, width: meter.width, ..VecConfig::new(size) })?;
+    let mut buffers = VecBuffers::new(&*env);
     env.reset(Some(1), &mut buffers.observations)?;
     let mut policy = LinearPolicy::new(meter.seed, size, 1, env.observation_size());
     let mut rgb = vec![0; size * 4 * env.camera_size().pixels()];
