@@ -9,7 +9,8 @@ use super::{FlyThrough, Race};
 /// use aviary::vector::{VecConfig, make_vec_course};
 ///
 /// // a reward for speed, which the paper's task does not have
-/// let race = Race { speed_reward: 0.5, ..Race::default() };
+/// let mut race = Race::default();
+/// race.speed_reward = 0.5;
 /// let env = make_vec_course(Course::Race(race), EnvConfig::default(), VecConfig::new(8))?;
 /// assert_eq!((env.name(), env.num_envs()), ("race", 8));
 /// # Ok::<(), aviary::env::EnvError>(())
