@@ -81,8 +81,8 @@ const MIN_DUTY: f64 = 0.01;
 /// Returns an error for a number that no flight has, or that differs from both neighbours where these agree.
 fn check_magnitudes(table: &FlightTable) -> Result<(), TableError> {
     for ((first, count), max, max_jump) in MAGNITUDES {
-        for column in first..first + count {
-            let (name, numbers) = (COLUMNS[column], table.column(COLUMNS[column]).unwrap_or_default());
+        for name in &COLUMNS[first..first + count] {
+            let numbers = table.column(name).unwrap_or_default();
             if let Some(row) = numbers.iter().position(|x| x.abs() > max) {
                 let got = crate::number(numbers[row]);
                 return Err((table.line(row), format!("{name} is {got}, expected at most {max:e} (SI units)")));
