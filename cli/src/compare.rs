@@ -87,7 +87,7 @@ impl Compare {
         let compared = aviary::flights::compare(&params, &flights, &sources).map_err(Failure::input)?;
 
         for doubt in doubts.iter().flatten() {
-            eprintln!("warning: {doubt}");
+            tracing::warn!("{doubt}");
         }
         let mut written = Vec::new();
         if let (Some(file), Some(path)) = (predictions, &self.predictions) {

@@ -84,7 +84,7 @@ impl Identify {
 
         let numbers = base.derived();
         for warning in numbers.iter().filter(|number| number.fields.contains("mass")).filter_map(airframe::warning) {
-            eprintln!("warning: {warning} (--mass in kg)");
+            tracing::warn!("{warning} (--mass in kg)");
         }
 
         let mut written = Vec::new();

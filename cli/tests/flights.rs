@@ -115,7 +115,8 @@ fn predictions_are_causal() {
     assert_eq!(std::fs::read(&path).unwrap(), before);
     let output = aviary(&["compare", "--flights", text(&path), "--drone", &airframe]);
     let warning = String::from_utf8(output.stderr).unwrap();
-    assert!(warning.starts_with("warning: flight: ") && warning.lines().count() == 1, "{warning}");
+    let is_complete = ["WARN", "flight: ", "differs from"].iter().all(|part| warning.contains(part));
+    assert!(is_complete && warning.lines().count() == 1, "{warning}");
 }
 
 #[test]
