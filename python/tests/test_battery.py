@@ -10,7 +10,9 @@ from mujoco_drones_gym.utils.enums import ActionType
 
 
 def test_duties_follow_from_the_speed_and_the_voltage():
-    env = mdg.MultiHoverAviary(drone_model=AIRFRAME_WITH_BATTERY, act_type=ActionType.DUTY, initial_xyzs=[[0, 0, 2], [1, 0, 2]])
+    env = mdg.MultiHoverAviary(
+        drone_model=AIRFRAME_WITH_BATTERY, act_type=ActionType.DUTY, initial_xyzs=[[0, 0, 2], [1, 0, 2]]
+    )
     env.reset(seed=1)
     rpm = np.array([[14_000.0, 14_100.0, 13_900.0, 14_000.0], [14_500.0] * 4])
     duties = []
@@ -33,7 +35,11 @@ def test_duties_follow_from_the_speed_and_the_voltage():
 
 
 def test_a_battery_in_a_batch_is_that_of_single_environments():
-    options = {"drone_model": AIRFRAME_WITH_BATTERY, "act_type": "duty", "randomization": {"battery": {"charge": [0.3, 1.0]}}}
+    options = {
+        "drone_model": AIRFRAME_WITH_BATTERY,
+        "act_type": "duty",
+        "randomization": {"battery": {"charge": [0.3, 1.0]}},
+    }
     batch = VectorAviary("hover", 9, num_threads=2, **options)
     alone = [mdg.HoverAviary(stream=index, engine="hybrid", **options) for index in range(9)]
     batch.reset(seed=4)

@@ -57,7 +57,9 @@ def print_counts():
 @pytest.mark.parametrize("task", CLASSES)
 def test_check_env(task, obs_type):
     for act_type in ActionType:
-        check_env(CLASSES[task](obs_type=obs_type, act_type=act_type, drone_model=AIRFRAME_WITH_DUTY), skip_render_check=True)
+        check_env(
+            CLASSES[task](obs_type=obs_type, act_type=act_type, drone_model=AIRFRAME_WITH_DUTY), skip_render_check=True
+        )
         checked["gymnasium"] += 1
 
 
@@ -67,7 +69,9 @@ def test_check_env_of_sb3(task):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     for obs_type in ("kin", "kin_rgb"):
         for act_type in ActionType:
-            checker.check_env(CLASSES[task](obs_type=obs_type, act_type=act_type, drone_model=AIRFRAME_WITH_DUTY), warn=False)
+            checker.check_env(
+                CLASSES[task](obs_type=obs_type, act_type=act_type, drone_model=AIRFRAME_WITH_DUTY), warn=False
+            )
             checked["sb3"] += 1
 
 
