@@ -14,7 +14,7 @@ def test_duties_follow_from_the_speed_and_the_voltage():
         drone_model=AIRFRAME_WITH_BATTERY, act_type=ActionType.DUTY, initial_xyzs=[[0, 0, 2], [1, 0, 2]]
     )
     env.reset(seed=1)
-    rpm = np.array([[14_000.0, 14_100.0, 13_900.0, 14_000.0], [14_500.0] * 4])
+    rpm = np.array([[14_200.0, 14_201.0, 14_199.0, 14_200.0], [14_500.0] * 4])
     duties = []
     for _ in range(60):
         voltage = env.battery[:, 1]

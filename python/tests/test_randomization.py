@@ -52,7 +52,7 @@ def test_every_field_reaches_the_simulator():
         "body": {"mass": [0.91, 1.11], "inertia": [0.92, 1.12], "arm_length": [0.93, 1.13]},
         "aerodynamics": {
             "thrust": [0.9, 1.01], "torque": [0.9, 1.02], "drag": [0.9, 1.03], "ground": [0.9, 1.04],
-            "downwash": [0.9, 1.05],
+            "downwash": [0.9, 1.05], "moment": [0.9, 1.08], "damping": [0.9, 1.09],
         },
         "actuators": {"gain": [0.9, 1.06], "lag": [0.01, 0.02], "latency": [0.01, 0.03], "max_rpm": [0.9, 1.07]},
         "sensors": {
@@ -65,6 +65,7 @@ def test_every_field_reaches_the_simulator():
     config = DomainRandomizationConfig(
         mass_range=(0.91, 1.11), inertia_range=(0.92, 1.12), arm_length_range=(0.93, 1.13), kf_range=(0.9, 1.01),
         km_range=(0.9, 1.02), drag_range=(0.9, 1.03), ground_effect_range=(0.9, 1.04), downwash_range=(0.9, 1.05),
+        velocity_moment_range=(0.9, 1.08), rotational_damping_range=(0.9, 1.09),
         motor_gain_range=(0.9, 1.06), motor_time_constant_range=(0.01, 0.02), action_latency_range=(0.01, 0.03),
         motor_constant_range=(0.9, 1.07), pos_noise_std=0.1, vel_noise_std=0.2, rpy_noise_std=0.3,
         ang_vel_noise_std=0.4, sensor_bias=0.5, gyro_bias_std=0.6, sensor_latency_range=(0.01, 0.04),
