@@ -189,6 +189,19 @@ mod tests {
         })
     }
 
+    proptest! {
+        /// The square root would make a speed of the rounding error of a motor that just stops.
+        #[test]
+        fn a_motor_stops_or_turns_clearly(
+            params in airframe(), thrust in 0.0..2.0, x in -0.1..0.1, y in -0.1..0.1, z in -0.1..0.1,
+        ) {
+            let torque = Vector3::new(x, y, z) * params.weight() * params.arm_length * 10.0;
+            for speed in Mixer::new(&params).rpm(thrust * params.weight(), torque) {
+                prop_assert!(speed == 0.0 || speed > 1e-7 * params.max_rpm(), "{speed}");
+            }
+        }
+    }
+
     #[test]
     fn non_finite_inputs_and_invalid_airframes_return_nan() {
         let mixer = Mixer::new(&DroneModel::Cf2x.params());

@@ -24,6 +24,9 @@ const MAX_SHARE: f64 = 0.3;
 /// Largest acceleration of a drone (root mean square over the first seconds), m/s².
 const MAX_ACCELERATION: f64 = 80.0;
 
+/// Number of time shifts up to [`MAX_SHIFT`] at which a gyro is compared.
+const SHIFTS: isize = 30;
+
 /// Time from the first row in which columns must agree for a flight to be read, s; the first window of a comparison
 /// starts then.
 const FIRST: f64 = 3.0;
@@ -135,8 +138,12 @@ fn worst_axis(
     let best = if shift == 0 {
         0
     } else {
-        // steps of two rows suffice: the means are over more
-        (-shift..=shift).step_by(2).min_by(|a, b| deviation(*a).total_cmp(&deviation(*b))).unwrap_or(0)
+        // steps of 10 ms at any rate: the means are over more
+        let step = (shift / SHIFTS).max(1);
+        (-shift..=shift)
+            .step_by(step.unsigned_abs())
+            .min_by(|a, b| deviation(*a).total_cmp(&deviation(*b)))
+            .unwrap_or(0)
     };
     let (mut signal, mut expected, mut error) = ([0.0; 3], [0.0; 3], [0.0; 3]);
     let (mut largest, mut rows) = ([(0.0, 0); 3], 0.0_f64);
