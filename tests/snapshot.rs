@@ -394,6 +394,7 @@ fn changed_data_is_refused_or_flown_without_a_panic() {
     let mut simulation = builder.build().unwrap();
     simulation.remember(0.01);
     simulation.set_obstacles(&[ball(2.0)]).unwrap();
+    simulation.set_external_force(1, Vector3::new(0.01, 0.0, -0.02)).unwrap();
     step_simulation(&mut simulation, &[[9_000.0; 4]; 2], 30);
     let value = serde_json::to_value(simulation.snapshot()).unwrap();
     let changes: [fn(&Value) -> Option<Value>; 8] = [

@@ -42,6 +42,9 @@ impl Default for ActuatorParams {
 }
 
 impl ActuatorParams {
+    /// Largest gain.
+    pub const MAX_GAIN: f64 = 1e3;
+
     /// Longest latency, s.
     pub const MAX_LATENCY: f64 = 1.0;
 
@@ -54,7 +57,7 @@ impl ActuatorParams {
         OptionError::check("actuators.latency", self.latency, 0.0..=Self::MAX_LATENCY, "0 to 1 s")?;
         OptionError::check("actuators.saturation", self.saturation, 1e-3..=1e3, "a positive factor up to 1000")?;
         for gain in self.gains {
-            OptionError::check("actuators.gains", gain, 0.0..=1e3, "a factor from 0 to 1000")?;
+            OptionError::check("actuators.gains", gain, 0.0..=Self::MAX_GAIN, "a factor from 0 to 1000")?;
         }
         Ok(())
     }
@@ -173,6 +176,11 @@ impl Actuators {
     /// Returns the factors on the commanded speeds.
     pub(crate) fn gains(&self) -> &[f64; 4] {
         &self.gains
+    }
+
+    /// Replaces the factors on the commanded speeds. Rotor speeds and delayed commands stay the same.
+    pub(crate) fn set_gains(&mut self, gains: &[f64; 4]) {
+        self.gains = *gains;
     }
 
     /// Returns the fraction of the remaining speed difference that the lag closes in one physics step while the speed

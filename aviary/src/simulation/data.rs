@@ -70,6 +70,8 @@ pub struct SimData {
     /// Seed of the last start of the wind.
     pub(super) wind_seed: u64,
     pub(super) memory: Memory,
+    /// External force on every drone, world frame, N; `None` if all are zero.
+    pub(super) external_forces: Option<Box<[Vector3<f64>]>>,
     /// Motor speeds commanded during the last control step, rpm.
     pub(super) motor_speeds: Vec<[f64; 4]>,
     /// True if a parameter has changed from which `bodies` is derived.
@@ -138,6 +140,7 @@ impl SimData {
             wind,
             wind_seed,
             memory,
+            external_forces,
             motor_speeds,
             changed,
             obstacles,
@@ -163,6 +166,7 @@ impl SimData {
         self.wind.clone_from(wind);
         self.wind_seed.clone_from(wind_seed);
         self.memory.clone_from(memory);
+        self.external_forces.clone_from(external_forces);
         self.motor_speeds.clone_from(motor_speeds);
         self.changed.clone_from(changed);
         self.obstacles.clone_from(obstacles);
@@ -207,6 +211,7 @@ impl SimData {
             wind: None,
             wind_seed: 0,
             memory: Memory::default(),
+            external_forces: None,
             motor_speeds: vec![[0.0; 4]; count],
             changed: true,
             obstacles: None,
@@ -304,8 +309,10 @@ impl SimData {
         self.motor_speeds.fill([0.0; 4]);
         for (actuators, (drone, load)) in self.actuators.iter_mut().zip(self.drones.iter().zip(&mut self.loads)) {
             actuators.reset();
+            actuators.set_gains(&drone.actuators.gains);
             *load = Load { rotors: drone.rotors.wrench(&[0.0; 4]), external: Wrench::ZERO };
         }
+        self.clear_external_forces();
         self.reset_batteries();
         self.memory.forget(&self.states);
         self.started.copy_from_slice(&self.states);

@@ -123,6 +123,14 @@ pub enum SimulationError {
         /// Simulated time, s.
         time: f64,
     },
+    /// An external force that is not finite.
+    #[error("the external force on drone {drone} is {got:?} N, expected three finite numbers")]
+    ExternalForce {
+        /// Index of the drone.
+        drone: usize,
+        /// Force that was set, world frame, N.
+        got: [f64; 3],
+    },
     /// A state beyond MuJoCo's limit. [`Simulation::states`] returns the last valid states. The simulation must be
     /// reset.
     #[error("drone {drone} diverged at t = {time} s: its {quantity} is not finite or too large")]

@@ -67,6 +67,7 @@ impl SimData {
             && self.bodies == other.bodies
             && self.obstacle_revision == other.obstacle_revision
             && self.drones.iter().zip(&other.drones).all(|(a, b)| a.params == b.params && a.actuators == b.actuators)
+            && self.actuators.iter().zip(&other.actuators).all(|(a, b)| a.gains() == b.gains())
     }
 
     /// Copies an environment from a lane after `control_steps` steps: states, motor speeds, loads, and, if MuJoCo
@@ -165,6 +166,7 @@ impl SimData {
             + self.wind.as_ref().map_or(0, WindField::bytes)
             + size_of_val(&self.memory.states[..])
             + size_of_val(&self.motor_speeds[..])
+            + self.external_forces.as_deref().map_or(0, size_of_val)
             + self.own_obstacles_bytes()
     }
 }

@@ -7,6 +7,7 @@ mod batteries;
 mod builder;
 mod data;
 mod error;
+mod interventions;
 mod lanes;
 mod model;
 mod parameters;

@@ -23,7 +23,7 @@ impl SimData {
         let (world, effects) = (&model.world, model.effects);
         let wakes: f64 = self.wakes.iter().map(|wake| wake.cap).sum();
         let gravity = self.bodies.gravity;
-        let body = |(drone, motors): (&Drone, &Actuators)| {
+        let body = |(index, (drone, motors)): (usize, (&Drone, &Actuators))| {
             let (params, inertia) = (&drone.params, drone.params.inertia_vector());
             let free = FreeBody::new(params.mass, &inertia, gravity, world.medium);
             let (rpm, rotors) = (motors.max_rpm(), &drone.rotors);
@@ -40,6 +40,9 @@ impl SimData {
             }
             if effects.downwash {
                 force += wakes;
+            }
+            if let Some(forces) = &self.external_forces {
+                force += forces[index].norm();
             }
             let (mut quadratic, mut air_speed) = (0.0, 0.0);
             if let Some(wind) = &self.wind {
@@ -59,7 +62,7 @@ impl SimData {
             Body { mass: params.mass, inertia, free, reach_bound }
         };
         self.bodies.drones.clear();
-        self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).map(body));
+        self.bodies.drones.extend(self.drones.iter().zip(&self.actuators).enumerate().map(body));
         for (body, drone) in self.bodies.drones.iter_mut().zip(&world.drones) {
             // collision cylinders always keep the size that the scene was built with
             let reach = CollisionCylinder::from(&drone.params).bounding_radius();
@@ -119,7 +122,7 @@ impl SimData {
         self.change(drone, change).map_err(|error| SimulationError::Drone { drone, error })
     }
 
-    fn check_drone(&self, drone: usize) -> Result<(), SimulationError> {
+    pub(super) fn check_drone(&self, drone: usize) -> Result<(), SimulationError> {
         let drones = self.drones.len();
         if drone < drones { Ok(()) } else { Err(SimulationError::NoDrone { got: drone, drones }) }
     }

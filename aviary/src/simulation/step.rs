@@ -144,7 +144,7 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
     let (effects, dt) = (model.effects, model.world.timestep);
     // MuJoCo's fluid forces assume that the medium is at rest
     let medium = model.world.medium.is_some() && model.engine != EngineKind::Explicit;
-    let SimData { states, loads, drones, actuators, wakes, bodies, wind, motor_speeds, .. } = data;
+    let SimData { states, loads, drones, actuators, wakes, bodies, wind, motor_speeds, external_forces, .. } = data;
     if effects.downwash {
         workspace.downwash.fill(0.0);
         downwash::add_forces(wakes, states, &mut workspace.downwash);
@@ -173,6 +173,11 @@ fn compute_loads(model: &SimModel, workspace: &mut Workspace, data: &mut SimData
             force += effects.change(dt, state, &air, [&before, rpm], &mut rotors);
         }
         loads[index] = Load { rotors, external: Wrench { force_world: force, ..Wrench::ZERO } };
+    }
+    if let Some(forces) = external_forces {
+        // drones without a force keep the bits of their loads
+        let pushed = loads.iter_mut().zip(forces.iter()).filter(|(_, force)| **force != Vector3::zeros());
+        pushed.for_each(|(load, force)| load.external.force_world += force);
     }
 }
 

@@ -40,6 +40,9 @@ struct Stored {
     gravity: f64,
     wind: Option<WindField>,
     wind_seed: u64,
+    /// External force on every drone, world frame, N; empty if all are zero.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    external_forces: Vec<[f64; 3]>,
     /// Delay of the observed states, physics steps.
     #[serde(default)]
     delay: u32,
@@ -98,6 +101,7 @@ impl From<&SimData> for Stored {
             gravity: data.bodies.gravity,
             wind: data.wind.clone(),
             wind_seed: data.wind_seed,
+            external_forces: data.external_forces.iter().flatten().map(|force| (*force).into()).collect(),
             delay: data.memory.delay,
             memory: data.memory.states.clone(),
             obstacles: data.obstacles.as_deref().map(<[_]>::to_vec),
@@ -151,6 +155,8 @@ impl TryFrom<Stored> for SimData {
             },
             wind: stored.wind,
             wind_seed: stored.wind_seed,
+            external_forces: (!stored.external_forces.is_empty())
+                .then(|| stored.external_forces.into_iter().map(Into::into).collect()),
             memory: Memory { delay: stored.delay, states: stored.memory },
             motor_speeds: stored.motor_speeds,
             changed: true,
@@ -178,12 +184,14 @@ impl Stored {
         let wind = self.wind.as_ref().map_or(count, WindField::num_drones);
         let has_batteries = self.drones.iter().any(|drone| drone.params.battery.is_some());
         let batteries = if has_batteries || !self.batteries.is_empty() { count } else { 0 };
+        let forces = if self.external_forces.is_empty() { 0 } else { count };
         for (field, got, expected) in [
             ("started", self.started.len(), count),
             ("drones", self.drones.len(), count),
             ("motor_speeds", self.motor_speeds.len(), count),
             ("batteries", self.batteries.len(), batteries),
             ("loads", self.loads.len(), count),
+            ("external_forces", self.external_forces.len(), forces),
             ("wind", wind, count),
             ("warm_start", warm_start, 6 * count),
         ] {
@@ -208,6 +216,7 @@ impl Stored {
             return Err(format!("a battery is {state:?}, expected {expected}"));
         }
         let numbers = self.motor_speeds.iter().flatten().chain(self.warm_start.iter().flatten());
+        let numbers = numbers.chain(self.external_forces.iter().flatten());
         if let Some(x) = numbers.chain([&self.gravity, &self.obstacle_drift]).find(|x| !x.is_finite()) {
             return Err(format!("a number is {x}, expected finite numbers"));
         }

@@ -28,6 +28,9 @@ impl Scenario {
         if world.drones.iter().any(|drone| drone.params != *nominal) {
             return wrong("drone_model", "the drones have different airframes, expected one for all");
         }
+        if (0..simulation.num_drones()).any(|drone| simulation.external_force(drone) != Vector3::zeros()) {
+            return wrong("external_force", "a drone has an external force, expected none");
+        }
         let physics = simulation.physics();
         let built_in = nominal.name.parse::<DroneModel>().is_ok_and(|model| model.params() == *nominal);
         let count = states.len();
@@ -46,13 +49,10 @@ impl Scenario {
         } else {
             (all(DroneState::rpy).into_iter().map(|rpy| rpy.map(written)).collect(), nonzero(scene))
         };
-        let body = |drone| ScenarioBody {
-            airframe: simulation.params(drone).clone(),
-            actuators: *simulation.actuator_params(drone),
-        };
-        let plain = |drone| {
-            simulation.params(drone) == nominal && *simulation.actuator_params(drone) == ActuatorParams::default()
-        };
+        let motors =
+            |drone| ActuatorParams { gains: *simulation.motor_gains(drone), ..*simulation.actuator_params(drone) };
+        let body = |drone| ScenarioBody { airframe: simulation.params(drone).clone(), actuators: motors(drone) };
+        let plain = |drone| simulation.params(drone) == nominal && motors(drone) == ActuatorParams::default();
         let obstacles = ObstacleConfig { custom: world.obstacles.clone(), ..ObstacleConfig::new(ObstacleKind::Custom) };
         Ok(Self {
             drone_model: nominal.name.clone(),
