@@ -20,6 +20,7 @@ use crate::sensing::Rangefinder;
 use crate::simulation::{self, SimData, SimModel, SimView, Simulation};
 use crate::state::DroneState;
 use crate::vision::{ImageSize, SceneRenderer, View};
+use crate::world::Obstacle;
 
 /// Environment made from a [`Task`].
 ///
@@ -423,6 +424,23 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
             randomizer.replace_wind(wind);
         }
         Ok(())
+    }
+
+    fn set_external_force(&mut self, drone: usize, force: Vector3<f64>) -> Result<(), EnvError> {
+        Ok(self.simulation.set_external_force(drone, force)?)
+    }
+
+    fn set_motor_gain(&mut self, drone: usize, motor: usize, gain: f64) -> Result<(), EnvError> {
+        Ok(self.simulation.set_motor_gain(drone, motor, gain)?)
+    }
+
+    fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), EnvError> {
+        self.replace_obstacles(obstacles)
+    }
+
+    fn new_obstacles(&mut self, seed: u64) -> Result<(), EnvError> {
+        let obstacles = self.generate_obstacles(seed)?;
+        self.replace_obstacles(&obstacles)
     }
 
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {

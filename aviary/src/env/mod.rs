@@ -6,6 +6,7 @@ mod builder;
 mod checker;
 mod conditions;
 mod episode;
+mod interventions;
 mod lane_task;
 mod moving;
 pub(crate) mod randomization;
@@ -52,7 +53,7 @@ use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::{Simulation, SimulationError};
 use crate::vision::{ImageSize, View};
-use crate::world::ObstacleGeneratorError;
+use crate::world::{Obstacle, ObstacleGeneratorError};
 use crate::{SystemError, UnknownName};
 
 pub use crate::random::Rng;
@@ -499,6 +500,87 @@ pub trait DroneEnv: Env {
     /// [`EnvError::Simulation`] naming an invalid setting, [`EnvError::Option`] if the randomization samples the
     /// wind.
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError>;
+
+    /// Sets the external force on a drone (world frame, N) from the next control step on, for example a push by a
+    /// person. The force acts at the centre of mass and stays constant until it is set again. The next reset removes
+    /// it. [`Simulation::external_force`] returns it.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, Env};
+    /// use aviary::tasks::Hover;
+    /// use nalgebra::Vector3;
+    ///
+    /// let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).build()?;
+    /// env.reset(Some(1))?;
+    /// env.set_external_force(0, Vector3::new(0.0, 0.02, 0.0))?;
+    /// env.step(&[0.0; 4])?;
+    /// assert!(env.simulation().states()[0].velocity.y > 0.01);
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`EnvError::Simulation`] for an index out of range or a number that is not finite. An environment of a batch
+    /// has no external forces: [`VecAviary::with`](crate::vector::VecAviary::with) returns an error.
+    fn set_external_force(&mut self, drone: usize, force: Vector3<f64>) -> Result<(), EnvError>;
+
+    /// Sets the gain of a motor, a factor on its commanded speed from the next control step on. A motor that has
+    /// failed has the gain 0. Rotor speeds and delayed commands stay as they are. The next reset restores the sampled
+    /// or nominal gain. [`Simulation::motor_gains`] returns the gains.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, EndReason, Env};
+    /// use aviary::tasks::Hover;
+    ///
+    /// let mut env = Hover::builder().initial_positions([[0.0, 0.0, 1.0]]).build()?;
+    /// env.reset(Some(1))?;
+    /// env.set_motor_gain(0, 3, 0.0)?;
+    /// while env.info().end.is_none() {
+    ///     env.step(&[0.0; 4])?;
+    /// }
+    /// assert_ne!(env.info().end, Some(EndReason::TimeLimit), "three motors do not hold the attitude");
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`EnvError::Simulation`] for an index or a gain out of range, see [`Simulation::set_motor_gain`].
+    fn set_motor_gain(&mut self, drone: usize, motor: usize, gain: f64) -> Result<(), EnvError>;
+
+    /// Replaces the obstacles by others of the same shapes in the same order, from the next control step on. Positions
+    /// (world frame, m), orientations and sizes may differ. The drones keep their states. The list does not contain
+    /// the solid moving markers of the task, which are the last of [`Simulation::obstacles`]. Goals of the task, such
+    /// as gates, stay where they are. The next reset restores the obstacles of the environment, or generates a new
+    /// layout if every episode has one.
+    ///
+    /// # Errors
+    /// [`EnvError::Simulation`] for another number of obstacles, another shape or a number out of range.
+    /// [`EnvError::Option`] if a new obstacle overlaps the bounding sphere of a drone. The environment is unchanged
+    /// after an error.
+    fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), EnvError>;
+
+    /// Replaces the generated obstacles by the layout of a seed around the present positions of the drones, as
+    /// [`set_obstacles`](Self::set_obstacles) does. The layout keeps the [safe
+    /// zone](crate::world::ObstacleConfig::safe_zone) around every drone free. The random stream of the environment
+    /// does not change.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, Env};
+    /// use aviary::tasks::Hover;
+    /// use aviary::world::{ObstacleConfig, ObstacleKind};
+    ///
+    /// let mut env = Hover::builder().obstacle_generator(ObstacleConfig::new(ObstacleKind::Forest)).build()?;
+    /// env.reset(Some(1))?;
+    /// let before = env.simulation().obstacles().to_vec();
+    /// env.new_obstacles(7)?;
+    /// assert_ne!(env.simulation().obstacles(), before);
+    /// env.reset(None)?;
+    /// assert_eq!(env.simulation().obstacles(), before);
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`EnvError::Option`] for an environment without an obstacle generator or with a custom list of obstacles.
+    /// [`EnvError::Field`] if the obstacles do not fit around the drones. The environment is unchanged after an error.
+    fn new_obstacles(&mut self, seed: u64) -> Result<(), EnvError>;
 
     /// Sets the parameters that are sampled for every episode from the next reset on; `None` for nominal values.
     ///

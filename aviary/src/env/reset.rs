@@ -26,7 +26,7 @@ impl<T: Task> EnvParts<'_, T> {
     }
 
     fn begin_with(&mut self, rng: &mut Rng) -> Result<(), EnvError> {
-        let Self { sim_model, data, episode, .. } = self;
+        let Self { sim_model, data, episode, .. } = &mut *self;
         if std::mem::take(&mut episode.task_changed) {
             let drones: Vec<_> = sim_model.world().drones.iter().map(|drone| drone.params.clone()).collect();
             if let Err(error) = episode.task.validate(&drones) {
@@ -42,6 +42,9 @@ impl<T: Task> EnvParts<'_, T> {
             let view = SimView::new(sim_model, data);
             let next = next.map(|config| Randomizer::new(*config, view, view.wind().copied())).transpose()?;
             episode.randomizer = next.map(Box::new);
+        }
+        if !self.model.moves_obstacles() {
+            self.restore_obstacles()?;
         }
         if !self.workspace.moving.is_empty() {
             // starts must not depend on the marker poses of the last episode

@@ -163,10 +163,12 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     /// randomization. `look` must not step, reset or restore the environment. The environment does not hold the
     /// observation and the contacts of the last step: the caller's buffers hold the observations, and the task has
     /// evaluated the contacts. Unless environments differ in their obstacles,
-    /// [`started_from`](crate::simulation::SimView::started_from) returns the present states.
+    /// [`started_from`](crate::simulation::SimView::started_from) returns the present states. The environments of a
+    /// batch have no [external forces](DroneEnv::set_external_force).
     ///
     /// # Errors
-    /// [`EnvError::NoEnvironment`] for an index outside the batch, and [`EnvError::Panicked`] after a panic in a
+    /// [`EnvError::NoEnvironment`] for an index outside the batch, [`EnvError::Option`] if `look` leaves an external
+    /// force on a drone: the force is removed, and all other changes stay. Returns [`EnvError::Panicked`] after a panic in a
     /// task or in `look`.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { model, environments, pool, .. } = self;
@@ -202,7 +204,9 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
         exchange(env);
         let result = look(env);
         exchange(env);
+        let mut pushed = false;
         if let Some(own) = &mut slot.data {
+            pushed = own.clear_external_forces();
             own.refresh(&env.simulation.model);
         }
         let same = |before: &SimData| slot.data.as_ref().is_some_and(|own| own.has_parameters_of(before));
@@ -235,6 +239,10 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
             let data = slot.data.as_deref();
             flow.lag |= data.is_some_and(SimData::has_lag) || randomizes_lag(&slot.episode);
             flow.airframe_effects |= data.is_some_and(|data| data.has_airframe_effects(&env.simulation.model));
+        }
+        if pushed {
+            let (got, expected) = ("set in an environment of a batch".into(), "an environment that is not in a batch");
+            return Err(EnvError::Option { option: "external_force", got, expected });
         }
         Ok(result)
     }

@@ -11,6 +11,7 @@ use crate::observation::Observation;
 use crate::physics::wind::WindConfig;
 use crate::simulation::Simulation;
 use crate::vision::{ImageSize, View};
+use crate::world::Obstacle;
 
 /// An environment around another environment. Every function forwards to the inner environment by default; a
 /// wrapper overrides the functions that it changes.
@@ -199,6 +200,38 @@ pub trait Wrapper {
         Self::inner_mut(this).set_wind(wind)
     }
 
+    /// Implements [`DroneEnv::set_external_force`].
+    ///
+    /// # Errors
+    /// Returns the errors of [`DroneEnv::set_external_force`].
+    fn set_external_force(this: &mut Self, drone: usize, force: Vector3<f64>) -> Result<(), EnvError> {
+        Self::inner_mut(this).set_external_force(drone, force)
+    }
+
+    /// Implements [`DroneEnv::set_motor_gain`].
+    ///
+    /// # Errors
+    /// Returns the errors of [`DroneEnv::set_motor_gain`].
+    fn set_motor_gain(this: &mut Self, drone: usize, motor: usize, gain: f64) -> Result<(), EnvError> {
+        Self::inner_mut(this).set_motor_gain(drone, motor, gain)
+    }
+
+    /// Implements [`DroneEnv::set_obstacles`].
+    ///
+    /// # Errors
+    /// Returns the errors of [`DroneEnv::set_obstacles`].
+    fn set_obstacles(this: &mut Self, obstacles: &[Obstacle]) -> Result<(), EnvError> {
+        Self::inner_mut(this).set_obstacles(obstacles)
+    }
+
+    /// Implements [`DroneEnv::new_obstacles`].
+    ///
+    /// # Errors
+    /// Returns the errors of [`DroneEnv::new_obstacles`].
+    fn new_obstacles(this: &mut Self, seed: u64) -> Result<(), EnvError> {
+        Self::inner_mut(this).new_obstacles(seed)
+    }
+
     /// Implements [`DroneEnv::set_randomization`].
     ///
     /// # Errors
@@ -320,6 +353,22 @@ impl<W: Wrapper> DroneEnv for W {
 
     fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), EnvError> {
         <W as Wrapper>::set_wind(self, wind)
+    }
+
+    fn set_external_force(&mut self, drone: usize, force: Vector3<f64>) -> Result<(), EnvError> {
+        <W as Wrapper>::set_external_force(self, drone, force)
+    }
+
+    fn set_motor_gain(&mut self, drone: usize, motor: usize, gain: f64) -> Result<(), EnvError> {
+        <W as Wrapper>::set_motor_gain(self, drone, motor, gain)
+    }
+
+    fn set_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), EnvError> {
+        <W as Wrapper>::set_obstacles(self, obstacles)
+    }
+
+    fn new_obstacles(&mut self, seed: u64) -> Result<(), EnvError> {
+        <W as Wrapper>::new_obstacles(self, seed)
     }
 
     fn set_randomization(&mut self, randomization: Option<Randomization>) -> Result<(), EnvError> {
