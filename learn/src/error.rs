@@ -68,6 +68,8 @@ impl From<RolloutError> for TrainError {
     fn from(error: RolloutError) -> Self {
         match error {
             RolloutError::Env(error) => error.into(),
+            // training restores no policies
+            RolloutError::Snapshot => EnvError::Snapshot.into(),
             RolloutError::Policy(error) => error.into(),
         }
     }

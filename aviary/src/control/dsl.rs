@@ -160,6 +160,21 @@ impl Controller for DslPidControl {
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         run(self, dt, state, reference, Goal::Velocity)
     }
+
+    /// Returns the integrals of the position errors and of the attitude errors, and position and yaw of the setpoint;
+    /// the yaw is NaN before the first control step.
+    fn internal_state(&self) -> Vec<f64> {
+        let memory = self.memory();
+        let V3 { x, y, z } = memory.setpoint;
+        memory.integrals().into_iter().chain([x, y, z, memory.setpoint_yaw]).collect()
+    }
+
+    fn set_internal_state(&mut self, state: &[f64]) -> bool {
+        let Ok([a, b, c, d, e, f, x, y, z, setpoint_yaw]) = <[f64; 10]>::try_from(state) else { return false };
+        let integrals = ControlMemory::of_integrals([a, b, c, d, e, f]);
+        self.set_memory(&ControlMemory { setpoint: V3 { x, y, z }, setpoint_yaw, ..integrals });
+        true
+    }
 }
 
 #[cfg(test)]

@@ -369,6 +369,19 @@ impl Controller for GeometricControl {
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         run(self, dt, state, reference, Goal::Velocity)
     }
+
+    /// Returns the integral of the position errors and the chart of the attitude.
+    fn internal_state(&self) -> Vec<f64> {
+        let memory = self.memory();
+        let V3 { x, y, z } = memory.position_integral;
+        vec![x, y, z, memory.chart]
+    }
+
+    fn set_internal_state(&mut self, state: &[f64]) -> bool {
+        let Ok([x, y, z, chart]) = <[f64; 4]>::try_from(state) else { return false };
+        self.set_memory(&ControlMemory { position_integral: V3 { x, y, z }, chart, ..ControlMemory::default() });
+        true
+    }
 }
 
 /// A vector with its first two time derivatives.

@@ -152,6 +152,18 @@ impl Controller for AnyController {
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         self.get().control_velocity(dt, state, reference)
     }
+
+    fn internal_state(&self) -> Vec<f64> {
+        match self {
+            Self::Pid(control) => control.internal_state(),
+            Self::Dsl(control) => control.internal_state(),
+            Self::Geometric(control) => control.internal_state(),
+        }
+    }
+
+    fn set_internal_state(&mut self, state: &[f64]) -> bool {
+        self.get().set_internal_state(state)
+    }
 }
 
 impl LaneController for AnyController {

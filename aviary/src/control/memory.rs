@@ -64,6 +64,19 @@ impl<R> ControlMemory<R> {
     }
 }
 
+impl ControlMemory<f64> {
+    /// Returns the two integrals as numbers.
+    pub fn integrals(&self) -> [f64; 6] {
+        let (V3 { x, y, z }, V3 { x: a, y: b, z: c }) = (self.position_integral, self.attitude_integral);
+        [x, y, z, a, b, c]
+    }
+
+    /// Creates the memory of a controller that uses at most the integrals.
+    pub fn of_integrals([x, y, z, a, b, c]: [f64; 6]) -> Self {
+        Self { position_integral: V3 { x, y, z }, attitude_integral: V3 { x: a, y: b, z: c }, ..Self::default() }
+    }
+}
+
 impl<R: Real> ControlMemory<R> {
     /// Replaces the memory by another one where the mask is true.
     #[inline(always)]

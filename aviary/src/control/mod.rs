@@ -99,6 +99,35 @@ pub trait Controller: std::fmt::Debug + Send {
     fn control_velocity(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         self.control(dt, state, &Reference { position: state.position, ..*reference })
     }
+
+    /// Returns the numbers of the internal state, without gains and other settings, for a copy that
+    /// [`set_internal_state`](Self::set_internal_state) restores. A controller without internal state returns none,
+    /// which is the default. Your own controller with internal state overrides both functions. Otherwise a flight from
+    /// a snapshot differs from the flight after the snapshot.
+    ///
+    /// ```
+    /// use aviary::control::{Controller, ControllerKind, Reference};
+    /// use aviary::drone::DroneModel;
+    /// use aviary::state::DroneState;
+    /// use nalgebra::Vector3;
+    ///
+    /// let mut control = ControllerKind::Dsl.build(&DroneModel::Cf2x.params());
+    /// let (state, target) = (DroneState::default(), Reference::hover(Vector3::new(0.1, 0.2, 0.3), 0.5));
+    /// control.control(0.02, &state, &target);
+    /// let before = control.internal_state();
+    /// let speeds = control.control(0.02, &state, &target).rpm;
+    /// assert!(control.set_internal_state(&before));
+    /// assert_eq!(control.control(0.02, &state, &target).rpm, speeds);
+    /// ```
+    fn internal_state(&self) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// Restores an internal state that [`internal_state`](Self::internal_state) of a controller of the same kind has
+    /// returned. Returns false, and keeps the present state, for a list of another length.
+    fn set_internal_state(&mut self, state: &[f64]) -> bool {
+        state.is_empty()
+    }
 }
 
 /// Controller whose formulas are generic over a double and a SIMD register. The motor speeds in a lane are

@@ -208,6 +208,17 @@ impl Controller for PidControl {
     fn control(&mut self, dt: f64, state: &DroneState, reference: &Reference) -> ControlOutput {
         run(self, dt, state, reference, Goal::Position)
     }
+
+    /// Returns the integrals of the position errors and of the attitude errors.
+    fn internal_state(&self) -> Vec<f64> {
+        self.memory().integrals().into()
+    }
+
+    fn set_internal_state(&mut self, state: &[f64]) -> bool {
+        let Ok(integrals) = state.try_into() else { return false };
+        self.set_memory(&ControlMemory::of_integrals(integrals));
+        true
+    }
 }
 
 #[cfg(test)]

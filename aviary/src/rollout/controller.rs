@@ -1,5 +1,7 @@
+use std::sync::Arc;
+
 use super::steering::velocity_to;
-use super::{Policy, RolloutError};
+use super::{Policy, PolicySnapshot, RolloutError};
 use crate::action::ActionType;
 use crate::control::trajectory::Trajectory;
 use crate::control::{Controller, ControllerKind, Reference};
@@ -44,9 +46,30 @@ pub struct ControllerPolicy {
     /// True if drones without a trajectory follow the plans of the task.
     planned: bool,
     /// Given or planned trajectory of each drone, if it has one.
-    trajectories: Vec<Option<Box<dyn Trajectory>>>,
+    trajectories: Vec<Option<Followed>>,
     /// Motor speeds of each drone, rpm.
     speeds: Vec<[f64; 4]>,
+}
+
+/// Trajectory of a drone.
+#[derive(Debug, Clone)]
+struct Followed {
+    trajectory: Arc<dyn Trajectory>,
+    /// Simulated time at the start of the trajectory, s.
+    start: f64,
+}
+
+/// Internal state in a snapshot.
+#[derive(Debug)]
+struct State {
+    controllers: Vec<Vec<f64>>,
+    trajectories: Vec<Option<Followed>>,
+}
+
+impl Followed {
+    fn new(trajectory: Box<dyn Trajectory>, start: f64) -> Self {
+        Self { trajectory: trajectory.into(), start }
+    }
 }
 
 impl ControllerPolicy {
@@ -68,7 +91,7 @@ impl ControllerPolicy {
     /// trajectory follow the references.
     #[must_use]
     pub fn follow(mut self, trajectories: impl IntoIterator<Item = Box<dyn Trajectory>>) -> Self {
-        self.trajectories = trajectories.into_iter().map(Some).collect();
+        self.trajectories = trajectories.into_iter().map(|path| Some(Followed::new(path, 0.0))).collect();
         self.planned = false;
         self
     }
@@ -81,7 +104,7 @@ impl ControllerPolicy {
 
     /// Returns the trajectory of a drone, if it has one: the given trajectory, or the plan for this episode.
     pub fn trajectory(&self, drone: usize) -> Option<&dyn Trajectory> {
-        self.trajectories.get(drone)?.as_deref()
+        Some(&*self.trajectories.get(drone)?.as_ref()?.trajectory)
     }
 
     /// Returns the present reference of a drone.
@@ -89,15 +112,15 @@ impl ControllerPolicy {
     /// # Panics
     /// If the index of the drone is out of range.
     pub fn reference(&self, env: &dyn DroneEnv, drone: usize) -> Reference {
-        match self.trajectory(drone) {
-            Some(trajectory) => trajectory.reference(env.simulation().time()),
+        match self.trajectories.get(drone).and_then(Option::as_ref) {
+            Some(Followed { trajectory, start }) => trajectory.reference(env.simulation().time() - start),
             None => env.reference(drone),
         }
     }
 }
 
 impl Policy for ControllerPolicy {
-    /// Resets the controllers and computes the plans.
+    /// Resets the controllers and computes the plans from the present states.
     ///
     /// # Errors
     /// [`EnvError::Option`] if the number of controllers differs from the number of drones.
@@ -111,8 +134,44 @@ impl Policy for ControllerPolicy {
             controller.reset();
         }
         if self.planned {
-            self.trajectories = env.plans();
+            let time = env.simulation().time();
+            let plans = env.plans().into_iter();
+            self.trajectories = plans.map(|plan| plan.map(|plan| Followed::new(plan, time))).collect();
         }
+        Ok(())
+    }
+
+    /// Resets the controller of a drone and, if drones follow the plans of the task, computes the plan of this drone
+    /// from its present state.
+    ///
+    /// # Errors
+    /// None.
+    fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
+        if let Some(controller) = self.controllers.get_mut(drone) {
+            controller.reset();
+        }
+        if let Some(followed) = self.trajectories.get_mut(drone).filter(|_| self.planned) {
+            let time = env.simulation().time();
+            *followed = env.plan(drone).map(|plan| Followed::new(plan, time));
+        }
+        Ok(())
+    }
+
+    fn snapshot(&self) -> PolicySnapshot {
+        let controllers = self.controllers.iter().map(|controller| controller.internal_state()).collect();
+        PolicySnapshot::new(State { controllers, trajectories: self.trajectories.clone() })
+    }
+
+    fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
+        let State { controllers, trajectories } = snapshot.own()?;
+        let before: Vec<_> = self.controllers.iter().map(|controller| controller.internal_state()).collect();
+        let same =
+            controllers.len() == before.len() && controllers.iter().zip(&before).all(|(a, b)| a.len() == b.len());
+        let mut pairs = self.controllers.iter_mut().zip(controllers);
+        if !(same && pairs.all(|(controller, state)| controller.set_internal_state(state))) {
+            return Err(RolloutError::Snapshot);
+        }
+        self.trajectories.clone_from(trajectories);
         Ok(())
     }
 

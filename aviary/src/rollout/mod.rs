@@ -9,9 +9,11 @@
 //! [`fly_episode`] flies one episode and returns its [`EpisodeSummary`]; a [`Rollout`] flies it step by step.
 
 mod controller;
+mod snapshot;
 mod steering;
 
 pub use controller::ControllerPolicy;
+pub use snapshot::{PolicySnapshot, RolloutSnapshot};
 
 use std::fmt;
 
@@ -63,6 +65,56 @@ pub trait Policy {
     /// # Errors
     /// [`RolloutError`] for an environment that the policy cannot fly.
     fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError>;
+
+    /// Clears the internal state of one drone during an episode, after something else has flown the drone. Policies
+    /// without internal state per drone do nothing, which is the default.
+    ///
+    /// # Errors
+    /// [`RolloutError`] for an environment that the policy cannot fly.
+    fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
+        let _ = (env, drone);
+        Ok(())
+    }
+
+    /// Returns a copy of the internal state, such as integrals and plans, for [`restore`](Self::restore). Policies
+    /// without internal state return an empty snapshot, which is the default. A policy with internal state overrides
+    /// both functions. Otherwise a flight from a snapshot differs from the flight after the snapshot.
+    ///
+    /// ```
+    /// use aviary::control::ControllerKind;
+    /// use aviary::env::{DroneEnv, Env};
+    /// use aviary::rollout::{ControllerPolicy, Policy, Rollout, RolloutError};
+    /// use aviary::tasks::FlyThrough;
+    ///
+    /// let env = FlyThrough::builder().build()?;
+    /// let pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
+    /// let mut rollout = Rollout::start(env, pilot, Some(1))?;
+    /// let fly = |rollout: &mut Rollout<_, _>| -> Result<_, RolloutError> {
+    ///     for _ in 0..20 {
+    ///         rollout.step()?;
+    ///     }
+    ///     Ok(rollout.env().simulation().states().to_vec())
+    /// };
+    /// fly(&mut rollout)?;
+    /// // environment, policy and summary
+    /// let snapshot = rollout.snapshot();
+    /// let states = fly(&mut rollout)?;
+    /// rollout.restore(&snapshot)?;
+    /// assert_eq!(fly(&mut rollout)?, states);
+    /// # Ok::<(), RolloutError>(())
+    /// ```
+    fn snapshot(&self) -> PolicySnapshot {
+        PolicySnapshot::default()
+    }
+
+    /// Restores an internal state that [`snapshot`](Self::snapshot) of this policy, or of one of the same kind, has
+    /// returned. Settings such as gains are not part of it.
+    ///
+    /// # Errors
+    /// [`RolloutError::Snapshot`] for a snapshot of another kind of policy. The policy is unchanged.
+    fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
+        if snapshot.is_empty() { Ok(()) } else { Err(RolloutError::Snapshot) }
+    }
 }
 
 impl<P: Policy + ?Sized> Policy for &mut P {
@@ -73,6 +125,18 @@ impl<P: Policy + ?Sized> Policy for &mut P {
     fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         (**self).act(env, action)
     }
+
+    fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
+        (**self).reset_drone(env, drone)
+    }
+
+    fn snapshot(&self) -> PolicySnapshot {
+        (**self).snapshot()
+    }
+
+    fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
+        (**self).restore(snapshot)
+    }
 }
 
 impl<P: Policy + ?Sized> Policy for Box<P> {
@@ -82,6 +146,18 @@ impl<P: Policy + ?Sized> Policy for Box<P> {
 
     fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
         (**self).act(env, action)
+    }
+
+    fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
+        (**self).reset_drone(env, drone)
+    }
+
+    fn snapshot(&self) -> PolicySnapshot {
+        (**self).snapshot()
+    }
+
+    fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
+        (**self).restore(snapshot)
     }
 }
 
@@ -149,6 +225,9 @@ pub enum RolloutError {
     /// Error of the environment.
     #[error(transparent)]
     Env(#[from] EnvError),
+    /// A snapshot of another kind of policy.
+    #[error("the snapshot is of another kind of policy, expected one of a policy with the same controllers")]
+    Snapshot,
     /// Error of a trained policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
@@ -279,5 +358,10 @@ impl<E: DroneEnv, P: Policy> Rollout<E, P> {
     /// Returns the policy.
     pub fn policy(&self) -> &P {
         &self.policy
+    }
+
+    /// Returns the policy mutably.
+    pub fn policy_mut(&mut self) -> &mut P {
+        &mut self.policy
     }
 }
