@@ -5,14 +5,17 @@
 //! | [`ControllerPolicy`] | one controller per drone, along the plans or references of the task or along a trajectory |
 //! | [`PolicyNetwork`] | a trained network |
 //! | [`from_fn`] | a function of the environment |
+//! | [`PilotedPolicy`] | the sticks of a person for some drones, another policy for the others |
 //!
 //! [`fly_episode`] flies one episode and returns its [`EpisodeSummary`]; a [`Rollout`] flies it step by step.
 
 mod controller;
+mod piloted;
 mod snapshot;
 mod steering;
 
 pub use controller::ControllerPolicy;
+pub use piloted::{PilotMode, PilotedPolicy};
 pub use snapshot::{PolicySnapshot, RolloutSnapshot};
 
 use std::fmt;
@@ -360,7 +363,7 @@ impl<E: DroneEnv, P: Policy> Rollout<E, P> {
         &self.policy
     }
 
-    /// Returns the policy mutably.
+    /// Returns the policy mutably, for example to [pilot](PilotedPolicy) a drone.
     pub fn policy_mut(&mut self) -> &mut P {
         &mut self.policy
     }
