@@ -2,7 +2,7 @@
 
 use mujoco_rs::{Data, Error, GeomId, ImageSize, ObjectId as _};
 
-use super::{SceneRenderer, View};
+use super::{CameraPose, SceneRenderer, View};
 use crate::world::World;
 
 /// A visible object of a scene: one geom.
@@ -25,6 +25,16 @@ impl SceneRenderer {
     pub fn rgb(&mut self, view: View, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
         self.look(view, size)?;
         self.renderer.rgb(&mut self.scene, size, out)
+    }
+
+    /// Renders the scene from any camera pose as RGBA, four bytes per pixel, alpha 255, top row first.
+    ///
+    /// # Errors
+    /// Returns the errors of [`rgb`](Self::rgb), and [`Error::Value`] for a pose that is not finite or whose distance
+    /// is not positive.
+    pub fn pose_rgba(&mut self, pose: &CameraPose, size: ImageSize, out: &mut [u8]) -> Result<(), Error> {
+        self.seen_from(&pose.camera(), None)?;
+        self.renderer.rgba(&mut self.scene, size, out)
     }
 
     /// Renders the depth of a view, m along the camera's axis, top row first. The background has the distance of

@@ -316,7 +316,7 @@ impl SceneRenderer {
         self.seen_from(&Camera::Fixed(self.cameras[drone]), Some(self.bodies[drone]))
     }
 
-    fn seen_from(&mut self, camera: &Camera, hidden: Option<BodyId>) -> Result<(), Error> {
+    pub(super) fn seen_from(&mut self, camera: &Camera, hidden: Option<BodyId>) -> Result<(), Error> {
         if self.stale {
             return Err(Error::NoCamera);
         }

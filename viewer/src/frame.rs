@@ -1,0 +1,161 @@
+//! What the window knows of a flight: the constants of an episode, and a frame for every control step.
+
+use std::sync::Arc;
+
+use aviary::engine::{Contact, Load};
+use aviary::env::{DroneEnv, EndReason};
+use aviary::physics::wind::{WindConfig, WindModel};
+use aviary::state::DroneState;
+use aviary::world::{Marker, Obstacle, World};
+use nalgebra::Vector3;
+
+/// Constants of an episode.
+#[derive(Debug, Clone)]
+pub struct EpisodeView {
+    /// Name of the task.
+    pub task: String,
+    /// Number of the episode, from 1.
+    pub number: u64,
+    /// Scene with its obstacles and markers.
+    pub world: World,
+    /// Points that drones pass in the episode (world frame, m), for fixed cameras.
+    pub extent: Vec<Vector3<f64>>,
+    /// Points of the planned path of every drone (world frame, m); empty without a plan.
+    pub paths: Vec<Vec<Vector3<f64>>>,
+    /// Length of a control step, s.
+    pub control_period: f64,
+    /// Number of control steps after which the episode is truncated.
+    pub max_steps: u64,
+}
+
+impl EpisodeView {
+    /// Number of points of a planned path.
+    const POINTS: u32 = 240;
+
+    /// Reads the constants of an environment that has just been reset.
+    pub fn new(env: &dyn DroneEnv, number: u64) -> Self {
+        let simulation = env.simulation();
+        let points = |plan: Box<dyn aviary::control::trajectory::Trajectory>| {
+            let at = |i: u32| plan.reference(plan.duration() * f64::from(i) / f64::from(Self::POINTS)).position;
+            (0..=Self::POINTS).map(at).collect()
+        };
+        Self {
+            task: env.name().into(),
+            number,
+            world: simulation.scene(),
+            extent: env.extent(),
+            paths: env.plans().into_iter().map(|plan| plan.map(points).unwrap_or_default()).collect(),
+            control_period: simulation.control_period(),
+            max_steps: env.episode_steps(),
+        }
+    }
+}
+
+/// State of one drone in a frame.
+#[derive(Debug, Clone)]
+pub struct DroneFrame {
+    /// Pose and velocities.
+    pub state: DroneState,
+    /// Roll, pitch and yaw, rad.
+    pub rpy: Vector3<f64>,
+    /// Position of the reference, world frame, m.
+    pub reference: Vector3<f64>,
+    /// Rotor speeds, rpm.
+    pub rotor_speeds: [f64; 4],
+    /// Maximum rotor speed, rpm.
+    pub max_rpm: f64,
+    /// Supply voltage, V; `None` without a battery.
+    pub voltage: Option<f64>,
+    /// Reward of the last control step.
+    pub reward: f64,
+    /// Reason of the end, if the episode has ended for the drone.
+    pub end: Option<EndReason>,
+    /// Thrust and external force in the last physics step.
+    pub load: Load,
+    /// Force with which a person pushes the drone, world frame, N.
+    pub push: Vector3<f64>,
+}
+
+/// State of a flight after a control step.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Simulated time, s.
+    pub time: f64,
+    /// Number of control steps since the start of the episode.
+    pub step: u64,
+    /// States of the drones.
+    pub drones: Vec<DroneFrame>,
+    /// Sum of the rewards of the episode up to this frame.
+    pub episode_reward: f64,
+    /// Metrics of the task and of the episode, by name.
+    pub metrics: Vec<(&'static str, f64)>,
+    /// Contacts of the last control step.
+    pub contacts: Vec<Contact>,
+    /// Steady part of the wind, world frame, m/s; zero in still air.
+    pub wind: Vector3<f64>,
+    /// True if every drone fulfils the task at this moment.
+    pub success: bool,
+    /// Reason of the end; `None` while the episode runs.
+    pub end: Option<EndReason>,
+    /// Obstacles.
+    pub obstacles: Arc<[Obstacle]>,
+    /// Markers, such as gates.
+    pub markers: Arc<[Marker]>,
+}
+
+impl Frame {
+    /// Reads the state of an environment. `before` is the previous frame of the same episode, whose obstacles and
+    /// markers are shared if they are equal. `reference` returns the position (world frame, m) that a drone follows.
+    pub fn new(env: &dyn DroneEnv, before: Option<&Self>, reference: impl Fn(usize) -> Vector3<f64>) -> Self {
+        let simulation = env.simulation();
+        let drones: Vec<_> = (simulation.states().iter().enumerate())
+            .map(|(drone, state)| DroneFrame {
+                state: *state,
+                rpy: *simulation.rpy(drone),
+                reference: reference(drone),
+                rotor_speeds: *simulation.rotor_speeds(drone),
+                max_rpm: simulation.params(drone).max_rpm(),
+                voltage: simulation.battery(drone).map(|_| simulation.voltage(drone)),
+                reward: env.drone_reward(drone),
+                end: env.drone_end(drone),
+                load: simulation.loads()[drone],
+                push: Vector3::zeros(),
+            })
+            .collect();
+        let info = env.info();
+        let mut metrics: Vec<_> = info.values().filter(|(name, _)| *name != "time").collect();
+        env.metrics(&mut |name, value| metrics.push((name, value)));
+        let reward: f64 = drones.iter().map(|drone| drone.reward).sum();
+        let step = simulation.control_steps();
+        let earlier = before.map_or(0.0, |before| before.episode_reward);
+        let (obstacles, markers) = (simulation.obstacles(), simulation.markers());
+        let shared = |same: Option<&Arc<[Obstacle]>>| same.filter(|same| same[..] == *obstacles).cloned();
+        let shared_markers = |same: Option<&Arc<[Marker]>>| same.filter(|same| same[..] == markers[..]).cloned();
+        Self {
+            time: simulation.time(),
+            step,
+            drones,
+            episode_reward: if step == 0 { 0.0 } else { earlier + reward },
+            metrics,
+            contacts: simulation.contacts().to_vec(),
+            wind: steady(simulation.wind()),
+            success: info.success,
+            end: info.end,
+            obstacles: shared(before.map(|frame| &frame.obstacles)).unwrap_or_else(|| obstacles.into()),
+            markers: shared_markers(before.map(|frame| &frame.markers)).unwrap_or_else(|| markers.as_slice().into()),
+        }
+    }
+
+    /// Returns the states of the drones.
+    pub fn states(&self) -> Vec<DroneState> {
+        self.drones.iter().map(|drone| drone.state).collect()
+    }
+}
+
+/// Returns the steady part of a wind, world frame, m/s.
+fn steady(wind: Option<&WindConfig>) -> Vector3<f64> {
+    match wind {
+        Some(wind) if matches!(wind.model, WindModel::Constant | WindModel::Combined) => wind.velocity.into(),
+        _ => Vector3::zeros(),
+    }
+}

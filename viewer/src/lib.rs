@@ -1,0 +1,26 @@
+//! Window that shows flights while they are simulated.
+//!
+//! A [`Viewer`] shows an environment that your own loop steps. A [`LiveFlight`] flies an environment in real time and
+//! executes the [`Command`]s of the person at the window.
+
+mod command;
+mod error;
+mod flight;
+mod frame;
+mod live;
+mod orbit;
+mod recording;
+mod scene;
+mod shared;
+mod sticks;
+mod ui;
+mod viewer;
+mod window;
+
+pub use command::{Command, PilotMode};
+pub use error::ViewerError;
+pub use frame::{DroneFrame, EpisodeView, Frame};
+pub use live::{Flown, LiveFlight, Turn};
+pub use orbit::OrbitCamera;
+pub use shared::{FlightStatus, ViewStatus};
+pub use viewer::{Viewer, ViewerOptions};

@@ -1,0 +1,328 @@
+//! Flights in real time that the person at the window can change.
+
+mod clock;
+mod history;
+
+use aviary::control::ControllerKind;
+use aviary::env::DroneEnv;
+use aviary::physics::wind::WindConfig;
+use nalgebra::Vector3;
+
+use crate::command::{Command, PilotMode};
+use crate::error::ViewerError;
+use crate::shared::FlightStatus;
+use crate::viewer::Viewer;
+use clock::Clock;
+use history::History;
+
+/// A flight that a [`LiveFlight`] can change: an environment with the policy that flies it.
+///
+/// Errors are messages for the person at the window. The flight continues unchanged after an error.
+pub trait Flown {
+    /// State of the environment and of the policy, to continue from.
+    type Saved;
+
+    /// Returns the environment.
+    fn env(&self) -> &dyn DroneEnv;
+
+    /// Returns the position that a drone follows, world frame, m.
+    fn reference(&self, drone: usize) -> Vector3<f64> {
+        self.env().reference(drone).position
+    }
+
+    /// Returns the name of the controller or the policy.
+    fn pilot(&self) -> String;
+
+    /// Returns the present state.
+    fn save(&self) -> Self::Saved;
+
+    /// Restores a state. The flight then continues bit-identically.
+    ///
+    /// # Errors
+    /// The message of the environment or the policy.
+    fn restore(&mut self, saved: &Self::Saved) -> Result<(), String>;
+
+    /// Starts an episode; without a seed, the random numbers continue.
+    ///
+    /// # Errors
+    /// The message of the environment or the policy.
+    fn restart(&mut self, seed: Option<u64>) -> Result<(), String>;
+
+    /// Sets a force on a drone from the next control step on (world frame, N).
+    ///
+    /// # Errors
+    /// The message of the environment.
+    fn set_force(&mut self, drone: usize, force: Vector3<f64>) -> Result<(), String>;
+
+    /// Sets the wind from now on.
+    ///
+    /// # Errors
+    /// The message of the environment.
+    fn set_wind(&mut self, wind: Option<WindConfig>) -> Result<(), String>;
+
+    /// Draws a new layout of the obstacles.
+    ///
+    /// # Errors
+    /// The message of the environment.
+    fn new_obstacles(&mut self, seed: u64) -> Result<(), String>;
+
+    /// Sets the gain of a motor.
+    ///
+    /// # Errors
+    /// The message of the environment.
+    fn set_motor_gain(&mut self, drone: usize, motor: usize, gain: f64) -> Result<(), String>;
+
+    /// Flies all drones with another controller.
+    ///
+    /// # Errors
+    /// A message if the flight has another kind of policy.
+    fn set_controller(&mut self, kind: ControllerKind) -> Result<(), String>;
+
+    /// Flies a drone by hand; `None` returns it to its policy.
+    ///
+    /// # Errors
+    /// A message if the drone cannot be flown by hand.
+    fn take(&mut self, drone: usize, mode: Option<PilotMode>) -> Result<(), String>;
+
+    /// Sets the sticks of a drone that is flown by hand.
+    fn set_sticks(&mut self, drone: usize, sticks: [f64; 4]);
+}
+
+/// What the loop of a flight does next.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Turn {
+    /// Makes a control step.
+    Step,
+    /// Begins its records again: another episode has started.
+    Restarted,
+    /// Removes from its records everything after the present control step: the flight continues from an earlier
+    /// state.
+    Rewound,
+    /// Ends: the window was closed.
+    Closed,
+}
+
+/// A flight in real time in a window.
+///
+/// The loop of the flight calls [`turn`](Self::turn) before every control step, and after the last one. The call
+/// shows the state, waits until the step is due, and executes the commands of the person at the window.
+#[derive(Debug)]
+pub struct LiveFlight<S> {
+    viewer: Viewer,
+    clock: Clock,
+    history: History<S>,
+    status: FlightStatus,
+    /// Points that drones are pulled to, world frame, m.
+    pulls: Vec<Option<Vector3<f64>>>,
+    forces: Vec<Vector3<f64>>,
+    /// Single control steps that a paused flight is to make.
+    steps: u32,
+    /// Number of layouts of the obstacles that were drawn, for their seeds.
+    layouts: u64,
+    is_interactive: bool,
+}
+
+/// Stiffness of a pull per mass, 1/s². The pull is critically damped.
+const STIFFNESS: f64 = 60.0;
+/// Largest pull, as a multiple of the weight.
+const MAX_PULL: f64 = 4.0;
+
+impl<S> LiveFlight<S> {
+    /// Creates a flight in a window. `is_interactive` is false for a flight that the person may pause but not change.
+    pub fn new(viewer: Viewer, seed: Option<u64>, is_interactive: bool) -> Self {
+        let status = FlightStatus { is_interactive, is_paced: true, seed, ..FlightStatus::default() };
+        Self {
+            viewer,
+            clock: Clock::default(),
+            history: History::default(),
+            status,
+            pulls: Vec::new(),
+            forces: Vec::new(),
+            steps: 0,
+            layouts: 0,
+            is_interactive,
+        }
+    }
+
+    /// Returns the window.
+    pub fn viewer(&self) -> &Viewer {
+        &self.viewer
+    }
+
+    /// Returns the state of the flight.
+    pub fn status(&self) -> &FlightStatus {
+        &self.status
+    }
+
+    /// Shows the state and waits until the next control step is due. `is_over` is true after the end of the episode:
+    /// the call then returns only when the person restarts or rewinds the flight or closes the window.
+    ///
+    /// # Errors
+    /// [`ViewerError`] if the window fails. Later calls return [`Turn::Closed`].
+    pub fn turn(&mut self, flown: &mut dyn Flown<Saved = S>, is_over: bool) -> Result<Turn, ViewerError> {
+        self.status.pilot = flown.pilot();
+        if self.is_interactive {
+            self.history.keep(flown);
+        }
+        self.show(flown)?;
+        let period = flown.env().simulation().control_period();
+        loop {
+            if !self.viewer.is_open()? {
+                return Ok(Turn::Closed);
+            }
+            while let Some(command) = self.viewer.shared().next_command() {
+                let done = self.execute(command, flown);
+                match done {
+                    Ok(Some(turn)) => {
+                        self.status.message = None;
+                        self.clock.restart();
+                        self.show(flown)?;
+                        return Ok(turn);
+                    }
+                    Ok(None) => self.status.message = None,
+                    Err(message) => self.status.message = Some(message),
+                }
+                self.viewer.set_flight_status(self.status.clone());
+            }
+            if is_over {
+                self.clock.restart();
+                self.viewer.shared().wait(None);
+            } else if self.status.is_paused && self.steps == 0 {
+                self.clock.restart();
+                self.viewer.shared().wait(None);
+            } else if self.status.is_paused {
+                self.steps -= 1;
+                self.pull(flown);
+                return Ok(Turn::Step);
+            } else {
+                let due = self.clock.due(period / self.status.speed);
+                if self.clock.is_due(due) {
+                    self.clock.count(due);
+                    self.status.measured_speed = self.clock.rate() * period;
+                    self.pull(flown);
+                    return Ok(Turn::Step);
+                }
+                self.viewer.shared().wait(Some(due));
+            }
+        }
+    }
+
+    /// Shows the present state.
+    fn show(&mut self, flown: &dyn Flown<Saved = S>) -> Result<(), ViewerError> {
+        let forces = &self.forces;
+        let edit = |frame: &mut crate::frame::Frame| {
+            for (drone, force) in frame.drones.iter_mut().zip(forces) {
+                drone.push = *force;
+            }
+        };
+        self.viewer.sync_with(flown.env(), |drone| flown.reference(drone), edit)?;
+        self.viewer.set_flight_status(self.status.clone());
+        Ok(())
+    }
+
+    /// Sets the forces of the mouse for the next control step.
+    fn pull(&mut self, flown: &mut dyn Flown<Saved = S>) {
+        let count = flown.env().simulation().num_drones();
+        self.pulls.resize(count, None);
+        self.forces.resize(count, Vector3::zeros());
+        for drone in 0..count {
+            let simulation = flown.env().simulation();
+            let force = match self.pulls[drone] {
+                Some(target) => {
+                    let (state, mass) = (&simulation.states()[drone], simulation.params(drone).mass);
+                    let acceleration =
+                        STIFFNESS * (target - state.position) - 2.0 * STIFFNESS.sqrt() * state.velocity;
+                    (mass * acceleration).cap_magnitude(MAX_PULL * mass * 9.81)
+                }
+                None => Vector3::zeros(),
+            };
+            if force == self.forces[drone] {
+                continue;
+            }
+            match flown.set_force(drone, force) {
+                Ok(()) => self.forces[drone] = force,
+                Err(message) => self.status.message = Some(message),
+            }
+        }
+    }
+
+    fn execute(&mut self, command: Command, flown: &mut dyn Flown<Saved = S>) -> Result<Option<Turn>, String> {
+        match command {
+            Command::Pause(is_paused) => {
+                self.status.is_paused = is_paused;
+                self.steps = 0;
+                self.clock.restart();
+                return Ok(None);
+            }
+            Command::Step if self.status.is_paused => {
+                self.steps = self.steps.saturating_add(1);
+                return Ok(None);
+            }
+            Command::Step => return Ok(None),
+            Command::Speed(speed) => {
+                self.status.speed = if speed.is_finite() { speed.clamp(1.0 / 64.0, 64.0) } else { 1.0 };
+                self.clock.restart();
+                return Ok(None);
+            }
+            _ if !self.is_interactive => return Err("this flight is recorded: it cannot be changed".into()),
+            _ => {}
+        }
+        match command {
+            Command::Restart { next_seed } => {
+                let seed = self.status.seed.map(|seed| if next_seed { seed.wrapping_add(1) } else { seed });
+                flown.restart(seed)?;
+                self.status.seed = seed;
+                self.begin();
+                Ok(Some(Turn::Restarted))
+            }
+            Command::Rewind { step } => {
+                let reached = self.history.rewind(flown, step)?;
+                self.viewer.rewind(reached);
+                self.forces.fill(Vector3::zeros());
+                self.pulls.fill(None);
+                Ok(Some(Turn::Rewound))
+            }
+            Command::Push { drone, target } => {
+                let count = flown.env().simulation().num_drones();
+                self.pulls.resize(count, None);
+                match self.pulls.get_mut(drone) {
+                    Some(pull) => *pull = target.filter(|target| target.iter().all(|x| x.is_finite())),
+                    None => return Err(format!("drone {drone} cannot be pushed, expected one of {count} drones")),
+                }
+                Ok(None)
+            }
+            Command::Wind(wind) => flown.set_wind(wind).map(|()| None),
+            Command::NewObstacles => {
+                self.layouts += 1;
+                flown.new_obstacles(self.status.seed.unwrap_or(0).wrapping_add(1000 * self.layouts)).map(|()| None)
+            }
+            Command::Controller(kind) => {
+                flown.set_controller(kind)?;
+                self.status.pilot = flown.pilot();
+                Ok(None)
+            }
+            Command::MotorGain { drone, motor, gain } => flown.set_motor_gain(drone, motor, gain).map(|()| None),
+            Command::Pilot { drone, mode } => {
+                flown.take(drone, mode)?;
+                self.status.piloted = mode.map(|_| drone);
+                Ok(None)
+            }
+            Command::Sticks(sticks) => {
+                if let Some(drone) = self.status.piloted {
+                    flown.set_sticks(drone, sticks);
+                }
+                Ok(None)
+            }
+            Command::Pause(_) | Command::Step | Command::Speed(_) => Ok(None),
+        }
+    }
+
+    /// Clears what belongs to the last episode.
+    fn begin(&mut self) {
+        self.history = History::default();
+        self.pulls.clear();
+        self.forces.clear();
+        self.layouts = 0;
+        self.steps = 0;
+    }
+}

@@ -1,0 +1,80 @@
+//! The state as numbers.
+
+use crate::flight::Flight;
+
+/// Shows the state of a drone and the metrics of the task.
+pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
+    let frame = flight.frame();
+    let drone = drone.min(frame.drones.len() - 1);
+    let of_drone = &frame.drones[drone];
+    let state = &of_drone.state;
+    ui.strong(format!("Drone {drone} of {}", frame.drones.len()));
+    let rows = |ui: &mut egui::Ui, rows: &[(&str, String)]| {
+        for (name, value) in rows {
+            ui.label(*name);
+            ui.monospace(value);
+            ui.end_row();
+        }
+    };
+    let three = |x: &[f64]| format!("{:8.3} {:8.3} {:8.3}", x[0], x[1], x[2]);
+    let [w, i, j, k] = aviary::state::wxyz(&state.attitude);
+    let degrees = of_drone.rpy.map(f64::to_degrees);
+    let error = (state.position - of_drone.reference).norm();
+    egui::Grid::new("state").num_columns(2).striped(true).show(ui, |ui| {
+        rows(
+            ui,
+            &[
+                ("position (m)", three(state.position.as_slice())),
+                ("reference (m)", three(of_drone.reference.as_slice())),
+                ("distance (m)", format!("{error:8.3}")),
+                ("roll, pitch, yaw (°)", three(degrees.as_slice())),
+                ("attitude wxyz", format!("{w:6.3} {i:6.3} {j:6.3} {k:6.3}")),
+                ("velocity (m/s)", three(state.velocity.as_slice())),
+                ("body rates (rad/s)", three(state.angular_velocity.as_slice())),
+                ("thrust (N)", format!("{:8.4}", of_drone.load.rotors.thrust)),
+            ],
+        );
+        if let Some(voltage) = of_drone.voltage {
+            rows(ui, &[("battery (V)", format!("{voltage:8.3}"))]);
+        }
+    });
+    ui.add_space(6.0);
+    for (motor, speed) in of_drone.rotor_speeds.iter().enumerate() {
+        let share = (speed / of_drone.max_rpm.max(1.0)) as f32;
+        let text = format!("motor {motor}: {speed:.0} rpm");
+        ui.add(egui::ProgressBar::new(share.clamp(0.0, 1.0)).text(text).desired_width(ui.available_width()));
+    }
+    ui.add_space(6.0);
+    ui.strong("Episode");
+    egui::Grid::new("episode").num_columns(2).striped(true).show(ui, |ui| {
+        let status = &flight.status;
+        let seed = status.seed.map_or("–".into(), |seed| seed.to_string());
+        let end = match (frame.end, of_drone.end) {
+            (Some(end), _) | (None, Some(end)) => end.name(),
+            _ => "–",
+        };
+        rows(
+            ui,
+            &[
+                ("task", flight.episode.task.clone()),
+                ("pilot", if status.pilot.is_empty() { "–".into() } else { status.pilot.clone() }),
+                ("episode, seed", format!("{}, {seed}", flight.episode.number)),
+                ("control step", format!("{} of {}", frame.step, flight.episode.max_steps)),
+                ("reward", format!("{:.4}", of_drone.reward)),
+                ("reward of the episode", format!("{:.2}", frame.episode_reward)),
+                ("success", if frame.success { "yes" } else { "no" }.into()),
+                ("end", end.into()),
+            ],
+        );
+        for (name, value) in &frame.metrics {
+            rows(ui, &[(&name.replace('_', " "), format!("{value:.4}"))]);
+        }
+    });
+    if !frame.contacts.is_empty() {
+        ui.add_space(6.0);
+        ui.strong("Contacts");
+        for contact in &frame.contacts {
+            ui.label(format!("drone {} with {:?}", contact.drone, contact.with));
+        }
+    }
+}

@@ -1,0 +1,199 @@
+//! The thread of all windows of a process.
+
+mod gl;
+mod priority;
+mod surface;
+mod x11;
+
+use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak, mpsc};
+use std::time::{Duration, Instant};
+
+use winit::application::ApplicationHandler;
+use winit::event::WindowEvent;
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
+use winit::window::WindowId;
+
+use crate::error::ViewerError;
+use crate::shared::Shared;
+use crate::viewer::ViewerOptions;
+use surface::ViewWindow;
+
+/// Message to the thread of the windows.
+enum Message {
+    /// Opens a window and answers.
+    Open(Arc<Shared>, ViewerOptions, mpsc::SyncSender<Result<(), ViewerError>>),
+    /// A flight has changed.
+    Changed,
+}
+
+/// Thread of the windows.
+struct WindowThread {
+    proxy: Mutex<EventLoopProxy<Message>>,
+    process: u32,
+}
+
+static THREAD: OnceLock<Result<WindowThread, ViewerError>> = OnceLock::new();
+/// Flights of all windows, which a lost connection closes.
+static OPEN: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
+
+/// Opens a window.
+pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), ViewerError> {
+    let thread = THREAD.get_or_init(start).as_ref().map_err(Clone::clone)?;
+    if thread.process != std::process::id() {
+        return Err(ViewerError::Forked);
+    }
+    OPEN.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(&shared));
+    let (answer, answered) = mpsc::sync_channel(1);
+    thread.send(Message::Open(shared.clone(), options, answer))?;
+    // the thread closes the flight instead of an answer if the connection breaks meanwhile
+    loop {
+        match answered.recv_timeout(Duration::from_millis(100)) {
+            Ok(answer) => return answer,
+            Err(mpsc::RecvTimeoutError::Disconnected) => return Err(ViewerError::DisplayLost),
+            Err(mpsc::RecvTimeoutError::Timeout) => {
+                if let Some(error) = shared.state().error.take() {
+                    return Err(error);
+                }
+            }
+        }
+    }
+}
+
+/// Tells the windows that a flight has changed.
+pub(crate) fn wake() {
+    if let Some(Ok(thread)) = THREAD.get()
+        && thread.process == std::process::id()
+    {
+        // a thread that has ended has closed its windows
+        let _ = thread.send(Message::Changed);
+    }
+}
+
+impl WindowThread {
+    fn send(&self, message: Message) -> Result<(), ViewerError> {
+        let proxy = self.proxy.lock().unwrap_or_else(PoisonError::into_inner);
+        proxy.send_event(message).map_err(|_| ViewerError::DisplayLost)
+    }
+}
+
+/// Starts the thread and connects to the display.
+fn start() -> Result<WindowThread, ViewerError> {
+    let (answer, answered) = mpsc::sync_channel(1);
+    let no_display = |reason: String| ViewerError::NoDisplay { reason };
+    let run = move || {
+        let built = catch_unwind(|| EventLoop::with_user_event().with_any_thread_everywhere().build());
+        let event_loop: EventLoop<Message> = match built {
+            Ok(Ok(event_loop)) => event_loop,
+            Ok(Err(error)) => {
+                let _ = answer.send(Err(no_display(error.to_string())));
+                return;
+            }
+            Err(_) => {
+                let _ = answer.send(Err(no_display("the display libraries failed".into())));
+                return;
+            }
+        };
+        x11::watch(&event_loop, display_lost);
+        let _ = answer.send(Ok(event_loop.create_proxy()));
+        let mut windows = Windows::default();
+        // a panic of the display libraries ends the windows and no flight
+        let _ = catch_unwind(AssertUnwindSafe(|| event_loop.run_app(&mut windows)));
+        display_lost();
+        // the resources of the display may be unusable
+        std::mem::forget(windows);
+    };
+    let thread = std::thread::Builder::new().name("viewer".into()).spawn(run);
+    thread.map_err(|error| no_display(error.to_string()))?;
+    let proxy = answered.recv().map_err(|_| no_display("the thread of the window ended".into()))??;
+    Ok(WindowThread { proxy: Mutex::new(proxy), process: std::process::id() })
+}
+
+/// Closes all flights with an error.
+fn display_lost() {
+    for shared in OPEN.lock().unwrap_or_else(PoisonError::into_inner).drain(..).filter_map(|open| open.upgrade()) {
+        let is_open = shared.state().is_open;
+        if is_open {
+            shared.close(Some(ViewerError::DisplayLost));
+        }
+    }
+}
+
+/// Allows the event loop of either display on a thread that is not the main thread.
+trait AnyThread {
+    fn with_any_thread_everywhere(&mut self) -> &mut Self;
+}
+
+impl AnyThread for winit::event_loop::EventLoopBuilder<Message> {
+    fn with_any_thread_everywhere(&mut self) -> &mut Self {
+        winit::platform::x11::EventLoopBuilderExtX11::with_any_thread(self, true);
+        winit::platform::wayland::EventLoopBuilderExtWayland::with_any_thread(self, true)
+    }
+}
+
+/// All windows.
+#[derive(Default)]
+struct Windows {
+    windows: HashMap<WindowId, ViewWindow>,
+}
+
+/// Shortest time between two images of a window.
+const IMAGE_PERIOD: Duration = Duration::from_micros(16_600);
+
+impl Windows {
+    fn open(&mut self, event_loop: &ActiveEventLoop, shared: Arc<Shared>, options: &ViewerOptions) -> Result<(), ViewerError> {
+        let window = ViewWindow::new(event_loop, shared, options)?;
+        self.windows.insert(window.id(), window);
+        Ok(())
+    }
+}
+
+impl ApplicationHandler<Message> for Windows {
+    fn resumed(&mut self, _: &ActiveEventLoop) {}
+
+    fn user_event(&mut self, event_loop: &ActiveEventLoop, message: Message) {
+        match message {
+            Message::Open(shared, options, answer) => {
+                let opened = self.open(event_loop, shared.clone(), &options);
+                if opened.is_err() {
+                    shared.close(None);
+                }
+                let _ = answer.send(opened);
+            }
+            Message::Changed => self.windows.values_mut().for_each(ViewWindow::mark_changed),
+        }
+    }
+
+    fn window_event(&mut self, _: &ActiveEventLoop, id: WindowId, event: WindowEvent) {
+        if let Some(window) = self.windows.get_mut(&id) {
+            window.event(&event);
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        let mut next: Option<Instant> = None;
+        let mut closed = Vec::new();
+        for (id, window) in &mut self.windows {
+            if window.is_closed() {
+                closed.push(*id);
+                continue;
+            }
+            if let Some(due) = window.due(IMAGE_PERIOD) {
+                let due = if due <= Instant::now() {
+                    window.draw();
+                    window.due(IMAGE_PERIOD)
+                } else {
+                    Some(due)
+                };
+                next = next.into_iter().chain(due).min();
+            }
+        }
+        for id in closed {
+            if let Some(window) = self.windows.remove(&id) {
+                window.finish();
+            }
+        }
+        event_loop.set_control_flow(next.map_or(ControlFlow::Wait, ControlFlow::WaitUntil));
+    }
+}

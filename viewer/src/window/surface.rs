@@ -1,0 +1,251 @@
+//! One window: events, panels and the image of the scene.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use egui_winit::State as EguiState;
+use winit::dpi::PhysicalSize;
+use winit::event::WindowEvent;
+use winit::event_loop::ActiveEventLoop;
+use winit::window::{WindowAttributes, WindowId};
+
+use super::gl::GlWindow;
+use super::priority;
+use crate::error::ViewerError;
+use crate::flight::Flight;
+use crate::recording::{Recording, Saver};
+use crate::scene::{Pictures, SceneView};
+use crate::shared::Shared;
+use crate::ui::{Ui, Wish};
+use crate::viewer::ViewerOptions;
+
+pub(super) struct ViewWindow {
+    // the painter is dropped by `finish`, which makes its context current
+    painter: egui_glow::Painter,
+    egui: EguiState,
+    gl: GlWindow,
+    shared: Arc<Shared>,
+    flight: Flight,
+    scene: SceneView,
+    pictures: Pictures,
+    ui: Ui,
+    saver: Saver,
+    recording: Option<Recording>,
+    /// Time at which egui wants to draw again.
+    repaint: Option<Instant>,
+    is_changed: bool,
+    last: Option<Instant>,
+    /// Times of the last images.
+    drawn: std::collections::VecDeque<Instant>,
+    is_closed: bool,
+}
+
+impl ViewWindow {
+    pub fn new(
+        event_loop: &ActiveEventLoop,
+        shared: Arc<Shared>,
+        options: &ViewerOptions,
+    ) -> Result<Self, ViewerError> {
+        if options.in_background {
+            priority::lower();
+        }
+        let flight = Flight::of(&shared);
+        let scene = SceneView::new(&flight.episode.world, options.is_pretty)?;
+        let size = options.size.map(|side| side.clamp(64, 8192));
+        let attributes = WindowAttributes::default()
+            .with_title(options.title.clone())
+            .with_inner_size(PhysicalSize::new(size[0], size[1]));
+        let gl = GlWindow::new(event_loop, attributes)?;
+        let painter = gl.current(|| egui_glow::Painter::new(gl.gl.clone(), "", None, false));
+        let painter = painter
+            .map_err(|reason| ViewerError::NoGl { reason })?
+            .map_err(|error| ViewerError::NoGl { reason: error.to_string() })?;
+        let egui = EguiState::new(
+            egui::Context::default(),
+            egui::ViewportId::ROOT,
+            event_loop,
+            Some(gl.window.scale_factor() as f32),
+            event_loop.system_theme(),
+            Some(painter.max_texture_side()),
+        );
+        egui.egui_ctx().set_theme(egui::Theme::Dark);
+        let ui = Ui::new(options, &flight);
+        let saver = Saver::new(options.output.clone(), &flight.episode.task);
+        Ok(Self {
+            painter,
+            egui,
+            gl,
+            shared,
+            flight,
+            scene,
+            pictures: Pictures::default(),
+            ui,
+            saver,
+            recording: None,
+            repaint: None,
+            is_changed: true,
+            last: None,
+            drawn: std::collections::VecDeque::new(),
+            is_closed: false,
+        })
+    }
+
+    pub fn id(&self) -> WindowId {
+        self.gl.window.id()
+    }
+
+    /// Notes that the flight has changed.
+    pub fn mark_changed(&mut self) {
+        self.is_changed = true;
+    }
+
+    pub fn event(&mut self, event: &WindowEvent) {
+        match event {
+            WindowEvent::CloseRequested | WindowEvent::Destroyed => self.is_closed = true,
+            WindowEvent::Resized(size) => {
+                let size = [size.width, size.height];
+                // a failure appears in the next image, too
+                let _ = self.gl.current(|| self.gl.resize(size));
+                self.is_changed = true;
+            }
+            WindowEvent::RedrawRequested => self.is_changed = true,
+            _ => {}
+        }
+        if self.egui.on_window_event(&self.gl.window, event).repaint {
+            self.is_changed = true;
+        }
+    }
+
+    /// Returns true if the person or the flight has closed the window.
+    pub fn is_closed(&self) -> bool {
+        self.is_closed || !self.shared.state().is_open
+    }
+
+    /// Returns the time of the next image, at least `period` after the last one; `None` if nothing changes.
+    pub fn due(&self, period: Duration) -> Option<Instant> {
+        let now = Instant::now();
+        let wanted = if self.is_changed { Some(now) } else { self.repaint };
+        let earliest = self.last.map_or(now, |last| last + period);
+        wanted.map(|wanted| wanted.max(earliest))
+    }
+
+    /// Draws an image. An error closes the window.
+    pub fn draw(&mut self) {
+        let size = self.gl.window.inner_size();
+        self.is_changed = false;
+        self.repaint = None;
+        self.last = Some(Instant::now());
+        if size.width == 0 || size.height == 0 {
+            return;
+        }
+        if let Err(error) = self.draw_image([size.width, size.height]) {
+            self.shared.close(Some(error));
+        }
+    }
+
+    fn draw_image(&mut self, size: [u32; 2]) -> Result<(), ViewerError> {
+        self.flight.update(&self.shared);
+        let input = self.egui.take_egui_input(&self.gl.window);
+        let context = self.egui.egui_ctx().clone();
+        let Self { ui, flight, pictures, scene, .. } = self;
+        ui.prepare(flight);
+        scene.draw(&context, flight, ui, pictures)?;
+        let output = context.run_ui(input, |root| ui.show(root, flight, pictures));
+        self.egui.handle_platform_output(&self.gl.window, output.platform_output);
+        let delay = output.viewport_output.get(&egui::ViewportId::ROOT).map(|viewport| viewport.repaint_delay);
+        self.repaint = delay.and_then(|delay| Instant::now().checked_add(delay));
+        let primitives = context.tessellate(output.shapes, output.pixels_per_point);
+        let mut textures = output.textures_delta;
+        let (painter, gl) = (&mut self.painter, &self.gl);
+        let wants_pixels = self.ui.wants_image() || self.recording.as_ref().is_some_and(Recording::is_due);
+        let drawn = gl.current(|| {
+            painter.clear(size, [0.08, 0.09, 0.11, 1.0]);
+            painter.paint_and_update_textures(size, output.pixels_per_point, &primitives, &mut textures);
+            let pixels = wants_pixels.then(|| painter.read_screen_rgba(size));
+            gl.swap().map(|()| pixels)
+        });
+        let pixels = drawn.and_then(|drawn| drawn).map_err(|_| ViewerError::DisplayLost)?;
+        if let Some(pixels) = pixels {
+            self.save(&pixels);
+        }
+        self.obey();
+        self.report(size);
+        Ok(())
+    }
+
+    /// Saves an image or adds it to the animation.
+    fn save(&mut self, pixels: &egui::ColorImage) {
+        if std::mem::take(&mut self.ui.save_image) {
+            let saved = self.saver.image(pixels);
+            self.ui.notify(saved);
+        }
+        if let Some(recording) = &mut self.recording
+            && let Err(error) = recording.add(pixels)
+        {
+            self.recording = None;
+            self.ui.notify(Err(error));
+        }
+    }
+
+    /// Executes the wishes of the person that concern the window.
+    fn obey(&mut self) {
+        for wish in std::mem::take(&mut self.ui.wishes) {
+            match wish {
+                Wish::Flight(command) => self.shared.send(command),
+                Wish::Record(kind) => match self.recording.take() {
+                    Some(recording) => {
+                        let saved = recording.finish();
+                        self.ui.notify(saved);
+                    }
+                    None => {
+                        let size = self.gl.window.inner_size();
+                        match self.saver.recording(kind, [size.width, size.height]) {
+                            Ok(recording) => self.recording = Some(recording),
+                            Err(error) => self.ui.notify(Err(error)),
+                        }
+                    }
+                },
+                Wish::Quality(is_pretty) => match SceneView::new(&self.flight.episode.world, Some(is_pretty)) {
+                    Ok(scene) => self.scene = scene,
+                    Err(error) => self.ui.notify(Err(error.to_string())),
+                },
+                Wish::Close => self.is_closed = true,
+            }
+            self.is_changed = true;
+        }
+        if self.recording.is_some() {
+            let next = Instant::now() + Duration::from_secs_f64(Recording::SECONDS_PER_FRAME);
+            self.repaint = Some(self.repaint.map_or(next, |repaint| repaint.min(next)));
+        }
+    }
+
+    /// Reports the state of the window to the flight.
+    fn report(&mut self, size: [u32; 2]) {
+        let now = Instant::now();
+        self.drawn.push_back(now);
+        while self.drawn.front().is_some_and(|&first| now - first > Duration::from_secs(1)) {
+            self.drawn.pop_front();
+        }
+        let mut state = self.shared.state();
+        let status = &mut state.status;
+        status.size = size;
+        status.images += 1;
+        status.images_per_second = self.drawn.len() as f64;
+        status.is_recording = self.recording.is_some();
+        self.ui.report(status, &self.flight);
+        self.ui.is_recording = status.is_recording;
+        self.ui.images_per_second = status.images_per_second;
+    }
+
+    /// Closes the window.
+    pub fn finish(mut self) {
+        if let Some(recording) = self.recording.take() {
+            // the person has asked for the file
+            let _ = recording.finish();
+        }
+        let painter = &mut self.painter;
+        // the resources end with the context if it cannot become current
+        let _ = self.gl.current(|| painter.destroy());
+        self.shared.close(None);
+    }
+}
