@@ -5,9 +5,42 @@ use std::sync::Arc;
 use aviary::engine::{Contact, Load};
 use aviary::env::{DroneEnv, EndReason};
 use aviary::physics::wind::{WindConfig, WindModel};
+use aviary::simulation::Simulation;
 use aviary::state::DroneState;
 use aviary::world::{Marker, Obstacle, World};
 use nalgebra::Vector3;
+
+/// What a window shows: an environment, or a simulation without a task.
+#[derive(Clone, Copy)]
+pub enum Source<'a> {
+    /// Environment.
+    Env(&'a dyn DroneEnv),
+    /// Simulation.
+    Simulation(&'a Simulation),
+}
+
+impl<'a> Source<'a> {
+    /// Returns the simulation.
+    pub fn simulation(self) -> &'a Simulation {
+        match self {
+            Self::Env(env) => env.simulation(),
+            Self::Simulation(simulation) => simulation,
+        }
+    }
+
+    /// Returns the environment.
+    fn env(self) -> Option<&'a dyn DroneEnv> {
+        match self {
+            Self::Env(env) => Some(env),
+            Self::Simulation(_) => None,
+        }
+    }
+
+    /// Returns the position of the reference of a drone (world frame, m), if it has one.
+    pub(crate) fn reference(self, drone: usize) -> Option<Vector3<f64>> {
+        self.env().map(|env| env.reference(drone).position)
+    }
+}
 
 /// Constants of an episode.
 #[derive(Debug, Clone)]
@@ -24,29 +57,33 @@ pub struct EpisodeView {
     pub paths: Vec<Vec<Vector3<f64>>>,
     /// Length of a control step, s.
     pub control_period: f64,
-    /// Number of control steps after which the episode is truncated.
-    pub max_steps: u64,
+    /// Number of control steps after which the episode is truncated, if there is a limit.
+    pub max_steps: Option<u64>,
 }
 
 impl EpisodeView {
     /// Number of points of a planned path.
     const POINTS: u32 = 240;
 
-    /// Reads the constants of an environment that has just been reset.
-    pub fn new(env: &dyn DroneEnv, number: u64) -> Self {
-        let simulation = env.simulation();
+    /// Reads the constants of an environment that has just been reset, or of a simulation.
+    pub(crate) fn new(source: Source<'_>, number: u64) -> Self {
+        let (simulation, env) = (source.simulation(), source.env());
+        let starts = || simulation.initial_states().iter().map(|state| state.position).collect();
         let points = |plan: Box<dyn aviary::control::trajectory::Trajectory>| {
             let at = |i: u32| plan.reference(plan.duration() * f64::from(i) / f64::from(Self::POINTS)).position;
             (0..=Self::POINTS).map(at).collect()
         };
+        let plans = |env: &dyn DroneEnv| -> Vec<Vec<_>> {
+            env.plans().into_iter().map(|plan| plan.map(points).unwrap_or_default()).collect()
+        };
         Self {
-            task: env.name().into(),
+            task: env.map_or("simulation", |env| env.name()).into(),
             number,
             world: simulation.scene(),
-            extent: env.extent(),
-            paths: env.plans().into_iter().map(|plan| plan.map(points).unwrap_or_default()).collect(),
+            extent: env.map_or_else(starts, |env| env.extent()),
+            paths: env.map(plans).unwrap_or_default(),
             control_period: simulation.control_period(),
-            max_steps: env.episode_steps(),
+            max_steps: env.map(|env| env.episode_steps()),
         }
     }
 }
@@ -58,8 +95,8 @@ pub struct DroneFrame {
     pub state: DroneState,
     /// Roll, pitch and yaw, rad.
     pub rpy: Vector3<f64>,
-    /// Position of the reference, world frame, m.
-    pub reference: Vector3<f64>,
+    /// Position of the reference, world frame, m; `None` in a simulation without a task.
+    pub reference: Option<Vector3<f64>>,
     /// Rotor speeds, rpm.
     pub rotor_speeds: [f64; 4],
     /// Maximum rotor speed, rpm.
@@ -104,10 +141,14 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Reads the state of an environment. `before` is the previous frame of the same episode, whose obstacles and
-    /// markers are shared if they are equal. `reference` returns the position (world frame, m) that a drone follows.
-    pub fn new(env: &dyn DroneEnv, before: Option<&Self>, reference: impl Fn(usize) -> Vector3<f64>) -> Self {
-        let simulation = env.simulation();
+    /// Reads the present state. `before` is the previous frame of the same episode, whose obstacles and markers are
+    /// shared if they are equal. `reference` returns the position (world frame, m) that a drone follows.
+    pub(crate) fn new(
+        source: Source<'_>,
+        before: Option<&Self>,
+        reference: impl Fn(usize) -> Option<Vector3<f64>>,
+    ) -> Self {
+        let (simulation, env) = (source.simulation(), source.env());
         let drones: Vec<_> = (simulation.states().iter().enumerate())
             .map(|(drone, state)| DroneFrame {
                 state: *state,
@@ -116,15 +157,18 @@ impl Frame {
                 rotor_speeds: *simulation.rotor_speeds(drone),
                 max_rpm: simulation.params(drone).max_rpm(),
                 voltage: simulation.battery(drone).map(|_| simulation.voltage(drone)),
-                reward: env.drone_reward(drone),
-                end: env.drone_end(drone),
+                reward: env.map_or(0.0, |env| env.drone_reward(drone)),
+                end: env.and_then(|env| env.drone_end(drone)),
                 load: simulation.loads()[drone],
                 push: Vector3::zeros(),
             })
             .collect();
-        let info = env.info();
-        let mut metrics: Vec<_> = info.values().filter(|(name, _)| *name != "time").collect();
-        env.metrics(&mut |name, value| metrics.push((name, value)));
+        let info = env.map(|env| env.info());
+        let values = info.iter().flat_map(|info| info.values());
+        let mut metrics: Vec<_> = values.filter(|(name, _)| !["time", "success"].contains(name)).collect();
+        if let Some(env) = env {
+            env.metrics(&mut |name, value| metrics.push((name, value)));
+        }
         let reward: f64 = drones.iter().map(|drone| drone.reward).sum();
         let step = simulation.control_steps();
         let earlier = before.map_or(0.0, |before| before.episode_reward);
@@ -139,8 +183,8 @@ impl Frame {
             metrics,
             contacts: simulation.contacts().to_vec(),
             wind: steady(simulation.wind()),
-            success: info.success,
-            end: info.end,
+            success: info.is_some_and(|info| info.success),
+            end: info.and_then(|info| info.end),
             obstacles: shared(before.map(|frame| &frame.obstacles)).unwrap_or_else(|| obstacles.into()),
             markers: shared_markers(before.map(|frame| &frame.markers)).unwrap_or_else(|| markers.as_slice().into()),
         }

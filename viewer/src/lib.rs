@@ -19,7 +19,7 @@ mod window;
 
 pub use command::{Command, PilotMode};
 pub use error::ViewerError;
-pub use frame::{DroneFrame, EpisodeView, Frame};
+pub use frame::{DroneFrame, EpisodeView, Frame, Source};
 pub use live::{Flown, LiveFlight, Turn};
 pub use orbit::OrbitCamera;
 pub use shared::{FlightStatus, ViewStatus};

@@ -4,12 +4,12 @@ mod clock;
 mod history;
 
 use aviary::control::ControllerKind;
-use aviary::env::DroneEnv;
 use aviary::physics::wind::WindConfig;
 use nalgebra::Vector3;
 
 use crate::command::{Command, PilotMode};
 use crate::error::ViewerError;
+use crate::frame::{Frame, Source};
 use crate::shared::FlightStatus;
 use crate::viewer::Viewer;
 use clock::Clock;
@@ -22,12 +22,12 @@ pub trait Flown {
     /// State of the environment and of the policy, to continue from.
     type Saved;
 
-    /// Returns the environment.
-    fn env(&self) -> &dyn DroneEnv;
+    /// Returns the environment or the simulation.
+    fn source(&self) -> Source<'_>;
 
-    /// Returns the position that a drone follows, world frame, m.
-    fn reference(&self, drone: usize) -> Vector3<f64> {
-        self.env().reference(drone).position
+    /// Returns the position that a drone follows (world frame, m), if it follows one.
+    fn reference(&self, drone: usize) -> Option<Vector3<f64>> {
+        self.source().reference(drone)
     }
 
     /// Returns the name of the controller or the policy.
@@ -165,7 +165,7 @@ impl<S> LiveFlight<S> {
             self.history.keep(flown);
         }
         self.show(flown)?;
-        let period = flown.env().simulation().control_period();
+        let period = flown.source().simulation().control_period();
         loop {
             if !self.viewer.is_open()? {
                 return Ok(Turn::Closed);
@@ -210,23 +210,23 @@ impl<S> LiveFlight<S> {
     /// Shows the present state.
     fn show(&mut self, flown: &dyn Flown<Saved = S>) -> Result<(), ViewerError> {
         let forces = &self.forces;
-        let edit = |frame: &mut crate::frame::Frame| {
+        let edit = |frame: &mut Frame| {
             for (drone, force) in frame.drones.iter_mut().zip(forces) {
                 drone.push = *force;
             }
         };
-        self.viewer.sync_with(flown.env(), |drone| flown.reference(drone), edit)?;
+        self.viewer.sync_with(flown.source(), |drone| flown.reference(drone), edit)?;
         self.viewer.set_flight_status(self.status.clone());
         Ok(())
     }
 
     /// Sets the forces of the mouse for the next control step.
     fn pull(&mut self, flown: &mut dyn Flown<Saved = S>) {
-        let count = flown.env().simulation().num_drones();
+        let count = flown.source().simulation().num_drones();
         self.pulls.resize(count, None);
         self.forces.resize(count, Vector3::zeros());
         for drone in 0..count {
-            let simulation = flown.env().simulation();
+            let simulation = flown.source().simulation();
             let force = match self.pulls[drone] {
                 Some(target) => {
                     let (state, mass) = (&simulation.states()[drone], simulation.params(drone).mass);
@@ -283,7 +283,7 @@ impl<S> LiveFlight<S> {
                 Ok(Some(Turn::Rewound))
             }
             Command::Push { drone, target } => {
-                let count = flown.env().simulation().num_drones();
+                let count = flown.source().simulation().num_drones();
                 self.pulls.resize(count, None);
                 match self.pulls.get_mut(drone) {
                     Some(pull) => *pull = target.filter(|target| target.iter().all(|x| x.is_finite())),

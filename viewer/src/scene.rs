@@ -158,7 +158,7 @@ impl SceneView {
             let position = of_drone.state.position;
             let path = flight.episode.paths.get(drone).filter(|path| !path.is_empty());
             if shows.references {
-                main.add_dots(&[of_drone.reference], 0.25 * arm(drone), WHITE);
+                main.add_dots(of_drone.reference.as_slice(), 0.25 * arm(drone), WHITE);
                 for piece in path.map(|path| path.chunks(4)).into_iter().flatten() {
                     main.add_thread(&piece[..piece.len().min(2)], 2.0, WHITE);
                 }

@@ -2,11 +2,12 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use aviary::env::DroneEnv;
+use aviary::simulation::Simulation;
 use nalgebra::Vector3;
 
 use crate::command::Command;
 use crate::error::ViewerError;
-use crate::frame::{EpisodeView, Frame};
+use crate::frame::{EpisodeView, Frame, Source};
 use crate::shared::{FlightStatus, Shared, ViewStatus};
 use crate::window;
 
@@ -74,9 +75,21 @@ impl Viewer {
     /// # Errors
     /// [`ViewerError`] that names what is missing: a display, OpenGL, or a scene that MuJoCo can draw.
     pub fn open(env: &dyn DroneEnv, options: ViewerOptions) -> Result<Self, ViewerError> {
-        let shared = Arc::new(Shared::new(EpisodeView::new(env, 1)));
+        Self::open_source(Source::Env(env), options)
+    }
+
+    /// Opens a window for a simulation without a task.
+    ///
+    /// # Errors
+    /// As for [`open`](Self::open).
+    pub fn open_simulation(simulation: &Simulation, options: ViewerOptions) -> Result<Self, ViewerError> {
+        Self::open_source(Source::Simulation(simulation), options)
+    }
+
+    fn open_source(source: Source<'_>, options: ViewerOptions) -> Result<Self, ViewerError> {
+        let shared = Arc::new(Shared::new(EpisodeView::new(source, 1)));
         let mut viewer = Self { shared, last: None, episodes: 0 };
-        viewer.publish(env, |drone| env.reference(drone).position, |_| {});
+        viewer.publish(source, |drone| source.reference(drone), |_| {});
         window::open(viewer.shared.clone(), options)?;
         Ok(viewer)
     }
@@ -90,19 +103,27 @@ impl Viewer {
     /// [`ViewerError::DisplayLost`] once if the connection to the display ended, and [`ViewerError::Scene`] once if the
     /// scene cannot be drawn. Later calls return false.
     pub fn sync(&mut self, env: &dyn DroneEnv) -> Result<bool, ViewerError> {
-        self.sync_with(env, |drone| env.reference(drone).position, |_| {})
+        self.sync_with(Source::Env(env), |drone| Some(env.reference(drone).position), |_| {})
+    }
+
+    /// Shows the present state of a simulation like [`sync`](Self::sync).
+    ///
+    /// # Errors
+    /// As for [`sync`](Self::sync).
+    pub fn sync_simulation(&mut self, simulation: &Simulation) -> Result<bool, ViewerError> {
+        self.sync_with(Source::Simulation(simulation), |_| None, |_| {})
     }
 
     /// Shows the present state like [`sync`](Self::sync), with references (world frame, m) of the caller. `edit` may
     /// change the frame.
     pub(crate) fn sync_with(
         &mut self,
-        env: &dyn DroneEnv,
-        reference: impl Fn(usize) -> Vector3<f64>,
+        source: Source<'_>,
+        reference: impl Fn(usize) -> Option<Vector3<f64>>,
         edit: impl FnOnce(&mut Frame),
     ) -> Result<bool, ViewerError> {
         if self.is_open()? {
-            self.publish(env, reference, edit);
+            self.publish(source, reference, edit);
             return Ok(true);
         }
         Ok(false)
@@ -110,25 +131,25 @@ impl Viewer {
 
     fn publish(
         &mut self,
-        env: &dyn DroneEnv,
-        reference: impl Fn(usize) -> Vector3<f64>,
+        source: Source<'_>,
+        reference: impl Fn(usize) -> Option<Vector3<f64>>,
         edit: impl FnOnce(&mut Frame),
     ) {
-        let simulation = env.simulation();
+        let simulation = source.simulation();
         let step = simulation.control_steps();
         let is_same = |last: &Frame| last.drones.iter().map(|drone| &drone.state).eq(simulation.states());
         let continues = self.last.as_ref().filter(|last| {
             last.drones.len() == simulation.num_drones() && (last.step < step || last.step == step && is_same(last))
         });
         let is_repeated = continues.is_some_and(|last| last.step == step);
-        let mut frame = Frame::new(env, continues.map(|last| &**last), reference);
+        let mut frame = Frame::new(source, continues.map(|last| &**last), reference);
         if is_repeated && let Some(last) = continues {
             frame.episode_reward = last.episode_reward;
         }
         edit(&mut frame);
         let episode = continues.is_none().then(|| {
             self.episodes += 1;
-            Arc::new(EpisodeView::new(env, self.episodes))
+            Arc::new(EpisodeView::new(source, self.episodes))
         });
         let frame = Arc::new(frame);
         let mut state = self.shared.state();

@@ -22,7 +22,7 @@ impl<S> History<S> {
 
     /// Saves the present state if it is due.
     pub fn keep(&mut self, flown: &dyn Flown<Saved = S>) {
-        let step = flown.env().simulation().control_steps();
+        let step = flown.source().simulation().control_steps();
         // a step that is shown again replaces its state, which a command may have changed
         while self.saved.last().is_some_and(|(last, _)| *last >= step) {
             self.saved.pop();

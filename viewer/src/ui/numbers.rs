@@ -19,14 +19,15 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
     let three = |x: &[f64]| format!("{:8.3} {:8.3} {:8.3}", x[0], x[1], x[2]);
     let [w, i, j, k] = aviary::state::wxyz(&state.attitude);
     let degrees = of_drone.rpy.map(f64::to_degrees);
-    let error = (state.position - of_drone.reference).norm();
+    let reference = of_drone.reference;
+    let error = reference.map(|reference| (state.position - reference).norm());
     egui::Grid::new("state").num_columns(2).striped(true).show(ui, |ui| {
         rows(
             ui,
             &[
                 ("position (m)", three(state.position.as_slice())),
-                ("reference (m)", three(of_drone.reference.as_slice())),
-                ("distance (m)", format!("{error:8.3}")),
+                ("reference (m)", reference.map_or("–".into(), |reference| three(reference.as_slice()))),
+                ("distance (m)", error.map_or("–".into(), |error| format!("{error:8.3}"))),
                 ("roll, pitch, yaw (°)", three(degrees.as_slice())),
                 ("attitude wxyz", format!("{w:6.3} {i:6.3} {j:6.3} {k:6.3}")),
                 ("velocity (m/s)", three(state.velocity.as_slice())),
@@ -53,13 +54,17 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
             (Some(end), _) | (None, Some(end)) => end.name(),
             _ => "–",
         };
+        let steps = match flight.episode.max_steps {
+            Some(max) => format!("{} of {max}", frame.step),
+            None => frame.step.to_string(),
+        };
         rows(
             ui,
             &[
                 ("task", flight.episode.task.clone()),
                 ("pilot", if status.pilot.is_empty() { "–".into() } else { status.pilot.clone() }),
                 ("episode, seed", format!("{}, {seed}", flight.episode.number)),
-                ("control step", format!("{} of {}", frame.step, flight.episode.max_steps)),
+                ("control step", steps),
                 ("reward", format!("{:.4}", of_drone.reward)),
                 ("reward of the episode", format!("{:.2}", frame.episode_reward)),
                 ("success", if frame.success { "yes" } else { "no" }.into()),

@@ -2,7 +2,8 @@
 
 use std::sync::Arc;
 
-use egui_plot::{Legend, Line, Plot, PlotPoints, VLine};
+use egui::Color32;
+use egui_plot::{Line, LineStyle, Plot, PlotPoints};
 
 use crate::flight::Flight;
 use crate::frame::Frame;
@@ -38,7 +39,6 @@ impl Plots {
         });
         ui.add(egui::Slider::new(&mut self.window, 1.0..=120.0).logarithmic(true).text("last seconds"));
         let frames = self.frames(flight);
-        let now = flight.frame().time;
         let names: Vec<_> = flight.frame().metrics.iter().map(|(name, _)| *name).collect();
         egui::ComboBox::from_label("metric").selected_text(self.metric.unwrap_or("none")).show_ui(ui, |ui| {
             ui.selectable_value(&mut self.metric, None, "none");
@@ -57,7 +57,12 @@ impl Plots {
             let lines = match index {
                 0 => {
                     let mut lines = axes("", &|frame, axis| frame.drones[drone].state.position[axis]);
-                    lines.extend(axes("reference ", &|frame, axis| frame.drones[drone].reference[axis]));
+                    if flight.frame().drones[drone].reference.is_some() {
+                        let reference = |frame: &Frame, axis: usize| {
+                            frame.drones[drone].reference.map_or(f64::NAN, |reference| reference[axis])
+                        };
+                        lines.extend(axes("reference ", &reference));
+                    }
                     lines
                 }
                 1 => {
@@ -77,14 +82,14 @@ impl Plots {
                 4 => vec![("reward".to_string(), of(&|frame| frame.drones[drone].reward))],
                 _ => axes("", &|frame, axis| frame.drones[drone].state.angular_velocity[axis]),
             };
-            plot(ui, name, lines, now);
+            plot(ui, name, lines);
         }
         if let Some(metric) = self.metric {
             let value = |frame: &Frame| {
                 let found = frame.metrics.iter().find(|(name, _)| *name == metric);
                 found.map_or(f64::NAN, |(_, value)| *value)
             };
-            plot(ui, metric, vec![(metric.to_string(), of(&value))], now);
+            plot(ui, metric, vec![(metric.to_string(), of(&value))]);
         }
     }
 
@@ -101,18 +106,32 @@ impl Plots {
     }
 }
 
-fn plot(ui: &mut egui::Ui, name: &str, lines: Vec<(String, PlotPoints<'static>)>, now: f64) {
-    ui.label(name);
-    Plot::new(name)
-        .height(130.0)
-        .legend(Legend::default())
-        .allow_scroll(false)
-        .allow_drag(false)
-        .allow_zoom(false)
-        .show(ui, |plot| {
-            for (name, points) in lines {
-                plot.line(Line::new(name, points));
-            }
-            plot.vline(VLine::new("now", now));
-        });
+/// Draws a plot under a line with the names of its lines.
+fn plot(ui: &mut egui::Ui, name: &str, lines: Vec<(String, PlotPoints<'static>)>) {
+    let is_reference = |name: &str| name.starts_with("reference");
+    ui.horizontal_wrapped(|ui| {
+        ui.label(name);
+        for (index, (name, _)) in lines.iter().enumerate().filter(|(_, (name, _))| !is_reference(name)) {
+            ui.colored_label(COLOURS[index % 4], name);
+        }
+        if lines.iter().any(|(name, _)| is_reference(name)) {
+            ui.weak("reference dashed");
+        }
+    });
+    Plot::new(name).height(120.0).allow_scroll(false).allow_drag(false).allow_zoom(false).show(ui, |plot| {
+        let count = lines.iter().filter(|(name, _)| !is_reference(name)).count();
+        for (index, (name, points)) in lines.into_iter().enumerate() {
+            let style = if is_reference(&name) { LineStyle::dashed_loose() } else { LineStyle::Solid };
+            plot.line(Line::new(name, points).color(COLOURS[index % count % 4]).style(style).width(1.5));
+        }
+    });
+    ui.add_space(4.0);
 }
+
+/// Colours of the lines: red, green and blue for x, y and z.
+const COLOURS: [Color32; 4] = [
+    Color32::from_rgb(235, 100, 90),
+    Color32::from_rgb(110, 200, 110),
+    Color32::from_rgb(95, 155, 245),
+    Color32::from_rgb(225, 185, 80),
+];

@@ -7,6 +7,7 @@ mod x11;
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak, mpsc};
 use std::time::{Duration, Instant};
 
@@ -38,13 +39,22 @@ static THREAD: OnceLock<Result<WindowThread, ViewerError>> = OnceLock::new();
 /// Flights of all windows, which a lost connection closes.
 static OPEN: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
+/// True after the connection to the display has ended.
+static LOST: AtomicBool = AtomicBool::new(false);
+
 /// Opens a window.
 pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), ViewerError> {
     let thread = THREAD.get_or_init(start).as_ref().map_err(Clone::clone)?;
     if thread.process != std::process::id() {
         return Err(ViewerError::Forked);
     }
-    OPEN.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(&shared));
+    let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
+    open.retain(|open| open.strong_count() > 0);
+    open.push(Arc::downgrade(&shared));
+    drop(open);
+    if LOST.load(Ordering::SeqCst) {
+        return Err(ViewerError::DisplayLost);
+    }
     let (answer, answered) = mpsc::sync_channel(1);
     thread.send(Message::Open(shared.clone(), options, answer))?;
     // the thread closes the flight instead of an answer if the connection breaks meanwhile
@@ -87,7 +97,11 @@ fn start() -> Result<WindowThread, ViewerError> {
         let event_loop: EventLoop<Message> = match built {
             Ok(Ok(event_loop)) => event_loop,
             Ok(Err(error)) => {
-                let _ = answer.send(Err(no_display(error.to_string())));
+                // without the place in the source of winit
+                let message = error.to_string();
+                let reason = message.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": "));
+                let reason = reason.map_or(&*message, |(_, reason)| reason).trim_end_matches('.');
+                let _ = answer.send(Err(no_display(reason.into())));
                 return;
             }
             Err(_) => {
@@ -110,8 +124,9 @@ fn start() -> Result<WindowThread, ViewerError> {
     Ok(WindowThread { proxy: Mutex::new(proxy), process: std::process::id() })
 }
 
-/// Closes all flights with an error.
+/// Closes all flights with an error, and refuses new windows.
 fn display_lost() {
+    LOST.store(true, Ordering::SeqCst);
     for shared in OPEN.lock().unwrap_or_else(PoisonError::into_inner).drain(..).filter_map(|open| open.upgrade()) {
         let is_open = shared.state().is_open;
         if is_open {
