@@ -9,7 +9,10 @@ use aviary::env::{DroneEnv, Info};
 use aviary::record::plot::Plot;
 use aviary::record::{Flight as Samples, RecordError, Recorder, Scenario, state_numbers};
 use clap::{Args, ValueHint};
+use indicatif::ProgressBar;
+use nalgebra::Vector3;
 use serde_json::{Value, json};
+use viewer::{Flown, LiveFlight, Turn, Viewer, ViewerOptions};
 
 use crate::animation::{AnimationOptions, AnimationWriter};
 use crate::failure::Failure;
@@ -32,7 +35,20 @@ use crate::pilot::Pilot;
   aviary fly --task fly_through --gif out/gates.gif --overlay trails,references")]
 pub struct Fly {
     #[command(flatten)]
-    options: FlightOptions,
+    flight: FlightCommand,
+    /// Window that shows the flight in real time
+    ///
+    /// Space pauses the flight, H lists the keys. The flight goes on without the window when it
+    /// is closed. `aviary view` has a window in which the flight can be changed.
+    #[arg(long, verbatim_doc_comment)]
+    view: bool,
+}
+
+// not a doc comment, which would replace the description of a command: a flight with its output
+#[derive(Debug, Args)]
+pub struct FlightCommand {
+    #[command(flatten)]
+    pub options: FlightOptions,
     /// Directory for the log, the scenario and the summary
     ///
     /// The log is drone0.csv, drone1.csv, …, one file per drone. Each row is written during
@@ -53,8 +69,25 @@ pub struct Fly {
     json: bool,
 }
 
+/// Window of a flight.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InWindow {
+    /// No window.
+    No,
+    /// The window shows the flight.
+    Watched,
+    /// The person at the window can change the flight and start further episodes.
+    Changed,
+}
+
 impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
+        self.flight.run(if self.view { InWindow::Watched } else { InWindow::No })
+    }
+}
+
+impl FlightCommand {
+    pub fn run(&self, window: InWindow) -> Result<(), Failure> {
         self.animation.validate()?;
         let mut pilot = Pilot::new(&self.options)?;
         pilot.validate(&self.options)?;
@@ -71,7 +104,8 @@ impl Fly {
             let scenario = Scenario::of(pilot.env().simulation()).and_then(|scenario| scenario.to_toml());
             out.write(SCENARIO, scenario.map_err(Failure::work)?.as_bytes())?;
         }
-        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), animation)?;
+        let live = window.open(&pilot, self.options.seed, out.as_ref())?;
+        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), animation, live)?;
 
         let mut written = self.animation.files();
         let summary = flight.json(pilot.env(), &self.options);
@@ -98,6 +132,8 @@ impl Fly {
             output::print_written(&written)?;
         }
         match flight.info.end {
+            // the person may have let it crash
+            Some(_) if window == InWindow::Changed => Ok(()),
             Some(end) if end.is_crash() => {
                 let env = pilot.env();
                 let drones = env.simulation().num_drones();
@@ -133,17 +169,49 @@ impl Fly {
         pilot: &mut Pilot,
         out: Option<&OutputDir>,
         mut animation: Option<AnimationWriter>,
+        mut live: Option<Live>,
     ) -> Result<(Flight, Option<Samples>), Failure> {
         let drones = pilot.env().simulation().num_drones();
-        let recorder = out.map(|out| Recorder::create(out.path(), drones)).transpose().map_err(Failure::work)?;
-        let mut log = Log { recorder, samples: self.plot.then(Samples::default) };
+        let is_changed = live.as_ref().is_some_and(|live| live.status().is_interactive);
+        let mut log = Log::begin(out, drones, self.plot || is_changed)?;
         let steps = pilot.env().episode_steps();
-        let bar = output::progress(steps, "flying");
+        let bar = if live.is_some() { ProgressBar::hidden() } else { output::progress(steps, "flying") };
         let mut errors = Errors::default();
         let mut reward = 0.0;
         let mut wall_seconds = 0.0;
+        log.note(pilot)?;
         loop {
-            log.note(pilot)?;
+            let is_over = pilot.rollout.is_over();
+            // a flight that can be changed ends when the window is closed
+            if is_over && !is_changed || is_changed && live.is_none() {
+                break;
+            }
+            if let Some(window) = &mut live {
+                match window.turn(pilot, is_over) {
+                    Ok(Turn::Step) => {}
+                    Ok(Turn::Restarted) => {
+                        log.restart(out, drones)?;
+                        log.note(pilot)?;
+                        (errors, reward, wall_seconds) = (Errors::default(), 0.0, 0.0);
+                        continue;
+                    }
+                    Ok(Turn::Rewound) => {
+                        log.rewind(out, pilot.env().simulation().time())?;
+                        (errors, reward) = log.totals();
+                        continue;
+                    }
+                    Ok(Turn::Closed) => {
+                        live = None;
+                        continue;
+                    }
+                    Err(error) if is_changed => return Err(Failure::work(error)),
+                    Err(error) => {
+                        // the flight does not need its window
+                        tracing::warn!("{error}; the flight goes on without a window");
+                        live = None;
+                    }
+                }
+            }
             if let Some(animation) = &mut animation {
                 animation.look(pilot.env().simulation(), |drone| pilot.reference(drone))?;
             }
@@ -155,15 +223,12 @@ impl Fly {
             reward +=
                 if pilot.is_on_trajectory() { (0..drones).map(|drone| pilot.reward(drone)).sum() } else { of_task };
             errors.note(pilot);
+            log.note(pilot)?;
             if pilot.env().simulation().control_steps().is_multiple_of(64) {
                 bar.set_position(pilot.env().simulation().control_steps());
             }
-            if pilot.rollout.is_over() {
-                break;
-            }
         }
         bar.finish_and_clear();
-        log.note(pilot)?;
         if let Some(animation) = animation {
             animation.finish(pilot.env().simulation(), |drone| pilot.reference(drone))?;
         }
@@ -182,6 +247,25 @@ impl Fly {
     }
 }
 
+/// Flight in a window.
+pub type Live = LiveFlight<<Pilot as Flown>::Saved>;
+
+impl InWindow {
+    /// Opens the window of a flight; images and animations of the window go to the directory of the flight.
+    fn open(self, pilot: &Pilot, seed: u64, out: Option<&OutputDir>) -> Result<Option<Live>, Failure> {
+        if self == Self::No {
+            return Ok(None);
+        }
+        let title = format!("aviary: {} with {}", pilot.env().name(), nominal(pilot.env()).name);
+        let mut options = ViewerOptions { title, ..ViewerOptions::default() };
+        if let Some(out) = out {
+            options.output = out.path().into();
+        }
+        let viewer = Viewer::open(pilot.env(), options).map_err(Failure::work)?;
+        Ok(Some(LiveFlight::new(viewer, Some(seed), self == Self::Changed)))
+    }
+}
+
 /// Records of a flight: files, and samples in memory for plots.
 struct Log {
     recorder: Option<Recorder>,
@@ -189,6 +273,52 @@ struct Log {
 }
 
 impl Log {
+    /// Creates the files, if the flight has a directory.
+    fn begin(out: Option<&OutputDir>, drones: usize, has_samples: bool) -> Result<Self, Failure> {
+        let recorder = out.map(|out| Recorder::create(out.path(), drones)).transpose().map_err(Failure::work)?;
+        Ok(Self { recorder, samples: has_samples.then(Samples::default) })
+    }
+
+    /// Replaces the records by those of a new episode.
+    fn restart(&mut self, out: Option<&OutputDir>, drones: usize) -> Result<(), Failure> {
+        // the old files end before the new ones replace them
+        self.recorder = None;
+        *self = Self::begin(out, drones, self.samples.is_some())?;
+        Ok(())
+    }
+
+    /// Removes the records after a time, s.
+    fn rewind(&mut self, out: Option<&OutputDir>, time: f64) -> Result<(), Failure> {
+        let Some(mut samples) = self.samples.take() else { return Ok(()) };
+        samples.rewind(time);
+        self.recorder = None;
+        *self = Self::begin(out, samples.drones.len(), false)?;
+        if let Some(recorder) = &mut self.recorder {
+            recorder.record_flight(&samples).map_err(Failure::work)?;
+        }
+        self.samples = Some(samples);
+        Ok(())
+    }
+
+    /// Returns the errors and the reward of the control steps in the records.
+    fn totals(&self) -> (Errors, f64) {
+        let (mut errors, mut reward) = (Errors::default(), 0.0);
+        let drones = self.samples.as_ref().map_or(&[][..], |samples| &samples.drones);
+        let rows = drones.first().map_or(0, Vec::len);
+        // the first row is the state before the first control step
+        for row in 1..rows {
+            for samples in drones {
+                let sample = &samples[row];
+                reward += sample.reward;
+                if let Some((position, _)) = sample.reference {
+                    errors.add(sample.time, (sample.state.position - Vector3::from(position)).norm());
+                }
+            }
+            errors.forget(drones[0][row].time);
+        }
+        (errors, reward)
+    }
+
     fn note(&mut self, pilot: &Pilot) -> Result<(), Failure> {
         let simulation = pilot.env().simulation();
         let of = |drone| (pilot.reward(drone), Some(pilot.reference(drone)));
@@ -241,13 +371,22 @@ impl Errors {
         let simulation = pilot.env().simulation();
         let time = simulation.time();
         for drone in 0..simulation.num_drones() {
-            let error = simulation.distance(drone, &pilot.reference(drone).position);
-            self.sum += error;
-            self.squares += error * error;
-            self.count += 1;
-            self.peak = self.peak.max(error);
-            self.recent.push_back((time, error * error));
+            self.add(time, simulation.distance(drone, &pilot.reference(drone).position));
         }
+        self.forget(time);
+    }
+
+    /// Adds the error of one drone, m.
+    fn add(&mut self, time: f64, error: f64) {
+        self.sum += error;
+        self.squares += error * error;
+        self.count += 1;
+        self.peak = self.peak.max(error);
+        self.recent.push_back((time, error * error));
+    }
+
+    /// Removes what is older than the last 2 s.
+    fn forget(&mut self, time: f64) {
         while self.recent.front().is_some_and(|(t, _)| *t < time - 2.0) {
             self.recent.pop_front();
         }

@@ -21,6 +21,7 @@ mod render;
 mod replay;
 mod tasks;
 mod train;
+mod view;
 
 use std::process::ExitCode;
 
@@ -47,6 +48,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Fly(fly::Fly),
+    View(view::View),
     Capture(capture::Capture),
     Render(render::Render),
     Replay(replay::Replay),
@@ -80,6 +82,7 @@ fn main() -> ExitCode {
     output::clean_up_when_interrupted();
     let done = match &cli.command {
         Command::Fly(command) => command.run(),
+        Command::View(command) => command.run(),
         Command::Capture(command) => command.run(),
         Command::Render(command) => command.run(),
         Command::Replay(command) => command.run(),

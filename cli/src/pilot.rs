@@ -1,12 +1,14 @@
 //! Flights of a task with built-in controllers.
 
 use anyhow::anyhow;
+use aviary::action::ActionType;
 use aviary::control::trajectory::Trajectory;
 use aviary::control::{ControllerKind, Reference};
 use aviary::env::{DroneEnv, Info};
-use aviary::rollout::{ControllerPolicy, Rollout};
+use aviary::rollout::{ControllerPolicy, PilotedPolicy, Rollout};
 use aviary::tasks::hover_reward;
 use nalgebra::Vector3;
+use viewer::PilotedRollout;
 
 use crate::failure::Failure;
 use crate::options::FlightOptions;
@@ -16,7 +18,8 @@ use crate::parse::Variation;
 /// Episodes of a task with built-in controllers, as the command line sets them.
 pub struct Pilot {
     /// Current episode.
-    pub rollout: Rollout<Box<dyn DroneEnv>, ControllerPolicy>,
+    pub rollout: Rollout<Box<dyn DroneEnv>, PilotedPolicy<ControllerPolicy>>,
+    options: FlightOptions,
     kind: ControllerKind,
     /// True if the drones follow the trajectory of --trajectory in place of the task's references.
     on_trajectory: bool,
@@ -37,8 +40,9 @@ impl Pilot {
         let on_trajectory = trajectory.is_some();
         let policy = ControllerPolicy::new(kind, &env);
         let policy = if on_trajectory { policy.follow(trajectory) } else { policy };
+        let policy = PilotedPolicy::new(policy).controller(kind);
         let rollout = Rollout::start(env, policy, Some(options.seed)).map_err(Failure::work)?;
-        Ok(Self { rollout, kind, on_trajectory, seed: options.seed })
+        Ok(Self { rollout, options: options.clone(), kind, on_trajectory, seed: options.seed })
     }
 
     fn num_drones(&self) -> usize {
@@ -216,12 +220,12 @@ impl Pilot {
 
     /// Returns the planned path of a drone, if it has one.
     pub fn path(&self, drone: usize) -> Option<&dyn Trajectory> {
-        self.rollout.policy().trajectory(drone)
+        self.rollout.policy().inner().trajectory(drone)
     }
 
     /// Returns the current reference of a drone.
     pub fn reference(&self, drone: usize) -> Reference {
-        self.rollout.policy().reference(self.env(), drone)
+        self.rollout.policy().inner().reference(self.env(), drone)
     }
 
     /// Returns the reward of a drone for the last control step.
@@ -262,6 +266,42 @@ impl Pilot {
     /// Returns the environment.
     pub fn env(&self) -> &dyn DroneEnv {
         &**self.rollout.env()
+    }
+}
+
+impl PilotedRollout for Pilot {
+    type Policy = ControllerPolicy;
+
+    fn rollout(&self) -> &Rollout<Box<dyn DroneEnv>, PilotedPolicy<ControllerPolicy>> {
+        &self.rollout
+    }
+
+    fn rollout_mut(&mut self) -> &mut Rollout<Box<dyn DroneEnv>, PilotedPolicy<ControllerPolicy>> {
+        &mut self.rollout
+    }
+
+    fn name(&self) -> String {
+        self.kind.to_string()
+    }
+
+    fn reference(&self, drone: usize) -> Reference {
+        Pilot::reference(self, drone)
+    }
+
+    fn kind(&self) -> Option<ControllerKind> {
+        Some(self.kind)
+    }
+
+    fn set_kind(&mut self, kind: ControllerKind) -> Result<(), String> {
+        if self.env().action_type() == ActionType::Vel {
+            return Err(format!("{} has its controllers in the environment: --controller sets them", self.env().name()));
+        }
+        let policy = ControllerPolicy::new(kind, self.env());
+        let trajectory = self.options.trajectory().map_err(|_| "the trajectory cannot be read again")?;
+        let policy = if self.on_trajectory { policy.follow(trajectory) } else { policy };
+        self.rollout.policy_mut().set_inner(policy);
+        self.kind = kind;
+        Ok(())
     }
 }
 

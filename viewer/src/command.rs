@@ -2,6 +2,7 @@
 
 use aviary::control::ControllerKind;
 use aviary::physics::wind::WindConfig;
+use aviary::rollout::PilotMode;
 use nalgebra::Vector3;
 
 /// Command of the person at the window.
@@ -57,15 +58,4 @@ pub enum Command {
     },
     /// Moves the sticks of the drone that is flown by hand, each from −1 to 1.
     Sticks([f64; 4]),
-}
-
-/// Meaning of the sticks of a drone that is flown by hand.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PilotMode {
-    /// Thrust and body rates.
-    Ctbr,
-    /// Thrust, roll, pitch and yaw rate.
-    Attitude,
-    /// Velocity.
-    Vel,
 }

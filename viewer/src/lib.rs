@@ -17,10 +17,11 @@ mod ui;
 mod viewer;
 mod window;
 
-pub use command::{Command, PilotMode};
+pub use aviary::rollout::PilotMode;
+pub use command::Command;
 pub use error::ViewerError;
 pub use frame::{DroneFrame, EpisodeView, Frame, Source};
-pub use live::{Flown, LiveFlight, Turn};
+pub use live::{Flown, LiveFlight, PilotedRollout, Turn};
 pub use orbit::OrbitCamera;
 pub use shared::{FlightStatus, ViewStatus};
 pub use viewer::{Viewer, ViewerOptions};

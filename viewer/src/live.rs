@@ -2,18 +2,21 @@
 
 mod clock;
 mod history;
+mod piloted;
 
 use aviary::control::ControllerKind;
 use aviary::physics::wind::WindConfig;
+use aviary::rollout::PilotMode;
 use nalgebra::Vector3;
 
-use crate::command::{Command, PilotMode};
+use crate::command::Command;
 use crate::error::ViewerError;
 use crate::frame::{Frame, Source};
 use crate::shared::FlightStatus;
 use crate::viewer::Viewer;
 use clock::Clock;
 use history::History;
+pub use piloted::PilotedRollout;
 
 /// A flight that a [`LiveFlight`] can change: an environment with the policy that flies it.
 ///

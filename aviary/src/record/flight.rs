@@ -97,6 +97,13 @@ impl Flight {
         }
     }
 
+    /// Removes all samples after a time, s.
+    pub fn rewind(&mut self, time: f64) {
+        for samples in &mut self.drones {
+            samples.retain(|sample| sample.time <= time);
+        }
+    }
+
     /// Returns the positions of a drone, world frame, m.
     ///
     /// # Panics

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use append_file::AppendFile;
 
 use super::files::file_of;
-use super::flight::Sample;
+use super::flight::{Flight, Sample};
 use super::table::{state_numbers, written};
 use super::{COLUMNS, RecordError};
 use crate::control::Reference;
@@ -110,6 +110,27 @@ impl Recorder {
             row.write(drone, &sample, simulation.rpy(drone).as_slice());
             file.append(&row.text).map_err(|error| RecordError::file(path, error))?;
             *last = Some(sample);
+        }
+        Ok(())
+    }
+}
+
+impl Recorder {
+    /// Writes the rows of a flight in memory, for example to continue the log of a flight that was rewound.
+    ///
+    /// # Errors
+    /// Returns the errors of [`record`](Self::record).
+    pub fn record_flight(&mut self, flight: &Flight) -> Result<(), RecordError> {
+        if flight.drones.len() != self.files.len() {
+            return Err(RecordError::Drones { got: flight.drones.len(), expected: self.files.len() });
+        }
+        let drones = self.files.iter_mut().zip(&mut self.last).zip(&mut self.rows).zip(&flight.drones);
+        for (drone, ((((path, file), last), row), samples)) in drones.enumerate() {
+            for sample in samples {
+                row.write(drone, sample, sample.state.rpy().as_slice());
+                file.append(&row.text).map_err(|error| RecordError::file(path, error))?;
+                *last = Some(sample.clone());
+            }
         }
         Ok(())
     }

@@ -2,9 +2,10 @@
 
 use aviary::control::ControllerKind;
 use aviary::physics::wind::{WindConfig, WindModel};
+use aviary::rollout::PilotMode;
 
 use super::Ui;
-use crate::command::{Command, PilotMode};
+use crate::command::Command;
 use crate::flight::Flight;
 
 /// Settings of the panel.

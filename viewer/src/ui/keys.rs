@@ -1,10 +1,11 @@
 //! Keys of the window.
 
+use aviary::rollout::PilotMode;
 use aviary::vision::View;
 use egui::Key;
 
 use super::Ui;
-use crate::command::{Command, PilotMode};
+use crate::command::Command;
 use crate::flight::Flight;
 use crate::recording::RecordingKind;
 use crate::ui::Wish;

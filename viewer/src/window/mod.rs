@@ -42,6 +42,11 @@ static OPEN: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 /// True after the connection to the display has ended.
 static LOST: AtomicBool = AtomicBool::new(false);
 
+/// Returns true after the connection to the display has ended.
+fn is_lost() -> bool {
+    LOST.load(Ordering::SeqCst)
+}
+
 /// Opens a window.
 pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), ViewerError> {
     let thread = THREAD.get_or_init(start).as_ref().map_err(Clone::clone)?;
@@ -52,7 +57,7 @@ pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), Vi
     open.retain(|open| open.strong_count() > 0);
     open.push(Arc::downgrade(&shared));
     drop(open);
-    if LOST.load(Ordering::SeqCst) {
+    if is_lost() {
         return Err(ViewerError::DisplayLost);
     }
     let (answer, answered) = mpsc::sync_channel(1);
@@ -205,8 +210,11 @@ impl ApplicationHandler<Message> for Windows {
             }
         }
         for id in closed {
-            if let Some(window) = self.windows.remove(&id) {
-                window.finish();
+            match self.windows.remove(&id) {
+                // the end of the resources would use the connection
+                Some(window) if is_lost() => std::mem::forget(window),
+                Some(window) => window.finish(),
+                None => {}
             }
         }
         event_loop.set_control_flow(next.map_or(ControlFlow::Wait, ControlFlow::WaitUntil));

@@ -135,7 +135,7 @@ impl ViewWindow {
         self.is_changed = false;
         self.repaint = None;
         self.last = Some(Instant::now());
-        if size.width == 0 || size.height == 0 {
+        if size.width == 0 || size.height == 0 || self.is_closed() {
             return;
         }
         if let Err(error) = self.draw_image([size.width, size.height]) {
@@ -162,7 +162,7 @@ impl ViewWindow {
             painter.clear(size, [0.08, 0.09, 0.11, 1.0]);
             painter.paint_and_update_textures(size, output.pixels_per_point, &primitives, &mut textures);
             let pixels = wants_pixels.then(|| painter.read_screen_rgba(size));
-            gl.swap().map(|()| pixels)
+            if super::is_lost() { Err("lost".into()) } else { gl.swap().map(|()| pixels) }
         });
         let pixels = drawn.and_then(|drawn| drawn).map_err(|_| ViewerError::DisplayLost)?;
         if let Some(pixels) = pixels {

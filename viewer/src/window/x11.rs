@@ -3,11 +3,15 @@
 //! Xlib ends the process when the connection breaks, unless a program installs its own handlers. A flight must go on
 //! without its window. After the handler returns, Xlib's callers may use an unusable connection: therefore the
 //! handler stops the window's thread for ever, and the other threads continue.
+//!
+//! Mesa's software rasterizer does not return from `eglSwapBuffers` on a broken connection. Therefore a second thread
+//! waits for the end of the connection.
 #![allow(unsafe_code)]
 
 use std::ffi::c_void;
 
 use libloading::os::unix::Library;
+use super::priority;
 use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
 
 type Display = *mut c_void;
@@ -30,7 +34,34 @@ pub(super) fn watch(display: &impl HasDisplayHandle, lost: fn()) {
         ) {
             set(display.as_ptr(), stop, lost as *mut c_void);
         }
+        if let Ok(number) = library.get::<unsafe extern "C" fn(Display) -> i32>(b"XConnectionNumber\0") {
+            let (connection, thread) = (number(display.as_ptr()), priority::own_thread());
+            let watch = move || {
+                wait_for_end(connection);
+                lost();
+                // a thread that does not return leaves the processors to the flight
+                priority::lower_thread(thread);
+            };
+            // without a watching thread, Xlib still reports most losses
+            let _ = std::thread::Builder::new().name("display".into()).spawn(watch);
+        }
         std::mem::forget(library);
+    }
+}
+
+/// Waits until the other side of a socket closes it.
+fn wait_for_end(socket: i32) {
+    loop {
+        // no events: only errors and the end are reported
+        let mut poll = libc::pollfd { fd: socket, events: 0, revents: 0 };
+        // SAFETY: one entry.
+        let changed = unsafe { libc::poll(&mut poll, 1, -1) };
+        if changed > 0 {
+            return;
+        }
+        if changed < 0 && std::io::Error::last_os_error().kind() != std::io::ErrorKind::Interrupted {
+            return;
+        }
     }
 }
 
