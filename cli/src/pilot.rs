@@ -294,7 +294,10 @@ impl PilotedRollout for Pilot {
 
     fn set_kind(&mut self, kind: ControllerKind) -> Result<(), String> {
         if self.env().action_type() == ActionType::Vel {
-            return Err(format!("{} has its controllers in the environment: --controller sets them", self.env().name()));
+            return Err(format!(
+                "{} has its controllers in the environment: --controller sets them",
+                self.env().name()
+            ));
         }
         let policy = ControllerPolicy::new(kind, self.env());
         let trajectory = self.options.trajectory().map_err(|_| "the trajectory cannot be read again")?;

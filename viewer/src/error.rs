@@ -11,7 +11,9 @@ pub enum ViewerError {
         reason: String,
     },
     /// The display offers no OpenGL.
-    #[error("no window can be opened: the display has no OpenGL ({reason}); fix: apt-get install libegl1 libgl1-mesa-dri")]
+    #[error(
+        "no window can be opened: the display has no OpenGL ({reason}); fix: apt-get install libegl1 libgl1-mesa-dri"
+    )]
     NoGl {
         /// Answer of EGL.
         reason: String,

@@ -4,6 +4,8 @@ mod clock;
 mod history;
 mod piloted;
 
+use std::time::Instant;
+
 use aviary::control::ControllerKind;
 use aviary::physics::wind::WindConfig;
 use aviary::rollout::PilotMode;
@@ -198,9 +200,10 @@ impl<S> LiveFlight<S> {
                 self.pull(flown);
                 return Ok(Turn::Step);
             } else {
-                let due = self.clock.due(period / self.status.speed);
-                if self.clock.is_due(due) {
-                    self.clock.count(due);
+                let now = Instant::now();
+                let due = self.clock.due(now, period / self.status.speed);
+                if due <= now {
+                    self.clock.count(now, due);
                     self.status.measured_speed = self.clock.rate() * period;
                     self.pull(flown);
                     return Ok(Turn::Step);
@@ -233,8 +236,7 @@ impl<S> LiveFlight<S> {
             let force = match self.pulls[drone] {
                 Some(target) => {
                     let (state, mass) = (&simulation.states()[drone], simulation.params(drone).mass);
-                    let acceleration =
-                        STIFFNESS * (target - state.position) - 2.0 * STIFFNESS.sqrt() * state.velocity;
+                    let acceleration = STIFFNESS * (target - state.position) - 2.0 * STIFFNESS.sqrt() * state.velocity;
                     (mass * acceleration).cap_magnitude(MAX_PULL * mass * 9.81)
                 }
                 None => Vector3::zeros(),

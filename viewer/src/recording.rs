@@ -35,7 +35,8 @@ impl Saver {
         let path = self.next("png")?;
         // a file appears whole or not at all
         let part = path.with_extension("png.part");
-        let written = File::create(&part).and_then(|mut file| file.write_all(&png)).and_then(|()| fs::rename(&part, &path));
+        let written =
+            File::create(&part).and_then(|mut file| file.write_all(&png)).and_then(|()| fs::rename(&part, &path));
         written.map_err(|error| {
             let _ = fs::remove_file(&part);
             format!("{}: {error}", path.display())

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use aviary::record::plot::colour_of;
 use aviary::record::images::{depth_in_colour, segmentation_in_colour};
+use aviary::record::plot::colour_of;
 use aviary::vision::{CameraPose, Decor, ImageKind, ImageSize, SceneRenderer, View};
 use aviary::world::{Marker, Obstacle, World};
 use egui::{ColorImage, TextureHandle, TextureOptions};

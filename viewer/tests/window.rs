@@ -11,7 +11,7 @@ use aviary::rollout::{ControllerPolicy, Rollout};
 use aviary::state::DroneState;
 use aviary::tasks::make;
 use support::{Server, in_display, wait_until};
-use viewer::{Command, FlightStatus, ViewStatus, Viewer, ViewerError, ViewerOptions};
+use viewer::{Command, FlightStatus, OrbitCamera, ViewStatus, Viewer, ViewerError, ViewerOptions};
 
 type Flight = Rollout<Box<dyn DroneEnv>, ControllerPolicy>;
 
@@ -29,6 +29,15 @@ fn options(title: &str) -> ViewerOptions {
 /// Waits for a state of the window.
 fn status(viewer: &Viewer, what: &str, is_so: impl Fn(&ViewStatus) -> bool) -> ViewStatus {
     wait_until(what, || Some(viewer.status()).filter(&is_so))
+}
+
+/// Waits until the camera does not move any more.
+fn still(viewer: &Viewer) -> OrbitCamera {
+    wait_until("a camera that stands still", || {
+        let before = viewer.status().camera;
+        std::thread::sleep(Duration::from_millis(500));
+        (viewer.status().camera == before).then_some(before)
+    })
 }
 
 #[test]
@@ -99,39 +108,30 @@ fn the_mouse_moves_the_camera_and_selects_drones() {
         let before = status(&viewer, "an image", |status| status.images > 1).camera;
 
         display.drag(1, [300, 300], [360, 300]);
-        let turned = status(&viewer, "a turn", |status| status.preset == "free").camera;
-        let turned = wait_until("the end of the turn", || {
-            let camera = viewer.status().camera;
-            (camera.azimuth != turned.azimuth).then_some(camera).or(Some(camera))
-        });
         // 60 of 600 pixels are 18°, and the camera turns against the mouse
-        std::thread::sleep(Duration::from_millis(300));
-        let turned = viewer.status().camera.azimuth.max(turned.azimuth.min(-1.0));
-        let turn = (turned - before.azimuth + 180.0).rem_euclid(360.0) - 180.0;
-        assert!((turn + 18.0).abs() < 2.5, "{turn}");
+        let turn = |camera: &OrbitCamera| (camera.azimuth - before.azimuth + 180.0).rem_euclid(360.0) - 180.0;
+        status(&viewer, "a turn", |status| status.preset == "free" && (turn(&status.camera) + 18.0).abs() < 2.5);
         assert_eq!(viewer.status().camera.lookat, before.lookat);
 
-        let before = viewer.status().camera;
+        let before = still(&viewer);
         display.drag(3, [300, 300], [300, 240]);
-        std::thread::sleep(Duration::from_millis(300));
-        let panned = viewer.status().camera;
         // the scene moves up with the mouse, so that the camera moves down
-        let moved = (panned.lookat - before.lookat).dot(&before.axes()[1]);
-        assert!((moved / before.height() + 0.1).abs() < 0.02, "{moved}");
+        let moved = |camera: &OrbitCamera| (camera.lookat - before.lookat).dot(&before.axes()[1]) / before.height();
+        let panned = status(&viewer, "a movement", |status| (moved(&status.camera) + 0.1).abs() < 0.02).camera;
         assert_eq!((panned.azimuth, panned.distance), (before.azimuth, before.distance));
 
+        let before = still(&viewer);
         display.press(4);
         display.release(4);
         let zoomed = status(&viewer, "a zoom", |status| status.camera.distance < before.distance);
         assert_eq!(zoomed.selected, None);
         // scrolling is smooth: it goes on for a moment
-        std::thread::sleep(Duration::from_millis(600));
+        still(&viewer);
 
         // a double click on the second drone
         display.text("1");
         let shown = status(&viewer, "the preset", |status| status.preset == "track");
-        std::thread::sleep(Duration::from_millis(200));
-        let camera = viewer.status().camera;
+        let camera = still(&viewer);
         let size = aviary::vision::ImageSize { width: shown.scene[2], height: shown.scene[3] };
         let place = flight.env().simulation().states()[1].position;
         let [x, y] = camera.pose().project(&place, size).unwrap();
@@ -140,8 +140,9 @@ fn the_mouse_moves_the_camera_and_selects_drones() {
         display.click(at[0], at[1]);
         status(&viewer, "the selection", |status| status.selected == Some(1));
         display.text("f");
-        let following = status(&viewer, "following", |status| status.followed == Some(1));
-        assert!((following.camera.lookat - place).norm() < 1e-9);
+        status(&viewer, "following", |status| {
+            status.followed == Some(1) && (status.camera.lookat - place).norm() < 1e-9
+        });
         assert!(viewer.sync(flight.env()).unwrap());
     });
 }

@@ -162,7 +162,12 @@ struct Windows {
 const IMAGE_PERIOD: Duration = Duration::from_micros(16_600);
 
 impl Windows {
-    fn open(&mut self, event_loop: &ActiveEventLoop, shared: Arc<Shared>, options: &ViewerOptions) -> Result<(), ViewerError> {
+    fn open(
+        &mut self,
+        event_loop: &ActiveEventLoop,
+        shared: Arc<Shared>,
+        options: &ViewerOptions,
+    ) -> Result<(), ViewerError> {
         let window = ViewWindow::new(event_loop, shared, options)?;
         self.windows.insert(window.id(), window);
         Ok(())

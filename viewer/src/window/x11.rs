@@ -10,8 +10,8 @@
 
 use std::ffi::c_void;
 
-use libloading::os::unix::Library;
 use super::priority;
+use libloading::os::unix::Library;
 use winit::raw_window_handle::{HasDisplayHandle, RawDisplayHandle};
 
 type Display = *mut c_void;
@@ -29,9 +29,9 @@ pub(super) fn watch(display: &impl HasDisplayHandle, lost: fn()) {
         if let Ok(set) = library.get::<unsafe extern "C" fn(IoErrorHandler) -> *mut c_void>(b"XSetIOErrorHandler\0") {
             set(say_nothing);
         }
-        if let Ok(set) = library.get::<unsafe extern "C" fn(Display, IoErrorExitHandler, *mut c_void)>(
-            b"XSetIOErrorExitHandler\0",
-        ) {
+        if let Ok(set) =
+            library.get::<unsafe extern "C" fn(Display, IoErrorExitHandler, *mut c_void)>(b"XSetIOErrorExitHandler\0")
+        {
             set(display.as_ptr(), stop, lost as *mut c_void);
         }
         if let Ok(number) = library.get::<unsafe extern "C" fn(Display) -> i32>(b"XConnectionNumber\0") {
