@@ -4,6 +4,7 @@ use anyhow::{Context as _, anyhow};
 use clap::Args;
 use mujoco_rs::{Camera, Data, Error, GlBackend, ImageSize, Model, Quality, Renderer, Scene};
 use serde_json::{Value, json};
+use viewer::ViewerError;
 
 use crate::failure::Failure;
 use crate::output;
@@ -11,8 +12,8 @@ use crate::output;
 /// Check the libraries that the program needs
 ///
 /// The exit status is 1 if MuJoCo does not work or if neither OpenGL library (EGL, OSMesa) can
-/// render; the error has the command that installs the packages. ffmpeg is optional: only
-/// --video needs it.
+/// render; the error has the command that installs the packages. ffmpeg and a display are
+/// optional: only --video needs ffmpeg, only `aviary view` and --view need a display.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
@@ -66,6 +67,7 @@ impl Doctor {
         // the library of all other commands, chosen by MUJOCO_GL and MUJOCO_EGL_DEVICE_ID
         let drawing = ask("OpenGL", None);
         let ffmpeg = ffmpeg();
+        let window = window();
         let ok = checked.is_ok() && drawing.works;
 
         if self.json {
@@ -76,14 +78,14 @@ impl Doctor {
                     json
                 })
                 .collect();
-            output::print_json(&json!({ "mujoco_version": version, "gl": gl, "ffmpeg": ffmpeg.json(), "ok": ok }))?;
+            output::print_json(&json!({ "mujoco_version": version, "gl": gl, "ffmpeg": ffmpeg.json(), "window": window.json(), "ok": ok }))?;
         } else {
             let (works, detail) = match &checked {
                 Ok(()) => (true, version),
                 Err(error) => (false, error.to_string()),
             };
             let mujoco = Check { name: "MuJoCo", works, detail, packages: None };
-            let checks = [&mujoco].into_iter().chain(&libraries).chain([&ffmpeg]);
+            let checks = [&mujoco].into_iter().chain(&libraries).chain([&ffmpeg, &window]);
             let rows: Vec<_> = checks.flat_map(Check::rows).collect();
             output::print(&output::table(&rows))?;
         }
@@ -135,6 +137,23 @@ fn probe() -> Value {
             _ => json!({ "works": false, "detail": error.to_string() }),
         },
     }
+}
+
+/// Checks the display, which `view` and `--view` need.
+fn window() -> Check {
+    let (works, detail, packages) = match viewer::check_display() {
+        Ok(()) => (true, "a display with OpenGL".to_string(), None),
+        Err(error) => {
+            let is_library = matches!(error, ViewerError::NoGl { .. }) || error.to_string().contains("apt-get");
+            let reason = match &error {
+                ViewerError::NoDisplay { reason } | ViewerError::NoGl { reason } => reason.clone(),
+                _ => error.to_string(),
+            };
+            let packages = is_library.then(|| ViewerError::PACKAGES.to_string());
+            (false, format!("{reason}; only `aviary view` and --view need a display"), packages)
+        }
+    };
+    Check { name: "window", works, detail, packages }
 }
 
 /// Checks ffmpeg, which `--video` needs.

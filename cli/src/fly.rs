@@ -119,7 +119,7 @@ impl FlightCommand {
             written.extend(aviary::record::files(out.path()));
             written.extend([SCENARIO, "summary.json"].map(|name| out.path().join(name)));
         }
-        if let (Some(out), Some(samples)) = (&out, &samples) {
+        if let (Some(out), Some(samples), true) = (&out, &samples, self.plot) {
             written.extend(self.draw(out, pilot.env(), samples)?);
         }
         if self.json {

@@ -31,3 +31,37 @@ pub enum ViewerError {
     #[error("a forked process cannot use the window of its parent; open the window in the process that draws")]
     Forked,
 }
+
+impl ViewerError {
+    /// Debian packages of the libraries that the window loads.
+    pub const PACKAGES: &'static str =
+        "libegl1 libgl1-mesa-dri libx11-6 libx11-xcb1 libxcursor1 libxi6 libxkbcommon-x11-0";
+
+    /// Creates the error of a display that cannot be used, from the message of winit.
+    pub(crate) fn no_display(message: &str) -> Self {
+        // without the place in the source of winit
+        let reason = message.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": "));
+        let reason = reason.map_or(message, |(_, reason)| reason).trim_end_matches('.');
+        let fix = if reason.to_lowercase().contains("library") {
+            format!(" (fix: apt-get install {})", Self::PACKAGES)
+        } else {
+            String::new()
+        };
+        Self::NoDisplay { reason: reason.to_owned() + &fix }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_the_display_name_the_cause_and_the_fix() {
+        let error = ViewerError::no_display("os error at /root/winit/mod.rs:788: Failed to open connection to X server.");
+        let text = error.to_string();
+        assert!(text.contains("opened: Failed to open connection to X server;"), "{text}");
+        assert!(!text.contains(".rs"), "{text}");
+        let text = ViewerError::no_display("Library loading error: libXcursor.so.1").to_string();
+        assert!(text.contains("libXcursor.so.1 (fix: apt-get install") && text.contains("libxcursor1"), "{text}");
+    }
+}

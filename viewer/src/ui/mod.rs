@@ -260,7 +260,7 @@ impl Ui {
     /// Writes clock, state of the flight and notices over the scene.
     fn overlay(&self, painter: &egui::Painter, rect: Rect, flight: &Flight) {
         let frame = flight.frame();
-        let mut lines = vec![format!("{:8.3} s   {}", frame.time, flight.episode.task)];
+        let mut lines = vec![format!("{:.3} s   {}", frame.time, flight.episode.task)];
         let status = &flight.status;
         if flight.shown.is_some() {
             lines.push("earlier state: continue from here with C".into());
@@ -288,8 +288,9 @@ impl Ui {
             at.y += 18.0;
         }
         let hint = if self.panels { "H: keys" } else { "H: keys   Tab: panels" };
-        let font = FontId::proportional(12.0);
-        painter.text(rect.left_bottom() + vec2(12.0, -8.0), Align2::LEFT_BOTTOM, hint, font, Color32::GRAY);
+        let (font, corner) = (FontId::proportional(13.0), rect.left_bottom() + vec2(12.0, -8.0));
+        painter.text(corner + vec2(1.0, 1.0), Align2::LEFT_BOTTOM, hint, font.clone(), Color32::BLACK);
+        painter.text(corner, Align2::LEFT_BOTTOM, hint, font, Color32::WHITE);
     }
 
     fn send(&mut self, command: Command) {

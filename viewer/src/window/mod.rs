@@ -14,11 +14,12 @@ use std::time::{Duration, Instant};
 use winit::application::ApplicationHandler;
 use winit::event::WindowEvent;
 use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
-use winit::window::WindowId;
+use winit::window::{WindowAttributes, WindowId};
 
 use crate::error::ViewerError;
 use crate::shared::Shared;
 use crate::viewer::ViewerOptions;
+use gl::GlWindow;
 use surface::ViewWindow;
 
 /// Message to the thread of the windows.
@@ -27,6 +28,8 @@ enum Message {
     Open(Arc<Shared>, ViewerOptions, mpsc::SyncSender<Result<(), ViewerError>>),
     /// A flight has changed.
     Changed,
+    /// Creates an invisible window and answers.
+    Check(mpsc::SyncSender<Result<(), ViewerError>>),
 }
 
 /// Thread of the windows.
@@ -76,6 +79,20 @@ pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), Vi
     }
 }
 
+/// Checks that a window can be opened: connects to the display and creates an invisible window with OpenGL.
+///
+/// # Errors
+/// As for [`Viewer::open`](crate::Viewer::open).
+pub fn check_display() -> Result<(), ViewerError> {
+    let thread = THREAD.get_or_init(start).as_ref().map_err(Clone::clone)?;
+    if thread.process != std::process::id() {
+        return Err(ViewerError::Forked);
+    }
+    let (answer, answered) = mpsc::sync_channel(1);
+    thread.send(Message::Check(answer))?;
+    answered.recv().map_err(|_| ViewerError::DisplayLost)?
+}
+
 /// Tells the windows that a flight has changed.
 pub(crate) fn wake() {
     if let Some(Ok(thread)) = THREAD.get()
@@ -96,21 +113,16 @@ impl WindowThread {
 /// Starts the thread and connects to the display.
 fn start() -> Result<WindowThread, ViewerError> {
     let (answer, answered) = mpsc::sync_channel(1);
-    let no_display = |reason: String| ViewerError::NoDisplay { reason };
     let run = move || {
         let built = catch_unwind(|| EventLoop::with_user_event().with_any_thread_everywhere().build());
         let event_loop: EventLoop<Message> = match built {
             Ok(Ok(event_loop)) => event_loop,
             Ok(Err(error)) => {
-                // without the place in the source of winit
-                let message = error.to_string();
-                let reason = message.split_once(".rs:").and_then(|(_, rest)| rest.split_once(": "));
-                let reason = reason.map_or(&*message, |(_, reason)| reason).trim_end_matches('.');
-                let _ = answer.send(Err(no_display(reason.into())));
+                let _ = answer.send(Err(ViewerError::no_display(&error.to_string())));
                 return;
             }
             Err(_) => {
-                let _ = answer.send(Err(no_display("the display libraries failed".into())));
+                let _ = answer.send(Err(ViewerError::no_display("the display libraries failed")));
                 return;
             }
         };
@@ -124,8 +136,8 @@ fn start() -> Result<WindowThread, ViewerError> {
         std::mem::forget(windows);
     };
     let thread = std::thread::Builder::new().name("viewer".into()).spawn(run);
-    thread.map_err(|error| no_display(error.to_string()))?;
-    let proxy = answered.recv().map_err(|_| no_display("the thread of the window ended".into()))??;
+    thread.map_err(|error| ViewerError::no_display(&error.to_string()))?;
+    let proxy = answered.recv().map_err(|_| ViewerError::no_display("the thread of the window ended"))??;
     Ok(WindowThread { proxy: Mutex::new(proxy), process: std::process::id() })
 }
 
@@ -185,6 +197,10 @@ impl ApplicationHandler<Message> for Windows {
                     shared.close(None);
                 }
                 let _ = answer.send(opened);
+            }
+            Message::Check(answer) => {
+                let attributes = WindowAttributes::default().with_visible(false);
+                let _ = answer.send(GlWindow::new(event_loop, attributes).map(|_| ()));
             }
             Message::Changed => self.windows.values_mut().for_each(ViewWindow::mark_changed),
         }
