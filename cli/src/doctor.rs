@@ -78,7 +78,13 @@ impl Doctor {
                     json
                 })
                 .collect();
-            output::print_json(&json!({ "mujoco_version": version, "gl": gl, "ffmpeg": ffmpeg.json(), "window": window.json(), "ok": ok }))?;
+            output::print_json(&json!({
+                "mujoco_version": version,
+                "gl": gl,
+                "ffmpeg": ffmpeg.json(),
+                "window": window.json(),
+                "ok": ok,
+            }))?;
         } else {
             let (works, detail) = match &checked {
                 Ok(()) => (true, version),

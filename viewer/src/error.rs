@@ -19,8 +19,8 @@ pub enum ViewerError {
         reason: String,
     },
     /// The connection to the display ended. The process cannot open another window.
-    #[error("the connection to the display was lost")]
-    DisplayLost,
+    #[error("the connection to the display ended")]
+    Disconnected,
     /// MuJoCo cannot draw the scene.
     #[error("the window cannot draw the scene: {reason}")]
     Scene {
@@ -57,7 +57,8 @@ mod tests {
 
     #[test]
     fn errors_of_the_display_name_the_cause_and_the_fix() {
-        let error = ViewerError::no_display("os error at /root/winit/mod.rs:788: Failed to open connection to X server.");
+        let error =
+            ViewerError::no_display("os error at /root/winit/mod.rs:788: Failed to open connection to X server.");
         let text = error.to_string();
         assert!(text.contains("opened: Failed to open connection to X server;"), "{text}");
         assert!(!text.contains(".rs"), "{text}");

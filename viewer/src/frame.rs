@@ -1,4 +1,4 @@
-//! What the window knows of a flight: the constants of an episode, and a frame for every control step.
+//! Data of a flight for the window: the constants of an episode, and a frame for every control step.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use aviary::state::DroneState;
 use aviary::world::{Marker, Obstacle, World};
 use nalgebra::Vector3;
 
-/// What a window shows: an environment, or a simulation without a task.
+/// Subject of a window: an environment, or a simulation without a task.
 #[derive(Clone, Copy)]
 pub enum Source<'a> {
     /// Environment.

@@ -93,7 +93,7 @@ pub trait Flown {
     fn set_sticks(&mut self, drone: usize, sticks: [f64; 4]);
 }
 
-/// What the loop of a flight does next.
+/// Next action of the loop of a flight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Turn {
     /// Makes a control step.

@@ -18,7 +18,7 @@ use crate::ui::{Shows, Ui};
 
 /// Images that the panels show.
 #[derive(Default)]
-pub(crate) struct Pictures {
+pub(crate) struct SceneImages {
     pub main: Option<TextureHandle>,
     pub onboard: Vec<TextureHandle>,
 }
@@ -75,7 +75,7 @@ impl SceneView {
         context: &egui::Context,
         flight: &Flight,
         ui: &mut Ui,
-        pictures: &mut Pictures,
+        images: &mut SceneImages,
     ) -> Result<(), ViewerError> {
         let frame = flight.frame().clone();
         self.adapt(flight, &frame)?;
@@ -93,8 +93,8 @@ impl SceneView {
             Some(pose) => self.main.pose_rgba(&pose, size, &mut self.pixels).map_err(failed)?,
             None => self.main.onboard_rgba(ui.onboard_drone(&frame), size, &mut self.pixels).map_err(failed)?,
         }
-        set(context, &mut pictures.main, "scene", size, &self.pixels);
-        self.draw_onboard(context, &states, ui, pictures)
+        set(context, &mut images.main, "scene", size, &self.pixels);
+        self.draw_onboard(context, &states, ui, images)
     }
 
     /// Rebuilds the renderers for another scene, and moves obstacles and markers.
@@ -234,14 +234,14 @@ impl SceneView {
         context: &egui::Context,
         states: &[aviary::state::DroneState],
         ui: &Ui,
-        pictures: &mut Pictures,
+        images: &mut SceneImages,
     ) -> Result<(), ViewerError> {
         /// Distance that is black in an image of depth, m.
         const FAR: f32 = 5.0;
         const SIZE: ImageSize = ImageSize { width: 240, height: 180 };
         let kinds: Vec<_> = ImageKind::ALL.into_iter().zip(ui.shows.onboard).filter(|(_, on)| *on).collect();
         if kinds.is_empty() {
-            pictures.onboard.clear();
+            images.onboard.clear();
             return Ok(());
         }
         if self.onboard.is_none() {
@@ -273,13 +273,13 @@ impl SceneView {
             };
             shown.push((kind.name(), rgba));
         }
-        pictures.onboard.truncate(shown.len());
+        images.onboard.truncate(shown.len());
         for (index, (name, rgba)) in shown.iter().enumerate() {
-            let mut handle = pictures.onboard.get(index).cloned();
+            let mut handle = images.onboard.get(index).cloned();
             set(context, &mut handle, name, SIZE, rgba);
-            match (pictures.onboard.get_mut(index), handle) {
+            match (images.onboard.get_mut(index), handle) {
                 (Some(own), Some(handle)) => *own = handle,
-                (None, Some(handle)) => pictures.onboard.push(handle),
+                (None, Some(handle)) => images.onboard.push(handle),
                 _ => {}
             }
         }

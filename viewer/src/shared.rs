@@ -122,7 +122,7 @@ impl State {
     }
 }
 
-/// What the flight and its window share.
+/// State and commands that the flight and its window share.
 pub(crate) struct Shared {
     state: Mutex<State>,
     commands: Mutex<VecDeque<Command>>,
@@ -183,7 +183,7 @@ impl Shared {
         match deadline.map(|deadline| deadline.saturating_duration_since(Instant::now())) {
             Some(left) if left.is_zero() => {}
             Some(left) => drop(self.arrived.wait_timeout(commands, left)),
-            // a bound, so that no lost wake-up can stop a flight for ever
+            // a bound, so that a missed wake-up cannot stop a flight for ever
             None => drop(self.arrived.wait_timeout(commands, std::time::Duration::from_millis(200))),
         }
     }

@@ -100,7 +100,7 @@ impl Viewer {
     /// Returns false after the window was closed; further calls have no effect.
     ///
     /// # Errors
-    /// [`ViewerError::DisplayLost`] once if the connection to the display ended, and [`ViewerError::Scene`] once if the
+    /// [`ViewerError::Disconnected`] once if the connection to the display ended, and [`ViewerError::Scene`] once if the
     /// scene cannot be drawn. Later calls return false.
     pub fn sync(&mut self, env: &dyn DroneEnv) -> Result<bool, ViewerError> {
         self.sync_with(Source::Env(env), |drone| Some(env.reference(drone).position), |_| {})

@@ -34,7 +34,7 @@ impl PilotedRollout for Flight {
     }
 }
 
-/// What the loop of a flight reports after every turn.
+/// Report of the loop of a flight after every turn.
 #[derive(Debug, Clone)]
 struct Report {
     step: u64,

@@ -239,13 +239,13 @@ fn any_size_of_a_window_is_drawn() {
 }
 
 #[test]
-fn a_lost_display_is_one_error_and_the_flight_goes_on() {
-    in_display("a_lost_display_is_one_error_and_the_flight_goes_on", |display| {
+fn a_display_that_disconnects_is_one_error_and_the_flight_goes_on() {
+    in_display("a_display_that_disconnects_is_one_error_and_the_flight_goes_on", |display| {
         let mut flight = flight("hover");
-        let mut viewer = Viewer::open(flight.env(), options("lost")).unwrap();
+        let mut viewer = Viewer::open(flight.env(), options("disconnected")).unwrap();
         status(&viewer, "an image", |status| status.images > 0);
         display.kill_server();
-        let lost = wait_until("the loss", || {
+        let disconnected = wait_until("the loss", || {
             flight.step().unwrap();
             if flight.is_over() {
                 flight.restart(None).unwrap();
@@ -253,10 +253,10 @@ fn a_lost_display_is_one_error_and_the_flight_goes_on() {
             std::thread::sleep(Duration::from_millis(5));
             viewer.sync(flight.env()).err()
         });
-        assert_eq!(lost, ViewerError::DisplayLost);
+        assert_eq!(disconnected, ViewerError::Disconnected);
         assert_eq!(viewer.sync(flight.env()), Ok(false));
         let again = Viewer::open(flight.env(), options("again")).map(|_| ()).unwrap_err();
-        assert_eq!(again, ViewerError::DisplayLost);
+        assert_eq!(again, ViewerError::Disconnected);
     });
 }
 

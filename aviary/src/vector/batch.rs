@@ -168,8 +168,8 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     ///
     /// # Errors
     /// [`EnvError::NoEnvironment`] for an index outside the batch, [`EnvError::Option`] if `look` leaves an external
-    /// force on a drone: the force is removed, and all other changes stay. Returns [`EnvError::Panicked`] after a panic in a
-    /// task or in `look`.
+    /// force on a drone: the force is removed, and all other changes stay. Returns [`EnvError::Panicked`] after a panic
+    /// in a task or in `look`.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { model, environments, pool, .. } = self;
         let count = environments.slots.len();

@@ -12,7 +12,7 @@ pub(super) struct Clock {
     recent: VecDeque<Instant>,
 }
 
-/// Delay after which the flight gives up the lost time instead of catching up.
+/// Delay after which the flight does not catch up any more.
 const GIVE_UP: Duration = Duration::from_millis(200);
 
 impl Clock {

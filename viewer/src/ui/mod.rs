@@ -18,7 +18,7 @@ use crate::flight::Flight;
 use crate::frame::Frame;
 use crate::orbit::OrbitCamera;
 use crate::recording::RecordingKind;
-use crate::scene::Pictures;
+use crate::scene::SceneImages;
 use crate::shared::ViewStatus;
 use crate::sticks::Gamepads;
 use crate::viewer::ViewerOptions;
@@ -35,7 +35,7 @@ pub(crate) enum Wish {
     Close,
 }
 
-/// What the scene shows.
+/// Overlays and onboard images of the scene.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Shows {
     pub trails: bool,
@@ -179,7 +179,7 @@ impl Ui {
     }
 
     /// Lays out the panels and handles mouse and keys.
-    pub fn show(&mut self, root: &mut egui::Ui, flight: &mut Flight, pictures: &Pictures) {
+    pub fn show(&mut self, root: &mut egui::Ui, flight: &mut Flight, images: &SceneImages) {
         self.pixels_per_point = root.ctx().pixels_per_point();
         self.handle_keys(root.ctx(), flight);
         if self.panels {
@@ -187,7 +187,7 @@ impl Ui {
             egui::Panel::right("panels").default_size(330.0).show(root, |ui| self.tabs(ui, flight));
         }
         let frame = egui::Frame::default().fill(Color32::BLACK);
-        egui::CentralPanel::default().frame(frame).show(root, |ui| self.scene(ui, flight, pictures));
+        egui::CentralPanel::default().frame(frame).show(root, |ui| self.scene(ui, flight, images));
         if self.help {
             keys::help(root.ctx(), &mut self.help);
         }
@@ -218,11 +218,11 @@ impl Ui {
     }
 
     /// Shows the image of the scene with its labels.
-    fn scene(&mut self, ui: &mut egui::Ui, flight: &Flight, pictures: &Pictures) {
+    fn scene(&mut self, ui: &mut egui::Ui, flight: &Flight, images: &SceneImages) {
         let rect = ui.available_rect_before_wrap();
         let response = ui.allocate_rect(rect, egui::Sense::click_and_drag());
         let painter = ui.painter_at(rect);
-        if let Some(image) = &pictures.main {
+        if let Some(image) = &images.main {
             let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
             painter.image(image.id(), rect, whole, Color32::WHITE);
         }
@@ -248,7 +248,7 @@ impl Ui {
         }
         self.overlay(&painter, rect, flight);
         let mut corner = rect.right_top() + vec2(-8.0, 8.0);
-        for image in &pictures.onboard {
+        for image in &images.onboard {
             let size = vec2(240.0, 180.0).min(0.4 * rect.size());
             let place = Rect::from_min_size(corner - vec2(size.x, 0.0), size);
             let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));

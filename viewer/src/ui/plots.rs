@@ -74,8 +74,7 @@ impl Plots {
                 }
                 2 => axes("", &|frame, axis| frame.drones[drone].state.velocity[axis]),
                 3 => {
-                    let line =
-                        |motor: usize| (motor.to_string(), of(&|frame| frame.drones[drone].rotor_speeds[motor]));
+                    let line = |motor: usize| (motor.to_string(), of(&|frame| frame.drones[drone].rotor_speeds[motor]));
                     (0..4).map(line).collect()
                 }
                 4 => vec![("reward".to_string(), of(&|frame| frame.drones[drone].reward))],

@@ -39,15 +39,15 @@ struct WindowThread {
 }
 
 static THREAD: OnceLock<Result<WindowThread, ViewerError>> = OnceLock::new();
-/// Flights of all windows, which a lost connection closes.
+/// Flights of all windows, which the end of the connection closes.
 static OPEN: Mutex<Vec<Weak<Shared>>> = Mutex::new(Vec::new());
 
 /// True after the connection to the display has ended.
-static LOST: AtomicBool = AtomicBool::new(false);
+static DISCONNECTED: AtomicBool = AtomicBool::new(false);
 
 /// Returns true after the connection to the display has ended.
-fn is_lost() -> bool {
-    LOST.load(Ordering::SeqCst)
+fn is_disconnected() -> bool {
+    DISCONNECTED.load(Ordering::SeqCst)
 }
 
 /// Opens a window.
@@ -60,8 +60,8 @@ pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), Vi
     open.retain(|open| open.strong_count() > 0);
     open.push(Arc::downgrade(&shared));
     drop(open);
-    if is_lost() {
-        return Err(ViewerError::DisplayLost);
+    if is_disconnected() {
+        return Err(ViewerError::Disconnected);
     }
     let (answer, answered) = mpsc::sync_channel(1);
     thread.send(Message::Open(shared.clone(), options, answer))?;
@@ -69,7 +69,7 @@ pub(crate) fn open(shared: Arc<Shared>, options: ViewerOptions) -> Result<(), Vi
     loop {
         match answered.recv_timeout(Duration::from_millis(100)) {
             Ok(answer) => return answer,
-            Err(mpsc::RecvTimeoutError::Disconnected) => return Err(ViewerError::DisplayLost),
+            Err(mpsc::RecvTimeoutError::Disconnected) => return Err(ViewerError::Disconnected),
             Err(mpsc::RecvTimeoutError::Timeout) => {
                 if let Some(error) = shared.state().error.take() {
                     return Err(error);
@@ -90,7 +90,7 @@ pub fn check_display() -> Result<(), ViewerError> {
     }
     let (answer, answered) = mpsc::sync_channel(1);
     thread.send(Message::Check(answer))?;
-    answered.recv().map_err(|_| ViewerError::DisplayLost)?
+    answered.recv().map_err(|_| ViewerError::Disconnected)?
 }
 
 /// Tells the windows that a flight has changed.
@@ -106,7 +106,7 @@ pub(crate) fn wake() {
 impl WindowThread {
     fn send(&self, message: Message) -> Result<(), ViewerError> {
         let proxy = self.proxy.lock().unwrap_or_else(PoisonError::into_inner);
-        proxy.send_event(message).map_err(|_| ViewerError::DisplayLost)
+        proxy.send_event(message).map_err(|_| ViewerError::Disconnected)
     }
 }
 
@@ -126,12 +126,12 @@ fn start() -> Result<WindowThread, ViewerError> {
                 return;
             }
         };
-        x11::watch(&event_loop, display_lost);
+        x11::watch(&event_loop, disconnect_all);
         let _ = answer.send(Ok(event_loop.create_proxy()));
         let mut windows = Windows::default();
         // a panic of the display libraries ends the windows and no flight
         let _ = catch_unwind(AssertUnwindSafe(|| event_loop.run_app(&mut windows)));
-        display_lost();
+        disconnect_all();
         // the resources of the display may be unusable
         std::mem::forget(windows);
     };
@@ -142,12 +142,12 @@ fn start() -> Result<WindowThread, ViewerError> {
 }
 
 /// Closes all flights with an error, and refuses new windows.
-fn display_lost() {
-    LOST.store(true, Ordering::SeqCst);
+fn disconnect_all() {
+    DISCONNECTED.store(true, Ordering::SeqCst);
     for shared in OPEN.lock().unwrap_or_else(PoisonError::into_inner).drain(..).filter_map(|open| open.upgrade()) {
         let is_open = shared.state().is_open;
         if is_open {
-            shared.close(Some(ViewerError::DisplayLost));
+            shared.close(Some(ViewerError::Disconnected));
         }
     }
 }
@@ -233,7 +233,7 @@ impl ApplicationHandler<Message> for Windows {
         for id in closed {
             match self.windows.remove(&id) {
                 // the end of the resources would use the connection
-                Some(window) if is_lost() => std::mem::forget(window),
+                Some(window) if is_disconnected() => std::mem::forget(window),
                 Some(window) => window.finish(),
                 None => {}
             }

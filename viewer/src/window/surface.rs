@@ -14,7 +14,7 @@ use super::priority;
 use crate::error::ViewerError;
 use crate::flight::Flight;
 use crate::recording::{Recording, Saver};
-use crate::scene::{Pictures, SceneView};
+use crate::scene::{SceneImages, SceneView};
 use crate::shared::Shared;
 use crate::ui::{Ui, Wish};
 use crate::viewer::ViewerOptions;
@@ -27,7 +27,7 @@ pub(super) struct ViewWindow {
     shared: Arc<Shared>,
     flight: Flight,
     scene: SceneView,
-    pictures: Pictures,
+    images: SceneImages,
     ui: Ui,
     saver: Saver,
     recording: Option<Recording>,
@@ -78,7 +78,7 @@ impl ViewWindow {
             shared,
             flight,
             scene,
-            pictures: Pictures::default(),
+            images: SceneImages::default(),
             ui,
             saver,
             recording: None,
@@ -147,10 +147,10 @@ impl ViewWindow {
         self.flight.update(&self.shared);
         let input = self.egui.take_egui_input(&self.gl.window);
         let context = self.egui.egui_ctx().clone();
-        let Self { ui, flight, pictures, scene, .. } = self;
+        let Self { ui, flight, images, scene, .. } = self;
         ui.prepare(flight);
-        scene.draw(&context, flight, ui, pictures)?;
-        let output = context.run_ui(input, |root| ui.show(root, flight, pictures));
+        scene.draw(&context, flight, ui, images)?;
+        let output = context.run_ui(input, |root| ui.show(root, flight, images));
         self.egui.handle_platform_output(&self.gl.window, output.platform_output);
         let delay = output.viewport_output.get(&egui::ViewportId::ROOT).map(|viewport| viewport.repaint_delay);
         self.repaint = delay.and_then(|delay| Instant::now().checked_add(delay));
@@ -162,9 +162,9 @@ impl ViewWindow {
             painter.clear(size, [0.08, 0.09, 0.11, 1.0]);
             painter.paint_and_update_textures(size, output.pixels_per_point, &primitives, &mut textures);
             let pixels = wants_pixels.then(|| painter.read_screen_rgba(size));
-            if super::is_lost() { Err("lost".into()) } else { gl.swap().map(|()| pixels) }
+            if super::is_disconnected() { Err("disconnected".into()) } else { gl.swap().map(|()| pixels) }
         });
-        let pixels = drawn.and_then(|drawn| drawn).map_err(|_| ViewerError::DisplayLost)?;
+        let pixels = drawn.and_then(|drawn| drawn).map_err(|_| ViewerError::Disconnected)?;
         if let Some(pixels) = pixels {
             self.save(&pixels);
         }

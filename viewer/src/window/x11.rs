@@ -18,8 +18,8 @@ type Display = *mut c_void;
 type IoErrorHandler = unsafe extern "C" fn(Display) -> i32;
 type IoErrorExitHandler = unsafe extern "C" fn(Display, *mut c_void);
 
-/// Calls `lost` on the window's thread if the connection of an X11 display breaks; the thread does not continue.
-pub(super) fn watch(display: &impl HasDisplayHandle, lost: fn()) {
+/// Calls `disconnected` if the connection of an X11 display breaks. The thread of the windows then does not continue.
+pub(super) fn watch(display: &impl HasDisplayHandle, disconnected: fn()) {
     let Ok(RawDisplayHandle::Xlib(handle)) = display.display_handle().map(|handle| handle.as_raw()) else { return };
     let Some(display) = handle.display else { return };
     // SAFETY: winit has loaded the library already; the types are those of Xlib's header. The functions only store
@@ -32,13 +32,13 @@ pub(super) fn watch(display: &impl HasDisplayHandle, lost: fn()) {
         if let Ok(set) =
             library.get::<unsafe extern "C" fn(Display, IoErrorExitHandler, *mut c_void)>(b"XSetIOErrorExitHandler\0")
         {
-            set(display.as_ptr(), stop, lost as *mut c_void);
+            set(display.as_ptr(), stop, disconnected as *mut c_void);
         }
         if let Ok(number) = library.get::<unsafe extern "C" fn(Display) -> i32>(b"XConnectionNumber\0") {
             let (connection, thread) = (number(display.as_ptr()), priority::own_thread());
             let watch = move || {
                 wait_for_end(connection);
-                lost();
+                disconnected();
                 // a thread that does not return leaves the processors to the flight
                 priority::lower_thread(thread);
             };
@@ -71,10 +71,10 @@ unsafe extern "C" fn say_nothing(_: Display) -> i32 {
 }
 
 /// Reports the loss and keeps the thread.
-unsafe extern "C" fn stop(_: Display, lost: *mut c_void) {
+unsafe extern "C" fn stop(_: Display, disconnected: *mut c_void) {
     // SAFETY: the pointer is the function that `watch` stored.
-    let lost = unsafe { std::mem::transmute::<*mut c_void, fn()>(lost) };
-    lost();
+    let disconnected = unsafe { std::mem::transmute::<*mut c_void, fn()>(disconnected) };
+    disconnected();
     loop {
         std::thread::park();
     }
