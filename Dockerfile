@@ -17,6 +17,7 @@ FROM debian:12
 # the shared library of the version that the program was built for
 RUN apt-get update \
     && apt-get install -y --no-install-recommends ffmpeg libegl1 libgl1-mesa-dri libmujoco2.2.2 libosmesa6 \
+        libx11-6 libx11-xcb1 libxcursor1 libxi6 libxkbcommon-x11-0 \
     && rm -rf /var/lib/apt/lists/*
 COPY --from=build /src/target/release/aviary /usr/local/bin/aviary
 COPY --from=build /src/assets/policies /usr/local/share/aviary/policies

@@ -129,7 +129,7 @@ impl Recorder {
             for sample in samples {
                 row.write(drone, sample, sample.state.rpy().as_slice());
                 file.append(&row.text).map_err(|error| RecordError::file(path, error))?;
-                *last = Some(sample.clone());
+                *last = Some(*sample);
             }
         }
         Ok(())

@@ -69,6 +69,7 @@ impl ViewWindow {
             Some(painter.max_texture_side()),
         );
         egui.egui_ctx().set_theme(egui::Theme::Dark);
+        egui.egui_ctx().set_fonts(fonts());
         let ui = Ui::new(options, &flight);
         let saver = Saver::new(options.output.clone(), &flight.episode.task);
         Ok(Self {
@@ -248,4 +249,18 @@ impl ViewWindow {
         let _ = self.gl.current(|| painter.destroy());
         self.shared.close(None);
     }
+}
+
+/// Returns the fonts of the panels.
+fn fonts() -> egui::FontDefinitions {
+    let families = [
+        (egui::FontFamily::Proportional, "sans", dejavu::sans::regular()),
+        (egui::FontFamily::Monospace, "mono", dejavu::sans_mono::regular()),
+    ];
+    let mut fonts = egui::FontDefinitions::empty();
+    for (family, name, bytes) in families {
+        fonts.font_data.insert(name.into(), Arc::new(egui::FontData::from_static(bytes)));
+        fonts.families.insert(family, vec![name.into()]);
+    }
+    fonts
 }
