@@ -189,10 +189,7 @@ impl<S> LiveFlight<S> {
                 }
                 self.viewer.set_flight_status(self.status.clone());
             }
-            if is_over {
-                self.clock.restart();
-                self.viewer.shared().wait(None);
-            } else if self.status.is_paused && self.steps == 0 {
+            if is_over || self.status.is_paused && self.steps == 0 {
                 self.clock.restart();
                 self.viewer.shared().wait(None);
             } else if self.status.is_paused {

@@ -219,7 +219,7 @@ impl SceneView {
             self.contacts = Some(ContactScene::new(&world)?);
         }
         let Some(contacts) = &mut self.contacts else { return Ok(()) };
-        for (position, normal) in contacts.find(frame)? {
+        for [position, normal] in contacts.find(frame)? {
             let to = position + 0.1 * normal;
             let red = [0.95, 0.2, 0.15, 1.0];
             self.main.add(Decor::Sphere { centre: position.into(), radius: 0.006 }, red);
@@ -342,13 +342,13 @@ impl ContactScene {
     }
 
     /// Returns the points and normals (world frame) of the contacts.
-    fn find(&mut self, frame: &Frame) -> Result<Vec<(Vector3<f64>, Vector3<f64>)>, ViewerError> {
+    fn find(&mut self, frame: &Frame) -> Result<Vec<[Vector3<f64>; 2]>, ViewerError> {
         for (position, drone) in self.data.qpos_mut().chunks_exact_mut(7).zip(&frame.drones) {
             position[..3].copy_from_slice(drone.state.position.as_slice());
             position[3..].copy_from_slice(&aviary::state::wxyz(&drone.state.attitude));
         }
         self.data.forward().map_err(failed)?;
         let contacts = self.data.contacts().filter(|contact| contact.is_active());
-        Ok(contacts.map(|contact| (contact.position().into(), contact.normal().into())).collect())
+        Ok(contacts.map(|contact| [contact.position().into(), contact.normal().into()]).collect())
     }
 }

@@ -3,7 +3,7 @@
 
 mod support;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use aviary::control::ControllerKind;
 use aviary::env::{DroneEnv, EnvConfig};
@@ -44,11 +44,9 @@ fn still(viewer: &Viewer) -> OrbitCamera {
 fn a_window_opens_draws_a_hover_and_closes_by_its_button() {
     in_display("a_window_opens_draws_a_hover_and_closes_by_its_button", |display| {
         let mut flight = flight("hover");
-        let start = Instant::now();
         let mut viewer = Viewer::open(flight.env(), options("hover")).unwrap();
         let window = display.windows("hover", 1)[0];
         status(&viewer, "the first image", |status| status.images > 0);
-        println!("first image after {:.2} s", start.elapsed().as_secs_f64());
         for _ in 0..48 {
             flight.step().unwrap();
             assert!(viewer.sync(flight.env()).unwrap());

@@ -1,7 +1,7 @@
 //! A display for tests: an X server without a screen, with synthetic mouse and keyboard.
 #![allow(dead_code, reason = "each test file uses a part")]
 
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -22,7 +22,7 @@ pub fn in_display(test: &str, work: impl FnOnce(Display)) {
         return;
     }
     let Some(server) = Server::start() else {
-        eprintln!("{test}: skipped, because Xvfb is not installed");
+        let _ = writeln!(std::io::stderr(), "{test}: skipped, because Xvfb is not installed");
         return;
     };
     let output = Command::new(std::env::current_exe().unwrap())
