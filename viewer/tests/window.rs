@@ -66,7 +66,7 @@ fn a_window_opens_draws_a_hover_and_closes_by_its_button() {
 #[test]
 fn a_window_does_not_change_the_flight() {
     in_display("a_window_does_not_change_the_flight", |display| {
-        let fly = |mut look: Box<dyn FnMut(&dyn DroneEnv, u64) + '_>| -> Vec<DroneState> {
+        let fly = |look: &mut dyn FnMut(&dyn DroneEnv, u64)| -> Vec<DroneState> {
             let mut flight = flight("multi_hover");
             let mut states = Vec::new();
             for step in 0..120 {
@@ -76,12 +76,12 @@ fn a_window_does_not_change_the_flight() {
             }
             states
         };
-        let alone = fly(Box::new(|_, _| {}));
+        let alone = fly(&mut |_, _| {});
         let first = flight("multi_hover");
         let mut viewer = Viewer::open(first.env(), options("bits")).unwrap();
         let window = display.windows("bits", 1)[0];
         display.focus(window);
-        let watched = fly(Box::new(|env, step| {
+        let watched = fly(&mut |env, step| {
             assert!(viewer.sync(env).unwrap());
             match step {
                 30 => display.text("vdmxgt"),
@@ -89,7 +89,7 @@ fn a_window_does_not_change_the_flight() {
                 90 => display.text("2345"),
                 _ => {}
             }
-        }));
+        });
         assert_eq!(watched, alone);
         let shown = status(&viewer, "the keys", |status| status.preset == "top");
         assert!(shown.images > 3);
