@@ -215,31 +215,6 @@ impl<T: Task> EnvParts<'_, T> {
     }
 }
 
-impl EnvWorkspace {
-    /// Clips an action to its bounds and decodes it into `commands`.
-    pub(crate) fn decode(
-        &mut self,
-        model: &EnvModel,
-        control_period: f64,
-        data: &SimData,
-        decoders: &mut [ActionDecoder],
-        action: impl Iterator<Item = f64>,
-    ) {
-        let bounds = model.action_space.low().iter().zip(model.action_space.high());
-        for ((clipped, x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
-            *clipped = x.clamp(low, high);
-        }
-        let drones = decoders.iter_mut().zip(data.states()).enumerate();
-        let parts = self.clipped.chunks_exact(model.action_type.size());
-        for ((command, (drone, (decoder, state))), part) in self.commands.iter_mut().zip(drones).zip(parts) {
-            *command = match data.battery(drone) {
-                Some((_, battery)) => decoder.motor_speeds_at(battery.voltage, control_period, state, part),
-                None => decoder.motor_speeds(control_period, state, part),
-            };
-        }
-    }
-}
-
 impl<T: Task + Clone + Send + Sync> Env for Aviary<T> {
     fn name(&self) -> &'static str {
         self.episode.task.name()

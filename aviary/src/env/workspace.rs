@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::moving::MovingMarkers;
 use super::{BoxSpace, ObservationSpace};
-use crate::action::ActionType;
+use crate::action::{ActionDecoder, ActionType};
 use crate::observation::Observation;
 use crate::sensing::Rangefinder;
 use crate::simulation::{SimData, SimModel};
@@ -92,6 +92,29 @@ impl<V> Synced<V> {
 }
 
 impl EnvWorkspace {
+    /// Clips an action to its bounds and decodes it into `commands`.
+    pub(crate) fn decode(
+        &mut self,
+        model: &EnvModel,
+        control_period: f64,
+        data: &SimData,
+        decoders: &mut [ActionDecoder],
+        action: impl Iterator<Item = f64>,
+    ) {
+        let bounds = model.action_space.low().iter().zip(model.action_space.high());
+        for ((clipped, x), (&low, &high)) in self.clipped.iter_mut().zip(action).zip(bounds) {
+            *clipped = x.clamp(low, high);
+        }
+        let drones = decoders.iter_mut().zip(data.states()).enumerate();
+        let parts = self.clipped.chunks_exact(model.action_type.size());
+        for ((command, (drone, (decoder, state))), part) in self.commands.iter_mut().zip(drones).zip(parts) {
+            *command = match data.battery(drone) {
+                Some((_, battery)) => decoder.motor_speeds_at(battery.voltage, control_period, state, part),
+                None => decoder.motor_speeds(control_period, state, part),
+            };
+        }
+    }
+
     /// Writes the observation without images into a row in single precision, rounded to stay within its bounds.
     pub(crate) fn write_row(&self, model: &EnvModel, row: &mut [f32]) {
         let Observation { vector, obstacle, ranges, adjacency, .. } = &self.observation;

@@ -167,9 +167,9 @@ impl<T: Task + Clone + Send + Sync> VecAviary<T> {
     /// batch have no [external forces](DroneEnv::set_external_force).
     ///
     /// # Errors
-    /// [`EnvError::NoEnvironment`] for an index outside the batch, [`EnvError::Option`] if `look` leaves an external
-    /// force on a drone: the force is removed, and all other changes stay. Returns [`EnvError::Panicked`] after a panic
-    /// in a task or in `look`.
+    /// [`EnvError::NoEnvironment`] for an index outside the batch, and [`EnvError::Panicked`] after a panic in a task or
+    /// in `look`. [`EnvError::Option`] if `look` leaves an external force on a drone: the force is removed, and all
+    /// other changes stay.
     pub fn with<R>(&mut self, environment: usize, look: impl FnOnce(&mut Aviary<T>) -> R) -> Result<R, EnvError> {
         let Self { model, environments, pool, .. } = self;
         let count = environments.slots.len();
