@@ -85,14 +85,14 @@ pub trait Policy {
     ///
     /// ```
     /// use aviary::control::ControllerKind;
-    /// use aviary::env::{DroneEnv, Env};
-    /// use aviary::rollout::{ControllerPolicy, Policy, Rollout, RolloutError};
+    /// use aviary::env::{Aviary, DroneEnv};
+    /// use aviary::rollout::{ControllerPolicy, Rollout, RolloutError};
     /// use aviary::tasks::FlyThrough;
     ///
     /// let env = FlyThrough::builder().build()?;
     /// let pilot = ControllerPolicy::new(ControllerKind::Pid, &env);
     /// let mut rollout = Rollout::start(env, pilot, Some(1))?;
-    /// let fly = |rollout: &mut Rollout<_, _>| -> Result<_, RolloutError> {
+    /// let fly = |rollout: &mut Rollout<Aviary<FlyThrough>, ControllerPolicy>| -> Result<_, RolloutError> {
     ///     for _ in 0..20 {
     ///         rollout.step()?;
     ///     }
