@@ -129,6 +129,8 @@ pub(crate) struct Shared {
     arrived: Condvar,
     /// True from a change of the state until the window reads it.
     is_stale: AtomicBool,
+    /// True while the window has resources of OpenGL.
+    has_window: AtomicBool,
 }
 
 impl Shared {
@@ -146,6 +148,7 @@ impl Shared {
             commands: Mutex::default(),
             arrived: Condvar::new(),
             is_stale: AtomicBool::new(true),
+            has_window: AtomicBool::new(false),
         }
     }
 
@@ -204,6 +207,16 @@ impl Shared {
     /// Marks the state as changed. Returns true if the window has read all earlier changes.
     pub fn touch(&self) -> bool {
         !self.is_stale.swap(true, Ordering::AcqRel)
+    }
+
+    /// Notes that the window has been created or that its resources have been released.
+    pub fn set_has_window(&self, has_window: bool) {
+        self.has_window.store(has_window, Ordering::Release);
+    }
+
+    /// Returns true while the window has resources of OpenGL.
+    pub fn has_window(&self) -> bool {
+        self.has_window.load(Ordering::Acquire)
     }
 
     /// Marks the state as read.

@@ -217,6 +217,17 @@ impl Viewer {
         self.wake();
     }
 
+    /// Returns a function that closes the window from any thread.
+    pub fn closer(&self) -> impl Fn() + Send + Sync + use<> {
+        let shared = self.shared.clone();
+        move || {
+            shared.close(None);
+            if shared.touch() {
+                window::wake();
+            }
+        }
+    }
+
     pub(crate) fn shared(&self) -> &Arc<Shared> {
         &self.shared
     }
@@ -231,6 +242,7 @@ impl Viewer {
 impl Drop for Viewer {
     fn drop(&mut self) {
         self.close();
+        window::wait_for_end(&self.shared);
     }
 }
 

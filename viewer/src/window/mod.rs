@@ -20,6 +20,7 @@ use crate::error::ViewerError;
 use crate::shared::Shared;
 use crate::viewer::ViewerOptions;
 use gl::GlWindow;
+pub use priority::lower as lower_priority;
 use surface::ViewWindow;
 
 /// Message to the thread of the windows.
@@ -48,6 +49,14 @@ static DISCONNECTED: AtomicBool = AtomicBool::new(false);
 /// Returns true after the connection to the display has ended.
 fn is_disconnected() -> bool {
     DISCONNECTED.load(Ordering::SeqCst)
+}
+
+/// Returns true if the process has connected to a display. The thread of the windows then runs until the process ends.
+///
+/// A window whose display has ended may hold resources of OpenGL: the end of the process can crash in the destructors
+/// of OpenGL, unless the process ends without destructors (`_exit`).
+pub fn has_thread() -> bool {
+    matches!(THREAD.get(), Some(Ok(_)))
 }
 
 /// Opens a window.
@@ -91,6 +100,17 @@ pub fn check_display() -> Result<(), ViewerError> {
     let (answer, answered) = mpsc::sync_channel(1);
     thread.send(Message::Check(answer))?;
     answered.recv().map_err(|_| ViewerError::Disconnected)?
+}
+
+/// Waits until a closed window has released its resources, at most a second.
+///
+/// The end of a process unloads OpenGL, which crashes the process if the window still draws.
+pub(crate) fn wait_for_end(shared: &Shared) {
+    let is_own = matches!(THREAD.get(), Some(Ok(thread)) if thread.process == std::process::id());
+    let begin = Instant::now();
+    while is_own && shared.has_window() && !is_disconnected() && begin.elapsed() < Duration::from_secs(1) {
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// Tells the windows that a flight has changed.
@@ -181,6 +201,7 @@ impl Windows {
         options: &ViewerOptions,
     ) -> Result<(), ViewerError> {
         let window = ViewWindow::new(event_loop, shared, options)?;
+        window.shared().set_has_window(true);
         self.windows.insert(window.id(), window);
         Ok(())
     }
@@ -234,7 +255,11 @@ impl ApplicationHandler<Message> for Windows {
             match self.windows.remove(&id) {
                 // the end of the resources would use the connection
                 Some(window) if is_disconnected() => std::mem::forget(window),
-                Some(window) => window.finish(),
+                Some(window) => {
+                    let shared = window.shared().clone();
+                    window.finish();
+                    shared.set_has_window(false);
+                }
                 None => {}
             }
         }

@@ -1,8 +1,8 @@
 //! Priority of threads.
 #![allow(unsafe_code)]
 
-/// Gives the calling thread the lowest priority.
-pub(super) fn lower() {
+/// Gives the calling thread the lowest priority, for flights in the background of other work.
+pub fn lower() {
     // SAFETY: changes a number of the calling thread, which Linux identifies by 0.
     unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, 19) };
 }

@@ -91,6 +91,11 @@ impl ViewWindow {
         })
     }
 
+    /// Returns the state that the window shares with the flight.
+    pub fn shared(&self) -> &Arc<Shared> {
+        &self.shared
+    }
+
     pub fn id(&self) -> WindowId {
         self.gl.window.id()
     }
