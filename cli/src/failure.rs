@@ -31,7 +31,7 @@ impl Failure {
 }
 
 /// Prints the error on one line and returns the exit status.
-pub fn report(failure: &Failure) -> ExitCode {
+pub fn report(failure: &Failure) -> u8 {
     let (error, status) = match failure {
         Failure::Input(error) => (error, 2),
         Failure::Work(error) => (error, error.downcast_ref().map_or(1, Interruption::status)),
@@ -45,7 +45,7 @@ pub fn report(failure: &Failure) -> ExitCode {
         }
     }
     line(&message);
-    ExitCode::from(status)
+    status
 }
 
 fn line(message: &str) {
@@ -60,7 +60,7 @@ pub fn usage(error: &clap::Error) -> ExitCode {
     match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => match output::print(&error.to_string()) {
             Ok(()) => ExitCode::SUCCESS,
-            Err(failure) => report(&failure),
+            Err(failure) => report(&failure).into(),
         },
         ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             line("no command given; `aviary --help` lists them");

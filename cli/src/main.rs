@@ -26,6 +26,8 @@ mod view;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::LevelFilter;
 
 /// Fly, train and benchmark quadrotors on MuJoCo
 #[derive(Debug, Parser)]
@@ -64,14 +66,21 @@ enum Command {
     Completions(completions::Completions),
 }
 
+/// Returns the filter of the messages on standard error: RUST_LOG, or warnings.
+///
+/// The libraries of the window warn about every display without a desktop, which draws no less correctly.
+fn messages() -> EnvFilter {
+    let asked = std::env::var("RUST_LOG").unwrap_or_default();
+    let default = "warn,winit=error,sctk=error,smithay_client_toolkit=error,smithay_clipboard=error,arboard=error,\
+                   egui_winit=error,egui_glow=error";
+    let builder = EnvFilter::builder().with_default_directive(LevelFilter::WARN.into());
+    builder.parse_lossy(if asked.trim().is_empty() { default } else { &asked })
+}
+
 fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_writer(std::io::stderr)
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::builder()
-                .with_default_directive(tracing_subscriber::filter::LevelFilter::WARN.into())
-                .from_env_lossy(),
-        )
+        .with_env_filter(messages())
         .without_time()
         .with_target(false)
         .init();
@@ -97,8 +106,10 @@ fn main() -> ExitCode {
         Command::Doctor(command) => command.run(),
         Command::Completions(command) => command.run(),
     };
-    match done {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => failure::report(&error),
+    let status = done.map_or_else(|error| failure::report(&error), |()| 0);
+    if viewer::has_thread() {
+        // without the destructors of OpenGL, which crash while a window that has lost its display draws
+        signal_hook::low_level::exit(status.into());
     }
+    status.into()
 }
