@@ -2,9 +2,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow};
+use aviary::control::ControllerKind;
+use aviary::physics::wind::WindConfig;
 use aviary::record::{CsvLog, RecordError, Scenario, read_motor_speeds};
+use aviary::simulation::Simulation;
 use clap::{Args, ValueHint};
+use indicatif::ProgressBar;
+use nalgebra::Vector3;
 use serde_json::json;
+use viewer::{Flown, LiveFlight, PilotMode, Source, Turn, Viewer, ViewerOptions};
 
 use crate::failure::Failure;
 use crate::output::{self, OutputFile};
@@ -19,7 +25,7 @@ use crate::output::{self, OutputFile};
 #[command(after_help = "Examples:
   aviary replay --scenario tests/reference/mjc_cf2x.toml \\
     --actions tests/reference/mjc_cf2x.actions.csv --out out/flight.csv
-  aviary replay --scenario out/hover/scenario.toml --actions out/hover --out out/again.csv")]
+  aviary replay --scenario out/hover/scenario.toml --actions out/hover --out out/again.csv --view")]
 pub struct Replay {
     /// Scenario of the flight (TOML)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
@@ -40,6 +46,12 @@ pub struct Replay {
     /// Output file (CSV)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     out: PathBuf,
+    /// Window that shows the flight in real time
+    ///
+    /// Space pauses the flight, H lists the keys. The flight goes on without the window when it
+    /// is closed.
+    #[arg(long, verbatim_doc_comment)]
+    view: bool,
     /// JSON output instead of a table
     #[arg(long)]
     json: bool,
@@ -49,24 +61,28 @@ impl Replay {
     pub fn run(&self) -> Result<(), Failure> {
         let text = read(&self.scenario)?;
         let scenario = Scenario::from_toml(&text).map_err(|error| in_file(&self.scenario, error))?;
-        let mut simulation = scenario.simulation().map_err(|error| in_file(&self.scenario, error))?;
+        let simulation = scenario.simulation().map_err(|error| in_file(&self.scenario, error))?;
         let actions = read_motor_speeds(&self.actions, scenario.num_drones, scenario.ctrl_freq);
         let actions = actions.map_err(Failure::input)?;
 
         let file = OutputFile::begin(&self.out)?;
         let mut log = CsvLog::new(file.into_writer()).map_err(Failure::work)?;
-        let bar = output::progress(actions.len() as u64, "flying");
+        let mut live = if self.view { Some(self.open(&simulation)?) } else { None };
+        let mut flight = ReplayedFlight { simulation };
+        let bar = if self.view { ProgressBar::hidden() } else { output::progress(actions.len() as u64, "flying") };
         let unwritten = |error: RecordError| Failure::Work(anyhow!(error).context(self.out.display().to_string()));
         for (index, row) in actions.iter().enumerate() {
-            simulation.step(row).map_err(|error| {
+            live = live.and_then(|window| flight.show(window));
+            flight.simulation.step(row).map_err(|error| {
                 let step = index + 1;
                 Failure::Work(anyhow!("{}: control step {step}: {error}", self.actions[0].display()))
             })?;
-            log.record(&simulation).map_err(unwritten)?;
+            log.record(&flight.simulation).map_err(unwritten)?;
             bar.inc(1);
         }
         bar.finish_and_clear();
         log.finish().map_err(unwritten)?.keep()?;
+        let simulation = &flight.simulation;
         if self.json {
             let positions: Vec<_> = simulation.states().iter().map(|state| state.position.as_slice()).collect();
             return output::print_json(&json!({
@@ -82,13 +98,95 @@ impl Replay {
         }
         output::print(&output::table(&[
             ("drones", format!("{} {}", simulation.num_drones(), scenario.drone_model)),
-            ("physics", output::physics(&simulation)),
+            ("physics", output::physics(simulation)),
             ("engine", simulation.engine().name().to_string()),
             ("control steps", actions.len().to_string()),
             ("simulated time", format!("{:.2} s", simulation.time())),
         ]))?;
         output::print_written(std::slice::from_ref(&self.out))
     }
+
+    /// Opens the window.
+    fn open(&self, simulation: &Simulation) -> Result<Live, Failure> {
+        let name = self.scenario.file_name().unwrap_or(self.scenario.as_os_str()).to_string_lossy();
+        let options = ViewerOptions { title: format!("aviary: replay of {name}"), ..ViewerOptions::default() };
+        let viewer = Viewer::open_simulation(simulation, options).map_err(Failure::work)?;
+        Ok(LiveFlight::new(viewer, None, false))
+    }
+}
+
+/// Flight of recorded motor speeds, for a window.
+struct ReplayedFlight {
+    simulation: Simulation,
+}
+
+/// Window of a replay.
+type Live = LiveFlight<<ReplayedFlight as Flown>::Saved>;
+
+impl ReplayedFlight {
+    /// Shows the state and waits until the next control step is due. Returns the window, unless it is closed or lost.
+    fn show(&mut self, mut window: Live) -> Option<Live> {
+        match window.turn(self, false) {
+            Ok(Turn::Closed) => None,
+            Ok(_) => Some(window),
+            Err(error) => {
+                // the flight does not need its window
+                tracing::warn!("{error}; the flight goes on without a window");
+                None
+            }
+        }
+    }
+}
+
+/// Message of a command that would change a replay.
+const FIXED: &str = "a replay cannot be changed";
+
+impl Flown for ReplayedFlight {
+    type Saved = ();
+
+    fn source(&self) -> Source<'_> {
+        Source::Simulation(&self.simulation)
+    }
+
+    fn pilot(&self) -> String {
+        "recorded motor speeds".into()
+    }
+
+    fn save(&self) -> Self::Saved {}
+
+    fn restore(&mut self, (): &Self::Saved) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn restart(&mut self, _: Option<u64>) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn set_force(&mut self, _: usize, _: Vector3<f64>) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn set_wind(&mut self, _: Option<WindConfig>) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn new_obstacles(&mut self, _: u64) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn set_motor_gain(&mut self, _: usize, _: usize, _: f64) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn set_controller(&mut self, _: ControllerKind) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn take(&mut self, _: usize, _: Option<PilotMode>) -> Result<(), String> {
+        Err(FIXED.into())
+    }
+
+    fn set_sticks(&mut self, _: usize, _: [f64; 4]) {}
 }
 
 fn read(path: &Path) -> Result<String, Failure> {
