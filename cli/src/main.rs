@@ -22,6 +22,7 @@ mod replay;
 mod tasks;
 mod train;
 mod view;
+mod window;
 
 use std::process::ExitCode;
 

@@ -19,6 +19,7 @@ use crate::failure::Failure;
 use crate::options::{ConditionOptions, in_options};
 use crate::output;
 use crate::parse::{self, NameOrFile, Shard};
+use crate::window;
 
 /// Fly a trained policy and print its success rate
 ///
@@ -33,6 +34,7 @@ use crate::parse::{self, NameOrFile, Shard};
   aviary play --policy assets/policies/hover.safetensors --episodes 20
   aviary play --policy assets/policies/race.safetensors --episodes 1 --gif out/race.gif --overlay trails
   aviary play --policy out/hover/policy.safetensors --as-trained
+  aviary play --policy assets/policies/hover.safetensors --episodes 1 --view
   aviary play --policy assets/policies/hover_randomized.safetensors --config assets/policies/hover_randomized.toml
   aviary play --policy assets/policies/hover.safetensors --wind combined --physics mjc_gnd_drag_dw --json
 
@@ -90,6 +92,12 @@ pub struct Play {
     shard: Option<Shard>,
     #[command(flatten)]
     animation: AnimationOptions,
+    /// Window in which the policy flies after the evaluation
+    ///
+    /// The window shows the first episode in real time. Panels and keys change the flight, N
+    /// starts the next seed, H lists the keys. The command ends when the window is closed.
+    #[arg(long, verbatim_doc_comment)]
+    view: bool,
     /// JSON output instead of a table
     #[arg(long)]
     json: bool,
@@ -109,6 +117,10 @@ impl Play {
         }
         let policy = PolicyNetwork::load(&self.policy).map_err(Failure::input)?;
         let config = self.config(&policy)?;
+        if self.view {
+            // an evaluation may take long, and opens its window at the end
+            viewer::check_display().map_err(Failure::work)?;
+        }
         let mut arena = Arena::new(config.success, || config.environment()).map_err(Failure::input)?;
         let bar = output::progress(own.end - own.start, "flying");
         let mut flown = Vec::new();
@@ -121,10 +133,14 @@ impl Play {
         bar.finish_and_clear();
         self.draw(&policy, &config)?;
         if self.json {
-            output::print_json(&self.report(&config, &flown))
+            output::print_json(&self.report(&config, &flown))?;
         } else {
-            output::print(&table(&config, &flown))
+            output::print(&table(&config, &flown))?;
         }
+        if self.view {
+            window::fly(&config, policy, self.seed.wrapping_add(own.start))?;
+        }
+        Ok(())
     }
 
     /// Returns the indices of the episodes that this run flies.

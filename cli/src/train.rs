@@ -16,6 +16,7 @@ use crate::failure::Failure;
 use crate::interrupt::{self, Interruption};
 use crate::output::{self, OutputDir};
 use crate::parse;
+use crate::window::TrainingWindow;
 
 /// Train a policy with PPO
 ///
@@ -35,6 +36,7 @@ use crate::parse;
   aviary train --task hover --until-success --out out/hover
   aviary train --task race --seed 3 --config race.toml --out out/race
   aviary train --resume out/race --steps 60000000
+  aviary train --task hover --out out/watched --view
   aviary train --all --steps 100000 --out out/all
 
 `aviary train --task hover --show` prints the defaults of a task as a configuration file.")]
@@ -90,6 +92,12 @@ pub struct Train {
     /// Widest instruction set: portable, avx2, avx512; default the machine's
     #[arg(long, value_name = "SET", value_parser = crate::bench::instructions, conflicts_with = "resume")]
     instructions: Option<Width>,
+    /// Window in which the current policy flies during the training
+    ///
+    /// The window's threads have the lowest priority. The results are bit-identical to those
+    /// without a window. The training goes on without the window when it is closed.
+    #[arg(long, verbatim_doc_comment, conflicts_with_all = ["all", "show"])]
+    view: bool,
     /// JSON output instead of a table
     ///
     /// With --json, standard error has neither notes nor evaluations.
@@ -115,7 +123,7 @@ impl Train {
             return self.every_task();
         }
         let run = match &self.resume {
-            Some(directory) => Run::resume(directory, self.steps, self.until_success)?,
+            Some(directory) => Run::resume(directory, self.steps, self.until_success, self.view)?,
             None => {
                 let task = self.task.as_ref().map_or("", |task| task.name);
                 let config = self.config(task)?;
@@ -125,7 +133,7 @@ impl Train {
                 }
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
                 let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
-                Run::begin(trainer, &out)?
+                Run::begin(trainer, &out, self.view)?
             }
         };
         if self.steps.is_some() && !self.json {
@@ -189,7 +197,7 @@ impl Train {
             let mut config = self.config(task)?;
             config.episodes = config.episodes.min(8);
             let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
-            let run = Run::begin(trainer, &out.join(task))?.finish(self.json)?;
+            let run = Run::begin(trainer, &out.join(task), false)?.finish(self.json)?;
             let curve = run.trainer.curve();
             let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.report.mean_reward);
             rows.push((
@@ -236,21 +244,24 @@ struct Run {
     out: OutputDir,
     /// Iteration of the checkpoint in the directory.
     saved: u64,
+    window: Option<TrainingWindow>,
 }
 
 impl Run {
-    /// Starts a run in a directory without one.
-    fn begin(trainer: Trainer, out: &Path) -> Result<Self, Failure> {
+    /// Starts a run in a directory without one, with a window if `view` is true.
+    fn begin(trainer: Trainer, out: &Path, view: bool) -> Result<Self, Failure> {
         let out = OutputDir::create(out)?;
         check_new(out.path())?;
-        let mut run = Self { trainer, out, saved: 0 };
+        // a window that cannot be opened leaves no files that refuse the next run
+        let window = view.then(|| TrainingWindow::open(&trainer)).transpose()?;
+        let mut run = Self { trainer, out, saved: 0, window };
         run.save_policy()?;
         run.save_checkpoint()?;
         Ok(run)
     }
 
-    /// Continues the run of a directory.
-    fn resume(directory: &Path, steps: Option<u64>, until_success: bool) -> Result<Self, Failure> {
+    /// Continues the run of a directory, with a window if `view` is true.
+    fn resume(directory: &Path, steps: Option<u64>, until_success: bool, view: bool) -> Result<Self, Failure> {
         let path = directory.join(CHECKPOINT);
         // only an existing directory is locked: the lock creates a missing one
         let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
@@ -263,7 +274,8 @@ impl Run {
                 directory.display()
             )));
         };
-        let mut run = Self { trainer, out, saved: 0 };
+        let window = view.then(|| TrainingWindow::open(&trainer)).transpose()?;
+        let mut run = Self { trainer, out, saved: 0, window };
         // the checkpoint has the number of steps, which may have changed
         run.save_checkpoint()?;
         Ok(run)
@@ -304,6 +316,9 @@ impl Run {
                 self.save_checkpoint()?;
                 self.save_curve()?;
             }
+            if let Some(window) = &mut self.window {
+                window.update(&self.trainer);
+            }
             bar.set_position(self.trainer.steps());
             bar.set_message(self.message());
             if evaluated && lines {
@@ -312,6 +327,7 @@ impl Run {
             }
         }
         bar.finish_and_clear();
+        self.window = None;
         self.save_policy()?;
         self.save_checkpoint()?;
         self.save_curve()?;
