@@ -25,4 +25,4 @@ pub use live::{Flown, LiveFlight, PilotedRollout, Turn};
 pub use orbit::OrbitCamera;
 pub use shared::{FlightStatus, ViewStatus};
 pub use viewer::{Viewer, ViewerOptions};
-pub use window::{check_display, has_thread, lower_priority};
+pub use window::{check_display, close_windows, has_thread, lower_priority};

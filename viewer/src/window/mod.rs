@@ -31,6 +31,8 @@ enum Message {
     Changed,
     /// Creates an invisible window and answers.
     Check(mpsc::SyncSender<Result<(), ViewerError>>),
+    /// Closes all windows and answers.
+    CloseAll(mpsc::SyncSender<()>),
 }
 
 /// Thread of the windows.
@@ -123,6 +125,24 @@ pub(crate) fn wake() {
     }
 }
 
+/// Longest time that the end of the process waits for the windows.
+const LONGEST_END: Duration = Duration::from_secs(5);
+
+/// Closes all windows of the process and waits until their thread has released their resources.
+///
+/// Call it before the process ends: exit handlers of OpenGL drivers destroy objects that a window may still draw with.
+pub fn close_windows() {
+    let Some(Ok(thread)) = THREAD.get() else { return };
+    if thread.process != std::process::id() || is_disconnected() {
+        return;
+    }
+    let (answer, answered) = mpsc::sync_channel(1);
+    if thread.send(Message::CloseAll(answer)).is_ok() {
+        // a display that hangs does not keep the process
+        let _ = answered.recv_timeout(LONGEST_END);
+    }
+}
+
 impl WindowThread {
     fn send(&self, message: Message) -> Result<(), ViewerError> {
         let proxy = self.proxy.lock().unwrap_or_else(PoisonError::into_inner);
@@ -207,6 +227,18 @@ impl Windows {
     }
 }
 
+/// Ends a window.
+fn end(window: ViewWindow) {
+    if is_disconnected() {
+        // the end of the resources would use the connection
+        std::mem::forget(window);
+    } else {
+        let shared = window.shared().clone();
+        window.finish();
+        shared.set_has_window(false);
+    }
+}
+
 impl ApplicationHandler<Message> for Windows {
     fn resumed(&mut self, _: &ActiveEventLoop) {}
 
@@ -224,6 +256,10 @@ impl ApplicationHandler<Message> for Windows {
                 let _ = answer.send(GlWindow::new(event_loop, attributes).map(|_| ()));
             }
             Message::Changed => self.windows.values_mut().for_each(ViewWindow::mark_changed),
+            Message::CloseAll(answer) => {
+                self.windows.drain().for_each(|(_, window)| end(window));
+                let _ = answer.send(());
+            }
         }
     }
 
@@ -252,16 +288,7 @@ impl ApplicationHandler<Message> for Windows {
             }
         }
         for id in closed {
-            match self.windows.remove(&id) {
-                // the end of the resources would use the connection
-                Some(window) if is_disconnected() => std::mem::forget(window),
-                Some(window) => {
-                    let shared = window.shared().clone();
-                    window.finish();
-                    shared.set_has_window(false);
-                }
-                None => {}
-            }
+            self.windows.remove(&id).into_iter().for_each(end);
         }
         event_loop.set_control_flow(next.map_or(ControlFlow::Wait, ControlFlow::WaitUntil));
     }
