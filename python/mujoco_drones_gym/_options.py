@@ -19,7 +19,6 @@ from mujoco_drones_gym.wrappers.wind import wind_options
 __all__ = [
     "Render",
     "action_numbers",
-    "check_render_mode",
     "check_reset_options",
     "drone_index",
     "flag",
@@ -42,27 +41,39 @@ class Render(NamedTuple):
     mode: str | None
     width: int
     height: int
-    gui: bool
     output_folder: str | None
     vision_attributes: bool
 
 
-def check_render_mode(mode: Any) -> str | None:
-    """Returns a render mode, or raises a ValueError for an unknown one."""
-    if mode is None or (isinstance(mode, str) and mode == "rgb_array"):
+def _render_mode(mode: Any, gui: Any, has_window: bool) -> str | None:
+    """Returns the render mode of the options `render_mode` and `gui`.
+
+    Raises:
+        ValueError: for an unknown mode, for two modes that differ, and for a window of an environment without windows.
+    """
+    modes = ("human", "rgb_array") if has_window else ("rgb_array",)
+    if mode is not None and not (isinstance(mode, str) and mode in modes):
+        expected = ", ".join(map(repr, modes))
+        raise ValueError(f"render_mode is {short(mode)}, expected {expected} or None")
+    if not flag("gui", gui):
         return mode
-    raise ValueError(f"render_mode is {short(mode)}, expected 'rgb_array' or None")
+    if not has_window:
+        raise ValueError("gui is True, expected an environment of a single agent, such as HoverAviary")
+    if mode == "rgb_array":
+        raise ValueError("gui is True, expected False with render_mode='rgb_array'")
+    return "human"
 
 
 def native_options(
-    task: Any, options: Mapping[str, Any], *, single: bool = False
+    task: Any, options: Mapping[str, Any], *, single: bool = False, has_window: bool = False
 ) -> tuple[str, dict[str, Any], Render]:
     """Splits the options of an environment.
 
     Args:
         task: Name of the task.
         options: Options by name: plain values, members of enums, config objects.
-        single: True for an environment of a single agent, which has `gui`, `output_folder` and `vision_attributes`.
+        single: True for an environment of a single agent, which has `output_folder` and `vision_attributes`.
+        has_window: True for an environment that has the render mode "human" and `gui`.
 
     Returns:
         The name of the task, the options of the simulator as plain values, and those of images and files.
@@ -71,15 +82,14 @@ def native_options(
         raise ValueError(f"task is {short(task)}, expected the name of a task")
     own = dict(options)
     render = Render(
-        mode=own.pop("render_mode", None),
+        mode=_render_mode(own.pop("render_mode", None), own.pop("gui", False), has_window),
         width=_pixels("width", own.pop("width", 640)),
         height=_pixels("height", own.pop("height", 480)),
-        gui=flag("gui", own.pop("gui", False)),
         output_folder=_folder(own.pop("output_folder", None)),
         vision_attributes=flag("vision_attributes", own.pop("vision_attributes", False)),
     )
     if not single:
-        for name in ("gui", "output_folder", "vision_attributes"):
+        for name in ("output_folder", "vision_attributes"):
             value = getattr(render, name)
             if value:
                 raise ValueError(f"{name} is {value!r}, expected an environment of a single agent, such as HoverAviary")

@@ -18,7 +18,6 @@ from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
-    check_render_mode,
     check_reset_options,
     drone_index,
     flag,
@@ -312,7 +311,7 @@ class VectorAviary(VectorEnv):
             raise ValueError(f'on_fault is {short(on_fault)}, expected "error" or "truncate"')
         self.copy = flag("copy", copy)
         task, native, render = native_options(task, options)
-        self.render_mode = check_render_mode(render.mode)
+        self.render_mode = render.mode
         self._frame_size = (render.width, render.height)
         _opengl.prepare()
         mode = _AUTORESET[self.autoreset_mode]

@@ -168,6 +168,11 @@ impl Env {
     fn inner(&mut self) -> &mut Inner {
         self.inner.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
+
+    /// Returns the environment.
+    pub fn env(&mut self) -> &mut (dyn DroneEnv + Send) {
+        &mut *self.inner().env
+    }
 }
 
 /// Returns the state of the episode of an environment as a dict.

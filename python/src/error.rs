@@ -9,6 +9,7 @@ use pyo3::exceptions::{PyOSError, PyRuntimeError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::PyType;
+use viewer::ViewerError;
 
 /// Adds the classes and functions of this file to the module.
 pub fn register(_module: &Bound<'_, PyModule>) -> PyResult<()> {
@@ -42,6 +43,11 @@ pub fn env_error(error: EnvError) -> PyErr {
         ) => PyRuntimeError::new_err(message),
         _ => PyValueError::new_err(message),
     }
+}
+
+/// Converts an error of a window into a `RuntimeError`.
+pub fn viewer_error(error: ViewerError) -> PyErr {
+    PyRuntimeError::new_err(line(&error))
 }
 
 /// Returns the error inside those that add the name of an environment, an agent or a file.

@@ -11,6 +11,7 @@ mod options;
 mod policy;
 mod record;
 mod vector;
+mod window;
 
 use pyo3::prelude::*;
 
@@ -25,5 +26,6 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     control::register(module)?;
     conditions::register(module)?;
     policy::register(module)?;
-    record::register(module)
+    record::register(module)?;
+    window::register(module)
 }

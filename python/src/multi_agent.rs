@@ -191,7 +191,7 @@ impl Parallel {
     }
 
     /// Calls a function with the environment, without the GIL.
-    fn work<R: Send>(
+    pub fn work<R: Send>(
         &self,
         py: Python<'_>,
         work: impl FnOnce(&mut (dyn ParallelEnv + Send)) -> PyResult<R> + Send,

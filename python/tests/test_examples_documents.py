@@ -26,15 +26,16 @@ PROGRAMS = [
 
 
 @pytest.mark.parametrize(("name", "index"), PROGRAMS)
-def test_a_program_of_a_guide(name, index):
+def test_a_program_of_a_guide(name, index, request):
     program = blocks(name, "python")[index]
+    variables = environment()
+    if 'render_mode="human"' in program:
+        variables["DISPLAY"] = request.getfixturevalue("display")["DISPLAY"]
     for module in ("stable_baselines3", "pettingzoo"):
         if module in program or (module == "pettingzoo" and "parallel_env" in program):
             pytest.importorskip(module)
     command = [sys.executable, "-W", "error::UserWarning", "-c", program]
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=300, cwd=ROOT, env=environment(), check=False
-    )
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=ROOT, env=variables, check=False)
     assert done.returncode == 0, done.stderr
 
 

@@ -233,7 +233,7 @@ WRONG = [
     ("randomization", 3, "DomainRandomizationConfig"),
     ("engine", "bullet", "hybrid"),
     ("stream", -1, "whole"),
-    ("render_mode", "human", "rgb_array"),
+    ("render_mode", "hologram", "rgb_array"),
     ("width", 0, "pixels"),
     ("height", 1.5, "pixels"),
     ("output_folder", 3, "path"),
@@ -297,24 +297,3 @@ def test_output_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises((ValueError, OSError), match="output_folder"):
         mdg.HoverAviary(output_folder=tmp_path / "file")
-
-
-def test_gui_without_a_display_is_one_error(monkeypatch):
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(ValueError, match="gui is True, expected False on a machine without a display"):
-        mdg.HoverAviary(gui=True)
-
-
-def test_gui_shows_the_flight(monkeypatch):
-    pytest.importorskip("matplotlib").use("agg")
-    monkeypatch.setenv("DISPLAY", ":0")
-    env = mdg.HoverAviary(gui=True, width=64, height=48)
-    env.reset(seed=1)
-    first = np.array(env._viewer._image.get_array())
-    for _ in range(24):
-        env.step(np.full(4, 0.3))
-    last = np.array(env._viewer._image.get_array())
-    assert first.shape == (48, 64, 3) and (first != last).any()
-    env.close()
-    assert env._viewer is None

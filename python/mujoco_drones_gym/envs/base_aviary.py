@@ -20,7 +20,6 @@ from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     Render,
     action_numbers,
-    check_render_mode,
     check_reset_options,
     drone_index,
     native_options,
@@ -29,6 +28,7 @@ from mujoco_drones_gym._options import (
     seed_of,
     wind_options,
 )
+from mujoco_drones_gym._window import Window, render_modes
 from mujoco_drones_gym.envs._readings import Readings
 from mujoco_drones_gym.utils.enums import ActionType, DroneModel, ObservationType, Physics
 
@@ -44,7 +44,7 @@ _HOOKS = (
     "_computeInfo",
 )
 
-_NOT_COPIED = ("_env", "_viewer", "_np_random", "EPISODE_LEN_SEC")
+_NOT_COPIED = ("_env", "_window", "_np_random", "EPISODE_LEN_SEC")
 
 
 class _TaskState(NamedTuple):
@@ -78,14 +78,15 @@ class BaseAviary(Readings, gym.Env):
         physics: Physics mode: a `Physics` or its value.
         sim_freq: Physics rate, Hz, a multiple of the control rate.
         ctrl_freq: Control rate, Hz.
-        gui: True to show the flight in a window, which needs a display and matplotlib.
+        gui: True for the render mode "human".
         obstacles: False, True, an `ObstacleConfig`, a dict with the keys of the section `[obstacles]`, or a list of
             `Obstacle`.
         vision_attributes: True for the attributes `rgb`, `dep` and `seg`, the images of the onboard cameras.
         obs_type: Parts of an observation: an `ObservationType` or its value.
         act_type: Action type: an `ActionType` or its value.
         output_folder: Directory that receives the flight of every episode as CSV files; None for no files.
-        render_mode: "rgb_array", with which `render` returns images, or None.
+        render_mode: "rgb_array", with which `render` returns images; "human", with which a window shows the flight in
+            real time; or None. The window needs a display.
         episode_seconds: Time limit of an episode, s; None for the task's.
         wind: A `WindConfig`, a dict with the keys of the section `[wind]`, or None for still air.
         randomization: A `DomainRandomizationConfig`, a dict with the groups of the section `[randomization]`, True for
@@ -132,7 +133,7 @@ class BaseAviary(Readings, gym.Env):
         (40,)
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 48}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 48}  # noqa: RUF012
 
     #: Name of the task in the simulator.
     TASK: ClassVar[str] = "base"
@@ -207,12 +208,7 @@ class BaseAviary(Readings, gym.Env):
         self._options = options
         self._task_options = task_options
         env, render = self._simulation()
-        self.render_mode = check_render_mode(render.mode)
-        self._viewer = None
-        if render.gui:
-            from mujoco_drones_gym._viewer import Viewer
-
-            self._viewer = Viewer()
+        self.render_mode = render.mode
         self._env = env
         self._frame_size = (render.width, render.height)
         self._has_vision = render.vision_attributes
@@ -250,13 +246,17 @@ class BaseAviary(Readings, gym.Env):
         self.GND_EFF_COEFF: float = airframe["ground_effect_coefficient"]
         self.DRAG_COEFF: np.ndarray = np.array(airframe["drag_coefficients"])
         self.MAX_SPEED_KMH: float = airframe["max_speed"] * 3.6
-        self.metadata = {**self.metadata, "render_fps": self.CTRL_FREQ}
+        self._window = Window(type(self).__name__, self.CTRL_TIMESTEP) if render.mode == "human" else None
+        modes = render_modes(self.metadata, render.mode)
+        self.metadata = {**self.metadata, "render_modes": modes, "render_fps": self.CTRL_FREQ}
         self._commands_motors: bool = constants["action_type"] == "raw_rpm"
         self.observation_space = self._observationSpace()
         self.action_space = self._actionSpace()
 
     def _simulation(self) -> tuple[_native.Env, Render]:
-        _, native, render = native_options(self.TASK, {**self._options, **self._task_options}, single=True)
+        _, native, render = native_options(
+            self.TASK, {**self._options, **self._task_options}, single=True, has_window=True
+        )
         _opengl.prepare()
         return _native.Env(self.TASK, native, render.output_folder), render
 
@@ -317,8 +317,8 @@ class BaseAviary(Readings, gym.Env):
             self._is_over = False
             self._last = (0.0, False, False, info)
             obs, info = self._computeObs(), self._computeInfo()
-        if self._viewer is not None:
-            self._viewer.show(self, 0)
+        if self._window is not None:
+            self._window.reset(self._env)
         return obs, info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -335,7 +335,7 @@ class BaseAviary(Readings, gym.Env):
             ValueError: for an action of another size, or with a number that is not finite; nothing has moved.
             gymnasium.error.ResetNeeded: before the first reset and after the end of an episode.
         """
-        if self._has_hooks or self._viewer is not None:
+        if self._has_hooks or self._window is not None:
             return self._step_with_hooks(action)
         if type(action) is not np.ndarray or action.dtype.char not in "fd":
             action = action_numbers("action", action, self.action_space.shape)
@@ -357,18 +357,18 @@ class BaseAviary(Readings, gym.Env):
                 success = bool(info.get("success", self._last[3]["success"]))
                 info = {**info, "end": info.get("end") or ("completed" if terminated else "time_limit")}
                 info.setdefault("is_success", success)
-        if self._viewer is not None:
-            self._viewer.show(self, 1)
+        if self._window is not None:
+            self._window.step(self._env)
         return obs, reward, terminated, truncated, info
 
     def render(self, camera_mode: str | None = None) -> np.ndarray | None:
-        """Returns an image of the present state.
+        """Returns an image of the present state, or shows the present state in the window.
 
         Args:
             camera_mode: "track" (the default: follows the drones), "fpv" (onboard), "fixed", "front" or "top".
 
         Returns:
-            Image, uint8 (height, width, 3); None without a render mode.
+            Image, uint8 (height, width, 3). None without a `camera_mode`, if the render mode is "human" or None.
         """
         if not self._has_episode:
             raise ResetNeeded("render was called before the first reset, expected a call of reset first")
@@ -377,13 +377,15 @@ class BaseAviary(Readings, gym.Env):
         if self.render_mode is None and camera_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
+        if self._window is not None and camera_mode is None:
+            self._window.refresh(self._env)
+            return None
         return self._env.render("track" if camera_mode is None else camera_mode, *self._frame_size)
 
     def close(self) -> None:
-        """Closes the window, if there is one."""
-        if self._viewer is not None:
-            self._viewer.close()
-            self._viewer = None
+        """Closes the window, if there is one. The next `reset` opens another one."""
+        if self._window is not None:
+            self._window.close()
 
     def set_wind(self, wind: Any) -> None:
         """Sets the wind from now on, also for later episodes.

@@ -15,13 +15,13 @@ from mujoco_drones_gym import _layout, _native, _opengl
 from mujoco_drones_gym._config import short
 from mujoco_drones_gym._options import (
     action_numbers,
-    check_render_mode,
     check_reset_options,
     drone_index,
     native_options,
     seed_of,
 )
 from mujoco_drones_gym._states import DroneStates
+from mujoco_drones_gym._window import Window, render_modes
 
 __all__ = ["MultiAgentAviary", "parallel_env"]
 
@@ -51,8 +51,8 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         self._arguments = dict(options, num_drones=num_drones, task=task)
         if num_drones is not None:
             options["num_drones"] = num_drones
-        task, native, render = native_options(task, options)
-        self.render_mode = check_render_mode(render.mode)
+        task, native, render = native_options(task, options, has_window=True)
+        self.render_mode = render.mode
         self._frame_size = (render.width, render.height)
         _opengl.prepare()
         self._env = _native.Parallel(task, native)
@@ -65,9 +65,10 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         self.CTRL_TIMESTEP = 1.0 / self.CTRL_FREQ
         self.HOVER_RPM: float = constants["hover_rpm"]
         self.MAX_RPM: float = constants["max_rpm"]
+        self._window = Window(type(self).__name__, self.CTRL_TIMESTEP) if render.mode == "human" else None
         self.metadata = {
             "name": f"{task}_v0",
-            "render_modes": ["rgb_array"],
+            "render_modes": render_modes({"render_modes": ["human", "rgb_array"]}, render.mode),
             "render_fps": self.CTRL_FREQ,
             "is_parallelizable": True,
         }
@@ -113,6 +114,8 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         observations, infos = self._env.reset(seed)
         self.agents = self._env.agents
         self._started = True
+        if self._window is not None:
+            self._window.reset(self._env)
         return self._packed(observations), infos
 
     def step(
@@ -146,6 +149,8 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
             observations, rewards, terminations, truncations, infos = self._env.step(own)
         finally:
             self.agents = self._env.agents
+        if self._window is not None:
+            self._window.step(self._env)
         return self._packed(observations), rewards, terminations, truncations, infos
 
     def state(self) -> np.ndarray:
@@ -157,17 +162,25 @@ class MultiAgentAviary(DroneStates, ParallelEnv):
         return self._env.state().astype(np.float32)
 
     def render(self) -> np.ndarray | None:
-        """Returns a frame, uint8 (height, width, 3), if the render mode is "rgb_array"."""
+        """Returns a frame, uint8 (height, width, 3), if the render mode is "rgb_array".
+
+        In the mode "human", it shows the present state in the window.
+        """
         if not self._started:
             raise ResetNeeded("render was called before the first reset, expected a call of reset first")
         if self.render_mode is None:
             warn("render was called without a render mode; create the environment with render_mode='rgb_array'")
             return None
+        if self._window is not None:
+            self._window.refresh(self._env)
+            return None
         return self._env.render("track", *self._frame_size)
 
     def close(self) -> None:
-        """Ends the episode."""
+        """Ends the episode, and closes the window, if there is one. The next `reset` opens another one."""
         self.agents = []
+        if self._window is not None:
+            self._window.close()
 
     def drone_params(self, nth_drone: int = 0) -> dict[str, Any]:
         """Returns the parameters of a drone's airframe in this episode, with the keys of an airframe file."""
