@@ -96,8 +96,8 @@ fn a_window_without_a_display_is_an_error_of_one_line() {
 #[test]
 fn a_watched_flight_has_the_files_of_a_flight_without_a_window() {
     let Some(mut server) = server("a_watched_flight_has_the_files_of_a_flight_without_a_window") else { return };
-    let flown = ["none", "seen", "lost"].map(|name| directory(&format!("view-fly-{name}")));
-    let [none, seen, lost] = &flown;
+    let flown = ["none", "seen", "cut"].map(|name| directory(&format!("view-fly-{name}")));
+    let [none, seen, cut] = &flown;
     let fly = |out: &PathBuf| -> Vec<String> {
         [&["fly", "--out", text(out)][..], &HOVER].concat().iter().map(ToString::to_string).collect()
     };
@@ -108,11 +108,11 @@ fn a_watched_flight_has_the_files_of_a_flight_without_a_window() {
     run(&fly(none).iter().map(String::as_str).collect::<Vec<_>>());
     let printed = ends(watched(&server, seen), 0, &[]);
     assert!(printed.contains("final position error"), "{printed}");
-    let mut program = watched(&server, lost);
-    wait_for_rows(lost, &mut program, 5);
+    let mut program = watched(&server, cut);
+    wait_for_rows(cut, &mut program, 5);
     server.kill();
     ends(program, 0, &[LOST]);
-    for out in [seen, lost] {
+    for out in [seen, cut] {
         assert_equal_files(none, out, &["drone0.csv", "scenario.toml", "summary.json"]);
     }
 }
@@ -130,7 +130,7 @@ fn a_watched_replay_has_the_file_of_a_replay_without_a_window() {
     let same = |out: &Path| assert!(std::fs::read(out).unwrap() == expected, "{}", out.display());
     let title = "aviary: replay of scenario.toml";
 
-    let (seen, closed, lost) = (dir.join("seen.csv"), dir.join("closed.csv"), dir.join("lost.csv"));
+    let (seen, closed, cut) = (dir.join("seen.csv"), dir.join("closed.csv"), dir.join("cut.csv"));
     let begin = Instant::now();
     let printed = ends(watched(&server, &seen), 0, &[]);
     assert!(begin.elapsed() > Duration::from_millis(1900), "the flight of 2 s is shown in real time");
@@ -141,12 +141,12 @@ fn a_watched_replay_has_the_file_of_a_replay_without_a_window() {
     display.close(display.windows(title, 1)[0]);
     ends(program, 0, &[]);
     same(&closed);
-    let program = watched(&server, &lost);
+    let program = watched(&server, &cut);
     display.windows(title, 1);
     std::thread::sleep(OPENING);
     server.kill();
     ends(program, 0, &[LOST]);
-    same(&lost);
+    same(&cut);
 }
 
 #[test]
@@ -211,8 +211,8 @@ fn a_policy_flies_in_a_window_after_its_evaluation() {
 #[test]
 fn a_watched_training_has_the_results_of_a_training_without_a_window() {
     let Some(mut server) = server("a_watched_training_has_the_results_of_a_training_without_a_window") else { return };
-    let flown = ["none", "seen", "closed", "lost"].map(|name| directory(&format!("view-train-{name}")));
-    let [none, seen, closed, lost] = &flown;
+    let flown = ["none", "seen", "closed", "cut"].map(|name| directory(&format!("view-train-{name}")));
+    let [none, seen, closed, cut] = &flown;
     run(&[&["train", "--json", "--out", text(none)][..], &SHORT].concat());
     let watched = |server: &Server, out: &Path| {
         start(server, &[&["train", "--json", "--view", "--out", text(out)][..], &SHORT].concat())
@@ -223,12 +223,12 @@ fn a_watched_training_has_the_results_of_a_training_without_a_window() {
     let display = Display::connect(&server.name);
     display.close(display.windows(title, 1)[0]);
     ends(program, 0, &[]);
-    let program = watched(&server, lost);
+    let program = watched(&server, cut);
     display.windows(title, 1);
     std::thread::sleep(OPENING);
     server.kill();
     ends(program, 0, &[LOST]);
-    for out in [seen, closed, lost] {
+    for out in [seen, closed, cut] {
         assert_equal_files(none, out, &TRAINED);
     }
 }
