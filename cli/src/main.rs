@@ -109,7 +109,7 @@ fn main() -> ExitCode {
     };
     let status = done.map_or_else(|error| failure::report(&error), |()| 0);
     if viewer::has_thread() {
-        // without the destructors of OpenGL, which crash while a window that has lost its display draws
+        // without the destructors of OpenGL, which crash while a window without its display draws
         signal_hook::low_level::exit(status.into());
     }
     status.into()

@@ -124,7 +124,7 @@ struct ReplayedFlight {
 type Live = LiveFlight<<ReplayedFlight as Flown>::Saved>;
 
 impl ReplayedFlight {
-    /// Shows the state and waits until the next control step is due. Returns the window, unless it is closed or lost.
+    /// Shows the state and waits until the next control step is due. Returns the window while it is open.
     fn show(&mut self, mut window: Live) -> Option<Live> {
         match window.turn(self, false) {
             Ok(Turn::Closed) => None,

@@ -68,8 +68,8 @@ impl Window {
     }
 
     /// Closes the window.
-    fn close(&mut self) {
-        self.end();
+    fn close(&mut self, py: Python<'_>) {
+        without_gil(py, || self.end());
     }
 }
 

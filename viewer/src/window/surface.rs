@@ -170,6 +170,8 @@ impl ViewWindow {
             let pixels = wants_pixels.then(|| painter.read_screen_rgba(size));
             if super::is_disconnected() { Err("disconnected".into()) } else { gl.swap().map(|()| pixels) }
         });
+        // textures remain without a context, and egui insists that they are removed
+        textures.clear();
         let pixels = drawn.and_then(|drawn| drawn).map_err(|_| ViewerError::Disconnected)?;
         if let Some(pixels) = pixels {
             self.save(&pixels);
