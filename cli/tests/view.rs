@@ -1,5 +1,6 @@
 //! Windows of the program on a display without a screen. The tests pass without Xvfb.
 
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -39,7 +40,7 @@ fn start(server: &Server, arguments: &[&str]) -> Running {
 fn server(test: &str) -> Option<Server> {
     let server = Server::start();
     if server.is_none() {
-        eprintln!("{test}: skipped, because Xvfb is not installed");
+        let _ = writeln!(std::io::stderr(), "{test}: skipped, because Xvfb is not installed");
     }
     server
 }
