@@ -101,8 +101,7 @@ impl FlightCommand {
             out.remove(&PLOTS)?;
         }
         if let Some(out) = &out {
-            let scenario = Scenario::of(pilot.env().simulation()).and_then(|scenario| scenario.to_toml());
-            out.write(SCENARIO, scenario.map_err(Failure::work)?.as_bytes())?;
+            write_scenario(out, pilot.env())?;
         }
         let live = window.open(&pilot, self.options.seed, out.as_ref())?;
         let (flight, samples) = self.flight(&mut pilot, out.as_ref(), animation, live)?;
@@ -180,8 +179,11 @@ impl FlightCommand {
         let mut reward = 0.0;
         let mut wall_seconds = 0.0;
         log.note(pilot)?;
+        let mut seed = self.options.seed;
+        // a step that failed in a flight that can be changed ends the episode
+        let mut has_failed = false;
         loop {
-            let is_over = pilot.rollout.is_over();
+            let is_over = pilot.rollout.is_over() || has_failed;
             // a flight that can be changed ends when the window is closed
             if is_over && !is_changed || is_changed && live.is_none() {
                 break;
@@ -190,12 +192,18 @@ impl FlightCommand {
                 match window.turn(pilot, is_over) {
                     Ok(Turn::Step) => {}
                     Ok(Turn::Restarted) => {
+                        has_failed = false;
+                        seed = window.status().seed.unwrap_or(seed);
                         log.restart(out, drones)?;
                         log.note(pilot)?;
+                        if let Some(out) = out {
+                            write_scenario(out, pilot.env())?;
+                        }
                         (errors, reward, wall_seconds) = (Errors::default(), 0.0, 0.0);
                         continue;
                     }
                     Ok(Turn::Rewound) => {
+                        has_failed = false;
                         log.rewind(out, pilot.env().simulation().time())?;
                         (errors, reward) = log.totals();
                         continue;
@@ -216,9 +224,16 @@ impl FlightCommand {
                 animation.look(pilot.env().simulation(), |drone| pilot.reference(drone))?;
             }
             let start = Instant::now();
-            let step = pilot.rollout.step().map_err(Failure::work)?;
+            let of_task = match pilot.rollout.step() {
+                Ok(step) => step.reward,
+                Err(error) if is_changed => {
+                    tracing::warn!("{error}; the episode is over");
+                    has_failed = true;
+                    continue;
+                }
+                Err(error) => return Err(Failure::work(error)),
+            };
             wall_seconds += start.elapsed().as_secs_f64();
-            let of_task = step.reward;
             // a trajectory replaces the target of the task, and so its reward
             reward +=
                 if pilot.is_on_trajectory() { (0..drones).map(|drone| pilot.reward(drone)).sum() } else { of_task };
@@ -243,7 +258,7 @@ impl FlightCommand {
             info.progress = simulation.control_steps() as f64 / pilot.env().episode_steps() as f64;
             info.success = !info.crashed() && info.position_error < ON_TRAJECTORY;
         }
-        Ok((Flight { controller: pilot.kind(), info, reward, wall_seconds, errors }, log.samples))
+        Ok((Flight { controller: pilot.kind(), seed, info, reward, wall_seconds, errors }, log.samples))
     }
 }
 
@@ -332,6 +347,12 @@ impl Log {
     }
 }
 
+/// Writes the scenario of an episode that begins.
+fn write_scenario(out: &OutputDir, env: &dyn DroneEnv) -> Result<(), Failure> {
+    let scenario = Scenario::of(env.simulation()).and_then(|scenario| scenario.to_toml());
+    out.write(SCENARIO, scenario.map_err(Failure::work)?.as_bytes())
+}
+
 /// Returns a metric of a task with its unit. Counts have no decimals. Sampled parameters are factors.
 fn metric(name: &str, value: f64) -> String {
     let number = decimals(value, 3);
@@ -410,6 +431,8 @@ impl Errors {
 #[derive(Debug)]
 struct Flight {
     controller: ControllerKind,
+    /// Seed of the episode.
+    seed: u64,
     info: Info,
     reward: f64,
     wall_seconds: f64,
@@ -441,7 +464,7 @@ impl Flight {
             "engine": simulation.engine().name(),
             "controller": self.controller.name(),
             "trajectory": options.trajectory.as_ref().map(ToString::to_string),
-            "seed": options.seed,
+            "seed": self.seed,
             "wind": simulation.wind().map_or("none", |wind| wind.model.name()),
             "obstacles": simulation.obstacles().len(),
             "success": self.info.success,

@@ -327,7 +327,6 @@ impl Run {
             }
         }
         bar.finish_and_clear();
-        self.window = None;
         self.save_policy()?;
         self.save_checkpoint()?;
         self.save_curve()?;
@@ -335,6 +334,8 @@ impl Run {
         let plot = plot(self.trainer.config(), curve).map_err(Failure::work)?;
         self.out.write("curve.svg", plot.svg().map_err(Failure::work)?.as_bytes())?;
         self.out.write("curve.png", &plot.png().map_err(Failure::work)?)?;
+        // the end of the window takes a moment, and the files do not wait for it
+        self.window = None;
         Ok(self)
     }
 

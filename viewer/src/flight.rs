@@ -32,6 +32,9 @@ impl Flight {
     pub fn update(&mut self, shared: &Shared) {
         shared.read();
         let state = shared.state();
+        if state.frames.is_empty() {
+            return;
+        }
         if state.revision == self.revision {
             self.frames.extend_from_slice(&state.frames[self.frames.len().min(state.frames.len())..]);
         } else {

@@ -28,6 +28,11 @@ impl<'a> Source<'a> {
         }
     }
 
+    /// Returns the name of the task.
+    pub(crate) fn name(self) -> &'a str {
+        self.env().map_or("simulation", |env| env.name())
+    }
+
     /// Returns the environment.
     fn env(self) -> Option<&'a dyn DroneEnv> {
         match self {
@@ -77,7 +82,7 @@ impl EpisodeView {
             env.plans().into_iter().map(|plan| plan.map(points).unwrap_or_default()).collect()
         };
         Self {
-            task: env.map_or("simulation", |env| env.name()).into(),
+            task: source.name().into(),
             number,
             world: simulation.scene(),
             extent: env.map_or_else(starts, |env| env.extent()),
@@ -101,6 +106,8 @@ pub struct DroneFrame {
     pub rotor_speeds: [f64; 4],
     /// Maximum rotor speed, rpm.
     pub max_rpm: f64,
+    /// Factors on the commanded speeds of the motors.
+    pub motor_gains: [f64; 4],
     /// Supply voltage, V; `None` without a battery.
     pub voltage: Option<f64>,
     /// Reward of the last control step.
@@ -128,6 +135,8 @@ pub struct Frame {
     pub metrics: Vec<(&'static str, f64)>,
     /// Contacts of the last control step.
     pub contacts: Vec<Contact>,
+    /// Wind; `None` for still air.
+    pub wind_config: Option<WindConfig>,
     /// Steady part of the wind, world frame, m/s; zero in still air.
     pub wind: Vector3<f64>,
     /// True if every drone fulfils the task at this moment.
@@ -156,6 +165,7 @@ impl Frame {
                 reference: reference(drone),
                 rotor_speeds: *simulation.rotor_speeds(drone),
                 max_rpm: simulation.params(drone).max_rpm(),
+                motor_gains: *simulation.motor_gains(drone),
                 voltage: simulation.battery(drone).map(|_| simulation.voltage(drone)),
                 reward: env.map_or(0.0, |env| env.drone_reward(drone)),
                 end: env.and_then(|env| env.drone_end(drone)),
@@ -182,6 +192,7 @@ impl Frame {
             episode_reward: if step == 0 { 0.0 } else { earlier + reward },
             metrics,
             contacts: simulation.contacts().to_vec(),
+            wind_config: simulation.wind().cloned(),
             wind: steady(simulation.wind()),
             success: info.is_some_and(|info| info.success),
             end: info.and_then(|info| info.end),

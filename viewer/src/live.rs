@@ -124,6 +124,9 @@ pub struct LiveFlight<S> {
     steps: u32,
     /// Number of layouts of the obstacles that were drawn, for their seeds.
     layouts: u64,
+    /// Sticks of the drone that is flown by hand, and their meaning.
+    sticks: [f64; 4],
+    mode: Option<PilotMode>,
     is_interactive: bool,
 }
 
@@ -145,6 +148,8 @@ impl<S> LiveFlight<S> {
             forces: Vec::new(),
             steps: 0,
             layouts: 0,
+            sticks: [0.0; 4],
+            mode: None,
             is_interactive,
         }
     }
@@ -160,13 +165,15 @@ impl<S> LiveFlight<S> {
     }
 
     /// Shows the state and waits until the next control step is due. `is_over` is true after the end of the episode:
-    /// the call then returns only when the person restarts or rewinds the flight or closes the window.
+    /// the call then returns only when the person restarts or rewinds the flight or closes the window. Pass true after a
+    /// failed control step, too.
     ///
     /// # Errors
     /// [`ViewerError`] if the window fails. Later calls return [`Turn::Closed`].
     pub fn turn(&mut self, flown: &mut dyn Flown<Saved = S>, is_over: bool) -> Result<Turn, ViewerError> {
         self.status.pilot = flown.pilot();
-        if self.is_interactive {
+        // the state after a failed control step would replace the one before it
+        if self.is_interactive && !is_over {
             self.history.keep(flown);
         }
         self.show(flown)?;
@@ -176,7 +183,19 @@ impl<S> LiveFlight<S> {
                 return Ok(Turn::Closed);
             }
             while let Some(command) = self.viewer.shared().next_command() {
-                let done = self.execute(command, flown);
+                let is_drag = matches!(command, Command::Push { .. } | Command::Sticks(_));
+                let is_change = matches!(
+                    command,
+                    Command::Wind(_)
+                        | Command::NewObstacles
+                        | Command::Controller(_)
+                        | Command::MotorGain { .. }
+                        | Command::Pilot { .. }
+                );
+                let done = match command {
+                    Command::Step if is_over => Ok(None),
+                    command => self.execute(command, flown),
+                };
                 match done {
                     Ok(Some(turn)) => {
                         self.status.message = None;
@@ -184,6 +203,15 @@ impl<S> LiveFlight<S> {
                         self.show(flown)?;
                         return Ok(turn);
                     }
+                    Ok(None) if is_change => {
+                        self.status.message = None;
+                        // the flight from this state has the change
+                        if !is_over {
+                            self.history.keep(flown);
+                        }
+                        self.show(flown)?;
+                    }
+                    Ok(None) if is_drag => {}
                     Ok(None) => self.status.message = None,
                     Err(message) => self.status.message = Some(message),
                 }
@@ -266,7 +294,7 @@ impl<S> LiveFlight<S> {
                 self.clock.restart();
                 return Ok(None);
             }
-            _ if !self.is_interactive => return Err("this flight is recorded: it cannot be changed".into()),
+            _ if !self.is_interactive => return Err("this flight cannot be changed".into()),
             _ => {}
         }
         match command {
@@ -280,8 +308,18 @@ impl<S> LiveFlight<S> {
             Command::Rewind { step } => {
                 let reached = self.history.rewind(flown, step)?;
                 self.viewer.rewind(reached);
-                self.forces.fill(Vector3::zeros());
                 self.pulls.fill(None);
+                self.forces.fill(Vector3::zeros());
+                self.steps = 0;
+                // the person lets go of the drones, and flies those of the present by hand
+                for drone in 0..flown.source().simulation().num_drones() {
+                    flown.set_force(drone, Vector3::zeros())?;
+                    let mode = self.mode.filter(|_| self.status.piloted == Some(drone));
+                    flown.take(drone, mode)?;
+                    if mode.is_some() {
+                        flown.set_sticks(drone, self.sticks);
+                    }
+                }
                 Ok(Some(Turn::Rewound))
             }
             Command::Push { drone, target } => {
@@ -306,10 +344,18 @@ impl<S> LiveFlight<S> {
             Command::MotorGain { drone, motor, gain } => flown.set_motor_gain(drone, motor, gain).map(|()| None),
             Command::Pilot { drone, mode } => {
                 flown.take(drone, mode)?;
+                if let Some(before) = self.status.piloted.filter(|&before| before != drone) {
+                    flown.take(before, None)?;
+                }
+                (self.mode, self.sticks) = (mode, [0.0; 4]);
                 self.status.piloted = mode.map(|_| drone);
+                if mode.is_some() {
+                    flown.set_sticks(drone, self.sticks);
+                }
                 Ok(None)
             }
             Command::Sticks(sticks) => {
+                self.sticks = sticks;
                 if let Some(drone) = self.status.piloted {
                     flown.set_sticks(drone, sticks);
                 }

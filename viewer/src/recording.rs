@@ -88,6 +88,9 @@ impl Recording {
     /// Time between frames, s.
     pub const SECONDS_PER_FRAME: f64 = 1.0 / 20.0;
 
+    /// Largest number of frames that one image fills.
+    const MAX_REPEATS: u32 = 20;
+
     /// Returns true if the next frame is due.
     pub fn is_due(&self) -> bool {
         self.start.elapsed() >= Duration::from_secs_f64(Self::SECONDS_PER_FRAME).saturating_mul(self.frames)
@@ -97,7 +100,13 @@ impl Recording {
     /// repeated, so that the animation has the speed of the window.
     pub fn add(&mut self, image: &ColorImage) -> Result<(), String> {
         let rgb = rgb_of(image, self.size);
-        while self.is_due() {
+        let due = (self.start.elapsed().as_secs_f64() / Self::SECONDS_PER_FRAME) as u32 + 1;
+        let late = due.saturating_sub(self.frames);
+        if late > Self::MAX_REPEATS {
+            // an interruption of the window is left out
+            self.start += Duration::from_secs_f64(Self::SECONDS_PER_FRAME) * (late - Self::MAX_REPEATS);
+        }
+        for _ in 0..late.min(Self::MAX_REPEATS) {
             let added = match &mut self.writer {
                 Writer::Gif(gif) => gif.frame(&rgb),
                 Writer::Mp4(mp4) => mp4.frame(&rgb),

@@ -321,7 +321,7 @@ impl Trails {
         }
         self.key = key;
         let drones = flight.frame().drones.len();
-        let step = past.len().div_ceil(Self::MAX / drones.max(1)).max(1);
+        let step = past.len().div_ceil((Self::MAX / drones.max(1)).max(1)).max(1);
         self.points.clear();
         for drone in 0..drones {
             let all = past.iter().step_by(step).chain(past.last());

@@ -105,13 +105,14 @@ pub(crate) struct State {
 }
 
 impl State {
-    /// Largest number of frames in memory; then every second frame of the older half is removed.
+    /// Largest number of frames of one drone in memory; then every second frame of the older half is removed.
     const MAX_FRAMES: usize = 100_000;
 
     /// Adds a frame.
     pub fn push(&mut self, frame: Arc<Frame>) {
-        if self.frames.len() >= Self::MAX_FRAMES {
-            let (mut index, half) = (0, Self::MAX_FRAMES / 2);
+        let max = (Self::MAX_FRAMES / frame.drones.len().max(1)).max(1000);
+        if self.frames.len() >= max {
+            let (mut index, half) = (0, max / 2);
             self.frames.retain(|_| {
                 index += 1;
                 index > half || index % 2 == 1

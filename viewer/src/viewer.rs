@@ -24,7 +24,8 @@ pub struct ViewerOptions {
     pub panels: bool,
     /// True for shadows, reflections and several samples per pixel; `None` for a choice by the device: true on a GPU.
     pub is_pretty: Option<bool>,
-    /// True to leave the processors to other work: the window's thread has the lowest priority.
+    /// True to leave the processors to other work: the window's thread has the lowest priority and draws at most ten
+    /// images per second.
     pub in_background: bool,
 }
 
@@ -94,8 +95,8 @@ impl Viewer {
         Ok(viewer)
     }
 
-    /// Shows the present state of an environment. A smaller number of control steps than in the last call, or another
-    /// environment, starts a new episode in the window.
+    /// Shows the present state of an environment. Call it after every reset and every step. A smaller number of control
+    /// steps than in the last call, or another environment, starts a new episode in the window.
     ///
     /// Returns false after the window was closed; further calls have no effect.
     ///
@@ -138,9 +139,17 @@ impl Viewer {
         let simulation = source.simulation();
         let step = simulation.control_steps();
         let is_same = |last: &Frame| last.drones.iter().map(|drone| &drone.state).eq(simulation.states());
-        let continues = self.last.as_ref().filter(|last| {
-            last.drones.len() == simulation.num_drones() && (last.step < step || last.step == step && is_same(last))
-        });
+        let name = self.shared.state().episode.task.clone();
+        let is_same_scene = |last: &Frame| {
+            name == source.name()
+                && last.drones.len() == simulation.num_drones()
+                && last.obstacles.len() == simulation.obstacles().len()
+                && last.markers.len() == simulation.world().markers.len()
+        };
+        let continues = self
+            .last
+            .as_ref()
+            .filter(|last| is_same_scene(last) && (last.step < step || last.step == step && is_same(last)));
         let is_repeated = continues.is_some_and(|last| last.step == step);
         let mut frame = Frame::new(source, continues.map(|last| &**last), reference);
         if is_repeated && let Some(last) = continues {

@@ -193,6 +193,15 @@ fn the_mouse_pushes_a_selected_drone() {
         assert!(distance(&pushed, 1) < 0.01, "the other drone hovers");
         display.release(1);
         display.key_up(CONTROL);
+        // a flight that goes on from a state during the push has no push
+        display.text(" ");
+        run.until_still();
+        for _ in 0..5 {
+            display.key(support::LEFT);
+        }
+        display.text("c");
+        run.until("the earlier state", |report| report.turn == Turn::Rewound);
+        display.text(" ");
         run.until("the drone to return", |report| distance(report, 0) < 0.01);
         run.close(&display);
     });

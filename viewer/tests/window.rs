@@ -111,6 +111,12 @@ fn the_mouse_moves_the_camera_and_selects_drones() {
         status(&viewer, "a turn", |status| status.preset == "free" && (turn(&status.camera) + 18.0).abs() < 2.5);
         assert_eq!(viewer.status().camera.lookat, before.lookat);
 
+        // down turns the camera downwards
+        let before = still(&viewer);
+        display.drag(1, [300, 300], [300, 340]);
+        let tilt = |camera: &OrbitCamera| camera.elevation - before.elevation;
+        status(&viewer, "a tilt", |status| (tilt(&status.camera) + 12.0).abs() < 2.5);
+
         let before = still(&viewer);
         display.drag(3, [300, 300], [300, 240]);
         // the scene moves up with the mouse, so that the camera moves down
@@ -163,6 +169,9 @@ fn keys_become_commands_of_a_flight_that_executes_them() {
             viewer.sync(flight.env()).unwrap();
         }
         status(&viewer, "the state", |status| status.step == 20);
+        // Tab shows and hides the panels, and keys are commands as before
+        display.key(support::TAB);
+        display.key(support::TAB);
         display.text(" n-");
         display.key(support::BACKSPACE);
         // two states back, and continue from there

@@ -17,7 +17,7 @@ impl<S> Default for History<S> {
 }
 
 impl<S> History<S> {
-    /// Largest number of saved states.
+    /// Largest number of saved states of one drone.
     const MAX: usize = 4_096;
 
     /// Saves the present state if it is due.
@@ -30,7 +30,8 @@ impl<S> History<S> {
         if !step.is_multiple_of(self.every) {
             return;
         }
-        if self.saved.len() >= Self::MAX {
+        let drones = flown.source().simulation().num_drones();
+        if self.saved.len() >= (Self::MAX / drones.max(1)).max(64) {
             self.every *= 2;
             let every = self.every;
             self.saved.retain(|(step, _)| step.is_multiple_of(every));

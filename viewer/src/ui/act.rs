@@ -3,6 +3,7 @@
 use aviary::control::ControllerKind;
 use aviary::physics::wind::{WindConfig, WindModel};
 use aviary::rollout::PilotMode;
+use nalgebra::Vector3;
 
 use super::Ui;
 use crate::command::Command;
@@ -17,22 +18,26 @@ pub(super) struct Act {
     direction: f64,
     /// Vertical wind speed, m/s.
     upwards: f64,
+    /// Wind of the flight that the values show, world frame, m/s.
+    wind: Vector3<f64>,
     pub mode: PilotMode,
-    /// Gains of the motors of every drone, as this panel has set them.
-    gains: Vec<[f64; 4]>,
-    episode: u64,
 }
 
 impl Act {
     pub fn new(flight: &Flight) -> Self {
-        let wind = flight.frame().wind;
-        Self {
-            speed: wind.xy().norm(),
-            direction: wind.y.atan2(wind.x).to_degrees(),
-            upwards: wind.z,
-            mode: PilotMode::Vel,
-            gains: vec![[1.0; 4]; flight.frame().drones.len()],
-            episode: flight.episode.number,
+        let mut act = Self { speed: 0.0, direction: 0.0, upwards: 0.0, wind: Vector3::zeros(), mode: PilotMode::Vel };
+        act.read(flight.frame().wind);
+        act
+    }
+
+    /// Shows a wind that the flight has.
+    fn read(&mut self, wind: Vector3<f64>) {
+        if wind == self.wind {
+            return;
+        }
+        (self.wind, self.speed, self.upwards) = (wind, wind.xy().norm(), wind.z);
+        if self.speed > 0.0 {
+            self.direction = wind.y.atan2(wind.x).to_degrees();
         }
     }
 }
@@ -43,27 +48,31 @@ impl Ui {
             ui.label("The loop of the program steps this flight. `aviary view` flies with these controls.");
             return;
         }
-        let count = flight.frame().drones.len();
-        if self.act.episode != flight.episode.number || self.act.gains.len() != count {
-            // a new episode has its own motors
-            self.act.gains = vec![[1.0; 4]; count];
-            self.act.episode = flight.episode.number;
-        }
-        let drone = self.camera_drone().min(count - 1);
+        let frame = flight.frame();
+        let drone = self.camera_drone().min(frame.drones.len() - 1);
         ui.strong("Wind");
-        let before = self.act.clone();
-        ui.add(egui::Slider::new(&mut self.act.speed, 0.0..=10.0).text("m/s"));
-        ui.add(egui::Slider::new(&mut self.act.direction, -180.0..=180.0).text("° to +x, 90 to +y"));
-        ui.add(egui::Slider::new(&mut self.act.upwards, -3.0..=3.0).text("m/s upwards"));
-        if before != self.act {
+        // the flight answers a moment after the person has moved a slider
+        if !ui.input(|input| input.pointer.any_down()) {
+            self.act.read(frame.wind);
+        }
+        let is_moved = ui.add(slider(&mut self.act.speed, 0.0..=10.0, "m/s")).changed()
+            | ui.add(slider(&mut self.act.direction, -180.0..=180.0, "° to +x, 90 to +y")).changed()
+            | ui.add(slider(&mut self.act.upwards, -3.0..=3.0, "m/s upwards")).changed();
+        if is_moved {
             let (sin, cos) = self.act.direction.to_radians().sin_cos();
             let velocity = [self.act.speed * cos, self.act.speed * sin, self.act.upwards];
             let is_calm = velocity.iter().all(|x| x.abs() < 1e-9);
-            let wind = WindConfig { model: WindModel::Constant, velocity, ..WindConfig::default() };
-            self.send(Command::Wind((!is_calm).then_some(wind)));
+            // gusts of a wind with a steady part stay
+            let steady = |wind: &&WindConfig| matches!(wind.model, WindModel::Constant | WindModel::Combined);
+            let wind = match frame.wind_config.as_ref().filter(steady) {
+                Some(wind) => WindConfig { velocity, ..wind.clone() },
+                None => WindConfig { model: WindModel::Constant, velocity, ..WindConfig::default() },
+            };
+            let is_none = is_calm && wind.model == WindModel::Constant;
+            self.send(Command::Wind((!is_none).then_some(wind)));
         }
         ui.separator();
-        if !flight.frame().obstacles.is_empty() && ui.button("New layout of the obstacles").clicked() {
+        if !frame.obstacles.is_empty() && ui.button("New layout of the obstacles").clicked() {
             self.send(Command::NewObstacles);
         }
         ui.strong("Controller");
@@ -77,16 +86,14 @@ impl Ui {
         ui.separator();
         ui.strong(format!("Motors of drone {drone}"));
         for motor in 0..4 {
-            let mut gain = self.act.gains[drone][motor];
+            let mut gain = frame.drones[drone].motor_gains[motor];
             ui.horizontal(|ui| {
-                let slider = egui::Slider::new(&mut gain, 0.0..=1.2).text(format!("gain of motor {motor}"));
-                let mut changed = ui.add(slider).changed();
+                let mut changed = ui.add(slider(&mut gain, 0.0..=1.2, &format!("gain of motor {motor}"))).changed();
                 if ui.button(if gain > 0.0 { "Stop" } else { "Start" }).clicked() {
                     gain = if gain > 0.0 { 0.0 } else { 1.0 };
                     changed = true;
                 }
                 if changed {
-                    self.act.gains[drone][motor] = gain;
                     self.send(Command::MotorGain { drone, motor, gain });
                 }
             });
@@ -115,4 +122,9 @@ impl Ui {
         ui.separator();
         ui.label("To push a drone, select it with a double click and drag with Ctrl.");
     }
+}
+
+/// Returns a slider. A value outside the range stays until the person moves the slider.
+fn slider<'a>(value: &'a mut f64, range: std::ops::RangeInclusive<f64>, text: &str) -> egui::Slider<'a> {
+    egui::Slider::new(value, range).clamping(egui::SliderClamping::Edits).text(text.to_string())
 }

@@ -24,7 +24,7 @@ const KEYS: [(&str, &str); 26] = [
     (".", "one control step while paused"),
     ("+ −", "faster, slower"),
     ("0", "real time"),
-    (", and Shift + .", "show the previous or the next state"),
+    ("← →", "show the previous or the next state (by hand: , and Shift + .)"),
     ("C", "continue from the shown state"),
     ("Backspace", "restart with the same seed"),
     ("N", "restart with the next seed"),
@@ -48,6 +48,8 @@ pub(super) struct StickKeys {
 
 impl Ui {
     pub(super) fn handle_keys(&mut self, context: &egui::Context, flight: &mut Flight) {
+        // keys are commands: Tab and arrows do not move a focus among the buttons
+        context.memory_mut(|memory| memory.move_focus(egui::FocusDirection::None));
         self.sticks(context, flight);
         if context.egui_wants_keyboard_input() {
             return;
@@ -145,7 +147,8 @@ impl Ui {
         ];
         let pad = self.gamepads.read();
         let [up, left, forward, right] = std::array::from_fn(|i| (keys[i] + pad[i]).clamp(-1.0, 1.0));
-        let max_speed = flight.episode.world.drones[drone].params.max_speed;
+        let Some(model) = flight.episode.world.drones.get(drone) else { return };
+        let max_speed = model.params.max_speed;
         let sticks = stick_action(self.act.mode, [up, left, forward, right], max_speed);
         if self.keyboard.last != Some(sticks) {
             self.keyboard.last = Some(sticks);

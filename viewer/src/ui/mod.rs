@@ -83,7 +83,7 @@ pub(crate) struct Ui {
     pub save_image: bool,
     pub is_recording: bool,
     pub images_per_second: f64,
-    is_pretty: bool,
+    pub is_pretty: bool,
     panels: bool,
     tab: Tab,
     help: bool,

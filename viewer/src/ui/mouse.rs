@@ -28,7 +28,10 @@ impl Ui {
             self.free_camera();
             self.camera.zoom((f64::from(scroll.y) / 240.0).exp());
         }
+        // the onboard camera has no camera of the mouse
+        let is_outside = self.preset != Some(View::Fpv);
         if response.double_clicked()
+            && is_outside
             && let Some(at) = response.interact_pointer_pos()
         {
             let offset = at - self.scene.center();
@@ -42,7 +45,7 @@ impl Ui {
         }
         let delta = response.drag_delta();
         let (right, up) = (f64::from(delta.x) / height, -f64::from(delta.y) / height);
-        let can_push = flight.status.is_interactive && flight.shown.is_none();
+        let can_push = flight.status.is_interactive && flight.shown.is_none() && is_outside;
         let pushed = self.selected.filter(|_| modifiers.command && can_push);
         if let (Some(drone), true) = (pushed, response.dragged()) {
             let place = frame.drones[drone].state.position;
@@ -51,6 +54,9 @@ impl Ui {
                 _ => place,
             };
             let depth = self.camera.depth(&place).max(1e-3);
+            if let Some(old) = self.push.as_ref().map(|push| push.drone).filter(|&old| old != drone) {
+                self.send(Command::Push { drone: old, target: None });
+            }
             let target = target + self.camera.displacement(depth, right, up);
             self.push = Some(Push { drone, target });
             self.send(Command::Push { drone, target: Some(target) });
@@ -64,7 +70,7 @@ impl Ui {
         }
         if response.dragged_by(PointerButton::Primary) {
             self.free_camera();
-            self.camera.orbit(-TURN * right, -TURN * up);
+            self.camera.orbit(-TURN * right, TURN * up);
         } else if response.dragged_by(PointerButton::Secondary) || response.dragged_by(PointerButton::Middle) {
             self.free_camera();
             self.followed = None;

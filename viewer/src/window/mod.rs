@@ -5,6 +5,7 @@ mod priority;
 mod surface;
 mod x11;
 
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -101,7 +102,14 @@ pub fn check_display() -> Result<(), ViewerError> {
     }
     let (answer, answered) = mpsc::sync_channel(1);
     thread.send(Message::Check(answer))?;
-    answered.recv().map_err(|_| ViewerError::Disconnected)?
+    loop {
+        match answered.recv_timeout(Duration::from_millis(100)) {
+            Ok(answer) => return answer,
+            // the thread may have stopped for ever
+            Err(mpsc::RecvTimeoutError::Timeout) if !is_disconnected() => {}
+            Err(_) => return Err(ViewerError::Disconnected),
+        }
+    }
 }
 
 /// Waits until a closed window has released its resources, at most a second.
@@ -153,7 +161,9 @@ impl WindowThread {
 /// Starts the thread and connects to the display.
 fn start() -> Result<WindowThread, ViewerError> {
     let (answer, answered) = mpsc::sync_channel(1);
+    quieten_panics();
     let run = move || {
+        IS_WINDOW_THREAD.set(true);
         let built = catch_unwind(|| EventLoop::with_user_event().with_any_thread_everywhere().build());
         let event_loop: EventLoop<Message> = match built {
             Ok(Ok(event_loop)) => event_loop,
@@ -169,8 +179,17 @@ fn start() -> Result<WindowThread, ViewerError> {
         x11::watch(&event_loop, disconnect_all);
         let _ = answer.send(Ok(event_loop.create_proxy()));
         let mut windows = Windows::default();
-        // a panic of the display libraries ends the windows and no flight
-        let _ = catch_unwind(AssertUnwindSafe(|| event_loop.run_app(&mut windows)));
+        // a panic of the display libraries, which do not expect the end of a connection, ends the windows and no flight
+        let ran = catch_unwind(AssertUnwindSafe(|| event_loop.run_app(&mut windows)));
+        if let Err(panic) = ran {
+            // the thread that waits for the end of the connection may be late
+            std::thread::sleep(Duration::from_millis(200));
+            if !is_disconnected() {
+                let text = panic.downcast_ref::<String>().map(String::as_str);
+                let text = text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("unknown cause");
+                close_all(&ViewerError::Scene { reason: format!("the window panicked: {text}") });
+            }
+        }
         disconnect_all();
         // the resources of the display may be unusable
         std::mem::forget(windows);
@@ -181,13 +200,33 @@ fn start() -> Result<WindowThread, ViewerError> {
     Ok(WindowThread { proxy: Mutex::new(proxy), process: std::process::id() })
 }
 
-/// Closes all flights with an error, and refuses new windows.
+thread_local! {
+    /// True on the thread of the windows.
+    static IS_WINDOW_THREAD: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Prints no message of a panic on the thread of the windows: it becomes a [`ViewerError`].
+fn quieten_panics() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        if !IS_WINDOW_THREAD.get() {
+            before(panic);
+        }
+    }));
+}
+
+/// Closes all flights because the connection has ended, and refuses new windows.
 fn disconnect_all() {
     DISCONNECTED.store(true, Ordering::SeqCst);
+    close_all(&ViewerError::Disconnected);
+}
+
+/// Closes all flights with an error.
+fn close_all(error: &ViewerError) {
     for shared in OPEN.lock().unwrap_or_else(PoisonError::into_inner).drain(..).filter_map(|open| open.upgrade()) {
         let is_open = shared.state().is_open;
         if is_open {
-            shared.close(Some(ViewerError::Disconnected));
+            shared.close(Some(error.clone()));
         }
     }
 }
@@ -209,9 +248,6 @@ impl AnyThread for winit::event_loop::EventLoopBuilder<Message> {
 struct Windows {
     windows: HashMap<WindowId, ViewWindow>,
 }
-
-/// Shortest time between two images of a window.
-const IMAGE_PERIOD: Duration = Duration::from_micros(16_600);
 
 impl Windows {
     fn open(
@@ -277,10 +313,14 @@ impl ApplicationHandler<Message> for Windows {
                 closed.push(*id);
                 continue;
             }
-            if let Some(due) = window.due(IMAGE_PERIOD) {
+            if let Some(due) = window.due() {
                 let due = if due <= Instant::now() {
                     window.draw();
-                    window.due(IMAGE_PERIOD)
+                    if window.is_closed() {
+                        closed.push(*id);
+                        continue;
+                    }
+                    window.due()
                 } else {
                     Some(due)
                 };

@@ -19,6 +19,12 @@ use crate::shared::Shared;
 use crate::ui::{Ui, Wish};
 use crate::viewer::ViewerOptions;
 
+/// Shortest time between two images.
+const IMAGE_PERIOD: Duration = Duration::from_micros(16_600);
+
+/// Shortest time between two images of a window that leaves the processors to other work.
+const BACKGROUND_PERIOD: Duration = Duration::from_millis(100);
+
 pub(super) struct ViewWindow {
     // the painter is dropped by `finish`, which makes its context current
     painter: egui_glow::Painter,
@@ -34,6 +40,8 @@ pub(super) struct ViewWindow {
     /// Time at which egui wants to draw again.
     repaint: Option<Instant>,
     is_changed: bool,
+    /// Shortest time between two images.
+    period: Duration,
     last: Option<Instant>,
     /// Times of the last images.
     drawn: std::collections::VecDeque<Instant>,
@@ -70,7 +78,8 @@ impl ViewWindow {
         );
         egui.egui_ctx().set_theme(egui::Theme::Dark);
         egui.egui_ctx().set_fonts(fonts());
-        let ui = Ui::new(options, &flight);
+        let mut ui = Ui::new(options, &flight);
+        ui.is_pretty = scene.is_pretty;
         let saver = Saver::new(options.output.clone(), &flight.episode.task);
         Ok(Self {
             painter,
@@ -85,6 +94,7 @@ impl ViewWindow {
             recording: None,
             repaint: None,
             is_changed: true,
+            period: if options.in_background { BACKGROUND_PERIOD } else { IMAGE_PERIOD },
             last: None,
             drawn: std::collections::VecDeque::new(),
             is_closed: false,
@@ -127,11 +137,11 @@ impl ViewWindow {
         self.is_closed || !self.shared.state().is_open
     }
 
-    /// Returns the time of the next image, at least `period` after the last one; `None` if nothing changes.
-    pub fn due(&self, period: Duration) -> Option<Instant> {
+    /// Returns the time of the next image; `None` if nothing changes.
+    pub fn due(&self) -> Option<Instant> {
         let now = Instant::now();
         let wanted = if self.is_changed { Some(now) } else { self.repaint };
-        let earliest = self.last.map_or(now, |last| last + period);
+        let earliest = self.last.map_or(now, |last| last + self.period);
         wanted.map(|wanted| wanted.max(earliest))
     }
 
@@ -142,6 +152,8 @@ impl ViewWindow {
         self.repaint = None;
         self.last = Some(Instant::now());
         if size.width == 0 || size.height == 0 || self.is_closed() {
+            // later changes must wake the window
+            self.shared.read();
             return;
         }
         if let Err(error) = self.draw_image([size.width, size.height]) {
@@ -172,7 +184,9 @@ impl ViewWindow {
         });
         // textures remain without a context, and egui insists that they are removed
         textures.clear();
-        let pixels = drawn.and_then(|drawn| drawn).map_err(|_| ViewerError::Disconnected)?;
+        let pixels = drawn.and_then(|drawn| drawn).map_err(|reason| {
+            if super::is_disconnected() { ViewerError::Disconnected } else { ViewerError::Scene { reason } }
+        })?;
         if let Some(pixels) = pixels {
             self.save(&pixels);
         }
@@ -213,10 +227,13 @@ impl ViewWindow {
                         }
                     }
                 },
-                Wish::Quality(is_pretty) => match SceneView::new(&self.flight.episode.world, Some(is_pretty)) {
-                    Ok(scene) => self.scene = scene,
-                    Err(error) => self.ui.notify(Err(error.to_string())),
-                },
+                Wish::Quality(is_pretty) => {
+                    match SceneView::new(&self.flight.episode.world, Some(is_pretty)) {
+                        Ok(scene) => self.scene = scene,
+                        Err(error) => self.ui.notify(Err(error.to_string())),
+                    }
+                    self.ui.is_pretty = self.scene.is_pretty;
+                }
                 Wish::Close => self.is_closed = true,
             }
             self.is_changed = true;

@@ -211,6 +211,7 @@ pub const SHIFT: u32 = 0xffe1;
 pub const CONTROL: u32 = 0xffe3;
 pub const LEFT: u32 = 0xff51;
 pub const UP: u32 = 0xff52;
+pub const TAB: u32 = 0xff09;
 pub const BACKSPACE: u32 = 0xff08;
 
 /// Waits for a value, at most 20 s.
