@@ -192,7 +192,7 @@ impl Frame {
             episode_reward: if step == 0 { 0.0 } else { earlier + reward },
             metrics,
             contacts: simulation.contacts().to_vec(),
-            wind_config: simulation.wind().cloned(),
+            wind_config: simulation.wind().copied(),
             wind: steady(simulation.wind()),
             success: info.is_some_and(|info| info.success),
             end: info.and_then(|info| info.end),

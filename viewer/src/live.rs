@@ -164,9 +164,9 @@ impl<S> LiveFlight<S> {
         &self.status
     }
 
-    /// Shows the state and waits until the next control step is due. `is_over` is true after the end of the episode:
-    /// the call then returns only when the person restarts or rewinds the flight or closes the window. Pass true after a
-    /// failed control step, too.
+    /// Shows the state and waits until the next control step is due. `is_over` is true after the end of the episode,
+    /// and after a control step that failed: the call then returns only when the person restarts or rewinds the flight
+    /// or closes the window.
     ///
     /// # Errors
     /// [`ViewerError`] if the window fails. Later calls return [`Turn::Closed`].

@@ -65,7 +65,7 @@ impl Ui {
             // gusts of a wind with a steady part stay
             let steady = |wind: &&WindConfig| matches!(wind.model, WindModel::Constant | WindModel::Combined);
             let wind = match frame.wind_config.as_ref().filter(steady) {
-                Some(wind) => WindConfig { velocity, ..wind.clone() },
+                Some(wind) => WindConfig { velocity, ..*wind },
                 None => WindConfig { model: WindModel::Constant, velocity, ..WindConfig::default() },
             };
             let is_none = is_calm && wind.model == WindModel::Constant;
