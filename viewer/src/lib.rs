@@ -26,3 +26,7 @@ pub use orbit::OrbitCamera;
 pub use shared::{FlightStatus, ViewStatus};
 pub use viewer::{Viewer, ViewerOptions};
 pub use window::{check_display, close_windows, has_thread, lower_priority};
+
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/window.md")]
+mod page {}
