@@ -184,7 +184,7 @@ impl Ui {
         self.handle_keys(root.ctx(), flight);
         if self.panels {
             egui::Panel::bottom("time line").show(root, |ui| self.time_line(ui, flight));
-            egui::Panel::right("panels").default_size(330.0).show(root, |ui| self.tabs(ui, flight));
+            egui::Panel::right("panels").default_size(370.0).show(root, |ui| self.tabs(ui, flight));
         }
         let frame = egui::Frame::default().fill(Color32::BLACK);
         egui::CentralPanel::default().frame(frame).show(root, |ui| self.scene(ui, flight, images));
