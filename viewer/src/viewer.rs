@@ -24,8 +24,8 @@ pub struct ViewerOptions {
     pub panels: bool,
     /// True for shadows, reflections and several samples per pixel; `None` for a choice by the device: true on a GPU.
     pub is_pretty: Option<bool>,
-    /// True to leave the processors to other work: the window's thread has the lowest priority and draws at most ten
-    /// images per second.
+    /// True to leave the processors to other work: the threads of the window run while a processor is idle, and draw
+    /// at most ten images per second and 1/60 of the time, except under the mouse and the keys.
     pub in_background: bool,
 }
 

@@ -1,10 +1,12 @@
 //! Priority of threads.
 #![allow(unsafe_code)]
 
-/// Gives the calling thread the lowest priority, for flights in the background of other work.
+/// Gives the calling thread, and threads that it starts later, the lowest priority, for flights in the background of
+/// other work.
+///
+/// On Linux the threads run only while a processor has nothing else to do.
 pub fn lower() {
-    // SAFETY: changes a number of the calling thread, which Linux identifies by 0.
-    unsafe { libc::setpriority(libc::PRIO_PROCESS, 0, 19) };
+    lower_thread(0);
 }
 
 /// Returns the id of the calling thread.
@@ -13,8 +15,13 @@ pub(super) fn own_thread() -> i32 {
     unsafe { libc::gettid() }
 }
 
-/// Gives a thread of this process the lowest priority.
+/// Gives a thread of this process the lowest priority; 0 is the calling thread.
 pub(super) fn lower_thread(thread: i32) {
-    // SAFETY: changes a number of the thread; the call fails if the thread has ended.
-    unsafe { libc::setpriority(libc::PRIO_PROCESS, thread as libc::id_t, 19) };
+    let parameters = libc::sched_param { sched_priority: 0 };
+    // SAFETY: both calls change numbers of the thread, and fail if the thread has ended. Where idle threads are not
+    // allowed, the priority remains.
+    unsafe {
+        libc::setpriority(libc::PRIO_PROCESS, thread as libc::id_t, 19);
+        libc::sched_setscheduler(thread, libc::SCHED_IDLE, &raw const parameters);
+    }
 }

@@ -25,6 +25,15 @@ const IMAGE_PERIOD: Duration = Duration::from_micros(16_600);
 /// Shortest time between two images of a window that leaves the processors to other work.
 const BACKGROUND_PERIOD: Duration = Duration::from_millis(100);
 
+/// Longest time between two images of such a window while the flight changes.
+const LONGEST_BACKGROUND_PERIOD: Duration = Duration::from_secs(2);
+
+/// Share of the time that such a window draws, as a divisor. A person at the mouse or the keys gets images earlier.
+const BACKGROUND_DIVISOR: u32 = 60;
+
+/// Time after an event of mouse or keys in which images come earlier.
+const ATTENTION: Duration = Duration::from_millis(500);
+
 pub(super) struct ViewWindow {
     // the painter is dropped by `finish`, which makes its context current
     painter: egui_glow::Painter,
@@ -40,9 +49,12 @@ pub(super) struct ViewWindow {
     /// Time at which egui wants to draw again.
     repaint: Option<Instant>,
     is_changed: bool,
-    /// Shortest time between two images.
-    period: Duration,
-    last: Option<Instant>,
+    /// True for a window that leaves the processors to other work.
+    in_background: bool,
+    /// Start of the last image, and the time that it took.
+    last: Option<(Instant, Duration)>,
+    /// Time of the last event of mouse or keys.
+    touched: Option<Instant>,
     /// Times of the last images.
     drawn: std::collections::VecDeque<Instant>,
     is_closed: bool,
@@ -94,8 +106,9 @@ impl ViewWindow {
             recording: None,
             repaint: None,
             is_changed: true,
-            period: if options.in_background { BACKGROUND_PERIOD } else { IMAGE_PERIOD },
+            in_background: options.in_background,
             last: None,
+            touched: None,
             drawn: std::collections::VecDeque::new(),
             is_closed: false,
         })
@@ -125,6 +138,10 @@ impl ViewWindow {
                 self.is_changed = true;
             }
             WindowEvent::RedrawRequested => self.is_changed = true,
+            WindowEvent::CursorMoved { .. }
+            | WindowEvent::MouseInput { .. }
+            | WindowEvent::MouseWheel { .. }
+            | WindowEvent::KeyboardInput { .. } => self.touched = Some(Instant::now()),
             _ => {}
         }
         if self.egui.on_window_event(&self.gl.window, event).repaint {
@@ -141,8 +158,19 @@ impl ViewWindow {
     pub fn due(&self) -> Option<Instant> {
         let now = Instant::now();
         let wanted = if self.is_changed { Some(now) } else { self.repaint };
-        let earliest = self.last.map_or(now, |last| last + self.period);
+        let earliest = self.last.map_or(now, |(last, duration)| last + self.period(duration));
         wanted.map(|wanted| wanted.max(earliest))
+    }
+
+    /// Returns the shortest time between two images, of which the last took `duration`.
+    fn period(&self, duration: Duration) -> Duration {
+        if !self.in_background {
+            IMAGE_PERIOD
+        } else if self.touched.is_some_and(|touched| touched.elapsed() < ATTENTION) {
+            BACKGROUND_PERIOD
+        } else {
+            (duration * BACKGROUND_DIVISOR).clamp(BACKGROUND_PERIOD, LONGEST_BACKGROUND_PERIOD)
+        }
     }
 
     /// Draws an image. An error closes the window.
@@ -150,7 +178,8 @@ impl ViewWindow {
         let size = self.gl.window.inner_size();
         self.is_changed = false;
         self.repaint = None;
-        self.last = Some(Instant::now());
+        let start = Instant::now();
+        self.last = Some((start, Duration::ZERO));
         if size.width == 0 || size.height == 0 || self.is_closed() {
             // later changes must wake the window
             self.shared.read();
@@ -159,6 +188,7 @@ impl ViewWindow {
         if let Err(error) = self.draw_image([size.width, size.height]) {
             self.shared.close(Some(error));
         }
+        self.last = Some((start, start.elapsed()));
     }
 
     fn draw_image(&mut self, size: [u32; 2]) -> Result<(), ViewerError> {
