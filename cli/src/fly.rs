@@ -1,24 +1,25 @@
-use std::collections::VecDeque;
+mod log;
+mod result;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::anyhow;
-use aviary::control::ControllerKind;
-use aviary::drone::DroneParams;
-use aviary::env::{DroneEnv, Info};
+use aviary::env::DroneEnv;
 use aviary::record::plot::Plot;
-use aviary::record::{Flight as Samples, RecordError, Recorder, Scenario, state_numbers};
+use aviary::record::{Flight as Samples, Scenario};
 use clap::{Args, ValueHint};
 use indicatif::ProgressBar;
-use nalgebra::Vector3;
-use serde_json::{Value, json};
 use viewer::{Flown, LiveFlight, Turn, Viewer, ViewerOptions};
 
 use crate::animation::{AnimationOptions, AnimationWriter};
 use crate::failure::Failure;
 use crate::options::FlightOptions;
-use crate::output::{self, OutputDir, decimals};
+use crate::output::{self, OutputDir};
 use crate::pilot::Pilot;
+use crate::rerun::{RerunOptions, RerunWriter};
+use log::Log;
+use result::{Errors, Flight, nominal};
 
 /// Fly a task with a built-in controller and print the tracking error
 ///
@@ -42,6 +43,8 @@ pub struct Fly {
     /// is closed. `aviary view` has a window in which the flight can be changed.
     #[arg(long, verbatim_doc_comment)]
     view: bool,
+    #[command(flatten)]
+    rerun: RerunOptions,
 }
 
 // not a doc comment, which would replace the description of a command: a flight with its output
@@ -82,13 +85,14 @@ pub enum InWindow {
 
 impl Fly {
     pub fn run(&self) -> Result<(), Failure> {
-        self.flight.run(if self.view { InWindow::Watched } else { InWindow::No })
+        self.flight.run(if self.view { InWindow::Watched } else { InWindow::No }, &self.rerun)
     }
 }
 
 impl FlightCommand {
-    pub fn run(&self, window: InWindow) -> Result<(), Failure> {
+    pub fn run(&self, window: InWindow, rerun: &RerunOptions) -> Result<(), Failure> {
         self.animation.validate()?;
+        rerun.validate()?;
         let mut pilot = Pilot::new(&self.options)?;
         pilot.validate(&self.options)?;
         // all files of a directory belong to one flight, so that plots and log have the same directory
@@ -104,9 +108,12 @@ impl FlightCommand {
             write_scenario(out, pilot.env())?;
         }
         let live = window.open(&pilot, self.options.seed, out.as_ref())?;
-        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), animation, live)?;
+        let recording = rerun.begin(&pilot)?;
+        let outputs = Outputs { animation, live, recording };
+        let (flight, samples) = self.flight(&mut pilot, out.as_ref(), outputs)?;
 
         let mut written = self.animation.files();
+        written.extend(rerun.file());
         let summary = flight.json(pilot.env(), &self.options);
         if let Some(out) = &out {
             // equal seeds give equal files only without the wall time
@@ -167,8 +174,7 @@ impl FlightCommand {
         &self,
         pilot: &mut Pilot,
         out: Option<&OutputDir>,
-        mut animation: Option<AnimationWriter>,
-        mut live: Option<Live>,
+        Outputs { mut animation, mut live, mut recording }: Outputs,
     ) -> Result<(Flight, Option<Samples>), Failure> {
         let drones = pilot.env().simulation().num_drones();
         let is_changed = live.as_ref().is_some_and(|live| live.status().is_interactive);
@@ -239,11 +245,17 @@ impl FlightCommand {
                 if pilot.is_on_trajectory() { (0..drones).map(|drone| pilot.reward(drone)).sum() } else { of_task };
             errors.note(pilot);
             log.note(pilot)?;
+            if let Some(recording) = &mut recording {
+                recording.note(pilot)?;
+            }
             if pilot.env().simulation().control_steps().is_multiple_of(64) {
                 bar.set_position(pilot.env().simulation().control_steps());
             }
         }
         bar.finish_and_clear();
+        if let Some(recording) = recording {
+            recording.finish()?;
+        }
         if let Some(animation) = animation {
             animation.finish(pilot.env().simulation(), |drone| pilot.reference(drone))?;
         }
@@ -260,6 +272,13 @@ impl FlightCommand {
         }
         Ok((Flight { controller: pilot.kind(), seed, info, reward, wall_seconds, errors }, log.samples))
     }
+}
+
+/// Destinations of a flight besides its log.
+struct Outputs {
+    animation: Option<AnimationWriter>,
+    live: Option<Live>,
+    recording: Option<RerunWriter>,
 }
 
 /// Flight in a window.
@@ -281,90 +300,10 @@ impl InWindow {
     }
 }
 
-/// Records of a flight: files, and samples in memory for plots.
-struct Log {
-    recorder: Option<Recorder>,
-    samples: Option<Samples>,
-}
-
-impl Log {
-    /// Creates the files, if the flight has a directory.
-    fn begin(out: Option<&OutputDir>, drones: usize, has_samples: bool) -> Result<Self, Failure> {
-        let recorder = out.map(|out| Recorder::create(out.path(), drones)).transpose().map_err(Failure::work)?;
-        Ok(Self { recorder, samples: has_samples.then(Samples::default) })
-    }
-
-    /// Replaces the records by those of a new episode.
-    fn restart(&mut self, out: Option<&OutputDir>, drones: usize) -> Result<(), Failure> {
-        // the old files end before the new ones replace them
-        self.recorder = None;
-        *self = Self::begin(out, drones, self.samples.is_some())?;
-        Ok(())
-    }
-
-    /// Removes the records after a time, s.
-    fn rewind(&mut self, out: Option<&OutputDir>, time: f64) -> Result<(), Failure> {
-        let Some(mut samples) = self.samples.take() else { return Ok(()) };
-        samples.rewind(time);
-        self.recorder = None;
-        *self = Self::begin(out, samples.drones.len(), false)?;
-        if let Some(recorder) = &mut self.recorder {
-            recorder.record_flight(&samples).map_err(Failure::work)?;
-        }
-        self.samples = Some(samples);
-        Ok(())
-    }
-
-    /// Returns the errors and the reward of the control steps in the records.
-    fn totals(&self) -> (Errors, f64) {
-        let (mut errors, mut reward) = (Errors::default(), 0.0);
-        let drones = self.samples.as_ref().map_or(&[][..], |samples| &samples.drones);
-        let rows = drones.first().map_or(0, Vec::len);
-        // the first row is the state before the first control step
-        for row in 1..rows {
-            for samples in drones {
-                let sample = &samples[row];
-                reward += sample.reward;
-                if let Some((position, _)) = sample.reference {
-                    errors.add(sample.time, (sample.state.position - Vector3::from(position)).norm());
-                }
-            }
-            errors.forget(drones[0][row].time);
-        }
-        (errors, reward)
-    }
-
-    fn note(&mut self, pilot: &Pilot) -> Result<(), Failure> {
-        let simulation = pilot.env().simulation();
-        let of = |drone| (pilot.reward(drone), Some(pilot.reference(drone)));
-        if let Some(samples) = &mut self.samples {
-            samples.note_with(simulation, of);
-        }
-        match &mut self.recorder {
-            Some(recorder) => recorder.record_with(simulation, of).map_err(|error: RecordError| Failure::work(error)),
-            None => Ok(()),
-        }
-    }
-}
-
 /// Writes the scenario of an episode that begins.
 fn write_scenario(out: &OutputDir, env: &dyn DroneEnv) -> Result<(), Failure> {
     let scenario = Scenario::of(env.simulation()).and_then(|scenario| scenario.to_toml());
     out.write(SCENARIO, scenario.map_err(Failure::work)?.as_bytes())
-}
-
-/// Returns a metric of a task with its unit. Counts have no decimals. Sampled parameters are factors.
-fn metric(name: &str, value: f64) -> String {
-    let number = decimals(value, 3);
-    match name {
-        "gates_passed" | "waypoints_captured" => decimals(value, 0),
-        "minimum_distance" | "mean_formation_error" | "tracking_error" => format!("{number} m"),
-        "speed" | "velocity_error" => format!("{number} m/s"),
-        "body_rate" => format!("{number} rad/s"),
-        "sampled_lag" | "sampled_latency" => format!("{number} s"),
-        name if name.starts_with("sampled_") => format!("{number} × nominal"),
-        _ => number,
-    }
 }
 
 /// Scenario file of a flight, which `aviary replay` reads.
@@ -375,158 +314,3 @@ const PLOTS: [&str; 4] = ["flight.svg", "flight.png", "path.svg", "path.png"];
 
 /// Largest final position error of a successful flight along a trajectory, m.
 const ON_TRAJECTORY: f64 = 0.05;
-
-/// Position errors over a flight, one sample per control step and drone.
-#[derive(Debug, Default)]
-struct Errors {
-    sum: f64,
-    squares: f64,
-    count: u64,
-    peak: f64,
-    /// Times (s) and squared errors (m²) of the last 2 s.
-    recent: VecDeque<(f64, f64)>,
-}
-
-impl Errors {
-    fn note(&mut self, pilot: &Pilot) {
-        let simulation = pilot.env().simulation();
-        let time = simulation.time();
-        for drone in 0..simulation.num_drones() {
-            self.add(time, simulation.distance(drone, &pilot.reference(drone).position));
-        }
-        self.forget(time);
-    }
-
-    /// Adds the error of one drone, m.
-    fn add(&mut self, time: f64, error: f64) {
-        self.sum += error;
-        self.squares += error * error;
-        self.count += 1;
-        self.peak = self.peak.max(error);
-        self.recent.push_back((time, error * error));
-    }
-
-    /// Removes what is older than the last 2 s.
-    fn forget(&mut self, time: f64) {
-        while self.recent.front().is_some_and(|(t, _)| *t < time - 2.0) {
-            self.recent.pop_front();
-        }
-    }
-
-    fn mean(&self) -> f64 {
-        self.sum / self.count.max(1) as f64
-    }
-
-    fn rms(&self) -> f64 {
-        (self.squares / self.count.max(1) as f64).sqrt()
-    }
-
-    fn rms_last_2s(&self) -> f64 {
-        let sum: f64 = self.recent.iter().map(|(_, square)| square).sum();
-        (sum / self.recent.len().max(1) as f64).sqrt()
-    }
-}
-
-/// Result of a flight.
-#[derive(Debug)]
-struct Flight {
-    controller: ControllerKind,
-    /// Seed of the episode.
-    seed: u64,
-    info: Info,
-    reward: f64,
-    wall_seconds: f64,
-    errors: Errors,
-}
-
-impl Flight {
-    fn json(&self, env: &dyn DroneEnv, options: &FlightOptions) -> Value {
-        let simulation = env.simulation();
-        let drones: Vec<_> = (simulation.states().iter().enumerate())
-            .map(|(drone, state)| {
-                let crashed = env.drone_end(drone).is_some_and(|end| end.is_crash());
-                json!({ "final_position": state_numbers(state)[..3], "crashed": crashed })
-            })
-            .collect();
-        let mut metrics: serde_json::Map<_, _> =
-            env.info_map().into_iter().map(|(name, value)| (name.to_string(), json!(value))).collect();
-        // the values of the flight refer to the trajectory or the plan, those of the environment to the task
-        for (name, value) in self.info.values() {
-            metrics.insert(name.into(), json!(value));
-        }
-        json!({
-            "task": env.name(),
-            "drone_model": simulation.params(0).name,
-            "hover_rpm": nominal(env).hover_rpm(),
-            "hover_share": nominal(env).hover_rpm() / nominal(env).max_rpm(),
-            "physics": simulation.physics(),
-            "effects": simulation.effects().to_string(),
-            "engine": simulation.engine().name(),
-            "controller": self.controller.name(),
-            "trajectory": options.trajectory.as_ref().map(ToString::to_string),
-            "seed": self.seed,
-            "wind": simulation.wind().map_or("none", |wind| wind.model.name()),
-            "obstacles": simulation.obstacles().len(),
-            "success": self.info.success,
-            "end": self.info.end.map(|end| end.name()),
-            "reward": self.reward,
-            "simulated_seconds": self.info.time,
-            "wall_seconds": self.wall_seconds,
-            "final_position_error": self.info.position_error,
-            "rms_position_error": self.errors.rms(),
-            "rms_position_error_last_2s": self.errors.rms_last_2s(),
-            "mean_position_error": self.errors.mean(),
-            "peak_position_error": self.errors.peak,
-            "progress": self.info.progress,
-            "info": metrics,
-            "drones": drones,
-        })
-    }
-
-    fn table(&self, env: &dyn DroneEnv) -> String {
-        let centimetres = |metres: f64| format!("{} cm", decimals(100.0 * metres, 2));
-        let success = match (self.info.success, self.info.end) {
-            (true, _) => "yes".to_string(),
-            (false, Some(end)) => format!("no ({end})"),
-            (false, None) => "no".to_string(),
-        };
-        let mut metrics: Vec<_> = Vec::new();
-        env.metrics(&mut |name, value| metrics.push((name.replace('_', " "), metric(name, value))));
-        let mut rows = vec![
-            (
-                "task",
-                format!("{} with {} {}", env.name(), env.simulation().num_drones(), env.simulation().params(0).name),
-            ),
-            ("hover speed", hover_speed(nominal(env))),
-            ("controller", self.controller.to_string()),
-            ("physics", output::physics(env.simulation())),
-            ("engine", env.simulation().engine().name().to_string()),
-            ("success", success),
-            ("final position error", centimetres(self.info.position_error)),
-            ("RMS position error, last 2 s", centimetres(self.errors.rms_last_2s())),
-            ("mean position error", centimetres(self.errors.mean())),
-            ("peak position error", centimetres(self.errors.peak)),
-            ("reward", decimals(self.reward, 2)),
-            ("simulated time", format!("{:.2} s", self.info.time)),
-            ("simulated s per wall s", format!("{:.0}", self.info.time / self.wall_seconds.max(1e-9))),
-        ];
-        let implausible = nominal(env).derived().iter().filter(|number| !number.is_plausible()).count();
-        if implausible > 0 {
-            let numbers = if implausible == 1 { "number is" } else { "numbers are" };
-            rows.push(("warning", format!("{implausible} {numbers} implausible: see `aviary airframe`")));
-        }
-        rows.extend(metrics.iter().map(|(name, value)| (&**name, value.clone())));
-        output::table(&rows)
-    }
-}
-
-/// Returns the nominal parameters of the drones, before randomization.
-fn nominal(env: &dyn DroneEnv) -> &DroneParams {
-    &env.simulation().world().drones[0].params
-}
-
-/// Returns the hover speed of an airframe and its fraction of the maximum speed.
-fn hover_speed(params: &DroneParams) -> String {
-    let (hover, max) = (params.hover_rpm(), params.max_rpm());
-    format!("{hover:.0} rpm, {:.0} % of the maximum", 100.0 * hover / max)
-}

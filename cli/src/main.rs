@@ -19,6 +19,7 @@ mod pilot;
 mod play;
 mod render;
 mod replay;
+mod rerun;
 mod tasks;
 mod train;
 mod view;

@@ -2,6 +2,7 @@ use clap::Args;
 
 use crate::failure::Failure;
 use crate::fly::{FlightCommand, InWindow};
+use crate::rerun::RerunOptions;
 
 /// Fly a task in a window, in real time, and change the flight while it runs
 ///
@@ -23,6 +24,6 @@ pub struct View {
 
 impl View {
     pub fn run(&self) -> Result<(), Failure> {
-        self.flight.run(InWindow::Changed)
+        self.flight.run(InWindow::Changed, &RerunOptions::default())
     }
 }

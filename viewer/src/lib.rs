@@ -10,6 +10,8 @@ mod frame;
 mod live;
 mod orbit;
 mod recording;
+#[cfg(feature = "rerun")]
+pub mod rerun;
 mod scene;
 mod shared;
 mod sticks;

@@ -127,7 +127,6 @@ pub struct LiveFlight<S> {
     /// Sticks of the drone that is flown by hand, and their meaning.
     sticks: [f64; 4],
     mode: Option<PilotMode>,
-    is_interactive: bool,
 }
 
 /// Stiffness of a pull per mass, 1/s². The pull is critically damped.
@@ -150,7 +149,6 @@ impl<S> LiveFlight<S> {
             layouts: 0,
             sticks: [0.0; 4],
             mode: None,
-            is_interactive,
         }
     }
 
@@ -173,7 +171,7 @@ impl<S> LiveFlight<S> {
     pub fn turn(&mut self, flown: &mut dyn Flown<Saved = S>, is_over: bool) -> Result<Turn, ViewerError> {
         self.status.pilot = flown.pilot();
         // the state after a failed control step would replace the one before it
-        if self.is_interactive && !is_over {
+        if self.status.is_interactive && !is_over {
             self.history.keep(flown);
         }
         self.show(flown)?;
@@ -294,7 +292,7 @@ impl<S> LiveFlight<S> {
                 self.clock.restart();
                 return Ok(None);
             }
-            _ if !self.is_interactive => return Err("this flight cannot be changed".into()),
+            _ if !self.status.is_interactive => return Err("this flight cannot be changed".into()),
             _ => {}
         }
         match command {

@@ -20,7 +20,14 @@ use crate::ui::{Shows, Ui};
 #[derive(Default)]
 pub(crate) struct SceneImages {
     pub main: Option<TextureHandle>,
-    pub onboard: Vec<TextureHandle>,
+    /// Onboard images, ordered by drone, then by kind.
+    pub onboard: Vec<OnboardImage>,
+}
+
+/// Image of an onboard camera.
+pub(crate) struct OnboardImage {
+    pub drone: usize,
+    pub texture: TextureHandle,
 }
 
 /// Renderers of a world.
@@ -94,7 +101,7 @@ impl SceneView {
             None => self.main.onboard_rgba(ui.onboard_drone(&frame), size, &mut self.pixels).map_err(failed)?,
         }
         set(context, &mut images.main, "scene", size, &self.pixels);
-        self.draw_onboard(context, &states, ui, images)
+        self.draw_onboard(context, &states, ui.camera_drones(&frame), &ui.shows, images)
     }
 
     /// Rebuilds the renderers for another scene, and moves obstacles and markers.
@@ -228,18 +235,17 @@ impl SceneView {
         Ok(())
     }
 
-    /// Draws the onboard camera of a drone in the kinds of images that are shown.
+    /// Draws the onboard cameras of drones in the kinds of images that are shown.
     fn draw_onboard(
         &mut self,
         context: &egui::Context,
         states: &[aviary::state::DroneState],
-        ui: &Ui,
+        drones: std::ops::Range<usize>,
+        shows: &Shows,
         images: &mut SceneImages,
     ) -> Result<(), ViewerError> {
-        /// Distance that is black in an image of depth, m.
-        const FAR: f32 = 5.0;
         const SIZE: ImageSize = ImageSize { width: 240, height: 180 };
-        let kinds: Vec<_> = ImageKind::ALL.into_iter().zip(ui.shows.onboard).filter(|(_, on)| *on).collect();
+        let kinds: Vec<_> = ImageKind::ALL.into_iter().zip(shows.onboard).filter(|(_, on)| *on).collect();
         if kinds.is_empty() {
             images.onboard.clear();
             return Ok(());
@@ -251,40 +257,45 @@ impl SceneView {
         }
         let Some(renderer) = &mut self.onboard else { return Ok(()) };
         renderer.update(states).map_err(failed)?;
-        let drone = ui.camera_drone().min(states.len() - 1);
-        let mut shown = Vec::new();
-        for (kind, _) in &kinds {
-            let rgba = match kind {
-                ImageKind::Rgb => {
-                    let mut rgba = vec![0; 4 * SIZE.pixels()];
-                    renderer.onboard_rgba(drone, SIZE, &mut rgba).map_err(failed)?;
-                    rgba
-                }
-                ImageKind::Depth => {
-                    let mut depth = vec![0.0; SIZE.pixels()];
-                    renderer.onboard_depth(drone, SIZE, &mut depth).map_err(failed)?;
-                    with_alpha(&depth_in_colour(&depth, FAR))
-                }
-                ImageKind::Segmentation => {
-                    let mut objects = vec![[0; 2]; SIZE.pixels()];
-                    renderer.onboard_segmentation(drone, SIZE, &mut objects).map_err(failed)?;
-                    with_alpha(&segmentation_in_colour(&objects))
-                }
-            };
-            shown.push((kind.name(), rgba));
-        }
-        images.onboard.truncate(shown.len());
-        for (index, (name, rgba)) in shown.iter().enumerate() {
-            let mut handle = images.onboard.get(index).cloned();
-            set(context, &mut handle, name, SIZE, rgba);
-            match (images.onboard.get_mut(index), handle) {
-                (Some(own), Some(handle)) => *own = handle,
-                (None, Some(handle)) => images.onboard.push(handle),
-                _ => {}
+        let mut before = std::mem::take(&mut images.onboard).into_iter().map(|image| image.texture);
+        for drone in drones {
+            for (kind, _) in &kinds {
+                let rgba = onboard_image(renderer, *kind, drone, SIZE)?;
+                let mut texture = before.next();
+                set(context, &mut texture, kind.name(), SIZE, &rgba);
+                images.onboard.extend(texture.map(|texture| OnboardImage { drone, texture }));
             }
         }
         Ok(())
     }
+}
+
+/// Draws an onboard image as RGBA pixels.
+fn onboard_image(
+    renderer: &mut SceneRenderer,
+    kind: ImageKind,
+    drone: usize,
+    size: ImageSize,
+) -> Result<Vec<u8>, ViewerError> {
+    /// Distance that is black in an image of depth, m.
+    const FAR: f32 = 5.0;
+    Ok(match kind {
+        ImageKind::Rgb => {
+            let mut rgba = vec![0; 4 * size.pixels()];
+            renderer.onboard_rgba(drone, size, &mut rgba).map_err(failed)?;
+            rgba
+        }
+        ImageKind::Depth => {
+            let mut depth = vec![0.0; size.pixels()];
+            renderer.onboard_depth(drone, size, &mut depth).map_err(failed)?;
+            with_alpha(&depth_in_colour(&depth, FAR))
+        }
+        ImageKind::Segmentation => {
+            let mut objects = vec![[0; 2]; size.pixels()];
+            renderer.onboard_segmentation(drone, size, &mut objects).map_err(failed)?;
+            with_alpha(&segmentation_in_colour(&objects))
+        }
+    })
 }
 
 /// Adds an opaque alpha channel to RGB pixels.

@@ -14,7 +14,7 @@ pub use mjcf::SceneError;
 pub use mujoco_rs::Integrator;
 pub use obstacle::{Marker, MarkerPose, MovingMarker, Obstacle, Shape};
 pub use obstacle_generator::{ObstacleConfig, ObstacleGeneratorError, ObstacleKind};
-pub use visual_model::{CF2_ASSETS, check_obj};
+pub use visual_model::{CF2_ASSETS, VisualMesh, check_obj};
 
 /// Air of MuJoCo's fluid model.
 ///

@@ -95,26 +95,65 @@ impl VisualModel {
         format!("{}_material", part.file.trim_end_matches(".obj"))
     }
 
-    /// Adds the files of the parts, from the directory in [`CF2_ASSETS`] or from the executable.
+    /// Adds the files of the parts.
     pub(super) fn add_files(&self, assets: &mut Assets) -> Result<(), SceneError> {
+        for part in self.parts {
+            assets.insert(part.file, self.read(part)?);
+        }
+        Ok(())
+    }
+
+    /// Reads the mesh of a part, from the directory in [`CF2_ASSETS`] or from the executable.
+    fn read(&self, part: &VisualPart) -> Result<Vec<u8>, SceneError> {
         let directory = match self.appearance {
             Appearance::Crazyflie => std::env::var_os(CF2_ASSETS).filter(|value| !value.is_empty()).map(PathBuf::from),
             Appearance::Racer => None,
         };
-        for part in self.parts {
-            let bytes = match &directory {
-                None => part.embedded.to_vec(),
-                Some(directory) => {
-                    let path = directory.join(part.file);
-                    let bytes = std::fs::read(&path)
-                        .map_err(|error| SceneError::Mesh { path: path.clone(), message: error.to_string() })?;
-                    check_obj(&bytes).map_err(|message| SceneError::Mesh { path, message })?;
-                    bytes
-                }
-            };
-            assets.insert(part.file, bytes);
-        }
-        Ok(())
+        let Some(directory) = directory else { return Ok(part.embedded.to_vec()) };
+        let path = directory.join(part.file);
+        let bytes = std::fs::read(&path)
+            .map_err(|error| SceneError::Mesh { path: path.clone(), message: error.to_string() })?;
+        check_obj(&bytes).map_err(|message| SceneError::Mesh { path, message })?;
+        Ok(bytes)
+    }
+}
+
+/// Mesh of a visible part of an airframe.
+#[derive(Debug, Clone, PartialEq)]
+pub struct VisualMesh {
+    /// Name of the part.
+    pub name: &'static str,
+    /// Mesh as an OBJ file; its frame is the body frame, turned by `yaw` about z and scaled by `scale`.
+    pub obj: Vec<u8>,
+    /// Factor from the lengths of the file to m.
+    pub scale: f64,
+    /// Rotation of the mesh about the z axis of the body frame, rad.
+    pub yaw: f64,
+    /// Colour: red, green, blue, alpha, 0 to 1.
+    pub rgba: [f64; 4],
+}
+
+impl VisualMesh {
+    /// Returns the meshes of an airframe, with which MuJoCo draws it.
+    ///
+    /// # Errors
+    /// [`SceneError::Mesh`] if a file in the directory of [`CF2_ASSETS`] cannot be read.
+    ///
+    /// ```
+    /// use aviary::drone::DroneModel;
+    /// use aviary::world::VisualMesh;
+    ///
+    /// let meshes = VisualMesh::of(&DroneModel::Cf2x.params())?;
+    /// assert!(meshes.iter().any(|mesh| mesh.name == "propellers" && mesh.yaw == 0.0));
+    /// # Ok::<(), aviary::world::SceneError>(())
+    /// ```
+    pub fn of(params: &DroneParams) -> Result<Vec<Self>, SceneError> {
+        let model = VisualModel::of(params);
+        let mesh = |part: &VisualPart| {
+            let obj = model.read(part)?;
+            Ok(Self { name: part.name, obj, scale: model.scale, yaw: model.turn, rgba: part.rgba })
+        };
+        model.parts.iter().map(mesh).collect()
     }
 }
 

@@ -11,7 +11,7 @@ use crate::recording::RecordingKind;
 use crate::ui::Wish;
 
 /// All keys, for the help.
-const KEYS: [(&str, &str); 26] = [
+const KEYS: [(&str, &str); 27] = [
     ("drag left", "turn the camera"),
     ("drag right", "move the camera"),
     ("scroll", "zoom"),
@@ -31,6 +31,7 @@ const KEYS: [(&str, &str); 26] = [
     ("T, L", "trails, labels"),
     ("X, G", "contacts, forces"),
     ("V, D, M", "onboard camera: colour, depth, segmentation"),
+    ("B", "onboard cameras of all drones (at most six)"),
     ("P", "save an image (PNG)"),
     ("R, Shift + R", "record: GIF, MP4; again to stop"),
     ("K", "fly the selected drone by hand, or stop"),
@@ -82,6 +83,7 @@ impl Ui {
                 Key::V => self.shows.onboard[0] ^= true,
                 Key::D => self.shows.onboard[1] ^= true,
                 Key::M => self.shows.onboard[2] ^= true,
+                Key::B => self.shows.all_cameras ^= true,
                 Key::P => self.save_image = true,
                 Key::R => {
                     let kind = if modifiers.shift { RecordingKind::Mp4 } else { RecordingKind::Gif };

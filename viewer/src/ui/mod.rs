@@ -46,6 +46,8 @@ pub(crate) struct Shows {
     pub forces: bool,
     /// Images of the onboard camera: colour, depth, segmentation.
     pub onboard: [bool; 3],
+    /// Onboard images of the first drones in place of those of the selected one.
+    pub all_cameras: bool,
 }
 
 impl Default for Shows {
@@ -58,6 +60,7 @@ impl Default for Shows {
             contacts: false,
             forces: false,
             onboard: [false; 3],
+            all_cameras: false,
         }
     }
 }
@@ -150,6 +153,16 @@ impl Ui {
     /// Returns the drone whose onboard camera is shown.
     pub fn camera_drone(&self) -> usize {
         self.selected.or(self.followed).unwrap_or(0)
+    }
+
+    /// Returns the drones whose onboard images are shown, at most [`CAMERAS`].
+    pub fn camera_drones(&self, frame: &Frame) -> std::ops::Range<usize> {
+        if self.shows.all_cameras {
+            0..frame.drones.len().min(CAMERAS)
+        } else {
+            let drone = self.onboard_drone(frame);
+            drone..drone + 1
+        }
     }
 
     /// Returns the drone whose onboard camera fills the window.
@@ -247,14 +260,7 @@ impl Ui {
             }
         }
         self.overlay(&painter, rect, flight);
-        let mut corner = rect.right_top() + vec2(-8.0, 8.0);
-        for image in &images.onboard {
-            let size = vec2(240.0, 180.0).min(0.4 * rect.size());
-            let place = Rect::from_min_size(corner - vec2(size.x, 0.0), size);
-            let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
-            painter.image(image.id(), place, whole, Color32::WHITE);
-            corner.y += size.y + 6.0;
-        }
+        show_onboard(&painter, rect, images, frame.drones.len());
     }
 
     /// Writes clock, state of the flight and notices over the scene.
@@ -300,3 +306,31 @@ impl Ui {
 
 /// Time for which a notice is shown.
 const NOTICE: Duration = Duration::from_secs(5);
+
+/// Largest number of drones whose onboard images are shown at once.
+const CAMERAS: usize = 6;
+
+/// Shows the onboard images at the right side: a row for every drone, from the top, and a column for every kind.
+fn show_onboard(painter: &egui::Painter, rect: Rect, images: &SceneImages, drones: usize) {
+    const GAP: f32 = 6.0;
+    let rows = images.onboard.chunk_by(|a, b| a.drone == b.drone);
+    let (height, width) = (rows.clone().count(), rows.clone().map(<[_]>::len).max().unwrap_or(1));
+    let share = |whole: f32, count: usize| (whole - GAP) / count.max(1) as f32 - GAP;
+    let fit = (share(rect.height(), height) / 180.0).min(share(0.6 * rect.width(), width) / 240.0).clamp(0.0, 1.0);
+    let size = vec2(240.0, 180.0) * fit;
+    for (row, of_drone) in rows.enumerate() {
+        for (column, image) in of_drone.iter().rev().enumerate() {
+            let offset = vec2(-GAP - (column + 1) as f32 * (size.x + GAP), GAP + row as f32 * (size.y + GAP));
+            let place = Rect::from_min_size(rect.right_top() + offset, size);
+            let whole = Rect::from_min_max(pos2(0.0, 0.0), pos2(1.0, 1.0));
+            painter.image(image.texture.id(), place, whole, Color32::WHITE);
+            if drones > 1 {
+                let colour = aviary::record::plot::colour_of(image.drone, drones);
+                let [r, g, b] = [0, 1, 2].map(|i| (255.0 * colour[i]) as u8);
+                let (at, font) = (place.left_top() + vec2(4.0, 2.0), FontId::proportional(13.0));
+                painter.text(at + vec2(1.0, 1.0), Align2::LEFT_TOP, image.drone, font.clone(), Color32::BLACK);
+                painter.text(at, Align2::LEFT_TOP, image.drone, font, Color32::from_rgb(r, g, b));
+            }
+        }
+    }
+}

@@ -54,6 +54,9 @@ impl Ui {
         for (shown, name) in self.shows.onboard.iter_mut().zip(["colour (V)", "depth (D)", "segmentation (M)"]) {
             ui.checkbox(shown, name);
         }
+        if count > 1 {
+            ui.checkbox(&mut self.shows.all_cameras, "of all drones, at most six (B)");
+        }
         ui.separator();
         if ui.checkbox(&mut self.is_pretty, "shadows, reflections, smooth edges").changed() {
             self.wishes.push(Wish::Quality(self.is_pretty));
