@@ -1,5 +1,6 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use flight::clearance;
 use pulp::Simd;
 use smallvec::SmallVec;
 
@@ -168,7 +169,7 @@ impl CrashWatch {
         let lowest = if conditions.below_floor { 0.0 } else { f64::NEG_INFINITY };
         let upright = if conditions.max_tilt < PI { conditions.max_tilt.cos() + SLACK } else { f64::NEG_INFINITY };
         let airborne = f64::from(u8::from(airborne));
-        rows.copy_from_slice(&[airborne, cylinder.radius, cylinder.height, lowest, upright]);
+        rows.copy_from_slice(&[airborne, cylinder.0.radius, cylinder.0.height, lowest, upright]);
     }
 
     /// Reads the state of a drone from its rows, after steps without contacts.
@@ -181,8 +182,8 @@ impl CrashWatch {
     pub(super) fn update_rows<S: Simd>(state: &FlightState<Pack<S>>, rows: &mut LaneRows<'_, S>) -> Pack<S> {
         let (airborne, up, height) = (rows.get(0), state.attitude.up().z, state.position.z);
         let (zero, one) = (airborne.all(0.0), airborne.all(1.0));
-        let cylinder = CollisionCylinder { radius: rows.get(1), height: rows.get(2) };
-        let clear = airborne.all(CLEAR_OF_FLOOR).less(cylinder.clearance(height, up));
+        let cylinder = clearance::CollisionCylinder { radius: rows.get(1), height: rows.get(2) };
+        let clear = airborne.all(CLEAR_OF_FLOOR).less(cylinder.floor_clearance(height, up));
         rows.put(0, Real::choose(clear, one, airborne));
         let below = Real::choose(height.less(rows.get(3)), one, zero);
         Real::choose(up.less(rows.get(4)), one, below)

@@ -13,7 +13,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, Turn, V3};
+use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
@@ -162,7 +162,7 @@ impl Task for FlyThrough {
             return -crash_penalty(end);
         }
         let capture = if self.progress.just_passed(drone) { self.capture_reward } else { 0.0 };
-        let rate = V3::from(&simulation.states()[drone].angular_velocity);
+        let rate = simulation.states()[drone].angular_velocity.to_flight();
         flight_reward(capture, self.distance_penalty, self.progress.distance(drone), rate) - crash_penalty(end)
     }
 
@@ -170,7 +170,7 @@ impl Task for FlyThrough {
         let (state, target) = (&simulation.states()[drone], self.target(drone));
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
         out[12..15].copy_from_slice(target.as_slice());
-        let seen = in_body_frame(&Turn::from(&state.attitude), V3::from(&(target - state.position)));
+        let seen = in_body_frame(&state.attitude.to_flight(), (target - state.position).to_flight());
         out[15..18].copy_from_slice(&[seen.x, seen.y, seen.z]);
     }
 

@@ -11,7 +11,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows, path_points,
 };
-use crate::math::{Pack, Real, V3};
+use crate::math::{Pack, Real, ToFlight as _, ToNalgebra as _, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
@@ -105,7 +105,7 @@ impl Formation {
         let sides = self.path.iter().zip(self.path.iter().cycle().skip(1));
         let sides = sides.map(|(from, to)| (Vector3::from(*from), Vector3::from(*to)));
         let lap: f64 = sides.clone().map(|(from, to)| (to - from).norm()).sum();
-        let stand = Side { from: V3::from(&Vector3::from(self.path[0])), ..Side::STAND };
+        let stand = Side { from: Vector3::from(self.path[0]).to_flight(), ..Side::STAND };
         if lap < Self::MIN_LAP {
             return stand;
         }
@@ -115,8 +115,8 @@ impl Formation {
             if side.travelled(distance) < length {
                 return Side {
                     high: length,
-                    from: V3::from(&from),
-                    direction: V3::from(&((to - from) / length)),
+                    from: from.to_flight(),
+                    direction: ((to - from) / length).to_flight(),
                     ..side
                 };
             }
@@ -130,7 +130,7 @@ impl Formation {
     fn centre(&self, time: f64) -> (Vector3<f64>, Vector3<f64>) {
         let distance = self.speed * time;
         let side = self.side(distance);
-        (side.point(distance).into(), Vector3::from(side.direction) * self.speed)
+        (side.point(distance).to_nalgebra(), side.direction.to_nalgebra() * self.speed)
     }
 
     /// Returns the reward without the penalty for a crash, from the distance to the slot and the sum of the errors
@@ -243,7 +243,7 @@ impl Task for Formation {
         let (here, own) = (states[drone].position, self.offset(drone, count));
         let deviations = (0..count).filter(|&other| other != drone).fold(0.0, |sum, other| {
             let (apart, desired) = (states[other].position - here, self.offset(other, count) - own);
-            sum + Self::deviation(V3::from(&apart), V3::from(&desired))
+            sum + Self::deviation(apart.to_flight(), desired.to_flight())
         });
         let error = simulation.distance(drone, &self.slot(simulation, drone));
         Self::flight_reward(error, deviations) - crash_penalty(end)

@@ -11,7 +11,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, V3};
+use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::simulation::SimView;
 use crate::state::FlightState;
 
@@ -146,7 +146,7 @@ impl Task for Hover {
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none()
-            && at_target(V3::from(&simulation.states()[drone].position), V3::from(&self.target()))
+            && at_target(simulation.states()[drone].position.to_flight(), self.target().to_flight())
     }
 
     fn reference(&self, _simulation: SimView<'_>, _drone: usize) -> Reference {
@@ -221,6 +221,6 @@ pub(super) fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, target:
 /// # Panics
 /// If `drone` is out of range.
 pub fn hover_reward(simulation: SimView<'_>, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
-    let (state, rpy) = (FlightState::from(&simulation.states()[drone]), V3::from(simulation.rpy(drone)));
-    flight_reward(&state, rpy, V3::from(target)) - crash_penalty(end)
+    let (state, rpy) = (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight());
+    flight_reward(&state, rpy, target.to_flight()) - crash_penalty(end)
 }

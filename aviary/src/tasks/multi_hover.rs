@@ -12,7 +12,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, V3};
+use crate::math::{Pack, Real, ToFlight as _};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::placement::max_collision_radius;
@@ -174,7 +174,8 @@ impl Task for MultiHover {
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         let target = self.target(simulation, drone);
-        self.watch.end(drone).is_none() && at_target(V3::from(&simulation.states()[drone].position), V3::from(&target))
+        self.watch.end(drone).is_none()
+            && at_target(simulation.states()[drone].position.to_flight(), target.to_flight())
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {

@@ -11,7 +11,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, Turn, V3};
+use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
@@ -203,16 +203,16 @@ impl Task for Race {
         }
         let gate = if self.progress.just_passed(drone) { self.gate_reward } else { 0.0 };
         let (velocity, distance) = (&simulation.states()[drone].velocity, self.progress.distance(drone));
-        flight_reward(gate, [self.speed_reward, self.distance_penalty], V3::from(velocity), distance)
+        flight_reward(gate, [self.speed_reward, self.distance_penalty], velocity.to_flight(), distance)
             - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let state = &simulation.states()[drone];
         let (next, second) = (self.gate(drone, 0), self.gate(drone, 1));
-        let attitude = Turn::from(&state.attitude);
+        let attitude = state.attitude.to_flight();
         let seen = |point: Vector3<f64>| {
-            let V3 { x, y, z } = in_body_frame(&attitude, V3::from(&(point - state.position)));
+            let V3 { x, y, z } = in_body_frame(&attitude, (point - state.position).to_flight());
             [x, y, z]
         };
         out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));

@@ -12,7 +12,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
-use crate::math::{Pack, Real, V3};
+use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::simulation::SimView;
 use crate::state::{DroneState, FlightState, attitude_from_rpy};
 
@@ -156,7 +156,7 @@ impl Task for Stabilize {
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
         let state = FlightState::from(&simulation.states()[drone]);
-        Self::flight_reward(&state, V3::from(simulation.rpy(drone))) - crash_penalty(end)
+        Self::flight_reward(&state, simulation.rpy(drone).to_flight()) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

@@ -12,7 +12,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows, path_points,
 };
-use crate::math::{Pack, Real, V3, sin_cos_of_turns};
+use crate::math::{Pack, Real, ToFlight as _, ToNalgebra as _, V3, sin_cos_of_turns};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::state::{DroneState, FlightState};
@@ -95,9 +95,9 @@ impl Track {
         let circle = self.circle(drone);
         let [position, velocity, acceleration] = circle.motion(time);
         Reference {
-            velocity: velocity.into(),
-            acceleration: acceleration.into(),
-            ..Reference::hover(position.into(), 0.0)
+            velocity: velocity.to_nalgebra(),
+            acceleration: acceleration.to_nalgebra(),
+            ..Reference::hover(position.to_nalgebra(), 0.0)
         }
     }
 
@@ -180,7 +180,7 @@ impl Task for Track {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), V3::from(simulation.rpy(drone)));
+        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight());
         let [position, velocity, _] = self.circle(drone).motion(simulation.time());
         Self::flight_reward(&state, rpy, position, velocity) - crash_penalty(end)
     }

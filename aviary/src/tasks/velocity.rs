@@ -12,7 +12,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
-use crate::math::{Pack, Real, V3};
+use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::state::{FlightState, wrap_angle};
@@ -154,9 +154,9 @@ impl Task for Velocity {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), V3::from(simulation.rpy(drone)));
+        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight());
         let (velocity, yaw_rate) = &self.targets[drone];
-        Self::flight_reward(&state, rpy, V3::from(velocity), *yaw_rate) - crash_penalty(end)
+        Self::flight_reward(&state, rpy, velocity.to_flight(), *yaw_rate) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

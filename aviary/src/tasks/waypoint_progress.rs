@@ -5,7 +5,7 @@ use crate::control::Reference;
 use crate::control::trajectory::{Trajectory, Waypoints};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::{EnvError, LaneMask, LaneRows, LaneScene, TaskRows, path_points};
-use crate::math::{Pack, Real, Turn, V3};
+use crate::math::{Pack, Real, ToFlight as _, Turn, V3};
 use crate::simulation::SimView;
 
 /// Progress of each drone along a list of points, over a number of laps.
@@ -46,7 +46,7 @@ impl WaypointProgress {
             self.flying[drone] = self.passed[drone] < points.len() * laps;
             if let Some(point) = next(points, self.passed[drone], laps) {
                 self.distance[drone] = (state.position - point).norm();
-                let leg = [&self.before[drone], &state.position, &point].map(V3::from);
+                let leg = [&self.before[drone], &state.position, &point].map(|point| point.to_flight());
                 if distance_to_leg(leg[0], leg[1], leg[2]) <= radius {
                     self.passed[drone] += 1;
                     self.fresh[drone] = true;
