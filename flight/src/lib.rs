@@ -23,4 +23,5 @@ pub mod ground_effect;
 pub mod motors;
 pub mod rotor;
 pub mod sensors;
+pub mod tasks;
 pub mod wind;
