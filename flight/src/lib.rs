@@ -25,3 +25,6 @@ pub mod rotor;
 pub mod sensors;
 pub mod tasks;
 pub mod wind;
+
+#[cfg(test)]
+mod tests;
