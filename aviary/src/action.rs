@@ -14,7 +14,7 @@ use crate::control::{
     LaneController as _, RateControl, Target,
 };
 use crate::drone::DroneParams;
-use crate::math::{Real, Turn, V3, clamped, finite_zero, sin_cos, wrap_angle};
+use crate::math::{Real, Turn, V3, Weighted as _, clamped, finite_zero, sin_cos, wrap_angle};
 use crate::names::named_enum;
 use crate::state::{DroneState, FlightState};
 

@@ -1,7 +1,5 @@
-//! Random number generators of the simulator: a sequential one for everything that happens at resets ([`Rng`]), and a
-//! counter-based one for noise in every step ([`counter`]).
-
-pub(crate) mod counter;
+//! Sequential random numbers of the simulator, for everything that happens at resets. Noise in every step is from the
+//! counter-based generator of [`flight::random`].
 
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 

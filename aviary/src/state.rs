@@ -4,9 +4,10 @@
 //! airframe. Quaternions in the API are `[w, x, y, z]`, body to world. nalgebra stores `[x, y, z, w]`; only [`wxyz`]
 //! and [`attitude_from_wxyz`] convert between the two orders.
 
+pub(crate) use flight::state::FlightState;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::math::{self, Real, Turn, V3, finite_zero};
+use crate::math::{self, ToFlight as _, ToNalgebra as _};
 
 /// State of one drone: position, attitude, velocity and body rates (13 numbers, as in *MuJoCo-Drones-Gym*, Tayal).
 ///
@@ -64,7 +65,7 @@ impl DroneState {
 
     /// Returns the yaw of [`rpy`](Self::rpy), rad, in [−π, π].
     pub fn yaw(&self) -> f64 {
-        Turn::from(&self.attitude).yaw()
+        self.attitude.to_flight().yaw()
     }
 
     /// Returns the angle between the z axes of body and world, rad: 0 upright, π inverted.
@@ -96,32 +97,14 @@ impl DroneState {
     }
 }
 
-/// [`DroneState`] of one drone or of a register of drones.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct FlightState<R> {
-    pub position: V3<R>,
-    pub attitude: Turn<R>,
-    pub velocity: V3<R>,
-    pub rate: V3<R>,
-}
-
-impl<R: Real> FlightState<R> {
-    /// Returns a zero where every number of the state is finite, and NaN elsewhere.
-    #[inline(always)]
-    pub fn finite_zero(&self) -> R {
-        let Self { position: p, attitude: q, velocity: v, rate } = self;
-        finite_zero([p.x, p.y, p.z, q.w, q.v.x, q.v.y, q.v.z, v.x, v.y, v.z, rate.x, rate.y, rate.z])
-    }
-}
-
 impl From<&DroneState> for FlightState<f64> {
     #[inline(always)]
     fn from(state: &DroneState) -> Self {
         Self {
-            position: V3::from(&state.position),
-            attitude: Turn::from(&state.attitude),
-            velocity: V3::from(&state.velocity),
-            rate: V3::from(&state.angular_velocity),
+            position: state.position.to_flight(),
+            attitude: state.attitude.to_flight(),
+            velocity: state.velocity.to_flight(),
+            rate: state.angular_velocity.to_flight(),
         }
     }
 }
@@ -130,10 +113,10 @@ impl From<FlightState<f64>> for DroneState {
     #[inline(always)]
     fn from(motion: FlightState<f64>) -> Self {
         Self {
-            position: motion.position.into(),
-            attitude: motion.attitude.into(),
-            velocity: motion.velocity.into(),
-            angular_velocity: motion.rate.into(),
+            position: motion.position.to_nalgebra(),
+            attitude: motion.attitude.to_nalgebra(),
+            velocity: motion.velocity.to_nalgebra(),
+            angular_velocity: motion.rate.to_nalgebra(),
         }
     }
 }
@@ -141,7 +124,7 @@ impl From<FlightState<f64>> for DroneState {
 /// Returns the z axis of the body in the world frame, which is the third column of the rotation matrix.
 #[inline]
 pub fn body_z(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
-    Turn::from(attitude).up().into()
+    attitude.to_flight().up().to_nalgebra()
 }
 
 /// Returns the quaternion `[w, x, y, z]` of an attitude.
@@ -193,7 +176,7 @@ pub fn attitude_from_rpy(rpy: Vector3<f64>) -> UnitQuaternion<f64> {
 /// ```
 #[inline]
 pub fn rpy_from_attitude(attitude: &UnitQuaternion<f64>) -> Vector3<f64> {
-    Turn::from(attitude).rpy().into()
+    attitude.to_flight().rpy().to_nalgebra()
 }
 
 /// Wraps an angle (rad) to (−π, π].

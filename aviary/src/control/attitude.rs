@@ -3,7 +3,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::Mixer;
 use super::memory::is_finite;
 use crate::drone::{DroneModel, DroneParams};
-use crate::math::{Real, Turn, V3, clamped, sin_cos, wrap_angle};
+use crate::math::{Real, ToFlight as _, ToNalgebra as _, Turn, V3, Weighted as _, clamped, sin_cos, wrap_angle};
 use crate::state::{DroneState, FlightState};
 
 /// Gains of the attitude loop about the body axes: torques per rad, per rad·s and per rad/s.
@@ -124,10 +124,10 @@ impl AttitudeControl {
         attitude: &UnitQuaternion<f64>,
         body_rate: &Vector3<f64>,
     ) -> [f64; 4] {
-        let mut integral = V3::from(&self.integral);
-        let (attitude, body_rate) = (Turn::from(attitude), V3::from(body_rate));
+        let mut integral = self.integral.to_flight();
+        let (attitude, body_rate) = (attitude.to_flight(), body_rate.to_flight());
         let rpm = self.track(dt, &mut integral, &FlightState::from(state), thrust, &attitude, body_rate);
-        self.integral = integral.into();
+        self.integral = integral.to_nalgebra();
         rpm
     }
 
@@ -155,12 +155,12 @@ impl AttitudeControl {
 
     /// Returns the integral of the attitude errors, rad·s.
     pub(crate) fn integral(&self) -> V3<f64> {
-        V3::from(&self.integral)
+        self.integral.to_flight()
     }
 
     /// Sets the integral of the attitude errors, rad·s.
     pub(crate) fn set_integral(&mut self, integral: V3<f64>) {
-        self.integral = integral.into();
+        self.integral = integral.to_nalgebra();
     }
 }
 
@@ -245,7 +245,7 @@ mod tests {
         #[test]
         fn target_attitude_has_the_given_z_axis_and_yaw(x in -5.0..5.0, y in -5.0..5.0, yaw in -3.0..3.0) {
             let up = Vector3::new(x, y, 9.81);
-            let attitude = UnitQuaternion::from(attitude_along(V3::from(&up), yaw));
+            let attitude = attitude_along(up.to_flight(), yaw).to_nalgebra();
             prop_assert!((attitude * Vector3::z() - up.normalize()).norm() < 1e-9);
             let forward = attitude * Vector3::x();
             prop_assert!(wrap_angle(forward.y.atan2(forward.x) - yaw).abs() < 1e-9);

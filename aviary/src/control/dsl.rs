@@ -8,7 +8,7 @@ use super::{
     Reference, Target, run,
 };
 use crate::drone::DroneParams;
-use crate::math::{Real, V3, clamped, wrap_angle};
+use crate::math::{Real, ToFlight as _, ToNalgebra as _, V3, clamped, wrap_angle};
 use crate::state::{DroneState, FlightState};
 
 /// The paper's `DSLPIDControl`: the cascade of [`PidControl`] with stiffer gains, integral clamps half as large, a
@@ -107,7 +107,7 @@ impl LaneController for DslPidControl {
         let memory = self.cascade.memory();
         match &self.setpoint {
             Some(setpoint) => {
-                ControlMemory { setpoint: V3::from(&setpoint.position), setpoint_yaw: setpoint.yaw, ..memory }
+                ControlMemory { setpoint: setpoint.position.to_flight(), setpoint_yaw: setpoint.yaw, ..memory }
             }
             None => memory,
         }
@@ -115,7 +115,7 @@ impl LaneController for DslPidControl {
 
     fn set_memory(&mut self, memory: &ControlMemory<f64>) {
         self.cascade.set_memory(memory);
-        let setpoint = Setpoint { position: memory.setpoint.into(), yaw: memory.setpoint_yaw };
+        let setpoint = Setpoint { position: memory.setpoint.to_nalgebra(), yaw: memory.setpoint_yaw };
         self.setpoint = Some(setpoint).filter(|setpoint| !setpoint.yaw.is_nan());
     }
 

@@ -3,7 +3,7 @@ use nalgebra::Vector3;
 use super::memory::is_finite;
 use super::{ControlMemory, ControlOutput, Controller, Goal, LaneController, Mixer, Reference, Target, run};
 use crate::drone::{DroneParams, GRAVITY};
-use crate::math::{Real, Turn, V3, clamped, finite_zero, sin_cos};
+use crate::math::{Real, ToFlight as _, ToNalgebra as _, Turn, V3, Weighted as _, clamped, finite_zero, sin_cos};
 use crate::state::{DroneState, FlightState};
 
 /// Natural frequencies of the loops of a [`GeometricControl`], rad/s.
@@ -292,11 +292,11 @@ impl LaneController for GeometricControl {
             Chart::Left(sign) => sign,
             Chart::Forward(sign) => 2.0 * sign,
         };
-        ControlMemory { position_integral: V3::from(&self.integral), chart, ..ControlMemory::default() }
+        ControlMemory { position_integral: self.integral.to_flight(), chart, ..ControlMemory::default() }
     }
 
     fn set_memory(&mut self, memory: &ControlMemory<f64>) {
-        self.integral = memory.position_integral.into();
+        self.integral = memory.position_integral.to_nalgebra();
         let chart = LaneChart(memory.chart);
         self.chart = if chart.is_forward() { Chart::Forward(chart.sign()) } else { Chart::Left(chart.sign()) };
     }

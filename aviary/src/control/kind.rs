@@ -5,7 +5,7 @@ use super::{
     PidGains, Reference, Target,
 };
 use crate::drone::DroneParams;
-use crate::math::{Real, V3};
+use crate::math::{Real, ToFlight as _, ToNalgebra as _};
 use crate::names::named_enum;
 use crate::state::{DroneState, FlightState};
 
@@ -119,15 +119,15 @@ impl AnyController {
     /// Returns the integrals.
     pub fn integrals(&self) -> Integrals {
         let ControlMemory { position_integral, attitude_integral, .. } = self.memory();
-        Integrals { position: position_integral.into(), attitude: attitude_integral.into() }
+        Integrals { position: position_integral.to_nalgebra(), attitude: attitude_integral.to_nalgebra() }
     }
 
     /// Replaces the integrals, for example to start with the trim of an earlier flight. The next control step clamps
     /// them. A [`GeometricControl`] has no integral of the attitude.
     pub fn set_integrals(&mut self, integrals: &Integrals) {
         let mut memory = self.memory();
-        memory.position_integral = V3::from(&integrals.position);
-        memory.attitude_integral = V3::from(&integrals.attitude);
+        memory.position_integral = integrals.position.to_flight();
+        memory.attitude_integral = integrals.attitude.to_flight();
         self.set_memory(&memory);
     }
 

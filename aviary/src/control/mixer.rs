@@ -1,7 +1,7 @@
 use nalgebra::{Matrix4, Vector3};
 
 use crate::drone::DroneParams;
-use crate::math::{Real, V3, finite_zero};
+use crate::math::{Real, ToFlight as _, V3, finite_zero};
 
 /// Motor mixer: maps a collective thrust and body torques to motor speeds.
 ///
@@ -59,7 +59,7 @@ impl Mixer {
     /// If the motors saturate, the mixer reduces the yaw torque first, then changes the thrust, and finally scales
     /// roll and pitch torque by a common factor. Any non-finite input returns NaN speeds, which a simulation rejects.
     pub fn rpm(&self, thrust: f64, torque_body: Vector3<f64>) -> [f64; 4] {
-        self.speeds(thrust, V3::from(&torque_body))
+        self.speeds(thrust, torque_body.to_flight())
     }
 
     /// Returns the motor speeds of [`rpm`](Self::rpm).

@@ -6,7 +6,7 @@ use super::{
     run,
 };
 use crate::drone::{DroneParams, GRAVITY};
-use crate::math::{Real, V3};
+use crate::math::{Real, ToFlight as _, ToNalgebra as _, V3, Weighted as _};
 use crate::state::{DroneState, FlightState};
 
 /// Gains of the position loop along the world axes: accelerations per m, per m·s and per m/s.
@@ -175,14 +175,14 @@ impl PidControl {
 impl LaneController for PidControl {
     fn memory(&self) -> ControlMemory<f64> {
         ControlMemory {
-            position_integral: V3::from(&self.position_integral),
+            position_integral: self.position_integral.to_flight(),
             attitude_integral: self.attitude.integral(),
             ..ControlMemory::default()
         }
     }
 
     fn set_memory(&mut self, memory: &ControlMemory<f64>) {
-        self.position_integral = memory.position_integral.into();
+        self.position_integral = memory.position_integral.to_nalgebra();
         self.attitude.set_integral(memory.attitude_integral);
     }
 

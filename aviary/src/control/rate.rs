@@ -2,7 +2,7 @@ use nalgebra::Vector3;
 
 use super::Mixer;
 use crate::drone::DroneParams;
-use crate::math::{Real, V3};
+use crate::math::{Real, ToFlight as _, V3, Weighted as _};
 use crate::state::DroneState;
 
 /// Body-rate controller at a given collective thrust: the inner loop of racing drones, and of policies that are
@@ -50,7 +50,7 @@ impl RateControl {
         if !(dt > 0.0 && dt.is_finite()) {
             return [f64::NAN; 4];
         }
-        self.track(dt, V3::from(&state.angular_velocity), thrust, V3::from(body_rate))
+        self.track(dt, state.angular_velocity.to_flight(), thrust, body_rate.to_flight())
     }
 
     /// Returns the motor speeds of [`control`](Self::control) for an angular velocity.

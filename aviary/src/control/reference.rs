@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 
-use crate::math::{Real, V3};
+use crate::math::{Real, ToFlight as _, V3};
 use crate::state::wrap_angle;
 
 /// Target state of a drone at one time: position and yaw with their derivatives.
@@ -81,11 +81,11 @@ impl<R: Real> Target<R> {
 impl From<&Reference> for Target<f64> {
     fn from(reference: &Reference) -> Self {
         Self {
-            position: V3::from(&reference.position),
-            velocity: V3::from(&reference.velocity),
-            acceleration: V3::from(&reference.acceleration),
-            jerk: V3::from(&reference.jerk),
-            snap: V3::from(&reference.snap),
+            position: reference.position.to_flight(),
+            velocity: reference.velocity.to_flight(),
+            acceleration: reference.acceleration.to_flight(),
+            jerk: reference.jerk.to_flight(),
+            snap: reference.snap.to_flight(),
             yaw: wrap_angle(reference.yaw),
             yaw_rate: reference.yaw_rate,
             yaw_acceleration: reference.yaw_acceleration,

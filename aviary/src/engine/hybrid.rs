@@ -8,15 +8,16 @@
 //! the contacts with it ([`FloorKernel`]). It returns the step to MuJoCo if a contact has thrown a drone farther than
 //! the tested distance, and if an acceleration is beyond MuJoCo's limit.
 
+use ::flight::clearance::{sphere_clearance, sphere_floor_clearance};
 use mujoco_rs::{Data, Error};
 use nalgebra::Vector3;
 
 use super::flight::{FloorKernel, FloorModel, FreeBody, StepKind, Width};
 use super::mujoco::{BuildError, MujocoEngine};
 use super::{Bodies, Body, Contact, Load, Substeps, Touched};
-use crate::math::V3;
+use crate::math::ToFlight as _;
 use crate::state::DroneState;
-use crate::world::placement::{CollisionCylinder, obstacle_distance, sphere_clearance, sphere_floor_clearance};
+use crate::world::placement::{CollisionCylinder, obstacle_distance};
 use crate::world::{Forcing, Integrator, Obstacle, World};
 
 /// Integrator of N bodies that chooses between the flight kernel and MuJoCo, for all bodies together.
@@ -190,7 +191,7 @@ impl HybridEngine {
             let reach = bodies.drones[drone].reach_bound.reach();
             *room = 2.0 * travel + dt * states[drone].angular_velocity.norm() * reach + 0.05 * reach;
             // the kernel of the floor has no limit of the rotation
-            let near_floor = sphere_floor_clearance(V3::from(&states[drone].position), reach + *room) <= 0.0;
+            let near_floor = sphere_floor_clearance(states[drone].position.to_flight(), reach + *room) <= 0.0;
             known &= turn < FreeBody::MAX_TURN || (turn.is_finite() && near_floor);
         }
         let alone = known
@@ -216,10 +217,10 @@ impl HybridEngine {
     ) -> bool {
         states.iter().enumerate().all(|(drone, state)| {
             let ball = radius(drone);
-            let place = V3::from(&state.position);
+            let place = state.position.to_flight();
             let off_the_floor = sphere_floor_clearance(place, ball) > 0.0 || off_floor(drone, state);
             let apart =
-                |other: usize| sphere_clearance(place, ball, V3::from(&states[other].position), radius(other)) > 0.0;
+                |other: usize| sphere_clearance(place, ball, states[other].position.to_flight(), radius(other)) > 0.0;
             off_the_floor
                 && (0..drone).all(apart)
                 && self.clearance_caches[drone].has_room(&self.obstacles, &state.position, ball + drift)

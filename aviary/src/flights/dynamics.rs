@@ -3,12 +3,14 @@
 //! The forces are those of the simulator, by the same functions: [`RotorModel`], [`AirframeEffects`] and the flight
 //! kernel's [`FreeBody`]. Everything that a step computes is generic over a double and a SIMD register.
 
+use flight::airframe::{AirframeEffects, AirframeMotion};
+use flight::body::{FreeBody, Push};
+use flight::rotor::RotorModel;
+
 use super::{Flight, FlightError};
 use crate::drone::{DroneParams, GRAVITY};
-use crate::engine::flight::{FreeBody, Push};
 use crate::math::{Real, Turn, V3};
-use crate::physics::airframe::{AirframeEffects, AirframeMotion};
-use crate::physics::rotor::RotorModel;
+use crate::physics::{airframe, rotor};
 use crate::state::FlightState;
 
 /// Longest physics step of a prediction, s.
@@ -84,9 +86,9 @@ impl Dynamics {
     pub fn new(params: &DroneParams, dt: f64) -> Self {
         Self {
             dt,
-            rotors: RotorModel::new(params),
-            effects: AirframeEffects::new(params),
-            body: FreeBody::new(params.mass, &params.inertia_vector(), GRAVITY, None),
+            rotors: rotor::RotorModel::new(params).0,
+            effects: airframe::AirframeEffects::new(params).0,
+            body: crate::engine::flight::FreeBody::new(params.mass, &params.inertia_vector(), GRAVITY, None).0,
             mass: params.mass,
             inertia: params.inertia,
         }
@@ -200,6 +202,7 @@ pub(super) mod tests {
     use super::*;
     use crate::drone::{AirParams, DroneModel, MotorParams};
     use crate::flights::log::tests::tumbling;
+    use crate::math::{ToFlight as _, ToNalgebra as _};
     use crate::state::{DroneState, attitude_from_rpy};
     use nalgebra::Vector3;
 
@@ -302,7 +305,7 @@ pub(super) mod tests {
         let after = DroneState::from(dynamics.fly(pair, a, b, &state()));
         let start = DroneState::from(state());
         let gained = start.attitude.inverse() * (after.velocity - before.velocity) / 1e-3;
-        assert!((gained - Vector3::from(a)).norm() < 1e-3, "{gained}");
+        assert!((gained - a.to_nalgebra()).norm() < 1e-3, "{gained}");
         // roll and pitch disturbances grow with the thrust
         let (thrust, _) = dynamics.rotors.thrust_and_torque(&[15_005.0, 15_495.0, 14_010.0, 15_990.0]);
         let lift = airframe().air.translational_lift * start.velocity_body().xy().norm_squared();
@@ -333,8 +336,8 @@ pub(super) mod tests {
 
     #[test]
     fn attitudes_between_two_ignore_the_sign_of_the_quaternion() {
-        let a = Turn::from(&attitude_from_rpy(Vector3::new(0.1, 0.2, 0.3)));
-        let b = Turn::from(&attitude_from_rpy(Vector3::new(0.12, 0.17, 0.36)));
+        let a = attitude_from_rpy(Vector3::new(0.1, 0.2, 0.3)).to_flight();
+        let b = attitude_from_rpy(Vector3::new(0.12, 0.17, 0.36)).to_flight();
         let negative = Turn { w: -b.w, v: -b.v };
         for part in [0.0, 0.3, 1.0] {
             let (c, d) = (between(&a, &b, part), between(&a, &negative, part));

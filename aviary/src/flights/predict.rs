@@ -12,7 +12,7 @@ use super::observer::{Estimate, FastSteps, Observer, ObserverParams};
 use super::window::{HORIZONS, Predicted, Window};
 use super::{Flight, FlightError};
 use crate::drone::DroneParams;
-use crate::math::{Real, Turn};
+use crate::math::{Real, ToFlight as _, Turn};
 use crate::names::named_enum;
 use crate::state::FlightState;
 
@@ -152,7 +152,7 @@ impl<'a> Predictor<'a> {
     fn states(&self, index: usize, attitude: AttitudeSource, end: usize) -> Vec<Predicted> {
         let (row, estimate) = (self.windows[index].row, &self.estimates[index]);
         let attitudes: Option<Vec<_>> = (attitude == AttitudeSource::Recorded)
-            .then(|| self.flight.attitude[row..=end].iter().map(Turn::from).collect());
+            .then(|| self.flight.attitude[row..=end].iter().map(|attitude| attitude.to_flight()).collect());
         let inputs = Inputs {
             speeds: &self.speeds[row * self.substeps..=end * self.substeps],
             attitudes: attitudes.as_deref(),
@@ -200,7 +200,7 @@ fn estimates(
 mod tests {
     use super::*;
     use crate::flights::dynamics::tests::airframe;
-    use crate::math::V3;
+    use crate::math::{ToNalgebra as _, V3};
     use crate::state::{DroneState, attitude_from_rpy};
     use nalgebra::{UnitQuaternion, Vector3};
     use proptest::prelude::*;
@@ -259,7 +259,7 @@ mod tests {
             let dynamics = Dynamics::new(&params, 0.002);
             let mut next = FlightState::from(&state);
             for pair in speeds[row * 5..].windows(2) {
-                next = dynamics.fly([&pair[0], &pair[1]], V3::from(&acceleration), V3::from(&angular), &next);
+                next = dynamics.fly([&pair[0], &pair[1]], acceleration.to_flight(), angular.to_flight(), &next);
             }
             state = next.into();
         }
@@ -292,7 +292,7 @@ mod tests {
         let windows = Window::of(&flight).unwrap();
         let predictor = Predictor::new(&airframe(), &flight, &windows).unwrap();
         for estimate in &predictor.estimates {
-            let (a, b) = (Vector3::from(estimate.translation.total()), Vector3::from(estimate.rotation.total()));
+            let (a, b) = (estimate.translation.total().to_nalgebra(), estimate.rotation.total().to_nalgebra());
             assert!((a - acceleration).norm() < 0.02, "{a}");
             // the filter neglects the ratio of the thrust to the weight, here 0.94 to 1.06
             assert!((b - angular).norm() < 0.07 * angular.norm(), "{b}");

@@ -2,7 +2,9 @@ use std::ops::{Add, BitAnd, BitOr, Div, Mul, Neg, Not, Sub};
 
 use pulp::Simd;
 
-use super::{Bits, Real};
+use flight::math::{ROUND, mantissa_and_exponent_of_bits};
+
+use super::{Bits, Double, Real};
 
 /// Number of drones in one set of lanes.
 pub(crate) const LANES: usize = 8;
@@ -193,7 +195,6 @@ impl<S: Simd> Not for PackMask<S> {
 
 impl<S: Simd> Real for Pack<S> {
     type Mask = PackMask<S>;
-    type Bits = PackBits<S>;
 
     #[inline(always)]
     fn all(self, x: f64) -> Self {
@@ -234,11 +235,22 @@ impl<S: Simd> Real for Pack<S> {
     #[inline(always)]
     fn power_of_two(self) -> Self {
         let simd = self.simd;
-        let biased = simd.add_u64s(simd.transmute_u64s_f64s(self.values), simd.splat_u64s(1023));
+        // adding 1.5 · 2⁵² leaves the integer in the low bits
+        let integer = (self + ROUND).values;
+        let biased = simd.add_u64s(simd.transmute_u64s_f64s(integer), simd.splat_u64s(1023));
         // the product is a shift by 52 bits
         let shifted = simd.mul_u64s(biased, simd.splat_u64s(1 << 52));
         Self { values: simd.transmute_f64s_u64s(shifted), ..self }
     }
+
+    #[inline(always)]
+    fn mantissa_and_exponent(self) -> (Self, Self) {
+        mantissa_and_exponent_of_bits(self)
+    }
+}
+
+impl<S: Simd> Double for Pack<S> {
+    type Bits = PackBits<S>;
 
     #[inline(always)]
     fn bits(self) -> PackBits<S> {

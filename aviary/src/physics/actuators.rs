@@ -1,6 +1,8 @@
 //! Motor dynamics: lag, latency, gains and saturation, from the settings of an environment and from the airframe. All
 //! of them are off by default.
 
+use flight::motors;
+
 use crate::drone::DroneParams;
 use crate::error::OptionError;
 
@@ -213,7 +215,7 @@ impl Actuators {
     pub fn target(&self, command: &[f64; 4]) -> [f64; 4] {
         let mut target = *command;
         for (target, gain) in target.iter_mut().zip(self.gains) {
-            *target = (*target * gain).clamp(0.0, self.max_rpm);
+            *target = motors::target(*target, gain, self.max_rpm);
         }
         target
     }
@@ -236,9 +238,7 @@ impl Actuators {
         let targets = self.target(&arrived);
         let (rise, fall) = (self.share, self.fall_share());
         for (rpm, target) in self.rpm.iter_mut().zip(targets) {
-            let share = if *rpm < target { rise } else { fall };
-            // without lag the speed is exactly the command; the formula would add a rounding error
-            *rpm = if share < 1.0 { *rpm + (target - *rpm) * share } else { target };
+            *rpm = motors::follow(*rpm, target, motors::share(*rpm, target, rise, fall));
         }
         &self.rpm
     }

@@ -10,22 +10,11 @@
 //! `MAX_THRUST` of the upper drone, because a wake carries at most the momentum that the rotors put into it. Where β
 //! is zero, the force acts only on the axis of the wake.
 
+use flight::downwash;
+pub use flight::downwash::REACH;
+
 use crate::drone::DroneParams;
-use crate::math::{Real, exp_of_negative};
 use crate::state::DroneState;
-
-/// Lateral distance beyond which the downwash is zero, m.
-pub const REACH: f64 = 10.0;
-
-/// Value of (Δxy / β)² beyond which no exponential is computed. For height differences above [`CLOSE`] the force is
-/// then below 1e-20 N, less than the last bit of any other force.
-const NEGLIGIBLE: f64 = 120.0;
-
-/// Height difference below which α is so large that the exponential is computed until it underflows, m.
-const CLOSE: f64 = 0.01;
-
-/// Value of (Δxy / β)² beyond which the exponential underflows to zero.
-const VANISHING: f64 = 1491.0;
 
 /// Wake of one drone.
 ///
@@ -41,68 +30,21 @@ const VANISHING: f64 = 1491.0;
 /// assert_eq!([wake.force(-1.0, 0.0), wake.force(1.0, REACH * REACH)], [0.0, 0.0], "above, and too far");
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Wake<R = f64> {
-    /// C1·(r_p / 4)², N·m².
-    pub(crate) strength: R,
-    /// C2.
-    pub(crate) spread: R,
-    /// C3, m.
-    pub(crate) offset: R,
-    /// Largest force, N.
-    pub(crate) cap: R,
-}
+pub struct Wake(pub(crate) downwash::Wake);
 
 impl Wake {
     /// Creates the wake of a drone.
     pub fn new(params: &DroneParams) -> Self {
         let [c1, spread, offset] = params.downwash_coefficients;
         let quarter = params.propeller_radius / 4.0;
-        Self { strength: c1 * quarter * quarter, spread, offset, cap: params.max_thrust() }
+        Self(downwash::Wake { strength: c1 * quarter * quarter, spread, offset, cap: params.max_thrust() })
     }
 
     /// Returns the force along world z (N, zero or negative) on a drone that is `below` (m) lower, at a squared
     /// lateral distance of `sideways_squared` (m²).
     #[inline]
     pub fn force(&self, below: f64, sideways_squared: f64) -> f64 {
-        self.push(below, sideways_squared)
-    }
-}
-
-#[allow(private_bounds)] // scalar or SIMD
-impl<R: Real> Wake<R> {
-    /// Returns true where the force is not negligible on a drone that is `below` (m) lower, at a squared lateral
-    /// distance of `sideways_squared` (m²). Scalar or SIMD.
-    #[inline(always)]
-    pub(crate) fn reaches(&self, below: R, sideways_squared: R) -> R::Mask {
-        let beta = self.spread * below + self.offset;
-        let limit = R::choose(below.all(CLOSE).less(below), below.all(NEGLIGIBLE), below.all(VANISHING));
-        // false for NaN, so that its force is zero; true on the axis of a wake with β = 0
-        let near = sideways_squared.less(limit * (beta * beta) + f64::MIN_POSITIVE);
-        below.all(0.0).less(below) & sideways_squared.less(below.all(REACH * REACH)) & near
-    }
-
-    /// Computes [`force`](Self::force), scalar or SIMD.
-    #[inline(always)]
-    pub(crate) fn push(&self, below: R, sideways_squared: R) -> R {
-        let inside = self.reaches(below, sideways_squared);
-        let beta = self.spread * below + self.offset;
-        let fallen = exp_of_negative(sideways_squared * -0.5 / (beta * beta));
-        // 0/0 on the axis of a wake with β = 0
-        let share = R::choose(sideways_squared.less(below.all(f64::MIN_POSITIVE)), below.all(1.0), fallen);
-        // the cap follows the product, because the strength is infinite at zero distance
-        let force = -(self.strength / (below * below) * share).lesser(self.cap);
-        R::choose(inside, force, below.all(0.0))
-    }
-
-    /// Selects `yes` where the mask is true and `no` elsewhere.
-    #[inline(always)]
-    pub(crate) fn choose(mask: R::Mask, yes: &Self, no: &Self) -> Self {
-        Self {
-            strength: R::choose(mask, yes.strength, no.strength),
-            spread: R::choose(mask, yes.spread, no.spread),
-            offset: R::choose(mask, yes.offset, no.offset),
-            cap: R::choose(mask, yes.cap, no.cap),
-        }
+        self.0.force(below, sideways_squared)
     }
 }
 
@@ -130,8 +72,8 @@ pub fn add_forces(wakes: &[Wake], states: &[DroneState], forces: &mut [f64]) {
             let sideways_squared = apart.x * apart.x + apart.y * apart.y;
             let (lower, wake) = if apart.z > 0.0 { (j, &wakes[i]) } else { (i, &wakes[j]) };
             // most pairs are out of reach of each other
-            if wake.reaches(apart.z.abs(), sideways_squared) {
-                forces[lower] += wake.push(apart.z.abs(), sideways_squared);
+            if wake.0.reaches(apart.z.abs(), sideways_squared) {
+                forces[lower] += wake.force(apart.z.abs(), sideways_squared);
             }
         }
     }

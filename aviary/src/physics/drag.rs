@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 
 use crate::drone::DroneParams;
-use crate::math::{Real, Turn, V3};
+use crate::math::{ToFlight as _, ToNalgebra as _};
 use crate::state::DroneState;
 
 /// Returns the drag of the blades on a drone, world frame, N.
@@ -29,16 +29,9 @@ use crate::state::DroneState;
 /// ```
 #[inline]
 pub fn force(params: &DroneParams, state: &DroneState, rpm: &[f64; 4], wind: &Vector3<f64>) -> Vector3<f64> {
-    let coefficients = V3::from(&Vector3::from(params.drag_coefficients));
-    push(coefficients, &Turn::from(&state.attitude), rpm, V3::from(&state.velocity) - V3::from(wind)).into()
-}
-
-/// Computes [`force`] at a velocity relative to the air (world frame, m/s), scalar or SIMD.
-#[inline(always)]
-pub(crate) fn push<R: Real>(coefficients: V3<R>, attitude: &Turn<R>, rpm: &[R; 4], relative: V3<R>) -> V3<R> {
-    let total = (rpm[0] + rpm[1] + rpm[2] + rpm[3]) * (std::f64::consts::TAU / 60.0);
-    let velocity_body = attitude.back(relative);
-    attitude.forth(-(coefficients.times(velocity_body) * total))
+    let coefficients = Vector3::from(params.drag_coefficients).to_flight();
+    let relative = state.velocity.to_flight() - wind.to_flight();
+    flight::drag::force(coefficients, &state.attitude.to_flight(), rpm, relative).to_nalgebra()
 }
 
 #[cfg(test)]

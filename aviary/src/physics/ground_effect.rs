@@ -6,8 +6,9 @@
 //! The force acts along world z. It is zero for a drone that is upside down. h_clip keeps the force bounded as h → 0:
 //! see [`DroneParams::ground_effect_clip`].
 
+use flight::ground_effect;
+
 use crate::drone::DroneParams;
-use crate::math::Real;
 use crate::state::DroneState;
 
 /// Ground-effect constants of one drone.
@@ -23,38 +24,22 @@ use crate::state::DroneState;
 /// assert!((lift / params.weight() - 4.0 / 15.0).abs() < 1e-12);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct GroundEffect<R = f64> {
-    /// C_gnd·(r_p / 4)², m².
-    pub(crate) coefficient: R,
-    /// Height below which the force stays constant, m.
-    pub(crate) clip: R,
-}
+pub struct GroundEffect(pub(crate) ground_effect::GroundEffect);
 
 impl GroundEffect {
     /// Creates the ground effect of a drone.
     pub fn new(params: &DroneParams) -> Self {
         let quarter = params.propeller_radius / 4.0;
-        Self { coefficient: params.ground_effect_coefficient * quarter * quarter, clip: params.ground_effect_clip() }
+        Self(ground_effect::GroundEffect {
+            coefficient: params.ground_effect_coefficient * quarter * quarter,
+            clip: params.ground_effect_clip(),
+        })
     }
 
     /// Returns the additional force along world z, N, at a collective thrust in N.
     #[inline]
     pub fn force(&self, state: &DroneState, thrust: f64) -> f64 {
-        self.push(state.position.z, state.up().z, thrust)
-    }
-}
-
-#[allow(private_bounds)] // scalar or SIMD
-impl<R: Real> GroundEffect<R> {
-    /// Computes [`force`](GroundEffect::force) from the height (m) and the world z component of body z, scalar or
-    /// SIMD.
-    #[inline(always)]
-    pub(crate) fn push(&self, height: R, up: R, thrust: R) -> R {
-        let (zero, height) = (height.all(0.0), self.clip.greater(height));
-        let force = thrust * self.coefficient / (height * height);
-        // body z points upwards if |roll| and |pitch| are below 90°
-        // without the effect the clip is zero, so the height may be zero
-        R::choose(zero.less(up) & zero.less(self.coefficient), force, zero)
+        self.0.force(state.position.z, state.up().z, thrust)
     }
 }
 

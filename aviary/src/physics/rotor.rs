@@ -1,11 +1,12 @@
 //! Rotors: thrust and reaction torque are quadratic in the rotor speed (*MuJoCo-Drones-Gym*, Tayal, eq. 1 and the
 //! torques below it).
 
+use flight::rotor;
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Wrench;
 use crate::drone::DroneParams;
-use crate::math::{Real, V3};
+use crate::math::ToNalgebra as _;
 
 /// Rotors of one drone: the allocation matrix times k_f, so that one matrix product gives the wrench.
 ///
@@ -18,12 +19,7 @@ use crate::math::{Real, V3};
 /// assert!((wrench.thrust - params.weight()).abs() < 1e-12 && wrench.torque_body.norm() < 1e-12);
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct RotorModel<R = f64> {
-    /// Thrust coefficient of each rotor, N/rpm².
-    pub(crate) thrust: R,
-    /// Torque coefficients of the rotors about body x, y and z, N·m/rpm².
-    pub(crate) torque: [[R; 4]; 3],
-}
+pub struct RotorModel(pub(crate) rotor::RotorModel);
 
 /// Collective thrust and torque of the four rotors, body frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,34 +35,16 @@ impl RotorModel {
     pub fn new(params: &DroneParams) -> Self {
         let matrix = params.allocation() * params.thrust_coefficient;
         let row = |row: usize| [0, 1, 2, 3].map(|rotor| matrix[(row, rotor)]);
-        Self { thrust: matrix[(0, 0)], torque: [row(1), row(2), row(3)] }
+        Self(rotor::RotorModel { thrust: matrix[(0, 0)], torque: [row(1), row(2), row(3)] })
     }
 
     /// Returns the wrench of four rotors at these speeds, rpm:
     /// Fᵢ = k_f·nᵢ², τx and τy from the lever arms, τz = k_m·Σ ±nᵢ².
     #[inline]
     pub fn wrench(&self, rpm: &[f64; 4]) -> RotorWrench {
-        let (thrust, torque_body) = self.thrust_and_torque(rpm);
-        RotorWrench { thrust, torque_body: torque_body.into() }
+        let (thrust, torque_body) = self.0.thrust_and_torque(rpm);
+        RotorWrench { thrust, torque_body: torque_body.to_nalgebra() }
     }
-}
-
-#[allow(private_bounds)] // scalar or SIMD
-impl<R: Real> RotorModel<R> {
-    /// Computes [`wrench`](RotorModel::wrench), scalar or SIMD.
-    #[inline(always)]
-    pub(crate) fn thrust_and_torque(&self, rpm: &[R; 4]) -> (R, V3<R>) {
-        let squared = [rpm[0] * rpm[0], rpm[1] * rpm[1], rpm[2] * rpm[2], rpm[3] * rpm[3]];
-        let [x, y, z] = &self.torque;
-        let torque = V3::new(product(x, &squared), product(y, &squared), product(z, &squared));
-        (self.thrust * (squared[0] + squared[1] + squared[2] + squared[3]), torque)
-    }
-}
-
-// a function, because a closure is not always inlined and then lacks the caller's instruction set
-#[inline(always)]
-fn product<R: Real>(row: &[R; 4], column: &[R; 4]) -> R {
-    row[0] * column[0] + row[1] * column[1] + row[2] * column[2] + row[3] * column[3]
 }
 
 impl RotorWrench {

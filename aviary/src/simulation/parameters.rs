@@ -21,7 +21,7 @@ impl SimData {
             return;
         }
         let (world, effects) = (&model.world, model.effects);
-        let wakes: f64 = self.wakes.iter().map(|wake| wake.cap).sum();
+        let wakes: f64 = self.wakes.iter().map(|wake| wake.0.cap).sum();
         let gravity = self.bodies.gravity;
         let body = |(index, (drone, motors)): (usize, (&Drone, &Actuators))| {
             let (params, inertia) = (&drone.params, drone.params.inertia_vector());
@@ -35,8 +35,8 @@ impl SimData {
             } else {
                 0.0
             };
-            if effects.ground && drone.ground.coefficient > 0.0 {
-                force += force * drone.ground.coefficient / (drone.ground.clip * drone.ground.clip);
+            if effects.ground && drone.ground.0.coefficient > 0.0 {
+                force += force * drone.ground.0.coefficient / (drone.ground.0.clip * drone.ground.0.clip);
             }
             if effects.downwash {
                 force += wakes;
@@ -53,7 +53,7 @@ impl SimData {
                 quadratic = bound[2] / params.mass;
                 air_speed = wind.config().air_speed_bound();
             }
-            let torque = rotors.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
+            let torque = rotors.0.torque.iter().map(|row| row.iter().map(|x| x.abs()).sum::<f64>() * rpm * rpm);
             let torque = torque.map(|x| x * x).sum::<f64>().sqrt();
             let mut reach_bound = ReachBound::new(&free, 0.0, force / params.mass, torque, [slowing, quadratic]);
             if let Some(effects) = &drone.effects {
@@ -242,7 +242,7 @@ impl SimData {
             max_command: self.drones[drone].max_rpm,
             gains: *self.actuators[drone].gains(),
             max_rpm: self.actuators[drone].max_rpm(),
-            cylinder: [cylinder.radius, cylinder.height],
+            cylinder: [cylinder.0.radius, cylinder.0.height],
             reach_bound: self.bodies.drones[drone].reach_bound,
         }
     }

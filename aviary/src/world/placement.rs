@@ -1,61 +1,28 @@
 //! Free space around drones: collision cylinders and their clearance from the floor, from obstacles and from each
 //! other.
 
+use flight::clearance::{self, sphere_clearance};
 use nalgebra::Vector3;
 
 use super::Obstacle;
 use crate::drone::DroneParams;
-use crate::math::{Real, V3};
+use crate::math::ToFlight as _;
 use crate::state::DroneState;
 
 /// Collision cylinder of a drone, centred on the body, with its axis along body z.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct CollisionCylinder<R = f64> {
-    /// Radius, m.
-    pub radius: R,
-    /// Height, m.
-    pub height: R,
-}
+pub(crate) struct CollisionCylinder(pub clearance::CollisionCylinder);
 
 impl From<&DroneParams> for CollisionCylinder {
     fn from(params: &DroneParams) -> Self {
-        Self { radius: params.collision_radius, height: params.collision_height }
-    }
-}
-
-#[allow(private_bounds)] // scalar or SIMD
-impl<R: Real> CollisionCylinder<R> {
-    /// Returns the depth of the lowest point of the cylinder below its centre, m, for the cosine and the sine of the
-    /// angle between its axis and the vertical.
-    #[inline(always)]
-    fn depth(&self, cos: R, sin: R) -> R {
-        self.height * 0.5 * cos.abs() + self.radius * sin
-    }
-
-    /// Computes [`floor_clearance`](CollisionCylinder::floor_clearance) from the height (m) of the centre and the
-    /// world z component of body z, scalar or SIMD.
-    #[inline(always)]
-    pub(crate) fn clearance(&self, height: R, up: R) -> R {
-        // without trigonometric functions, because the hybrid engine calls this before physics steps
-        let square = -(up * up) + 1.0;
-        height - self.depth(up, square.greater(up.all(0.0)).sqrt())
-    }
-
-    /// Returns an upper bound of [`rounding_of_contacts`](CollisionCylinder::rounding_of_contacts), scalar or SIMD,
-    /// without a root and a division.
-    #[inline(always)]
-    pub(crate) fn coarse_rounding_of_contacts(&self, up: V3<R>) -> R {
-        let square = up.x * up.x + up.y * up.y;
-        let is_below = |sine: f64| square.less(square.all(sine * sine));
-        let tilted = R::choose(is_below(2e-10), self.radius, self.radius * 1e-5);
-        R::choose(is_below(4e-16), square.all(0.0), tilted)
+        Self(clearance::CollisionCylinder { radius: params.collision_radius, height: params.collision_height })
     }
 }
 
 impl CollisionCylinder {
     /// Returns the radius of the bounding sphere of the cylinder, m.
     pub(crate) fn bounding_radius(&self) -> f64 {
-        self.radius.hypot(0.5 * self.height)
+        self.0.radius.hypot(0.5 * self.0.height)
     }
 
     /// Returns the depth of the lowest point of the cylinder below its centre at a tilt (rad), m.
@@ -63,12 +30,12 @@ impl CollisionCylinder {
     /// [`floor_clearance`](Self::floor_clearance) computes the sine by a square root. The last bits of both differ;
     /// random starts on the floor use this function, so that recorded starts stay bit-identical.
     pub(crate) fn depth_at_tilt(&self, tilt: f64) -> f64 {
-        self.depth(tilt.cos(), tilt.sin())
+        self.0.depth(tilt.cos(), tilt.sin())
     }
 
     /// Returns the height of the lowest point of the cylinder above the floor, m; negative below the floor.
     pub(crate) fn floor_clearance(&self, state: &DroneState) -> f64 {
-        self.clearance(state.position.z, state.up().z)
+        self.0.floor_clearance(state.position.z, state.up().z)
     }
 
     /// Returns a bound of the rounding error of MuJoCo's contact points with the floor, m, for body z in the world
@@ -78,12 +45,13 @@ impl CollisionCylinder {
     /// at a tilt of 1e-10 rad and the radius at 1e-15 rad.
     pub(crate) fn rounding_of_contacts(&self, up: &Vector3<f64>) -> f64 {
         let sine = up.x.hypot(up.y);
-        if sine < 5e-16 { 0.0 } else { self.radius * (2e-15 / sine).min(1.0) }
+        if sine < 5e-16 { 0.0 } else { self.0.radius * (2e-15 / sine).min(1.0) }
     }
 
     /// Returns true if two upright cylinders overlap, at an offset of their centres of `apart`, m.
     pub(crate) fn overlaps_upright(&self, other: &Self, apart: &Vector3<f64>) -> bool {
-        apart.xy().norm() < self.radius + other.radius && apart.z.abs() < 0.5 * (self.height + other.height)
+        let (one, two) = (&self.0, &other.0);
+        apart.xy().norm() < one.radius + two.radius && apart.z.abs() < 0.5 * (one.height + two.height)
     }
 
     /// Returns true if the bounding sphere of the cylinder at a position (world frame, m) meets no obstacle and no
@@ -94,9 +62,9 @@ impl CollisionCylinder {
         mut others: impl Iterator<Item = (Vector3<f64>, Self)>,
         obstacles: &[Obstacle],
     ) -> bool {
-        let (place, radius) = (V3::from(position), self.bounding_radius());
+        let (place, radius) = (position.to_flight(), self.bounding_radius());
         others.all(|(other, cylinder)| {
-            let gap: f64 = sphere_clearance(place, radius, V3::from(&other), cylinder.bounding_radius());
+            let gap: f64 = sphere_clearance(place, radius, other.to_flight(), cylinder.bounding_radius());
             gap > 0.0
         }) && obstacle_distance(obstacles, position) > radius
     }
@@ -105,18 +73,6 @@ impl CollisionCylinder {
 /// Returns the largest radius of the collision cylinders, m.
 pub(crate) fn max_collision_radius<'a>(drones: impl IntoIterator<Item = &'a DroneParams>) -> f64 {
     drones.into_iter().map(|params| params.collision_radius).fold(0.0, f64::max)
-}
-
-/// Returns the clearance between two spheres, m; negative if they overlap. Scalar or SIMD.
-#[inline(always)]
-pub(crate) fn sphere_clearance<R: Real>(position: V3<R>, radius: R, other: V3<R>, other_radius: R) -> R {
-    (position - other).norm() - radius - other_radius
-}
-
-/// Returns the clearance of a sphere from the floor, m; negative if it meets the floor. Scalar or SIMD.
-#[inline(always)]
-pub(crate) fn sphere_floor_clearance<R: Real>(position: V3<R>, radius: R) -> R {
-    position.z - radius
 }
 
 /// Returns the distance of a point (world frame, m) from the surface of the nearest obstacle, m; negative inside an
@@ -145,7 +101,7 @@ mod tests {
     use super::*;
     use crate::world::Shape;
 
-    const CYLINDER: CollisionCylinder = CollisionCylinder { radius: 0.06, height: 0.03 };
+    const CYLINDER: CollisionCylinder = CollisionCylinder(clearance::CollisionCylinder { radius: 0.06, height: 0.03 });
 
     fn at(z: f64, roll: f64) -> DroneState {
         DroneState::at_rest(Vector3::new(0.0, 0.0, z), Vector3::new(roll, 0.0, 0.4))
@@ -181,10 +137,10 @@ mod tests {
             let (sine, yaw) = (10_f64.powf(-18.0 + f64::from(k) * 0.0045), f64::from(k));
             let up = Vector3::new(sine * yaw.cos(), sine * yaw.sin(), 1.0);
             let (bound, coarse) =
-                (CYLINDER.rounding_of_contacts(&up), CYLINDER.coarse_rounding_of_contacts(V3::from(&up)));
-            assert!(bound <= coarse && coarse <= CYLINDER.radius, "{sine} {bound} {coarse}");
+                (CYLINDER.rounding_of_contacts(&up), CYLINDER.0.coarse_rounding_of_contacts(up.to_flight()));
+            assert!(bound <= coarse && coarse <= CYLINDER.0.radius, "{sine} {bound} {coarse}");
         }
-        assert_eq!(CYLINDER.coarse_rounding_of_contacts(V3::from(&Vector3::z())), 0.0);
+        assert_eq!(CYLINDER.0.coarse_rounding_of_contacts(Vector3::z().to_flight()), 0.0);
     }
 
     #[test]

@@ -162,5 +162,5 @@ impl WithSimd for Step<'_> {
 #[inline(always)]
 fn is_regular(cylinder: &Cylinder, body: &Body) -> bool {
     let size = cylinder.radius * cylinder.radius + cylinder.half_height * cylinder.half_height;
-    body.free.inverse_inertia.iter().all(|inverse| SHAPES.contains(&(body.mass * size * inverse)))
+    body.free.0.inverse_inertia.iter().all(|inverse| SHAPES.contains(&(body.mass * size * inverse)))
 }

@@ -2,18 +2,19 @@
 
 use std::hint::black_box;
 
+use ::flight::airframe::AirframeMotion;
+use ::flight::body::Push;
+use ::flight::clearance::{sphere_clearance, sphere_floor_clearance};
+use ::flight::downwash::Wake;
+use ::flight::drag;
+use ::flight::ground_effect::GroundEffect;
+use ::flight::motors;
 use pulp::{Simd, WithSimd};
 
 use super::Width;
-use super::body::Push;
 use super::lanes::{LANES, LaneParams, Lanes, Part};
-use crate::math::{Pack, Real, Row, V3};
-use crate::physics::airframe::AirframeMotion;
-use crate::physics::downwash::Wake;
-use crate::physics::drag;
-use crate::physics::ground_effect::GroundEffect;
+use crate::math::{Pack, Real, Row, ToFlight as _, V3};
 use crate::physics::wind::WindLanes;
-use crate::world::placement::{sphere_clearance, sphere_floor_clearance};
 
 /// Options of [`advance`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -147,13 +148,9 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                     for motor in 0..4 {
                         let mut share = share;
                         if general && let Some(rows) = effects {
-                            let rises = rpm[motor].less(arrived[motor]);
-                            share = Real::choose(rises, share, part.get(&rows.fall_share));
+                            share = motors::share(rpm[motor], arrived[motor], share, part.get(&rows.fall_share));
                         }
-                        let lag = share.less(share.all(1.0));
-                        let slow = rpm[motor] + (arrived[motor] - rpm[motor]) * share;
-                        // without lag the speed is exactly the command; the formula would add a rounding error
-                        rpm[motor] = Real::choose(lag, slow, arrived[motor]);
+                        rpm[motor] = motors::follow(rpm[motor], arrived[motor], share);
                     }
                 } else {
                     rpm = arrived;
@@ -176,9 +173,9 @@ impl<const BODY_FIXED: bool, const MEDIUM: bool, const MODE: u8> WithSimd
                             coefficient: part.get(&coefficients.ground[0]),
                             clip: part.get(&coefficients.ground[1]),
                         };
-                        sum.z = sum.z + ground.push(motion.position.z, motion.attitude.up().z, push.thrust);
+                        sum.z = sum.z + ground.force(motion.position.z, motion.attitude.up().z, push.thrust);
                         let relative = motion.velocity - air;
-                        sum = sum + drag::push(part.get3(&coefficients.drag), &motion.attitude, &rpm, relative);
+                        sum = sum + drag::force(part.get3(&coefficients.drag), &motion.attitude, &rpm, relative);
                         sum.z = sum.z + part.get(&lanes.outside().downwash);
                     }
                     if general && let Some(rows) = effects {
@@ -282,7 +279,7 @@ impl WithSimd for Downwash<'_> {
                     if !<Pack<S> as Real>::any(upper.reaches(below, sideways)) {
                         continue;
                     }
-                    let force: Pack<S> = upper.push(below, sideways);
+                    let force: Pack<S> = upper.force(below, sideways);
                     let on_b = part.get(&b.outside().downwash) + Real::choose(above, force, zero);
                     part.put(&mut b.outside_mut().downwash, on_b);
                     on_a = on_a + Real::choose(above, zero, force);
@@ -362,7 +359,7 @@ pub(crate) fn find_apart(drones: &[Lanes], lane_params: &[LaneParams], travels: 
     let mut apart = [false; LANES];
     for (lane, apart) in apart[..count].iter_mut().enumerate() {
         let ball = |drone: usize| {
-            let place = V3::from(&drones[drone].state(lane).position);
+            let place = drones[drone].state(lane).position.to_flight();
             (place, lane_params[drone].reach(lane) + travels[drone][lane])
         };
         *apart = (0..drones.len()).all(|i| {

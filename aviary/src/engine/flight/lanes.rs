@@ -1,14 +1,15 @@
 mod part;
 
+use ::flight::airframe::EFFECTS;
+use ::flight::body::Fluid;
 use nalgebra::Vector3;
 
 pub(crate) use part::Part;
 
 use super::FreeBody;
-use super::body::Fluid;
 use super::reach_bound::{DRIVEN, ReachBound};
 use crate::math::Row;
-use crate::physics::airframe::{AirframeEffects, EFFECTS};
+use crate::physics::airframe::AirframeEffects;
 use crate::physics::downwash::Wake;
 use crate::physics::ground_effect::GroundEffect;
 use crate::physics::rotor::{RotorModel, RotorWrench};
@@ -113,7 +114,7 @@ impl EffectRows {
     }
 
     fn set(&mut self, lane: usize, Airframe { effects, fall_share, reach_bound, .. }: &Airframe) {
-        put(&mut self.coefficients, lane, effects.numbers());
+        put(&mut self.coefficients, lane, effects.0.numbers());
         self.fall_share[lane] = *fall_share;
         put(&mut self.driven, lane, reach_bound.driven().unwrap_or_default().numbers());
     }
@@ -144,12 +145,14 @@ impl AirRows {
     };
 
     fn set(&mut self, lane: usize, Airframe { body, ground, drag, wake, .. }: &Airframe) {
-        self.viscous[lane] = body.fluid.viscous;
-        put(&mut self.quadratic, lane, body.fluid.quadratic);
-        put(&mut self.viscous_rate, lane, body.fluid.viscous_rate);
-        put(&mut self.quadratic_rate, lane, body.fluid.quadratic_rate);
-        put(&mut self.ground, lane, [ground.coefficient, ground.clip]);
+        let fluid = &body.0.fluid;
+        self.viscous[lane] = fluid.viscous;
+        put(&mut self.quadratic, lane, fluid.quadratic);
+        put(&mut self.viscous_rate, lane, fluid.viscous_rate);
+        put(&mut self.quadratic_rate, lane, fluid.quadratic_rate);
+        put(&mut self.ground, lane, [ground.0.coefficient, ground.0.clip]);
         put(&mut self.drag, lane, (*drag).into());
+        let wake = &wake.0;
         put(&mut self.wake, lane, [wake.strength, wake.spread, wake.offset, wake.cap]);
     }
 }
@@ -214,7 +217,7 @@ impl Airframe {
     /// Returns true if air or a medium acts on the airframe.
     fn has_air(&self) -> bool {
         let Self { body, ground, drag, wake, .. } = self;
-        body.fluid != Fluid::default()
+        body.0.fluid != Fluid::default()
             || *ground != GroundEffect::default()
             || *drag != Vector3::zeros()
             || *wake != Wake::default()
@@ -267,12 +270,13 @@ impl LaneParams {
             }
             None => {}
         }
+        let body = &body.0;
         self.inverse_mass[lane] = body.inverse_mass;
         self.gravity[lane] = body.gravity;
         put(&mut self.inverse_inertia, lane, body.inverse_inertia);
         put(&mut self.gyration, lane, body.gyration);
-        self.thrust[lane] = rotors.thrust;
-        for (rows, values) in self.torque.iter_mut().zip(rotors.torque) {
+        self.thrust[lane] = rotors.0.thrust;
+        for (rows, values) in self.torque.iter_mut().zip(rotors.0.torque) {
             put(rows, lane, values);
         }
         self.share[lane] = *share;

@@ -1,12 +1,12 @@
+use ::flight::body::{self, Push};
+use ::flight::clearance::{CollisionCylinder, sphere_floor_clearance};
 use nalgebra::Vector3;
 
 use super::FreeBody;
-use super::body::Push;
-use crate::math::{Real, V3};
+use crate::math::{Real, ToFlight as _, V3};
 use crate::physics::airframe::AirframeEffects;
 use crate::physics::rotor::RotorWrench;
 use crate::state::{DroneState, FlightState};
-use crate::world::placement::{CollisionCylinder, sphere_floor_clearance};
 
 /// Upper bound of the distance that a drone can travel within a time, whatever its motors do; scalar or SIMD.
 ///
@@ -57,6 +57,7 @@ impl DrivenBound {
     /// that moves with at most `air_speed` (m/s). Returns with it the acceleration (m/s²) and the torque (N·m) that are
     /// possible at rest, and the coefficient of the damping (1/s).
     pub(crate) fn new(effects: &AirframeEffects, body: &FreeBody, max_rpm: f64, air_speed: f64) -> (Self, [f64; 3]) {
+        let (body, effects) = (&body.0, &effects.0);
         let [x, y, z] = body.inverse_inertia;
         let (max, largest) = (x.max(y).max(z), |numbers: [f64; 3]| numbers.into_iter().fold(0.0, f64::max));
         let linear = largest(effects.linear_drag) * body.inverse_mass;
@@ -83,7 +84,6 @@ impl DrivenBound {
     }
 }
 
-#[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> DrivenBound<R> {
     #[inline(always)]
     pub(super) fn numbers(&self) -> [R; DRIVEN] {
@@ -127,6 +127,7 @@ impl ReachBound {
     /// `torque` (N·m) bound the rotors and the surroundings. `slowing` bounds the accelerations by blade drag and wind,
     /// which grow with the speed: linear (1/s) and quadratic (1/m).
     pub fn new(body: &FreeBody, reach: f64, acceleration: f64, torque: f64, slowing: [f64; 2]) -> Self {
+        let body = &body.0;
         let [x, y, z] = body.inverse_inertia;
         let (max, min) = (x.max(y).max(z), x.min(y).min(z));
         let ([linear, quadratic], braking) = body.fluid.max_coefficients();
@@ -144,7 +145,7 @@ impl ReachBound {
     /// Returns the bound of a drone with the effects of [`DrivenBound::new`].
     #[must_use]
     pub(crate) fn driven_by(self, body: &FreeBody, effects: (DrivenBound, [f64; 3])) -> Self {
-        let ([x, y, z], (driven, [acceleration, torque, damping])) = (body.inverse_inertia, effects);
+        let ([x, y, z], (driven, [acceleration, torque, damping])) = (body.0.inverse_inertia, effects);
         Self {
             braking: [self.braking[0] + damping, self.braking[1]],
             acceleration: self.acceleration + acceleration,
@@ -187,8 +188,9 @@ impl ReachBound {
         force_world: &Vector3<f64>,
         state: &DroneState,
     ) -> (f64, f64) {
-        let push = Push { thrust: rotors.thrust, torque: V3::from(&rotors.torque_body), force: V3::from(force_world) };
-        self.step_under(dt, body, &push, V3::from(&state.velocity), V3::from(&state.angular_velocity))
+        let push =
+            Push { thrust: rotors.thrust, torque: rotors.torque_body.to_flight(), force: force_world.to_flight() };
+        self.step_under(dt, &body.0, &push, state.velocity.to_flight(), state.angular_velocity.to_flight())
     }
 
     pub(super) fn numbers(&self) -> [f64; 8] {
@@ -197,7 +199,6 @@ impl ReachBound {
     }
 }
 
-#[allow(private_bounds)] // scalar or SIMD
 impl<R: Real> ReachBound<R> {
     #[inline(always)]
     pub(super) fn of(
@@ -212,7 +213,7 @@ impl<R: Real> ReachBound<R> {
     pub(super) fn step_under(
         &self,
         dt: f64,
-        body: &FreeBody<R>,
+        body: &body::FreeBody<R>,
         push: &Push<R>,
         velocity: V3<R>,
         body_rate: V3<R>,
@@ -238,7 +239,7 @@ impl<R: Real> ReachBound<R> {
     pub(super) fn free_travel(
         &self,
         dt: f64,
-        body: &FreeBody<R>,
+        body: &body::FreeBody<R>,
         push: &Push<R>,
         cylinder: &CollisionCylinder<R>,
         motion: &FlightState<R>,
@@ -248,7 +249,7 @@ impl<R: Real> ReachBound<R> {
         let ball = sphere_floor_clearance(motion.position, self.reach + travel);
         let up = motion.attitude.up();
         let lowest =
-            cylinder.clearance(z, up.z) - (travel + turn * self.reach) - cylinder.coarse_rounding_of_contacts(up);
+            cylinder.floor_clearance(z, up.z) - (travel + turn * self.reach) - cylinder.coarse_rounding_of_contacts(up);
         let (zero, far) = (z.all(0.0), z.all(FAR));
         let free = zero.less(ball.greater(lowest)) & turn.less(z.all(FreeBody::MAX_TURN));
         let sane = x.abs().less(far) & y.abs().less(far) & z.abs().less(far) & motion.velocity.norm().less(far);

@@ -1,5 +1,6 @@
 use std::sync::Arc;
 
+use flight::random::Key;
 use nalgebra::Vector3;
 use rand::RngExt as _;
 use smallvec::SmallVec;
@@ -9,10 +10,9 @@ use super::{AerodynamicRanges, InitialRanges, Randomization, Range};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::EnvError;
 use crate::env::workspace::Measured;
-use crate::math::{Turn, V3};
+use crate::math::{ToFlight as _, ToNalgebra as _};
 use crate::physics::actuators::ActuatorParams;
 use crate::physics::wind::{WindConfig, WindModel};
-use crate::random::counter::Key;
 use crate::random::{Rng, normals};
 use crate::simulation::{SimData, SimModel, SimView, SimulationError};
 use crate::state::{DroneState, attitude_from_rpy};
@@ -384,22 +384,22 @@ impl Randomizer {
         out.rpys.clear();
         for (drone, truth) in data.remembered().iter().enumerate() {
             let (params, key) = self.sensors(drone)?;
-            let attitude = Turn::from(&truth.attitude);
+            let attitude = truth.attitude.to_flight();
             let truth = Sensed {
-                position: V3::from(&truth.position),
+                position: truth.position.to_flight(),
                 attitude,
                 rpy: attitude.rpy(),
-                velocity: V3::from(&truth.velocity),
-                rate: V3::from(&truth.angular_velocity),
+                velocity: truth.velocity.to_flight(),
+                rate: truth.angular_velocity.to_flight(),
             };
             let measured = params.measure(key.at(data.control_steps()), &truth);
             out.states.push(DroneState {
-                position: measured.position.into(),
-                attitude: measured.attitude.into(),
-                velocity: measured.velocity.into(),
-                angular_velocity: measured.rate.into(),
+                position: measured.position.to_nalgebra(),
+                attitude: measured.attitude.to_nalgebra(),
+                velocity: measured.velocity.to_nalgebra(),
+                angular_velocity: measured.rate.to_nalgebra(),
             });
-            out.rpys.push(measured.rpy.into());
+            out.rpys.push(measured.rpy.to_nalgebra());
         }
         Some((&out.states, &out.rpys))
     }

@@ -1,17 +1,18 @@
 //! Deviations of predictions from a flight, for eight sets of parameters at once in the lanes of SIMD registers.
 
+use flight::airframe::AirframeEffects;
+use flight::body::FreeBody;
+use flight::rotor::RotorModel;
 use pulp::{Simd, WithSimd};
 
 use crate::drone::DroneParams;
-use crate::engine::flight::{FreeBody, Width};
+use crate::engine::flight::Width;
 use crate::flights::dynamics::{Dynamics, FastStep, rotor_speeds, substeps};
 use crate::flights::observer::{Estimate, FastSteps, Gain, Observer, RowGains};
 use crate::flights::predict::{Inputs, integrate};
 use crate::flights::window::{HORIZONS, Window};
 use crate::flights::{Flight, FlightError};
 use crate::math::{LANES, Pack, Real, Row, Turn, V3};
-use crate::physics::airframe::AirframeEffects;
-use crate::physics::rotor::RotorModel;
 use crate::state::FlightState;
 
 /// Number of deviations of a prediction at a horizon: position and velocity with the recorded attitude; position,

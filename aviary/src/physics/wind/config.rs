@@ -1,11 +1,10 @@
 //! Wind models and their settings.
 
-use crate::error::OptionError;
+use flight::wind::{SIGMA_OF_WIND, WindParams, max_speed};
 use serde::{Deserialize, Serialize};
 
 use super::DrydenFilter;
-use super::dryden::{SIGMA_OF_WIND, max_speed};
-use super::local::WindParams;
+use crate::error::OptionError;
 use crate::math::ln;
 use crate::names::named_enum;
 

@@ -1,13 +1,13 @@
 //! Wind at every drone, advanced by physics steps.
 
-use crate::error::OptionError;
+use flight::random::{Key, Noise};
+use flight::wind::{WindParams, WindState};
 use nalgebra::Vector3;
 
 use super::WindConfig;
-use super::local::{WindParams, WindState};
 use crate::drone::DroneParams;
-use crate::math::V3;
-use crate::random::counter::{Key, Noise};
+use crate::error::OptionError;
+use crate::math::{ToFlight as _, ToNalgebra as _};
 use crate::state::DroneState;
 
 /// Returns the drag force ½·ρ·C_d·A·‖v‖²·v̂, world frame, N.
@@ -31,9 +31,27 @@ pub fn drag_law(air_density: f64, drag_area: f64, relative: &Vector3<f64>) -> Ve
 #[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Local {
+    #[serde(with = "StoredKey")]
     key: Key,
     drag_area: f64,
+    #[serde(with = "StoredState")]
     state: WindState<f64>,
+}
+
+/// Serialized form of [`Key`].
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(remote = "Key")]
+struct StoredKey([u64; 2]);
+
+/// Serialized form of [`WindState`].
+#[derive(serde::Serialize, serde::Deserialize)]
+#[serde(remote = "WindState<f64>")]
+struct StoredState {
+    turbulence: [f64; 3],
+    filters: [[f64; 2]; 2],
+    peak: [f64; 3],
+    elapsed: f64,
+    calm: f64,
 }
 
 /// Wind at the drones of a simulation.
@@ -177,11 +195,11 @@ impl WindField {
         let last = drone + 1 == self.locals.len();
         let Some(local) = self.locals.get_mut(drone) else { return (Vector3::zeros(), Vector3::zeros()) };
         let params = WindParams { drag: self.params.drag * local.drag_area, ..self.params };
-        let (height, velocity) = (state.position.z, V3::from(&state.velocity));
+        let (height, velocity) = (state.position.z, state.velocity.to_flight());
         let noise = local.key.at(self.steps);
         let (force, air) = local.state.advance(params.parts(), dt, &params, noise, height, velocity);
         self.steps += u64::from(last);
-        (force.into(), air.into())
+        (force.to_nalgebra(), air.to_nalgebra())
     }
 
     /// Returns the settings of the wind at a drone for physics steps of `dt` seconds, its random numbers in the next

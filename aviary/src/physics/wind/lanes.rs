@@ -1,11 +1,11 @@
 //! Wind at eight drones in SIMD lanes.
 
+use flight::random::Key;
+use flight::wind::{WindParams, WindParts, WindState};
 use pulp::Simd;
 
 use super::WindField;
-use super::local::{WindParams, WindParts, WindState};
 use crate::math::{Bits, LANES, Pack, PackBits, Row, V3};
-use crate::random::counter::Key;
 
 /// Wind at [`LANES`] drones, each in its own environment with its own settings, as a structure of arrays.
 ///

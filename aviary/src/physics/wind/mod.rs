@@ -8,9 +8,9 @@ mod config;
 mod dryden;
 mod field;
 mod lanes;
-mod local;
 
 pub use config::{WindConfig, WindModel};
-pub use dryden::{DrydenFilter, dryden};
+pub use dryden::DrydenFilter;
 pub use field::{WindField, drag_law};
+pub use flight::wind::dryden;
 pub(crate) use lanes::{MovingWind, WindLanes};

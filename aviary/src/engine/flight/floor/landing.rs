@@ -1,13 +1,13 @@
+use ::flight::body::FreeBody;
 use pulp::Simd;
 
-use super::super::FreeBody;
 use super::super::contact_solver::{FloorPoints, PerEdge, PointContact, PointContacts, Problem, Spatial, solve};
 use super::super::floor_model::{Cylinder, FloorContact};
 use super::StepKind;
 use super::attitude::{is_upright, matrix, normalized, renormalized, turned};
 use super::rim::RimPoints;
 use crate::engine::{Body, Load};
-use crate::math::{Turn, V3};
+use crate::math::{ToFlight as _, V3};
 use crate::state::{DroneState, attitude_from_wxyz, wxyz};
 
 /// Largest acceleration (m/s² and rad/s²) that MuJoCo accepts.
@@ -60,12 +60,12 @@ impl Landing {
     /// Starts a step. The warm start has six numbers.
     #[inline(always)]
     pub(super) fn new(kind: &StepKind, body: &Body, load: &Load, state: &DroneState, warm_start: &[f64]) -> Self {
-        let FreeBody { inverse_mass, gravity, .. } = body.free;
-        let (force, torque) = (V3::from(&load.external.force_world), V3::from(&load.rotors.torque_body));
+        let FreeBody { inverse_mass, gravity, .. } = body.free.0;
+        let (force, torque) = (load.external.force_world.to_flight(), load.rotors.torque_body.to_flight());
         let (force, torque) = if kind.body_fixed {
             (force, torque)
         } else {
-            let start = Turn::from(&state.attitude);
+            let start = state.attitude.to_flight();
             (force + start.up() * load.rotors.thrust, start.forth(torque))
         };
         let linear = force * inverse_mass;
@@ -99,13 +99,13 @@ impl Landing {
             torque = self.back(torque);
         }
         if kind.medium {
-            linear = linear + self.forth(body.free.fluid.slowing(self.back(V3::new(vx, vy, vz))));
+            linear = linear + self.forth(body.free.0.fluid.slowing(self.back(V3::new(vx, vy, vz))));
         }
         let rate = V3::new(wx, wy, wz);
         let angular = if kind.medium {
-            body.free.angular_acceleration::<true>(torque, rate)
+            body.free.0.angular_acceleration::<true>(torque, rate)
         } else {
-            body.free.angular_acceleration::<false>(torque, rate)
+            body.free.0.angular_acceleration::<false>(torque, rate)
         };
         self.smooth = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
     }
@@ -160,7 +160,7 @@ impl Landing {
         for reference in &mut reference {
             *reference = -damping * *reference - push;
         }
-        let FreeBody { inverse_mass, inverse_inertia: [x, y, z], .. } = body.free;
+        let FreeBody { inverse_mass, inverse_inertia: [x, y, z], .. } = body.free.0;
         let point = PointContact {
             inertia: inertia(body),
             inverse_inertia: [inverse_mass, inverse_mass, inverse_mass, x, y, z],
@@ -211,7 +211,7 @@ impl Landing {
         let speeds = problem.along_edges(contact.solver.friction, &[vx, vy, vz, rate.x, rate.y, rate.z]);
         for point in 0..problem.points {
             let impedance = contact.impedance.at(-heights[point]);
-            problem.weight[point] = contact.weight(impedance, body.free.inverse_mass);
+            problem.weight[point] = contact.weight(impedance, body.free.0.inverse_mass);
             for (reference, speeds) in problem.reference.iter_mut().zip(&speeds) {
                 reference[point] = -contact.damping * speeds[point] - contact.stiffness * impedance * heights[point];
             }

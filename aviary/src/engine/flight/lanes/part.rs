@@ -1,17 +1,17 @@
 //! Accessor of SIMD registers in the rows of lanes.
 
+use ::flight::airframe::AirframeEffects;
+use ::flight::body::{Fluid, FreeBody, Push};
+use ::flight::clearance::CollisionCylinder;
+use ::flight::downwash::Wake;
+use ::flight::motors;
+use ::flight::rotor::RotorModel;
 use pulp::Simd;
 
 use super::{EffectRows, LANES, LaneParams, Lanes};
-use crate::engine::flight::FreeBody;
-use crate::engine::flight::body::{Fluid, Push};
 use crate::engine::flight::reach_bound::{DrivenBound, ReachBound};
-use crate::math::{Pack, Real, Row, Turn, V3, clamped};
-use crate::physics::airframe::AirframeEffects;
-use crate::physics::downwash::Wake;
-use crate::physics::rotor::RotorModel;
+use crate::math::{Pack, Real, Row, Turn, V3};
 use crate::state::FlightState;
-use crate::world::placement::CollisionCylinder;
 
 /// Accessor of one SIMD register in every row.
 #[derive(Debug, Clone, Copy)]
@@ -174,7 +174,7 @@ impl<S: Simd> Part<S> {
     #[inline(always)]
     fn target(self, lane_params: &LaneParams, motor: usize, command: Pack<S>) -> Pack<S> {
         let max = self.get(&lane_params.max_rpm);
-        clamped(command * self.get(&lane_params.gains[motor]), max.all(0.0), max)
+        motors::target(command, self.get(&lane_params.gains[motor]), max)
     }
 
     /// Writes the load of the last physics step.

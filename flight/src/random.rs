@@ -5,19 +5,45 @@
 //! 2011). A [`Key`] identifies a drone in an episode. The counter contains the number of the step and a
 //! [`Purpose`], so that every number depends only on the episode, the drone, the step and its use.
 
-use crate::math::{Bits, Real, eighth_turn, ln};
+use crate::math::{Bits, Double, Real, eighth_turn, ln};
 
 /// Lower half of a 64-bit integer.
 const LOWER: u64 = 0xffff_ffff;
 
+/// Numbers that are computed from random integers.
+pub trait Sampled: Real {
+    /// Integers of 64 bits, one per lane.
+    type Integer: Bits;
+
+    /// Converts integers below 2⁵².
+    fn from_integer(integer: Self::Integer) -> Self;
+    /// Negates the numbers where the upper bit of the integer, bit 63, is one.
+    fn negated_by(self, integer: Self::Integer) -> Self;
+}
+
+impl<R: Double> Sampled for R {
+    type Integer = R::Bits;
+
+    #[inline(always)]
+    fn from_integer(integer: R::Bits) -> Self {
+        R::of_integer(integer)
+    }
+
+    #[inline(always)]
+    fn negated_by(self, integer: R::Bits) -> Self {
+        const SIGN: u64 = 1 << 63;
+        R::of_bits(self.bits().xor(integer.and(SIGN)))
+    }
+}
+
 /// Key of the random numbers of one drone in one episode; the lower 32 bits of two integers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-pub(crate) struct Key<B = u64>(pub [B; 2]);
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Key<B = u64>(pub [B; 2]);
 
 /// Use of random numbers. Numbers for different uses are independent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
-pub(crate) enum Purpose {
+pub enum Purpose {
     /// Keys, from the seed of an episode.
     Key = 1,
     /// State of the wind at the start of an episode.
@@ -49,7 +75,8 @@ impl<B: Bits> Key<B> {
 
 /// Random numbers of one drone in one step.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Noise<B = u64> {
+pub struct Noise<B = u64> {
+    /// Key of the drone.
     pub key: Key<B>,
     /// Number of the step.
     pub step: B,
@@ -66,7 +93,7 @@ impl<B: Bits> Noise<B> {
 
     /// Returns four independent standard normal samples.
     #[inline(always)]
-    pub fn normals<R: Real<Bits = B>>(self, purpose: Purpose, index: u32) -> [R; 4] {
+    pub fn normals<R: Sampled<Integer = B>>(self, purpose: Purpose, index: u32) -> [R; 4] {
         let [a, b, c, d] = self.block(purpose, index);
         let ([a, b], [c, d]) = (NormalPair::<R>::new(a, b).samples(), NormalPair::<R>::new(c, d).samples());
         [a, b, c, d]
@@ -92,15 +119,15 @@ fn philox<B: Bits>(key: [B; 2], counter: [B; 4]) -> [B; 4] {
 /// sample, 6.8 standard deviations, which a longer stream than any episode would have to exceed; mean and variance of
 /// uniform numbers differ from the exact values by less than 1e-19.
 #[inline(always)]
-pub(crate) fn uniform<R: Real>(word: R::Bits) -> R {
-    (R::of_integer(word) + 0.5) * (1.0 / 4_294_967_296.0)
+pub fn uniform<R: Sampled>(word: R::Integer) -> R {
+    (R::from_integer(word) + 0.5) * (1.0 / 4_294_967_296.0)
 }
 
 /// Two independent standard normal samples (Box and Muller 1958), as factors: √`square`·`first` and
 /// √`square`·`second`. A caller that scales a sample by a square root computes one root of the product instead of
 /// two.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct NormalPair<R> {
+pub struct NormalPair<R> {
     /// Half of the square of the radius.
     pub square: R,
     /// √2 times the cosine of the angle.
@@ -109,23 +136,18 @@ pub(crate) struct NormalPair<R> {
     pub second: R,
 }
 
-impl<R: Real> NormalPair<R> {
+impl<R: Sampled> NormalPair<R> {
     /// Creates the samples from two random integers below 2³². The first one determines the radius. Of the second one,
     /// 2 bits determine the quadrant and 30 bits the angle in it.
     #[inline(always)]
-    pub fn new(radius: R::Bits, angle: R::Bits) -> Self {
-        const SIGN: u64 = 1 << 63;
+    pub fn new(radius: R::Integer, angle: R::Integer) -> Self {
         let square = -ln(uniform::<R>(radius));
         // the angle is 45° plus up to ±45°: by the addition theorem, √2·cos = cos − sin and √2·sin = cos + sin
-        let eighths = (R::of_integer(angle.and(0x3fff_ffff)) + 0.5) * (1.0 / 536_870_912.0) - 1.0;
+        let eighths = (R::from_integer(angle.and(0x3fff_ffff)) + 0.5) * (1.0 / 536_870_912.0) - 1.0;
         let (sin, cos) = eighth_turn(eighths);
         // bits 31 and 30 are the signs
         let (left, down) = (angle.swap_halves(), angle.plus(angle).swap_halves());
-        Self {
-            square,
-            first: R::of_bits((cos - sin).bits().xor(left.and(SIGN))),
-            second: R::of_bits((cos + sin).bits().xor(down.and(SIGN))),
-        }
+        Self { square, first: (cos - sin).negated_by(left), second: (cos + sin).negated_by(down) }
     }
 
     /// Returns the samples.

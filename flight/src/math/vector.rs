@@ -1,30 +1,33 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::ops::{Add, Mul, Neg, Sub};
 
-use nalgebra::{UnitQuaternion, Vector3};
-
 use super::{Real, asin, atan2, clamped, sin_cos_of_turns};
-use crate::state::{attitude_from_wxyz, wxyz};
 
 /// A vector of three numbers.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct V3<R> {
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct V3<R> {
+    /// Component along x.
     pub x: R,
+    /// Component along y.
     pub y: R,
+    /// Component along z.
     pub z: R,
 }
 
 impl<R: Real> V3<R> {
+    /// Creates a vector.
     #[inline(always)]
     pub fn new(x: R, y: R, z: R) -> Self {
         Self { x, y, z }
     }
 
+    /// Returns the scalar product.
     #[inline(always)]
     pub fn dot(self, other: Self) -> R {
         self.x * other.x + self.y * other.y + self.z * other.z
     }
 
+    /// Returns the vector product.
     #[inline(always)]
     pub fn cross(self, other: Self) -> Self {
         Self {
@@ -46,6 +49,7 @@ impl<R: Real> V3<R> {
         (self.x * self.x + self.y * self.y).sqrt()
     }
 
+    /// Returns the norm.
     #[inline(always)]
     pub fn norm(self) -> R {
         self.dot(self).sqrt()
@@ -69,12 +73,6 @@ impl<R: Real> V3<R> {
     #[inline(always)]
     pub fn over(self, divisor: R) -> Self {
         Self { x: self.x / divisor, y: self.y / divisor, z: self.z / divisor }
-    }
-
-    /// Multiplies every component by a factor that is the same in all lanes.
-    #[inline(always)]
-    pub fn weighted(self, weights: &Vector3<f64>) -> Self {
-        Self { x: self.x * weights.x, y: self.y * weights.y, z: self.z * weights.z }
     }
 
     /// Clamps every component to ±`limit`; NaN stays NaN.
@@ -128,24 +126,12 @@ impl<R: Real + Mul<F, Output = R>, F: Copy> Mul<F> for V3<R> {
     }
 }
 
-impl From<&Vector3<f64>> for V3<f64> {
-    #[inline(always)]
-    fn from(v: &Vector3<f64>) -> Self {
-        Self { x: v.x, y: v.y, z: v.z }
-    }
-}
-
-impl From<V3<f64>> for Vector3<f64> {
-    #[inline(always)]
-    fn from(v: V3<f64>) -> Self {
-        Self::new(v.x, v.y, v.z)
-    }
-}
-
 /// A rotation as a unit quaternion.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Turn<R> {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turn<R> {
+    /// Scalar part.
     pub w: R,
+    /// Vector part.
     pub v: V3<R>,
 }
 
@@ -300,55 +286,4 @@ fn wrapped<R: Real>(angle: R) -> R {
     let half = angle.all(PI);
     let angle = R::choose(half.less(angle), angle - TAU, angle);
     R::choose(angle.less(-half), angle + TAU, angle)
-}
-
-impl From<&UnitQuaternion<f64>> for Turn<f64> {
-    #[inline(always)]
-    fn from(attitude: &UnitQuaternion<f64>) -> Self {
-        let [w, x, y, z] = wxyz(attitude);
-        Self { w, v: V3 { x, y, z } }
-    }
-}
-
-impl From<Turn<f64>> for UnitQuaternion<f64> {
-    #[inline(always)]
-    fn from(turn: Turn<f64>) -> Self {
-        attitude_from_wxyz([turn.w, turn.v.x, turn.v.y, turn.v.z])
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::state::attitude_from_rpy;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn a_rotation_from_rpy_is_that_of_the_state(rpy in prop::array::uniform3(-10.0..10.0f64)) {
-            let turn = Turn::from_rpy(V3::from(&Vector3::from(rpy)));
-            let expected = Turn::from(&attitude_from_rpy(rpy.into()));
-            prop_assert!((turn.w - expected.w).abs() < 2e-15 && (turn.v - expected.v).norm() < 4e-15);
-            prop_assert!((turn.w * turn.w + turn.v.dot(turn.v) - 1.0).abs() < 2e-15);
-        }
-
-        #[test]
-        fn axes_and_rotation_vectors_match_nalgebra(
-            a in prop::array::uniform3(-3.2..3.2f64), b in prop::array::uniform3(-3.2..3.2f64), small: bool,
-        ) {
-            let b = if small { b.map(|x| 1e-8 * x) } else { b };
-            let [a, b] = [a, b].map(|vector| UnitQuaternion::from_scaled_axis(Vector3::from(vector)));
-            let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| V3::from(&(a * axis)));
-            let from_axes = UnitQuaternion::from(Turn::from_axes(x, y, z));
-            prop_assert!(from_axes.angle_to(&a) < 1e-7 && (from_axes.norm() - 1.0).abs() < 1e-14);
-            let (expected, negative) = (a.coords, -a.coords);
-            let off = (from_axes.coords - expected).norm().min((from_axes.coords - negative).norm());
-            prop_assert!(off < 1e-14, "{off:e}");
-            let to_b = Turn::from(&a).turn_to(&Turn::from(&(a * b)));
-            let (got, expected) = (Vector3::from(to_b.rotation_vector()), b.scaled_axis());
-            // at half a turn, the sign of the axis is undefined
-            prop_assume!(expected.norm() < 0.999_99 * PI);
-            prop_assert!((got - expected).norm() < 2e-14, "{got} {expected}");
-        }
-    }
 }

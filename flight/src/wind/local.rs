@@ -1,13 +1,13 @@
-//! Wind at one drone, generic over a double and a SIMD register of doubles.
+//! Wind at one drone.
 
 use super::dryden::{MAX_SIGMAS, Scales, SecondOrder};
 use crate::math::{Real, V3, decay, ln, sin_cos_of_turns};
-use crate::random::counter::{Key, Noise, NormalPair, Purpose, uniform};
+use crate::random::{Key, Noise, NormalPair, Purpose, Sampled, uniform};
 
 /// Settings of the wind at one drone. A part that is off has factors of zero, so that drones with different winds run
 /// the same code.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct WindParams<R> {
+pub struct WindParams<R> {
     /// Mean wind of the turbulence, world frame, m/s.
     pub mean: [R; 3],
     /// Velocity of the constant wind, world frame, m/s.
@@ -33,8 +33,8 @@ pub(crate) struct WindParams<R> {
 }
 
 /// State of the wind at one drone.
-#[derive(Debug, Clone, Copy, serde::Serialize, serde::Deserialize)]
-pub(crate) struct WindState<R> {
+#[derive(Debug, Clone, Copy)]
+pub struct WindState<R> {
     /// Longitudinal, lateral and vertical velocity of the turbulence, m/s. The second-order filters replace the
     /// lateral and the vertical component.
     pub turbulence: [R; 3],
@@ -50,10 +50,14 @@ pub(crate) struct WindState<R> {
 
 /// Parts of the wind that a drone, or any drone in a set of lanes, needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct WindParts {
+pub struct WindParts {
+    /// Dryden turbulence.
     pub turbulence: bool,
+    /// Second-order filters of the turbulence.
     pub second_order: bool,
+    /// Gusts.
     pub gusts: bool,
+    /// Sinusoidal force.
     pub sinusoidal: bool,
 }
 
@@ -187,7 +191,7 @@ fn limited<R: Real>(x: R, limit: R) -> R {
     R::choose(limit.less(x.abs()), limit.with_sign_of(x), x)
 }
 
-impl<R: Real> WindState<R> {
+impl<R: Sampled> WindState<R> {
     /// Minimum airspeed of the turbulence filters, m/s: at zero airspeed the turbulence would stay constant.
     const MIN_AIRSPEED: f64 = 0.5;
 
@@ -203,7 +207,7 @@ impl<R: Real> WindState<R> {
         parts: WindParts,
         dt: f64,
         params: &WindParams<R>,
-        noise: Noise<R::Bits>,
+        noise: Noise<R::Integer>,
         height: R,
         velocity: V3<R>,
     ) -> (V3<R>, V3<R>) {
@@ -223,7 +227,7 @@ impl<R: Real> WindState<R> {
             force = force + self.advance_gust(params, noise);
         }
         if parts.sinusoidal {
-            let (sin, cos) = sin_cos_of_turns(params.sinusoidal_turns * R::of_integer(noise.step));
+            let (sin, cos) = sin_cos_of_turns(params.sinusoidal_turns * R::from_integer(noise.step));
             force = force + V3::new(sin, cos, sin * cos * 0.6) * params.sinusoidal_force;
         }
         (force, air)
@@ -236,7 +240,7 @@ impl<R: Real> WindState<R> {
         parts: WindParts,
         dt: f64,
         params: &WindParams<R>,
-        noise: Noise<R::Bits>,
+        noise: Noise<R::Integer>,
         height: R,
         velocity: V3<R>,
     ) -> [R; 3] {
@@ -291,7 +295,7 @@ impl<R: Real> WindState<R> {
     /// number of times that −ln(1 − p) fits into an exponential random number. One random number per gust replaces one
     /// per step.
     #[inline(always)]
-    fn advance_gust(&mut self, params: &WindParams<R>, noise: Noise<R::Bits>) -> V3<R> {
+    fn advance_gust(&mut self, params: &WindParams<R>, noise: Noise<R::Integer>) -> V3<R> {
         let (zero, one) = (self.calm.all(0.0), self.calm.all(1.0));
         let is_calm = !self.elapsed.less(one);
         let starts = is_calm & self.calm.less(params.gust_hazard);

@@ -1,6 +1,6 @@
-use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, SQRT_2};
 
-use super::{Bits, Real};
+use super::{Bits as _, Double, Real};
 
 /// Difference between π/2 and the double closest to it.
 const FRAC_PI_2_REST: f64 = 6.123_233_995_736_766e-17;
@@ -10,7 +10,7 @@ const TAN_PI_8: f64 = 0.414_213_562_373_095_03;
 
 /// Evaluates a polynomial by Horner's method, with the coefficient of the highest power first.
 #[inline(always)]
-pub(crate) fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
+pub fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) -> R {
     let mut sum = x.all(coefficients[0]);
     for &coefficient in &coefficients[1..] {
         sum = sum * x + coefficient;
@@ -20,14 +20,14 @@ pub(crate) fn polynomial<R: Real, const N: usize>(x: R, coefficients: [f64; N]) 
 
 /// Clamps a number as [`f64::clamp`] does, lane by lane: NaN stays NaN.
 #[inline(always)]
-pub(crate) fn clamped<R: Real>(x: R, min: R, max: R) -> R {
+pub fn clamped<R: Real>(x: R, min: R, max: R) -> R {
     let above = R::choose(x.less(min), min, x);
     R::choose(max.less(above), max, above)
 }
 
 /// Returns a zero if all numbers are finite, and NaN otherwise.
 #[inline(always)]
-pub(crate) fn finite_zero<R: Real, const N: usize>(numbers: [R; N]) -> R {
+pub fn finite_zero<R: Real, const N: usize>(numbers: [R; N]) -> R {
     // infinity times zero is NaN
     let mut sum = numbers[0] * 0.0;
     for number in &numbers[1..] {
@@ -38,7 +38,13 @@ pub(crate) fn finite_zero<R: Real, const N: usize>(numbers: [R; N]) -> R {
 
 /// Returns the angle of the point (x, y), in [−π, π], as [`f64::atan2`] for finite arguments that are not subnormal.
 #[inline(always)]
-pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
+pub fn atan2<R: Real>(y: R, x: R) -> R {
+    R::arctan2(y, x)
+}
+
+/// Computes [`atan2`] with arithmetic alone.
+#[inline(always)]
+pub(super) fn arctan2<R: Real>(y: R, x: R) -> R {
     let (across, along) = (y.abs(), x.abs());
     let steep = along.less(across);
     let (min, max) = (R::choose(steep, along, across), R::choose(steep, across, along));
@@ -46,7 +52,7 @@ pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
     let far = (max * TAN_PI_8).less(min);
     // at the origin it divides 0 by the smallest normal number
     let above = R::choose(far, min - max, min);
-    let below = R::choose(far, min + max, max.greater(x.all(f64::MIN_POSITIVE)));
+    let below = R::choose(far, min + max, max.greater(x.all(R::MIN_POSITIVE)));
     let t = above / below;
     let square = t * t;
     let p = polynomial(
@@ -81,7 +87,13 @@ pub(crate) fn atan2<R: Real>(y: R, x: R) -> R {
 
 /// Returns the arcsine of a number after clamping it to [−1, 1].
 #[inline(always)]
-pub(crate) fn asin<R: Real>(sine: R) -> R {
+pub fn asin<R: Real>(sine: R) -> R {
+    R::arcsin(sine)
+}
+
+/// Computes [`asin`] with arithmetic and an arctangent.
+#[inline(always)]
+pub(super) fn arcsin<R: Real>(sine: R) -> R {
     let one = sine.all(1.0);
     // this order of the arguments preserves NaN
     let sine = one.lesser(sine);
@@ -90,14 +102,20 @@ pub(crate) fn asin<R: Real>(sine: R) -> R {
 }
 
 /// Rounding constant 1.5 · 2⁵²: adding it to a number below 2⁵¹ leaves the nearest integer in the low bits.
-pub(super) const ROUND: f64 = 6_755_399_441_055_744.0;
+pub const ROUND: f64 = 6_755_399_441_055_744.0;
 
 /// Returns e^x for x ≤ 0.
 #[inline(always)]
-pub(crate) fn exp_of_negative<R: Real>(x: R) -> R {
+pub fn exp_of_negative<R: Real>(x: R) -> R {
+    R::exp_of_negative(x)
+}
+
+/// Computes [`exp_of_negative`] with arithmetic and powers of two.
+#[inline(always)]
+pub(super) fn exponential<R: Real>(x: R) -> R {
     // the result underflows to zero below −750
     let x = x.greater(x.all(-750.0));
-    let whole = (x * LOG2_E + ROUND) - ROUND;
+    let whole = (x * LOG2_E).rounded();
     // ln 2 in two parts; the product with the first one is exact
     let rest = (x - whole * 6.931_457_519_531_25e-1) - whole * 1.428_606_820_309_417_3e-6;
     let square = rest * rest;
@@ -106,27 +124,58 @@ pub(crate) fn exp_of_negative<R: Real>(x: R) -> R {
     let q = polynomial(square, [3.001_985_051_386_644_5e-6, 2.524_483_403_496_841e-3, 2.272_655_482_081_550_3e-1, 2.0]);
     let fraction = p / (q - p) * 2.0 + 1.0;
     // two factors, because one alone would underflow where the result is subnormal
-    let first = (whole * 0.5 + ROUND) - ROUND;
-    fraction * (first + ROUND).power_of_two() * ((whole - first) + ROUND).power_of_two()
+    let first = (whole * 0.5).rounded();
+    fraction * first.power_of_two() * (whole - first).power_of_two()
 }
 
-/// Bound of the arguments for which [`decay`] needs no general exponential function.
-pub(crate) const SHORT: f64 = 0.031_25;
+/// 2 to the powers 1, 2, 4, … 512.
+const POWERS: [f64; 10] = {
+    let (mut powers, mut power, mut bit) = ([0.0; 10], 2.0, 0);
+    while bit < 10 {
+        powers[bit] = power;
+        power *= power;
+        bit += 1;
+    }
+    powers
+};
 
-/// Returns e^(−x) for x ≥ 0, faster than [`exp_of_negative`] if all lanes are below [`SHORT`].
+/// Computes [`Real::power_of_two`] with arithmetic alone, exactly.
 #[inline(always)]
-pub(crate) fn decay<R: Real>(x: R) -> R {
-    // Taylor polynomial with full double precision
-    let short = polynomial(x, [-1.0 / 5040.0, 1.0 / 720.0, -1.0 / 120.0, 1.0 / 24.0, -1.0 / 6.0, 0.5, -1.0, 1.0]);
-    let is_short = x.less(x.all(SHORT));
-    if R::any(!is_short) { R::choose(is_short, short, exp_of_negative(-x)) } else { short }
+pub(super) fn power_of_two<R: Real>(exponent: R) -> R {
+    let is_negative = exponent.less(exponent.all(0.0));
+    let (mut rest, mut power) = (exponent.abs(), exponent.all(1.0));
+    for bit in (0..10).rev() {
+        let value = f64::from(1_u32 << bit);
+        let factor = R::choose(is_negative, power.all(1.0 / POWERS[bit]), power.all(POWERS[bit]));
+        let is_absent = rest.less(rest.all(value));
+        power = R::choose(is_absent, power, power * factor);
+        rest = R::choose(is_absent, rest, rest - value);
+    }
+    power
 }
 
-/// Returns the natural logarithm of a positive normal number.
-///
-/// With x = m·2^k, √½ ≤ m < √2 and s = (m − 1)/(m + 1), ln x = k·ln 2 + 2·artanh s.
+/// Computes [`Real::mantissa_and_exponent`] with arithmetic alone, exactly.
 #[inline(always)]
-pub(crate) fn ln<R: Real>(x: R) -> R {
+pub(super) fn mantissa_and_exponent<R: Real>(x: R) -> (R, R) {
+    let (mut m, mut k) = (x, x.all(0.0));
+    for bit in (0..10).rev() {
+        let larger = m * POWERS[bit];
+        let fits = larger.less(x.all(SQRT_2));
+        m = R::choose(fits, larger, m);
+        k = R::choose(fits, k - f64::from(1_u32 << bit), k);
+    }
+    for bit in (0..10).rev() {
+        let smaller = m * (1.0 / POWERS[bit]);
+        let is_too_small = smaller.less(x.all(FRAC_1_SQRT_2));
+        m = R::choose(is_too_small, m, smaller);
+        k = R::choose(is_too_small, k, k + f64::from(1_u32 << bit));
+    }
+    (m, k)
+}
+
+/// Computes [`Real::mantissa_and_exponent`] from the bit pattern.
+#[inline(always)]
+pub fn mantissa_and_exponent_of_bits<R: Double>(x: R) -> (R, R) {
     const EXPONENT: u64 = 0x7ff << 52;
     const ONE: u64 = 1.0_f64.to_bits();
     // adding the distance from √½ to 1 carries into the exponent where the mantissa is above √2
@@ -135,6 +184,33 @@ pub(crate) fn ln<R: Real>(x: R) -> R {
     let m = R::of_bits(bits.plus(bits.all(ONE)).minus(exponent));
     // the upper half of the exponent is (k + 1023)·2²⁰
     let k = (R::of_integer(exponent.swap_halves()) - 1023.0 * 1_048_576.0) * (1.0 / 1_048_576.0);
+    (m, k)
+}
+
+/// Bound of the arguments for which [`decay`] needs no general exponential function.
+pub const SHORT: f64 = 0.031_25;
+
+/// Returns e^(−x) for x ≥ 0, faster than [`exp_of_negative`] if all lanes are below [`SHORT`].
+#[inline(always)]
+pub fn decay<R: Real>(x: R) -> R {
+    // Taylor polynomial with full double precision
+    let short = polynomial(x, [-1.0 / 5040.0, 1.0 / 720.0, -1.0 / 120.0, 1.0 / 24.0, -1.0 / 6.0, 0.5, -1.0, 1.0]);
+    let is_short = x.less(x.all(SHORT));
+    if R::any(!is_short) { R::choose(is_short, short, exp_of_negative(-x)) } else { short }
+}
+
+/// Returns the natural logarithm of a positive normal number.
+#[inline(always)]
+pub fn ln<R: Real>(x: R) -> R {
+    R::natural_log(x)
+}
+
+/// Computes [`ln`] with arithmetic alone.
+///
+/// With x = m·2^k, √½ ≤ m < √2 and s = (m − 1)/(m + 1), ln x = k·ln 2 + 2·artanh s.
+#[inline(always)]
+pub(super) fn natural_log<R: Real>(x: R) -> R {
+    let (m, k) = x.mantissa_and_exponent();
     let s = (m - 1.0) / (m + 1.0);
     let square = s * s;
     // minimax polynomial of (2·artanh(s)/s − 2)/s², relative error 5e-16
@@ -155,11 +231,11 @@ pub(crate) fn ln<R: Real>(x: R) -> R {
 }
 
 /// Square of the largest half angle for which [`half_angle`] is accurate, rad²: (0.25 rad)².
-pub(crate) const MAX_HALF_ANGLE_SQUARED: f64 = 0.0625;
+pub const MAX_HALF_ANGLE_SQUARED: f64 = 0.0625;
 
 /// Returns cos(a) and sin(a)/a from a², for |a| ≤ 0.25 rad, as Taylor polynomials with full double precision.
 #[inline(always)]
-pub(crate) fn half_angle<R: Real>(a_squared: R) -> (R, R) {
+pub fn half_angle<R: Real>(a_squared: R) -> (R, R) {
     const fn inverse_factorial(n: u64) -> f64 {
         let (mut product, mut factor) = (1, 2);
         while factor <= n {
@@ -183,6 +259,7 @@ pub(crate) fn half_angle<R: Real>(a_squared: R) -> (R, R) {
 
 #[cfg(test)]
 mod tests {
+    use super::super::tests::Plain;
     use super::*;
     use proptest::prelude::*;
     use std::f64::consts::LN_2;
@@ -232,6 +309,23 @@ mod tests {
             }
         }
 
+        /// Types of numbers without bit patterns get the same bits.
+        #[test]
+        fn functions_with_arithmetic_alone_are_bit_identical(
+            m in 0.5..2.0f64, scale in -307.0..308.0f64, x in -750.0..0.0f64,
+        ) {
+            for y in [m, 10f64.powf(scale), m.sqrt()] {
+                prop_assert_eq!(ln(Plain(y)).0, ln(y));
+                prop_assert_eq!(mantissa_and_exponent_of_bits(y), mantissa_and_exponent(y));
+            }
+            for x in [x, 1e-3 * x] {
+                prop_assert_eq!(exp_of_negative(Plain(x)).0, exp_of_negative(x));
+                prop_assert_eq!(decay(Plain(-x)).0, decay(-x));
+            }
+            prop_assert_eq!(atan2(Plain(x), Plain(m - 1.0)).0, atan2(x, m - 1.0));
+            prop_assert_eq!(asin(Plain(m - 1.0)).0, asin(m - 1.0));
+        }
+
         #[test]
         fn half_angle_is_accurate_within_its_range(a in -0.25..0.25f64) {
             let (cos, sinc) = half_angle(a * a);
@@ -248,6 +342,15 @@ mod tests {
         }
         assert!(clamped(f64::NAN, -1.0, 1.0).is_nan());
         assert_eq!([-2.0, 0.5, 2.0].map(|x| clamped(x, -1.0, 1.0)), [-1.0, 0.5, 1.0]);
+    }
+
+    #[test]
+    fn powers_of_two_are_exact() {
+        for exponent in -1022..=1023 {
+            let exponent = f64::from(exponent);
+            assert_eq!(exponent.power_of_two(), exponent.exp2());
+            assert_eq!(Plain(exponent).power_of_two().0, exponent.exp2());
+        }
     }
 
     #[test]

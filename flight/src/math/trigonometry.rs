@@ -6,7 +6,7 @@ use super::functions::polynomial;
 /// Returns the sine and the cosine of x eighths of a turn (45°), for x in [−1, 1], as minimax polynomials with full
 /// double precision.
 #[inline(always)]
-pub(crate) fn eighth_turn<R: Real>(x: R) -> (R, R) {
+pub fn eighth_turn<R: Real>(x: R) -> (R, R) {
     let square = x * x;
     let sin = polynomial(
         square,
@@ -38,7 +38,7 @@ pub(crate) fn eighth_turn<R: Real>(x: R) -> (R, R) {
 
 /// Returns the sine and the cosine of an angle in turns, of a magnitude below 2⁵¹.
 #[inline(always)]
-pub(crate) fn sin_cos_of_turns<R: Real>(turns: R) -> (R, R) {
+pub fn sin_cos_of_turns<R: Real>(turns: R) -> (R, R) {
     // every step of the reduction is exact: to half a turn, to a quarter, to an eighth
     let turns = turns - turns.rounded();
     let half = turns.abs();
@@ -50,13 +50,13 @@ pub(crate) fn sin_cos_of_turns<R: Real>(turns: R) -> (R, R) {
 
 /// Returns the sine and the cosine of an angle, rad, of a magnitude below 2⁵¹.
 #[inline(always)]
-pub(crate) fn sin_cos<R: Real>(angle: R) -> (R, R) {
+pub fn sin_cos<R: Real>(angle: R) -> (R, R) {
     sin_cos_of_turns(angle * (1.0 / TAU))
 }
 
 /// Wraps an angle, rad, of a magnitude below 2⁵¹ to (−π, π]. An angle in this range keeps its bits.
 #[inline(always)]
-pub(crate) fn wrap_angle<R: Real>(angle: R) -> R {
+pub fn wrap_angle<R: Real>(angle: R) -> R {
     let (half, minus_half) = (angle.all(PI), angle.all(-PI));
     let rest = angle - (angle * (1.0 / TAU)).rounded() * TAU;
     // the number of turns may be rounded to the wrong side of a half turn
