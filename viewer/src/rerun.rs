@@ -138,7 +138,8 @@ impl RerunLog {
         Self::begin_with(target, source, |drone| source.reference(drone), with_images)
     }
 
-    /// As [`begin`](Self::begin). `reference` returns the position that a drone follows (world frame, m).
+    /// Begins a recording like [`begin`](Self::begin). `reference` returns the position that a drone follows (world
+    /// frame, m).
     ///
     /// # Errors
     /// As for [`begin`](Self::begin).
