@@ -23,4 +23,8 @@ pub mod ground_effect;
 pub mod motors;
 pub mod rotor;
 pub mod sensors;
+pub mod tasks;
 pub mod wind;
+
+#[cfg(test)]
+mod tests;

@@ -4,6 +4,7 @@
 //! leaves rare events, such as a crash or a reached waypoint, to the scalar form: the lanes only detect that an event
 //! is possible.
 
+use flight::tasks::Observation;
 use pulp::{Simd, WithSimd};
 
 use super::Task;
@@ -96,15 +97,6 @@ impl<S: Simd> LaneScene<'_, S> {
     pub fn rpy(&self, drone: usize) -> V3<Pack<S>> {
         self.part.rpy(&self.lanes[drone])
     }
-
-    /// Writes the twelve entries of [`SimView::state_vector`].
-    #[inline(always)]
-    pub fn observe_state(&self, drone: usize, out: &mut LaneRows<'_, S>) {
-        let (state, rpy) = (self.state(drone), self.rpy(drone));
-        for (index, part) in [state.position, rpy, state.velocity, state.rate].into_iter().enumerate() {
-            out.put3(3 * index, part);
-        }
-    }
 }
 
 /// Rows of the task in all drones, seen through one register.
@@ -144,12 +136,12 @@ impl<S: Simd> LaneRows<'_, S> {
     pub fn get3(&self, index: usize) -> V3<Pack<S>> {
         V3::new(self.get(index), self.get(index + 1), self.get(index + 2))
     }
+}
 
+impl<S: Simd> Observation<Pack<S>> for LaneRows<'_, S> {
     #[inline(always)]
-    pub fn put3(&mut self, index: usize, value: V3<Pack<S>>) {
-        self.put(index, value.x);
-        self.put(index + 1, value.y);
-        self.put(index + 2, value.z);
+    fn put(&mut self, entry: usize, value: Pack<S>) {
+        self.part.put(&mut self.rows[entry], value);
     }
 }
 

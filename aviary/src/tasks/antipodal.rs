@@ -1,18 +1,18 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use flight::tasks::antipodal;
 use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::{STATE_BOUNDS, UNBOUNDED};
+use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
-use crate::math::{Pack, Real};
-use crate::observation::STATE_SIZE;
+use crate::math::{Pack, Real, ToFlight as _};
 use crate::simulation::SimView;
 
 /// Task: drones on a circle swap places with the opposite drones at a safe distance from each other (the benchmark
@@ -83,7 +83,7 @@ impl Default for Antipodal {
 
 impl Antipodal {
     /// Distance within which a drone is at its goal, m.
-    pub const AT_GOAL: f64 = 0.1;
+    pub const AT_GOAL: f64 = antipodal::AT_GOAL;
 
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
@@ -105,14 +105,6 @@ impl Antipodal {
     /// single drone.
     pub fn minimum_distance(&self) -> f64 {
         self.nearest
-    }
-
-    /// Returns the reward without the penalty for a crash from the distance to the goal (m) and the number of drones
-    /// that are too close. Scalar or SIMD.
-    #[inline(always)]
-    fn flight_reward<R: Real>(distance: R, close: R) -> R {
-        let zero = distance.all(0.0);
-        distance * -0.1 + R::choose(distance.less(zero.all(Self::AT_GOAL)), zero.all(0.5), zero) - close
     }
 
     fn at_goal(&self, simulation: SimView<'_>, drone: usize) -> bool {
@@ -189,14 +181,12 @@ impl Task for Antipodal {
         let close = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
         let close = (0..simulation.num_drones()).filter(close).count() as f64;
         let distance = simulation.distance(drone, &self.goal(simulation, drone));
-        Self::flight_reward(distance, close) - crash_penalty(end)
+        antipodal::reward(distance, close) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        let (state, goal) = (&simulation.states()[drone], self.goal(simulation, drone));
-        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
-        out[12..15].copy_from_slice(goal.as_slice());
-        out[15..18].copy_from_slice((goal - state.position).as_slice());
+        let (state, rpy) = observed(simulation, drone);
+        antipodal::observe(&state, rpy, self.goal(simulation, drone).to_flight(), out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
@@ -252,7 +242,7 @@ impl LaneTask for Antipodal {
         let (state, mut own) = (scene.state(drone), rows.drone(drone));
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let distance = (state.position - own.get3(CrashWatch::ROWS)).norm();
-        (Self::flight_reward(distance, own.get(Self::CLOSE)), crashed)
+        (antipodal::reward(distance, own.get(Self::CLOSE)), crashed)
     }
 
     #[inline(always)]
@@ -263,9 +253,7 @@ impl LaneTask for Antipodal {
         out: &mut LaneRows<'_, S>,
     ) {
         let goal = rows.drone(drone).get3(CrashWatch::ROWS);
-        scene.observe_state(drone, out);
-        out.put3(STATE_SIZE, goal);
-        out.put3(STATE_SIZE + 3, goal - scene.position(drone));
+        antipodal::observe(&scene.state(drone), scene.rpy(drone), goal, out);
     }
 }
 

@@ -1,6 +1,8 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use flight::clearance;
+use flight::clearance::CollisionCylinder as CylinderLanes;
+use flight::tasks::CRASH_PENALTY;
+use flight::tasks::crash::{CLEAR_OF_FLOOR, CrashLimits};
 use pulp::Simd;
 use smallvec::SmallVec;
 
@@ -64,11 +66,8 @@ impl CrashConditions {
 
 /// Returns the part of the reward that every task subtracts for a crash.
 pub(super) fn crash_penalty(end: Option<EndReason>) -> f64 {
-    if end.is_some_and(EndReason::is_crash) { 100.0 } else { 0.0 }
+    if end.is_some_and(EndReason::is_crash) { CRASH_PENALTY } else { 0.0 }
 }
-
-/// Distance from the floor above which a drone is airborne, m.
-const CLEAR_OF_FLOOR: f64 = 0.01;
 
 /// Returns the height of the lowest point of a drone's collision cylinder above the floor, m.
 fn clearance(params: &DroneParams, state: &DroneState) -> f64 {
@@ -180,13 +179,12 @@ impl CrashWatch {
     /// Updates the rows of a drone in flight, and returns a number above 0 where it may have crashed.
     #[inline(always)]
     pub(super) fn update_rows<S: Simd>(state: &FlightState<Pack<S>>, rows: &mut LaneRows<'_, S>) -> Pack<S> {
-        let (airborne, up, height) = (rows.get(0), state.attitude.up().z, state.position.z);
+        let airborne = rows.get(0);
         let (zero, one) = (airborne.all(0.0), airborne.all(1.0));
-        let cylinder = clearance::CollisionCylinder { radius: rows.get(1), height: rows.get(2) };
-        let clear = airborne.all(CLEAR_OF_FLOOR).less(cylinder.floor_clearance(height, up));
-        rows.put(0, Real::choose(clear, one, airborne));
-        let below = Real::choose(height.less(rows.get(3)), one, zero);
-        Real::choose(up.less(rows.get(4)), one, below)
+        let cylinder = CylinderLanes { radius: rows.get(1), height: rows.get(2) };
+        let limits = CrashLimits { cylinder, lowest: rows.get(3), upright: rows.get(4) };
+        rows.put(0, Real::choose(limits.is_clear(state), one, airborne));
+        Real::choose(limits.are_exceeded(state), one, zero)
     }
 
     /// Returns how a drone crashed during the last control step, if it did; `None` if `drone` is out of range.

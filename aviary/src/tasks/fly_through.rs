@@ -1,11 +1,12 @@
 use std::f64::consts::FRAC_PI_2;
 
+use flight::tasks::fly_through;
 use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::waypoint_progress::{self, WaypointProgress, in_body_frame};
-use super::{STATE_BOUNDS, UNBOUNDED, row_along_y};
+use super::waypoint_progress::{self, WaypointProgress};
+use super::{STATE_BOUNDS, UNBOUNDED, observed, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -13,8 +14,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, ToFlight as _, V3};
-use crate::observation::STATE_SIZE;
+use crate::math::{Pack, Real, ToFlight as _};
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
 
@@ -163,15 +163,12 @@ impl Task for FlyThrough {
         }
         let capture = if self.progress.just_passed(drone) { self.capture_reward } else { 0.0 };
         let rate = simulation.states()[drone].angular_velocity.to_flight();
-        flight_reward(capture, self.distance_penalty, self.progress.distance(drone), rate) - crash_penalty(end)
+        fly_through::reward(capture, self.distance_penalty, self.progress.distance(drone), rate) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        let (state, target) = (&simulation.states()[drone], self.target(drone));
-        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
-        out[12..15].copy_from_slice(target.as_slice());
-        let seen = in_body_frame(&state.attitude.to_flight(), (target - state.position).to_flight());
-        out[15..18].copy_from_slice(&[seen.x, seen.y, seen.z]);
+        let (state, rpy) = observed(simulation, drone);
+        fly_through::observe(&state, rpy, self.target(drone).to_flight(), out);
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
@@ -215,13 +212,6 @@ impl Task for FlyThrough {
     super::saved_by_serde!();
 }
 
-/// Returns the reward of a drone before its last capture, without the penalty for a crash, from the reward for a
-/// capture in this step, the penalty and the distance, and the angular velocity. Scalar or SIMD.
-#[inline(always)]
-fn flight_reward<R: Real>(capture: R, penalty: R, distance: R, rate: V3<R>) -> R {
-    capture - penalty * distance - rate.norm() * 0.01
-}
-
 impl FlyThrough {
     /// First row of the options.
     const OPTIONS: usize = CrashWatch::ROWS + WaypointProgress::ROWS;
@@ -251,7 +241,7 @@ impl LaneTask for FlyThrough {
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let (distance, flying, event) = WaypointProgress::evaluate_rows(state.position, &own, CrashWatch::ROWS);
         let zero = distance.all(0.0);
-        let reward = flight_reward(zero, own.get(Self::OPTIONS), distance, state.rate);
+        let reward = fly_through::reward(zero, own.get(Self::OPTIONS), distance, state.rate);
         (Real::choose(flying, reward, -zero), crashed.greater(event))
     }
 
@@ -269,8 +259,6 @@ impl LaneTask for FlyThrough {
     ) {
         let (state, own) = (scene.state(drone), rows.drone(drone));
         let target = WaypointProgress::point_in_lanes(&own, CrashWatch::ROWS);
-        scene.observe_state(drone, out);
-        out.put3(STATE_SIZE, target);
-        out.put3(STATE_SIZE + 3, in_body_frame(&state.attitude, target - state.position));
+        fly_through::observe(&state, scene.rpy(drone), target, out);
     }
 }

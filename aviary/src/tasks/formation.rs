@@ -1,10 +1,11 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use flight::tasks::formation::{self, Side};
 use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::{STATE_BOUNDS, UNBOUNDED};
+use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
@@ -12,7 +13,6 @@ use crate::env::{
     TaskDefaults, TaskRows, path_points,
 };
 use crate::math::{Pack, Real, ToFlight as _, ToNalgebra as _, V3};
-use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 
 /// Task: drones keep a formation whose centre moves along a closed path (paper, §4.1 `FormationAviary`).
@@ -133,21 +133,6 @@ impl Formation {
         (side.point(distance).to_nalgebra(), side.direction.to_nalgebra() * self.speed)
     }
 
-    /// Returns the reward without the penalty for a crash, from the distance to the slot and the sum of the errors
-    /// of the distances to the other drones, m. Scalar or SIMD.
-    #[inline(always)]
-    fn flight_reward<R: Real>(error: R, deviations: R) -> R {
-        // each pair occurs in the rewards of both its drones
-        -error - deviations * 0.25
-    }
-
-    /// Returns the error of the distance between two drones, from their difference of positions and of slots, m.
-    /// Scalar or SIMD.
-    #[inline(always)]
-    fn deviation<R: Real>(apart: V3<R>, desired: V3<R>) -> R {
-        (apart.norm() - desired.norm()).abs()
-    }
-
     fn slot(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
         self.centre(simulation.time()).0 + self.offset(drone, simulation.num_drones())
     }
@@ -243,17 +228,15 @@ impl Task for Formation {
         let (here, own) = (states[drone].position, self.offset(drone, count));
         let deviations = (0..count).filter(|&other| other != drone).fold(0.0, |sum, other| {
             let (apart, desired) = (states[other].position - here, self.offset(other, count) - own);
-            sum + Self::deviation(apart.to_flight(), desired.to_flight())
+            sum + formation::deviation(apart.to_flight(), desired.to_flight())
         });
         let error = simulation.distance(drone, &self.slot(simulation, drone));
-        Self::flight_reward(error, deviations) - crash_penalty(end)
+        formation::reward(error, deviations) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        let (state, slot) = (&simulation.states()[drone], self.slot(simulation, drone));
-        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
-        out[12..15].copy_from_slice(slot.as_slice());
-        out[15..18].copy_from_slice((slot - state.position).as_slice());
+        let (state, rpy) = observed(simulation, drone);
+        formation::observe(&state, rpy, self.slot(simulation, drone).to_flight(), out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
@@ -287,50 +270,10 @@ impl Task for Formation {
     super::saved_by_serde!();
 }
 
-/// Side of the path of the centre. Scalar or SIMD.
-#[derive(Debug, Clone, Copy)]
-struct Side<R> {
-    /// Length of the path, m.
-    lap: R,
-    /// Distance from the start of the path to the start of the side, m.
-    start: R,
-    /// Range of the distance travelled on the side in which the side is certainly the present one, m.
-    low: R,
-    high: R,
-    /// Start of the side, world frame, m.
-    from: V3<R>,
-    /// Direction, as a unit vector.
-    direction: V3<R>,
-}
-
-impl Side<f64> {
-    /// Side on which the centre stays.
-    const STAND: Self = {
-        let zero = V3 { x: 0.0, y: 0.0, z: 0.0 };
-        Self { lap: f64::MAX, start: 0.0, low: f64::NEG_INFINITY, high: f64::INFINITY, from: zero, direction: zero }
-    };
-
-    fn numbers(&self) -> [f64; 10] {
-        let Self { lap, start, low, high, from, direction } = *self;
-        [lap, start, low, high, from.x, from.y, from.z, direction.x, direction.y, direction.z]
-    }
-}
-
-impl<R: Real> Side<R> {
-    /// Returns the distance travelled on the side, m, from the distance travelled in all laps.
-    #[inline(always)]
-    fn travelled(&self, distance: R) -> R {
-        let laps = distance / self.lap;
-        let nearest = laps.rounded();
-        let whole = R::choose(laps.less(nearest), nearest - 1.0, nearest);
-        distance - whole * self.lap - self.start
-    }
-
-    /// Returns the position of the centre, world frame, m.
-    #[inline(always)]
-    fn point(&self, distance: R) -> V3<R> {
-        self.from + self.direction * self.travelled(distance)
-    }
+/// Returns the numbers of a side in the rows of a drone.
+fn numbers(side: &Side<f64>) -> [f64; 10] {
+    let Side { lap, start, low, high, from, direction } = *side;
+    [lap, start, low, high, from.x, from.y, from.z, direction.x, direction.y, direction.z]
 }
 
 impl Formation {
@@ -372,7 +315,7 @@ impl LaneTask for Formation {
         rows[Self::OFFSET..Self::ERRORS].copy_from_slice(self.offset(drone, simulation.num_drones()).as_slice());
         rows[Self::ERRORS..Self::CENTRE].copy_from_slice(&[self.errors.0, self.errors.1]);
         rows[Self::CENTRE] = self.speed;
-        rows[Self::CENTRE + 1..].copy_from_slice(&self.side(self.speed * simulation.time()).numbers());
+        rows[Self::CENTRE + 1..].copy_from_slice(&numbers(&self.side(self.speed * simulation.time())));
     }
 
     fn read_rows(&mut self, drone: usize, rows: &[f64]) {
@@ -401,10 +344,10 @@ impl LaneTask for Formation {
                 continue;
             }
             let desired = rows.drone(other).get3(Self::OFFSET) - own;
-            deviations = deviations + Self::deviation(scene.position(other) - state.position, desired);
+            deviations = deviations + formation::deviation(scene.position(other) - state.position, desired);
         }
         let error = (state.position - Self::slot_in_lanes(scene, drone, rows)).norm();
-        (Self::flight_reward(error, deviations), event)
+        (formation::reward(error, deviations), event)
     }
 
     #[inline(always)]
@@ -428,8 +371,6 @@ impl LaneTask for Formation {
         out: &mut LaneRows<'_, S>,
     ) {
         let slot = Self::slot_in_lanes(scene, drone, rows);
-        scene.observe_state(drone, out);
-        out.put3(STATE_SIZE, slot);
-        out.put3(STATE_SIZE + 3, slot - scene.position(drone));
+        formation::observe(&scene.state(drone), scene.rpy(drone), slot, out);
     }
 }

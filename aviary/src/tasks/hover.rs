@@ -1,10 +1,11 @@
 use std::f64::consts::FRAC_PI_2;
 
+use flight::tasks::hover;
 use nalgebra::Vector3;
 use pulp::Simd;
 
-use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::{STATE_BOUNDS, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
@@ -13,7 +14,6 @@ use crate::env::{
 };
 use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::simulation::SimView;
-use crate::state::FlightState;
 
 /// Task: a drone takes off and hovers (paper, §4.1 `HoverAviary`).
 ///
@@ -132,7 +132,7 @@ impl Task for Hover {
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
-        let too_high = simulation.states()[drone].position.z > self.max_height;
+        let too_high = hover::is_too_high(simulation.states()[drone].position.to_flight(), self.max_height);
         self.watch.end(drone).or(too_high.then_some(EndReason::OutOfBounds))
     }
 
@@ -141,12 +141,13 @@ impl Task for Hover {
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        out.copy_from_slice(&simulation.state_vector(drone));
+        let (state, rpy) = observed(simulation, drone);
+        hover::observe(&state, rpy, out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         self.watch.end(drone).is_none()
-            && at_target(simulation.states()[drone].position.to_flight(), self.target().to_flight())
+            && hover::at_target(simulation.states()[drone].position.to_flight(), self.target().to_flight())
     }
 
     fn reference(&self, _simulation: SimView<'_>, _drone: usize) -> Reference {
@@ -180,9 +181,9 @@ impl LaneTask for Hover {
         let (state, mut own) = (scene.state(drone), rows.drone(drone));
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let [height, max_height] = [0, 1].map(|index| own.get(CrashWatch::ROWS + index));
-        let too_high = Real::choose(max_height.less(state.position.z), height.all(1.0), height.all(0.0));
+        let too_high = Real::choose(hover::is_too_high(state.position, max_height), height.all(1.0), height.all(0.0));
         let target = V3::new(height.all(0.0), height.all(0.0), height);
-        (flight_reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
+        (hover::reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
     }
 
     #[inline(always)]
@@ -192,27 +193,8 @@ impl LaneTask for Hover {
         _: &mut TaskRows<'_, S>,
         out: &mut LaneRows<'_, S>,
     ) {
-        scene.observe_state(drone, out);
+        hover::observe(&scene.state(drone), scene.rpy(drone), out);
     }
-}
-
-/// Vertical and horizontal distance from the target within which a drone is at the target, m.
-const AT_TARGET: f64 = 0.05;
-
-/// Returns true at the target. Scalar or SIMD.
-#[inline(always)]
-pub(super) fn at_target<R: Real>(position: V3<R>, target: V3<R>) -> R::Mask {
-    let (apart, limit) = (position - target, position.x.all(AT_TARGET));
-    apart.z.abs().less(limit) & apart.level_norm().less(limit)
-}
-
-/// Returns the reward of [`hover_reward`] without the penalty for a crash. Scalar or SIMD.
-#[inline(always)]
-pub(super) fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, target: V3<R>) -> R {
-    let apart = state.position - target;
-    let zero = apart.z.all(0.0);
-    -apart.z.abs() - apart.level_norm() * 0.1 - state.velocity.norm() * 0.05 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-        + R::choose(at_target(state.position, target), zero.all(0.5), zero)
 }
 
 /// Returns the paper's reward for hovering at a target (world frame, m) in the last control step: the formula of
@@ -221,6 +203,6 @@ pub(super) fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, target:
 /// # Panics
 /// If `drone` is out of range.
 pub fn hover_reward(simulation: SimView<'_>, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
-    let (state, rpy) = (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight());
-    flight_reward(&state, rpy, target.to_flight()) - crash_penalty(end)
+    let (state, rpy) = observed(simulation, drone);
+    hover::reward(&state, rpy, target.to_flight()) - crash_penalty(end)
 }

@@ -29,10 +29,15 @@ pub use stabilize::Stabilize;
 pub use track::Track;
 pub use velocity::Velocity;
 
+use flight::math::V3;
+
 use crate::UnknownName;
 use crate::drone::DroneParams;
 use crate::env::{DroneEnv, EnvConfig, EnvError, Task, TaskDefaults};
+use crate::math::ToFlight as _;
 use crate::observation::STATE_SIZE;
+use crate::simulation::SimView;
+use crate::state::FlightState;
 use crate::world::placement::max_collision_radius;
 
 /// Implements [`Task::save`] and [`Task::load`] for a task that implements serde's traits.
@@ -61,6 +66,11 @@ const STATE_BOUNDS: [[f64; 2]; STATE_SIZE] = {
     bounds[5] = [-PI, PI];
     bounds
 };
+
+/// Returns the state of a drone, and its roll, pitch and yaw, rad.
+fn observed(simulation: SimView<'_>, drone: usize) -> (FlightState<f64>, V3<f64>) {
+    (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight())
+}
 
 /// Returns initial positions in a row along −y from (0, 0, 0.1) m, with room between the drones.
 fn row_along_y(drones: &[DroneParams]) -> Vec<[f64; 3]> {

@@ -1,11 +1,12 @@
 use std::f64::consts::FRAC_PI_2;
 
+use flight::tasks::{hover, multi_hover};
 use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch};
-use super::hover::{at_target, flight_reward, hover_reward};
-use super::{STATE_BOUNDS, UNBOUNDED};
+use super::hover::hover_reward;
+use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
@@ -13,7 +14,6 @@ use crate::env::{
     TaskDefaults, TaskOptions, TaskRows,
 };
 use crate::math::{Pack, Real, ToFlight as _};
-use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
 use crate::world::placement::max_collision_radius;
 
@@ -159,7 +159,7 @@ impl Task for MultiHover {
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
-        let too_high = simulation.states()[drone].position.z > self.max_height;
+        let too_high = hover::is_too_high(simulation.states()[drone].position.to_flight(), self.max_height);
         self.watch.end(drone).or(too_high.then_some(EndReason::OutOfBounds))
     }
 
@@ -168,14 +168,14 @@ impl Task for MultiHover {
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
-        out[STATE_SIZE] = self.target(simulation, drone).z;
+        let (state, rpy) = observed(simulation, drone);
+        multi_hover::observe(&state, rpy, self.target(simulation, drone).z, out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         let target = self.target(simulation, drone);
         self.watch.end(drone).is_none()
-            && at_target(simulation.states()[drone].position.to_flight(), target.to_flight())
+            && hover::at_target(simulation.states()[drone].position.to_flight(), target.to_flight())
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
@@ -210,8 +210,8 @@ impl LaneTask for MultiHover {
         let (state, mut own) = (scene.state(drone), rows.drone(drone));
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let (target, max_height) = (own.get3(CrashWatch::ROWS), own.get(CrashWatch::ROWS + 3));
-        let too_high = Real::choose(max_height.less(state.position.z), crashed.all(1.0), crashed.all(0.0));
-        (flight_reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
+        let too_high = Real::choose(hover::is_too_high(state.position, max_height), crashed.all(1.0), crashed.all(0.0));
+        (hover::reward(&state, scene.rpy(drone), target), crashed.greater(too_high))
     }
 
     #[inline(always)]
@@ -221,7 +221,7 @@ impl LaneTask for MultiHover {
         rows: &mut TaskRows<'_, S>,
         out: &mut LaneRows<'_, S>,
     ) {
-        scene.observe_state(drone, out);
-        out.put(STATE_SIZE, rows.drone(drone).get(CrashWatch::ROWS + 2));
+        let height = rows.drone(drone).get(CrashWatch::ROWS + 2);
+        multi_hover::observe(&scene.state(drone), scene.rpy(drone), height, out);
     }
 }

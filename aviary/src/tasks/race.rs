@@ -1,9 +1,10 @@
+use flight::tasks::race;
 use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::waypoint_progress::{self, WaypointProgress, in_body_frame};
-use super::{STATE_BOUNDS, UNBOUNDED, row_along_y};
+use super::waypoint_progress::{self, WaypointProgress};
+use super::{STATE_BOUNDS, UNBOUNDED, observed, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -11,8 +12,7 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, ToFlight as _, V3};
-use crate::observation::STATE_SIZE;
+use crate::math::{Pack, Real, ToFlight as _};
 use crate::simulation::SimView;
 use crate::world::{Marker, Obstacle, Shape};
 
@@ -203,22 +203,13 @@ impl Task for Race {
         }
         let gate = if self.progress.just_passed(drone) { self.gate_reward } else { 0.0 };
         let (velocity, distance) = (&simulation.states()[drone].velocity, self.progress.distance(drone));
-        flight_reward(gate, [self.speed_reward, self.distance_penalty], velocity.to_flight(), distance)
+        race::reward(gate, [self.speed_reward, self.distance_penalty], velocity.to_flight(), distance)
             - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        let state = &simulation.states()[drone];
-        let (next, second) = (self.gate(drone, 0), self.gate(drone, 1));
-        let attitude = state.attitude.to_flight();
-        let seen = |point: Vector3<f64>| {
-            let V3 { x, y, z } = in_body_frame(&attitude, (point - state.position).to_flight());
-            [x, y, z]
-        };
-        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
-        out[12..15].copy_from_slice(next.as_slice());
-        out[15..18].copy_from_slice(&seen(next));
-        out[18..21].copy_from_slice(&seen(second));
+        let (state, rpy) = observed(simulation, drone);
+        race::observe(&state, rpy, [0, 1].map(|ahead| self.gate(drone, ahead).to_flight()), out);
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
@@ -264,14 +255,6 @@ impl Task for Race {
     super::saved_by_serde!();
 }
 
-/// Returns the reward of a drone before its last gate, without the penalty for a crash, from the reward for a gate in
-/// this step, the reward for the speed and the penalty for the distance, the velocity, and the distance. Scalar or
-/// SIMD.
-#[inline(always)]
-fn flight_reward<R: Real>(gate: R, [speed_reward, distance_penalty]: [R; 2], velocity: V3<R>, distance: R) -> R {
-    gate + speed_reward * velocity.norm() - distance_penalty * distance
-}
-
 impl Race {
     /// First row of the gate after the next and of the options.
     const OPTIONS: usize = CrashWatch::ROWS + WaypointProgress::ROWS;
@@ -303,7 +286,7 @@ impl LaneTask for Race {
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let (distance, flying, event) = WaypointProgress::evaluate_rows(state.position, &own, CrashWatch::ROWS);
         let (zero, weights) = (distance.all(0.0), [3, 4].map(|index| own.get(Self::OPTIONS + index)));
-        let reward = flight_reward(zero, weights, state.velocity, distance);
+        let reward = race::reward(zero, weights, state.velocity, distance);
         (Real::choose(flying, reward, -zero), crashed.greater(event))
     }
 
@@ -321,9 +304,6 @@ impl LaneTask for Race {
     ) {
         let (state, own) = (scene.state(drone), rows.drone(drone));
         let (next, second) = (WaypointProgress::point_in_lanes(&own, CrashWatch::ROWS), own.get3(Self::OPTIONS));
-        scene.observe_state(drone, out);
-        out.put3(STATE_SIZE, next);
-        out.put3(STATE_SIZE + 3, in_body_frame(&state.attitude, next - state.position));
-        out.put3(STATE_SIZE + 6, in_body_frame(&state.attitude, second - state.position));
+        race::observe(&state, scene.rpy(drone), [next, second], out);
     }
 }

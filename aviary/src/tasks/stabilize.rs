@@ -1,18 +1,19 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
+use flight::tasks::stabilize;
 use nalgebra::Vector3;
 use pulp::Simd;
 use rand::RngExt as _;
 
-use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::{STATE_BOUNDS, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
-use crate::math::{Pack, Real, ToFlight as _, V3};
+use crate::math::Pack;
 use crate::simulation::SimView;
 use crate::state::{DroneState, FlightState, attitude_from_rpy};
 
@@ -72,30 +73,9 @@ impl Default for Stabilize {
 }
 
 impl Stabilize {
-    /// Speed below which a drone is at rest, m/s.
-    const STILL: f64 = 0.05;
-
-    /// Norm of the angular velocity below which a drone is at rest, rad/s.
-    const STEADY: f64 = 0.1;
-
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
-    }
-
-    /// Returns true at rest. Scalar or SIMD.
-    #[inline(always)]
-    fn at_rest<R: Real>(state: &FlightState<R>) -> R::Mask {
-        let (speed, rate) = (state.velocity.norm(), state.rate.norm());
-        speed.less(speed.all(Self::STILL)) & rate.less(rate.all(Self::STEADY))
-    }
-
-    /// Returns the reward without the penalty for a crash. Scalar or SIMD.
-    #[inline(always)]
-    fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>) -> R {
-        let zero = rpy.x.all(0.0);
-        -state.velocity.norm() - state.rate.norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-            + R::choose(Self::at_rest(state), zero.all(0.5), zero)
     }
 }
 
@@ -155,16 +135,17 @@ impl Task for Stabilize {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let state = FlightState::from(&simulation.states()[drone]);
-        Self::flight_reward(&state, simulation.rpy(drone).to_flight()) - crash_penalty(end)
+        let (state, rpy) = observed(simulation, drone);
+        stabilize::reward(&state, rpy) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        out.copy_from_slice(&simulation.state_vector(drone));
+        let (state, rpy) = observed(simulation, drone);
+        stabilize::observe(&state, rpy, out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
-        self.watch.end(drone).is_none() && Self::at_rest(&FlightState::from(&simulation.states()[drone]))
+        self.watch.end(drone).is_none() && stabilize::at_rest(&FlightState::from(&simulation.states()[drone]))
     }
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
@@ -209,7 +190,7 @@ impl LaneTask for Stabilize {
     fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
         let state = scene.state(drone);
         let crashed = CrashWatch::update_rows(&state, &mut rows.drone(drone));
-        (Self::flight_reward(&state, scene.rpy(drone)), crashed)
+        (stabilize::reward(&state, scene.rpy(drone)), crashed)
     }
 
     #[inline(always)]
@@ -219,6 +200,6 @@ impl LaneTask for Stabilize {
         _: &mut TaskRows<'_, S>,
         out: &mut LaneRows<'_, S>,
     ) {
-        scene.observe_state(drone, out);
+        stabilize::observe(&scene.state(drone), scene.rpy(drone), out);
     }
 }

@@ -1,21 +1,22 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use flight::tasks::track::{self, Circle};
 use nalgebra::Vector3;
 use pulp::Simd;
 use rand::RngExt as _;
 
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
-use super::{STATE_BOUNDS, UNBOUNDED};
+use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows, path_points,
 };
-use crate::math::{Pack, Real, ToFlight as _, ToNalgebra as _, V3, sin_cos_of_turns};
+use crate::math::{Pack, Real, ToNalgebra as _};
 use crate::observation::STATE_SIZE;
 use crate::simulation::SimView;
-use crate::state::{DroneState, FlightState};
+use crate::state::DroneState;
 use crate::world::placement::max_collision_radius;
 
 /// Task: a drone follows a point on a circle (the `track` task of the paper's vectorized back end, §3.6).
@@ -82,9 +83,6 @@ impl Default for Track {
 }
 
 impl Track {
-    /// Distance below which the reference is tracked, m.
-    const TRACKED: f64 = 0.05;
-
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
@@ -105,14 +103,6 @@ impl Track {
         let Self { radius, height, phase, direction, .. } = *self;
         let y = -(4.0 * radius + 1.0) * drone as f64;
         Circle { y, height, radius, rate: self.speed / radius, phase, direction }
-    }
-
-    /// Returns the reward without the penalty for a crash. Scalar or SIMD.
-    #[inline(always)]
-    fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, position: V3<R>, velocity: V3<R>) -> R {
-        let (error, zero) = ((state.position - position).norm(), rpy.x.all(0.0));
-        -error - (state.velocity - velocity).norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-            + R::choose(error.less(zero.all(Self::TRACKED)), zero.all(0.5), zero)
     }
 
     fn now(&self, simulation: SimView<'_>, drone: usize) -> Reference {
@@ -175,26 +165,27 @@ impl Task for Track {
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
-        let too_far = simulation.distance(drone, &self.now(simulation, drone).position) > self.max_distance;
+        let (state, _) = observed(simulation, drone);
+        let [position, ..] = self.circle(drone).motion(simulation.time());
+        let too_far = track::is_too_far(&state, position, self.max_distance);
         self.watch.end(drone).or(too_far.then_some(EndReason::OutOfBounds))
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight());
+        let (state, rpy) = observed(simulation, drone);
         let [position, velocity, _] = self.circle(drone).motion(simulation.time());
-        Self::flight_reward(&state, rpy, position, velocity) - crash_penalty(end)
+        track::reward(&state, rpy, position, velocity) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        let target = self.now(simulation, drone);
-        out[..STATE_SIZE].copy_from_slice(&simulation.state_vector(drone));
-        out[12..15].copy_from_slice((target.position - simulation.states()[drone].position).as_slice());
-        out[15..18].copy_from_slice(target.velocity.as_slice());
+        let (state, rpy) = observed(simulation, drone);
+        let [position, velocity, _] = self.circle(drone).motion(simulation.time());
+        track::observe(&state, rpy, position, velocity, out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
         let error = simulation.distance(drone, &self.now(simulation, drone).position);
-        self.watch.end(drone).is_none() && simulation.control_steps() > 0 && error < Self::TRACKED
+        self.watch.end(drone).is_none() && simulation.control_steps() > 0 && error < track::TRACKED
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
@@ -221,47 +212,6 @@ impl Task for Track {
     }
 
     super::saved_by_serde!();
-}
-
-/// Circle of the reference. Scalar or SIMD.
-#[derive(Debug, Clone, Copy)]
-struct Circle<R> {
-    /// y of the centre, m; x is 0.
-    y: R,
-    /// Height, m.
-    height: R,
-    /// Radius, m.
-    radius: R,
-    /// Angular speed after the acceleration, rad/s.
-    rate: R,
-    /// Initial angle, rad.
-    phase: R,
-    /// 1 counterclockwise, −1 clockwise.
-    direction: R,
-}
-
-impl<R: Real> Circle<R> {
-    /// Duration of the acceleration at the start, s.
-    const RAMP: f64 = 1.0;
-
-    /// Returns position, velocity and acceleration of the reference at a time (s) of the episode.
-    #[inline(always)]
-    fn motion(&self, time: R) -> [V3<R>; 3] {
-        let Self { y, height, radius, rate: full, phase, direction } = *self;
-        let zero = time.all(0.0);
-        // constant angular acceleration
-        let starting = time.less(zero.all(Self::RAMP));
-        let gain = full * (1.0 / Self::RAMP);
-        let angle = R::choose(starting, gain * 0.5 * time * time, full * (time - 0.5 * Self::RAMP));
-        let (rate, gain) = (R::choose(starting, gain * time, full), R::choose(starting, gain, zero));
-        let (sin, cos) = sin_cos_of_turns((phase + direction * angle) * (1.0 / TAU));
-        let (outwards, along) = (V3::new(cos, sin, zero), V3::new(direction * -sin, direction * cos, zero));
-        [
-            V3::new(zero, y, height) + outwards * radius,
-            along * (radius * rate),
-            along * (radius * gain) - outwards * (radius * rate * rate),
-        ]
-    }
 }
 
 impl Track {
@@ -295,9 +245,9 @@ impl LaneTask for Track {
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let [position, velocity, _] = Self::circle_in_lanes(&own).motion(scene.time());
         let max_distance = own.get(CrashWatch::ROWS + 6);
-        let far = max_distance.less((state.position - position).norm());
+        let far = track::is_too_far(&state, position, max_distance);
         let event = Real::choose(far, crashed.all(1.0), crashed);
-        (Self::flight_reward(&state, scene.rpy(drone), position, velocity), event)
+        (track::reward(&state, scene.rpy(drone), position, velocity), event)
     }
 
     #[inline(always)]
@@ -308,8 +258,6 @@ impl LaneTask for Track {
         out: &mut LaneRows<'_, S>,
     ) {
         let [position, velocity, _] = Self::circle_in_lanes(&rows.drone(drone)).motion(scene.time());
-        scene.observe_state(drone, out);
-        out.put3(STATE_SIZE, position - scene.position(drone));
-        out.put3(STATE_SIZE + 3, velocity);
+        track::observe(&scene.state(drone), scene.rpy(drone), position, velocity, out);
     }
 }

@@ -1,21 +1,21 @@
 use std::f64::consts::FRAC_PI_2;
 
+use flight::tasks::velocity;
 use nalgebra::Vector3;
 use pulp::Simd;
 use rand::RngExt as _;
 
-use super::STATE_BOUNDS;
 use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::{STATE_BOUNDS, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
 use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskRows,
 };
-use crate::math::{Pack, Real, ToFlight as _, V3};
-use crate::observation::STATE_SIZE;
+use crate::math::{Pack, ToFlight as _};
 use crate::simulation::SimView;
-use crate::state::{FlightState, wrap_angle};
+use crate::state::wrap_angle;
 
 /// Task: a drone tracks a velocity and a yaw rate that are sampled for every episode (paper, §4.1
 /// `VelocityAviary`).
@@ -76,9 +76,6 @@ impl Default for Velocity {
 }
 
 impl Velocity {
-    /// Velocity error below which the target is tracked, m/s.
-    const TRACKED: f64 = 0.05;
-
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
@@ -94,14 +91,6 @@ impl Velocity {
 
     fn error(&self, simulation: SimView<'_>, drone: usize) -> f64 {
         (simulation.states()[drone].velocity - self.targets[drone].0).norm()
-    }
-
-    /// Returns the reward without the penalty for a crash. Scalar or SIMD.
-    #[inline(always)]
-    fn flight_reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, velocity: V3<R>, yaw_rate: R) -> R {
-        let (error, zero) = ((state.velocity - velocity).norm(), yaw_rate.all(0.0));
-        -error - (state.rate.z - yaw_rate).abs() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-            + R::choose(error.less(zero.all(Self::TRACKED)), zero.all(0.5), zero)
     }
 }
 
@@ -154,20 +143,19 @@ impl Task for Velocity {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = (FlightState::from(&simulation.states()[drone]), simulation.rpy(drone).to_flight());
+        let (state, rpy) = observed(simulation, drone);
         let (velocity, yaw_rate) = &self.targets[drone];
-        Self::flight_reward(&state, rpy, velocity.to_flight(), *yaw_rate) - crash_penalty(end)
+        velocity::reward(&state, rpy, velocity.to_flight(), *yaw_rate) - crash_penalty(end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
-        let (state, target) = out.split_at_mut(STATE_SIZE);
-        state.copy_from_slice(&simulation.state_vector(drone));
-        target[..3].copy_from_slice(self.targets[drone].0.as_slice());
-        target[3] = self.targets[drone].1;
+        let (state, rpy) = observed(simulation, drone);
+        let (velocity, yaw_rate) = &self.targets[drone];
+        velocity::observe(&state, rpy, velocity.to_flight(), *yaw_rate, out);
     }
 
     fn success(&self, simulation: SimView<'_>, drone: usize) -> bool {
-        self.watch.end(drone).is_none() && self.error(simulation, drone) < Self::TRACKED
+        self.watch.end(drone).is_none() && self.error(simulation, drone) < velocity::TRACKED
     }
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
@@ -221,7 +209,7 @@ impl LaneTask for Velocity {
         let (state, mut own) = (scene.state(drone), rows.drone(drone));
         let crashed = CrashWatch::update_rows(&state, &mut own);
         let (velocity, yaw_rate) = (own.get3(CrashWatch::ROWS), own.get(CrashWatch::ROWS + 3));
-        (Self::flight_reward(&state, scene.rpy(drone), velocity, yaw_rate), crashed)
+        (velocity::reward(&state, scene.rpy(drone), velocity, yaw_rate), crashed)
     }
 
     #[inline(always)]
@@ -232,8 +220,7 @@ impl LaneTask for Velocity {
         out: &mut LaneRows<'_, S>,
     ) {
         let own = rows.drone(drone);
-        scene.observe_state(drone, out);
-        out.put3(STATE_SIZE, own.get3(CrashWatch::ROWS));
-        out.put(STATE_SIZE + 3, own.get(CrashWatch::ROWS + 3));
+        let (velocity, yaw_rate) = (own.get3(CrashWatch::ROWS), own.get(CrashWatch::ROWS + 3));
+        velocity::observe(&scene.state(drone), scene.rpy(drone), velocity, yaw_rate, out);
     }
 }

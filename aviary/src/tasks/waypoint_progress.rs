@@ -1,3 +1,4 @@
+use flight::tasks::waypoints::distance_to_leg;
 use nalgebra::Vector3;
 use pulp::Simd;
 
@@ -5,7 +6,7 @@ use crate::control::Reference;
 use crate::control::trajectory::{Trajectory, Waypoints};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::{EnvError, LaneMask, LaneRows, LaneScene, TaskRows, path_points};
-use crate::math::{Pack, Real, ToFlight as _, Turn, V3};
+use crate::math::{Pack, Real, ToFlight as _, V3};
 use crate::simulation::SimView;
 
 /// Progress of each drone along a list of points, over a number of laps.
@@ -318,26 +319,6 @@ pub(super) fn next(points: &[[f64; 3]], passed: usize, laps: usize) -> Option<Ve
 fn limits(params: &DroneParams) -> (f64, f64) {
     let spare = (params.thrust_to_weight - 1.0).clamp(0.1, 3.0);
     ((0.25 * params.max_speed).clamp(0.3, 4.0), 0.4 * GRAVITY * spare)
-}
-
-/// Returns the distance of a point from the line segment between two others. Scalar or SIMD.
-#[inline(always)]
-fn distance_to_leg<R: Real>(from: V3<R>, to: V3<R>, point: V3<R>) -> R {
-    let leg = to - from;
-    let length = leg.dot(leg);
-    let (zero, one) = (length.all(0.0), length.all(1.0));
-    let share = (point - from).dot(leg) / length;
-    let share = R::choose(zero.less(length), zero.greater(one.lesser(share)), zero);
-    (from + leg * share - point).norm()
-}
-
-/// Returns a vector of the world frame in the body frame. Scalar or SIMD.
-#[inline(always)]
-pub(super) fn in_body_frame<R: Real>(attitude: &Turn<R>, world: V3<R>) -> V3<R> {
-    // the order of the operations is nalgebra's
-    let inverse = -attitude.v;
-    let across = inverse.cross(world) * 2.0;
-    across * attitude.w + inverse.cross(across) + world
 }
 
 /// Validates the points, the number of laps and the radius; `option` names the option that lists the points.

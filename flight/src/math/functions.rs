@@ -311,7 +311,9 @@ mod tests {
 
         /// Types of numbers without bit patterns get the same bits.
         #[test]
-        fn functions_with_arithmetic_alone_are_bit_identical(m in 0.5..2.0f64, scale in -307.0..308.0f64, x in -750.0..0.0f64) {
+        fn functions_with_arithmetic_alone_are_bit_identical(
+            m in 0.5..2.0f64, scale in -307.0..308.0f64, x in -750.0..0.0f64,
+        ) {
             for y in [m, 10f64.powf(scale), m.sqrt()] {
                 prop_assert_eq!(ln(Plain(y)).0, ln(y));
                 prop_assert_eq!(mantissa_and_exponent_of_bits(y), mantissa_and_exponent(y));

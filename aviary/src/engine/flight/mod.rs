@@ -2,9 +2,9 @@
 //!
 //! A drone without contacts is a free rigid body under forces that are constant during a physics step; with
 //! body-fixed forcing the rotors' wrench rotates with the body. MuJoCo's fluid forces act if the medium is on. The
-//! equations of motion ([`FreeBody::step`]) are those of the crate `flight`, generic over scalars and SIMD registers. [`Lanes`] hold eight drones
-//! as a structure of arrays; the kernel advances as many of them at once as the instruction set allows. The results
-//! are bit-identical for all instruction sets.
+//! equations of motion ([`FreeBody::step`]) are those of the crate `flight`, generic over scalars and SIMD registers.
+//! [`Lanes`] hold eight drones as a structure of arrays; the kernel advances as many of them at once as the
+//! instruction set allows. The results are bit-identical for all instruction sets.
 //!
 //! The module `floor` computes a step of drones that touch the floor, as `mj_step` does.
 

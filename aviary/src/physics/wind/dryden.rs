@@ -6,8 +6,8 @@ named_enum! {
     "Dryden filter"
     /// Filter of the Dryden turbulence.
     ///
-    /// Both filters use the standard deviations σ and the length scales L of [`dryden`](super::dryden). With T = L/V and the
-    /// airspeed V, the autocorrelation at a lag τ is
+    /// Both filters use the standard deviations σ and the length scales L of [`dryden`](super::dryden). With T = L/V
+    /// and the airspeed V, the autocorrelation at a lag τ is
     ///
     /// | component | `first_order` | `mil_f_8785c` |
     /// | --- | --- | --- |

@@ -1,0 +1,32 @@
+//! Coming to rest from a random motion.
+
+use super::{Observation, observe_state};
+use crate::math::{Real, V3};
+use crate::state::FlightState;
+
+/// Speed below which a drone is at rest, m/s.
+pub const STILL: f64 = 0.05;
+
+/// Norm of the angular velocity below which a drone is at rest, rad/s.
+pub const STEADY: f64 = 0.1;
+
+/// Returns true at rest.
+#[inline(always)]
+pub fn at_rest<R: Real>(state: &FlightState<R>) -> R::Mask {
+    let (speed, rate) = (state.velocity.norm(), state.rate.norm());
+    speed.less(speed.all(STILL)) & rate.less(rate.all(STEADY))
+}
+
+/// Returns the reward: −‖v‖ − 0.1·‖ω‖ − 0.05·(|φ| + |θ|), + 0.5 at rest.
+#[inline(always)]
+pub fn reward<R: Real>(state: &FlightState<R>, rpy: V3<R>) -> R {
+    let zero = rpy.x.all(0.0);
+    -state.velocity.norm() - state.rate.norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
+        + R::choose(at_rest(state), zero.all(0.5), zero)
+}
+
+/// Writes the observation, the state vector.
+#[inline(always)]
+pub fn observe<R: Real, O: Observation<R> + ?Sized>(state: &FlightState<R>, rpy: V3<R>, out: &mut O) {
+    observe_state(state, rpy, out);
+}
