@@ -143,6 +143,12 @@ pub enum EnvError {
         #[source]
         error: Box<EnvError>,
     },
+    /// A device of a batch that failed, or an option that it does not have.
+    #[error("{message}")]
+    Device {
+        /// Description of the error.
+        message: String,
+    },
     /// Images that cannot be rendered.
     #[error(transparent)]
     Vision(#[from] BuildError),

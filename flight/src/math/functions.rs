@@ -112,7 +112,7 @@ pub fn exp_of_negative<R: Real>(x: R) -> R {
 
 /// Computes [`exp_of_negative`] with arithmetic and powers of two.
 #[inline(always)]
-pub(super) fn exponential<R: Real>(x: R) -> R {
+pub fn exponential<R: Real>(x: R) -> R {
     // the result underflows to zero below −750
     let x = x.greater(x.all(-750.0));
     let whole = (x * LOG2_E).rounded();
@@ -209,7 +209,7 @@ pub fn ln<R: Real>(x: R) -> R {
 ///
 /// With x = m·2^k, √½ ≤ m < √2 and s = (m − 1)/(m + 1), ln x = k·ln 2 + 2·artanh s.
 #[inline(always)]
-pub(super) fn natural_log<R: Real>(x: R) -> R {
+pub fn natural_log<R: Real>(x: R) -> R {
     let (m, k) = x.mantissa_and_exponent();
     let s = (m - 1.0) / (m + 1.0);
     let square = s * s;

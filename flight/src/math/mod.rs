@@ -12,8 +12,8 @@ mod trigonometry;
 mod vector;
 
 pub use functions::{
-    MAX_HALF_ANGLE_SQUARED, ROUND, SHORT, asin, atan2, clamped, decay, exp_of_negative, finite_zero, half_angle, ln,
-    mantissa_and_exponent_of_bits, polynomial,
+    MAX_HALF_ANGLE_SQUARED, ROUND, SHORT, asin, atan2, clamped, decay, exp_of_negative, exponential, finite_zero,
+    half_angle, ln, mantissa_and_exponent_of_bits, natural_log, polynomial,
 };
 pub use trigonometry::{eighth_turn, sin_cos, sin_cos_of_turns, wrap_angle};
 pub use vector::{Turn, V3};

@@ -1,0 +1,631 @@
+//! Batch of environments on a GPU, with host buffers.
+
+use aviary::action::MotorScale;
+use aviary::engine::Substeps;
+use aviary::env::{
+    Aviary, AviaryBuilder, BoxSpace, DroneEnv, EndReason, Env as _, EnvConfig, EnvError, EpisodeSummary, Info,
+    ObservationSpace,
+};
+use aviary::observation::{KIN_SIZE, Observation, kinematic};
+use aviary::physics::battery::BatteryState;
+use aviary::state::{DroneState, attitude_from_wxyz};
+use aviary::tasks::{Hover, Stabilize};
+use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, VecImages, VecStep};
+use cubecl::bytes::Bytes;
+use cubecl::prelude::*;
+use cubecl::server::Handle;
+
+use crate::device::GpuDevice;
+use crate::environment::{NUMBERS, OBSERVATION, WORDS, end};
+use crate::error::GpuError;
+use crate::kernel::{reset_kernel, step_kernel};
+use crate::plan::{GpuTask, MOTION, Plan, describe, reason_of};
+
+/// Precision of the numbers of a batch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Precision {
+    /// Single precision, on every adapter.
+    #[default]
+    Single,
+    /// Double precision, on adapters that have it. On most GPUs it is many times slower.
+    Double,
+}
+
+impl Precision {
+    /// Returns the size of a number, bytes.
+    fn bytes(self) -> usize {
+        match self {
+            Self::Single => size_of::<f32>(),
+            Self::Double => size_of::<f64>(),
+        }
+    }
+}
+
+/// Buffers of a batch on the device.
+#[derive(Debug)]
+struct Buffers {
+    numbers: Handle,
+    words: Handle,
+    actions: Handle,
+    parameters: Handle,
+    observations: Handle,
+    last_observations: Handle,
+    rewards: Handle,
+    ends: Handle,
+}
+
+/// Episode of an environment, as the host knows it.
+#[derive(Debug, Clone, Copy, Default)]
+struct Progress {
+    started: bool,
+    /// The episode has ended, and the next one has not started.
+    over: bool,
+    /// Sum of the rewards.
+    reward: f64,
+    /// Control steps.
+    steps: u64,
+}
+
+/// A batch of M environments of one task on a GPU.
+///
+/// One kernel per control step decodes the actions, computes the physics steps, evaluates the task and starts the next
+/// episode where one has ended. The state of the environments stays in the memory of the GPU. Functions of [`VecEnv`]
+/// copy actions to the device, and observations, rewards and ends back.
+///
+/// The kernel is built from the equations of the CPU's flight kernel. In double precision a flight differs from that
+/// of [`VecAviary`](aviary::vector::VecAviary) by rounding. Random numbers are functions of the seed, the index of the
+/// environment and the number of its episode, and differ from those of the CPU.
+///
+/// The kernels have the tasks Hover and Stabilize with one drone, the action types `rpm` and `one_d_rpm`, ground effect,
+/// blade drag, the medium, both kinds of forcing, and the lag, gains and saturation of motors. They detect contacts with
+/// the floor, which end the episode, and compute no contact forces. Other options are errors of [`GpuAviary::new`].
+/// [`VecConfig::threads`] and [`VecConfig::width`] have no effect.
+///
+/// ```
+/// use aviary::env::EnvConfig;
+/// use aviary::vector::{VecBuffers, VecConfig, VecEnv};
+/// use aviary_gpu::{GpuAviary, GpuDevice, GpuError, Precision};
+///
+/// let device = match GpuDevice::open(None) {
+///     Err(GpuError::NoAdapter { .. }) => return Ok(()), // no GPU on this machine
+///     device => device?,
+/// };
+/// let (options, config) = (EnvConfig::default(), VecConfig::new(1000));
+/// let mut env = GpuAviary::make("hover", options, config, &device, Precision::Single)?;
+/// let mut buffers = VecBuffers::new(&env);
+/// env.reset(Some(1), &mut buffers.observations)?;
+/// env.step(&[0.0; 4000], buffers.step())?;
+/// assert!(buffers.rewards.iter().all(|reward| (reward + 0.9).abs() < 1e-3), "at rest, 0.9 m below the target");
+/// # Ok::<(), GpuError>(())
+/// ```
+#[derive(Debug)]
+pub struct GpuAviary {
+    name: &'static str,
+    device: GpuDevice,
+    precision: Precision,
+    config: VecConfig,
+    plan: Plan,
+    workgroup: u32,
+    buffers: Buffers,
+    observation_space: ObservationSpace,
+    action_space: BoxSpace,
+    scale: MotorScale,
+    control_period: f64,
+    progress: Vec<Progress>,
+    /// Summaries of the episodes that ended in the last step.
+    summaries: Vec<Option<EpisodeSummary>>,
+    finals: Vec<f32>,
+    faults: Vec<(usize, EnvError)>,
+    /// Actions of the last step.
+    actions: Vec<f64>,
+    /// Number of control steps of the batch.
+    control_steps: u64,
+}
+
+impl GpuAviary {
+    /// Creates the environments. They must be [reset](VecEnv::reset) before the first step.
+    ///
+    /// # Errors
+    /// - [`GpuError::NoEnvironments`] and [`GpuError::TooManyEnvironments`] for a number of environments that the device
+    ///   cannot hold.
+    /// - [`GpuError::NoDouble`] for double precision on a device without it.
+    /// - [`GpuError::NotPorted`] for an option that the kernels do not have.
+    /// - [`GpuError::Env`] for an invalid option, see [`AviaryBuilder::build`].
+    /// - [`GpuError::Device`] if the device fails.
+    pub fn new<T: GpuTask>(
+        builder: AviaryBuilder<T>,
+        config: VecConfig,
+        device: &GpuDevice,
+        precision: Precision,
+    ) -> Result<Self, GpuError> {
+        let count = config.environments;
+        if count == 0 {
+            return Err(GpuError::NoEnvironments);
+        }
+        if precision == Precision::Double && !device.adapter().double {
+            return Err(GpuError::NoDouble { adapter: device.adapter().name.clone() });
+        }
+        check_size(device, count, precision)?;
+        let mut first: Aviary<T> = builder.build()?;
+        let (plan, parameters) = describe(&mut first, config.autoreset, precision == Precision::Single)?;
+        let client = device.client();
+        let zeros = |bytes: usize| client.create(Bytes::from_elems(vec![0_u8; bytes]));
+        let keeps_last = config.autoreset == Autoreset::SameStep;
+        let numbers = parameters.numbers();
+        let buffers = Buffers {
+            numbers: zeros(count * NUMBERS * precision.bytes()),
+            words: zeros(count * WORDS * size_of::<u32>()),
+            actions: zeros(count * plan.action_size() * precision.bytes()),
+            parameters: upload(device, precision, &numbers),
+            observations: zeros(count * OBSERVATION * size_of::<f32>()),
+            last_observations: zeros(if keeps_last { count * OBSERVATION } else { 1 } * size_of::<f32>()),
+            rewards: zeros(count * size_of::<f32>()),
+            ends: zeros(count * size_of::<u32>()),
+        };
+        Ok(Self {
+            name: first.name(),
+            device: device.clone(),
+            precision,
+            config,
+            plan,
+            workgroup: 64,
+            buffers,
+            observation_space: first.observation_space().clone(),
+            action_space: first.action_space().clone(),
+            scale: MotorScale::new(first.simulation().params(0)),
+            control_period: first.simulation().control_period(),
+            progress: vec![Progress::default(); count],
+            summaries: vec![None; count],
+            finals: vec![0.0; if keeps_last { count * OBSERVATION } else { 0 }],
+            faults: Vec::new(),
+            actions: vec![0.0; count * plan.action_size()],
+            control_steps: 0,
+        })
+    }
+
+    /// Creates the environments of a task by name, like [`make_vec`](aviary::vector::make_vec). A program that calls
+    /// [`new`](Self::new) instead compiles the environments of the task once more, which takes minutes.
+    ///
+    /// # Errors
+    /// The errors of [`new`](Self::new). [`GpuError::NotPorted`] for a task that the kernels do not have.
+    pub fn make(
+        name: &str,
+        options: EnvConfig,
+        config: VecConfig,
+        device: &GpuDevice,
+        precision: Precision,
+    ) -> Result<Self, GpuError> {
+        match name {
+            "hover" => Self::new(options.for_task(Hover::default())?, config, device, precision),
+            "stabilize" => Self::new(options.for_task(Stabilize::default())?, config, device, precision),
+            other => Err(GpuError::NotPorted { option: "task", got: other.into(), expected: "hover or stabilize" }),
+        }
+    }
+
+    /// Sets the number of threads in a workgroup; default 64. The results do not depend on it.
+    ///
+    /// # Errors
+    /// [`GpuError::NotPorted`] for a number that is 0 or larger than the device allows.
+    pub fn workgroup(mut self, threads: u32) -> Result<Self, GpuError> {
+        let hardware = &self.device.client().properties().hardware;
+        if threads == 0 || threads > hardware.max_units_per_cube.min(hardware.max_cube_dim.0) {
+            let expected = "a positive number up to the limit of the device";
+            return Err(GpuError::NotPorted { option: "workgroup", got: threads.to_string(), expected });
+        }
+        self.workgroup = threads;
+        Ok(self)
+    }
+
+    /// Returns the device.
+    pub fn device(&self) -> &GpuDevice {
+        &self.device
+    }
+
+    /// Returns the precision.
+    pub fn precision(&self) -> Precision {
+        self.precision
+    }
+
+    /// Returns the present states of all environments.
+    ///
+    /// # Errors
+    /// [`GpuError::Device`] if the device fails.
+    pub fn states(&self) -> Result<Vec<DroneState>, GpuError> {
+        let numbers = self.download_numbers()?;
+        let count = self.progress.len();
+        Ok((0..count).map(|environment| state_of(&numbers, count, environment)).collect())
+    }
+
+    /// Advances every environment by several control steps with the actions of the last step, without copies between
+    /// host and device, and waits for the device. For measurements: observations, rewards, ends and
+    /// [`episode_summary`](VecEnv::episode_summary) of these steps stay on the device.
+    ///
+    /// # Errors
+    /// [`GpuError::Env`] if an environment has not been reset, or with [`Autoreset::Disabled`], whose environments stop
+    /// at the end of their episode. [`GpuError::Device`] if the device fails.
+    pub fn repeat_on_device(&mut self, steps: u32) -> Result<(), GpuError> {
+        if self.config.autoreset == Autoreset::Disabled {
+            let (got, expected) = ("disabled".into(), "next_step or same_step");
+            return Err(EnvError::Option { option: "autoreset", got, expected }.into());
+        }
+        self.check_started()?;
+        for _ in 0..steps {
+            self.launch_step();
+        }
+        self.control_steps += u64::from(steps);
+        cubecl::future::block_on(self.device.client().sync()).map_err(|error| GpuError::device(&error))
+    }
+
+    fn download_numbers(&self) -> Result<Vec<f64>, GpuError> {
+        let bytes = self.read([&self.buffers.numbers])?;
+        Ok(match self.precision {
+            Precision::Single => f32::from_bytes(&bytes[0]).iter().map(|&x| f64::from(x)).collect(),
+            Precision::Double => f64::from_bytes(&bytes[0]).to_vec(),
+        })
+    }
+
+    fn read<const N: usize>(&self, handles: [&Handle; N]) -> Result<Vec<Bytes>, GpuError> {
+        self.device.client().read(handles.map(Handle::clone).to_vec()).map_err(|error| GpuError::device(&error))
+    }
+
+    /// Returns the grid of workgroups with a thread per environment.
+    fn grid(&self) -> (CubeCount, CubeDim) {
+        let groups = self.progress.len().div_ceil(self.workgroup as usize);
+        let width = groups.min(self.device.client().properties().hardware.max_cube_count.0 as usize);
+        let height = groups.div_ceil(width);
+        (CubeCount::Static(width as u32, height as u32, 1), CubeDim::new_1d(self.workgroup))
+    }
+
+    fn launch_step(&self) {
+        match self.precision {
+            Precision::Single => self.launch_step_in::<f32>(),
+            Precision::Double => self.launch_step_in::<f64>(),
+        }
+    }
+
+    #[allow(unsafe_code)]
+    fn launch_step_in<F: Float + CubeElement>(&self) {
+        let (count, (grid, group)) = (self.progress.len(), self.grid());
+        let Buffers { numbers, words, actions, parameters, observations, last_observations, rewards, ends } =
+            &self.buffers;
+        let keeps_last = self.config.autoreset == Autoreset::SameStep;
+        let last = if keeps_last { count * OBSERVATION } else { 1 };
+        // SAFETY: every buffer has the length that is passed with it, `new` has allocated them, and no entry that the
+        // kernel accesses is outside: it has a thread per environment, and threads from `count` on do nothing
+        unsafe {
+            step_kernel::launch_unchecked::<F>(
+                self.device.client(),
+                grid,
+                group,
+                BufferArg::from_raw_parts(numbers.clone(), count * NUMBERS),
+                BufferArg::from_raw_parts(words.clone(), count * WORDS),
+                BufferArg::from_raw_parts(actions.clone(), count * self.plan.action_size()),
+                BufferArg::from_raw_parts(parameters.clone(), crate::plan::Parameters::COUNT),
+                BufferArg::from_raw_parts(observations.clone(), count * OBSERVATION),
+                BufferArg::from_raw_parts(last_observations.clone(), last),
+                BufferArg::from_raw_parts(rewards.clone(), count),
+                BufferArg::from_raw_parts(ends.clone(), count),
+                count as u32,
+                self.plan,
+                keeps_last,
+            );
+        }
+    }
+
+    #[allow(unsafe_code)]
+    fn launch_reset_in<F: Float + CubeElement>(&self, selection: Handle) {
+        let (count, (grid, group)) = (self.progress.len(), self.grid());
+        let Buffers { numbers, words, parameters, observations, .. } = &self.buffers;
+        // SAFETY: as in `launch_step_in`; `selection` has three rows of `count` entries
+        unsafe {
+            reset_kernel::launch_unchecked::<F>(
+                self.device.client(),
+                grid,
+                group,
+                BufferArg::from_raw_parts(numbers.clone(), count * NUMBERS),
+                BufferArg::from_raw_parts(words.clone(), count * WORDS),
+                BufferArg::from_raw_parts(parameters.clone(), crate::plan::Parameters::COUNT),
+                BufferArg::from_raw_parts(selection, 3 * count),
+                BufferArg::from_raw_parts(observations.clone(), count * OBSERVATION),
+                count as u32,
+                self.plan,
+            );
+        }
+    }
+
+    /// Starts an episode in every environment that the mask selects, with the seeds that `seed_of` returns.
+    fn reset_with(
+        &mut self,
+        mask: &[bool],
+        seed_of: impl Fn(usize) -> Option<u64>,
+        observations: &mut [f32],
+    ) -> Result<(), EnvError> {
+        self.faults.clear();
+        let count = self.progress.len();
+        check_len("mask", mask.len(), count)?;
+        check_len("observations", observations.len(), count * OBSERVATION)?;
+        let mut selection = vec![0_u32; 3 * count];
+        for environment in (0..count).filter(|&environment| mask[environment]) {
+            let seed = seed_of(environment);
+            selection[environment] = if seed.is_some() { 2 } else { 1 };
+            let seed = seed.unwrap_or_default();
+            (selection[count + environment], selection[2 * count + environment]) = (seed as u32, (seed >> 32) as u32);
+        }
+        let selection = self.device.client().create_from_slice(u32::as_bytes(&selection));
+        match self.precision {
+            Precision::Single => self.launch_reset_in::<f32>(selection),
+            Precision::Double => self.launch_reset_in::<f64>(selection),
+        }
+        let bytes = self.read([&self.buffers.observations])?;
+        let rows = f32::from_bytes(&bytes[0]).chunks_exact(OBSERVATION);
+        for (environment, (row, out)) in rows.zip(observations.chunks_exact_mut(OBSERVATION)).enumerate() {
+            if mask[environment] || self.config.keep_observations {
+                out.copy_from_slice(row);
+            }
+            if mask[environment] {
+                self.progress[environment] = Progress { started: true, ..Progress::default() };
+                self.summaries[environment] = None;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_started(&self) -> Result<(), EnvError> {
+        let disabled = self.config.autoreset == Autoreset::Disabled;
+        let bad = |progress: &Progress| !progress.started || disabled && progress.over;
+        match self.progress.iter().position(bad) {
+            None => Ok(()),
+            Some(environment) => {
+                let new = !self.progress[environment].started;
+                let when = if new { "on a new environment" } else { "after the end of the episode" };
+                Err(EnvError::InBatch { environment, error: Box::new(EnvError::NeedsReset { when }) })
+            }
+        }
+    }
+
+    /// Returns true if the next step of an environment starts an episode and ignores the action.
+    fn ignores_action(&self, environment: usize) -> bool {
+        self.config.autoreset == Autoreset::NextStep && self.progress[environment].over
+    }
+
+    /// Returns the error of an action of the last step that is not finite.
+    fn bad_action(&self, environment: usize) -> Option<EnvError> {
+        let size = self.plan.action_size();
+        let action = &self.actions[environment * size..][..size];
+        let index = action.iter().position(|x| !x.is_finite())?;
+        let time = self.progress[environment].steps as f64 * self.control_period;
+        Some(EnvError::Action { index, got: action[index], time })
+    }
+
+    /// Advances every environment by one control step with the actions of `self.actions`.
+    fn step_with(&mut self, out: VecStep<'_>) -> Result<(), EnvError> {
+        self.faults.clear();
+        let count = self.progress.len();
+        check_len("observations", out.observations.len(), count * OBSERVATION)?;
+        check_len("rewards", out.rewards.len(), count)?;
+        check_len("terminated", out.terminated.len(), count)?;
+        check_len("truncated", out.truncated.len(), count)?;
+        let fatal = self.config.on_fault == OnFault::Error;
+        self.check_started()?;
+        if fatal && self.actions.iter().any(|x| !x.is_finite()) {
+            let running = (0..count).filter(|&environment| !self.ignores_action(environment));
+            let bad = running.map(|environment| (environment, self.bad_action(environment)));
+            if let Some((environment, Some(error))) = bad.into_iter().find(|(_, error)| error.is_some()) {
+                return Err(EnvError::InBatch { environment, error: Box::new(error) });
+            }
+        }
+        self.buffers.actions = upload(&self.device, self.precision, &self.actions);
+        self.launch_step();
+        let Buffers { observations, rewards, ends, .. } = &self.buffers;
+        let bytes = self.read([observations, rewards, ends])?;
+        self.control_steps += 1;
+        out.observations.copy_from_slice(f32::from_bytes(&bytes[0]));
+        out.rewards.copy_from_slice(f32::from_bytes(&bytes[1]));
+        let mut any_ended = false;
+        for (environment, &end) in u32::from_bytes(&bytes[2]).iter().enumerate() {
+            out.terminated[environment] = end & end::TERMINATED != 0;
+            out.truncated[environment] = end & end::TRUNCATED != 0;
+            any_ended |= end != 0;
+            self.note(environment, f64::from(out.rewards[environment]), end);
+        }
+        if any_ended && self.config.autoreset == Autoreset::SameStep {
+            let bytes = self.read([&self.buffers.last_observations])?;
+            self.finals.copy_from_slice(f32::from_bytes(&bytes[0]));
+        }
+        match self.faults.first() {
+            Some((environment, error)) if fatal => {
+                Err(EnvError::InBatch { environment: *environment, error: Box::new(error.clone()) })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Updates what the host knows of an environment after a step with this reward and end.
+    fn note(&mut self, environment: usize, reward: f64, end: u32) {
+        self.summaries[environment] = None;
+        if self.ignores_action(environment) {
+            self.progress[environment] = Progress { started: true, ..Progress::default() };
+            return;
+        }
+        let reason = reason_of(end & end::REASON);
+        if reason == Some(EndReason::Fault) {
+            let diverged = || EnvError::Device { message: "the state of the drone diverged".into() };
+            let error = self.bad_action(environment).unwrap_or_else(diverged);
+            self.faults.push((environment, error));
+        }
+        let progress = &mut self.progress[environment];
+        progress.reward += reward;
+        progress.steps += 1;
+        if end == 0 {
+            return;
+        }
+        let Progress { reward, steps, .. } = *progress;
+        let success = end & end::SUCCESS != 0;
+        self.summaries[environment] = Some(EpisodeSummary { reward, steps, end: reason, success });
+        let over = self.config.autoreset != Autoreset::SameStep;
+        self.progress[environment] = Progress { started: true, over, ..Progress::default() };
+    }
+}
+
+/// Returns the state of an environment from the numbers of the device.
+fn state_of(numbers: &[f64], count: usize, environment: usize) -> DroneState {
+    let at = |row: usize| numbers[row * count + environment];
+    const { assert!(MOTION == 13) };
+    DroneState {
+        position: [at(0), at(1), at(2)].into(),
+        attitude: attitude_from_wxyz([at(3), at(4), at(5), at(6)]),
+        velocity: [at(7), at(8), at(9)].into(),
+        angular_velocity: [at(10), at(11), at(12)].into(),
+    }
+}
+
+/// Copies numbers to the device.
+fn upload(device: &GpuDevice, precision: Precision, numbers: &[f64]) -> Handle {
+    match precision {
+        Precision::Single => {
+            let numbers: Vec<f32> = numbers.iter().map(|&x| x as f32).collect();
+            device.client().create(Bytes::from_elems(numbers))
+        }
+        Precision::Double => device.client().create_from_slice(f64::as_bytes(numbers)),
+    }
+}
+
+/// Checks that the buffers of a batch are within the limits of the device.
+fn check_size(device: &GpuDevice, count: usize, precision: Precision) -> Result<(), GpuError> {
+    let adapter = device.adapter();
+    let row = (NUMBERS * precision.bytes()).max(OBSERVATION * size_of::<f32>());
+    let by_bytes = adapter.max_buffer / row as u64;
+    // entries of the buffers have indices of 32 bits
+    let max = by_bytes.min(u64::from(u32::MAX) / NUMBERS as u64) as usize;
+    let max = max.min(VecConfig::MAX_ENVIRONMENTS);
+    if count <= max {
+        return Ok(());
+    }
+    Err(GpuError::TooManyEnvironments { got: count, max, bytes: adapter.max_buffer, adapter: adapter.name.clone() })
+}
+
+fn check_len(what: &'static str, got: usize, expected: usize) -> Result<(), EnvError> {
+    if got == expected { Ok(()) } else { Err(EnvError::Buffer { what, got, expected }) }
+}
+
+/// The batch has one thread on the host. It has no images, and no environment on the CPU:
+/// [`with_env`](VecEnv::with_env) is an error, and [`final_info`](VecEnv::final_info) returns `None`.
+impl VecEnv for GpuAviary {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn num_envs(&self) -> usize {
+        self.progress.len()
+    }
+
+    fn num_threads(&self) -> usize {
+        1
+    }
+
+    fn observation_space(&self) -> &ObservationSpace {
+        &self.observation_space
+    }
+
+    fn action_space(&self) -> &BoxSpace {
+        &self.action_space
+    }
+
+    fn observation_size(&self) -> usize {
+        OBSERVATION
+    }
+
+    fn episode_steps(&self) -> u64 {
+        u64::from(self.plan.episode_steps)
+    }
+
+    fn control_period(&self) -> f64 {
+        self.control_period
+    }
+
+    fn reset_where(&mut self, mask: &[bool], seed: Option<u64>, observations: &mut [f32]) -> Result<(), EnvError> {
+        self.reset_with(mask, |_| seed, observations)
+    }
+
+    fn reset_with_seeds(
+        &mut self,
+        mask: &[bool],
+        seeds: &[Option<u64>],
+        observations: &mut [f32],
+    ) -> Result<(), EnvError> {
+        check_len("seeds", seeds.len(), self.progress.len())?;
+        self.reset_with(mask, |environment| seeds[environment], observations)
+    }
+
+    fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
+        check_len("actions", actions.len(), self.actions.len())?;
+        self.actions.iter_mut().zip(actions).for_each(|(own, &action)| *own = f64::from(action));
+        self.step_with(out)
+    }
+
+    fn step_f64(&mut self, actions: &[f64], out: VecStep<'_>) -> Result<(), EnvError> {
+        check_len("actions", actions.len(), self.actions.len())?;
+        self.actions.copy_from_slice(actions);
+        self.step_with(out)
+    }
+
+    fn render_images_where(&mut self, mask: &[bool], out: VecImages<'_>) -> Result<(), EnvError> {
+        check_len("mask", mask.len(), self.progress.len())?;
+        check_len("rgb", out.rgb.len(), 0)?;
+        check_len("depth", out.depth.len(), 0)?;
+        check_len("segmentation", out.segmentation.len(), 0)
+    }
+
+    fn final_observations(&self) -> &[f32] {
+        &self.finals
+    }
+
+    fn final_images(&self, _: usize) -> Option<&Observation> {
+        None
+    }
+
+    fn final_info(&self, _: usize) -> Option<&Info> {
+        None
+    }
+
+    fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {
+        let count = self.progress.len();
+        if environment >= count || drone > 0 {
+            return None;
+        }
+        let numbers = self.download_numbers().ok()?;
+        let size = self.plan.action_size();
+        let action = &self.actions[environment * size..][..size];
+        let stepped = self.progress[environment].steps > 0;
+        let command = |motor: usize| if stepped { self.scale.rpm(action[motor % size]) } else { 0.0 };
+        Some(kinematic(&state_of(&numbers, count, environment), &[0, 1, 2, 3].map(command)))
+    }
+
+    fn battery(&self, _: usize, _: usize) -> Option<BatteryState> {
+        None
+    }
+
+    fn episode_summary(&self, environment: usize) -> Option<&EpisodeSummary> {
+        self.summaries.get(environment)?.as_ref()
+    }
+
+    fn faults(&self) -> &[(usize, EnvError)] {
+        &self.faults
+    }
+
+    fn with_env(&mut self, _: usize, _: &mut dyn FnMut(&mut dyn DroneEnv)) -> Result<(), EnvError> {
+        let (got, expected) = ("called on a batch of the GPU".into(), "a batch of the CPU");
+        Err(EnvError::Option { option: "with_env", got, expected })
+    }
+
+    fn bytes_per_env(&self) -> usize {
+        let finals = if self.finals.is_empty() { 0 } else { OBSERVATION };
+        let single = OBSERVATION + finals + 1 + 1 + WORDS;
+        (NUMBERS + self.plan.action_size()) * self.precision.bytes() + single * size_of::<f32>()
+    }
+
+    fn engine_substeps(&self) -> Substeps {
+        let steps = self.control_steps * u64::from(self.plan.substeps) * self.progress.len() as u64;
+        Substeps { flight: steps, ..Substeps::default() }
+    }
+}
