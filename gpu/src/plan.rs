@@ -25,7 +25,7 @@ pub(crate) enum TaskKind {
     Stabilize,
 }
 
-/// Everything that a kernel is built for. Equal plans share one kernel.
+/// Properties that a kernel is built for. Equal plans share one kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct Plan {
     pub task: TaskKind,
