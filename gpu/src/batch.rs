@@ -76,10 +76,10 @@ struct Progress {
 /// of [`VecAviary`](aviary::vector::VecAviary) by rounding. Random numbers are functions of the seed, the index of the
 /// environment and the number of its episode, and differ from those of the CPU.
 ///
-/// The kernels have the tasks Hover and Stabilize with one drone, the action types `rpm` and `one_d_rpm`, ground effect,
-/// blade drag, the medium, both kinds of forcing, and the lag, gains and saturation of motors. They detect contacts with
-/// the floor, which end the episode, and compute no contact forces. Other options are errors of [`GpuAviary::new`].
-/// [`VecConfig::threads`] and [`VecConfig::width`] have no effect.
+/// The kernels have the tasks Hover and Stabilize with one drone, the action types `rpm` and `one_d_rpm`, ground
+/// effect, blade drag, the medium, both kinds of forcing, and the lag, gains and saturation of motors. They detect
+/// contacts with the floor, which end the episode, and compute no contact forces. Other options are errors of
+/// [`GpuAviary::new`]. [`VecConfig::threads`] and [`VecConfig::width`] have no effect.
 ///
 /// ```
 /// use aviary::env::EnvConfig;
@@ -126,8 +126,8 @@ impl GpuAviary {
     /// Creates the environments. They must be [reset](VecEnv::reset) before the first step.
     ///
     /// # Errors
-    /// - [`GpuError::NoEnvironments`] and [`GpuError::TooManyEnvironments`] for a number of environments that the device
-    ///   cannot hold.
+    /// - [`GpuError::NoEnvironments`] and [`GpuError::TooManyEnvironments`] for a number of environments that the
+    ///   device cannot hold.
     /// - [`GpuError::NoDouble`] for double precision on a device without it.
     /// - [`GpuError::NotPorted`] for an option that the kernels do not have.
     /// - [`GpuError::Env`] for an invalid option, see [`AviaryBuilder::build`].
