@@ -68,6 +68,7 @@ impl Doctor {
         let drawing = ask("OpenGL", None);
         let ffmpeg = ffmpeg();
         let window = window();
+        let gpus = gpus();
         let ok = checked.is_ok() && drawing.works;
 
         if self.json {
@@ -78,20 +79,24 @@ impl Doctor {
                     json
                 })
                 .collect();
-            output::print_json(&json!({
+            let mut json = json!({
                 "mujoco_version": version,
                 "gl": gl,
                 "ffmpeg": ffmpeg.json(),
                 "window": window.json(),
                 "ok": ok,
-            }))?;
+            });
+            if cfg!(feature = "gpu") {
+                json["gpus"] = gpus.iter().map(Check::json).collect();
+            }
+            output::print_json(&json)?;
         } else {
             let (works, detail) = match &checked {
                 Ok(()) => (true, version),
                 Err(error) => (false, error.to_string()),
             };
             let mujoco = Check { name: "MuJoCo", works, detail, packages: None };
-            let checks = [&mujoco].into_iter().chain(&libraries).chain([&ffmpeg, &window]);
+            let checks = [&mujoco].into_iter().chain(&libraries).chain([&ffmpeg, &window]).chain(&gpus);
             let rows: Vec<_> = checks.flat_map(Check::rows).collect();
             output::print(&output::table(&rows))?;
         }
@@ -143,6 +148,25 @@ fn probe() -> Value {
             _ => json!({ "works": false, "detail": error.to_string() }),
         },
     }
+}
+
+/// Lists the adapters that `aviary-gpu` can use, in the order of their indices.
+#[cfg(feature = "gpu")]
+fn gpus() -> Vec<Check> {
+    let adapters = aviary_gpu::adapters();
+    if adapters.is_empty() {
+        let (detail, packages) = ("no adapter of Vulkan".into(), Some("mesa-vulkan-drivers".into()));
+        return vec![Check { name: "GPU", works: false, detail, packages }];
+    }
+    let check =
+        |adapter: &aviary_gpu::Adapter| Check { name: "GPU", works: true, detail: adapter.to_string(), packages: None };
+    adapters.iter().map(check).collect()
+}
+
+/// Returns no adapters: the program was built without the feature `gpu`.
+#[cfg(not(feature = "gpu"))]
+fn gpus() -> Vec<Check> {
+    Vec::new()
 }
 
 /// Checks the display, which `view` and `--view` need.

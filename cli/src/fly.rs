@@ -237,7 +237,11 @@ impl FlightCommand {
                     has_failed = true;
                     continue;
                 }
-                Err(error) => return Err(Failure::work(error)),
+                Err(error) => {
+                    // the flight up to the failure is worth a look; its own error would hide the first one
+                    let _ = recording.map(RerunWriter::finish);
+                    return Err(Failure::work(error));
+                }
             };
             wall_seconds += start.elapsed().as_secs_f64();
             // a trajectory replaces the target of the task, and so its reward

@@ -7,11 +7,11 @@ use flight::drag;
 use flight::math::{Turn, V3, clamped};
 use flight::motors;
 use flight::state::FlightState;
+use flight::tasks::{CRASH_PENALTY, STATE_SIZE, hover, observe_state, stabilize};
 
 use crate::number::{Number, Word};
 use crate::plan::{MOTION, Parameters, Plan, TaskKind, code_of, motion_numbers, motion_of};
 use crate::random::Draws;
-use crate::task;
 
 /// Number of numbers of an environment between two steps: the state and the rotor speeds.
 pub(crate) const NUMBERS: usize = MOTION + 4;
@@ -20,7 +20,7 @@ pub(crate) const NUMBERS: usize = MOTION + 4;
 pub(crate) const WORDS: usize = 5;
 
 /// Length of an observation.
-pub(crate) const OBSERVATION: usize = 12;
+pub(crate) const OBSERVATION: usize = STATE_SIZE;
 
 /// Bits of [`Outcome::end`] above the number of the reason.
 pub(crate) mod end {
@@ -177,10 +177,12 @@ fn physics_step<N: Number>(
     }
 }
 
-/// Returns the observation of a state: position, roll-pitch-yaw, velocity, body rate.
+/// Returns the observation of a state.
 fn observe<N: Number>(motion: &FlightState<N>, rpy: V3<N>) -> [N; OBSERVATION] {
-    let FlightState { position: p, velocity: v, rate: w, .. } = motion;
-    [p.x, p.y, p.z, rpy.x, rpy.y, rpy.z, v.x, v.y, v.z, w.x, w.y, w.z]
+    // every task of the kernels observes the state vector
+    let mut observation = [rpy.x; OBSERVATION];
+    observe_state(motion, rpy, observation.as_mut_slice());
+    observation
 }
 
 /// Reward and end of a control step.
@@ -199,7 +201,7 @@ fn evaluate<N: Number>(
     lowest: N,
     steps: N::Word,
 ) -> Verdict<N> {
-    let (zero, z, up) = (lowest.all(0.0), motion.position.z, motion.attitude.up().z);
+    let (zero, up) = (lowest.all(0.0), motion.attitude.up().z);
     let touches = !zero.less(lowest);
     let tilted = up.less(parameters.min_up);
     let crashed = touches | tilted;
@@ -210,14 +212,15 @@ fn evaluate<N: Number>(
         TaskKind::Hover => {
             let [height, max_height, _] = parameters.task;
             let target = V3::vertical(height);
-            found = N::Word::choose(max_height.less(z), reason(EndReason::OutOfBounds), found);
-            (task::hover_reward(motion, rpy, target), task::at_target(motion.position, target))
+            found =
+                N::Word::choose(hover::is_too_high(motion.position, max_height), reason(EndReason::OutOfBounds), found);
+            (hover::reward(motion, rpy, target), hover::at_target(motion.position, target))
         }
-        TaskKind::Stabilize => (task::stabilize_reward(motion, rpy), task::at_rest(motion)),
+        TaskKind::Stabilize => (stabilize::reward(motion, rpy), stabilize::at_rest(motion)),
     };
     found = N::Word::choose(tilted, reason(EndReason::Tilt), found);
     found = N::Word::choose(touches, reason(EndReason::FloorContact), found);
-    let reward = N::choose(crashed, reward - 100.0, reward);
+    let reward = N::choose(crashed, reward - CRASH_PENALTY, reward);
     let is_last = !steps.less(N::Word::of(plan.episode_steps));
     let ended = N::Word::of(0).less(found);
     let timeout = N::Word::of(code_of(EndReason::TimeLimit));

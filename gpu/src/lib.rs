@@ -16,7 +16,6 @@ mod kernel;
 mod number;
 mod plan;
 mod random;
-mod task;
 mod traced;
 
 pub use batch::{GpuAviary, Precision};

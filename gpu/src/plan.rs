@@ -15,6 +15,7 @@ use flight::ground_effect::GroundEffect;
 use flight::math::{Real, Turn, V3};
 use flight::rotor::RotorModel;
 use flight::state::FlightState;
+use flight::tasks::crash::CLEAR_OF_FLOOR;
 
 use crate::error::GpuError;
 
@@ -25,7 +26,7 @@ pub(crate) enum TaskKind {
     Stabilize,
 }
 
-/// Properties that a kernel is built for. Equal plans share one kernel.
+/// Options that a kernel is built for. Equal plans share one kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct Plan {
     pub task: TaskKind,
@@ -223,9 +224,6 @@ pub(crate) fn reason_of(code: u32) -> Option<EndReason> {
 fn not_ported<T>(option: &'static str, got: impl ToString, expected: &'static str) -> Result<T, GpuError> {
     Err(GpuError::NotPorted { option, got: got.to_string(), expected })
 }
-
-/// Distance from the floor above which a drone is airborne at its start, m.
-const CLEAR_OF_FLOOR: f64 = 0.01;
 
 /// Describes an environment for the kernels. `relative` is [`Plan::relative`].
 ///

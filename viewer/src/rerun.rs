@@ -118,6 +118,8 @@ pub struct RerunLog {
     trails: Vec<Vec<Vector3<f64>>>,
     next_trail: f64,
     cameras: Option<SceneRenderer>,
+    /// Obstacles and markers that the cameras see.
+    seen: Option<(Arc<[Obstacle]>, Arc<[Marker]>)>,
     next_image: f64,
 }
 
@@ -175,6 +177,7 @@ impl RerunLog {
             trails: vec![Vec::new(); episode.world.drones.len()],
             next_trail: 0.0,
             cameras: cameras.map_err(|error| RerunError::Scene { reason: error.to_string() })?,
+            seen: None,
             next_image: 0.0,
         };
         log.scene(&episode)?;
@@ -363,11 +366,13 @@ impl RerunLog {
         self.next_image = frame.time + IMAGE_PERIOD;
         let failed = |error: &dyn std::fmt::Display| RerunError::Scene { reason: error.to_string() };
         let states: Vec<DroneState> = frame.states();
-        let is_moved =
-            |a: &Frame| !Arc::ptr_eq(&a.obstacles, &frame.obstacles) || !Arc::ptr_eq(&a.markers, &frame.markers);
-        if self.last.as_ref().is_some_and(is_moved) {
+        let is_same = |(obstacles, markers): &(Arc<[Obstacle]>, Arc<[Marker]>)| {
+            Arc::ptr_eq(obstacles, &frame.obstacles) && Arc::ptr_eq(markers, &frame.markers)
+        };
+        if !self.seen.as_ref().is_some_and(is_same) {
             renderer.set_obstacles(&frame.obstacles).map_err(|error| failed(&error))?;
             renderer.set_markers(&frame.markers).map_err(|error| failed(&error))?;
+            self.seen = Some((frame.obstacles.clone(), frame.markers.clone()));
         }
         renderer.update(&states).map_err(|error| failed(&error))?;
         let mut rgba = vec![0; 4 * IMAGE_SIZE.pixels()];

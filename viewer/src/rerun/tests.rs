@@ -46,6 +46,20 @@ fn triples(chunks: &[Chunk], path: &str, component: rerun::ComponentDescriptor) 
     rows
 }
 
+/// Returns the images of the first drone's camera, in the order of time.
+fn images(chunks: &[Chunk]) -> Vec<Vec<u8>> {
+    let component = EncodedImage::descriptor_blob().component;
+    let of_camera = chunks.iter().filter(|chunk| chunk.entity_path() == &"world/drone0/camera".into());
+    let mut images: Vec<_> = of_camera
+        .flat_map(|chunk| {
+            let steps = chunk.iter_component_indices("step".into(), component);
+            steps.zip(chunk.iter_slices::<&[u8]>(component)).map(|((step, _), rows)| (step, rows[0].to_vec()))
+        })
+        .collect();
+    images.sort_by_key(|(step, _)| *step);
+    images.into_iter().map(|(_, png)| png).collect()
+}
+
 #[test]
 fn poses_times_and_series_are_those_of_the_flight() {
     let mut flown = start("multi_hover", EnvConfig::default().episode_seconds(1.0));
@@ -119,6 +133,26 @@ fn obstacles_that_move_are_recorded_again() {
 }
 
 #[test]
+fn cameras_see_obstacles_that_moved_between_two_images() {
+    let wall = |x: f64| Obstacle::new(Shape::Box { half_size: [0.05, 3.0, 3.0] }, Vector3::new(x, 0.0, 3.0));
+    let last_image = |from: f64, to: f64| {
+        let mut flown = start("hover", EnvConfig::default().obstacles([wall(from)]));
+        let (mut log, storage) = in_memory(&flown, true);
+        for step in 0..12 {
+            if step == 2 {
+                flown.env_mut().set_obstacles(&[wall(to)]).unwrap();
+            }
+            flown.step().unwrap();
+            log.note(Source::Env(&**flown.env())).unwrap();
+        }
+        log.finish().unwrap();
+        images(&chunks(&storage)).pop().unwrap()
+    };
+    assert_eq!(last_image(2.0, 4.0), last_image(4.0, 4.0));
+    assert_ne!(last_image(2.0, 4.0), last_image(2.0, 2.0));
+}
+
+#[test]
 fn cameras_have_images_ten_times_per_second() {
     let mut flown = start("hover", EnvConfig::default().episode_seconds(1.0));
     let (mut log, storage) = in_memory(&flown, true);
@@ -127,11 +161,7 @@ fn cameras_have_images_ten_times_per_second() {
         log.note(Source::Env(&**flown.env())).unwrap();
     }
     log.finish().unwrap();
-    let component = EncodedImage::descriptor_blob().component;
-    let chunks = chunks(&storage);
-    let of_camera = chunks.iter().filter(|chunk| chunk.entity_path() == &"world/drone0/camera".into());
-    let images: Vec<Vec<u8>> =
-        of_camera.flat_map(|chunk| chunk.iter_slices::<&[u8]>(component).map(|rows| rows[0].to_vec())).collect();
+    let images = images(&chunks(&storage));
     assert!((10..=11).contains(&images.len()), "{} images", images.len());
     assert!(images.iter().all(|png| png.starts_with(b"\x89PNG")));
 }
