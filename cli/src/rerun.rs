@@ -15,7 +15,7 @@ pub struct RerunOptions {
     /// The recording has the scene with meshes, trails and cameras, and series over time. A
     /// viewer on this machine has the address rerun+http://127.0.0.1:9876/proxy. The option
     /// needs a program that was built with `--features rerun`.
-    #[arg(long, verbatim_doc_comment, value_name = "FILE|URL", value_hint = ValueHint::FilePath)]
+    #[arg(long, verbatim_doc_comment, value_name = "TARGET", value_hint = ValueHint::FilePath)]
     rerun: Option<String>,
     /// Images of the onboard cameras in the recording, ten per second
     #[arg(long, requires = "rerun")]

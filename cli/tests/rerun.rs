@@ -14,7 +14,7 @@ fn a_program_without_the_feature_names_the_build_that_has_it() {
     }
     assert!(!file.exists());
     refused(&["fly", "--task", "hover", "--rerun-images"], 2, &["--rerun is missing"]);
-    assert!(run(&["fly", "--help"]).contains("--rerun <FILE|URL>"));
+    assert!(run(&["fly", "--help"]).contains("--rerun <TARGET>"));
 }
 
 #[cfg(feature = "rerun")]
