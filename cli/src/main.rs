@@ -70,11 +70,12 @@ enum Command {
 
 /// Returns the filter of the messages on standard error: RUST_LOG, or warnings.
 ///
-/// The libraries of the window warn about every display without a desktop, which draws no less correctly.
+/// The libraries of the window warn about every display without a desktop, which draws no less correctly. Rerun prints
+/// the errors that it also returns.
 fn messages() -> EnvFilter {
     let asked = std::env::var("RUST_LOG").unwrap_or_default();
     let default = "warn,winit=error,sctk=error,smithay_client_toolkit=error,smithay_clipboard=error,arboard=error,\
-                   egui_winit=error,egui_glow=error";
+                   egui_winit=error,egui_glow=error,re_sdk=off,re_grpc_client=off";
     let builder = EnvFilter::builder().with_default_directive(LevelFilter::WARN.into());
     builder.parse_lossy(if asked.trim().is_empty() { default } else { &asked })
 }

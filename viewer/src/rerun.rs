@@ -60,12 +60,16 @@ pub enum RerunError {
         reason: String,
     },
     /// No viewer of Rerun answers.
-    #[error("{address}: no viewer of Rerun answers ({reason}); start one with `rerun`, which waits at {DEFAULT}")]
+    #[error("{address}: no viewer of Rerun answers; start one with `rerun`")]
     Viewer {
         /// Address of the viewer.
         address: String,
-        /// Message of Rerun.
-        reason: String,
+    },
+    /// The address is none of a viewer.
+    #[error("{address}: this is no address of a viewer of Rerun, expected for example {DEFAULT}")]
+    Address {
+        /// The address.
+        address: String,
     },
     /// The scene cannot be drawn or described.
     #[error("the scene cannot be recorded: {reason}")]
@@ -134,8 +138,9 @@ impl RerunLog {
     /// of the onboard cameras, ten per second of simulated time.
     ///
     /// # Errors
-    /// [`RerunError::File`] if the file cannot be created, [`RerunError::Viewer`] if no viewer answers within 5 s,
-    /// [`RerunError::Scene`] if meshes cannot be read or images cannot be drawn.
+    /// [`RerunError::File`] if the file cannot be created, [`RerunError::Address`] if the address is none of a viewer,
+    /// [`RerunError::Viewer`] if no viewer answers within 5 s, [`RerunError::Scene`] if meshes cannot be read or images
+    /// cannot be drawn.
     pub fn begin(target: &RerunTarget, source: Source<'_>, with_images: bool) -> Result<Self, RerunError> {
         Self::begin_with(target, source, |drone| source.reference(drone), with_images)
     }
@@ -154,10 +159,13 @@ impl RerunLog {
         // the environment variable `RERUN` does not overrule a recording that was asked for
         let builder = RecordingStreamBuilder::new("aviary").recording_name(source.name()).default_enabled(true);
         let stream = match target {
-            RerunTarget::File(path) => builder.save(path),
-            RerunTarget::Viewer(address) => builder.connect_grpc_opts(address.as_str()),
+            RerunTarget::File(path) => builder.save(path).map_err(|error| target.error(&error)),
+            RerunTarget::Viewer(address) => {
+                let connected = builder.connect_grpc_opts(address.as_str());
+                connected.map_err(|_| RerunError::Address { address: address.clone() })
+            }
         };
-        let stream = stream.map_err(|error| target.error(&error))?;
+        let stream = stream?;
         Self::on(stream, target.clone(), source, reference, with_images)
     }
 
@@ -454,10 +462,9 @@ impl RerunLog {
 
 impl RerunTarget {
     fn error(&self, error: &dyn std::fmt::Display) -> RerunError {
-        let reason = error.to_string();
         match self {
-            Self::File(path) => RerunError::File { path: path.clone(), reason },
-            Self::Viewer(address) => RerunError::Viewer { address: address.clone(), reason },
+            Self::File(path) => RerunError::File { path: path.clone(), reason: error.to_string() },
+            Self::Viewer(address) => RerunError::Viewer { address: address.clone() },
         }
     }
 }
