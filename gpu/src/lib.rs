@@ -1,8 +1,8 @@
 //! Batches of environments on a GPU, from the same equations as the CPU.
 //!
-//! [`GpuAviary`] is a [`VecEnv`](aviary::vector::VecEnv) whose environments are in the memory of a GPU. The equations of
-//! flight are those of the crate `flight`, generic over the type of their numbers. This crate calls them once on the
-//! host with numbers that emit the operations of a kernel, so that no equation is written a second time.
+//! `GpuAviary` is a `VecEnv` of `aviary` whose environments are in the memory of a GPU. The equations of flight are
+//! those of the crate `flight`, generic over the type of their numbers. This crate calls them once on the host with
+//! numbers that emit the operations of a kernel, so that no equation is written a second time.
 //!
 //! The crate is empty without a runtime: enable the feature `vulkan` (NVIDIA, AMD, Intel, and Mesa's lavapipe) or
 //! `metal` (Apple).
