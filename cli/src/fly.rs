@@ -278,7 +278,7 @@ impl FlightCommand {
     }
 }
 
-/// Destinations of a flight besides its log.
+/// Outputs of a flight in addition to its log.
 struct Outputs {
     animation: Option<AnimationWriter>,
     live: Option<Live>,

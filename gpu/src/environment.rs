@@ -186,7 +186,7 @@ fn observe<N: Number>(motion: &FlightState<N>, rpy: V3<N>) -> [N; OBSERVATION] {
 }
 
 /// Reward and end of a control step.
-struct Verdict<N: Number> {
+struct TaskOutcome<N: Number> {
     reward: N,
     end: N::Word,
 }
@@ -200,7 +200,7 @@ fn evaluate<N: Number>(
     rpy: V3<N>,
     lowest: N,
     steps: N::Word,
-) -> Verdict<N> {
+) -> TaskOutcome<N> {
     let (zero, up) = (lowest.all(0.0), motion.attitude.up().z);
     let touches = !zero.less(lowest);
     let tilted = up.less(parameters.min_up);
@@ -228,7 +228,7 @@ fn evaluate<N: Number>(
         N::Word::choose(is_last, N::Word::choose(ended, found, timeout).plus(N::Word::of(end::TRUNCATED)), found);
     let over = ended | is_last;
     let fulfilled = over & success & !crashed;
-    Verdict { reward, end: N::Word::choose(fulfilled, found.plus(N::Word::of(end::SUCCESS)), found) }
+    TaskOutcome { reward, end: N::Word::choose(fulfilled, found.plus(N::Word::of(end::SUCCESS)), found) }
 }
 
 /// Returns true where a state and an action are usable numbers.
@@ -310,7 +310,7 @@ pub(crate) fn control_step<N: Number>(
     let (motion, rotors) = split(&numbers);
     let rpy = motion.attitude.rpy();
     let steps = memory.steps.plus(N::Word::of(1));
-    let Verdict { reward, end } = evaluate(plan, parameters, &motion, rpy, lowest, steps);
+    let TaskOutcome { reward, end } = evaluate(plan, parameters, &motion, rpy, lowest, steps);
     let zero = lowest.all(0.0);
     let fault = N::Word::of(code_of(EndReason::Fault) | end::TRUNCATED);
     let (mut reward, mut end) = (N::choose(valid, reward, zero), N::Word::choose(valid, end, fault));
@@ -331,8 +331,8 @@ pub(crate) fn control_step<N: Number>(
     let numbers = joined_with_observation(&stepped.numbers(), &observation);
     let words = [memory.episode, steps];
     let (numbers, [episode, steps]) = N::when(begins, (numbers, words), || {
-        let (begun, first) = reset(plan, parameters, memory, environment);
-        (joined_with_observation(&begun.numbers(), &first), [begun.episode, begun.steps])
+        let (started, first) = reset(plan, parameters, memory, environment);
+        (joined_with_observation(&started.numbers(), &first), [started.episode, started.steps])
     });
     let (motion, rotors) = split(&std::array::from_fn(|index| numbers[index]));
     // the next step of `NextStep` starts an episode where this one has ended
