@@ -29,6 +29,8 @@ use crate::runtime::{check_library, guarded, was_raised};
 pub struct Data {
     pointer: NonNull<mujoco_sys::mjData>,
     model: Arc<Model>,
+    /// Number of contacts of the last step, over all its stages; 0 after a forward pass.
+    step_contacts: i32,
     /// Error that left MuJoCo's stack in an undefined state; only a reset clears it.
     broken: Option<Error>,
 }
@@ -98,7 +100,7 @@ impl Data {
         guarded("mj_makeData", unsafe { mujoco_sys::mjshim_make_data(model.as_ptr(), &mut pointer) })?;
         let pointer = NonNull::new(pointer)
             .ok_or_else(|| Error::Raised { call: "mj_makeData", message: "no memory for the simulation".into() })?;
-        Ok(Self { pointer, model, broken: None })
+        Ok(Self { pointer, model, step_contacts: 0, broken: None })
     }
 
     /// Returns the simulated model.
@@ -138,8 +140,12 @@ impl Data {
         self.usable()?;
         self.mocap_bounded()?;
         let time = self.raw().time;
+        // MuJoCo updates the maximum whenever it adds a contact, so that it is that of this step
+        let before = std::mem::take(&mut self.raw_mut().maxuse_con);
         // SAFETY: model and data belong together and are valid; no Rust frame lies below the shim's guard.
         let status = unsafe { mujoco_sys::mjshim_step(self.model.as_ptr(), self.pointer.as_ptr()) };
+        self.step_contacts = self.raw().maxuse_con;
+        self.raw_mut().maxuse_con = self.step_contacts.max(before);
         if status != 0 {
             return Err(self.fault("mj_step", status));
         }
@@ -157,6 +163,7 @@ impl Data {
         self.bounded(self.qpos())?;
         // SAFETY: as for `step`.
         let status = unsafe { mujoco_sys::mjshim_forward(self.model.as_ptr(), self.pointer.as_ptr()) };
+        self.step_contacts = 0;
         if status != 0 { Err(self.fault("mj_forward", status)) } else { Ok(()) }
     }
 
@@ -181,7 +188,7 @@ impl Data {
         // SAFETY: as for `step`; a reset also empties MuJoCo's stack.
         let status = unsafe { mujoco_sys::mjshim_reset(self.model.as_ptr(), self.pointer.as_ptr()) };
         guarded("mj_resetData", status)?;
-        self.broken = None;
+        (self.broken, self.step_contacts) = (None, 0);
         Ok(())
     }
 
@@ -204,6 +211,8 @@ impl Data {
         let raw = self.raw_mut();
         raw.time = 0.0;
         (raw.ncon, raw.nefc, raw.ne, raw.nf) = (0, 0, 0, 0);
+        self.step_contacts = 0;
+        let raw = self.raw_mut();
         for warning in &mut raw.warning {
             (warning.number, warning.lastinfo) = (0, 0);
         }
@@ -243,14 +252,40 @@ impl Data {
         self.raw_mut().time = time;
     }
 
-    /// Returns the contacts found in the last step or forward pass.
+    /// Returns the contacts found in the last step or forward pass. A step of several stages (RK4) has those of its
+    /// last stage.
     pub fn contacts(&self) -> impl ExactSizeIterator<Item = Contact<'_>> {
+        self.first_contacts(self.raw().ncon)
+    }
+
+    /// Returns the contacts found in the last step, in all its stages: those of the last stage, and those of earlier
+    /// stages that the last one has not overwritten. The list is empty only if no stage had a contact. After a forward
+    /// pass, it is that of [`contacts`](Self::contacts).
+    ///
+    /// ```
+    /// use mujoco_rs::{Data, Model};
+    ///
+    /// let model = Model::from_xml(
+    ///     "<mujoco><option timestep='.002' integrator='RK4'/><worldbody><geom type='plane' size='1 1 1'/>
+    ///     <body pos='0 0 .1'><freejoint/><geom size='.1'/></body></worldbody></mujoco>",
+    /// )?;
+    /// let mut data = Data::new(model)?;
+    /// data.step()?;
+    /// assert!(data.contacts_in_step().len() >= data.contacts().len());
+    /// # Ok::<(), mujoco_rs::Error>(())
+    /// ```
+    pub fn contacts_in_step(&self) -> impl ExactSizeIterator<Item = Contact<'_>> {
+        self.first_contacts(self.raw().ncon.max(self.step_contacts))
+    }
+
+    /// Returns the first contacts of MuJoCo's list, of which at least `count` have been filled.
+    fn first_contacts(&self, count: i32) -> impl ExactSizeIterator<Item = Contact<'_>> {
         let raw = self.raw();
-        let found = usize::try_from(raw.ncon).unwrap_or(0).min(self.model.nconmax());
+        let found = usize::try_from(count).unwrap_or(0).min(self.model.nconmax());
         let contacts: &[mujoco_sys::mjContact] = if found == 0 {
             &[]
         } else {
-            // SAFETY: MuJoCo allocated nconmax contacts and filled the first ncon of them.
+            // SAFETY: MuJoCo allocated nconmax contacts and has filled the first ones, as many as the caller says.
             unsafe { std::slice::from_raw_parts(raw.contact, found) }
         };
         contacts.iter().map(Contact)

@@ -242,3 +242,34 @@ fn random_numbers_and_handlers_of_a_host_program_are_preserved() {
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
+
+/// A step of RK4 has four stages; an impact may begin and end within one step.
+#[test]
+fn a_step_that_brakes_a_body_reports_a_contact() {
+    let xml = "<mujoco><option timestep='.004' integrator='RK4'/><worldbody><geom type='plane' size='1 1 1'/>
+        <body pos='0 0 1'><freejoint/><geom type='cylinder' size='.06 .015' mass='.027'/></body></worldbody></mujoco>";
+    let mut data = Data::new(Model::from_xml(xml).unwrap()).unwrap();
+    let (mut braked, mut missed_by_the_last_stage) = (0, 0);
+    for start in 0..400 {
+        data.reset().unwrap();
+        let mut qpos = data.qpos().to_vec();
+        let (sin, cos) = (0.02 * f64::from(start)).sin_cos();
+        qpos[2..7].copy_from_slice(&[0.07 + 1e-4 * f64::from(start), cos, sin, 0.0, 0.0]);
+        data.qpos_mut().copy_from_slice(&qpos);
+        data.qvel_mut()[2..].copy_from_slice(&[-0.1 - 0.005 * f64::from(start), 60.0 * sin, 60.0 * cos, 0.0]);
+        for _ in 0..20 {
+            let (height, before) = (data.qpos()[2], data.qvel()[2]);
+            data.step().unwrap();
+            let free = (data.qvel()[2] - (before - 9.81 * 0.004)).abs() < 1e-9;
+            let contacts = data.contacts_in_step().len();
+            assert!(free || contacts > 0, "from {height} m at {before} m/s");
+            let reach = 0.004 * (before.abs() + 6.0) + 1e-3;
+            assert!(contacts == 0 || height < 0.062 + reach, "from {height} m at {before} m/s");
+            braked += usize::from(!free);
+            missed_by_the_last_stage += usize::from(!free && data.contacts().len() == 0);
+        }
+    }
+    assert!(braked > 400 && missed_by_the_last_stage > 0, "{braked} and {missed_by_the_last_stage}");
+    data.forward().unwrap();
+    assert_eq!(data.contacts_in_step().len(), data.contacts().len());
+}

@@ -408,9 +408,10 @@ impl MujocoEngine {
         4 * self.data.model().nconmax()
     }
 
-    /// Calls `found` once for every contact point and touching drone of the last step.
+    /// Calls `found` once for every contact point and touching drone of the last step, in any of its stages: the last
+    /// stage alone misses an impact that has ended by then.
     pub fn contacts(&self, mut found: impl FnMut(Contact)) {
-        for contact in self.data.contacts().filter(|contact| contact.is_active()) {
+        for contact in self.data.contacts_in_step().filter(|contact| contact.is_active()) {
             let [a, b] = contact.geoms().map(|geom| self.owners[geom.index()]);
             for (this, other) in [(a, b), (b, a)] {
                 let Owner::Drone(drone) = this else { continue };

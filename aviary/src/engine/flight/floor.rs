@@ -40,7 +40,7 @@ pub(crate) struct FloorKernel {
     model: FloorModel,
     drones: Vec<Landing>,
     problems: Vec<Problem>,
-    /// Number of contact points of each drone in the last stage.
+    /// Largest number of contact points of each drone in a stage of the last step.
     points: Vec<usize>,
 }
 
@@ -78,7 +78,7 @@ impl FloorKernel {
         width.run(POINTS, Step { kernel: self, kind, bodies, loads, states, rooms, warm_starts })
     }
 
-    /// Returns the number of contact points of each drone in the last stage of the last step.
+    /// Returns the largest number of contact points of each drone in a stage of the last step.
     pub(crate) fn points(&self) -> impl Iterator<Item = usize> {
         self.points.iter().copied()
     }
@@ -108,14 +108,16 @@ impl WithSimd for Step<'_> {
         }
         if let ([cylinder], [body], [load], [state], [room]) = (&cylinders[..], bodies, loads, &mut *states, rooms) {
             let (mut drone, problem) = (Landing::new(kind, body, load, state, warm_starts), &mut problems[0]);
+            let mut most = 0;
             for stage in 0..4 {
                 drone.find_smooth(kind, body);
                 let acceleration = drone.solve_alone(simd, contact, cylinder, body, problem);
+                most = most.max(drone.points);
                 if !drone.accept(stage, kind.dt, &acceleration) {
                     return false;
                 }
             }
-            points[0] = drone.points;
+            points[0] = most;
             if !drone.is_within(*room) {
                 return false;
             }
@@ -126,14 +128,16 @@ impl WithSimd for Step<'_> {
         for (index, warm_start) in warm_starts.as_chunks::<6>().0.iter().enumerate() {
             drones[index] = Landing::new(kind, &bodies[index], &loads[index], &states[index], warm_start);
         }
+        points.fill(0);
         for stage in 0..4 {
+            let mut touching = false;
             for (index, (drone, problem)) in drones.iter_mut().zip(&mut *problems).enumerate() {
                 drone.find_smooth(kind, &bodies[index]);
                 let floor_points = drone.rim(&cylinders[index]).points(cylinders[index].radius);
                 drone.find_contacts(contact, &bodies[index], &floor_points, problem);
-                points[index] = problem.points;
+                points[index] = points[index].max(problem.points);
+                touching |= problem.points > 0;
             }
-            let touching = points.iter().any(|&points| points > 0);
             if touching {
                 for (index, (drone, problem)) in drones.iter().zip(&mut *problems).enumerate() {
                     drone.pose_problem(&bodies[index], problem);
