@@ -314,10 +314,28 @@ impl ActionDecoder {
         speeds
     }
 
-    /// Returns the motor speeds of [`motor_speeds`](Self::motor_speeds), from four numbers, and updates the memory of
-    /// the control loops.
+    /// Returns the motor speeds (rpm) of [`motor_speeds`](Self::motor_speeds) from the four numbers of an action within
+    /// its bounds (equal numbers for `one_d_rpm`), and updates the memory of the control loops. The memory of the
+    /// decoder itself stays the same.
+    ///
+    /// The function is generic over the type of the numbers: a double, SIMD lanes, or a number of a program that is
+    /// being built for another device.
+    ///
+    /// ```
+    /// use aviary::action::{ActionDecoder, ActionLimits, ActionType};
+    /// use aviary::control::{ControlMemory, ControllerKind};
+    /// use aviary::drone::DroneModel;
+    /// use aviary::state::{DroneState, FlightState};
+    ///
+    /// let (params, limits) = (DroneModel::Cf2x.params(), ActionLimits::default());
+    /// let mut decoder = ActionDecoder::new(ActionType::Vel, ControllerKind::Dsl, &params, &limits)?;
+    /// let (mut memory, state) = (ControlMemory::default(), DroneState::default());
+    /// let speeds = decoder.speeds(0.02, &mut memory, &FlightState::from(&state), [0.1, 0.2, 0.0, 1.0]);
+    /// assert_eq!(speeds, decoder.motor_speeds(0.02, &state, &[0.1, 0.2, 0.0, 1.0]));
+    /// # Ok::<(), aviary::OptionError>(())
+    /// ```
     #[inline(always)]
-    pub(crate) fn speeds<R: Real>(
+    pub fn speeds<R: Real>(
         &self,
         dt: f64,
         memory: &mut ControlMemory<R>,
@@ -405,7 +423,7 @@ impl ActionDecoder {
     }
 
     /// Returns true if the motor speeds depend on earlier actions of the episode.
-    pub(crate) fn keeps_memory(&self) -> bool {
+    pub fn keeps_memory(&self) -> bool {
         !matches!(self.loops, Loops::None | Loops::Duty(_) | Loops::Rates { .. })
     }
 }

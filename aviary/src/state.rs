@@ -4,7 +4,7 @@
 //! airframe. Quaternions in the API are `[w, x, y, z]`, body to world. nalgebra stores `[x, y, z, w]`; only [`wxyz`]
 //! and [`attitude_from_wxyz`] convert between the two orders.
 
-pub(crate) use flight::state::FlightState;
+pub use flight::state::FlightState;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::math::{self, ToFlight as _, ToNalgebra as _};

@@ -1,7 +1,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Mixer;
-use super::memory::is_finite;
+use super::memory::{is_finite, is_set};
 use crate::drone::{DroneModel, DroneParams};
 use crate::math::{Real, ToFlight as _, ToNalgebra as _, Turn, V3, Weighted as _, clamped, sin_cos, wrap_angle};
 use crate::state::{DroneState, FlightState};
@@ -205,7 +205,7 @@ impl HeadingHold {
     /// drone's yaw, rad.
     #[inline(always)]
     pub(crate) fn turn<R: Real>(setpoint: &mut R, dt: f64, actual: R, rate: R) -> R {
-        let last = R::choose(is_finite(*setpoint), *setpoint, actual);
+        let last = R::choose(is_set(*setpoint), *setpoint, actual);
         let max = actual.all(Self::MAX_LEAD);
         let lead = clamped(wrap_angle(last + rate * dt - actual), -max, max);
         let yaw = wrap_angle(actual + lead);

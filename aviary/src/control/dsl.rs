@@ -2,7 +2,7 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 
-use super::memory::is_finite;
+use super::memory::is_set;
 use super::{
     AttitudeGains, ControlMemory, ControlOutput, Controller, Goal, LaneController, PidControl, PidGains, PositionGains,
     Reference, Target, run,
@@ -91,7 +91,7 @@ impl DslPidControl {
     /// Moves the setpoint towards a target.
     #[inline(always)]
     fn advance<R: Real>(dt: f64, memory: &mut ControlMemory<R>, state: &FlightState<R>, target: &Target<R>) {
-        let (one, is_held) = (target.yaw.all(1.0), is_finite(memory.setpoint_yaw));
+        let (one, is_held) = (target.yaw.all(1.0), is_set(memory.setpoint_yaw));
         let last = V3::choose(is_held, memory.setpoint, state.position);
         let last_yaw = R::choose(is_held, memory.setpoint_yaw, state.attitude.yaw());
         let path = target.position - last;

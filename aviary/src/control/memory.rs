@@ -2,10 +2,11 @@ use crate::math::{Real, V3};
 
 /// State that the control loops of one drone keep between control steps. Every controller uses a part of it.
 ///
-/// `R` is a double for one drone, and a row or a SIMD register for the drones in lanes.
+/// `R` is a double for one drone, a row or a SIMD register for the drones in lanes, or a number of a program that is
+/// being built for another device. See [`ActionDecoder::speeds`](crate::action::ActionDecoder::speeds).
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct ControlMemory<R> {
-    /// Yaw setpoint of a commanded yaw rate, rad; NaN before the first command.
+pub struct ControlMemory<R> {
+    /// Yaw setpoint of a commanded yaw rate, rad; NaN or a number above 10³⁰ before the first command.
     pub heading: R,
     /// Integral of the position errors.
     pub position_integral: V3<R>,
@@ -13,7 +14,7 @@ pub(crate) struct ControlMemory<R> {
     pub attitude_integral: V3<R>,
     /// Position of the rate-limited setpoint, world frame, m.
     pub setpoint: V3<R>,
-    /// Yaw of the rate-limited setpoint, rad; NaN before the first control step.
+    /// Yaw of the rate-limited setpoint, rad; NaN or a number above 10³⁰ before the first control step.
     pub setpoint_yaw: R,
     /// Chart of the attitude: ±1 for the heading's left, ±2 for its forward direction, with the sign of the chart.
     pub chart: R,
@@ -93,4 +94,11 @@ impl<R: Real> ControlMemory<R> {
 #[inline(always)]
 pub(super) fn is_finite<R: Real>(number: R) -> R::Mask {
     number.abs().less(number.all(f64::INFINITY))
+}
+
+/// Returns true where a setpoint has been set. Devices whose programs have no NaN mark a missing one with a large
+/// number.
+#[inline(always)]
+pub(super) fn is_set<R: Real>(setpoint: R) -> R::Mask {
+    setpoint.abs().less(setpoint.all(1e30))
 }

@@ -28,13 +28,13 @@ pub use attitude::{AttitudeControl, AttitudeGains, HeadingHold};
 pub use dsl::DslPidControl;
 pub use geometric::{Bandwidths, GeometricControl};
 pub use kind::{AnyController, ControllerKind, Integrals};
+pub use memory::ControlMemory;
 pub use mixer::Mixer;
 pub use pid::{PidControl, PidGains, PositionGains};
 pub use rate::RateControl;
 pub use reference::Reference;
 pub use safety::{CollisionCone, SafetyError};
 
-pub(crate) use memory::ControlMemory;
 pub(crate) use reference::{Goal, Target};
 
 use nalgebra::Vector3;

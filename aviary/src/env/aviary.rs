@@ -69,6 +69,22 @@ impl<T: Task> Aviary<T> {
         self.workspace.observation.vector.get(drone * block..(drone + 1) * block).unwrap_or_default()
     }
 
+    /// Returns the decoder from actions to motor speeds of a drone.
+    ///
+    /// # Panics
+    /// If `drone` is out of range.
+    pub fn action_decoder(&self, drone: usize) -> &ActionDecoder {
+        &self.decoders[drone]
+    }
+
+    /// Returns the ranges of the parameters that are sampled for the next episode; `None` without randomization.
+    pub fn randomization(&self) -> Option<&Randomization> {
+        match &self.episode.next_randomization {
+            Some(next) => next.as_deref(),
+            None => self.episode.randomizer.as_ref().map(|randomizer| randomizer.config()),
+        }
+    }
+
     /// Borrows the parts that the stages of a control step need.
     pub(crate) fn parts(&mut self) -> EnvParts<'_, T> {
         let Self { model, simulation, episode, decoders, workspace, .. } = self;

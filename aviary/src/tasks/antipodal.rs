@@ -96,9 +96,14 @@ impl Antipodal {
         Vector3::new(self.radius * cos, self.radius * sin, height)
     }
 
-    fn goal(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
-        let place = self.place(drone, simulation.num_drones());
+    /// Returns the goal of one of `count` drones, world frame, m.
+    pub fn goal_of(&self, drone: usize, count: usize) -> Vector3<f64> {
+        let place = self.place(drone, count);
         Vector3::new(-place.x, -place.y, place.z)
+    }
+
+    fn goal(&self, simulation: SimView<'_>, drone: usize) -> Vector3<f64> {
+        self.goal_of(drone, simulation.num_drones())
     }
 
     /// Returns the smallest distance between the centres of two drones in this episode so far, m; infinite for a

@@ -89,8 +89,11 @@ impl Formation {
         AviaryBuilder::new(Self::default())
     }
 
-    /// Returns the slot of a drone relative to the centre, m.
-    fn offset(&self, drone: usize, count: usize) -> Vector3<f64> {
+    /// Returns the slot of one of `count` drones relative to the centre, world frame, m.
+    ///
+    /// # Panics
+    /// If [`offsets`](Self::offsets) has fewer slots.
+    pub fn offset(&self, drone: usize, count: usize) -> Vector3<f64> {
         match &self.offsets {
             Some(offsets) => offsets[drone].into(),
             None => {

@@ -87,7 +87,11 @@ impl MultiHover {
         Vector3::new(start.x, start.y, self.height(drone, simulation.num_drones()))
     }
 
-    fn height(&self, drone: usize, count: usize) -> f64 {
+    /// Returns the target height of one of `count` drones, m.
+    ///
+    /// # Panics
+    /// If [`target_heights`](Self::target_heights) has fewer heights.
+    pub fn height(&self, drone: usize, count: usize) -> f64 {
         match &self.target_heights {
             Some(heights) => heights[drone],
             // numpy.linspace(0.7, 1.2, N)

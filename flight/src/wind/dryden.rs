@@ -102,16 +102,15 @@ pub struct SecondOrder<R> {
     pub r: R,
 }
 
-impl SecondOrder<f64> {
+impl<R: Real> SecondOrder<R> {
     /// Samples a state from the stationary distribution, of covariance [[1/2, 1/4], [1/4, 1/4]], with two standard
     /// normal samples.
-    pub fn stationary([a, b]: [f64; 2]) -> Self {
-        let p = 0.5_f64.sqrt() * a;
-        Self { p, r: 0.5 * p + 0.125_f64.sqrt() * b }
+    #[inline(always)]
+    pub fn stationary([a, b]: [R; 2]) -> Self {
+        let p = a * 0.5_f64.sqrt();
+        Self { p, r: p * 0.5 + b * 0.125_f64.sqrt() }
     }
-}
 
-impl<R: Real> SecondOrder<R> {
     /// Returns the state after `s` time constants with two standard normal samples; `decay` is e⁻ˢ.
     #[inline(always)]
     pub fn advance(self, s: R, decay: R, [a, b]: [R; 2]) -> Self {

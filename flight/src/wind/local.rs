@@ -1,7 +1,7 @@
 //! Wind at one drone.
 
 use super::dryden::{MAX_SIGMAS, Scales, SecondOrder};
-use crate::math::{Real, V3, decay, ln, sin_cos_of_turns};
+use crate::math::{Bits as _, Real, V3, decay, ln, sin_cos_of_turns};
 use crate::random::{Key, Noise, NormalPair, Purpose, Sampled, uniform};
 
 /// Settings of the wind at one drone. A part that is off has factors of zero, so that drones with different winds run
@@ -129,14 +129,16 @@ impl Default for WindState<f64> {
     }
 }
 
-impl WindState<f64> {
+impl<R: Sampled> WindState<R> {
     /// Samples the state at the start of an episode: the turbulence from its stationary distribution, and the time
     /// until the first gust.
-    pub fn start(params: &WindParams<f64>, key: Key, height: f64) -> Self {
-        let noise = key.at(0);
-        let [a, b, c, _] = noise.normals::<f64>(Purpose::WindStart, 0);
+    #[inline(always)]
+    pub fn start(params: &WindParams<R>, key: Key<R::Integer>, height: R) -> Self {
+        let (zero, one) = (height.all(0.0), height.all(1.0));
+        let noise = key.at(key.0[0].all(0));
+        let [a, b, c, _] = noise.normals::<R>(Purpose::WindStart, 0);
         let sideways = params.sigma * Scales::at(height).sideways;
-        let [d, e, f, g] = noise.normals::<f64>(Purpose::WindStart, 1);
+        let [d, e, f, g] = noise.normals::<R>(Purpose::WindStart, 1);
         let filters = [[d, e], [f, g]].map(|noise| {
             let SecondOrder { p, r } = SecondOrder::stationary(noise);
             [p, r]
@@ -146,8 +148,9 @@ impl WindState<f64> {
             // adding zero removes the sign of a zero
             turbulence: [a * sideways + 0.0, b * sideways + 0.0, c * params.sigma + 0.0],
             filters,
-            calm: -ln(uniform::<f64>(calm)),
-            ..Self::default()
+            peak: [zero; 3],
+            elapsed: one,
+            calm: -ln(uniform::<R>(calm)),
         }
     }
 }

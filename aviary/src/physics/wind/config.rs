@@ -128,12 +128,13 @@ impl WindConfig {
     }
 
     /// Returns the drag area of a drone whose airframe has this drag area, m².
-    pub(super) fn area_of(&self, airframe: f64) -> f64 {
+    pub fn area_of(&self, airframe: f64) -> f64 {
         self.drag_area.unwrap_or(airframe)
     }
 
-    /// Returns the settings at a drone with a drag area of 1 m², for physics steps of `dt` seconds.
-    pub(super) fn params(&self, dt: f64) -> WindParams<f64> {
+    /// Returns the settings at a drone with a drag area of 1 m², for physics steps of `dt` seconds, as the equations of
+    /// the crate `flight` read them.
+    pub fn params(&self, dt: f64) -> WindParams<f64> {
         let has = |part, number: f64| if self.model.has(part) { number } else { 0.0 };
         // adding zero removes the sign of a zero
         let mean = self.velocity.map(|x| x + 0.0);
