@@ -9,17 +9,17 @@ use aviary::env::{
 use aviary::observation::{KIN_SIZE, Observation, kinematic};
 use aviary::physics::battery::BatteryState;
 use aviary::state::{DroneState, attitude_from_wxyz};
-use aviary::tasks::{Hover, Stabilize};
+use aviary::tasks::{Antipodal, FlyThrough, Formation, Hover, MultiHover, Race, Stabilize, Track, Velocity};
 use aviary::vector::{Autoreset, OnFault, VecConfig, VecEnv, VecImages, VecStep};
-use cubecl::bytes::Bytes;
 use cubecl::prelude::*;
-use cubecl::server::Handle;
 
 use crate::device::GpuDevice;
-use crate::environment::{NUMBERS, OBSERVATION, WORDS, end};
+use crate::environment::{COMMAND, count_numbers, end};
 use crate::error::GpuError;
-use crate::kernel::{reset_kernel, step_kernel};
-use crate::plan::{GpuTask, MOTION, Plan, describe, reason_of};
+use crate::launch::DeviceBatch;
+use crate::parameters::Parameters;
+use crate::plan::{Decoding, Plan, describe, reason_of};
+use crate::tasks::GpuTask;
 
 /// Precision of the numbers of a batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -33,25 +33,12 @@ pub enum Precision {
 
 impl Precision {
     /// Returns the size of a number, bytes.
-    fn bytes(self) -> usize {
+    pub(crate) fn bytes(self) -> usize {
         match self {
             Self::Single => size_of::<f32>(),
             Self::Double => size_of::<f64>(),
         }
     }
-}
-
-/// Buffers of a batch on the device.
-#[derive(Debug)]
-struct Buffers {
-    numbers: Handle,
-    words: Handle,
-    actions: Handle,
-    parameters: Handle,
-    observations: Handle,
-    last_observations: Handle,
-    rewards: Handle,
-    ends: Handle,
 }
 
 /// Episode of an environment, as the host knows it.
@@ -76,10 +63,10 @@ struct Progress {
 /// of [`VecAviary`](aviary::vector::VecAviary) by rounding. Random numbers are functions of the seed, the index of the
 /// environment and the number of its episode, and differ from those of the CPU.
 ///
-/// The kernels have the tasks Hover and Stabilize with one drone, the action types `rpm` and `one_d_rpm`, ground
-/// effect, blade drag, the medium, both kinds of forcing, and the lag, gains and saturation of motors. They detect
-/// contacts with the floor, which end the episode, and compute no contact forces. Other options are errors of
-/// [`GpuAviary::new`].
+/// The kernels have the tasks of [`GpuTask`], the action types except `duty`, every effect, both kinds of forcing, the
+/// medium, lag, latency, gains and saturation of motors, wind, and [`Randomization`](aviary::env::Randomization). They
+/// detect contacts, which end the episode, and compute no contact forces, except for a drone that starts on the floor:
+/// its lowest point has inelastic impacts with friction. Other options are errors of [`GpuAviary::new`].
 /// [`VecConfig::threads`] and [`VecConfig::width`] have no effect.
 ///
 /// ```
@@ -102,15 +89,14 @@ struct Progress {
 #[derive(Debug)]
 pub struct GpuAviary {
     name: &'static str,
-    device: GpuDevice,
-    precision: Precision,
     config: VecConfig,
-    plan: Plan,
-    workgroup: u32,
-    buffers: Buffers,
+    batch: DeviceBatch,
+    /// Nominal parameters of each drone of an environment.
+    nominal: Vec<Parameters>,
     observation_space: ObservationSpace,
     action_space: BoxSpace,
-    scale: MotorScale,
+    /// Scale of the normalized motor speeds of each drone.
+    scales: Vec<MotorScale>,
     control_period: f64,
     progress: Vec<Progress>,
     /// Summaries of the episodes that ended in the last step.
@@ -146,41 +132,28 @@ impl GpuAviary {
         if precision == Precision::Double && !device.adapter().double {
             return Err(GpuError::NoDouble { adapter: device.adapter().name.clone() });
         }
-        check_size(device, count, precision)?;
-        let mut first: Aviary<T> = builder.build()?;
-        let (plan, parameters) = describe(&mut first, config.autoreset, precision == Precision::Single)?;
-        let client = device.client();
-        let zeros = |bytes: usize| client.create(Bytes::from_elems(vec![0_u8; bytes]));
+        let first: Aviary<T> = builder.build()?;
+        let (plan, parameters) = describe(&first, config.autoreset, precision == Precision::Single)?;
+        check_size(device, count, precision, &plan)?;
         let keeps_last = config.autoreset == Autoreset::SameStep;
-        let numbers = parameters.numbers();
-        let buffers = Buffers {
-            numbers: zeros(count * NUMBERS * precision.bytes()),
-            words: zeros(count * WORDS * size_of::<u32>()),
-            actions: zeros(count * plan.action_size() * precision.bytes()),
-            parameters: upload(device, precision, &numbers),
-            observations: zeros(count * OBSERVATION * size_of::<f32>()),
-            last_observations: zeros(if keeps_last { count * OBSERVATION } else { 1 } * size_of::<f32>()),
-            rewards: zeros(count * size_of::<f32>()),
-            ends: zeros(count * size_of::<u32>()),
-        };
+        let batch = DeviceBatch::new(device, precision, plan, &parameters, count, keeps_last)?;
+        let (observation_space, drones) = (first.observation_space().clone(), batch.drones());
+        let finals = if keeps_last { drones * batch.plan.observation_size() } else { 0 };
         Ok(Self {
             name: first.name(),
-            device: device.clone(),
-            precision,
             config,
-            plan,
-            workgroup: 64,
-            buffers,
-            observation_space: first.observation_space().clone(),
+            nominal: parameters,
+            observation_space,
             action_space: first.action_space().clone(),
-            scale: MotorScale::new(first.simulation().params(0)),
+            scales: (0..first.simulation().num_drones()).map(|drone| *first.action_decoder(drone).scale()).collect(),
             control_period: first.simulation().control_period(),
             progress: vec![Progress::default(); count],
             summaries: vec![None; count],
-            finals: vec![0.0; if keeps_last { count * OBSERVATION } else { 0 }],
+            finals: vec![0.0; finals],
             faults: Vec::new(),
-            actions: vec![0.0; count * plan.action_size()],
+            actions: vec![0.0; drones * batch.plan.action_size()],
             control_steps: 0,
+            batch,
         })
     }
 
@@ -196,45 +169,58 @@ impl GpuAviary {
         device: &GpuDevice,
         precision: Precision,
     ) -> Result<Self, GpuError> {
-        match name {
-            "hover" => Self::new(options.for_task(Hover::default())?, config, device, precision),
-            "stabilize" => Self::new(options.for_task(Stabilize::default())?, config, device, precision),
-            other => Err(GpuError::NotPorted { option: "task", got: other.into(), expected: "hover or stabilize" }),
+        macro_rules! by_name {
+            ($($name:literal: $task:expr,)*) => {
+                match name {
+                    $($name => Self::new(options.for_task($task)?, config, device, precision),)*
+                    other => {
+                        let expected = concat!("one of", $(" ", $name),*);
+                        Err(GpuError::NotPorted { option: "task", got: other.into(), expected })
+                    }
+                }
+            };
+        }
+        by_name! {
+            "antipodal": Antipodal::default(),
+            "fly_through": FlyThrough::default(),
+            "formation": Formation::default(),
+            "hover": Hover::default(),
+            "multi_agent": MultiHover::multi_agent(),
+            "multi_hover": MultiHover::default(),
+            "race": Race::default(),
+            "stabilize": Stabilize::default(),
+            "track": Track::default(),
+            "velocity": Velocity::default(),
         }
     }
 
-    /// Sets the number of threads in a workgroup; default 64. The results do not depend on it.
+    /// Sets the number of threads in a workgroup; default 64. A workgroup has whole worlds, so that a multiple of the
+    /// number of drones is used. The results do not depend on it.
     ///
     /// # Errors
-    /// [`GpuError::NotPorted`] for a number that is 0 or larger than the device allows.
+    /// [`GpuError::NotPorted`] for a number that is below the number of drones or larger than the device allows.
     pub fn workgroup(mut self, threads: u32) -> Result<Self, GpuError> {
-        let hardware = &self.device.client().properties().hardware;
-        if threads == 0 || threads > hardware.max_units_per_cube.min(hardware.max_cube_dim.0) {
-            let expected = "a positive number up to the limit of the device";
-            return Err(GpuError::NotPorted { option: "workgroup", got: threads.to_string(), expected });
-        }
-        self.workgroup = threads;
+        self.batch.set_workgroup(threads)?;
         Ok(self)
     }
 
     /// Returns the device.
     pub fn device(&self) -> &GpuDevice {
-        &self.device
+        &self.batch.device
     }
 
     /// Returns the precision.
     pub fn precision(&self) -> Precision {
-        self.precision
+        self.batch.precision
     }
 
-    /// Returns the present states of all environments.
+    /// Returns the present states of all drones, environment by environment.
     ///
     /// # Errors
     /// [`GpuError::Device`] if the device fails.
     pub fn states(&self) -> Result<Vec<DroneState>, GpuError> {
-        let numbers = self.download_numbers()?;
-        let count = self.progress.len();
-        Ok((0..count).map(|environment| state_of(&numbers, count, environment)).collect())
+        let (numbers, count) = (self.batch.download_numbers()?, self.batch.drones());
+        Ok((0..count).map(|drone| state_of(|row| numbers[row * count + drone])).collect())
     }
 
     /// Advances every environment by several control steps with the actions of the last step, without copies between
@@ -251,87 +237,12 @@ impl GpuAviary {
         }
         self.check_started()?;
         for _ in 0..steps {
-            self.launch_step();
+            self.batch.step();
         }
         self.control_steps += u64::from(steps);
-        cubecl::future::block_on(self.device.client().sync()).map_err(|error| GpuError::device(&error))
-    }
-
-    fn download_numbers(&self) -> Result<Vec<f64>, GpuError> {
-        let bytes = self.read([&self.buffers.numbers])?;
-        Ok(match self.precision {
-            Precision::Single => f32::from_bytes(&bytes[0]).iter().map(|&x| f64::from(x)).collect(),
-            Precision::Double => f64::from_bytes(&bytes[0]).to_vec(),
-        })
-    }
-
-    fn read<const N: usize>(&self, handles: [&Handle; N]) -> Result<Vec<Bytes>, GpuError> {
-        self.device.client().read(handles.map(Handle::clone).to_vec()).map_err(|error| GpuError::device(&error))
-    }
-
-    /// Returns the grid of workgroups with a thread per environment.
-    fn grid(&self) -> (CubeCount, CubeDim) {
-        let groups = self.progress.len().div_ceil(self.workgroup as usize);
-        let width = groups.min(self.device.client().properties().hardware.max_cube_count.0 as usize);
-        let height = groups.div_ceil(width);
-        (CubeCount::Static(width as u32, height as u32, 1), CubeDim::new_1d(self.workgroup))
-    }
-
-    fn launch_step(&self) {
-        match self.precision {
-            Precision::Single => self.launch_step_in::<f32>(),
-            Precision::Double => self.launch_step_in::<f64>(),
-        }
-    }
-
-    #[allow(unsafe_code)]
-    fn launch_step_in<F: Float + CubeElement>(&self) {
-        let (count, (grid, group)) = (self.progress.len(), self.grid());
-        let Buffers { numbers, words, actions, parameters, observations, last_observations, rewards, ends } =
-            &self.buffers;
-        let keeps_last = self.config.autoreset == Autoreset::SameStep;
-        let last = if keeps_last { count * OBSERVATION } else { 1 };
-        // SAFETY: every buffer has the length that is passed with it, `new` has allocated them, and no entry that the
-        // kernel accesses is outside: it has a thread per environment, and threads from `count` on do nothing
-        unsafe {
-            step_kernel::launch_unchecked::<F>(
-                self.device.client(),
-                grid,
-                group,
-                BufferArg::from_raw_parts(numbers.clone(), count * NUMBERS),
-                BufferArg::from_raw_parts(words.clone(), count * WORDS),
-                BufferArg::from_raw_parts(actions.clone(), count * self.plan.action_size()),
-                BufferArg::from_raw_parts(parameters.clone(), crate::plan::Parameters::COUNT),
-                BufferArg::from_raw_parts(observations.clone(), count * OBSERVATION),
-                BufferArg::from_raw_parts(last_observations.clone(), last),
-                BufferArg::from_raw_parts(rewards.clone(), count),
-                BufferArg::from_raw_parts(ends.clone(), count),
-                count as u32,
-                self.plan,
-                keeps_last,
-            );
-        }
-    }
-
-    #[allow(unsafe_code)]
-    fn launch_reset_in<F: Float + CubeElement>(&self, selection: Handle) {
-        let (count, (grid, group)) = (self.progress.len(), self.grid());
-        let Buffers { numbers, words, parameters, observations, .. } = &self.buffers;
-        // SAFETY: as in `launch_step_in`; `selection` has three rows of `count` entries
-        unsafe {
-            reset_kernel::launch_unchecked::<F>(
-                self.device.client(),
-                grid,
-                group,
-                BufferArg::from_raw_parts(numbers.clone(), count * NUMBERS),
-                BufferArg::from_raw_parts(words.clone(), count * WORDS),
-                BufferArg::from_raw_parts(parameters.clone(), crate::plan::Parameters::COUNT),
-                BufferArg::from_raw_parts(selection, 3 * count),
-                BufferArg::from_raw_parts(observations.clone(), count * OBSERVATION),
-                count as u32,
-                self.plan,
-            );
-        }
+        self.summaries.fill(None);
+        self.faults.clear();
+        self.batch.wait()
     }
 
     /// Starts an episode in every environment that the mask selects, with the seeds that `seed_of` returns.
@@ -342,9 +253,9 @@ impl GpuAviary {
         observations: &mut [f32],
     ) -> Result<(), EnvError> {
         self.faults.clear();
-        let count = self.progress.len();
+        let (count, size) = (self.progress.len(), self.observation_size());
         check_len("mask", mask.len(), count)?;
-        check_len("observations", observations.len(), count * OBSERVATION)?;
+        check_len("observations", observations.len(), count * size)?;
         let mut selection = vec![0_u32; 3 * count];
         for environment in (0..count).filter(|&environment| mask[environment]) {
             let seed = seed_of(environment);
@@ -352,14 +263,10 @@ impl GpuAviary {
             let seed = seed.unwrap_or_default();
             (selection[count + environment], selection[2 * count + environment]) = (seed as u32, (seed >> 32) as u32);
         }
-        let selection = self.device.client().create_from_slice(u32::as_bytes(&selection));
-        match self.precision {
-            Precision::Single => self.launch_reset_in::<f32>(selection),
-            Precision::Double => self.launch_reset_in::<f64>(selection),
-        }
-        let bytes = self.read([&self.buffers.observations])?;
-        let rows = f32::from_bytes(&bytes[0]).chunks_exact(OBSERVATION);
-        for (environment, (row, out)) in rows.zip(observations.chunks_exact_mut(OBSERVATION)).enumerate() {
+        self.batch.reset(&selection);
+        let bytes = self.batch.read([&self.batch.observations])?;
+        let rows = f32::from_bytes(&bytes[0]).chunks_exact(size);
+        for (environment, (row, out)) in rows.zip(observations.chunks_exact_mut(size)).enumerate() {
             if mask[environment] || self.config.keep_observations {
                 out.copy_from_slice(row);
             }
@@ -389,10 +296,15 @@ impl GpuAviary {
         self.config.autoreset == Autoreset::NextStep && self.progress[environment].over
     }
 
+    /// Returns the action of an environment in the last step.
+    fn action_of(&self, environment: usize) -> &[f64] {
+        let size = self.action_size();
+        &self.actions[environment * size..][..size]
+    }
+
     /// Returns the error of an action of the last step that is not finite.
     fn bad_action(&self, environment: usize) -> Option<EnvError> {
-        let size = self.plan.action_size();
-        let action = &self.actions[environment * size..][..size];
+        let action = self.action_of(environment);
         let index = action.iter().position(|x| !x.is_finite())?;
         let time = self.progress[environment].steps as f64 * self.control_period;
         Some(EnvError::Action { index, got: action[index], time })
@@ -402,7 +314,7 @@ impl GpuAviary {
     fn step_with(&mut self, out: VecStep<'_>) -> Result<(), EnvError> {
         self.faults.clear();
         let count = self.progress.len();
-        check_len("observations", out.observations.len(), count * OBSERVATION)?;
+        check_len("observations", out.observations.len(), count * self.observation_size())?;
         check_len("rewards", out.rewards.len(), count)?;
         check_len("terminated", out.terminated.len(), count)?;
         check_len("truncated", out.truncated.len(), count)?;
@@ -415,10 +327,10 @@ impl GpuAviary {
                 return Err(EnvError::InBatch { environment, error: Box::new(error) });
             }
         }
-        self.buffers.actions = upload(&self.device, self.precision, &self.actions);
-        self.launch_step();
-        let Buffers { observations, rewards, ends, .. } = &self.buffers;
-        let bytes = self.read([observations, rewards, ends])?;
+        self.batch.set_actions(&self.actions);
+        self.batch.step();
+        let DeviceBatch { observations, rewards, ends, .. } = &self.batch;
+        let bytes = self.batch.read([observations, rewards, ends])?;
         self.control_steps += 1;
         out.observations.copy_from_slice(f32::from_bytes(&bytes[0]));
         out.rewards.copy_from_slice(f32::from_bytes(&bytes[1]));
@@ -430,7 +342,7 @@ impl GpuAviary {
             self.note(environment, f64::from(out.rewards[environment]), end);
         }
         if any_ended && self.config.autoreset == Autoreset::SameStep {
-            let bytes = self.read([&self.buffers.last_observations])?;
+            let bytes = self.batch.read([&self.batch.last_observations])?;
             self.finals.copy_from_slice(f32::from_bytes(&bytes[0]));
         }
         match self.faults.first() {
@@ -468,10 +380,8 @@ impl GpuAviary {
     }
 }
 
-/// Returns the state of an environment from the numbers of the device.
-fn state_of(numbers: &[f64], count: usize, environment: usize) -> DroneState {
-    let at = |row: usize| numbers[row * count + environment];
-    const { assert!(MOTION == 13) };
+/// Returns a state from the numbers of the device.
+fn state_of(at: impl Fn(usize) -> f64) -> DroneState {
     DroneState {
         position: [at(0), at(1), at(2)].into(),
         attitude: attitude_from_wxyz([at(3), at(4), at(5), at(6)]),
@@ -480,24 +390,13 @@ fn state_of(numbers: &[f64], count: usize, environment: usize) -> DroneState {
     }
 }
 
-/// Copies numbers to the device.
-fn upload(device: &GpuDevice, precision: Precision, numbers: &[f64]) -> Handle {
-    match precision {
-        Precision::Single => {
-            let numbers: Vec<f32> = numbers.iter().map(|&x| x as f32).collect();
-            device.client().create(Bytes::from_elems(numbers))
-        }
-        Precision::Double => device.client().create_from_slice(f64::as_bytes(numbers)),
-    }
-}
-
 /// Checks that the buffers of a batch are within the limits of the device.
-fn check_size(device: &GpuDevice, count: usize, precision: Precision) -> Result<(), GpuError> {
+fn check_size(device: &GpuDevice, count: usize, precision: Precision, plan: &Plan) -> Result<(), GpuError> {
     let adapter = device.adapter();
-    let row = (NUMBERS * precision.bytes()).max(OBSERVATION * size_of::<f32>());
-    let by_bytes = adapter.max_buffer / row as u64;
+    let by_bytes = adapter.max_buffer / DeviceBatch::largest_row(plan, precision) as u64;
     // entries of the buffers have indices of 32 bits
-    let max = by_bytes.min(u64::from(u32::MAX) / NUMBERS as u64) as usize;
+    let numbers = (count_numbers(plan) * plan.drones as usize) as u64;
+    let max = by_bytes.min(u64::from(u32::MAX) / numbers) as usize;
     let max = max.min(VecConfig::MAX_ENVIRONMENTS);
     if count <= max {
         return Ok(());
@@ -533,11 +432,11 @@ impl VecEnv for GpuAviary {
     }
 
     fn observation_size(&self) -> usize {
-        OBSERVATION
+        self.observation_space.vector.size()
     }
 
     fn episode_steps(&self) -> u64 {
-        u64::from(self.plan.episode_steps)
+        u64::from(self.batch.plan.episode_steps)
     }
 
     fn control_period(&self) -> f64 {
@@ -590,16 +489,25 @@ impl VecEnv for GpuAviary {
     }
 
     fn kinematic(&self, environment: usize, drone: usize) -> Option<[f64; KIN_SIZE]> {
-        let count = self.progress.len();
-        if environment >= count || drone > 0 {
+        let (count, drones) = (self.batch.drones(), self.scales.len());
+        if environment >= self.progress.len() || drone >= drones {
             return None;
         }
-        let numbers = self.download_numbers().ok()?;
-        let size = self.plan.action_size();
-        let action = &self.actions[environment * size..][..size];
-        let stepped = self.progress[environment].steps > 0;
-        let command = |motor: usize| if stepped { self.scale.rpm(action[motor % size]) } else { 0.0 };
-        Some(kinematic(&state_of(&numbers, count, environment), &[0, 1, 2, 3].map(command)))
+        let (numbers, index) = (self.batch.download_numbers().ok()?, environment * drones + drone);
+        let at = |row: usize| numbers[row * count + index];
+        let size = self.batch.plan.action_size();
+        let action = &self.action_of(environment)[drone * size..][..size];
+        let hover = if self.batch.plan.relative { self.nominal[drone].hover_rpm } else { 0.0 };
+        let command = |motor: usize| match self.batch.plan.decoding {
+            _ if self.progress[environment].steps == 0 => 0.0,
+            Decoding::Scaled { .. } => self.scales[drone].rpm(action[motor % size]),
+            Decoding::Raw => {
+                let [low, high] = self.batch.plan.action_bounds[motor];
+                action[motor].clamp(low, high)
+            }
+            Decoding::Loops(_) => at(COMMAND + motor) + hover,
+        };
+        Some(kinematic(&state_of(at), &[0, 1, 2, 3].map(command)))
     }
 
     fn battery(&self, _: usize, _: usize) -> Option<BatteryState> {
@@ -620,13 +528,14 @@ impl VecEnv for GpuAviary {
     }
 
     fn bytes_per_env(&self) -> usize {
-        let finals = if self.finals.is_empty() { 0 } else { OBSERVATION };
-        let single = OBSERVATION + finals + 1 + 1 + WORDS;
-        (NUMBERS + self.plan.action_size()) * self.precision.bytes() + single * size_of::<f32>()
+        DeviceBatch::bytes_per_env(&self.batch.plan, self.batch.precision, !self.finals.is_empty())
     }
 
     fn engine_substeps(&self) -> Substeps {
-        let steps = self.control_steps * u64::from(self.plan.substeps) * self.progress.len() as u64;
+        let steps = self.control_steps * u64::from(self.batch.plan.substeps) * self.batch.drones() as u64;
         Substeps { flight: steps, ..Substeps::default() }
     }
 }
+
+#[cfg(test)]
+mod tests;

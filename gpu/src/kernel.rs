@@ -1,22 +1,25 @@
-//! Kernels: one thread per environment reads its numbers and words, advances the environment and writes them back.
+//! Kernels: one thread per drone reads its numbers and words, advances the drone and writes them back.
 //!
-//! Numbers and words are structures of arrays: row r of environment i is entry r·M + i, so that neighbouring threads
-//! access neighbouring memory. Actions and observations are rows of environments, the layout of the host and of
-//! tensors.
+//! Numbers and words are structures of arrays: row r of drone i is entry r·M·N + i for M environments of N drones, so
+//! that neighbouring threads access neighbouring memory. Actions and observations are rows of drones, the layout of
+//! the host and of tensors. The drones of an environment are neighbours in one workgroup and exchange their positions.
 
+use cubecl::frontend::branch::if_expand;
 use cubecl::frontend::{assign, cast_value};
 use cubecl::ir::ExpandValue;
 use cubecl::prelude::*;
 use flight::math::Real as _;
 
-use crate::environment::{Memory, NUMBERS, OBSERVATION, WORDS, control_step, reset};
+use crate::environment::{Memory, control_step, count_numbers, reset};
 use crate::number::Word as _;
-use crate::plan::{Parameters, Plan};
+use crate::parameters::Parameters;
+use crate::plan::Plan;
 #[cfg(test)]
 use crate::random::philox;
-use crate::traced::{Traced, TracedWord, within};
+use crate::traced::{Group, Traced, TracedWord, within, within_group};
 
-/// Kernel of a control step of `count` environments.
+/// Kernel of a control step of `count` drones, with `threads` threads in all workgroups. `exchange` has
+/// [`Group::ROWS`] rows of a number per thread if an environment has several drones.
 #[cube(launch_unchecked)]
 #[allow(clippy::too_many_arguments)] // the buffers of a kernel
 pub(crate) fn step_kernel<F: Float>(
@@ -28,31 +31,33 @@ pub(crate) fn step_kernel<F: Float>(
     last_observations: &mut [f32],
     rewards: &mut [f32],
     ends: &mut [u32],
+    exchange: &mut [F],
     count: u32,
+    threads: u32,
     #[comptime] plan: Plan,
     #[comptime] keeps_last: bool,
 ) {
-    if ABSOLUTE_POS < count as usize {
-        step_one::<F>(
-            numbers,
-            words,
-            actions,
-            parameters,
-            observations,
-            last_observations,
-            rewards,
-            ends,
-            ABSOLUTE_POS,
-            count as usize,
-            plan,
-            keeps_last,
-        );
-    }
+    step_one::<F>(
+        numbers,
+        words,
+        actions,
+        parameters,
+        observations,
+        last_observations,
+        rewards,
+        ends,
+        exchange,
+        ABSOLUTE_POS,
+        count as usize,
+        threads as usize,
+        plan,
+        keeps_last,
+    );
 }
 
-/// Kernel of a reset. `selection` has a row of `count` entries that are 0 for environments that continue, 1 for
-/// environments that continue their random stream, and 2 for those with a new seed, and two rows with the halves of the
-/// seeds.
+/// Kernel of a reset of `count` drones of M environments. `selection` has a row of M entries that are 0 for
+/// environments that continue, 1 for environments that continue their random stream, and 2 for those with a new seed,
+/// and two rows with the halves of the seeds.
 #[cube(launch_unchecked)]
 #[allow(clippy::too_many_arguments)]
 pub(crate) fn reset_kernel<F: Float>(
@@ -63,8 +68,9 @@ pub(crate) fn reset_kernel<F: Float>(
     observations: &mut [f32],
     count: u32,
     #[comptime] plan: Plan,
+    #[comptime] drones: u32,
 ) {
-    if ABSOLUTE_POS < count as usize && selection[ABSOLUTE_POS] > 0 {
+    if ABSOLUTE_POS < count as usize && selection[ABSOLUTE_POS / drones as usize] > 0 {
         reset_one::<F>(numbers, words, parameters, selection, observations, ABSOLUTE_POS, count as usize, plan);
     }
 }
@@ -78,7 +84,7 @@ pub(crate) fn philox_kernel(input: &[u32], output: &mut [u32], count: u32) {
     }
 }
 
-/// Advances one environment; `step_one::expand` emits its operations.
+/// Advances one drone; `step_one::expand` emits its operations.
 #[allow(unused_variables, clippy::too_many_arguments)]
 fn step_one<F: Float>(
     numbers: &mut [F],
@@ -89,15 +95,17 @@ fn step_one<F: Float>(
     last_observations: &mut [f32],
     rewards: &mut [f32],
     ends: &mut [u32],
-    index: usize,
+    exchange: &mut [F],
+    position: usize,
     count: usize,
+    threads: usize,
     plan: Plan,
     keeps_last: bool,
 ) {
     unreachable!("kernels run on the device")
 }
 
-/// Starts an episode of one environment; `reset_one::expand` emits its operations.
+/// Starts an episode of one drone; `reset_one::expand` emits its operations.
 #[allow(unused_variables, clippy::too_many_arguments)]
 fn reset_one<F: Float>(
     numbers: &mut [F],
@@ -119,9 +127,6 @@ fn philox_one(input: &[u32], output: &mut [u32], index: usize, count: usize) {
     unreachable!("kernels run on the device")
 }
 
-/// Largest number of single precision below π.
-const PI_INSIDE: f64 = 3.141_592_502_593_994;
-
 type Index = NativeExpand<usize>;
 
 /// Returns `row · count + index`.
@@ -138,7 +143,14 @@ fn cell(scope: &Scope, index: Index, size: usize, column: usize) -> Index {
     index.__expand_mul_method(scope, size).__expand_add_method(scope, column)
 }
 
-fn load<E: CubePrimitive<ExpandType = NativeExpand<E>>>(
+/// Returns the quotient and the rest of an index.
+fn divided(scope: &Scope, index: Index, divisor: u32) -> [Index; 2] {
+    use cubecl::prelude::{DivExpand as _, RemExpand as _};
+    let divisor = Index::from_lit(scope, divisor as usize);
+    [index.__expand_div_method(scope, divisor), index.__expand_rem_method(scope, divisor)]
+}
+
+pub(crate) fn load<E: CubePrimitive<ExpandType = NativeExpand<E>>>(
     scope: &Scope,
     from: &NativeExpand<[E]>,
     at: Index,
@@ -146,7 +158,7 @@ fn load<E: CubePrimitive<ExpandType = NativeExpand<E>>>(
     ExpandValue::Value(from.__expand_index_method(scope, at).read_value(scope))
 }
 
-fn store<E: CubePrimitive<ExpandType = NativeExpand<E>>>(
+pub(crate) fn store<E: CubePrimitive<ExpandType = NativeExpand<E>>>(
     scope: &Scope,
     to: &mut NativeExpand<[E]>,
     at: Index,
@@ -162,61 +174,75 @@ fn single<F: Float>(scope: &Scope, number: Traced<F>) -> Traced<f32> {
     Traced::new(ExpandValue::Value(cast_value(scope, value, f32::__expand_as_type(scope))))
 }
 
-/// Stores an observation in single precision. Angles are rounded towards the inside of their bounds.
+/// Returns the largest number of single precision up to a bound, or the smallest one from a bound on.
+fn inside(bound: f64, upper: bool) -> f32 {
+    let nearest = bound as f32;
+    match f64::from(nearest) {
+        rounded if upper && rounded > bound => nearest.next_down(),
+        rounded if !upper && rounded < bound => nearest.next_up(),
+        _ => nearest,
+    }
+}
+
+/// Stores an observation in single precision, within the bounds of its space.
 fn store_observation<F: Float>(
     scope: &Scope,
+    plan: &Plan,
     to: &mut NativeExpand<[f32]>,
     index: Index,
-    observation: &[Traced<F>; OBSERVATION],
+    observation: &[Traced<F>],
 ) {
-    for (column, number) in observation.iter().enumerate() {
+    for (column, (number, &[low, high])) in observation.iter().zip(plan.observation_bounds.iter()).enumerate() {
         let mut number = single(scope, *number);
-        if (3..6).contains(&column) {
-            number = number.lesser(number.all(PI_INSIDE)).greater(number.all(-PI_INSIDE));
+        if low.is_finite() && high.is_finite() {
+            let [low, high] = [inside(low, false), inside(high, true)].map(|bound| number.all(f64::from(bound)));
+            number = number.lesser(high).greater(low);
         }
-        store(scope, to, cell(scope, index, OBSERVATION, column), number.0);
+        store(scope, to, cell(scope, index, observation.len(), column), number.0);
     }
 }
 
-fn load_parameters<F: Float>(scope: &Scope, from: &NativeExpand<[F]>) -> Parameters<Traced<F>> {
-    let mut next = 0;
-    Parameters::read(|| {
-        next += 1;
-        Traced::new(load(scope, from, Index::from_lit(scope, next - 1)))
-    })
-}
-
-fn load_memory<F: Float>(
-    scope: &Scope,
-    numbers: &NativeExpand<[F]>,
-    words: &NativeExpand<[u32]>,
+/// Buffers of a batch in a kernel.
+struct Batch<'a, F: Float> {
+    numbers: &'a mut NativeExpand<[F]>,
+    words: &'a mut NativeExpand<[u32]>,
+    parameters: &'a NativeExpand<[F]>,
+    /// Number of drones in all environments.
     count: Index,
+    /// Number of this drone.
     index: Index,
-) -> Memory<Traced<F>> {
-    let numbers: [Traced<F>; NUMBERS] =
-        std::array::from_fn(|row| Traced::new(load(scope, numbers, entry(scope, row, count, index))));
-    let words: [TracedWord; WORDS] =
-        std::array::from_fn(|row| TracedWord(load(scope, words, entry(scope, row, count, index))));
-    Memory::new(&numbers, words)
 }
 
-fn store_memory<F: Float>(
-    scope: &Scope,
-    memory: &Memory<Traced<F>>,
-    numbers: &mut NativeExpand<[F]>,
-    words: &mut NativeExpand<[u32]>,
-    count: Index,
-    index: Index,
-) {
-    for (row, number) in memory.numbers().into_iter().enumerate() {
-        store(scope, numbers, entry(scope, row, count, index), number.0);
+impl<F: Float> Batch<'_, F> {
+    /// Loads the nominal parameters of a drone of every environment.
+    fn parameters(&self, scope: &Scope, drone: Index) -> Parameters<Traced<F>> {
+        let mut next = 0;
+        Parameters::read(|| {
+            next += 1;
+            Traced::new(load(scope, self.parameters, cell(scope, drone, Parameters::COUNT, next - 1)))
+        })
     }
-    for (row, word) in memory.words().into_iter().enumerate() {
-        store(scope, words, entry(scope, row, count, index), word.0);
+
+    fn memory(&self, scope: &Scope, plan: &Plan) -> Memory<Traced<F>> {
+        let at = |row| entry(scope, row, self.count, self.index);
+        let numbers: Vec<Traced<F>> =
+            (0..count_numbers(plan)).map(|row| Traced::new(load(scope, self.numbers, at(row)))).collect();
+        let words: Vec<TracedWord> =
+            (0..Memory::<f64>::WORDS).map(|row| TracedWord(load(scope, self.words, at(row)))).collect();
+        Memory::filled(plan, numbers[0], words[0]).with(&numbers, &words)
+    }
+
+    fn store(&mut self, scope: &Scope, memory: &Memory<Traced<F>>) {
+        for (row, number) in memory.numbers().into_iter().enumerate() {
+            store(scope, self.numbers, entry(scope, row, self.count, self.index), number.0);
+        }
+        for (row, word) in memory.words().into_iter().enumerate() {
+            store(scope, self.words, entry(scope, row, self.count, self.index), word.0);
+        }
     }
 }
 
-/// Returns the index of an environment as a word.
+/// Returns an index as a word.
 fn word_of(scope: &Scope, index: Index) -> TracedWord {
     let value = index.expand.read_value(scope);
     TracedWord(ExpandValue::Value(cast_value(scope, value, u32::__expand_as_type(scope))))
@@ -236,25 +262,45 @@ mod step_one {
         last_observations: &mut NativeExpand<[f32]>,
         rewards: &mut NativeExpand<[f32]>,
         ends: &mut NativeExpand<[u32]>,
-        index: Index,
+        exchange: &mut NativeExpand<[F]>,
+        position: Index,
         count: Index,
+        threads: Index,
         plan: Plan,
         keeps_last: bool,
     ) {
+        use cubecl::prelude::{OrdExpand as _, PartialEqExpand as _, PartialOrdExpand as _, SubExpand as _};
         within(scope, || {
-            let constants = load_parameters(scope, parameters);
-            let memory = load_memory(scope, numbers, words, count, index);
+            // threads beyond the last drone compute its step, too, because all threads of a workgroup meet at its
+            // barriers, and store nothing
+            let last = count.__expand_sub_method(scope, Index::from_lit(scope, 1));
+            let index = position.__expand_min_method(scope, last);
+            let [environment, _] = divided(scope, index, plan.drones);
+            // workgroups have whole worlds
+            let [_, drone] = divided(scope, position, plan.drones);
+            let mut batch = Batch { numbers, words, parameters, count, index };
+            let (nominal, memory) = (batch.parameters(scope, drone), batch.memory(scope, &plan));
             let size = plan.action_size();
             let action: [Traced<F>; 4] =
                 std::array::from_fn(|motor| Traced::new(load(scope, actions, cell(scope, index, size, motor % size))));
-            let outcome = control_step(&plan, &constants, &memory, word_of(scope, index), action);
-            store_memory(scope, &outcome.memory, numbers, words, count, index);
-            store_observation(scope, observations, index, &outcome.observation);
-            if keeps_last {
-                store_observation(scope, last_observations, index, &outcome.last_observation);
-            }
-            store(scope, rewards, index, single(scope, outcome.reward).0);
-            store(scope, ends, index, outcome.end.0);
+            let (world, own) = (word_of(scope, environment), word_of(scope, drone));
+            let members = Group::new(exchange, plan.drones, threads, position);
+            let outcome = within_group(members, || control_step(&plan, &nominal, &memory, world, own, action));
+            let exists = position.__expand_lt_method(scope, &count);
+            if_expand(scope, exists, |scope| {
+                within(scope, || {
+                    batch.store(scope, &outcome.memory);
+                    store_observation(scope, &plan, observations, index, &outcome.observation);
+                    if keeps_last {
+                        store_observation(scope, &plan, last_observations, index, &outcome.last_observation);
+                    }
+                    let is_first = drone.__expand_eq_method(scope, &Index::from_lit(scope, 0));
+                    if_expand(scope, is_first, |scope| {
+                        store(scope, rewards, environment, single(scope, outcome.reward).0);
+                        store(scope, ends, environment, outcome.end.0);
+                    });
+                });
+            });
         });
     }
 }
@@ -275,17 +321,20 @@ mod reset_one {
         plan: Plan,
     ) {
         within(scope, || {
-            let constants = load_parameters(scope, parameters);
-            let mut memory = load_memory(scope, numbers, words, count, index);
+            let mut batch = Batch { numbers, words, parameters, count, index };
+            let [environment, drone] = divided(scope, index, plan.drones);
+            let [environments, _] = divided(scope, count, plan.drones);
+            let (nominal, mut memory) = (batch.parameters(scope, drone), batch.memory(scope, &plan));
             let [kind, low, high] =
-                [0, 1, 2].map(|row| TracedWord(load(scope, selection, entry(scope, row, count, index))));
+                [0, 1, 2].map(|row| TracedWord(load(scope, selection, entry(scope, row, environments, environment))));
             let seeded = TracedWord::of(1).less(kind);
             memory.seed =
                 [TracedWord::choose(seeded, low, memory.seed[0]), TracedWord::choose(seeded, high, memory.seed[1])];
             memory.episode = TracedWord::choose(seeded, TracedWord::of(0), memory.episode);
-            let (memory, observation) = reset(&plan, &constants, &memory, word_of(scope, index));
-            store_memory(scope, &memory, numbers, words, count, index);
-            store_observation(scope, observations, index, &observation);
+            let (world, own) = (word_of(scope, environment), word_of(scope, drone));
+            let (memory, observation) = reset(&plan, &nominal, &memory, world, own);
+            batch.store(scope, &memory);
+            store_observation(scope, &plan, observations, index, &observation);
         });
     }
 }

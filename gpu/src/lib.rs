@@ -13,14 +13,17 @@ mod device;
 mod environment;
 mod error;
 mod kernel;
+mod launch;
 mod number;
+mod parameters;
 mod plan;
 mod random;
+mod tasks;
 mod traced;
 
 pub use batch::{GpuAviary, Precision};
 pub use device::{Adapter, AdapterKind, GpuDevice, adapters};
 pub use error::GpuError;
 pub use number::Word;
-pub use plan::GpuTask;
 pub use random::philox;
+pub use tasks::GpuTask;

@@ -1,7 +1,7 @@
 //! Numbers and words with which the step of an environment is written: those of the host, or those of a kernel that
 //! is being built.
 
-use flight::math::Real;
+use flight::random::{Key, Sampled};
 
 /// Unsigned 32-bit integer. Arithmetic wraps around.
 pub trait Word: Copy {
@@ -25,23 +25,36 @@ pub trait Word: Copy {
 }
 
 /// Number with the integers, loops and branches of its device.
-pub trait Number: Real {
+pub trait Number: Sampled {
     /// Integers of the device.
     type Word: Word<Mask = Self::Mask>;
 
     /// Converts an integer to the nearest number.
     fn of_word(word: Self::Word) -> Self;
 
-    /// Applies `step` to the values `count` times.
-    fn repeat<const N: usize>(count: u32, values: [Self; N], step: impl FnMut([Self; N]) -> [Self; N]) -> [Self; N];
+    /// Returns the integer of 64 bits of its halves.
+    fn wide(low: Self::Word, high: Self::Word) -> Self::Integer;
+
+    /// Applies `step` to the values `count` times. The first argument of `step` is the number of the repetition.
+    fn repeat(count: u32, values: Vec<Self>, step: impl FnMut(Self::Word, Vec<Self>) -> Vec<Self>) -> Vec<Self>;
 
     /// Returns the values of `change` where the mask is true, and `values` elsewhere. Only threads whose mask is true
     /// execute `change`.
-    fn when<const N: usize, const K: usize>(
+    fn when(
         mask: Self::Mask,
-        values: ([Self; N], [Self::Word; K]),
-        change: impl FnOnce() -> ([Self; N], [Self::Word; K]),
-    ) -> ([Self; N], [Self::Word; K]);
+        values: (Vec<Self>, Vec<Self::Word>),
+        change: impl FnOnce() -> (Vec<Self>, Vec<Self::Word>),
+    ) -> (Vec<Self>, Vec<Self::Word>);
+
+    /// Returns the values of every drone of the world, in the order of the drones; `own` are those of this one. All
+    /// threads of a workgroup execute this function together.
+    fn gather(drones: u32, own: &[Self]) -> Vec<Vec<Self>>;
+
+    /// Returns the key of random numbers of two integers.
+    fn key([a, b]: [Self::Word; 2]) -> Key<Self::Integer> {
+        let none = Self::Word::of(0);
+        Key([Self::wide(a, none), Self::wide(b, none)])
+    }
 }
 
 impl Word for u32 {
@@ -76,6 +89,7 @@ impl Word for u32 {
     }
 }
 
+/// Numbers of the host, which has worlds of one drone.
 impl Number for f64 {
     type Word = u32;
 
@@ -83,22 +97,27 @@ impl Number for f64 {
         f64::from(word)
     }
 
-    fn repeat<const N: usize>(
-        count: u32,
-        mut values: [Self; N],
-        mut step: impl FnMut([Self; N]) -> [Self; N],
-    ) -> [Self; N] {
-        for _ in 0..count {
-            values = step(values);
+    fn wide(low: u32, high: u32) -> u64 {
+        u64::from(low) | u64::from(high) << 32
+    }
+
+    fn repeat(count: u32, mut values: Vec<Self>, mut step: impl FnMut(u32, Vec<Self>) -> Vec<Self>) -> Vec<Self> {
+        for index in 0..count {
+            values = step(index, values);
         }
         values
     }
 
-    fn when<const N: usize, const K: usize>(
+    fn when(
         mask: bool,
-        values: ([Self; N], [u32; K]),
-        change: impl FnOnce() -> ([Self; N], [u32; K]),
-    ) -> ([Self; N], [u32; K]) {
+        values: (Vec<Self>, Vec<u32>),
+        change: impl FnOnce() -> (Vec<Self>, Vec<u32>),
+    ) -> (Vec<Self>, Vec<u32>) {
         if mask { change() } else { values }
+    }
+
+    fn gather(drones: u32, own: &[Self]) -> Vec<Vec<Self>> {
+        assert_eq!(drones, 1, "the host has worlds of one drone");
+        vec![own.to_vec()]
     }
 }

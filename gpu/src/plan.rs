@@ -1,37 +1,128 @@
 //! Description of the environments of a batch: what a kernel is built for, and the parameters that it reads.
 
-use aviary::action::ActionType;
+use std::f64::consts::PI;
+use std::fmt::Debug;
+use std::hash::{Hash, Hasher};
+use std::ops::Deref;
+use std::sync::Arc;
+
+use aviary::action::{ActionDecoder, ActionType};
 use aviary::drone::DroneParams;
 use aviary::engine::{Engine, EngineKind};
-use aviary::env::{Aviary, DroneEnv, EndReason, Env as _, Task};
+use aviary::env::{Aviary, DroneEnv, EndReason, Env as _, Randomization};
 use aviary::observation::ObservationType;
+use aviary::physics::wind::{WindConfig, WindModel};
 use aviary::state::wxyz;
-use aviary::tasks::{CrashConditions, Hover, Stabilize};
+use aviary::tasks::CrashConditions;
 use aviary::vector::Autoreset;
 use aviary::world::{Forcing, Integrator};
-use flight::body::{Fluid, FreeBody, Medium};
+use flight::body::{FreeBody, Medium};
 use flight::clearance::CollisionCylinder;
+use flight::downwash::Wake;
 use flight::ground_effect::GroundEffect;
-use flight::math::{Real, Turn, V3};
+use flight::math::V3;
 use flight::rotor::RotorModel;
 use flight::state::FlightState;
 use flight::tasks::crash::CLEAR_OF_FLOOR;
+use flight::wind::{WindParams, WindParts};
 
 use crate::error::GpuError;
+use crate::parameters::{Parameters, motion_of};
+use crate::tasks::{GpuTask, KernelTask};
 
-/// Task of a kernel.
+/// Settings whose numbers are constants of a kernel. Two of them are equal if their texts are, which contain every
+/// digit.
+#[derive(Debug, Clone)]
+pub(crate) struct Settings<T> {
+    value: Arc<T>,
+    text: Arc<str>,
+}
+
+impl<T: Debug> Settings<T> {
+    pub fn new(value: T) -> Self {
+        let text = format!("{value:?}").into();
+        Self { value: Arc::new(value), text }
+    }
+}
+
+impl<T> Deref for Settings<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.value
+    }
+}
+
+impl<T> PartialEq for Settings<T> {
+    fn eq(&self, other: &Self) -> bool {
+        self.text == other.text
+    }
+}
+
+impl<T> Eq for Settings<T> {}
+
+impl<T> Hash for Settings<T> {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        self.text.hash(state);
+    }
+}
+
+/// Conversion of actions to motor speeds.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub(crate) enum Decoding {
+    /// Normalized motor speeds of four motors, or of all motors together.
+    Scaled { one: bool },
+    /// Motor speeds, rpm.
+    Raw,
+    /// Control loops.
+    Loops(Settings<ActionDecoder>),
+}
+
+/// Crash conditions of a kernel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Crash {
+    /// True for the condition on the height of the centre.
+    pub below_floor: bool,
+    /// True if a contact of two drones is a crash.
+    pub drones: bool,
+    /// Cosine of the maximum tilt; `None` without a limit.
+    pub upright: Option<f64>,
+}
+
+/// Settings of the wind of a kernel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub(crate) enum TaskKind {
-    Hover,
-    Stabilize,
+pub(crate) struct WindPlan {
+    pub turbulence: bool,
+    pub second_order: bool,
+    pub gusts: bool,
+    pub sinusoidal: bool,
+}
+
+impl WindPlan {
+    fn new(params: &WindParams<f64>) -> Self {
+        let WindParts { turbulence, second_order, gusts, sinusoidal } = params.parts();
+        Self { turbulence, second_order, gusts, sinusoidal }
+    }
+
+    /// Returns the parts of the wind.
+    pub fn parts(self) -> WindParts {
+        let Self { turbulence, second_order, gusts, sinusoidal } = self;
+        WindParts { turbulence, second_order, gusts, sinusoidal }
+    }
 }
 
 /// Options that a kernel is built for. Equal plans share one kernel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub(crate) struct Plan {
-    pub task: TaskKind,
-    /// True if one action commands all four motors.
-    pub one_action: bool,
+    pub task: Settings<KernelTask>,
+    pub crash: Settings<Crash>,
+    /// Number of drones of an environment.
+    pub drones: u32,
+    pub decoding: Decoding,
+    /// Bounds of the action of a drone.
+    pub action_bounds: Settings<Vec<[f64; 2]>>,
+    /// Bounds of the observation of a drone.
+    pub observation_bounds: Settings<Vec<[f64; 2]>>,
     /// Physics steps per control step.
     pub substeps: u32,
     /// Physics steps per second.
@@ -41,172 +132,48 @@ pub(crate) struct Plan {
     pub autoreset: Autoreset,
     pub ground: bool,
     pub drag: bool,
+    pub downwash: bool,
     /// True if the motors have lag.
     pub lag: bool,
     pub medium: bool,
     pub body_fixed: bool,
+    pub wind: Option<WindPlan>,
+    /// Ranges of the samples; all groups are off without randomization.
+    pub ranges: Settings<Randomization>,
+    /// Wind of a randomization with a speed of 1 m/s along x, per unit of drag area.
+    pub sampled_wind: Option<Settings<WindConfig>>,
+    /// True if a drone may start so close to the floor that its first contact is no crash.
+    pub floor: bool,
+    /// Number of control steps whose commands may still be on their way to the motors.
+    pub late_commands: usize,
+    /// Number of control steps whose states may still be observed.
+    pub late_states: usize,
+    /// Parameters that are drawn for every episode, in the order of [`Parameters::each`].
+    pub drawn: Vec<bool>,
     /// True if rotor speeds are relative to the hover speed. In single precision the torque, a difference of squared
     /// rotor speeds, would otherwise keep few digits.
     pub relative: bool,
 }
 
 impl Plan {
-    /// Returns the number of entries of an action.
+    /// Returns the number of entries of the action of a drone.
     pub fn action_size(&self) -> usize {
-        if self.one_action { 1 } else { 4 }
+        self.action_bounds.len()
     }
-}
 
-/// Parameters of an environment, in the units of the fields of `flight`.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Parameters<R = f64> {
-    pub body: FreeBody<R>,
-    pub rotors: RotorModel<R>,
-    pub ground: GroundEffect<R>,
-    /// Coefficients of the blade drag, body frame, N/(m/s)/(rad/s).
-    pub drag: V3<R>,
-    /// Share of the remaining speed difference that a rotor closes in one physics step.
-    pub lag_share: R,
-    /// Hover speed of the nominal airframe, rpm.
-    pub hover_rpm: R,
-    /// Full speed minus hover speed of the nominal airframe, rpm.
-    pub rpm_above_hover: R,
-    /// Factors on the commanded speeds.
-    pub gains: [R; 4],
-    /// The factors minus 1. In single precision their difference would keep few digits.
-    pub gain_errors: [R; 4],
-    /// Speed at which the rotors saturate, minus the hover speed, rpm.
-    pub max_change: R,
-    pub cylinder: CollisionCylinder<R>,
-    /// Cosine of the maximum tilt; below −1 without a limit.
-    pub min_up: R,
-    /// Options of the task: Hover has target and maximum height (m). Stabilize has the maxima of the initial speed
-    /// (m/s), roll and pitch (rad) and body rate (rad/s) along each axis.
-    pub task: [R; 3],
-    /// State at the start of an episode, before the draws of the task.
-    pub start: FlightState<R>,
-}
-
-impl Parameters {
-    /// Number of parameters.
-    pub const COUNT: usize = 67;
-
-    /// Returns the parameters as a list, in the order of [`Parameters::read`].
-    pub fn numbers(&self) -> Vec<f64> {
-        let Self { body, rotors, ground, drag, start, .. } = self;
-        let mut list = vec![body.inverse_mass, body.gravity];
-        list.extend(body.inverse_inertia);
-        list.extend(body.gyration);
-        list.push(body.fluid.viscous);
-        list.extend(body.fluid.quadratic);
-        list.extend(body.fluid.viscous_rate);
-        list.extend(body.fluid.quadratic_rate);
-        list.push(rotors.thrust);
-        list.extend(rotors.torque.as_flattened());
-        list.extend([ground.coefficient, ground.clip, drag.x, drag.y, drag.z]);
-        list.extend([self.lag_share, self.hover_rpm, self.rpm_above_hover]);
-        list.extend(self.gains);
-        list.extend(self.gain_errors);
-        list.push(self.max_change);
-        list.extend([self.cylinder.radius, self.cylinder.height]);
-        list.push(self.min_up);
-        list.extend(self.task);
-        list.extend(motion_numbers(start));
-        debug_assert_eq!(list.len(), Self::COUNT);
-        list
+    /// Returns the number of entries of the observation of a drone.
+    pub fn observation_size(&self) -> usize {
+        self.observation_bounds.len()
     }
-}
 
-impl<R: Real> Parameters<R> {
-    /// Reads the parameters from a list. `next` returns its numbers in order.
-    pub fn read(mut next: impl FnMut() -> R) -> Self {
-        fn several<R, const N: usize>(next: &mut impl FnMut() -> R) -> [R; N] {
-            std::array::from_fn(|_| next())
-        }
-        let next = &mut next;
-        let (inverse_mass, gravity) = (next(), next());
-        let (inverse_inertia, gyration) = (several(next), several(next));
-        let fluid = Fluid {
-            viscous: next(),
-            quadratic: several(next),
-            viscous_rate: several(next),
-            quadratic_rate: several(next),
-        };
-        let body = FreeBody { inverse_mass, gravity, inverse_inertia, gyration, fluid };
-        let rotors = RotorModel { thrust: next(), torque: [several(next), several(next), several(next)] };
-        let ground = GroundEffect { coefficient: next(), clip: next() };
-        let drag = V3 { x: next(), y: next(), z: next() };
-        Self {
-            body,
-            rotors,
-            ground,
-            drag,
-            lag_share: next(),
-            hover_rpm: next(),
-            rpm_above_hover: next(),
-            gains: several(next),
-            gain_errors: several(next),
-            max_change: next(),
-            cylinder: CollisionCylinder { radius: next(), height: next() },
-            min_up: next(),
-            task: several(next),
-            start: motion_of(&several(next)),
-        }
+    /// Returns the length of a physics step, s.
+    pub fn dt(&self) -> f64 {
+        1.0 / f64::from(self.sim_freq)
     }
-}
 
-/// Number of numbers of a state: position 3, attitude 4, velocity 3, body rate 3.
-pub(crate) const MOTION: usize = 13;
-
-/// Returns a state as numbers.
-pub(crate) fn motion_numbers<R: Copy>(motion: &FlightState<R>) -> [R; MOTION] {
-    let FlightState { position: p, attitude: q, velocity: v, rate: w } = motion;
-    [p.x, p.y, p.z, q.w, q.v.x, q.v.y, q.v.z, v.x, v.y, v.z, w.x, w.y, w.z]
-}
-
-/// Returns the state of its numbers.
-pub(crate) fn motion_of<R: Copy>(&[x, y, z, w, qx, qy, qz, vx, vy, vz, p, q, r]: &[R; MOTION]) -> FlightState<R> {
-    FlightState {
-        position: V3 { x, y, z },
-        attitude: Turn { w, v: V3 { x: qx, y: qy, z: qz } },
-        velocity: V3 { x: vx, y: vy, z: vz },
-        rate: V3 { x: p, y: q, z: r },
-    }
-}
-
-/// Task of this library that runs on a GPU.
-pub trait GpuTask: Task + Clone + Send + Sync + private::Sealed {
-    #[doc(hidden)]
-    fn kernel(&self) -> private::KernelTask;
-}
-
-pub(crate) mod private {
-    /// Tasks have kernels of this crate.
-    pub trait Sealed {}
-
-    impl Sealed for super::Hover {}
-    impl Sealed for super::Stabilize {}
-
-    /// Task of a kernel with its options.
-    #[derive(Debug)]
-    pub struct KernelTask {
-        pub(crate) kind: super::TaskKind,
-        pub(crate) options: [f64; 3],
-        pub(crate) crash: super::CrashConditions,
-    }
-}
-
-impl GpuTask for Hover {
-    fn kernel(&self) -> private::KernelTask {
-        let options = [self.target_height, self.max_height, 0.0];
-        private::KernelTask { kind: TaskKind::Hover, options, crash: self.crash.clone() }
-    }
-}
-
-impl GpuTask for Stabilize {
-    fn kernel(&self) -> private::KernelTask {
-        let options = [self.max_speed, self.max_lean, self.max_rate];
-        private::KernelTask { kind: TaskKind::Stabilize, options, crash: self.crash.clone() }
+    /// Returns the length of a control step, s.
+    pub fn control_period(&self) -> f64 {
+        f64::from(self.substeps) * self.dt()
     }
 }
 
@@ -225,37 +192,26 @@ fn not_ported<T>(option: &'static str, got: impl ToString, expected: &'static st
     Err(GpuError::NotPorted { option, got: got.to_string(), expected })
 }
 
-/// Describes an environment for the kernels. `relative` is [`Plan::relative`].
+/// Describes an environment for the kernels: a plan, and the nominal parameters of every drone. `relative` is
+/// [`Plan::relative`].
 ///
 /// # Errors
-/// [`GpuError::NotPorted`] for an option that the kernels do not have, and the errors of the first reset.
+/// [`GpuError::NotPorted`] for an option that the kernels do not have.
 pub(crate) fn describe<T: GpuTask>(
-    env: &mut Aviary<T>,
+    env: &Aviary<T>,
     autoreset: Autoreset,
     relative: bool,
-) -> Result<(Plan, Parameters), GpuError> {
-    // samples exist from the first episode on
-    env.reset(Some(0))?;
-    if env.sampled_params().is_some() {
-        return not_ported("randomization", "set", "none");
-    }
-    let private::KernelTask { kind, options, crash } = env.task().kernel();
+) -> Result<(Plan, Vec<Parameters>), GpuError> {
+    // the parameters of a new environment are nominal
+    let ranges = env.randomization().cloned().unwrap_or(Randomization::NONE);
+    let (task, crash) = env.task().kernel(env.simulation().num_drones());
     let (simulation, action_type) = (env.simulation(), env.action_type());
-    let (world, params) = (simulation.world(), simulation.params(0));
-    if simulation.num_drones() != 1 {
-        return not_ported("num_drones", simulation.num_drones(), "1");
-    }
-    if !matches!(action_type, ActionType::Rpm | ActionType::OneDRpm) {
-        return not_ported("action_type", action_type, "rpm or one_d_rpm");
-    }
+    let (world, drones) = (simulation.world(), simulation.num_drones());
     if matches!(simulation.engine(), Engine::Explicit(_)) {
         return not_ported("engine", EngineKind::Explicit, "mujoco or hybrid");
     }
     if world.integrator != Integrator::Rk4 {
         return not_ported("integrator", "another integrator", "rk4");
-    }
-    if simulation.wind().is_some() {
-        return not_ported("wind", "set", "none");
     }
     if !simulation.obstacles().is_empty() {
         return not_ported("obstacles", simulation.obstacles().len(), "none");
@@ -263,32 +219,93 @@ pub(crate) fn describe<T: GpuTask>(
     if env.observation_space().kind != ObservationType::KIN {
         return not_ported("observation_type", "another type", "kin");
     }
-    check_airframe(params, relative)?;
-    check_crash(&crash)?;
-    let actuators = simulation.actuator_params(0);
-    if actuators.latency > 0.0 {
-        return not_ported("actuators.latency", format!("{} s", actuators.latency), "0 s");
+    let medium = world.medium.map(|medium| Medium { density: medium.density, viscosity: medium.viscosity });
+    if medium.is_some() && ranges.body.is_some() {
+        return not_ported("medium", "set with a randomized body", "no medium, or no randomized body");
     }
+    for drone in 0..drones {
+        check_airframe(simulation.params(drone), relative)?;
+    }
+    check_crash(&crash)?;
     let Ok(episode_steps) = u32::try_from(env.episode_steps()) else {
         return not_ported("episode_seconds", env.episode_steps(), "an episode of at most 4,294,967,295 control steps");
     };
-    let state = &simulation.initial_states()[0];
+    let own_wind = simulation.wind().filter(|wind| !wind.is_calm()).copied();
+    let sampled_wind = ranges.draws_wind().then(|| unit_wind(own_wind));
+    let mut parameters = Vec::new();
+    for drone in 0..drones {
+        parameters.push(nominal(env, drone, medium, own_wind));
+    }
+    check_starts(&task, &ranges, &parameters)?;
+    let (dt, effects, substeps) = (world.timestep, simulation.effects(), simulation.substeps());
+    let wind_params = match (&sampled_wind, own_wind) {
+        (Some(wind), _) => Some(wind.params(dt)),
+        (None, wind) => wind.map(|wind| wind.params(dt)),
+    };
+    let decoding = decoding(env, action_type)?;
+    let history = |seconds: f64| ((seconds / dt).round() as usize).div_ceil(substeps as usize);
+    let motors = ranges.actuators.map_or(0.0, |ranges| ranges.latency[1]);
+    let nominal_latency = (0..drones).map(|drone| simulation.actuator_params(drone).latency).fold(0.0, f64::max);
+    let bounds = |low: &[f64], high: &[f64]| -> Settings<Vec<[f64; 2]>> {
+        let all = low.iter().zip(high).map(|(&low, &high)| [low, high]);
+        Settings::new(all.take(low.len() / drones).collect())
+    };
+    let (actions, observations) = (env.action_space(), &env.observation_space().vector);
+    let mut plan = Plan {
+        task: Settings::new(task),
+        crash: Settings::new(Crash {
+            below_floor: crash.below_floor,
+            drones: crash.drone_contact,
+            upright: (crash.max_tilt < PI).then(|| crash.max_tilt.cos()),
+        }),
+        drones: drones as u32,
+        decoding,
+        action_bounds: bounds(actions.low(), actions.high()),
+        observation_bounds: bounds(observations.low(), observations.high()),
+        substeps,
+        sim_freq: simulation.sim_freq(),
+        episode_steps,
+        autoreset,
+        ground: effects.ground,
+        drag: effects.drag,
+        downwash: effects.downwash && drones > 1,
+        lag: ranges.actuators.is_some() || (0..drones).any(|drone| simulation.actuator_params(drone).lag > 0.0),
+        medium: medium.is_some(),
+        body_fixed: world.forcing == Forcing::BodyFixed,
+        wind: wind_params.as_ref().map(WindPlan::new),
+        floor: parameters.iter().any(|nominal| may_start_on_floor(&ranges, nominal)),
+        late_commands: history(if ranges.actuators.is_some() { motors } else { nominal_latency }),
+        late_states: history(ranges.sensors.map_or(0.0, |ranges| ranges.latency[1])),
+        ranges: Settings::new(ranges),
+        sampled_wind: sampled_wind.map(Settings::new),
+        drawn: vec![false; Parameters::COUNT],
+        relative,
+    };
+    plan.drawn = crate::environment::drawn_parameters(&plan, &parameters);
+    Ok((plan, parameters))
+}
+
+/// Returns the nominal parameters of a drone.
+fn nominal<T: GpuTask>(env: &Aviary<T>, drone: usize, medium: Option<Medium>, wind: Option<WindConfig>) -> Parameters {
+    let simulation = env.simulation();
+    let (params, actuators, dt) =
+        (simulation.params(drone), simulation.actuator_params(drone), simulation.world().timestep);
+    let state = &simulation.initial_states()[drone];
     let [w, x, y, z] = wxyz(&state.attitude);
     let (p, v, rate) = (&state.position, &state.velocity, &state.angular_velocity);
     let start = motion_of(&[p.x, p.y, p.z, w, x, y, z, v.x, v.y, v.z, rate.x, rate.y, rate.z]);
-    let cylinder = CollisionCylinder { radius: params.collision_radius, height: params.collision_height };
-    let clearance = cylinder.floor_clearance(start.position.z, start.attitude.up().z);
-    if clearance <= CLEAR_OF_FLOOR {
-        return not_ported("initial_positions", format!("{} m above the floor", clearance), "more than 0.01 m");
-    }
-    let (dt, effects) = (world.timestep, simulation.effects());
     let (hover, max) = (params.hover_rpm(), params.max_rpm());
     let allocation = params.allocation() * params.thrust_coefficient;
     let row = |row: usize| [0, 1, 2, 3].map(|rotor| allocation[(row, rotor)]);
     let quarter = params.propeller_radius / 4.0;
-    let medium = world.medium.map(|medium| Medium { density: medium.density, viscosity: medium.viscosity });
     let [drag_x, drag_y, drag_z] = params.drag_coefficients;
-    let parameters = Parameters {
+    let [c1, c2, c3] = params.downwash_coefficients;
+    let area = wind.unwrap_or_default().area_of(params.drag_area());
+    let mut wind = wind.map(|wind| wind.params(dt)).unwrap_or_default();
+    wind.drag *= area;
+    let lag = actuators.lag > 0.0;
+    let (latency, saturated) = ((actuators.latency / dt).round(), max * actuators.saturation);
+    Parameters {
         body: FreeBody::new(params.mass, params.inertia, simulation.gravity(), medium),
         rotors: RotorModel { thrust: allocation[(0, 0)], torque: [row(1), row(2), row(3)] },
         ground: GroundEffect {
@@ -296,32 +313,46 @@ pub(crate) fn describe<T: GpuTask>(
             clip: params.ground_effect_clip(),
         },
         drag: V3::new(drag_x, drag_y, drag_z),
-        lag_share: if actuators.lag > 0.0 { -(-dt / actuators.lag).exp_m1() } else { 1.0 },
+        wake: Wake { strength: c1 * quarter * quarter, spread: c2, offset: c3, cap: params.max_thrust() },
+        lag_share: if lag { -(-dt / actuators.lag).exp_m1() } else { 1.0 },
         hover_rpm: hover,
         rpm_above_hover: max - hover,
         gains: actuators.gains,
         gain_errors: actuators.gains.map(|gain| gain - 1.0),
-        max_change: max * actuators.saturation - hover,
-        cylinder,
-        min_up: if crash.max_tilt < std::f64::consts::PI { crash.max_tilt.cos() } else { -2.0 },
-        task: options,
+        max_change: saturated - hover,
+        initial_change: if lag || latency > 0.0 { hover.min(saturated) - hover } else { -hover },
+        motor_latency: latency,
+        sensor_latency: 0.0,
+        biases: [[0.0; 3]; 4],
+        wind,
+        cylinder: CollisionCylinder { radius: params.collision_radius, height: params.collision_height },
         start,
-    };
-    let plan = Plan {
-        task: kind,
-        one_action: action_type == ActionType::OneDRpm,
-        substeps: simulation.substeps(),
-        sim_freq: simulation.sim_freq(),
-        episode_steps,
-        autoreset,
-        ground: effects.ground,
-        drag: effects.drag,
-        lag: actuators.lag > 0.0,
-        medium: medium.is_some(),
-        body_fixed: world.forcing == Forcing::BodyFixed,
-        relative,
-    };
-    Ok((plan, parameters))
+    }
+}
+
+/// Returns the settings of a sampled wind at a speed of 1 m/s along x. `own` is the environment's wind.
+fn unit_wind(own: Option<WindConfig>) -> WindConfig {
+    let WindConfig { filter, drag_area, still_air_drag, .. } = own.unwrap_or_default();
+    WindConfig { filter, drag_area, still_air_drag, velocity: [1.0, 0.0, 0.0], ..WindConfig::new(WindModel::Combined) }
+}
+
+/// Returns the conversion of actions to motor speeds.
+fn decoding<T: GpuTask>(env: &Aviary<T>, action_type: ActionType) -> Result<Decoding, GpuError> {
+    Ok(match action_type {
+        ActionType::Rpm => Decoding::Scaled { one: false },
+        ActionType::OneDRpm => Decoding::Scaled { one: true },
+        ActionType::RawRpm => Decoding::Raw,
+        ActionType::Vel | ActionType::Pid | ActionType::Attitude | ActionType::Ctbr => {
+            let loops = Settings::new(env.action_decoder(0).clone());
+            for drone in 1..env.simulation().num_drones() {
+                if Settings::new(env.action_decoder(drone).clone()) != loops {
+                    return not_ported("drone", "several airframes with control loops", "one airframe");
+                }
+            }
+            Decoding::Loops(loops)
+        }
+        other => return not_ported("action_type", other, "another action type than duty"),
+    })
 }
 
 /// Checks that the kernels have all effects of an airframe.
@@ -342,10 +373,59 @@ fn check_airframe(params: &DroneParams, relative: bool) -> Result<(), GpuError> 
     Ok(())
 }
 
-/// Checks that a contact with the floor ends the episode: the kernels detect contacts, and do not compute their forces.
+/// Checks that a contact of a drone in flight ends the episode: the kernels detect such contacts, and do not compute
+/// their forces.
 fn check_crash(crash: &CrashConditions) -> Result<(), GpuError> {
-    if !crash.floor_contact {
-        return not_ported("crash.floor_contact", false, "true");
+    for (option, condition) in
+        [("crash.floor_contact", crash.floor_contact), ("crash.drone_contact", crash.drone_contact)]
+    {
+        if !condition {
+            return not_ported(option, false, "true");
+        }
+    }
+    Ok(())
+}
+
+/// Returns the radius of the bounding ball of a collision cylinder, m.
+fn ball(cylinder: &CollisionCylinder) -> f64 {
+    cylinder.radius.hypot(0.5 * cylinder.height)
+}
+
+/// Returns the lowest position of the centre of a drone at the start of an episode, m, before the sampler lifts it out
+/// of the floor.
+fn lowest_start(ranges: &Randomization, nominal: &Parameters) -> f64 {
+    let change = ranges.initial.map_or(0.0, |ranges| ranges.position - ranges.offset[2]);
+    nominal.start.position.z - change
+}
+
+/// Returns true if a drone may start so close to the floor that it is not airborne.
+fn may_start_on_floor(ranges: &Randomization, nominal: &Parameters) -> bool {
+    let Parameters { cylinder, start, .. } = nominal;
+    let tilts = ranges.initial.is_some_and(|ranges| ranges.attitude > 0.0);
+    let up = start.attitude.up().z.clamp(-1.0, 1.0);
+    let depth = if tilts { ball(cylinder) } else { cylinder.depth(up, (1.0 - up * up).sqrt()) };
+    lowest_start(ranges, nominal) - depth <= CLEAR_OF_FLOOR
+}
+
+/// Checks that no start of an episode needs a second sample. On the CPU such starts overlap the floor or another drone.
+fn check_starts(task: &KernelTask, ranges: &Randomization, drones: &[Parameters]) -> Result<(), GpuError> {
+    if matches!(task, KernelTask::Stabilize { .. }) {
+        let clearance = |nominal: &Parameters| lowest_start(ranges, nominal) - ball(&nominal.cylinder);
+        let lowest = drones.iter().map(clearance).fold(f64::INFINITY, f64::min);
+        if lowest <= CLEAR_OF_FLOOR {
+            return not_ported("initial_positions", format!("{lowest} m above the floor"), "more than 0.01 m");
+        }
+    }
+    let reach = ranges.initial.map_or(0.0, |ranges| 2.0 * 3_f64.sqrt() * ranges.position);
+    for (index, one) in drones.iter().enumerate() {
+        for other in &drones[..index] {
+            let FlightState { position, .. } = one.start;
+            let apart = (position - other.start.position).norm() - ball(&one.cylinder) - ball(&other.cylinder);
+            if apart <= reach {
+                let got = format!("{apart:.3} m apart with a random change of up to {reach:.3} m");
+                return not_ported("initial_positions", got, "drones whose random starts cannot meet");
+            }
+        }
     }
     Ok(())
 }

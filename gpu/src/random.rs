@@ -1,6 +1,9 @@
 //! Random numbers: Philox4x32-10, a function of a key and a counter, so that no thread keeps a generator
 //! (J. K. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC11).
 
+use flight::math::V3;
+use flight::random::NormalPair;
+
 use crate::number::{Number, Word};
 
 const MULTIPLIERS: [u32; 2] = [0xd251_1f53, 0xcd9e_8d57];
@@ -31,12 +34,22 @@ pub fn philox<W: Word>(key: [W; 2], counter: [W; 4]) -> [W; 4] {
     [a, b, c, d]
 }
 
-/// Random numbers of one episode of one environment. The numbers depend on the seed, the index of the environment and
-/// the number of the episode, and not on the size of the batch.
+/// Stream of random numbers in an episode.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Stream<W> {
+    /// What the drones of a world share.
+    World,
+    /// One drone.
+    Drone(W),
+}
+
+/// Random numbers of one episode of one environment. The numbers depend on the seed, the index of the environment, the
+/// number of the episode and the stream, and not on the size of the batch.
 pub(crate) struct Draws<N: Number> {
     key: [N::Word; 2],
     environment: N::Word,
     episode: N::Word,
+    stream: N::Word,
     block: u32,
     words: [N::Word; 4],
     used: usize,
@@ -44,13 +57,18 @@ pub(crate) struct Draws<N: Number> {
 
 impl<N: Number> Draws<N> {
     /// Creates the numbers of an episode.
-    pub fn new(key: [N::Word; 2], environment: N::Word, episode: N::Word) -> Self {
-        Self { key, environment, episode, block: 0, words: [key[0]; 4], used: 4 }
+    pub fn new(key: [N::Word; 2], environment: N::Word, episode: N::Word, stream: Stream<N::Word>) -> Self {
+        let stream = match stream {
+            Stream::World => N::Word::of(u32::MAX),
+            Stream::Drone(drone) => drone,
+        };
+        Self { key, environment, episode, stream, block: 0, words: [key[0]; 4], used: 4 }
     }
 
-    fn word(&mut self) -> N::Word {
+    /// Returns the next random integer.
+    pub fn word(&mut self) -> N::Word {
         if self.used == 4 {
-            let counter = [self.environment, self.episode, N::Word::of(self.block), N::Word::of(0)];
+            let counter = [self.environment, self.episode, N::Word::of(self.block), self.stream];
             self.words = philox(self.key, counter);
             (self.block, self.used) = (self.block + 1, 0);
         }
@@ -62,6 +80,29 @@ impl<N: Number> Draws<N> {
     pub fn symmetric(&mut self) -> N {
         let number = N::of_word(self.word());
         (number + 0.5) * (2.0 / 4_294_967_296.0) - 1.0
+    }
+
+    /// Returns a number between 0 and 1.
+    pub fn unit(&mut self) -> N {
+        let number = N::of_word(self.word());
+        (number + 0.5) * (1.0 / 4_294_967_296.0)
+    }
+
+    /// Returns a number within a range.
+    pub fn within(&mut self, [low, high]: [f64; 2]) -> N {
+        self.unit() * (high - low) + low
+    }
+
+    /// Returns three numbers between −1 and 1.
+    pub fn symmetric_triple(&mut self) -> V3<N> {
+        V3::new(self.symmetric(), self.symmetric(), self.symmetric())
+    }
+
+    /// Returns two independent standard normal numbers.
+    pub fn normals(&mut self) -> [N; 2] {
+        let none = N::Word::of(0);
+        let [radius, angle] = [self.word(), self.word()].map(|word| N::wide(word, none));
+        NormalPair::new(radius, angle).samples()
     }
 }
 
@@ -92,7 +133,7 @@ pub(crate) mod tests {
         // Kolmogorov–Smirnov at the level of 1e-6
         let mut numbers: Vec<f64> = (0..20_000)
             .flat_map(|environment| {
-                let mut draws = Draws::<f64>::new([1, 2], environment, 3);
+                let mut draws = Draws::<f64>::new([1, 2], environment, 3, Stream::World);
                 [draws.symmetric(), draws.symmetric(), draws.symmetric(), draws.symmetric(), draws.symmetric()]
             })
             .collect();
