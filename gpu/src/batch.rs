@@ -214,6 +214,12 @@ impl GpuAviary {
         self.batch.precision
     }
 
+    /// Returns the number of bytes that a control step of one environment reads and writes in the memory of the device,
+    /// without the parameters that all environments share.
+    pub fn bytes_per_step(&self) -> usize {
+        DeviceBatch::bytes_per_step(&self.batch.plan, self.batch.precision, !self.finals.is_empty())
+    }
+
     /// Returns the present states of all drones, environment by environment.
     ///
     /// # Errors
@@ -278,16 +284,21 @@ impl GpuAviary {
         Ok(())
     }
 
+    /// Returns the error of an environment that needs a reset before its next step.
+    fn needs_reset(&self, environment: usize) -> Option<EnvError> {
+        let Progress { started, over, .. } = self.progress[environment];
+        let when = match (started, over && self.config.autoreset == Autoreset::Disabled) {
+            (false, _) => "on a new environment",
+            (true, true) => "after the end of the episode",
+            (true, false) => return None,
+        };
+        Some(EnvError::NeedsReset { when })
+    }
+
     fn check_started(&self) -> Result<(), EnvError> {
-        let disabled = self.config.autoreset == Autoreset::Disabled;
-        let bad = |progress: &Progress| !progress.started || disabled && progress.over;
-        match self.progress.iter().position(bad) {
+        match (0..self.progress.len()).find_map(|environment| Some((environment, self.needs_reset(environment)?))) {
+            Some((environment, error)) => Err(EnvError::InBatch { environment, error: Box::new(error) }),
             None => Ok(()),
-            Some(environment) => {
-                let new = !self.progress[environment].started;
-                let when = if new { "on a new environment" } else { "after the end of the episode" };
-                Err(EnvError::InBatch { environment, error: Box::new(EnvError::NeedsReset { when }) })
-            }
         }
     }
 
@@ -312,14 +323,15 @@ impl GpuAviary {
 
     /// Advances every environment by one control step with the actions of `self.actions`.
     fn step_with(&mut self, out: VecStep<'_>) -> Result<(), EnvError> {
-        self.faults.clear();
         let count = self.progress.len();
         check_len("observations", out.observations.len(), count * self.observation_size())?;
         check_len("rewards", out.rewards.len(), count)?;
         check_len("terminated", out.terminated.len(), count)?;
         check_len("truncated", out.truncated.len(), count)?;
         let fatal = self.config.on_fault == OnFault::Error;
-        self.check_started()?;
+        if fatal {
+            self.check_started()?;
+        }
         if fatal && self.actions.iter().any(|x| !x.is_finite()) {
             let running = (0..count).filter(|&environment| !self.ignores_action(environment));
             let bad = running.map(|environment| (environment, self.bad_action(environment)));
@@ -338,6 +350,13 @@ impl GpuAviary {
         for (environment, &end) in u32::from_bytes(&bytes[2]).iter().enumerate() {
             out.terminated[environment] = end & end::TERMINATED != 0;
             out.truncated[environment] = end & end::TRUNCATED != 0;
+            if let Some(error) = self.needs_reset(environment) {
+                (out.rewards[environment], out.terminated[environment]) = (0.0, false);
+                out.truncated[environment] = true;
+                self.summaries[environment] = None;
+                self.faults.push((environment, error));
+                continue;
+            }
             any_ended |= end != 0;
             self.note(environment, f64::from(out.rewards[environment]), end);
         }
@@ -362,7 +381,8 @@ impl GpuAviary {
         }
         let reason = reason_of(end & end::REASON);
         if reason == Some(EndReason::Fault) {
-            let diverged = || EnvError::Device { message: "the state of the drone diverged".into() };
+            let time = self.progress[environment].steps as f64 * self.control_period;
+            let diverged = || EnvError::Device { message: format!("the state of a drone diverged after {time} s") };
             let error = self.bad_action(environment).unwrap_or_else(diverged);
             self.faults.push((environment, error));
         }
@@ -458,12 +478,14 @@ impl VecEnv for GpuAviary {
     }
 
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
+        self.faults.clear();
         check_len("actions", actions.len(), self.actions.len())?;
         self.actions.iter_mut().zip(actions).for_each(|(own, &action)| *own = f64::from(action));
         self.step_with(out)
     }
 
     fn step_f64(&mut self, actions: &[f64], out: VecStep<'_>) -> Result<(), EnvError> {
+        self.faults.clear();
         check_len("actions", actions.len(), self.actions.len())?;
         self.actions.copy_from_slice(actions);
         self.step_with(out)

@@ -75,6 +75,12 @@ pub(crate) fn reset_kernel<F: Float>(
     }
 }
 
+/// Kernel of a copy, for measurements.
+#[cube(launch_unchecked)]
+pub(crate) fn copy_kernel(from: &[f32], to: &mut [f32]) {
+    to[ABSOLUTE_POS] = from[ABSOLUTE_POS];
+}
+
 /// Kernel of the random words of counters, for the test of their known answers: a key and a counter per thread.
 #[cfg(test)]
 #[cube(launch_unchecked)]

@@ -1,5 +1,7 @@
 //! A batch in the memory of the device, and the launches of its kernels.
 
+use std::time::Instant;
+
 use cubecl::bytes::Bytes;
 use cubecl::prelude::*;
 use cubecl::server::Handle;
@@ -8,7 +10,7 @@ use crate::batch::Precision;
 use crate::device::GpuDevice;
 use crate::environment::{Memory, count_numbers};
 use crate::error::GpuError;
-use crate::kernel::{reset_kernel, step_kernel};
+use crate::kernel::{copy_kernel, reset_kernel, step_kernel};
 use crate::parameters::Parameters;
 use crate::plan::Plan;
 use crate::traced::Group;
@@ -111,6 +113,14 @@ impl DeviceBatch {
         let observations = plan.observation_size() * if keeps_last { 2 } else { 1 };
         let single = observations + Memory::<f64>::WORDS;
         let drone = (count_numbers(plan) + plan.action_size()) * precision.bytes() + single * size_of::<f32>();
+        plan.drones as usize * drone + size_of::<f32>() + size_of::<u32>()
+    }
+
+    /// Returns the bytes that a step of an environment reads and writes.
+    pub fn bytes_per_step(plan: &Plan, precision: Precision, keeps_last: bool) -> usize {
+        let observations = plan.observation_size() * if keeps_last { 2 } else { 1 };
+        let single = observations + 2 * Memory::<f64>::WORDS;
+        let drone = (2 * count_numbers(plan) + plan.action_size()) * precision.bytes() + single * size_of::<f32>();
         plan.drones as usize * drone + size_of::<f32>() + size_of::<u32>()
     }
 
@@ -242,6 +252,47 @@ impl DeviceBatch {
                 self.plan.drones,
             );
         }
+    }
+}
+
+/// Measures the memory bandwidth of copies within a device, bytes per second, reads and writes together.
+///
+/// # Errors
+/// [`GpuError::Device`] if the device fails.
+#[allow(unsafe_code)]
+pub fn bandwidth(device: &GpuDevice) -> Result<f64, GpuError> {
+    /// Number of numbers of a buffer.
+    const SIZE: usize = 1 << 24;
+    const GROUP: u32 = 256;
+    let client = device.client();
+    let zeros = || client.create(Bytes::from_elems(vec![0_u8; SIZE * size_of::<f32>()]));
+    let (from, to) = (zeros(), zeros());
+    let copy = || {
+        // SAFETY: both buffers have SIZE entries, and the kernel has a thread per entry
+        unsafe {
+            copy_kernel::launch_unchecked(
+                client,
+                CubeCount::Static(SIZE as u32 / GROUP, 1, 1),
+                CubeDim::new_1d(GROUP),
+                BufferArg::from_raw_parts(from.clone(), SIZE),
+                BufferArg::from_raw_parts(to.clone(), SIZE),
+            );
+        }
+    };
+    let wait = || cubecl::future::block_on(client.sync()).map_err(|error| GpuError::device(&error));
+    // the first launch compiles the kernel
+    copy();
+    wait()?;
+    let mut copies = 1_u32;
+    loop {
+        let start = Instant::now();
+        (0..copies).for_each(|_| copy());
+        wait()?;
+        let seconds = start.elapsed().as_secs_f64();
+        if seconds > 0.2 {
+            return Ok(f64::from(copies) * (2 * SIZE * size_of::<f32>()) as f64 / seconds);
+        }
+        copies *= 2;
     }
 }
 

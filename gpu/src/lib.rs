@@ -24,6 +24,7 @@ mod traced;
 pub use batch::{GpuAviary, Precision};
 pub use device::{Adapter, AdapterKind, GpuDevice, adapters};
 pub use error::GpuError;
+pub use launch::bandwidth;
 pub use number::Word;
 pub use random::philox;
 pub use tasks::GpuTask;

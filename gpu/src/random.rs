@@ -37,7 +37,7 @@ pub fn philox<W: Word>(key: [W; 2], counter: [W; 4]) -> [W; 4] {
 /// Stream of random numbers in an episode.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Stream<W> {
-    /// What the drones of a world share.
+    /// Numbers that the drones of a world share.
     World,
     /// One drone.
     Drone(W),

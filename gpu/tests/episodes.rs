@@ -282,7 +282,7 @@ fn every_error_is_one_line() {
     assert!(unknown.contains("does not exist") && unknown.contains(&adapters()[0].name), "{unknown}");
 }
 
-/// The body rate grows to hundreds of radians per second, more than the usual equations of a physics step are exact for.
+/// The body rate grows to hundreds of radians per second, beyond the range of the usual equations of a physics step.
 #[test]
 fn a_fast_spin_is_that_of_the_cpu() {
     let Some(device) = device("a_fast_spin_is_that_of_the_cpu") else { return };
@@ -463,4 +463,33 @@ fn a_drone_stands_on_the_floor_until_it_takes_off() {
         assert!((a - b).abs() < 5e-3, "step {step}: {a} m and {b} m");
     }
     panic!("the drone has not fallen back to the floor");
+}
+
+/// With faults that truncate, an environment that needs a reset does not stop the others.
+#[test]
+fn an_episode_that_has_ended_waits_for_its_reset() {
+    let Some(device) = device("an_episode_that_has_ended_waits_for_its_reset") else { return };
+    let config = VecConfig { autoreset: Autoreset::Disabled, on_fault: OnFault::Truncate, ..VecConfig::new(2) };
+    let mut cpu = make_vec("hover", EnvConfig::default(), config).unwrap();
+    let mut gpu = gpu(&device, config);
+    let (mut on_cpu, mut on_gpu) = (VecBuffers::new(&*cpu), VecBuffers::new(&gpu));
+    cpu.reset(Some(1), &mut on_cpu.observations).unwrap();
+    gpu.reset(Some(1), &mut on_gpu.observations).unwrap();
+    let mut waited = 0;
+    for step in 0..30 {
+        // the first drone falls
+        let actions = [-1.0, -1.0, -1.0, -1.0, 0.1, 0.1, 0.1, 0.1];
+        cpu.step(&actions, on_cpu.step()).unwrap();
+        gpu.step(&actions, on_gpu.step()).unwrap();
+        assert_eq!((&on_cpu.terminated, &on_cpu.truncated), (&on_gpu.terminated, &on_gpu.truncated), "step {step}");
+        let texts = |faults: &[(usize, EnvError)]| -> Vec<(usize, String)> {
+            faults.iter().map(|(index, error)| (*index, error.to_string())).collect()
+        };
+        assert_eq!(texts(cpu.faults()), texts(gpu.faults()), "step {step}");
+        waited += gpu.faults().len();
+    }
+    assert!(waited > 5 && !on_gpu.terminated[1], "{waited}");
+    let height = on_gpu.observations[2];
+    gpu.reset_where(&[true, false], None, &mut on_gpu.observations).unwrap();
+    assert!((on_gpu.observations[2] - 0.1).abs() < 1e-6 && height < 0.1);
 }

@@ -266,6 +266,10 @@ class VectorAviary(VectorEnv):
             error, "truncate" if it ends the episode of the environment with the reward 0.
         max_episode_steps: Time limit of an episode, control steps, instead of the shorter or longer one of the task or
             of `episode_seconds`; None for that one.
+        device: "cpu", "gpu", or "gpu:" and the number or a part of the name of an adapter. On a GPU the environments
+            are in its memory and have fewer options; arrays are copied between it and the host. The random numbers and
+            the rounding differ from those of the CPU. `envs` gives access to states alone. A package has a GPU back
+            end if it was built with the feature `gpu`.
         options: Options of the single environment: `num_drones`, `physics`, `obs_type`, `act_type`, `wind`, ...
 
     Example:
@@ -288,12 +292,14 @@ class VectorAviary(VectorEnv):
         copy: bool = True,
         on_fault: str = "error",
         max_episode_steps: int | None = None,
+        device: str = "cpu",
         **options: Any,
     ) -> None:
         self._arguments = dict(
             options,
             task=task,
             num_envs=num_envs,
+            device=device,
             autoreset_mode=autoreset_mode,
             num_threads=num_threads,
             copy=copy,
@@ -309,13 +315,16 @@ class VectorAviary(VectorEnv):
             max_episode_steps = integer("max_episode_steps", max_episode_steps, 1, most)
         if not isinstance(on_fault, str):
             raise ValueError(f'on_fault is {short(on_fault)}, expected "error" or "truncate"')
+        if not isinstance(device, str):
+            raise ValueError(f'device is {short(device)}, expected "cpu", "gpu" or "gpu:" and an adapter')
+        self.device = device
         self.copy = flag("copy", copy)
         task, native, render = native_options(task, options)
         self.render_mode = render.mode
         self._frame_size = (render.width, render.height)
         _opengl.prepare()
         mode = _AUTORESET[self.autoreset_mode]
-        batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps, self.copy)
+        batch = _native.Batch(task, native, count, threads, mode, on_fault, max_episode_steps, self.copy, device)
         self._batch: Any = batch
         # attributes of single environments that the caller has set
         self._attributes: dict[int, dict[str, Any]] = {}

@@ -1,12 +1,13 @@
 //! Batches of environments.
 
 pub mod buffers;
+mod device;
 mod members;
 mod outputs;
 
 use std::sync::{Mutex, MutexGuard, TryLockError};
 
-use aviary::env::{DroneEnv, EndReason, EnvError, Info};
+use aviary::env::{DroneEnv, EndReason, EnvError};
 use aviary::observation::{KIN_SIZE, Observation};
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec};
 use aviary::vision::ImageSize;
@@ -15,6 +16,7 @@ use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
+use self::device::Environments;
 use self::members::{Members, Seeds};
 use self::outputs::{Images, Outputs, StepArrays, StepMemory};
 use crate::conditions;
@@ -68,9 +70,12 @@ fn option_error(error: EnvError) -> PyErr {
 impl Batch {
     /// Creates a batch. `autoreset` is "next_step", "same_step" or "disabled", `on_fault` is "error" or "truncate".
     /// An episode has at most `max_episode_steps` control steps; None for the time limit of the task. With `copy`,
-    /// steps and resets return new arrays, otherwise the same ones every time.
+    /// steps and resets return new arrays, otherwise the same ones every time. `device` is "cpu", "gpu", or "gpu:" and an
+    /// adapter.
     #[new]
-    #[pyo3(signature = (task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None, copy = true))]
+    #[pyo3(signature = (
+        task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None, copy = true, device = "cpu"
+    ))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -82,6 +87,7 @@ impl Batch {
         on_fault: &str,
         max_episode_steps: Option<u64>,
         copy: bool,
+        device: &str,
     ) -> PyResult<Self> {
         let autoreset = match autoreset {
             "next_step" => Autoreset::NextStep,
@@ -103,7 +109,7 @@ impl Batch {
         };
         let mut config = env_config(task, options)?;
         let batch = VecConfig { threads, autoreset, on_fault, keep_observations: copy, ..VecConfig::new(num_envs) };
-        let env = without_gil(py, || {
+        let Environments { env, probe } = without_gil(py, || {
             guard(|| {
                 if let Some(steps) = max_episode_steps {
                     let one = VecConfig { threads: 1, ..VecConfig::new(1) };
@@ -115,13 +121,13 @@ impl Batch {
                 if let Some(message) = memory::check(task, &config, batch).map_err(option_error)? {
                     return Err(PyMemoryError::new_err(message));
                 }
-                make_vec(task, config, batch).map_err(option_error)
+                device::make(device, task, config, batch, option_error)
             })
         })?;
         let (images, arrays) = Images::new(py, &*env)?;
         let outputs = Outputs::new(py, &*env, copy)?;
         let (environments, action_size) = (env.num_envs(), env.action_size());
-        let inner = Mutex::new(Some(Inner { members: Members::new(env, images), outputs }));
+        let inner = Mutex::new(Some(Inner { members: Members::new(env, probe, images), outputs }));
         Ok(Self { process: std::process::id(), images: arrays.unbind(), inner, environments, action_size })
     }
 
@@ -205,15 +211,25 @@ impl Batch {
     }
 
     /// Returns time (s), progress, position error (m) and crashes at the ends of the episodes that ended in the last
-    /// step, for the indices that `ends` has returned; zeros for an episode that could not start.
+    /// step, for the indices that `ends` has returned; zeros for an episode that could not start. Progress and position
+    /// error are NaN for environments on a GPU.
     fn final_infos<'py>(&self, py: Python<'py>, indices: PyReadonlyArray1<'py, i64>) -> PyResult<FinalInfos<'py>> {
         self.with(py, |inner| {
             let (mut numbers, mut crashes) = ([Vec::new(), Vec::new(), Vec::new()], Vec::new());
             for &index in indices.as_array() {
-                let info = usize::try_from(index).ok().and_then(|index| inner.env.final_info(index));
-                let values = info.map_or([0.0; 3], |info| [info.time, info.progress, info.position_error]);
+                let index = usize::try_from(index).ok();
+                let info = index.and_then(|index| inner.env.final_info(index));
+                let summary = index.and_then(|index| inner.env.episode_summary(index));
+                let (values, crashed) = match (info, summary) {
+                    (Some(info), _) => ([info.time, info.progress, info.position_error], info.crashed()),
+                    (None, Some(summary)) if inner.probe.is_some() => {
+                        let time = summary.steps as f64 * inner.env.control_period();
+                        ([time, f64::NAN, f64::NAN], summary.end.is_some_and(EndReason::is_crash))
+                    }
+                    _ => ([0.0; 3], false),
+                };
                 numbers.iter_mut().zip(values).for_each(|(numbers, value)| numbers.push(value));
-                crashes.push(info.is_some_and(Info::crashed));
+                crashes.push(crashed);
             }
             let [time, progress, position_error] = numbers.map(|numbers| numbers.into_pyarray(py));
             Ok((time, progress, position_error, crashes.into_pyarray(py)))
@@ -325,7 +341,7 @@ impl Batch {
             dict.set_item("episode_steps", inner.env.episode_steps())?;
             dict.set_item("control_period", inner.env.control_period())
         })?;
-        self.with_env(py, 0, |env| {
+        self.with_first(py, |env| {
             let simulation = env.simulation();
             dict.set_item("num_drones", simulation.num_drones())?;
             dict.set_item("sim_freq", simulation.sim_freq())?;
@@ -446,6 +462,16 @@ impl Batch {
             let (mut look, mut result) = (Some(look), None);
             let call = &mut |env: &mut dyn DroneEnv| result = look.take().map(|look| look(env));
             inner.env.with_env(index, call).map_err(env_error)?;
+            result.unwrap_or_else(|| Err(gone()))
+        })
+    }
+
+    /// Calls a function with an environment that has the constants of all.
+    fn with_first<R>(&self, py: Python<'_>, look: impl FnOnce(&mut dyn DroneEnv) -> PyResult<R>) -> PyResult<R> {
+        self.with(py, |inner| {
+            let (mut look, mut result) = (Some(look), None);
+            let call = &mut |env: &mut dyn DroneEnv| result = look.take().map(|look| look(env));
+            inner.probe.as_mut().unwrap_or(&mut inner.env).with_env(0, call).map_err(env_error)?;
             result.unwrap_or_else(|| Err(gone()))
         })
     }

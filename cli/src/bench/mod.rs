@@ -1,6 +1,8 @@
 //! Steps per second of the engines and of batches, with their ratio to bare MuJoCo steps in the same run.
 
 mod conditions;
+#[cfg(feature = "gpu")]
+mod gpu;
 mod meter;
 mod policy;
 mod processes;
@@ -8,6 +10,7 @@ mod rows;
 
 use std::fmt::Write as _;
 
+use anyhow::anyhow;
 use aviary::engine::EngineKind;
 use aviary::engine::flight::{LANES, Width};
 use aviary::env::EnvError;
@@ -34,11 +37,15 @@ use crate::output;
 /// on one thread, with their ratio to flight without wind, effects and randomization. A row of
 /// processes is the sum of single-thread batches that run at the same time in processes of their
 /// own.
+///
+/// With `--device gpu` the rows are batches on a GPU: hover and multi_hover by the number of
+/// environments, without and with copies to the host.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
   aviary bench
-  aviary bench --quick --json")]
+  aviary bench --quick --json
+  aviary bench --device gpu --quick")]
 pub struct Bench {
     /// Fewer and shorter measurements, within 30 s
     #[arg(long)]
@@ -49,6 +56,18 @@ pub struct Bench {
     /// Widest instruction set: portable, avx2, avx512; default the machine's
     #[arg(long, value_name = "SET", value_parser = instructions)]
     instructions: Option<Width>,
+    /// Device of the batches: cpu, gpu
+    #[arg(
+        long,
+        value_name = "DEVICE",
+        default_value = "cpu",
+        value_parser = ["cpu", "gpu"],
+        hide_possible_values = true
+    )]
+    device: String,
+    /// GPU of the batches: a number or a part of a name [default: 0]
+    #[arg(long, value_name = "GPU")]
+    adapter: Option<String>,
     /// Only the rows whose name contains this text
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
@@ -97,6 +116,12 @@ impl Bench {
         if let Some(size) = self.process {
             return processes::serve(size, self.width());
         }
+        if self.device == "gpu" {
+            return self.on_a_gpu();
+        }
+        if self.adapter.is_some() {
+            return Err(Failure::input(anyhow!("--adapter is set for batches on the cpu, expected --device gpu")));
+        }
         let mut meter = Meter::new(self)?;
         let rows = self.rows(&mut meter).map_err(Failure::work)?;
         let mj_step = meter.bare_rate();
@@ -123,6 +148,19 @@ impl Bench {
         text += "\nratio: physics steps of all drones per bare mj_step, median of alternating measurements\n\
                  spread: largest minus smallest ratio of the rounds, relative to the median\n";
         output::print(&text)
+    }
+
+    #[cfg(feature = "gpu")]
+    fn on_a_gpu(&self) -> Result<(), Failure> {
+        gpu::run(self)
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    #[allow(clippy::unused_self)] // the form of the other function
+    fn on_a_gpu(&self) -> Result<(), Failure> {
+        Err(Failure::input(anyhow!(
+            "--device is gpu, but this program has no GPU back end: build it with --features gpu"
+        )))
     }
 
     /// Returns the instruction set of the batches.

@@ -1,4 +1,4 @@
-//! What an environment keeps between two control steps, for one drone.
+//! State that a drone keeps between two control steps.
 
 use aviary::control::ControlMemory;
 use flight::math::V3;

@@ -311,6 +311,9 @@ pub(crate) fn control_step<N: Number>(
     } else {
         valid
     };
+    // an episode that has ended waits for a reset
+    let over = (plan.autoreset == Autoreset::Disabled).then(|| none.less(memory.end));
+    let valid = over.map_or(valid, |over| valid & !over);
     // a state that is not a number would stay one
     let (before_step, after_step) = (memory.numbers(), stepped.numbers());
     let numbers: Vec<N> =
@@ -320,7 +323,10 @@ pub(crate) fn control_step<N: Number>(
     let Judgement { reward, end } = evaluate(plan, nominal, &mut stepped, drone, before, &flown);
     let fault = N::Word::of(code_of(EndReason::Fault) | end::TRUNCATED);
     let (mut reward, mut end) = (N::choose(valid, reward, zero), N::Word::choose(valid, end, fault));
-    stepped.end = end;
+    stepped.end = match over {
+        Some(over) => N::Word::choose(over, memory.end, end),
+        None => end,
+    };
     let observation = observe(plan, nominal, &parameters, &stepped, drone);
     let begins = match plan.autoreset {
         Autoreset::SameStep => none.less(end),
@@ -329,7 +335,6 @@ pub(crate) fn control_step<N: Number>(
             (reward, end) = (N::choose(begins, zero, reward), N::Word::choose(begins, none, end));
             begins
         }
-        // the host rejects a step after the end of an episode
         Autoreset::Disabled => {
             return Outcome {
                 memory: stepped,

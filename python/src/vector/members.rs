@@ -10,6 +10,8 @@ use crate::error::env_error;
 /// Environments of a batch and what does not change its place from step to step.
 pub struct Members {
     pub env: Box<dyn VecEnv>,
+    /// Environment on the CPU with the constants of all, if these are elsewhere.
+    pub probe: Option<Box<dyn VecEnv>>,
     images: Images,
     has_images: bool,
     /// True if the images show the present states.
@@ -20,9 +22,9 @@ pub struct Members {
 
 impl Members {
     /// Creates the environments of a batch without results.
-    pub fn new(env: Box<dyn VecEnv>, images: Images) -> Self {
+    pub fn new(env: Box<dyn VecEnv>, probe: Option<Box<dyn VecEnv>>, images: Images) -> Self {
         let has_images = env.observation_space().kind.has_images();
-        Self { env, images, has_images, images_are_current: false, ended: Vec::new() }
+        Self { env, probe, images, has_images, images_are_current: false, ended: Vec::new() }
     }
 
     /// Steps the environments and returns true if an episode has ended.
