@@ -192,6 +192,9 @@ impl FlightCommand {
             let is_over = pilot.rollout.is_over() || has_failed;
             // a flight that can be changed ends when the window is closed
             if is_over && !is_changed || is_changed && live.is_none() {
+                if let Some(Err(error)) = live.as_mut().map(|window| window.show_end(pilot)) {
+                    tracing::warn!("{error}; the last state is not shown");
+                }
                 break;
             }
             if let Some(window) = &mut live {

@@ -4,7 +4,7 @@ mod clock;
 mod history;
 mod piloted;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use aviary::control::ControllerKind;
 use aviary::physics::wind::WindConfig;
@@ -135,6 +135,8 @@ pub struct LiveFlight<S> {
 const STIFFNESS: f64 = 60.0;
 /// Largest pull, as a multiple of the weight.
 const MAX_PULL: f64 = 4.0;
+/// Longest time that the end of a flight waits for the image of its last state.
+const LAST_IMAGE: Duration = Duration::from_secs(1);
 
 impl<S> LiveFlight<S> {
     /// Creates a flight in a window. `is_interactive` is false for a flight that the person may pause but not change.
@@ -237,6 +239,21 @@ impl<S> LiveFlight<S> {
                 self.viewer.shared().wait(Some(due));
             }
         }
+    }
+
+    /// Shows the state after the last control step, for a loop that ends with the episode. Returns when the window has
+    /// drawn the state, after 1 s at the latest, or when the window is closed.
+    ///
+    /// # Errors
+    /// As for [`turn`](Self::turn).
+    pub fn show_end(&mut self, flown: &dyn Flown<Saved = S>) -> Result<(), ViewerError> {
+        let step = flown.source().simulation().control_steps();
+        self.show(flown)?;
+        let begin = Instant::now();
+        while self.viewer.is_open()? && self.viewer.status().step != step && begin.elapsed() < LAST_IMAGE {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Ok(())
     }
 
     /// Shows the present state.
