@@ -99,7 +99,10 @@ impl FlightCommand {
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
         let kept = if self.animation.wants_preview(pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
-        let animation = self.animation.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
+        let mut animation = self.animation.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
+        if let Some(animation) = animation.as_mut().filter(|_| window == InWindow::Changed) {
+            animation.allow_rewind()?;
+        }
         if let Some(out) = &out {
             out.remove(&["summary.json", SCENARIO])?;
             out.remove(&PLOTS)?;
@@ -203,6 +206,9 @@ impl FlightCommand {
                     Ok(Turn::Restarted) => {
                         has_failed = false;
                         seed = window.status().seed.unwrap_or(seed);
+                        if let Some(animation) = &mut animation {
+                            animation.end_episode()?;
+                        }
                         log.restart(out, drones)?;
                         log.note(pilot)?;
                         if let Some(out) = out {
@@ -213,6 +219,9 @@ impl FlightCommand {
                     }
                     Ok(Turn::Rewound) => {
                         has_failed = false;
+                        if let Some(animation) = &mut animation {
+                            animation.rewind(pilot.env().simulation().control_steps());
+                        }
                         log.rewind(out, pilot.env().simulation().time())?;
                         (errors, reward) = log.totals();
                         continue;
