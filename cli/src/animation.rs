@@ -1,5 +1,7 @@
 //! Options for animations of a flight (GIF, MP4, PNG files), and their writers.
 
+use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow};
@@ -128,7 +130,7 @@ impl AnimationOptions {
             OutputDir::create(path)?;
         }
         let frames = self.png.as_ref().map(|path| PngSequence::create(path, size)).transpose();
-        Ok(Some(AnimationWriter { recorder, gif, video, frames: frames.map_err(Failure::work)? }))
+        Ok(Some(AnimationWriter { recorder, gif, video, frames: frames.map_err(Failure::work)?, kept: None }))
     }
 }
 
@@ -147,22 +149,47 @@ pub struct AnimationWriter {
     gif: Option<GifAnimation<FileWriter>>,
     video: Option<(Mp4, OutputFile)>,
     frames: Option<PngSequence>,
+    /// Frames of the episode, which the outputs receive at its end, for a flight that can be rewound.
+    kept: Option<KeptFrames>,
 }
 
 impl AnimationWriter {
+    /// Prepares the animations for [`rewind`](Self::rewind). The outputs then receive the frames of an episode at its
+    /// end.
+    pub fn allow_rewind(&mut self) -> Result<(), Failure> {
+        self.kept = Some(KeptFrames::create(self.recorder.size())?);
+        Ok(())
+    }
+
+    /// Removes the frames after a control step of the episode.
+    pub fn rewind(&mut self, step: u64) {
+        self.recorder.rewind(step);
+        if let Some(kept) = &mut self.kept {
+            kept.rewind(step);
+        }
+    }
+
+    /// Gives the outputs the frames of an episode that has ended.
+    pub fn end_episode(&mut self) -> Result<(), Failure> {
+        let Self { gif, video, frames, kept, .. } = self;
+        kept.as_mut().map_or(Ok(()), |kept| kept.drain(|rgb| put(rgb, gif, video, frames)))
+    }
+
     /// Writes a frame if one is due.
     pub fn look(&mut self, simulation: &Simulation, reference: impl Fn(usize) -> Reference) -> Result<(), Failure> {
-        let Self { recorder, gif, video, frames } = self;
+        let Self { recorder, gif, video, frames, kept } = self;
         let rgb = recorder.look_at(simulation, |drone| Some(reference(drone)));
-        match rgb.map_err(vision_failure)? {
-            Some(rgb) => put(rgb, gif, video, frames),
-            None => Ok(()),
+        match (rgb.map_err(vision_failure)?, kept) {
+            (Some(rgb), Some(kept)) => kept.push(simulation.control_steps(), rgb),
+            (Some(rgb), None) => put(rgb, gif, video, frames),
+            (None, _) => Ok(()),
         }
     }
 
     /// Writes the last frame and gives the files their names.
     pub fn finish(mut self, simulation: &Simulation, reference: impl Fn(usize) -> Reference) -> Result<(), Failure> {
-        let Self { recorder, gif, video, frames } = &mut self;
+        self.end_episode()?;
+        let Self { recorder, gif, video, frames, .. } = &mut self;
         let rgb = recorder.frame(simulation, |drone| Some(reference(drone))).map_err(vision_failure)?;
         put(rgb, gif, video, frames)?;
         if let Some(gif) = self.gif {
@@ -171,6 +198,49 @@ impl AnimationWriter {
         if let Some((video, file)) = self.video {
             video.finish().with_context(|| file.target().display().to_string()).map_err(Failure::work)?;
             file.keep()?;
+        }
+        Ok(())
+    }
+}
+
+/// Frames of an episode in a temporary file.
+struct KeptFrames {
+    file: File,
+    /// Control steps of the frames.
+    steps: Vec<u64>,
+    /// Size of a frame, bytes.
+    bytes: usize,
+}
+
+impl KeptFrames {
+    fn create(size: ImageSize) -> Result<Self, Failure> {
+        let file = Self::checked(tempfile::tempfile())?;
+        Ok(Self { file, steps: Vec::new(), bytes: 3 * size.pixels() })
+    }
+
+    /// Returns an error of the file with its purpose.
+    fn checked<T>(done: std::io::Result<T>) -> Result<T, Failure> {
+        done.context("temporary file for the frames").map_err(Failure::work)
+    }
+
+    fn push(&mut self, step: u64, rgb: &[u8]) -> Result<(), Failure> {
+        let start = (self.steps.len() * self.bytes) as u64;
+        Self::checked(self.file.seek(SeekFrom::Start(start)).and_then(|_| self.file.write_all(rgb)))?;
+        self.steps.push(step);
+        Ok(())
+    }
+
+    fn rewind(&mut self, step: u64) {
+        self.steps.retain(|&of_frame| of_frame <= step);
+    }
+
+    /// Passes the frames on and removes them.
+    fn drain(&mut self, mut put: impl FnMut(&[u8]) -> Result<(), Failure>) -> Result<(), Failure> {
+        let mut rgb = vec![0; self.bytes];
+        Self::checked(self.file.rewind())?;
+        for _ in self.steps.drain(..) {
+            Self::checked(self.file.read_exact(&mut rgb))?;
+            put(&rgb)?;
         }
         Ok(())
     }
@@ -192,5 +262,78 @@ fn put(
     match frames {
         Some(frames) => frames.frame(rgb).map_err(Failure::work),
         None => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use aviary::env::{DroneEnv, Env as _, EnvConfig};
+    use aviary::tasks::make;
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        options: AnimationOptions,
+    }
+
+    /// Flies steps with an action for each, and looks at the state before each of them.
+    fn fly(env: &mut dyn DroneEnv, animation: &mut AnimationWriter, actions: impl IntoIterator<Item = f64>) {
+        for action in actions {
+            animation.look(env.simulation(), |drone| env.reference(drone)).unwrap();
+            env.step(&[action; 4]).unwrap();
+        }
+    }
+
+    fn files(dir: &std::path::Path) -> Vec<Vec<u8>> {
+        let names = (0..).map(|index| dir.join(format!("{index:05}.png")));
+        names.take_while(|path| path.exists()).map(|path| std::fs::read(path).unwrap()).collect()
+    }
+
+    /// The animation of a flight that was rewound, and restarted, has no frame of the states that were taken back.
+    #[test]
+    fn a_rewound_flight_has_no_frames_of_the_states_that_were_taken_back() {
+        if mujoco_rs::gl_info().is_err() {
+            return;
+        }
+        let animation = |rewinds: &[(u64, u64)]| -> Vec<Vec<u8>> {
+            let dir = tempfile::tempdir().unwrap();
+            let path = dir.path().join("frames");
+            let line = ["test", "--size", "80x60", "--overlay", "trails", "--png", path.to_str().unwrap()];
+            let options = Line::try_parse_from(line).unwrap().options;
+            let mut env = make("hover", EnvConfig::default()).unwrap();
+            env.reset(Some(1)).unwrap();
+            let mut animation = options.begin(env.simulation(), &[], |_| None).unwrap().unwrap();
+            animation.allow_rewind().unwrap();
+            for episode in 0..2 {
+                let mut step = 0;
+                for &(from, to) in rewinds {
+                    fly(&mut *env, &mut animation, (step..to).map(|_| 0.1));
+                    let saved = env.snapshot();
+                    // another flight, which is taken back
+                    fly(&mut *env, &mut animation, (to..from).map(|_| 0.3));
+                    env.restore(&saved).unwrap();
+                    animation.rewind(to);
+                    step = to;
+                }
+                fly(&mut *env, &mut animation, (step..40).map(|_| 0.1));
+                if episode == 0 {
+                    env.reset(Some(2)).unwrap();
+                    animation.end_episode().unwrap();
+                    assert_eq!(files(&path).len(), 20);
+                }
+            }
+            animation.finish(env.simulation(), |drone| env.reference(drone)).unwrap();
+            files(&path)
+        };
+        let plain = animation(&[]);
+        assert_eq!(plain.len(), 41);
+        for rewinds in [&[(31, 10)][..], &[(30, 0), (25, 13)], &[(12, 11), (40, 11), (39, 38)]] {
+            let rewound = animation(rewinds);
+            assert_eq!(rewound.len(), plain.len(), "{rewinds:?}");
+            assert!(rewound == plain, "{rewinds:?}");
+        }
     }
 }

@@ -99,7 +99,10 @@ impl FlightCommand {
         let default = self.plot.then(|| Path::new("out/fly").join(pilot.env().name()));
         let out = self.out.clone().or(default).as_deref().map(OutputDir::create).transpose()?;
         let kept = if self.animation.wants_preview(pilot.env().simulation()) { pilot.preview()? } else { Vec::new() };
-        let animation = self.animation.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
+        let mut animation = self.animation.begin(pilot.env().simulation(), &kept, |drone| pilot.path(drone))?;
+        if let Some(animation) = animation.as_mut().filter(|_| window == InWindow::Changed) {
+            animation.allow_rewind()?;
+        }
         if let Some(out) = &out {
             out.remove(&["summary.json", SCENARIO])?;
             out.remove(&PLOTS)?;
@@ -192,6 +195,9 @@ impl FlightCommand {
             let is_over = pilot.rollout.is_over() || has_failed;
             // a flight that can be changed ends when the window is closed
             if is_over && !is_changed || is_changed && live.is_none() {
+                if let Some(Err(error)) = live.as_mut().map(|window| window.show_end(pilot)) {
+                    tracing::warn!("{error}; the last state is not shown");
+                }
                 break;
             }
             if let Some(window) = &mut live {
@@ -200,6 +206,9 @@ impl FlightCommand {
                     Ok(Turn::Restarted) => {
                         has_failed = false;
                         seed = window.status().seed.unwrap_or(seed);
+                        if let Some(animation) = &mut animation {
+                            animation.end_episode()?;
+                        }
                         log.restart(out, drones)?;
                         log.note(pilot)?;
                         if let Some(out) = out {
@@ -210,6 +219,9 @@ impl FlightCommand {
                     }
                     Ok(Turn::Rewound) => {
                         has_failed = false;
+                        if let Some(animation) = &mut animation {
+                            animation.rewind(pilot.env().simulation().control_steps());
+                        }
                         log.rewind(out, pilot.env().simulation().time())?;
                         (errors, reward) = log.totals();
                         continue;

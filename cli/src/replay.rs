@@ -80,6 +80,9 @@ impl Replay {
             log.record(&flight.simulation).map_err(unwritten)?;
             bar.inc(1);
         }
+        if let Some(Err(error)) = live.as_mut().map(|window| window.show_end(&flight)) {
+            tracing::warn!("{error}; the last state is not shown");
+        }
         bar.finish_and_clear();
         log.finish().map_err(unwritten)?.keep()?;
         let simulation = &flight.simulation;

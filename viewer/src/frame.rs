@@ -112,6 +112,8 @@ pub struct DroneFrame {
     pub voltage: Option<f64>,
     /// Reward of the last control step.
     pub reward: f64,
+    /// Terms of the reward, by name; empty before the first control step and for a task without terms.
+    pub reward_terms: Vec<(&'static str, f64)>,
     /// Reason of the end, if the episode has ended for the drone.
     pub end: Option<EndReason>,
     /// Thrust and external force in the last physics step.
@@ -168,6 +170,7 @@ impl Frame {
                 motor_gains: *simulation.motor_gains(drone),
                 voltage: simulation.battery(drone).map(|_| simulation.voltage(drone)),
                 reward: env.map_or(0.0, |env| env.drone_reward(drone)),
+                reward_terms: env.map_or_else(Vec::new, |env| env.reward_terms(drone)),
                 end: env.and_then(|env| env.drone_end(drone)),
                 load: simulation.loads()[drone],
                 push: Vector3::zeros(),

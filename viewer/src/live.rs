@@ -4,7 +4,7 @@ mod clock;
 mod history;
 mod piloted;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use aviary::control::ControllerKind;
 use aviary::physics::wind::WindConfig;
@@ -122,6 +122,8 @@ pub struct LiveFlight<S> {
     forces: Vec<Vector3<f64>>,
     /// Single control steps that a paused flight is to make.
     steps: u32,
+    /// Wind before the first change of the wind in the episode, if there was a change.
+    wind_before: Option<Option<WindConfig>>,
     /// Number of layouts of the obstacles that were drawn, for their seeds.
     layouts: u64,
     /// Sticks of the drone that is flown by hand, and their meaning.
@@ -133,6 +135,8 @@ pub struct LiveFlight<S> {
 const STIFFNESS: f64 = 60.0;
 /// Largest pull, as a multiple of the weight.
 const MAX_PULL: f64 = 4.0;
+/// Longest time that the end of a flight waits for the image of its last state.
+const LAST_IMAGE: Duration = Duration::from_secs(1);
 
 impl<S> LiveFlight<S> {
     /// Creates a flight in a window. `is_interactive` is false for a flight that the person may pause but not change.
@@ -146,6 +150,7 @@ impl<S> LiveFlight<S> {
             pulls: Vec::new(),
             forces: Vec::new(),
             steps: 0,
+            wind_before: None,
             layouts: 0,
             sticks: [0.0; 4],
             mode: None,
@@ -236,6 +241,21 @@ impl<S> LiveFlight<S> {
         }
     }
 
+    /// Shows the state after the last control step, for a loop that ends with the episode. Returns when the window has
+    /// drawn the state, after 1 s at the latest, or when the window is closed.
+    ///
+    /// # Errors
+    /// As for [`turn`](Self::turn).
+    pub fn show_end(&mut self, flown: &dyn Flown<Saved = S>) -> Result<(), ViewerError> {
+        let step = flown.source().simulation().control_steps();
+        self.show(flown)?;
+        let begin = Instant::now();
+        while self.viewer.is_open()? && self.viewer.status().step != step && begin.elapsed() < LAST_IMAGE {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Ok(())
+    }
+
     /// Shows the present state.
     fn show(&mut self, flown: &dyn Flown<Saved = S>) -> Result<(), ViewerError> {
         let forces = &self.forces;
@@ -298,6 +318,10 @@ impl<S> LiveFlight<S> {
         match command {
             Command::Restart { next_seed } => {
                 let seed = self.status.seed.map(|seed| if next_seed { seed.wrapping_add(1) } else { seed });
+                if let Some(wind) = self.wind_before {
+                    // an environment that samples its wind refuses it, and samples a wind for the new episode
+                    let _ = flown.set_wind(wind);
+                }
                 flown.restart(seed)?;
                 self.status.seed = seed;
                 self.begin();
@@ -329,7 +353,12 @@ impl<S> LiveFlight<S> {
                 }
                 Ok(None)
             }
-            Command::Wind(wind) => flown.set_wind(wind).map(|()| None),
+            Command::Wind(wind) => {
+                let before = flown.source().simulation().wind().copied();
+                flown.set_wind(wind)?;
+                self.wind_before.get_or_insert(before);
+                Ok(None)
+            }
             Command::NewObstacles => {
                 self.layouts += 1;
                 flown.new_obstacles(self.status.seed.unwrap_or(0).wrapping_add(1000 * self.layouts)).map(|()| None)
@@ -368,7 +397,86 @@ impl<S> LiveFlight<S> {
         self.history = History::default();
         self.pulls.clear();
         self.forces.clear();
+        self.wind_before = None;
         self.layouts = 0;
         self.steps = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use aviary::env::{DroneEnv, EnvConfig};
+    use aviary::physics::wind::WindModel;
+    use aviary::rollout::{ControllerPolicy, PilotedPolicy, Rollout};
+    use aviary::state::DroneState;
+    use aviary::tasks::make;
+
+    use super::*;
+
+    type Piloted = Rollout<Box<dyn DroneEnv>, PilotedPolicy<ControllerPolicy>>;
+
+    struct Flight(Piloted);
+
+    impl PilotedRollout for Flight {
+        type Policy = ControllerPolicy;
+
+        fn rollout(&self) -> &Piloted {
+            &self.0
+        }
+
+        fn rollout_mut(&mut self) -> &mut Piloted {
+            &mut self.0
+        }
+
+        fn name(&self) -> String {
+            "dsl".into()
+        }
+    }
+
+    fn wind(x: f64) -> WindConfig {
+        WindConfig { velocity: [x, 0.5, 0.0], ..WindConfig::new(WindModel::Constant) }
+    }
+
+    /// Returns the wind and the states of ten control steps after a command.
+    fn after(
+        command: Option<Command>,
+        live: &mut LiveFlight<<Flight as Flown>::Saved>,
+        flight: &mut Flight,
+    ) -> (Option<WindConfig>, Vec<DroneState>) {
+        if let Some(command) = command {
+            live.viewer.shared().send(command);
+        }
+        let mut states = Vec::new();
+        while states.len() < 10 {
+            if live.turn(flight, false).unwrap() == Turn::Step {
+                flight.0.step().unwrap();
+                states.push(flight.0.env().simulation().states()[0]);
+            }
+        }
+        (flight.0.env().simulation().wind().copied(), states)
+    }
+
+    /// The wind that a person sets lasts until the restart, which is bit-identical to the first episode.
+    #[test]
+    fn a_restart_has_the_wind_of_the_flight() {
+        for own in [None, Some(wind(1.0))] {
+            let config = EnvConfig::default();
+            let config = if let Some(own) = own { config.wind(own) } else { config };
+            let env: Box<dyn DroneEnv> = make("hover", config).unwrap();
+            let policy = PilotedPolicy::new(ControllerPolicy::new(ControllerKind::Dsl, &env));
+            let mut flight = Flight(Rollout::start(env, policy, Some(3)).unwrap());
+            let viewer = Viewer::without_window(flight.source());
+            let mut live = LiveFlight::new(viewer, Some(3), true);
+            live.status.speed = 64.0;
+            let first = after(None, &mut live, &mut flight);
+            assert_eq!(first.0, own);
+            for changed in [Some(wind(3.0)), Some(wind(4.0)), None] {
+                assert_eq!(after(Some(Command::Wind(changed)), &mut live, &mut flight).0, changed);
+                // a rewind does not end the change of the person
+                after(Some(Command::Rewind { step: 10 }), &mut live, &mut flight);
+                assert_eq!(after(Some(Command::Wind(changed)), &mut live, &mut flight).0, changed);
+                assert_eq!(after(Some(Command::Restart { next_seed: false }), &mut live, &mut flight), first);
+            }
+        }
     }
 }

@@ -1,8 +1,8 @@
 //! Flights as recordings of Rerun (<https://rerun.io>), which a browser or Rerun's viewer shows.
 //!
 //! A recording has the scene (`world/…`): poses, meshes, cameras, trails and references of the drones, obstacles and
-//! markers, wind; and series over time (`plots/…`): position, velocity, attitude, body rates, rotor speeds, reward and
-//! metrics. Its timelines are `time` (simulated time) and `step` (control step).
+//! markers, wind; and series over time (`plots/…`): position, velocity, attitude, body rates, rotor speeds, reward
+//! with its terms, and metrics. Its timelines are `time` (simulated time) and `step` (control step).
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -339,7 +339,17 @@ impl RerunLog {
         series("attitude", of_drone.rpy.map(f64::to_degrees).as_slice())?;
         series("body_rates", state.angular_velocity.as_slice())?;
         series("rotor_speeds", &of_drone.rotor_speeds)?;
-        series("reward", &[of_drone.reward])
+        series("reward", &[of_drone.reward])?;
+        let had_terms = self.last.as_ref().is_some_and(|last| !last.drones[index].reward_terms.is_empty());
+        for (name, value) in &of_drone.reward_terms {
+            let path = format!("reward/{name}");
+            if !had_terms {
+                // the first state of an episode has no terms
+                self.log_static(&format!("{plots}/{path}"), &SeriesLines::new().with_names([*name]))?;
+            }
+            series(&path, &[*value])?;
+        }
+        Ok(())
     }
 
     /// Records the paths of the last seconds and the wind.

@@ -95,6 +95,13 @@ impl Viewer {
         Ok(viewer)
     }
 
+    /// Creates a viewer that has no window.
+    #[cfg(test)]
+    pub(crate) fn without_window(source: Source<'_>) -> Self {
+        let shared = Arc::new(Shared::new(EpisodeView::new(source, 1)));
+        Self { shared, last: None, episodes: 0 }
+    }
+
     /// Shows the present state of an environment. Call it after every reset and every step. A smaller number of control
     /// steps than in the last call, or another environment, starts a new episode in the window.
     ///

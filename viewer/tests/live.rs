@@ -242,6 +242,24 @@ fn episodes_restart_with_the_same_seed() {
     });
 }
 
+#[test]
+fn the_last_state_is_shown_before_the_end() {
+    in_display("the_last_state_is_shown_before_the_end", |display| {
+        let env: Box<dyn DroneEnv> = make("hover", EnvConfig::default().episode_seconds(0.5)).unwrap();
+        let policy = PilotedPolicy::new(ControllerPolicy::new(ControllerKind::Dsl, &env));
+        let mut flight = Flight(Rollout::start(env, policy, Some(3)).unwrap());
+        let options = ViewerOptions { title: "end".into(), is_pretty: Some(false), ..ViewerOptions::default() };
+        let mut live = LiveFlight::new(Viewer::open(&**flight.0.env(), options).unwrap(), Some(3), false);
+        display.windows("end", 1);
+        while !flight.0.is_over() {
+            assert_eq!(live.turn(&mut flight, false), Ok(Turn::Step));
+            flight.0.step().unwrap();
+        }
+        live.show_end(&flight).unwrap();
+        assert_eq!(live.viewer().status().step, 24);
+    });
+}
+
 /// A flight that only shows its window can be paused, but not changed.
 #[test]
 fn a_watched_flight_cannot_be_changed() {

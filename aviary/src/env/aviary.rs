@@ -141,6 +141,11 @@ impl<T: Task> Aviary<T> {
         self.simulation.control_steps() >= self.model.episode_steps
     }
 
+    /// Returns true after the first step of an episode.
+    fn has_stepped(&self) -> bool {
+        self.episode.phase != Phase::New && self.simulation.control_steps() > 0
+    }
+
     /// Returns a drone's reward for the last step.
     pub(crate) fn reward_of(&self, drone: usize) -> f64 {
         self.episode.reward_of(self.simulation.view(), drone)
@@ -368,8 +373,11 @@ impl<T: Task + Clone + Send + Sync> DroneEnv for Aviary<T> {
     }
 
     fn drone_reward(&self, drone: usize) -> f64 {
-        let stepped = self.episode.phase != Phase::New && self.simulation.control_steps() > 0;
-        if stepped { self.reward_of(drone) } else { 0.0 }
+        if self.has_stepped() { self.reward_of(drone) } else { 0.0 }
+    }
+
+    fn reward_terms(&self, drone: usize) -> Vec<(&'static str, f64)> {
+        if self.has_stepped() { self.episode.reward_terms_of(self.simulation.view(), drone) } else { Vec::new() }
     }
 
     fn action_type(&self) -> ActionType {

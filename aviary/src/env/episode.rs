@@ -119,6 +119,11 @@ impl<T: Task> Episode<T> {
         self.task.reward(simulation, drone, self.ends[drone])
     }
 
+    /// Returns the terms of a drone's reward for the last step.
+    pub(crate) fn reward_terms_of(&self, simulation: SimView<'_>, drone: usize) -> Vec<(&'static str, f64)> {
+        self.task.reward_terms(simulation, drone, self.ends[drone])
+    }
+
     /// Returns true if no drone has crashed and all fulfil the task in this state.
     pub(crate) fn is_success(&self, simulation: SimView<'_>, end: Option<EndReason>) -> bool {
         let crashed = end.is_some_and(EndReason::is_crash);

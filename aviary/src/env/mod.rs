@@ -55,6 +55,7 @@ use crate::vision::{ImageSize, View};
 use crate::world::Obstacle;
 
 pub use crate::random::Rng;
+pub use flight::tasks::RewardTerms;
 
 /// Result of a step. [`Env::info`] returns further information on demand.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -310,6 +311,31 @@ pub trait DroneEnv: Env {
 
     /// Returns the reward of a drone in the last step; 0 before the first step of an episode.
     fn drone_reward(&self, drone: usize) -> f64;
+
+    /// Returns the terms of the reward of a drone in the last step, by name and in the unit of the reward: bonuses are
+    /// positive, penalties negative. Their sum in this order is [`drone_reward`](Self::drone_reward). The documentation
+    /// of every task in [`tasks`](crate::tasks) lists its terms. The list is empty before the first step of an episode,
+    /// and for a task that has no [terms](Task::reward_terms). After [`restore`](Env::restore), the terms are those of
+    /// the last step before the snapshot.
+    ///
+    /// ```
+    /// use aviary::env::{DroneEnv, Env};
+    /// use aviary::tasks::Formation;
+    ///
+    /// let mut env = Formation::builder().build()?;
+    /// env.reset(Some(1))?;
+    /// assert_eq!(env.reward_terms(0), []);
+    /// env.step(&[0.0; 12])?;
+    /// let terms = env.reward_terms(0);
+    /// let names: Vec<_> = terms.iter().map(|(name, _)| *name).collect();
+    /// assert_eq!(names, ["slot_error", "distance_errors", "crash"]);
+    /// assert_eq!(terms.iter().map(|(_, value)| value).sum::<f64>(), env.drone_reward(0));
+    /// # Ok::<(), aviary::env::EnvError>(())
+    /// ```
+    fn reward_terms(&self, drone: usize) -> Vec<(&'static str, f64)> {
+        let _ = drone;
+        Vec::new()
+    }
 
     /// Returns the present reference. A controller that follows it fulfils the task.
     fn reference(&self, drone: usize) -> Reference;

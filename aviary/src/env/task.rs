@@ -170,6 +170,30 @@ pub trait Task: std::fmt::Debug + 'static {
     /// step.
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64;
 
+    /// Returns the terms of a drone's [`reward`](Self::reward) for the last control step, by name: bonuses are
+    /// positive, penalties negative, and their sum in this order is the reward. Names are in lower snake case, unique,
+    /// and the same in every step. The unit is that of the reward. By default, the list is empty. Windows and
+    /// recordings show the terms one by one; no step calls this function.
+    ///
+    /// A formula that is generic over its result ([`RewardTerms`](super::RewardTerms)) is written once for both
+    /// functions:
+    ///
+    /// ```
+    /// use aviary::env::RewardTerms;
+    ///
+    /// fn formula<T: RewardTerms<f64>>(height: f64, speed: f64) -> T {
+    ///     T::first("height", height).minus("speed", 0.1 * speed)
+    /// }
+    ///
+    /// let reward: f64 = formula(2.0, 5.0);
+    /// let reward_terms: Vec<(&'static str, f64)> = formula(2.0, 5.0);
+    /// assert_eq!((reward, reward_terms), (1.5, vec![("height", 2.0), ("speed", -0.5)]));
+    /// ```
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        let _ = (simulation, drone, end);
+        Vec::new()
+    }
+
     /// Writes a drone's observation.
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]);
 

@@ -216,13 +216,24 @@ impl FrameRecorder {
         self.last_step = now;
         let max = (Trail::MAX_TOTAL / self.trails.len().max(1)).clamp(40, Trail::MAX_POINTS);
         for (trail, state) in self.trails.iter_mut().zip(simulation.states()) {
-            trail.push(state.position, max);
+            trail.push(now, state.position, max);
         }
         if now < self.next {
             return Ok(None);
         }
         self.next = now + self.every;
         self.frame(simulation, reference).map(Some)
+    }
+
+    /// Continues the recording from an earlier control step of the episode: removes the later points of the trails. The
+    /// next frame is the first one after this step that the recorder would also have returned without the change.
+    /// Frames of later steps that the recorder has returned are the caller's to remove.
+    pub fn rewind(&mut self, step: u64) {
+        for trail in &mut self.trails {
+            trail.rewind(step);
+        }
+        self.next -= self.next.saturating_sub(step + 1) / self.every * self.every;
+        self.last_step = self.last_step.min(step);
     }
 
     /// Renders a frame of the current state, independent of the frame rate.
@@ -300,13 +311,15 @@ impl FrameRecorder {
 #[derive(Debug, Clone, PartialEq)]
 struct Trail {
     points: Vec<Vector3<f64>>,
+    /// Control steps of the points.
+    steps: Vec<u64>,
     /// Minimum distance between points, m.
     spacing: f64,
 }
 
 impl Default for Trail {
     fn default() -> Self {
-        Self { points: Vec::new(), spacing: 0.01 }
+        Self { points: Vec::new(), steps: Vec::new(), spacing: 0.01 }
     }
 }
 
@@ -316,37 +329,68 @@ impl Trail {
     /// Maximum number of points of all trails, which leaves room in the scene for other shapes.
     const MAX_TOTAL: usize = 12_000;
 
-    fn push(&mut self, position: Vector3<f64>, max: usize) {
-        // // the last point follows the drone until it is far enough from the point before it
-        if let [.., before, last] = &mut self.points[..]
+    fn push(&mut self, step: u64, position: Vector3<f64>, max: usize) {
+        // the last point follows the drone until it is far enough from the point before it
+        if let [.., before, last] = &self.points[..]
             && (*last - *before).norm() < self.spacing
         {
-            *last = position;
-            return;
+            self.points.pop();
+            self.steps.pop();
         }
         self.points.push(position);
+        self.steps.push(step);
         if self.points.len() > max {
-            let last = self.points.len() - 1;
-            let mut index = 0;
-            self.points.retain(|_| {
-                index += 1;
-                index % 2 == 1 || index > last
-            });
+            thin_out(&mut self.points);
+            thin_out(&mut self.steps);
             self.spacing *= 2.0;
         }
     }
+
+    /// Removes the points after a control step.
+    fn rewind(&mut self, step: u64) {
+        self.steps.truncate(self.steps.partition_point(|&of_point| of_point <= step));
+        self.points.truncate(self.steps.len());
+    }
+}
+
+/// Removes every second element, but not the last one.
+fn thin_out<T>(elements: &mut Vec<T>) {
+    let last = elements.len() - 1;
+    let mut index = 0;
+    elements.retain(|_| {
+        index += 1;
+        index % 2 == 1 || index > last
+    });
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// A trail after a rewind continues as a trail that never had the later points.
+    #[test]
+    fn a_rewound_trail_is_that_of_a_flight_without_the_later_states() {
+        let point = |step: u64, wave: f64| Vector3::new(0.004 * step as f64, (wave * step as f64).sin() * 0.01, 1.0);
+        for rewound in [0, 1, 57, 100] {
+            let (mut trail, mut plain) = (Trail::default(), Trail::default());
+            (0..=100).for_each(|step| trail.push(step, point(step, 0.3), Trail::MAX_POINTS));
+            trail.rewind(rewound);
+            assert!(trail.steps.iter().all(|&step| step <= rewound) && trail.steps.len() == trail.points.len());
+            // the first state after a rewind is the one that the flight continues from
+            for step in rewound..=200 {
+                trail.push(step, point(step, 0.3), Trail::MAX_POINTS);
+            }
+            (0..=200).for_each(|step| plain.push(step, point(step, 0.3), Trail::MAX_POINTS));
+            assert_eq!(trail, plain, "{rewound}");
+        }
+    }
+
     #[test]
     fn a_trail_keeps_its_ends_and_stays_short() {
         let mut trail = Trail::default();
-        for i in 0..100_000 {
+        for i in 0..100_000_u32 {
             let turn = f64::from(i) * 1e-3;
-            trail.push(Vector3::new(turn.cos(), turn.sin(), turn * 0.1), Trail::MAX_POINTS);
+            trail.push(i.into(), Vector3::new(turn.cos(), turn.sin(), turn * 0.1), Trail::MAX_POINTS);
         }
         assert!(trail.points.len() <= Trail::MAX_POINTS + 1, "{}", trail.points.len());
         assert_eq!(trail.points[0], Vector3::x());
@@ -356,7 +400,7 @@ mod tests {
         // a hovering drone adds no points
         let points = trail.points.len();
         let here = *trail.points.last().unwrap();
-        (0..1000).for_each(|_| trail.push(here, Trail::MAX_POINTS));
+        (100_000..101_000).for_each(|step| trail.push(step, here, Trail::MAX_POINTS));
         assert!(trail.points.len() <= points + 1);
     }
 

@@ -1,10 +1,10 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use flight::tasks::antipodal;
+use flight::tasks::{RewardTerms, antipodal};
 use nalgebra::Vector3;
 use pulp::Simd;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -25,6 +25,7 @@ use crate::simulation::SimView;
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward, per drone | − 0.1·(distance to the goal), + 0.5 within 10 cm of it |
 /// | Penalty, per drone | − 1 for each drone closer than the safety radius, − 100 for a crash |
+/// | Reward terms | `distance`, `at_goal`, `too_close`, `crash` |
 /// | Terminated | a drone crashes |
 /// | Truncated | after 20 s |
 /// | Success | every drone within 10 cm of its goal, and no two drones ever closer than the safety radius |
@@ -115,6 +116,15 @@ impl Antipodal {
     fn at_goal(&self, simulation: SimView<'_>, drone: usize) -> bool {
         simulation.distance(drone, &self.goal(simulation, drone)) < Self::AT_GOAL
     }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        let here = simulation.states()[drone].position;
+        let close = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
+        let close = (0..simulation.num_drones()).filter(close).count() as f64;
+        let distance = simulation.distance(drone, &self.goal(simulation, drone));
+        with_crash(antipodal::terms(distance, close), end)
+    }
 }
 
 impl Task for Antipodal {
@@ -182,11 +192,11 @@ impl Task for Antipodal {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let here = simulation.states()[drone].position;
-        let close = |other: &usize| *other != drone && simulation.distance(*other, &here) < self.safety_radius;
-        let close = (0..simulation.num_drones()).filter(close).count() as f64;
-        let distance = simulation.distance(drone, &self.goal(simulation, drone));
-        antipodal::reward(distance, close) - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

@@ -1,8 +1,8 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use flight::clearance::CollisionCylinder as CylinderLanes;
-use flight::tasks::CRASH_PENALTY;
 use flight::tasks::crash::{CLEAR_OF_FLOOR, CrashLimits};
+use flight::tasks::{CRASH, CRASH_PENALTY, RewardTerms};
 use pulp::Simd;
 use smallvec::SmallVec;
 
@@ -64,9 +64,9 @@ impl CrashConditions {
     }
 }
 
-/// Returns the part of the reward that every task subtracts for a crash.
-pub(super) fn crash_penalty(end: Option<EndReason>) -> f64 {
-    if end.is_some_and(EndReason::is_crash) { CRASH_PENALTY } else { 0.0 }
+/// Completes the terms of a reward by the penalty that every task subtracts for a crash.
+pub(super) fn with_crash<T: RewardTerms<f64>>(terms: T, end: Option<EndReason>) -> T {
+    terms.minus(CRASH, if end.is_some_and(EndReason::is_crash) { CRASH_PENALTY } else { 0.0 })
 }
 
 /// Returns the height of the lowest point of a drone's collision cylinder above the floor, m.

@@ -1,10 +1,10 @@
 use std::f64::consts::FRAC_PI_2;
 
-use flight::tasks::fly_through;
+use flight::tasks::{RewardTerms, fly_through};
 use nalgebra::Vector3;
 use pulp::Simd;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::waypoint_progress::{self, WaypointProgress};
 use super::{STATE_BOUNDS, UNBOUNDED, observed, row_along_y};
 use crate::control::trajectory::Trajectory;
@@ -27,6 +27,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | + 10 for a capture, − 0.1·(distance to the next waypoint), − 0.01·‖ω‖, − 100 for a crash |
 /// | Reward after the last capture | − 100 for a crash |
+/// | Reward terms | `capture`, `distance`, `angular_velocity`, `crash` |
 /// | Terminated | crash (tilt > 90°, contact, z < 0), or every drone has captured all waypoints |
 /// | Truncated | after 20 s |
 /// | Success, progress | all waypoints captured; captured share |
@@ -91,6 +92,16 @@ impl FlyThrough {
     fn target(&self, drone: usize) -> Vector3<f64> {
         let last = self.waypoints.len() - 1;
         self.waypoints[self.progress.passed(drone).min(last)].into()
+    }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        if !self.progress.was_flying(drone) {
+            return with_crash(fly_through::no_terms(), end);
+        }
+        let capture = if self.progress.just_passed(drone) { self.capture_reward } else { 0.0 };
+        let rate = simulation.states()[drone].angular_velocity.to_flight();
+        with_crash(fly_through::terms(capture, self.distance_penalty, self.progress.distance(drone), rate), end)
     }
 }
 
@@ -158,12 +169,11 @@ impl Task for FlyThrough {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        if !self.progress.was_flying(drone) {
-            return -crash_penalty(end);
-        }
-        let capture = if self.progress.just_passed(drone) { self.capture_reward } else { 0.0 };
-        let rate = simulation.states()[drone].angular_velocity.to_flight();
-        fly_through::reward(capture, self.distance_penalty, self.progress.distance(drone), rate) - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

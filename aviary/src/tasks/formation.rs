@@ -1,10 +1,11 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use flight::tasks::RewardTerms;
 use flight::tasks::formation::{self, Side};
 use nalgebra::Vector3;
 use pulp::Simd;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -24,6 +25,7 @@ use crate::simulation::SimView;
 /// | Path of the centre | (0, 0, 1), (1, 0, 1), (1, 1, 1.2), (0, 1, 1) m and back, at 0.048 m/s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | − Σ_i ‖p_i − slot_i‖ − 0.5·Σ_{i<j} \|d_ij − desired d_ij\|, − 100 for each crash |
+/// | Reward terms | `slot_error`, `distance_errors`, `crash` |
 /// | Terminated | a drone crashes |
 /// | Truncated | after 30 s |
 /// | Success | mean distance of the drones from their slots over the episode below 5 cm |
@@ -144,6 +146,18 @@ impl Formation {
     pub fn mean_error(&self) -> f64 {
         self.errors.0 / self.errors.1.max(1.0)
     }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        let (states, count) = (simulation.states(), simulation.num_drones());
+        let (here, own) = (states[drone].position, self.offset(drone, count));
+        let deviations = (0..count).filter(|&other| other != drone).fold(0.0, |sum, other| {
+            let (apart, desired) = (states[other].position - here, self.offset(other, count) - own);
+            sum + formation::deviation(apart.to_flight(), desired.to_flight())
+        });
+        let error = simulation.distance(drone, &self.slot(simulation, drone));
+        with_crash(formation::terms(error, deviations), end)
+    }
 }
 
 impl Task for Formation {
@@ -227,14 +241,11 @@ impl Task for Formation {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (states, count) = (simulation.states(), simulation.num_drones());
-        let (here, own) = (states[drone].position, self.offset(drone, count));
-        let deviations = (0..count).filter(|&other| other != drone).fold(0.0, |sum, other| {
-            let (apart, desired) = (states[other].position - here, self.offset(other, count) - own);
-            sum + formation::deviation(apart.to_flight(), desired.to_flight())
-        });
-        let error = simulation.distance(drone, &self.slot(simulation, drone));
-        formation::reward(error, deviations) - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

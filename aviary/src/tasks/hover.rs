@@ -1,10 +1,10 @@
 use std::f64::consts::FRAC_PI_2;
 
-use flight::tasks::hover;
+use flight::tasks::{RewardTerms, hover};
 use nalgebra::Vector3;
 use pulp::Simd;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::{STATE_BOUNDS, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -22,6 +22,7 @@ use crate::simulation::SimView;
 /// | Start | (0, 0, 0.1) m, level, at rest |
 /// | Action | 4 normalized motor speeds in [−1, 1]; 0 hovers |
 /// | Reward | −\|z − z\*\| − 0.1·‖(x, y)‖ − 0.05·‖v‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at the target, − 100 for a crash |
+/// | Reward terms | `height_error`, `horizontal_error`, `speed`, `tilt`, `at_target`, `crash` |
 /// | At the target | \|z − z\*\| < 0.05 m and ‖(x, y)‖ < 0.05 m |
 /// | Terminated | crash (tilt > 90°, floor contact after take-off, obstacle contact, z < 0) or z > 3 m |
 /// | Truncated | after 10 s |
@@ -73,6 +74,11 @@ impl Hover {
 
     fn target(&self) -> Vector3<f64> {
         Vector3::new(0.0, 0.0, self.target_height)
+    }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        hover_terms(simulation, drone, &self.target(), end)
     }
 }
 
@@ -137,7 +143,11 @@ impl Task for Hover {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        hover_reward(simulation, drone, &self.target(), end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
@@ -203,6 +213,16 @@ impl LaneTask for Hover {
 /// # Panics
 /// If `drone` is out of range.
 pub fn hover_reward(simulation: SimView<'_>, drone: usize, target: &Vector3<f64>, end: Option<EndReason>) -> f64 {
+    hover_terms(simulation, drone, target, end)
+}
+
+/// Returns the terms of [`hover_reward`], or their sum.
+pub(super) fn hover_terms<T: RewardTerms<f64>>(
+    simulation: SimView<'_>,
+    drone: usize,
+    target: &Vector3<f64>,
+    end: Option<EndReason>,
+) -> T {
     let (state, rpy) = observed(simulation, drone);
-    hover::reward(&state, rpy, target.to_flight()) - crash_penalty(end)
+    with_crash(hover::terms(&state, rpy, target.to_flight()), end)
 }

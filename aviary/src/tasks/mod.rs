@@ -246,6 +246,9 @@ pub fn make(name: &str, config: EnvConfig) -> Result<Box<dyn DroneEnv + Send>, E
         .map_err(EnvError::from)
 }
 
+#[cfg(test)]
+mod tests;
+
 pub(crate) fn unknown(name: &str) -> UnknownName {
     UnknownName { noun: "task", name: name.into(), names: &NAMES }
 }

@@ -1,11 +1,11 @@
 use std::f64::consts::FRAC_PI_2;
 
-use flight::tasks::{hover, multi_hover};
+use flight::tasks::{RewardTerms, hover, multi_hover};
 use nalgebra::Vector3;
 use pulp::Simd;
 
 use super::conditions::{CrashConditions, CrashWatch};
-use super::hover::hover_reward;
+use super::hover::hover_terms;
 use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -25,6 +25,7 @@ use crate::world::placement::max_collision_radius;
 /// | Target | above the start, heights evenly spaced from 0.7 m to 1.2 m |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | sum of the drones' [`Hover`](super::Hover) rewards, with horizontal distances from the start |
+/// | Reward terms | `height_error`, `horizontal_error`, `speed`, `tilt`, `at_target`, `crash` |
 /// | Terminated | a drone crashes or rises above 3 m |
 /// | Truncated | after 10 s |
 /// | Success | every drone within 5 cm of its target height and horizontally within 5 cm of its start |
@@ -98,6 +99,11 @@ impl MultiHover {
             None => 0.7 + 0.5 * drone as f64 / count.saturating_sub(1).max(1) as f64,
         }
     }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        hover_terms(simulation, drone, &self.target(simulation, drone), end)
+    }
 }
 
 impl Task for MultiHover {
@@ -168,7 +174,11 @@ impl Task for MultiHover {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        hover_reward(simulation, drone, &self.target(simulation, drone), end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

@@ -1,8 +1,8 @@
-use flight::tasks::race;
+use flight::tasks::{RewardTerms, race};
 use nalgebra::Vector3;
 use pulp::Simd;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::waypoint_progress::{self, WaypointProgress};
 use super::{STATE_BOUNDS, UNBOUNDED, observed, row_along_y};
 use crate::control::trajectory::Trajectory;
@@ -26,6 +26,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the next gate), − 100 for a crash |
 /// | Reward after the last gate | − 100 for a crash |
+/// | Reward terms | `gate`, `speed`, `distance`, `crash` |
 /// | Terminated | crash (tilt > 2 rad, contact, z < 0), or every drone has completed two laps |
 /// | Truncated | after 30 s |
 /// | Success, progress | two laps; share of gates passed |
@@ -108,6 +109,16 @@ impl Race {
     /// Returns the gate `ahead` places after the next one.
     fn gate(&self, drone: usize, ahead: usize) -> Vector3<f64> {
         self.gates[(self.progress.passed(drone) + ahead) % self.gates.len()].into()
+    }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        if !self.progress.was_flying(drone) {
+            return with_crash(race::no_terms(), end);
+        }
+        let gate = if self.progress.just_passed(drone) { self.gate_reward } else { 0.0 };
+        let (velocity, distance) = (&simulation.states()[drone].velocity, self.progress.distance(drone));
+        with_crash(race::terms(gate, [self.speed_reward, self.distance_penalty], velocity.to_flight(), distance), end)
     }
 }
 
@@ -198,13 +209,11 @@ impl Task for Race {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        if !self.progress.was_flying(drone) {
-            return -crash_penalty(end);
-        }
-        let gate = if self.progress.just_passed(drone) { self.gate_reward } else { 0.0 };
-        let (velocity, distance) = (&simulation.states()[drone].velocity, self.progress.distance(drone));
-        race::reward(gate, [self.speed_reward, self.distance_penalty], velocity.to_flight(), distance)
-            - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

@@ -1,11 +1,11 @@
 use std::f64::consts::{FRAC_PI_2, PI};
 
-use flight::tasks::stabilize;
+use flight::tasks::{RewardTerms, stabilize};
 use nalgebra::Vector3;
 use pulp::Simd;
 use rand::RngExt as _;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::{STATE_BOUNDS, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -28,6 +28,7 @@ use crate::state::{DroneState, FlightState, attitude_from_rpy};
 /// | Initial angular velocity | uniform in ±2 rad/s about each axis |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖v‖ − 0.1·‖ω‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 at rest, − 100 for a crash |
+/// | Reward terms | `speed`, `angular_velocity`, `tilt`, `at_rest`, `crash` |
 /// | At rest, success | ‖v‖ < 0.05 m/s and ‖ω‖ < 0.1 rad/s |
 /// | Terminated | crash (tilt > 90°, contact, z < 0) |
 /// | Truncated | after 10 s |
@@ -76,6 +77,12 @@ impl Stabilize {
     /// Creates a builder for the environment of this task.
     pub fn builder() -> AviaryBuilder<Self> {
         AviaryBuilder::new(Self::default())
+    }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        let (state, rpy) = observed(simulation, drone);
+        with_crash(stabilize::terms(&state, rpy), end)
     }
 }
 
@@ -135,8 +142,11 @@ impl Task for Stabilize {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = observed(simulation, drone);
-        stabilize::reward(&state, rpy) - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

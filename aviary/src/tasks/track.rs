@@ -1,11 +1,12 @@
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use flight::tasks::RewardTerms;
 use flight::tasks::track::{self, Circle};
 use nalgebra::Vector3;
 use pulp::Simd;
 use rand::RngExt as _;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::{STATE_BOUNDS, UNBOUNDED, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -27,6 +28,7 @@ use crate::world::placement::max_collision_radius;
 /// | Reference | circle of radius 0.5 m around (0, 0, 1) m at 0.5 m/s, in a random direction, accelerating for 1 s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖p − p\*‖ − 0.1·‖v − v\*‖ − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
+/// | Reward terms | `position_error`, `velocity_error`, `tilt`, `tracked`, `crash` |
 /// | Tracked, success | ‖p − p\*‖ < 0.05 m |
 /// | Terminated | crash (tilt > 90°, contact, z < 0), or farther than 2 m from the reference |
 /// | Truncated | after 10 s |
@@ -108,6 +110,13 @@ impl Track {
     fn now(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         self.target(drone, simulation.time())
     }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        let (state, rpy) = observed(simulation, drone);
+        let [position, velocity, _] = self.circle(drone).motion(simulation.time());
+        with_crash(track::terms(&state, rpy, position, velocity), end)
+    }
 }
 
 impl Task for Track {
@@ -172,9 +181,11 @@ impl Task for Track {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = observed(simulation, drone);
-        let [position, velocity, _] = self.circle(drone).motion(simulation.time());
-        track::reward(&state, rpy, position, velocity) - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

@@ -1,11 +1,11 @@
 use std::f64::consts::FRAC_PI_2;
 
-use flight::tasks::velocity;
+use flight::tasks::{RewardTerms, velocity};
 use nalgebra::Vector3;
 use pulp::Simd;
 use rand::RngExt as _;
 
-use super::conditions::{CrashConditions, CrashWatch, crash_penalty};
+use super::conditions::{CrashConditions, CrashWatch, with_crash};
 use super::{STATE_BOUNDS, observed};
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
@@ -26,6 +26,7 @@ use crate::state::wrap_angle;
 /// | Target | velocity v\* uniform in ±0.5 m/s along each axis, yaw rate ω\* in ±0.25 rad/s |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | −‖v − v\*‖ − 0.1·\|ω_z − ω\*\| − 0.05·(\|φ\| + \|θ\|), + 0.5 while tracked, − 100 for a crash |
+/// | Reward terms | `velocity_error`, `yaw_rate_error`, `tilt`, `tracked`, `crash` |
 /// | Tracked, success | ‖v − v\*‖ < 0.05 m/s |
 /// | Terminated | crash (tilt > 90°, contact, z < 0) |
 /// | Truncated | after 10 s |
@@ -92,6 +93,13 @@ impl Velocity {
     fn error(&self, simulation: SimView<'_>, drone: usize) -> f64 {
         (simulation.states()[drone].velocity - self.targets[drone].0).norm()
     }
+
+    /// Returns the terms of a drone's reward, or their sum.
+    fn terms<T: RewardTerms<f64>>(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> T {
+        let (state, rpy) = observed(simulation, drone);
+        let (velocity, yaw_rate) = &self.targets[drone];
+        with_crash(velocity::terms(&state, rpy, velocity.to_flight(), *yaw_rate), end)
+    }
 }
 
 impl Task for Velocity {
@@ -143,9 +151,11 @@ impl Task for Velocity {
     }
 
     fn reward(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> f64 {
-        let (state, rpy) = observed(simulation, drone);
-        let (velocity, yaw_rate) = &self.targets[drone];
-        velocity::reward(&state, rpy, velocity.to_flight(), *yaw_rate) - crash_penalty(end)
+        self.terms(simulation, drone, end)
+    }
+
+    fn reward_terms(&self, simulation: SimView<'_>, drone: usize, end: Option<EndReason>) -> Vec<(&'static str, f64)> {
+        self.terms(simulation, drone, end)
     }
 
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {

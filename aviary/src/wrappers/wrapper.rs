@@ -172,6 +172,14 @@ pub trait Wrapper {
         Self::inner(this).drone_reward(drone)
     }
 
+    /// Implements [`DroneEnv::reward_terms`].
+    ///
+    /// # Panics
+    /// If no drone has the index.
+    fn reward_terms(this: &Self, drone: usize) -> Vec<(&'static str, f64)> {
+        Self::inner(this).reward_terms(drone)
+    }
+
     /// Implements [`DroneEnv::reference`].
     fn reference(this: &Self, drone: usize) -> Reference {
         Self::inner(this).reference(drone)
@@ -333,6 +341,10 @@ impl<W: Wrapper> DroneEnv for W {
 
     fn drone_reward(&self, drone: usize) -> f64 {
         <W as Wrapper>::drone_reward(self, drone)
+    }
+
+    fn reward_terms(&self, drone: usize) -> Vec<(&'static str, f64)> {
+        <W as Wrapper>::reward_terms(self, drone)
     }
 
     fn reference(&self, drone: usize) -> Reference {

@@ -1,7 +1,7 @@
 //! Waypoints in order.
 
 use super::waypoints::in_body_frame;
-use super::{Observation, STATE_SIZE, observe_state};
+use super::{Observation, RewardTerms, STATE_SIZE, observe_state};
 use crate::math::{Real, V3};
 use crate::state::FlightState;
 
@@ -10,7 +10,20 @@ use crate::state::FlightState;
 /// capture − penalty·distance − 0.01·‖ω‖.
 #[inline(always)]
 pub fn reward<R: Real>(capture: R, penalty: R, distance: R, rate: V3<R>) -> R {
-    capture - penalty * distance - rate.norm() * 0.01
+    terms(capture, penalty, distance, rate)
+}
+
+/// Returns the terms of the [`reward`], in the order of its formula: `capture`, `distance`, `angular_velocity`.
+#[inline(always)]
+pub fn terms<R: Real, T: RewardTerms<R>>(capture: R, penalty: R, distance: R, rate: V3<R>) -> T {
+    T::first("capture", capture).minus("distance", penalty * distance).minus("angular_velocity", rate.norm() * 0.01)
+}
+
+/// Returns the terms of a drone after its last capture, which are all zero.
+#[inline(always)]
+pub fn no_terms<T: RewardTerms<f64>>() -> T {
+    // the sum is −0, as in lanes
+    terms(-0.0, 0.0, 0.0, V3::new(0.0, 0.0, 0.0))
 }
 
 /// Writes the observation: the state vector, the waypoint (m, world frame) and the waypoint relative to the drone (m,

@@ -1,6 +1,6 @@
 //! Formation around a centre that moves along a closed path.
 
-use super::{Observation, STATE_SIZE, observe_state};
+use super::{Observation, RewardTerms, STATE_SIZE, observe_state};
 use crate::math::{Real, V3};
 use crate::state::FlightState;
 
@@ -49,8 +49,14 @@ impl<R: Real> Side<R> {
 /// Returns the reward from the distance to the slot and the sum of the errors of the distances to the other drones, m.
 #[inline(always)]
 pub fn reward<R: Real>(error: R, deviations: R) -> R {
+    terms(error, deviations)
+}
+
+/// Returns the terms of the [`reward`], in the order of its formula: `slot_error`, `distance_errors`.
+#[inline(always)]
+pub fn terms<R: Real, T: RewardTerms<R>>(error: R, deviations: R) -> T {
     // each pair occurs in the rewards of both its drones
-    -error - deviations * 0.25
+    T::first("slot_error", -error).minus("distance_errors", deviations * 0.25)
 }
 
 /// Returns the error of the distance between two drones, from their difference of positions and of slots, m.

@@ -1,6 +1,6 @@
 //! Hovering at a target.
 
-use super::{Observation, observe_state};
+use super::{Observation, RewardTerms, observe_state};
 use crate::math::{Real, V3};
 use crate::state::FlightState;
 
@@ -17,10 +17,20 @@ pub fn at_target<R: Real>(position: V3<R>, target: V3<R>) -> R::Mask {
 /// Returns the reward: −|z − z\*| − 0.1·‖(x, y) − (x\*, y\*)‖ − 0.05·‖v‖ − 0.05·(|φ| + |θ|), + 0.5 at the target.
 #[inline(always)]
 pub fn reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, target: V3<R>) -> R {
+    terms(state, rpy, target)
+}
+
+/// Returns the terms of the [`reward`], in the order of its formula: `height_error`, `horizontal_error`, `speed`,
+/// `tilt`, `at_target`.
+#[inline(always)]
+pub fn terms<R: Real, T: RewardTerms<R>>(state: &FlightState<R>, rpy: V3<R>, target: V3<R>) -> T {
     let apart = state.position - target;
     let zero = apart.z.all(0.0);
-    -apart.z.abs() - apart.level_norm() * 0.1 - state.velocity.norm() * 0.05 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-        + R::choose(at_target(state.position, target), zero.all(0.5), zero)
+    T::first("height_error", -apart.z.abs())
+        .minus("horizontal_error", apart.level_norm() * 0.1)
+        .minus("speed", state.velocity.norm() * 0.05)
+        .minus("tilt", (rpy.x.abs() + rpy.y.abs()) * 0.05)
+        .plus("at_target", R::choose(at_target(state.position, target), zero.all(0.5), zero))
 }
 
 /// Returns true above a height (m), where the episode ends.

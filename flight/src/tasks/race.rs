@@ -1,15 +1,33 @@
 //! Laps through gates.
 
 use super::waypoints::in_body_frame;
-use super::{Observation, STATE_SIZE, observe_state};
+use super::{Observation, RewardTerms, STATE_SIZE, observe_state};
 use crate::math::{Real, V3};
 use crate::state::FlightState;
 
 /// Returns the reward of a drone before its last gate, from the reward for a gate in this step, the reward for the
 /// speed and the penalty for the distance, the velocity (m/s), and the distance to the gate (m).
 #[inline(always)]
-pub fn reward<R: Real>(gate: R, [speed_reward, distance_penalty]: [R; 2], velocity: V3<R>, distance: R) -> R {
-    gate + speed_reward * velocity.norm() - distance_penalty * distance
+pub fn reward<R: Real>(gate: R, weights: [R; 2], velocity: V3<R>, distance: R) -> R {
+    terms(gate, weights, velocity, distance)
+}
+
+/// Returns the terms of the [`reward`], in the order of its formula: `gate`, `speed`, `distance`.
+#[inline(always)]
+pub fn terms<R: Real, T: RewardTerms<R>>(
+    gate: R,
+    [speed_reward, distance_penalty]: [R; 2],
+    velocity: V3<R>,
+    distance: R,
+) -> T {
+    T::first("gate", gate).plus("speed", speed_reward * velocity.norm()).minus("distance", distance_penalty * distance)
+}
+
+/// Returns the terms of a drone after its last gate, which are all zero.
+#[inline(always)]
+pub fn no_terms<T: RewardTerms<f64>>() -> T {
+    // the sum is −0, as in lanes
+    terms(-0.0, [-0.0, 0.0], V3::new(0.0, 0.0, 0.0), 0.0)
 }
 
 /// Writes the observation: the state vector, the next gate (m, world frame), and the next two gates relative to the

@@ -1,6 +1,6 @@
 //! Coming to rest from a random motion.
 
-use super::{Observation, observe_state};
+use super::{Observation, RewardTerms, observe_state};
 use crate::math::{Real, V3};
 use crate::state::FlightState;
 
@@ -20,9 +20,17 @@ pub fn at_rest<R: Real>(state: &FlightState<R>) -> R::Mask {
 /// Returns the reward: −‖v‖ − 0.1·‖ω‖ − 0.05·(|φ| + |θ|), + 0.5 at rest.
 #[inline(always)]
 pub fn reward<R: Real>(state: &FlightState<R>, rpy: V3<R>) -> R {
+    terms(state, rpy)
+}
+
+/// Returns the terms of the [`reward`], in the order of its formula: `speed`, `angular_velocity`, `tilt`, `at_rest`.
+#[inline(always)]
+pub fn terms<R: Real, T: RewardTerms<R>>(state: &FlightState<R>, rpy: V3<R>) -> T {
     let zero = rpy.x.all(0.0);
-    -state.velocity.norm() - state.rate.norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-        + R::choose(at_rest(state), zero.all(0.5), zero)
+    T::first("speed", -state.velocity.norm())
+        .minus("angular_velocity", state.rate.norm() * 0.1)
+        .minus("tilt", (rpy.x.abs() + rpy.y.abs()) * 0.05)
+        .plus("at_rest", R::choose(at_rest(state), zero.all(0.5), zero))
 }
 
 /// Writes the observation, the state vector.

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{Observation, STATE_SIZE, observe_state};
+use super::{Observation, RewardTerms, STATE_SIZE, observe_state};
 use crate::math::{Real, V3, sin_cos_of_turns};
 use crate::state::FlightState;
 
@@ -54,9 +54,18 @@ impl<R: Real> Circle<R> {
 /// −‖p − p\*‖ − 0.1·‖v − v\*‖ − 0.05·(|φ| + |θ|), + 0.5 while tracked.
 #[inline(always)]
 pub fn reward<R: Real>(state: &FlightState<R>, rpy: V3<R>, position: V3<R>, velocity: V3<R>) -> R {
+    terms(state, rpy, position, velocity)
+}
+
+/// Returns the terms of the [`reward`], in the order of its formula: `position_error`, `velocity_error`, `tilt`,
+/// `tracked`.
+#[inline(always)]
+pub fn terms<R: Real, T: RewardTerms<R>>(state: &FlightState<R>, rpy: V3<R>, position: V3<R>, velocity: V3<R>) -> T {
     let (error, zero) = ((state.position - position).norm(), rpy.x.all(0.0));
-    -error - (state.velocity - velocity).norm() * 0.1 - (rpy.x.abs() + rpy.y.abs()) * 0.05
-        + R::choose(error.less(zero.all(TRACKED)), zero.all(0.5), zero)
+    T::first("position_error", -error)
+        .minus("velocity_error", (state.velocity - velocity).norm() * 0.1)
+        .minus("tilt", (rpy.x.abs() + rpy.y.abs()) * 0.05)
+        .plus("tracked", R::choose(error.less(zero.all(TRACKED)), zero.all(0.5), zero))
 }
 
 /// Returns true if a drone is farther than a distance (m) from the reference, where the episode ends.

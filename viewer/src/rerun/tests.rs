@@ -100,6 +100,40 @@ fn poses_times_and_series_are_those_of_the_flight() {
 }
 
 #[test]
+fn every_term_of_the_reward_is_a_series_with_its_name() {
+    let mut flown = start("multi_hover", EnvConfig::default().episode_seconds(0.5));
+    let (mut log, storage) = in_memory(&flown, false);
+    let mut terms = Vec::new();
+    while !flown.is_over() {
+        flown.step().unwrap();
+        log.note(Source::Env(&**flown.env())).unwrap();
+        terms.push([0, 1].map(|drone| flown.env().reward_terms(drone)));
+    }
+    log.finish().unwrap();
+    let chunks = chunks(&storage);
+    let component = Scalars::descriptor_scalars().component;
+    for drone in 0..2 {
+        for (index, (name, _)) in terms[0][drone].iter().enumerate() {
+            let path = rerun::EntityPath::from(format!("plots/drone{drone}/reward/{name}"));
+            let of_term = || chunks.iter().filter(|chunk| *chunk.entity_path() == path);
+            let mut rows: Vec<_> = of_term()
+                .flat_map(|chunk| {
+                    let steps = chunk.iter_component_indices("step".into(), component);
+                    steps.zip(chunk.iter_slices::<f64>(component).map(|row| row[0])).map(|((step, _), x)| (step, x))
+                })
+                .collect();
+            rows.sort_by_key(|(step, _)| *step);
+            let expected: Vec<_> = terms.iter().map(|terms| terms[drone][index].1).collect();
+            assert_eq!(rows.iter().map(|(_, x)| *x).collect::<Vec<_>>(), expected, "{name}");
+            assert_eq!(rows[0].0.as_i64(), 1);
+            let names = SeriesLines::descriptor_names().component;
+            let named: Vec<_> = of_term().flat_map(|chunk| chunk.iter_slices::<String>(names)).flatten().collect();
+            assert_eq!(named.iter().map(|name| name.as_str()).collect::<Vec<_>>(), [*name]);
+        }
+    }
+}
+
+#[test]
 fn attitudes_turn_the_body_as_in_the_simulation() {
     let rotation = attitude_from_rpy(Vector3::new(0.3, -0.7, 2.0));
     let [x, y, z, w] = quaternion(&rotation).0.map(f64::from);

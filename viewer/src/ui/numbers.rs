@@ -75,6 +75,15 @@ pub(super) fn show(ui: &mut egui::Ui, flight: &Flight, drone: usize) {
             rows(ui, &[(&name.replace('_', " "), format!("{value:.4}"))]);
         }
     });
+    if !of_drone.reward_terms.is_empty() {
+        ui.add_space(6.0);
+        ui.strong("Reward terms");
+        egui::Grid::new("reward terms").num_columns(2).striped(true).show(ui, |ui| {
+            for (name, value) in &of_drone.reward_terms {
+                rows(ui, &[(&name.replace('_', " "), format!("{value:8.4}"))]);
+            }
+        });
+    }
     if !frame.contacts.is_empty() {
         ui.add_space(6.0);
         ui.strong("Contacts");
