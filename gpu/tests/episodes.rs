@@ -465,7 +465,7 @@ fn a_drone_stands_on_the_floor_until_it_takes_off() {
     panic!("the drone has not fallen back to the floor");
 }
 
-/// With faults that truncate, an environment that needs a reset does not stop the others.
+/// An environment that needs a reset does not stop the others of a batch whose faults truncate.
 #[test]
 fn an_episode_that_has_ended_waits_for_its_reset() {
     let Some(device) = device("an_episode_that_has_ended_waits_for_its_reset") else { return };

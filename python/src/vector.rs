@@ -70,8 +70,8 @@ fn option_error(error: EnvError) -> PyErr {
 impl Batch {
     /// Creates a batch. `autoreset` is "next_step", "same_step" or "disabled", `on_fault` is "error" or "truncate".
     /// An episode has at most `max_episode_steps` control steps; None for the time limit of the task. With `copy`,
-    /// steps and resets return new arrays, otherwise the same ones every time. `device` is "cpu", "gpu", or "gpu:" and an
-    /// adapter.
+    /// steps and resets return new arrays, otherwise the same ones every time. `device` is "cpu", "gpu", or "gpu:" and
+    /// an adapter.
     #[new]
     #[pyo3(signature = (
         task, options, num_envs, threads, autoreset, on_fault, max_episode_steps = None, copy = true, device = "cpu"
