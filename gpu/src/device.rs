@@ -196,3 +196,12 @@ fn choose(adapters: &[Adapter], choice: &str) -> Option<usize> {
     let name = choice.to_lowercase();
     by_index.or_else(|| adapters.iter().position(|adapter| adapter.name.to_lowercase().contains(&name)))
 }
+
+/// Opens the first adapter for a test of this crate; `None` without one, unless `AVIARY_REQUIRE_GPU` is set.
+#[cfg(test)]
+pub(crate) fn for_tests() -> Option<GpuDevice> {
+    match GpuDevice::open(None) {
+        Err(GpuError::NoAdapter { .. }) if std::env::var_os("AVIARY_REQUIRE_GPU").is_none() => None,
+        device => Some(device.expect("an adapter that opens")),
+    }
+}

@@ -4,10 +4,11 @@ use std::io::Write as _;
 
 use aviary_gpu::{GpuDevice, GpuError};
 
-/// Opens the first adapter. Without one, reports that the test is skipped and returns `None`.
+/// Opens the first adapter. Without one, reports that the test is skipped and returns `None`; fails if the environment
+/// variable `AVIARY_REQUIRE_GPU` is set.
 pub fn device(test: &str) -> Option<GpuDevice> {
     match GpuDevice::open(None) {
-        Err(GpuError::NoAdapter { .. }) => {
+        Err(GpuError::NoAdapter { .. }) if std::env::var_os("AVIARY_REQUIRE_GPU").is_none() => {
             let _ = writeln!(std::io::stderr(), "{test}: skipped, because this machine has no adapter");
             None
         }
