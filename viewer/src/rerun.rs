@@ -97,6 +97,9 @@ const IMAGE_PERIOD: f64 = 0.1;
 /// Size of the images of the onboard cameras.
 const IMAGE_SIZE: ImageSize = ImageSize { width: 160, height: 120 };
 
+/// Obstacles and markers that cameras see.
+type SeenBodies = (Arc<[Obstacle]>, Arc<[Marker]>);
+
 /// Recording of one episode.
 ///
 /// ```no_run
@@ -123,7 +126,7 @@ pub struct RerunLog {
     next_trail: f64,
     cameras: Option<SceneRenderer>,
     /// Obstacles and markers that the cameras see.
-    seen: Option<(Arc<[Obstacle]>, Arc<[Marker]>)>,
+    seen: Option<SeenBodies>,
     next_image: f64,
 }
 
@@ -384,7 +387,7 @@ impl RerunLog {
         self.next_image = frame.time + IMAGE_PERIOD;
         let failed = |error: &dyn std::fmt::Display| RerunError::Scene { reason: error.to_string() };
         let states: Vec<DroneState> = frame.states();
-        let is_same = |(obstacles, markers): &(Arc<[Obstacle]>, Arc<[Marker]>)| {
+        let is_same = |(obstacles, markers): &SeenBodies| {
             Arc::ptr_eq(obstacles, &frame.obstacles) && Arc::ptr_eq(markers, &frame.markers)
         };
         if !self.seen.as_ref().is_some_and(is_same) {
