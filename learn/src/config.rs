@@ -453,6 +453,11 @@ impl TrainConfig {
         Terms { out_of_bounds: self.out_of_bounds, lengths: self.training_starts.iter().map(steps).collect() }
     }
 
+    /// Returns the task of training if it has other rewards than the task.
+    pub fn course(&self) -> Option<Course> {
+        self.course.and_then(|rewards| course_of(&self.task, rewards))
+    }
+
     /// Creates the agents that collect experience.
     ///
     /// # Errors
@@ -478,8 +483,7 @@ impl TrainConfig {
                 width: self.width,
                 ..VecConfig::new(environments)
             };
-            let course = self.course.and_then(|rewards| course_of(&self.task, rewards));
-            let mut env = match course {
+            let mut env = match self.course() {
                 Some(course) => make_vec_course(course, options, config)?,
                 None => make_vec(&self.task, options, config)?,
             };
