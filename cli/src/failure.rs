@@ -5,6 +5,7 @@ use std::num::{IntErrorKind, ParseFloatError, ParseIntError};
 use std::process::ExitCode;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
+use learn::TrainError;
 
 use crate::interrupt::Interruption;
 use crate::output;
@@ -27,6 +28,13 @@ impl Failure {
     /// Creates a failure of the work.
     pub fn work(error: impl Into<anyhow::Error>) -> Self {
         Self::Work(error.into())
+    }
+}
+
+/// Errors of a training run before its first iteration: its configuration or checkpoint is wrong.
+impl From<TrainError> for Failure {
+    fn from(error: TrainError) -> Self {
+        Self::input(error)
     }
 }
 

@@ -9,7 +9,7 @@ use aviary::engine::flight::Width;
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks::{self, TaskSummary};
 use clap::{ArgGroup, Args, ValueHint};
-use learn::{Clock, Point, Report, Stop, TrainConfig, Trainer};
+use learn::{Clock, Learner, Point, Report, Stop, TrainConfig, TrainDevice, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -37,6 +37,7 @@ use crate::window::TrainingWindow;
   aviary train --task race --seed 3 --config race.toml --out out/race
   aviary train --resume out/race --steps 60000000
   aviary train --task hover --out out/watched --view
+  aviary train --task hover --device gpu --envs 16384 --out out/gpu
   aviary train --all --steps 100000 --out out/all
 
 `aviary train --task hover --show` prints the defaults of a task as a configuration file.")]
@@ -83,6 +84,25 @@ pub struct Train {
     /// Number of parallel environments [default: the task's]
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
     envs: Option<usize>,
+    /// Device of the training: cpu, gpu [default: cpu]
+    ///
+    /// On a GPU, the environments, the networks and the optimizer are in its memory. It has
+    /// fewer tasks and options; evaluations and the policy file are the same. The option needs a
+    /// program that was built with `--features gpu`. A resumed run stays on its device.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "DEVICE",
+        value_parser = parse::named::<TrainDevice>(),
+        hide_possible_values = true,
+        conflicts_with_all = ["all", "resume"]
+    )]
+    device: Option<TrainDevice>,
+    /// GPU of the training: a number or a part of a name [default: 0]
+    ///
+    /// `aviary doctor` lists the GPUs, from number 0 on.
+    #[arg(long, value_name = "GPU")]
+    adapter: Option<String>,
     /// Output directory [default: out/train/TASK]
     #[arg(long, value_name = "DIR", value_hint = ValueHint::DirPath)]
     out: Option<PathBuf>,
@@ -123,7 +143,7 @@ impl Train {
             return self.every_task();
         }
         let run = match &self.resume {
-            Some(directory) => Run::resume(directory, self.steps, self.until_success, self.view)?,
+            Some(directory) => self.resume(directory)?,
             None => {
                 let task = self.task.as_ref().map_or("", |task| task.name);
                 let config = self.config(task)?;
@@ -132,7 +152,8 @@ impl Train {
                     return output::print(&text);
                 }
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
-                let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
+                let learner = self.learner(&config)?;
+                let trainer = Trainer::with_learner(config, &self.command(task), learner).map_err(Failure::input)?;
                 Run::begin(trainer, &out, self.view)?
             }
         };
@@ -162,10 +183,34 @@ impl Train {
                 command += &format!(" --{option} {number}");
             }
         }
+        if self.device == Some(TrainDevice::Gpu) {
+            command += " --device gpu";
+        }
         if self.until_success {
             command += " --until-success";
         }
         command
+    }
+
+    /// Creates the learner of the device of a configuration.
+    fn learner(&self, config: &TrainConfig) -> Result<Box<dyn Learner>, Failure> {
+        match config.device {
+            TrainDevice::Gpu => on_a_gpu(config, self.adapter.as_deref()),
+            TrainDevice::Cpu if self.adapter.is_some() => {
+                Err(Failure::input(anyhow!("--adapter is set for a training on the cpu, expected --device gpu")))
+            }
+            TrainDevice::Cpu => learn::on_the_cpu(config).map_err(Failure::input),
+        }
+    }
+
+    /// Continues the run of a directory.
+    fn resume(&self, directory: &Path) -> Result<Run, Failure> {
+        let path = directory.join(CHECKPOINT);
+        // only an existing directory is locked: the lock creates a missing one
+        let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
+        let mut trainer = Trainer::resume_with(&path, |config| self.learner(config))?;
+        trainer.extend(self.steps, self.until_success).map_err(Failure::input)?;
+        Run::resume(trainer, directory, locked, self.view)
     }
 
     /// Returns the value of an option, or the value of --all if that is set.
@@ -179,6 +224,7 @@ impl Train {
             config.read_file(path).map_err(Failure::input)?;
         }
         config.seed = self.seed.unwrap_or(config.seed);
+        config.device = self.device.unwrap_or(config.device);
         config.steps = self.trial(self.steps, TRIAL.0).unwrap_or(config.steps);
         config.ppo.environments = self.trial(self.envs, TRIAL.1).unwrap_or(config.ppo.environments);
         config.until_success = self.until_success;
@@ -214,6 +260,26 @@ impl Train {
         }
         if self.json { output::print_json(&json!(list)) } else { output::print(&output::table(&rows)) }
     }
+}
+
+/// Creates the learner of a GPU.
+#[cfg(feature = "gpu")]
+fn on_a_gpu(config: &TrainConfig, adapter: Option<&str>) -> Result<Box<dyn Learner>, Failure> {
+    use aviary_gpu::{GpuDevice, GpuError, GpuPpo};
+
+    let learner =
+        GpuDevice::open(adapter).and_then(|device| GpuPpo::new(config, &device)).map_err(|error| match error {
+            GpuError::NoAdapter { .. } | GpuError::Open { .. } | GpuError::Device { .. } => Failure::work(error),
+            error => Failure::input(error),
+        })?;
+    Ok(Box::new(learner))
+}
+
+/// Returns the error of a program that was built without the feature `gpu`.
+#[cfg(not(feature = "gpu"))]
+fn on_a_gpu(_: &TrainConfig, _: Option<&str>) -> Result<Box<dyn Learner>, Failure> {
+    let fix = "cargo run --release -p cli --features gpu -- train …";
+    Err(Failure::input(anyhow!("this program was built without training on a GPU; fix: {fix}")))
 }
 
 /// Refuses a directory with files of an earlier run.
@@ -261,12 +327,7 @@ impl Run {
     }
 
     /// Continues the run of a directory, with a window if `view` is true.
-    fn resume(directory: &Path, steps: Option<u64>, until_success: bool, view: bool) -> Result<Self, Failure> {
-        let path = directory.join(CHECKPOINT);
-        // only an existing directory is locked: the lock creates a missing one
-        let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
-        let mut trainer = Trainer::resume(&path).map_err(Failure::input)?;
-        trainer.extend(steps, until_success).map_err(Failure::input)?;
+    fn resume(trainer: Trainer, directory: &Path, locked: Option<OutputDir>, view: bool) -> Result<Self, Failure> {
         let Some(out) = locked.filter(|_| trainer.stop().is_none()) else {
             let steps = trainer.steps();
             return Err(Failure::input(anyhow!(
@@ -395,6 +456,7 @@ impl Run {
         json!({
             "task": trainer.config().task,
             "seed": trainer.config().seed,
+            "device": trainer.config().device,
             "stop": trainer.stop(),
             "iterations": trainer.curve().len(),
             "steps": trainer.steps(),
@@ -425,6 +487,7 @@ impl Run {
         let steps = if made > asked { format!("{made} ({asked} in whole iterations)") } else { made.to_string() };
         output::table(&[
             ("task", format!("{} with seed {}", trainer.config().task, trainer.config().seed)),
+            ("device", trainer.config().device.to_string()),
             ("best policy", score),
             ("environment steps", format!("{steps}, the best policy's {}", trainer.best().info().steps)),
             ("wall time", format!("{:.1} s", clock.total.as_secs_f64())),

@@ -379,3 +379,40 @@ fn the_output_of_show_is_a_configuration_file() {
     let file = config_file("shown", &shown);
     assert_eq!(run(&["train", "--task", "race", "--config", text(&file), "--show"]), shown);
 }
+
+#[test]
+fn training_on_a_gpu_needs_the_feature() {
+    let out = directory("train_gpu");
+    let options = [&["train", "--task", "hover", "--device", "gpu", "--out", text(&out)][..], &SMALL].concat();
+    if cfg!(not(feature = "gpu")) {
+        refused(&options, 2, &["without training on a GPU", "--features gpu"]);
+        assert!(!out.exists());
+    }
+    refused(&["train", "--task", "hover", "--adapter", "1"], 2, &["--adapter", "expected --device gpu"]);
+    refused(&["train", "--task", "hover", "--device", "tpu"], 2, &["--device is `tpu`, expected one of: cpu, gpu"]);
+}
+
+#[cfg(feature = "gpu")]
+#[test]
+fn a_training_on_a_gpu_is_resumed_on_a_gpu() {
+    let config = config_file("gpu_config", "checkpoint_every = 2\nevaluate_every = 3\nepisodes = 2\n");
+    let (whole, resumed) = (directory("gpu_whole"), directory("gpu_resumed"));
+    let task = ["train", "--task", "hover", "--device", "gpu"];
+    let train = |out: &Path, steps: &str| {
+        let options = ["--envs", "64", "--config", text(&config), "--out", text(out), "--steps", steps, "--json"];
+        aviary(&[&task[..], &options].concat())
+    };
+    let output = train(&whole, "12288");
+    if String::from_utf8_lossy(&output.stderr).starts_with("error: no GPU") {
+        // .ci/features runs on a machine with an adapter
+        assert_eq!(output.status.code(), Some(1));
+        return;
+    }
+    let run: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&run["device"], &run["steps"], &run["stop"]), (&"gpu".into(), &12_288.into(), &"steps".into()));
+    assert_eq!(train(&resumed, "8192").status.code(), Some(0));
+    json(&["train", "--resume", text(&resumed), "--steps", "12288"]);
+    assert_equal_files(&whole, &resumed, &["curve.csv"]);
+    refused(&["train", "--task", "race", "--device", "gpu", "--out", text(&directory("gpu_race"))], 2, &["on the GPU"]);
+    refused(&[&task[..], &["--adapter", "no such GPU"]].concat(), 2, &["no such GPU", "does not exist"]);
+}

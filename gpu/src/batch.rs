@@ -204,6 +204,12 @@ impl GpuAviary {
         Ok(self)
     }
 
+    /// Returns the batch on the device, for kernels of this crate. The host does not learn of steps and resets there.
+    #[cfg(feature = "learn")]
+    pub(crate) fn on_device(&self) -> &DeviceBatch {
+        &self.batch
+    }
+
     /// Returns the device.
     pub fn device(&self) -> &GpuDevice {
         &self.batch.device

@@ -4,6 +4,9 @@
 //! that neighbouring threads access neighbouring memory. Actions and observations are rows of drones, the layout of
 //! the host and of tensors. The drones of an environment are neighbours in one workgroup and exchange their positions.
 
+#[cfg(feature = "learn")]
+pub(crate) mod begin;
+
 use cubecl::frontend::branch::if_expand;
 use cubecl::frontend::{assign, cast_value};
 use cubecl::ir::ExpandValue;

@@ -1,5 +1,8 @@
 //! A batch in the memory of the device, and the launches of its kernels.
 
+#[cfg(feature = "learn")]
+pub(crate) mod begin;
+
 use std::time::Instant;
 
 use cubecl::bytes::Bytes;

@@ -14,6 +14,8 @@ mod environment;
 mod error;
 mod kernel;
 mod launch;
+#[cfg(feature = "learn")]
+mod learn;
 mod number;
 mod parameters;
 mod plan;
@@ -25,6 +27,8 @@ pub use batch::{GpuAviary, Precision};
 pub use device::{Adapter, AdapterKind, GpuDevice, adapters};
 pub use error::GpuError;
 pub use launch::bandwidth;
+#[cfg(feature = "learn")]
+pub use learn::GpuPpo;
 pub use number::Word;
 pub use random::philox;
 pub use tasks::GpuTask;

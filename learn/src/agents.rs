@@ -109,7 +109,8 @@ pub struct Terms {
 }
 
 impl Terms {
-    fn longest(&self, environment: usize, limit: u64) -> u64 {
+    /// Returns the maximum length of an episode of an environment, control steps, for a task with this limit.
+    pub fn longest(&self, environment: usize, limit: u64) -> u64 {
         let own = self.lengths.get(environment % self.lengths.len().max(1)).copied().flatten();
         own.unwrap_or(limit).clamp(1, limit)
     }

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use aviary::SystemError;
 use aviary::action::ActionType;
 use aviary::drone::{DroneModel, DroneParams};
 use aviary::engine::EngineKind;
@@ -15,6 +14,7 @@ use aviary::policy::Mlp;
 use aviary::tasks::{self, Course, FlyThrough, Race};
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec, make_vec_course};
 use aviary::world::ObstacleConfig;
+use aviary::{NamedEnum, SystemError, UnknownName};
 use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
@@ -22,6 +22,44 @@ use crate::agents::{Agents, Batch, Swarm, Terms};
 use crate::evaluation::{AnyEnv, Success};
 use crate::ppo::{PartialPpo, PpoConfig};
 use crate::recipe;
+
+/// Device that simulates the environments of training and computes the gradients.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TrainDevice {
+    /// CPU, with all tasks and options.
+    #[default]
+    Cpu,
+    /// GPU, with the learner of the crate `aviary-gpu`.
+    Gpu,
+}
+
+impl TrainDevice {
+    /// Returns true for the CPU.
+    fn is_cpu(&self) -> bool {
+        *self == Self::Cpu
+    }
+}
+
+impl std::fmt::Display for TrainDevice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(Self::NAMES[*self as usize])
+    }
+}
+
+impl std::str::FromStr for TrainDevice {
+    type Err = UnknownName;
+
+    fn from_str(name: &str) -> Result<Self, UnknownName> {
+        let found = [Self::Cpu, Self::Gpu].into_iter().find(|device| device.to_string() == name);
+        found.ok_or_else(|| UnknownName { noun: Self::NOUN, name: name.into(), names: Self::NAMES })
+    }
+}
+
+impl NamedEnum for TrainDevice {
+    const NOUN: &'static str = "device";
+    const NAMES: &'static [&'static str] = &["cpu", "gpu"];
+}
 
 /// Configuration of a training run. Equal configurations give bit-identical policies with the same program and
 /// machine.
@@ -32,6 +70,9 @@ pub struct TrainConfig {
     pub task: String,
     /// Seed of all random streams.
     pub seed: u64,
+    /// Device of the training. Evaluations run on the CPU.
+    #[serde(default, skip_serializing_if = "TrainDevice::is_cpu")]
+    pub device: TrainDevice,
     /// Airframe: the name of a built-in one, or the path of a TOML file.
     pub drone: String,
     /// Physics mode.
@@ -104,7 +145,8 @@ impl Default for TrainingStart {
 }
 
 impl TrainingStart {
-    fn ranges(&self) -> InitialRanges {
+    /// Returns the ranges of the initial states.
+    pub fn ranges(&self) -> InitialRanges {
         let Self { position, attitude, velocity, offset, .. } = *self;
         InitialRanges { position, attitude, velocity, offset }
     }
@@ -223,7 +265,7 @@ impl TrainConfig {
     pub fn to_toml(&self) -> Result<String, TrainError> {
         let mut table = toml::Table::try_from(self).map_err(wrong)?;
         // these are options of the command line
-        for key in ["task", "seed", "until_success"] {
+        for key in ["task", "seed", "device", "until_success"] {
             table.remove(key);
         }
         if let Some(toml::Value::Table(conditions)) = table.remove("conditions") {
@@ -404,6 +446,18 @@ impl TrainConfig {
         self.airframe().map_or_else(|_| self.drone.clone(), |params| params.name)
     }
 
+    /// Returns the differences of the environments of training from those of evaluation.
+    pub fn terms(&self) -> Terms {
+        let period = 1.0 / f64::from(self.ctrl_freq.max(1));
+        let steps = |start: &TrainingStart| start.seconds.map(|seconds| (seconds / period).round() as u64);
+        Terms { out_of_bounds: self.out_of_bounds, lengths: self.training_starts.iter().map(steps).collect() }
+    }
+
+    /// Returns the task of training if it has other rewards than the task.
+    pub fn course(&self) -> Option<Course> {
+        self.course.and_then(|rewards| course_of(&self.task, rewards))
+    }
+
     /// Creates the agents that collect experience.
     ///
     /// # Errors
@@ -420,10 +474,7 @@ impl TrainConfig {
             Some(first) => options.randomization(first.clone()),
             None => options,
         };
-        let period = 1.0 / f64::from(self.ctrl_freq.max(1));
-        let steps = |start: &TrainingStart| start.seconds.map(|seconds| (seconds / period).round() as u64);
-        let lengths = self.training_starts.iter().map(steps).collect();
-        let terms = Terms { out_of_bounds: self.out_of_bounds, lengths };
+        let terms = self.terms();
         let environments = self.ppo.environments;
         if !self.per_drone {
             let config = VecConfig {
@@ -432,8 +483,7 @@ impl TrainConfig {
                 width: self.width,
                 ..VecConfig::new(environments)
             };
-            let course = self.course.and_then(|rewards| course_of(&self.task, rewards));
-            let mut env = match course {
+            let mut env = match self.course() {
                 Some(course) => make_vec_course(course, options, config)?,
                 None => make_vec(&self.task, options, config)?,
             };

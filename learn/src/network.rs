@@ -9,24 +9,33 @@ use nalgebra::DMatrix;
 use rand::RngExt as _;
 use rand_distr::StandardNormal;
 
-/// Layer sizes of an actor and a critic.
+/// Layer sizes of an actor and a critic, which have the same inputs and hidden layers.
+///
+/// One vector holds their parameters: the actor's, the critic's (each in the order of [`Mlp`]), and the log standard
+/// deviations of the actions.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct NetworkShape {
+pub struct NetworkShape {
+    /// Sizes of the actor's layers: observation, hidden layers, action.
     pub actor: Vec<usize>,
+    /// Sizes of the critic's layers: observation, hidden layers, 1.
     pub critic: Vec<usize>,
+    /// Activation function of the hidden layers.
     pub activation: Activation,
 }
 
 impl NetworkShape {
+    /// Creates the shape from the number of entries of an observation and of an action, and the hidden layers.
     pub fn new(observation: usize, action: usize, hidden: &[usize], activation: Activation) -> Self {
         let sizes = |last: usize| std::iter::once(observation).chain(hidden.iter().copied()).chain([last]).collect();
         Self { actor: sizes(action), critic: sizes(1), activation }
     }
 
+    /// Returns the number of entries of an observation.
     pub fn observation(&self) -> usize {
         self.actor[0]
     }
 
+    /// Returns the number of entries of an action.
     pub fn action(&self) -> usize {
         self.actor[self.actor.len() - 1]
     }
@@ -44,7 +53,7 @@ impl NetworkShape {
     }
 
     /// Returns initial parameters: orthogonal weights (Saxe et al. 2014), scaled by √2 in hidden layers, by 0.01 in
-    /// the actor's last layer and by 1 in the critic's; biases of zero.
+    /// the actor's last layer and by 1 in the critic's; biases of zero; and the logarithm of a standard deviation.
     pub fn initial(&self, deviation: f32, rng: &mut Rng) -> Vec<f32> {
         let mut parameters = Vec::with_capacity(self.count());
         for (sizes, last) in [(&self.actor, 0.01), (&self.critic, 1.0)] {
@@ -73,7 +82,7 @@ fn orthogonal(rows: usize, columns: usize, rng: &mut Rng) -> Vec<f32> {
 
 /// Range of the log standard deviations of actions. The bounds (4.5e-5 and 20, in half widths of the action space)
 /// keep every term of the loss within single precision.
-pub(crate) const LOG_DEVIATIONS: std::ops::RangeInclusive<f32> = -10.0..=3.0;
+pub const LOG_DEVIATIONS: std::ops::RangeInclusive<f32> = -10.0..=3.0;
 
 #[cfg(test)]
 mod tests {

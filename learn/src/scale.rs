@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// Running mean and variance of vectors, updated by batches (Chan, Golub & LeVeque 1983).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Running {
+pub struct Running {
     count: f64,
     mean: Vec<f64>,
     /// Sum of the squared distances from the mean.
@@ -12,8 +12,29 @@ pub(crate) struct Running {
 }
 
 impl Running {
+    /// Creates the statistics of no vectors with a number of entries.
     pub fn new(size: usize) -> Self {
         Self { count: 0.0, mean: vec![0.0; size], squares: vec![0.0; size] }
+    }
+
+    /// Creates the statistics of `count` vectors from the mean and the variance of every entry.
+    pub fn of(count: f64, mean: Vec<f64>, variance: &[f64]) -> Self {
+        Self { count, mean, squares: variance.iter().map(|variance| variance * count).collect() }
+    }
+
+    /// Returns the number of vectors.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// Returns the means in double precision.
+    pub fn means(&self) -> &[f64] {
+        &self.mean
+    }
+
+    /// Returns the variances; 0 without vectors.
+    pub fn variances(&self) -> Vec<f64> {
+        self.squares.iter().map(|squares| if self.count > 0.0 { squares / self.count } else { 0.0 }).collect()
     }
 
     /// Adds rows of vectors.
@@ -60,6 +81,7 @@ impl Running {
             && self.squares.iter().all(|x| sane(x) && *x >= 0.0)
     }
 
+    /// Returns the means.
     pub fn mean(&self) -> Vec<f32> {
         self.mean.iter().map(|&x| x as f32).collect()
     }
@@ -68,6 +90,14 @@ impl Running {
     pub fn deviation(&self) -> Vec<f32> {
         let of = |&squares: &f64| if self.count > 1.0 { (squares / self.count).sqrt() as f32 } else { 1.0 };
         self.squares.iter().map(of).collect()
+    }
+}
+
+impl Running {
+    /// Returns mean and standard deviation for the normalization of observations.
+    pub(crate) fn normalization(&self) -> (Vec<f32>, Vec<f32>) {
+        // a lower bound keeps observations that were constant so far from being amplified
+        (self.mean(), self.deviation().iter().map(|deviation| deviation.max(1e-2)).collect())
     }
 }
 
@@ -84,6 +114,16 @@ pub(crate) struct RewardScale {
 impl RewardScale {
     pub fn new() -> Self {
         Self { sums: Running::new(1), current: Vec::new() }
+    }
+
+    /// Creates the scale from statistics of discounted sums.
+    pub fn of(sums: Running) -> Self {
+        Self { sums, current: Vec::new() }
+    }
+
+    /// Returns the statistics of the discounted sums.
+    pub fn sums(&self) -> &Running {
+        &self.sums
     }
 
     /// Returns true if all numbers are valid.

@@ -1,10 +1,10 @@
 //! Training runs: iterations, evaluations, the best policy, checkpoints.
 
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use aviary::env::Rng;
-use aviary::policy::{PolicyInfo, PolicyNetwork};
+use aviary::policy::{Mlp, PolicyInfo, PolicyNetwork};
 use rand::{Rng as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
@@ -12,8 +12,11 @@ use crate::agents::Agents;
 use crate::checkpoint::{Checkpoint, Limits, State};
 use crate::curve::Point;
 use crate::evaluation::{Arena, Episode, Score};
-use crate::ppo::{Clock, Ppo};
-use crate::{TrainConfig, TrainError};
+use crate::learner::{CpuLearner, Learner, LearnerState};
+use crate::optimizer::Moments;
+use crate::ppo::Clock;
+use crate::scale::RewardScale;
+use crate::{TrainConfig, TrainDevice, TrainError};
 
 /// First seed of evaluation episodes; the environments of training use streams of other seeds.
 const EVALUATION_SEED: u64 = 1 << 40;
@@ -50,9 +53,8 @@ pub enum Stop {
 pub struct Trainer {
     config: TrainConfig,
     command: String,
-    agents: Box<dyn Agents>,
+    learner: Box<dyn Learner>,
     arena: Arena,
-    ppo: Ppo,
     iteration: u64,
     curve: Vec<Point>,
     best: (PolicyNetwork, Option<Score>),
@@ -62,6 +64,8 @@ pub struct Trainer {
     /// True if the environments must be reset before the next iteration.
     fresh: bool,
     began: Instant,
+    /// Wall time of the evaluations.
+    evaluation: Duration,
 }
 
 impl std::fmt::Debug for Trainer {
@@ -74,15 +78,25 @@ impl std::fmt::Debug for Trainer {
 }
 
 impl Trainer {
-    /// Creates a run. `command` is recorded in the policies' metadata.
+    /// Creates a run on the CPU. `command` is recorded in the policies' metadata.
     ///
     /// # Errors
     /// Invalid settings, and errors of the creation of environments.
     pub fn new(config: TrainConfig, command: &str) -> Result<Self, TrainError> {
         config.validate()?;
-        let agents = config.agents()?;
+        let learner = on_the_cpu(&config)?;
+        Self::with_learner(config, command, learner)
+    }
+
+    /// Creates a run with a learner, which has the environments of training. The environments of the configuration
+    /// evaluate the policy.
+    ///
+    /// # Errors
+    /// Invalid settings, and errors of the creation of environments.
+    pub fn with_learner(config: TrainConfig, command: &str, learner: Box<dyn Learner>) -> Result<Self, TrainError> {
+        config.validate()?;
         let arena = Arena::new(config.success, || config.environment())?;
-        Self::with(config, command, agents, arena)
+        Self::assemble(config, command, learner, arena)
     }
 
     /// Creates a run of a custom task. `agents` collect experience, and the environments of `arena` evaluate the
@@ -91,24 +105,48 @@ impl Trainer {
     /// # Errors
     /// Invalid settings.
     pub fn with(config: TrainConfig, command: &str, agents: Box<dyn Agents>, arena: Arena) -> Result<Self, TrainError> {
-        let began = Instant::now();
         config.validate()?;
-        let ppo = Ppo::new(config.ppo.clone(), config.width, &*agents, config.seed)?;
-        let best = (policy_of(&config, command, &*agents, &ppo, 0)?, None);
-        let (command, curve) = (command.to_string(), Vec::new());
-        let (iteration, first, stop, fresh) = (0, 0, None, true);
-        Ok(Self { config, command, agents, arena, ppo, iteration, first, fresh, curve, best, stop, began })
+        let learner = CpuLearner::new(&config, agents)?;
+        Self::assemble(config, command, Box::new(learner), arena)
     }
 
-    /// Resumes a run from a checkpoint. The result is bit-identical to that of an uninterrupted run if
+    fn assemble(
+        config: TrainConfig,
+        command: &str,
+        learner: Box<dyn Learner>,
+        arena: Arena,
+    ) -> Result<Self, TrainError> {
+        let (began, evaluation) = (Instant::now(), Duration::ZERO);
+        let best = (policy_of(&config, command, &*learner, 0)?, None);
+        let (command, curve) = (command.to_string(), Vec::new());
+        let (iteration, first, stop, fresh) = (0, 0, None, true);
+        Ok(Self { config, command, learner, arena, iteration, first, fresh, curve, best, stop, began, evaluation })
+    }
+
+    /// Resumes a run on the CPU from a checkpoint. The result is bit-identical to that of an uninterrupted run if
     /// [`is_checkpoint`](Self::is_checkpoint) was true when the checkpoint was taken.
     ///
     /// # Errors
-    /// [`TrainError::File`] for an invalid checkpoint.
+    /// [`TrainError::File`] for an invalid checkpoint. [`TrainError::Option`] for the checkpoint of a run on another
+    /// device.
     pub fn resume(path: impl AsRef<Path>) -> Result<Self, TrainError> {
+        Self::resume_with(path, on_the_cpu)
+    }
+
+    /// Resumes a run from a checkpoint, like [`resume`](Self::resume), with the learner that `make` creates for the
+    /// configuration of the checkpoint.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] for an invalid checkpoint, and the errors of `make`.
+    pub fn resume_with<E: From<TrainError>>(
+        path: impl AsRef<Path>,
+        make: impl FnOnce(&TrainConfig) -> Result<Box<dyn Learner>, E>,
+    ) -> Result<Self, E> {
         let path: PathBuf = path.as_ref().into();
         let checkpoint = Checkpoint::load(&path)?;
-        let mut trainer = Self::new(checkpoint.state.config.clone(), &checkpoint.state.command)?;
+        let config = checkpoint.state.config.clone();
+        config.validate()?;
+        let mut trainer = Self::with_learner(config.clone(), &checkpoint.state.command, make(&config)?)?;
         trainer.restore(checkpoint, path)?;
         Ok(trainer)
     }
@@ -119,18 +157,22 @@ impl Trainer {
         let wrong = |error| TrainError::File { path: path.clone(), error: Box::new(error) };
         let best = PolicyNetwork::from_bytes(&checkpoint.best).map_err(|error| wrong(error.into()))?;
         let run = Limits {
-            shape: &trainer.ppo.shape,
+            shape: trainer.learner.shape(),
             steps_per_iteration: trainer.steps_per_iteration(),
-            updates_per_iteration: trainer.ppo.updates_per_iteration(trainer.agents.rows()),
+            updates_per_iteration: trainer.config.ppo.updates_per_iteration(trainer.learner.rows()),
         };
         checkpoint.validate(&run, &best).map_err(|message| wrong(TrainError::Checkpoint { message }))?;
         let Checkpoint { state, parameters, moments, curve, .. } = checkpoint;
-        trainer.ppo.parameters = parameters;
-        trainer.ppo.optimizer = moments;
-        trainer.ppo.rate = state.rate;
-        trainer.ppo.observations = state.observations;
-        trainer.ppo.rewards = state.rewards;
-        trainer.ppo.refresh().map_err(|error| wrong(error.into()))?;
+        let learner = LearnerState {
+            parameters,
+            optimizer_steps: moments.time,
+            first_moments: moments.first,
+            second_moments: moments.second,
+            learning_rate: state.rate,
+            observations: state.observations,
+            rewards: state.rewards.sums().clone(),
+        };
+        trainer.learner.restore(learner).map_err(wrong)?;
         trainer.iteration = state.iteration;
         trainer.first = state.iteration;
         trainer.curve = curve;
@@ -164,7 +206,7 @@ impl Trainer {
 
     /// Returns the number of environment steps of an iteration.
     pub fn steps_per_iteration(&self) -> u64 {
-        (self.agents.rows() * self.config.ppo.horizon) as u64
+        (self.learner.rows() * self.config.ppo.horizon) as u64
     }
 
     /// Returns the number of environment steps so far, of all agents.
@@ -190,9 +232,9 @@ impl Trainer {
     /// Returns the current policy.
     ///
     /// # Errors
-    /// [`TrainError::Policy`] if its parameters are not finite.
+    /// [`TrainError::Policy`] if its parameters are not finite, and the errors of a device.
     pub fn policy(&self) -> Result<PolicyNetwork, TrainError> {
-        policy_of(&self.config, &self.command, &*self.agents, &self.ppo, self.steps())
+        policy_of(&self.config, &self.command, &*self.learner, self.steps())
     }
 
     /// Returns the best evaluated policy; the initial one before the first evaluation.
@@ -207,7 +249,7 @@ impl Trainer {
 
     /// Returns the wall time by activity since the trainer was created or resumed.
     pub fn clock(&self) -> Clock {
-        Clock { total: self.began.elapsed(), ..self.ppo.clock }
+        Clock { total: self.began.elapsed(), evaluation: self.evaluation, ..self.learner.clock() }
     }
 
     fn out_of_steps(&self) -> Option<Stop> {
@@ -235,20 +277,21 @@ impl Trainer {
         if self.is_checkpoint() || self.fresh {
             // a resumed run starts here, too
             self.fresh = false;
-            if !self.ppo.has_scales() {
+            if !self.learner.has_scales() {
                 let seeds = [2, 3].map(|what| self.seed_of(self.iteration, what));
-                self.ppo.estimate_scales(&mut *self.agents, seeds)?;
+                self.learner.estimate_scales(seeds)?;
             }
             let seed = self.seed_of(self.iteration, 0);
-            self.ppo.restart(&mut *self.agents, seed)?;
+            self.learner.restart(seed)?;
         }
         let seed = self.seed_of(self.iteration, 1);
-        let report = self.ppo.iterate(&mut *self.agents, seed)?;
+        let report = self.learner.iterate(seed)?;
         self.iteration += 1;
         self.stop = self.out_of_steps();
         let due = self.iteration.is_multiple_of(self.config.evaluate_every) || self.stop.is_some();
         let score = if due { Some(self.evaluate()?) } else { None };
-        self.curve.push(Point { iteration: self.iteration, steps: self.steps(), report, score, rate: self.ppo.rate });
+        let rate = self.learner.learning_rate();
+        self.curve.push(Point { iteration: self.iteration, steps: self.steps(), report, score, rate });
         Ok(())
     }
 
@@ -286,7 +329,7 @@ impl Trainer {
         if confirmed {
             self.stop = Some(Stop::Success);
         }
-        self.ppo.clock.evaluation += began.elapsed();
+        self.evaluation += began.elapsed();
         Ok(score)
     }
 
@@ -303,30 +346,42 @@ impl Trainer {
     /// at another iteration.
     ///
     /// # Errors
-    /// [`TrainError::Policy`] if serialization fails.
+    /// [`TrainError::Policy`] if serialization fails, and the errors of a device.
     pub fn checkpoint(&self) -> Result<Vec<u8>, TrainError> {
-        let ppo = &self.ppo;
-        let moments = ppo.optimizer.clone();
+        let learner = self.learner.state()?;
+        let (first, second) = (learner.first_moments, learner.second_moments);
+        let moments = Moments { time: learner.optimizer_steps, first, second };
         let state = State {
             config: self.config.clone(),
             command: self.command.clone(),
             iteration: self.iteration,
             time: moments.time,
-            rate: ppo.rate,
-            observations: ppo.observations.clone(),
-            rewards: ppo.rewards.clone(),
+            rate: learner.learning_rate,
+            observations: learner.observations,
+            rewards: RewardScale::of(learner.rewards),
             best: self.best.1,
         };
-        let (parameters, curve, best) = (ppo.parameters.clone(), self.curve.clone(), self.best.0.to_bytes()?);
+        let (parameters, curve, best) = (learner.parameters, self.curve.clone(), self.best.0.to_bytes()?);
         Checkpoint { state, parameters, moments, curve, best }.to_bytes()
     }
+}
+
+/// Creates the learner of the CPU for a configuration, with initial parameters.
+///
+/// # Errors
+/// Errors of the creation of the environments. [`TrainError::Option`] for a configuration of another device.
+pub fn on_the_cpu(config: &TrainConfig) -> Result<Box<dyn Learner>, TrainError> {
+    if config.device != TrainDevice::Cpu {
+        let got = config.device.to_string();
+        return Err(TrainError::Option { option: "device", got, expected: "cpu, or a learner of another device" });
+    }
+    Ok(Box::new(CpuLearner::new(config, config.agents()?)?))
 }
 
 fn policy_of(
     config: &TrainConfig,
     command: &str,
-    agents: &dyn Agents,
-    ppo: &Ppo,
+    learner: &dyn Learner,
     steps: u64,
 ) -> Result<PolicyNetwork, TrainError> {
     // the recorded configuration contains no path of this machine
@@ -346,14 +401,12 @@ fn policy_of(
         made_by: concat!("mujoco-drones-gym ", env!("CARGO_PKG_VERSION")).into(),
         training: Some(training),
     };
-    let (mean, deviation) = ppo.normalization();
-    let policy = PolicyNetwork::new(
-        info,
-        ppo.actor().clone(),
-        agents.observation_space().clone(),
-        agents.action_space().clone(),
-    )?;
-    Ok(policy.normalized(mean.to_vec(), deviation.to_vec())?)
+    let (shape, state) = (learner.shape(), learner.state()?);
+    let (actor, ..) = shape.split(&state.parameters);
+    let actor = Mlp::new(&shape.actor, shape.activation, actor)?;
+    let policy = PolicyNetwork::new(info, actor, learner.observation_space().clone(), learner.action_space().clone())?;
+    let (mean, deviation) = state.normalization();
+    Ok(policy.normalized(mean, deviation)?)
 }
 
 #[cfg(test)]
@@ -365,6 +418,7 @@ mod tests {
     use super::*;
     use crate::agents::Outcome;
     use crate::evaluation::Success;
+    use crate::ppo::Ppo;
 
     /// Agents that observe 1000 ± 50, independently of their actions.
     struct Far {
@@ -432,11 +486,12 @@ mod tests {
         let mut config = TrainConfig::of_task("hover").unwrap();
         config.ppo.horizon = 16;
         let space = |size| BoxSpace::new(vec![[f64::NEG_INFINITY, f64::INFINITY]; size]);
-        let agents = Far { observations: space(3), actions: space(2), rng: Rng::seed_from_u64(0) };
-        let arena = Arena::new(config.success, || config.environment()).unwrap();
-        let mut trainer = Trainer::with(config.clone(), "a test", Box::new(agents), arena).unwrap();
-        trainer.advance().unwrap();
-        let inputs = trainer.ppo.inputs();
+        let mut agents = Far { observations: space(3), actions: space(2), rng: Rng::seed_from_u64(0) };
+        let mut ppo = Ppo::new(config.ppo, config.width, &agents, 0).unwrap();
+        ppo.estimate_scales(&mut agents, [1, 2]).unwrap();
+        ppo.restart(&mut agents, 3).unwrap();
+        ppo.iterate(&mut agents, 4).unwrap();
+        let inputs = ppo.inputs();
         assert_eq!(inputs.len(), 16 * 64 * 3);
         let count = inputs.len() as f32;
         let mean = inputs.iter().sum::<f32>() / count;

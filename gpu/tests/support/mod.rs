@@ -17,9 +17,11 @@ pub fn device(test: &str) -> Option<GpuDevice> {
 }
 
 /// Deterministic numbers in [−1, 1].
+#[allow(dead_code)]
 #[derive(Debug, Clone)]
 pub struct Noise(pub u64);
 
+#[allow(dead_code)]
 impl Noise {
     /// Returns the next number.
     pub fn next(&mut self) -> f64 {

@@ -70,3 +70,11 @@ settings! {
         initial_std was "deviation": f64,
     }
 }
+
+impl PpoConfig {
+    /// Returns the largest number of optimizer steps in an iteration with a number of rows.
+    pub(crate) fn updates_per_iteration(&self, rows: usize) -> u64 {
+        let minibatches = (rows * self.horizon).div_ceil(self.minibatch);
+        (self.epochs * minibatches) as u64
+    }
+}

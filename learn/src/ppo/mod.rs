@@ -32,6 +32,7 @@ pub use config::PpoConfig;
 use self::loss::{Networks, Sums};
 use self::rollout::Experience;
 use crate::agents::{Agents, Outcome};
+use crate::learner::LearnerState;
 use crate::network::NetworkShape;
 use crate::optimizer::Moments;
 use crate::scale::{RewardScale, Running};
@@ -86,13 +87,13 @@ pub struct Report {
 /// State of PPO: networks, optimizer, normalization and rollout buffers.
 #[derive(Debug)]
 pub(crate) struct Ppo {
-    pub config: PpoConfig,
+    config: PpoConfig,
     pub shape: NetworkShape,
-    pub parameters: Vec<f32>,
-    pub optimizer: Moments,
+    parameters: Vec<f32>,
+    optimizer: Moments,
     pub rate: f64,
-    pub observations: Running,
-    pub rewards: RewardScale,
+    observations: Running,
+    rewards: RewardScale,
     pub clock: Clock,
     actor: Mlp,
     critic: Mlp,
@@ -165,31 +166,37 @@ impl Ppo {
         &self.experience.observations
     }
 
-    /// Returns the current actor.
-    pub fn actor(&self) -> &Mlp {
-        &self.actor
-    }
-
-    /// Returns the largest number of optimizer steps in an iteration with a number of rows.
-    pub fn updates_per_iteration(&self, rows: usize) -> u64 {
-        let minibatches = (rows * self.config.horizon).div_ceil(self.config.minibatch);
-        (self.config.epochs * minibatches) as u64
-    }
-
-    /// Returns mean and standard deviation for the normalization of observations.
-    pub fn normalization(&self) -> (&[f32], &[f32]) {
-        (&self.mean, &self.deviation)
-    }
-
     /// Applies changed parameters and scales to the networks.
-    pub fn refresh(&mut self) -> Result<(), aviary::policy::PolicyError> {
+    fn refresh(&mut self) -> Result<(), aviary::policy::PolicyError> {
         let (actor, critic, _) = self.shape.split(&self.parameters);
         self.actor.set(actor)?;
         self.critic.set(critic)?;
-        self.mean = self.observations.mean();
-        // a lower bound keeps observations that were constant so far from being amplified
-        self.deviation = self.observations.deviation().iter().map(|deviation| deviation.max(1e-2)).collect();
+        (self.mean, self.deviation) = self.observations.normalization();
         Ok(())
+    }
+
+    /// Returns the state between two iterations.
+    pub fn state(&self) -> LearnerState {
+        LearnerState {
+            parameters: self.parameters.clone(),
+            optimizer_steps: self.optimizer.time,
+            first_moments: self.optimizer.first.clone(),
+            second_moments: self.optimizer.second.clone(),
+            learning_rate: self.rate,
+            observations: self.observations.clone(),
+            rewards: self.rewards.sums().clone(),
+        }
+    }
+
+    /// Continues from a state. Call [`restart`](Self::restart) afterwards.
+    pub fn restore(&mut self, state: LearnerState) -> Result<(), aviary::policy::PolicyError> {
+        self.parameters = state.parameters;
+        let (first, second) = (state.first_moments, state.second_moments);
+        self.optimizer = Moments { time: state.optimizer_steps, first, second };
+        self.rate = state.learning_rate;
+        self.observations = state.observations;
+        self.rewards = RewardScale::of(state.rewards);
+        self.refresh()
     }
 
     /// Returns true if the scales of observations and rewards have been estimated.

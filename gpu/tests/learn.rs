@@ -1,0 +1,164 @@
+//! Training on the GPU: reproducibility, checkpoints, progress, and errors.
+#![cfg(all(feature = "wgpu", feature = "learn"))]
+
+mod support;
+
+use std::io::Write as _;
+use std::time::Instant;
+
+use aviary::env::{BodyRanges, Randomization};
+use aviary::policy::Activation;
+use aviary_gpu::{GpuDevice, GpuError, GpuPpo};
+use learn::{Learner as _, Stop, TrainConfig, TrainDevice, TrainError, Trainer};
+use support::device;
+
+/// Returns the configuration of a short run.
+fn small(task: &str) -> TrainConfig {
+    let mut config = TrainConfig::of_task(task).unwrap();
+    (config.seed, config.device) = (7, TrainDevice::Gpu);
+    config.steps = 5 * 64 * 16;
+    (config.ppo.environments, config.ppo.horizon, config.ppo.minibatch) = (64, 16, 300);
+    config.ppo.hidden = vec![16, 16];
+    (config.evaluate_every, config.episodes, config.checkpoint_every) = (3, 3, 2);
+    config.episode_seconds = Some(1.0);
+    config
+}
+
+fn trainer(config: &TrainConfig, device: &GpuDevice) -> Trainer {
+    let learner = GpuPpo::new(config, device).unwrap();
+    Trainer::with_learner(config.clone(), "a test", Box::new(learner)).unwrap()
+}
+
+fn finish(mut trainer: Trainer) -> Trainer {
+    while trainer.stop().is_none() {
+        trainer.advance().unwrap();
+    }
+    trainer
+}
+
+fn bytes(trainer: &Trainer) -> Vec<u8> {
+    trainer.policy().unwrap().to_bytes().unwrap()
+}
+
+#[test]
+fn equal_seeds_give_equal_policies() {
+    let Some(device) = device("equal_seeds_give_equal_policies") else { return };
+    for (task, activation) in [("hover", Activation::Relu), ("stabilize", Activation::Softsign)] {
+        let mut config = small(task);
+        config.ppo.activation = activation;
+        let first = finish(trainer(&config, &device));
+        let second = finish(trainer(&config, &device));
+        assert_eq!((bytes(&first), first.curve()), (bytes(&second), second.curve()));
+        assert_eq!(first.steps(), 5 * 64 * 16);
+        assert_eq!(first.policy().unwrap().info().task, task);
+        config.seed = 8;
+        assert_ne!(bytes(&first), bytes(&finish(trainer(&config, &device))));
+    }
+}
+
+#[test]
+fn a_resumed_run_is_bit_identical_to_an_uninterrupted_one() {
+    let Some(device) = device("a_resumed_run_is_bit_identical_to_an_uninterrupted_one") else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("checkpoint.safetensors");
+    let config = small("hover");
+    let mut whole = trainer(&config, &device);
+    for _ in 0..2 {
+        whole.advance().unwrap();
+    }
+    assert!(whole.is_checkpoint());
+    std::fs::write(&path, whole.checkpoint().unwrap()).unwrap();
+    let whole = finish(whole);
+    let make = |config: &TrainConfig| -> Result<Box<dyn learn::Learner>, TrainError> {
+        assert_eq!(config.device, TrainDevice::Gpu);
+        Ok(Box::new(GpuPpo::new(config, &device).unwrap()))
+    };
+    let resumed = finish(Trainer::resume_with(&path, make).unwrap());
+    assert_eq!((bytes(&whole), whole.curve()), (bytes(&resumed), resumed.curve()));
+    assert_eq!(whole.checkpoint().unwrap(), resumed.checkpoint().unwrap());
+    // the learner of the CPU does not continue it
+    let error = Trainer::resume(&path).unwrap_err().to_string();
+    assert_eq!(error, "device is gpu, expected cpu, or a learner of another device");
+}
+
+#[test]
+fn training_improves_the_reward() {
+    let Some(device) = device("training_improves_the_reward") else { return };
+    let mut config = TrainConfig::of_task("hover").unwrap();
+    config.device = TrainDevice::Gpu;
+    (config.ppo.environments, config.ppo.minibatch) = (512, 1024);
+    (config.evaluate_every, config.steps, config.episodes) = (1000, 25 * 512 * 32, 4);
+    let trainer = finish(trainer(&config, &device));
+    let rewards: Vec<f64> = trainer.curve().iter().map(|point| point.report.mean_reward).collect();
+    let mean = |rewards: &[f64]| rewards.iter().sum::<f64>() / rewards.len() as f64;
+    let [before, after] = [mean(&rewards[..3]), mean(&rewards[22..])];
+    assert!(after > 0.5 * before, "mean reward {before} before, {after} after");
+    for point in trainer.curve() {
+        let report = &point.report;
+        let numbers = [report.approx_kl, report.loss, report.action_std, report.explained_variance, point.rate];
+        assert!(numbers.iter().all(|x| x.is_finite()), "{report:?}");
+        assert!((0.0..0.5).contains(&report.approx_kl) && (0.0..=1.0).contains(&report.clip_fraction), "{report:?}");
+    }
+    let last = trainer.curve().last().unwrap();
+    assert!(last.report.explained_variance > 0.2, "{:?}", last.report);
+    let clock = trainer.clock();
+    assert!(!clock.simulation.is_zero() && !clock.gradient.is_zero() && clock.total > clock.simulation);
+}
+
+/// Trains Hover until every episode of five evaluations succeeds, and flies 300 other episodes in MuJoCo.
+///
+/// `cargo test --release -p aviary-gpu --features vulkan,learn --test learn -- --ignored --nocapture`
+#[test]
+#[ignore = "takes minutes on a software device"]
+fn hover_is_learned_and_flies_in_mujoco() {
+    let Some(device) = device("hover_is_learned_and_flies_in_mujoco") else { return };
+    let mut config = TrainConfig::of_task("hover").unwrap();
+    (config.device, config.until_success, config.seed) = (TrainDevice::Gpu, true, 1);
+    let began = Instant::now();
+    let mut trainer = trainer(&config, &device);
+    while trainer.stop().is_none() {
+        if let Some(score) = trainer.advance().unwrap().score {
+            let (steps, seconds) = (trainer.steps(), began.elapsed().as_secs_f64());
+            let report = &trainer.curve().last().unwrap().report;
+            let _ = writeln!(std::io::stderr(), "{steps} steps, {seconds:.1} s, {score:?}, {report:?}");
+        }
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let episodes = trainer.fly(5000, 300).unwrap();
+    let successes = episodes.iter().filter(|episode| episode.success).count();
+    let _ = writeln!(
+        std::io::stderr(),
+        "{}: {} steps in {seconds:.1} s, {:?}; {successes} of 300 episodes succeed in MuJoCo",
+        device.adapter(),
+        trainer.steps(),
+        trainer.clock(),
+    );
+    assert_eq!(trainer.stop(), Some(Stop::Success));
+    assert_eq!(successes, 300);
+}
+
+#[test]
+fn options_that_the_kernels_do_not_have_are_errors_of_one_line() {
+    let Some(device) = device("options_that_the_kernels_do_not_have_are_errors_of_one_line") else { return };
+    let error = |config: &TrainConfig| {
+        let error = GpuPpo::new(config, &device).map(|_| ()).unwrap_err();
+        assert!(!error.to_string().contains('\n'));
+        error
+    };
+    let race = TrainConfig { course: None, ..small("race") };
+    assert!(matches!(error(&race), GpuError::NotPorted { .. }));
+    let config = TrainConfig { per_drone: true, ..small("hover") };
+    assert_eq!(error(&config).to_string(), "per_drone is true, expected false on the GPU");
+    let mut config = small("hover");
+    config.randomize(Randomization { battery: None, body: Some(BodyRanges::default()), ..Randomization::NONE });
+    assert!(matches!(error(&config), GpuError::NotPorted { .. }));
+    let mut config = small("hover");
+    (config.ppo.environments, config.ppo.horizon) = (1 << 20, 64);
+    config.ppo.hidden = vec![256; 7];
+    config.ppo.minibatch = 1 << 24;
+    let many = error(&config);
+    assert!(matches!(many, GpuError::TooManyEnvironments { got: 1_048_576, .. }), "{many}");
+    // initial states have ranges in training, and are no randomization of the kernels
+    let learner = GpuPpo::new(&small("hover"), &device).unwrap();
+    assert_eq!((learner.rows(), learner.shape().observation(), learner.shape().action()), (64, 12, 4));
+}
