@@ -1,5 +1,7 @@
 //! Batch of environments on a GPU, with host buffers.
 
+use std::sync::OnceLock;
+
 use aviary::action::MotorScale;
 use aviary::engine::Substeps;
 use aviary::env::{
@@ -51,6 +53,8 @@ struct Progress {
     reward: f64,
     /// Control steps.
     steps: u64,
+    /// True if the motors have had a command since the start of the episode.
+    commanded: bool,
 }
 
 /// A batch of M environments of one task on a GPU.
@@ -107,6 +111,8 @@ pub struct GpuAviary {
     actions: Vec<f64>,
     /// Number of control steps of the batch.
     control_steps: u64,
+    /// Numbers of all drones, once a caller has asked for the state of one since the last step or reset.
+    downloaded: OnceLock<Vec<f64>>,
 }
 
 impl GpuAviary {
@@ -153,6 +159,7 @@ impl GpuAviary {
             faults: Vec::new(),
             actions: vec![0.0; drones * batch.plan.action_size()],
             control_steps: 0,
+            downloaded: OnceLock::new(),
             batch,
         })
     }
@@ -237,7 +244,8 @@ impl GpuAviary {
 
     /// Advances every environment by several control steps with the actions of the last step, without copies between
     /// host and device, and waits for the device. For measurements: observations, rewards, ends and
-    /// [`episode_summary`](VecEnv::episode_summary) of these steps stay on the device.
+    /// [`episode_summary`](VecEnv::episode_summary) of these steps stay on the device, and the sum of rewards of the
+    /// present episodes begins again.
     ///
     /// # Errors
     /// [`GpuError::Env`] if an environment has not been reset, or with [`Autoreset::Disabled`], whose environments stop
@@ -254,7 +262,18 @@ impl GpuAviary {
         self.control_steps += u64::from(steps);
         self.summaries.fill(None);
         self.faults.clear();
-        self.batch.wait()
+        self.downloaded = OnceLock::new();
+        self.batch.wait()?;
+        // episodes may have ended and started
+        let next_step = self.config.autoreset == Autoreset::NextStep;
+        for (progress, [steps, end]) in self.progress.iter_mut().zip(self.batch.download_progress()?) {
+            let over = next_step && end != 0;
+            *progress = Progress { started: true, over, reward: 0.0, steps: u64::from(steps), commanded: true };
+            if over {
+                progress.steps = 0;
+            }
+        }
+        Ok(())
     }
 
     /// Starts an episode in every environment that the mask selects, with the seeds that `seed_of` returns.
@@ -265,6 +284,7 @@ impl GpuAviary {
         observations: &mut [f32],
     ) -> Result<(), EnvError> {
         self.faults.clear();
+        self.downloaded = OnceLock::new();
         let (count, size) = (self.progress.len(), self.observation_size());
         check_len("mask", mask.len(), count)?;
         check_len("observations", observations.len(), count * size)?;
@@ -313,22 +333,22 @@ impl GpuAviary {
         self.config.autoreset == Autoreset::NextStep && self.progress[environment].over
     }
 
-    /// Returns the action of an environment in the last step.
-    fn action_of(&self, environment: usize) -> &[f64] {
+    /// Returns the action of an environment.
+    fn action_of<'a>(&self, actions: &'a [f64], environment: usize) -> &'a [f64] {
         let size = self.action_size();
-        &self.actions[environment * size..][..size]
+        &actions[environment * size..][..size]
     }
 
-    /// Returns the error of an action of the last step that is not finite.
-    fn bad_action(&self, environment: usize) -> Option<EnvError> {
-        let action = self.action_of(environment);
+    /// Returns the error of an action that is not finite.
+    fn bad_action(&self, actions: &[f64], environment: usize) -> Option<EnvError> {
+        let action = self.action_of(actions, environment);
         let index = action.iter().position(|x| !x.is_finite())?;
         let time = self.progress[environment].steps as f64 * self.control_period;
         Some(EnvError::Action { index, got: action[index], time })
     }
 
     /// Advances every environment by one control step with the actions of `self.actions`.
-    fn step_with(&mut self, out: VecStep<'_>) -> Result<(), EnvError> {
+    fn step_with(&mut self, actions: Vec<f64>, out: VecStep<'_>) -> Result<(), EnvError> {
         let count = self.progress.len();
         check_len("observations", out.observations.len(), count * self.observation_size())?;
         check_len("rewards", out.rewards.len(), count)?;
@@ -338,19 +358,28 @@ impl GpuAviary {
         if fatal {
             self.check_started()?;
         }
-        if fatal && self.actions.iter().any(|x| !x.is_finite()) {
+        if fatal && actions.iter().any(|x| !x.is_finite()) {
             let running = (0..count).filter(|&environment| !self.ignores_action(environment));
-            let bad = running.map(|environment| (environment, self.bad_action(environment)));
+            let bad = running.map(|environment| (environment, self.bad_action(&actions, environment)));
             if let Some((environment, Some(error))) = bad.into_iter().find(|(_, error)| error.is_some()) {
                 return Err(EnvError::InBatch { environment, error: Box::new(error) });
             }
         }
-        self.batch.set_actions(&self.actions);
+        self.batch.set_actions(&actions);
+        self.actions = actions;
+        self.downloaded = OnceLock::new();
         self.batch.step();
         let DeviceBatch { observations, rewards, ends, .. } = &self.batch;
         let bytes = self.batch.read([observations, rewards, ends])?;
         self.control_steps += 1;
-        out.observations.copy_from_slice(f32::from_bytes(&bytes[0]));
+        let size = self.observation_size();
+        let rows = f32::from_bytes(&bytes[0]).chunks_exact(size).zip(out.observations.chunks_exact_mut(size));
+        for (environment, (row, out)) in rows.enumerate() {
+            // an environment that waits for its reset keeps its row
+            if self.needs_reset(environment).is_none() {
+                out.copy_from_slice(row);
+            }
+        }
         out.rewards.copy_from_slice(f32::from_bytes(&bytes[1]));
         let mut any_ended = false;
         for (environment, &end) in u32::from_bytes(&bytes[2]).iter().enumerate() {
@@ -358,7 +387,7 @@ impl GpuAviary {
             out.truncated[environment] = end & end::TRUNCATED != 0;
             if let Some(error) = self.needs_reset(environment) {
                 (out.rewards[environment], out.terminated[environment]) = (0.0, false);
-                out.truncated[environment] = true;
+                out.truncated[environment] = false;
                 self.summaries[environment] = None;
                 self.faults.push((environment, error));
                 continue;
@@ -389,12 +418,14 @@ impl GpuAviary {
         if reason == Some(EndReason::Fault) {
             let time = self.progress[environment].steps as f64 * self.control_period;
             let diverged = || EnvError::Device { message: format!("the state of a drone diverged after {time} s") };
-            let error = self.bad_action(environment).unwrap_or_else(diverged);
+            let error = self.bad_action(&self.actions, environment).unwrap_or_else(diverged);
             self.faults.push((environment, error));
         }
         let progress = &mut self.progress[environment];
         progress.reward += reward;
-        progress.steps += 1;
+        // a step that fails does not count
+        progress.steps += u64::from(reason != Some(EndReason::Fault));
+        progress.commanded = true;
         if end == 0 {
             return;
         }
@@ -402,7 +433,16 @@ impl GpuAviary {
         let success = end & end::SUCCESS != 0;
         self.summaries[environment] = Some(EpisodeSummary { reward, steps, end: reason, success });
         let over = self.config.autoreset != Autoreset::SameStep;
-        self.progress[environment] = Progress { started: true, over, ..Progress::default() };
+        self.progress[environment] = Progress { started: true, over, commanded: over, ..Progress::default() };
+    }
+
+    /// Returns the numbers of all drones.
+    fn numbers(&self) -> Option<&[f64]> {
+        if self.downloaded.get().is_none() {
+            let numbers = self.batch.download_numbers().ok()?;
+            let _ = self.downloaded.set(numbers);
+        }
+        self.downloaded.get().map(Vec::as_slice)
     }
 }
 
@@ -486,15 +526,13 @@ impl VecEnv for GpuAviary {
     fn step(&mut self, actions: &[f32], out: VecStep<'_>) -> Result<(), EnvError> {
         self.faults.clear();
         check_len("actions", actions.len(), self.actions.len())?;
-        self.actions.iter_mut().zip(actions).for_each(|(own, &action)| *own = f64::from(action));
-        self.step_with(out)
+        self.step_with(actions.iter().map(|&action| f64::from(action)).collect(), out)
     }
 
     fn step_f64(&mut self, actions: &[f64], out: VecStep<'_>) -> Result<(), EnvError> {
         self.faults.clear();
         check_len("actions", actions.len(), self.actions.len())?;
-        self.actions.copy_from_slice(actions);
-        self.step_with(out)
+        self.step_with(actions.to_vec(), out)
     }
 
     fn render_images_where(&mut self, mask: &[bool], out: VecImages<'_>) -> Result<(), EnvError> {
@@ -521,13 +559,13 @@ impl VecEnv for GpuAviary {
         if environment >= self.progress.len() || drone >= drones {
             return None;
         }
-        let (numbers, index) = (self.batch.download_numbers().ok()?, environment * drones + drone);
+        let (numbers, index) = (self.numbers()?, environment * drones + drone);
         let at = |row: usize| numbers[row * count + index];
         let size = self.batch.plan.action_size();
-        let action = &self.action_of(environment)[drone * size..][..size];
+        let action = &self.action_of(&self.actions, environment)[drone * size..][..size];
         let hover = if self.batch.plan.relative { self.nominal[drone].hover_rpm } else { 0.0 };
         let command = |motor: usize| match self.batch.plan.decoding {
-            _ if self.progress[environment].steps == 0 => 0.0,
+            _ if !self.progress[environment].commanded => 0.0,
             Decoding::Scaled { .. } => self.scales[drone].rpm(action[motor % size]),
             Decoding::Raw => {
                 let [low, high] = self.batch.plan.action_bounds[motor];
@@ -560,7 +598,7 @@ impl VecEnv for GpuAviary {
     }
 
     fn engine_substeps(&self) -> Substeps {
-        let steps = self.control_steps * u64::from(self.batch.plan.substeps) * self.batch.drones() as u64;
+        let steps = self.control_steps * u64::from(self.batch.plan.substeps) * self.progress.len() as u64;
         Substeps { flight: steps, ..Substeps::default() }
     }
 }

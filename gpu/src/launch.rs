@@ -34,7 +34,7 @@ pub(crate) struct DeviceBatch {
     /// True if a step keeps the last observation of an episode.
     keeps_last: bool,
     pub numbers: Handle,
-    words: Handle,
+    pub words: Handle,
     /// Actions: a row per drone, in the precision of the batch.
     pub actions: Handle,
     parameters: Handle,
@@ -119,7 +119,7 @@ impl DeviceBatch {
         plan.drones as usize * drone + size_of::<f32>() + size_of::<u32>()
     }
 
-    /// Returns the bytes that a step of an environment reads and writes.
+    /// Returns the bytes that a step of an environment reads and writes, without the exchange between drones.
     pub fn bytes_per_step(plan: &Plan, precision: Precision, keeps_last: bool) -> usize {
         let observations = plan.observation_size() * if keeps_last { 2 } else { 1 };
         let single = observations + 2 * Memory::<f64>::WORDS;
@@ -155,6 +155,15 @@ impl DeviceBatch {
             Precision::Single => f32::from_bytes(&bytes[0]).iter().map(|&x| f64::from(x)).collect(),
             Precision::Double => f64::from_bytes(&bytes[0]).to_vec(),
         })
+    }
+
+    /// Copies the control steps of the present episode and the end of the last step of every environment to the host.
+    pub fn download_progress(&self) -> Result<Vec<[u32; 2]>, GpuError> {
+        let (bytes, count, drones) = (self.read([&self.words])?, self.drones(), self.plan.drones as usize);
+        let words = u32::from_bytes(&bytes[0]);
+        // the order of `Memory::words`
+        let at = |row: usize, environment: usize| words[row * count + environment * drones];
+        Ok((0..self.environments).map(|environment| [at(3, environment), at(4, environment)]).collect())
     }
 
     /// Waits until the device has computed everything.
@@ -198,9 +207,10 @@ impl DeviceBatch {
     fn step_in<F: Float + CubeElement>(&self) {
         let (count, (grid, group)) = (self.drones(), self.grid());
         let observations = count * self.plan.observation_size();
-        // SAFETY: every buffer has the length that is passed with it, `new` has allocated them, and no entry that the
-        // kernel accesses is outside: the threads beyond the last drone read the entries of the last one and store
-        // nothing
+        // SAFETY: every buffer has the length that is passed with it, `new` and `set_workgroup` have allocated them, and
+        // no entry that the kernel accesses is outside. The threads beyond the last drone read the entries of the last
+        // one, maybe while its thread stores them, and have entries of their own in the exchange alone; nothing reads
+        // their results
         unsafe {
             step_kernel::launch_unchecked::<F>(
                 self.device.client(),

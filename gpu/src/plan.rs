@@ -118,6 +118,8 @@ pub(crate) struct Plan {
     pub crash: Settings<Crash>,
     /// Number of drones of an environment.
     pub drones: u32,
+    /// Index of the random stream of the first environment.
+    pub stream: u32,
     pub decoding: Decoding,
     /// Bounds of the action of a drone.
     pub action_bounds: Settings<Vec<[f64; 2]>>,
@@ -228,13 +230,17 @@ pub(crate) fn describe<T: GpuTask>(
     }
     check_crash(&crash)?;
     let Ok(episode_steps) = u32::try_from(env.episode_steps()) else {
-        return not_ported("episode_seconds", env.episode_steps(), "an episode of at most 4,294,967,295 control steps");
+        let got = format!("set to {} control steps", env.episode_steps());
+        return not_ported("episode_seconds", got, "at most 4,294,967,295 control steps");
+    };
+    let Ok(stream) = u32::try_from(env.stream()) else {
+        return not_ported("stream", env.stream(), "at most 4,294,967,295");
     };
     let own_wind = simulation.wind().filter(|wind| !wind.is_calm()).copied();
-    let sampled_wind = ranges.draws_wind().then(|| unit_wind(own_wind));
+    let sampled_wind = ranges.draws_wind().then(|| unit_wind(env.wind_settings().copied()));
     let mut parameters = Vec::new();
     for drone in 0..drones {
-        parameters.push(nominal(env, drone, medium, own_wind));
+        parameters.push(nominal(env, drone, medium, own_wind, sampled_wind));
     }
     check_starts(&task, &ranges, &parameters)?;
     let (dt, effects, substeps) = (world.timestep, simulation.effects(), simulation.substeps());
@@ -259,6 +265,7 @@ pub(crate) fn describe<T: GpuTask>(
             upright: (crash.max_tilt < PI).then(|| crash.max_tilt.cos()),
         }),
         drones: drones as u32,
+        stream,
         decoding,
         action_bounds: bounds(actions.low(), actions.high()),
         observation_bounds: bounds(observations.low(), observations.high()),
@@ -286,7 +293,15 @@ pub(crate) fn describe<T: GpuTask>(
 }
 
 /// Returns the nominal parameters of a drone.
-fn nominal<T: GpuTask>(env: &Aviary<T>, drone: usize, medium: Option<Medium>, wind: Option<WindConfig>) -> Parameters {
+///
+/// Without a sample the wind is the environment's own one. A sampled wind keeps the drag of `sampled_wind` alone.
+fn nominal<T: GpuTask>(
+    env: &Aviary<T>,
+    drone: usize,
+    medium: Option<Medium>,
+    own_wind: Option<WindConfig>,
+    sampled_wind: Option<WindConfig>,
+) -> Parameters {
     let simulation = env.simulation();
     let (params, actuators, dt) =
         (simulation.params(drone), simulation.actuator_params(drone), simulation.world().timestep);
@@ -300,9 +315,14 @@ fn nominal<T: GpuTask>(env: &Aviary<T>, drone: usize, medium: Option<Medium>, wi
     let quarter = params.propeller_radius / 4.0;
     let [drag_x, drag_y, drag_z] = params.drag_coefficients;
     let [c1, c2, c3] = params.downwash_coefficients;
-    let area = wind.unwrap_or_default().area_of(params.drag_area());
-    let mut wind = wind.map(|wind| wind.params(dt)).unwrap_or_default();
-    wind.drag *= area;
+    let of_area = |wind: WindConfig| {
+        let air = wind.params(dt);
+        WindParams { drag: air.drag * wind.area_of(params.drag_area()), ..air }
+    };
+    let wind = match (sampled_wind, own_wind) {
+        (Some(wind), _) => WindParams { drag: of_area(wind).drag, ..WindParams::default() },
+        (None, wind) => wind.map(of_area).unwrap_or_default(),
+    };
     let lag = actuators.lag > 0.0;
     let (latency, saturated) = ((actuators.latency / dt).round(), max * actuators.saturation);
     Parameters {
@@ -417,6 +437,10 @@ fn check_starts(task: &KernelTask, ranges: &Randomization, drones: &[Parameters]
         }
     }
     let reach = ranges.initial.map_or(0.0, |ranges| 2.0 * 3_f64.sqrt() * ranges.position);
+    if reach == 0.0 {
+        // the builder has checked the starts
+        return Ok(());
+    }
     for (index, one) in drones.iter().enumerate() {
         for other in &drones[..index] {
             let FlightState { position, .. } = one.start;

@@ -279,7 +279,12 @@ impl<F: Float> Real for Traced<F> {
     }
 
     fn natural_log(self) -> Self {
-        if Self::is_double() { flight::math::natural_log(self) } else { Self::new(emit!(LogOp, self)) }
+        if Self::is_double() {
+            return flight::math::natural_log(self);
+        }
+        // devices may round the logarithm of a number just below one to a positive number
+        let (log, one, zero) = (Self::new(emit!(LogOp, self)), self.all(1.0), self.all(0.0));
+        Self::choose(one.less(self), log, log.lesser(zero))
     }
 }
 

@@ -6,10 +6,10 @@ mod support;
 use aviary::action::ActionType;
 use aviary::control::ControllerKind;
 use aviary::drone::DroneModel;
-use aviary::env::EnvConfig;
+use aviary::env::{ActuatorRanges, AerodynamicRanges, BodyRanges, EnvConfig, EnvironmentRanges, Randomization};
 use aviary::physics::Effects;
 use aviary::physics::actuators::ActuatorParams;
-use aviary::physics::wind::{WindConfig, WindModel};
+use aviary::physics::wind::{DrydenFilter, WindConfig, WindModel};
 use aviary::vector::{Autoreset, VecBuffers, VecConfig, VecEnv, make_vec};
 use aviary::world::{Forcing, Medium};
 use aviary_gpu::{GpuAviary, GpuDevice, Precision};
@@ -302,4 +302,88 @@ fn single_precision_agrees_with_the_cpu_in_a_closed_loop() {
         }
     }
     assert!(largest < 1e-4, "{largest:e} m");
+}
+
+/// Ranges of one number draw the same parameters on CPU and GPU.
+#[test]
+fn sampled_parameters_act_as_on_the_cpu() {
+    let Some(device) = device("sampled_parameters_act_as_on_the_cpu") else { return };
+    if !device.adapter().double {
+        return;
+    }
+    let exactly = |x: f64| [x, x];
+    let body = BodyRanges { mass: exactly(1.1), inertia: exactly(0.9), arm_length: exactly(1.02) };
+    let air = AerodynamicRanges {
+        thrust: exactly(1.05),
+        torque: exactly(0.9),
+        drag: exactly(1.3),
+        ground: exactly(0.7),
+        ..AerodynamicRanges::default()
+    };
+    let motors =
+        ActuatorRanges { gain: exactly(1.02), lag: exactly(0.04), latency: exactly(0.0125), max_rpm: exactly(0.95) };
+    let gravity = EnvironmentRanges { gravity: exactly(1.02), wind: exactly(0.0) };
+    let ranges = Randomization {
+        body: Some(body),
+        aerodynamics: Some(air),
+        actuators: Some(motors),
+        environment: Some(gravity),
+        ..Randomization::NONE
+    };
+    let options = free_flight().effects(Effects { downwash: false, ..Effects::ALL }).randomization(ranges);
+    let hover = Comparison { environments: 4, ..Comparison::hover(options.clone()) };
+    // nothing corrects the rounding of the sampled parameters
+    assert_close("motors", hover.fly(&device, Precision::Double), 1e-11, 2e-6);
+    let builder = options.action_type(ActionType::Vel).controller(ControllerKind::Dsl);
+    let loops = Comparison { pilot: Pilot::Velocity, environments: 4, ..Comparison::hover(builder) };
+    assert_close("velocities", loops.fly(&device, Precision::Double), 1e-12, 2e-6);
+}
+
+/// A sampled wind has a random direction: drones that follow no position drift equally far on CPU and GPU.
+#[test]
+fn a_sampled_wind_carries_drones_as_on_the_cpu() {
+    let Some(device) = device("a_sampled_wind_carries_drones_as_on_the_cpu") else { return };
+    const COUNT: usize = 400;
+    for (drag_area, min) in [(None, 0.02), (Some(0.03), 0.2)] {
+        let wind = EnvironmentRanges { gravity: [1.0, 1.0], wind: [1.0, 1.0] };
+        let settings = WindConfig { drag_area, filter: DrydenFilter::MilF8785c, ..WindConfig::default() };
+        let ranges = Randomization { environment: Some(wind), ..Randomization::NONE };
+        let options = free_flight().wind(settings).randomization(ranges);
+        let mut cpu = make_vec("hover", options.clone(), VecConfig::new(COUNT)).unwrap();
+        let mut gpu = GpuAviary::make("hover", options, VecConfig::new(COUNT), &device, Precision::Single).unwrap();
+        let mut batches: [&mut dyn VecEnv; 2] = [&mut *cpu, &mut gpu];
+        let [one, other] = batches.each_mut().map(|env| {
+            let mut buffers = VecBuffers::new(*env);
+            env.reset(Some(1), &mut buffers.observations).unwrap();
+            for _ in 0..96 {
+                let rows = buffers.observations.chunks_exact(12);
+                let actions: Vec<f32> = rows.flat_map(|row| attitude_law(row, HEIGHT as f32, 0.0, 0.0, 0.0)).collect();
+                env.step(&actions, buffers.step()).unwrap();
+            }
+            let drift = |row: &[f32]| f64::from(row[0].hypot(row[1]));
+            let mut drifts: Vec<f64> = buffers.observations.chunks_exact(12).map(drift).collect();
+            drifts.sort_by(f64::total_cmp);
+            drifts
+        });
+        // medians and quartiles
+        for part in [COUNT / 4, COUNT / 2, 3 * COUNT / 4] {
+            let ratio = other[part] / one[part];
+            assert!((0.85..1.18).contains(&ratio), "{} m and {} m", one[part], other[part]);
+        }
+        assert!(one[COUNT / 2] > min, "{} m", one[COUNT / 2]);
+    }
+}
+
+/// Environments of another stream are others.
+#[test]
+fn streams_are_shifted_environments() {
+    let Some(device) = device("streams_are_shifted_environments") else { return };
+    let start = |stream: u64, count: usize| {
+        let options = EnvConfig::default().stream(stream);
+        let mut env = GpuAviary::make("stabilize", options, VecConfig::new(count), &device, Precision::Single).unwrap();
+        let mut rows = vec![0.0; 12 * count];
+        env.reset(Some(1), &mut rows).unwrap();
+        rows
+    };
+    assert_eq!(start(0, 8)[12 * 5..], start(5, 3));
 }

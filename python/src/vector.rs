@@ -118,7 +118,9 @@ impl Batch {
                         config = config.clone().episode_seconds(steps as f64 * probe.control_period());
                     }
                 }
-                if let Some(message) = memory::check(task, &config, batch).map_err(option_error)? {
+                // the memory of a GPU is not that of the process
+                let check = || if device == "cpu" { memory::check(task, &config, batch) } else { Ok(None) };
+                if let Some(message) = check().map_err(option_error)? {
                     return Err(PyMemoryError::new_err(message));
                 }
                 device::make(device, task, config, batch, option_error)

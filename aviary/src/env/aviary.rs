@@ -85,6 +85,20 @@ impl<T: Task> Aviary<T> {
         }
     }
 
+    /// Returns the settings of the environment's own wind, also those of still air; `None` without settings. A
+    /// randomization of the wind keeps some of them.
+    pub fn wind_settings(&self) -> Option<&WindConfig> {
+        match &self.episode.randomizer {
+            Some(randomizer) => randomizer.own_wind(),
+            None => self.simulation.wind(),
+        }
+    }
+
+    /// Returns the index of the seed's random stream that the environment uses.
+    pub fn stream(&self) -> u64 {
+        self.episode.stream
+    }
+
     /// Borrows the parts that the stages of a control step need.
     pub(crate) fn parts(&mut self) -> EnvParts<'_, T> {
         let Self { model, simulation, episode, decoders, workspace, .. } = self;

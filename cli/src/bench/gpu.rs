@@ -106,7 +106,7 @@ impl Case {
             copied,
             bytes_per_environment: env.bytes_per_env(),
             traffic: env.bytes_per_step(),
-            substeps: substeps / (self.environments * self.drones) as u64,
+            substeps: substeps / self.environments as u64,
         })
     }
 }

@@ -57,22 +57,25 @@ pub(super) fn on_floor<N: Number>(parameters: &Parameters<N>, motion: &FlightSta
 /// Number of projections between two cylinders.
 const PROJECTIONS: usize = 12;
 
-/// Returns an upper bound of the distance between a drone and another one, m, which is 0 where they overlap. It is the
-/// distance of their bounding balls where these are apart.
+/// Returns an upper bound of the distance between two drones, m, which is 0 where they overlap. It is the distance of
+/// their bounding balls where these are apart. Both drones of a pair call it with the same arguments, so that they find
+/// the same result.
 ///
 /// Alternating projections converge to the nearest points of two convex sets.
-pub(super) fn distance<N: Number>(cylinder: &CollisionCylinder<N>, motion: &FlightState<N>, other: &Neighbour<N>) -> N {
+pub(super) fn distance<N: Number>(one: &Neighbour<N>, other: &Neighbour<N>) -> N {
+    let cylinder = &one.cylinder;
+    // relative to one of them, so that single precision keeps its digits far from the origin
+    let there = other.position - one.position;
     let ball = |cylinder: &CollisionCylinder<N>| {
         (cylinder.radius * cylinder.radius + cylinder.height * cylinder.height * 0.25).sqrt()
     };
-    let apart = (other.position - motion.position).norm() - ball(cylinder) - ball(&other.cylinder);
+    let apart = there.norm() - ball(cylinder) - ball(&other.cylinder);
     let zero = apart.all(0.0);
     let (values, _) = N::when(apart.less(zero), (vec![apart], Vec::new()), || {
-        let (own_up, mut point) = (motion.attitude.up(), other.position);
-        let mut gap = zero;
+        let (mut point, mut gap) = (there, zero);
         for _ in 0..PROJECTIONS {
-            let here = projected(cylinder, motion.position, own_up, point);
-            point = projected(&other.cylinder, other.position, other.up, here);
+            let here = projected(cylinder, V3::zero(zero), one.up, point);
+            point = projected(&other.cylinder, there, other.up, here);
             gap = (point - here).norm();
         }
         // projections converge slowly where the cylinders barely overlap

@@ -28,7 +28,7 @@ pub(super) struct Start<N: Number> {
 pub(crate) struct Place<W> {
     /// Seed, lower half first.
     pub seed: [W; 2],
-    /// Index of the environment.
+    /// Index of the environment's random stream.
     pub environment: W,
     /// Index of the drone in its world.
     pub drone: W,
@@ -70,9 +70,9 @@ fn sample_parameters<N: Number>(
     let mut sampled = *nominal;
     let Randomization { body, aerodynamics, actuators, sensors, environment, .. } = &*plan.ranges;
     let one = nominal.hover_rpm.all(1.0);
-    let (mut mass, mut arm, mut thrust, mut torque) = (one, one, one, one);
+    let (mut arm, mut thrust, mut torque) = (one, one, one);
     if let Some(ranges) = body {
-        mass = own.within(ranges.mass);
+        let mass = own.within(ranges.mass);
         let inertia = own.within(ranges.inertia);
         arm = own.within(ranges.arm_length);
         sampled.body.inverse_mass = nominal.body.inverse_mass / mass;
@@ -97,8 +97,6 @@ fn sample_parameters<N: Number>(
             row.iter_mut().for_each(|number| *number = *number * lever);
         }
     }
-    // the hover speed of the sampled airframe over that of the nominal one
-    let hover = (mass / thrust).sqrt();
     if let Some(ranges) = actuators {
         let gains = [(); 4].map(|()| own.within(ranges.gain));
         let lag = own.within(ranges.lag);
@@ -109,12 +107,13 @@ fn sample_parameters<N: Number>(
         // without lag the exponential vanishes
         let decay = flight::math::exp_of_negative(-(one * plan.dt()) / lag.greater(one.all(1e-9)));
         sampled.lag_share = -decay + 1.0;
-        sampled.motor_latency = (latency * f64::from(plan.sim_freq)).rounded();
+        sampled.motor_latency = whole_steps(plan, latency);
         let full = nominal.hover_rpm + nominal.rpm_above_hover;
         sampled.max_change = full * saturation - nominal.hover_rpm;
     }
     if plan.lag || plan.late_commands > 0 {
-        sampled.initial_change = (nominal.hover_rpm * (hover - 1.0)).lesser(sampled.max_change);
+        // the hover speed of the nominal airframe
+        sampled.initial_change = one.all(0.0).lesser(sampled.max_change);
     }
     if let Some(ranges) = sensors {
         let sigmas = [ranges.position, ranges.velocity, ranges.attitude].map(|sigma| ranges.bias * sigma);
@@ -124,7 +123,7 @@ fn sample_parameters<N: Number>(
             let ([a, b], [c, _]) = (own.normals(), own.normals());
             [a * sigma, b * sigma, c * sigma]
         });
-        sampled.sensor_latency = (world.within(ranges.latency) * f64::from(plan.sim_freq)).rounded();
+        sampled.sensor_latency = whole_steps(plan, world.within(ranges.latency));
     }
     if let Some(ranges) = environment {
         sampled.body.gravity = nominal.body.gravity * world.within(ranges.gravity);
@@ -151,14 +150,24 @@ fn sample_parameters<N: Number>(
     sampled
 }
 
+/// Returns a latency (s) as a whole number of physics steps.
+fn whole_steps<N: Number>(plan: &Plan, latency: N) -> N {
+    // half a step is rounded up, as on the CPU; devices round it in different ways
+    (latency * f64::from(plan.sim_freq) + 1e-4).rounded()
+}
+
 /// Returns for every parameter, in the order of [`Parameters::each`], whether it is drawn for every episode. `nominal`
 /// has the parameters of each drone.
 pub(crate) fn drawn_parameters(plan: &Plan, nominal: &[Parameters]) -> Vec<bool> {
-    let mut drawn = vec![false; Parameters::COUNT];
+    // rounded latencies may be equal in most episodes
+    let (motors, sensors) = (plan.late_commands > 0, plan.late_states > 0);
+    let mark = |is_late: bool| if is_late { f64::NAN } else { 0.0 };
+    let marked = Parameters { motor_latency: mark(motors), sensor_latency: mark(sensors), ..nominal[0] };
+    let mut drawn: Vec<bool> = marked.numbers().into_iter().map(f64::is_nan).collect();
     for (drone, nominal) in nominal.iter().enumerate() {
         let expected = nominal.numbers();
         // a parameter with a range has another value in almost every episode
-        for episode in 0..16 {
+        for episode in 0..64 {
             let place = Place { seed: [1, 2], environment: 0, drone: drone as u32, episode };
             let sampled = Start::<f64>::sample(plan, nominal, place).parameters.numbers();
             for ((drawn, sampled), expected) in drawn.iter_mut().zip(sampled).zip(&expected) {

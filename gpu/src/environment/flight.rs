@@ -232,8 +232,18 @@ pub(super) fn advance<N: Number>(
         flown.lowest = room.lesser(flown.lowest);
         if plan.drones > 1 && plan.crash.drones {
             let others = neighbours(plan, parameters, &flown.motion);
+            let own = Neighbour {
+                position: flown.motion.position,
+                up: flown.motion.attitude.up(),
+                cylinder: parameters.cylinder,
+                wake: parameters.wake,
+            };
             for (other, neighbour) in others.iter().enumerate() {
-                let apart = contact::distance(&parameters.cylinder, &flown.motion, neighbour);
+                // the drone with the lower index is the first one
+                let comes_first = drone.less(N::Word::of(other as u32));
+                let one = Neighbour::choose(comes_first, &own, neighbour);
+                let two = Neighbour::choose(comes_first, neighbour, &own);
+                let apart = contact::distance(&one, &two);
                 let is_self = is_drone::<N>(drone, other);
                 flown.nearest = N::choose(is_self, flown.nearest, apart.lesser(flown.nearest));
             }
@@ -251,6 +261,21 @@ pub(super) struct Neighbour<N> {
     pub up: V3<N>,
     pub cylinder: CollisionCylinder<N>,
     pub wake: flight::downwash::Wake<N>,
+}
+
+impl<N: Number> Neighbour<N> {
+    fn choose(mask: N::Mask, yes: &Self, no: &Self) -> Self {
+        let (a, b) = (&yes.cylinder, &no.cylinder);
+        Self {
+            position: V3::choose(mask, yes.position, no.position),
+            up: V3::choose(mask, yes.up, no.up),
+            cylinder: CollisionCylinder {
+                radius: N::choose(mask, a.radius, b.radius),
+                height: N::choose(mask, a.height, b.height),
+            },
+            wake: flight::downwash::Wake::choose(mask, &yes.wake, &no.wake),
+        }
+    }
 }
 
 /// Returns all drones of the world, this one included.

@@ -95,7 +95,8 @@ pub(crate) fn reset<N: Number>(
     environment: N::Word,
     drone: N::Word,
 ) -> (Memory<N>, Vec<N>) {
-    let place = Place { seed: memory.seed, environment, drone, episode: memory.episode };
+    let stream = environment.plus(N::Word::of(plan.stream));
+    let place = Place { seed: memory.seed, environment: stream, drone, episode: memory.episode };
     let Start { parameters, motion, task, key } = Start::sample(plan, nominal, place);
     let none = N::Word::of(0);
     // motors with lag or latency turn at hover speed when an episode begins
@@ -311,9 +312,12 @@ pub(crate) fn control_step<N: Number>(
     } else {
         valid
     };
-    // an episode that has ended waits for a reset
-    let over = (plan.autoreset == Autoreset::Disabled).then(|| none.less(memory.end));
-    let valid = over.map_or(valid, |over| valid & !over);
+    // an environment without an episode waits for a reset
+    let mut waits = memory.episode.less(N::Word::of(1));
+    if plan.autoreset == Autoreset::Disabled {
+        waits = waits | none.less(memory.end);
+    }
+    let valid = valid & !waits;
     // a state that is not a number would stay one
     let (before_step, after_step) = (memory.numbers(), stepped.numbers());
     let numbers: Vec<N> =
@@ -321,17 +325,19 @@ pub(crate) fn control_step<N: Number>(
     let mut stepped = stepped.with(&numbers, &memory.words());
     stepped.steps = memory.steps.plus(N::Word::of(1));
     let Judgement { reward, end } = evaluate(plan, nominal, &mut stepped, drone, before, &flown);
+    // a step that fails does not count
+    stepped.steps = N::Word::choose(valid, stepped.steps, memory.steps);
+    for (new, old) in stepped.task.iter_mut().zip(&memory.task) {
+        *new = N::choose(valid, *new, *old);
+    }
     let fault = N::Word::of(code_of(EndReason::Fault) | end::TRUNCATED);
     let (mut reward, mut end) = (N::choose(valid, reward, zero), N::Word::choose(valid, end, fault));
-    stepped.end = match over {
-        Some(over) => N::Word::choose(over, memory.end, end),
-        None => end,
-    };
+    stepped.end = N::Word::choose(waits, memory.end, end);
     let observation = observe(plan, nominal, &parameters, &stepped, drone);
     let begins = match plan.autoreset {
-        Autoreset::SameStep => none.less(end),
+        Autoreset::SameStep => none.less(end) & !waits,
         Autoreset::NextStep => {
-            let begins = none.less(memory.end);
+            let begins = none.less(memory.end) & !waits;
             (reward, end) = (N::choose(begins, zero, reward), N::Word::choose(begins, none, end));
             begins
         }
@@ -346,7 +352,7 @@ pub(crate) fn control_step<N: Number>(
         }
     };
     // the next step of `NextStep` starts an episode where this one has ended
-    stepped.end = if plan.autoreset == Autoreset::NextStep { end } else { none };
+    stepped.end = if plan.autoreset == Autoreset::NextStep { N::Word::choose(waits, none, end) } else { none };
     let count = stepped.numbers().len();
     let with_observation = |memory: &Memory<N>, observation: &[N]| {
         let mut numbers = memory.numbers();

@@ -100,13 +100,15 @@ mod begin_one {
                 [TracedWord::choose(seeded, low, memory.seed[0]), TracedWord::choose(seeded, high, memory.seed[1])];
             memory.episode = TracedWord::choose(seeded, TracedWord::of(0), memory.episode);
             let (world, own) = (word_of(scope, environment), word_of(scope, drone));
+            let environment_stream = world.plus(TracedWord::of(plan.stream));
             if ranged {
                 let range: [Traced<f32>; RANGE] = std::array::from_fn(|row| {
                     Traced::new(load(scope, ranges, entry(scope, row, environments, environment)))
                 });
                 let stream = own.plus(TracedWord::of(STREAM));
                 let draws = [0, 1, 2].map(|block| {
-                    philox(memory.seed, [world, memory.episode, TracedWord::of(block), stream]).map(symmetric)
+                    philox(memory.seed, [environment_stream, memory.episode, TracedWord::of(block), stream])
+                        .map(symmetric)
                 });
                 let [[a, b, c, d], [e, f, g, h], [i, ..]] = draws;
                 nominal.start = around(&nominal, &range, [a, b, c, d, e, f, g, h, i]);

@@ -46,7 +46,8 @@ fn on_gpu(adapter: Option<&str>, task: &str, config: EnvConfig, batch: VecConfig
     let error = |error: GpuError| match error {
         GpuError::Env(error) => crate::error::env_error(error),
         GpuError::Device { .. } | GpuError::NoAdapter { .. } => PyRuntimeError::new_err(error.to_string()),
-        other => PyValueError::new_err(other.to_string()),
+        // the option has another name in Python
+        other => PyValueError::new_err(other.to_string().replacen("environments is", "num_envs is", 1)),
     };
     let device = GpuDevice::open(adapter).map_err(error)?;
     Ok(Box::new(GpuAviary::make(task, config, batch, &device, Precision::Single).map_err(error)?))
