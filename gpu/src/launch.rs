@@ -207,10 +207,10 @@ impl DeviceBatch {
     fn step_in<F: Float + CubeElement>(&self) {
         let (count, (grid, group)) = (self.drones(), self.grid());
         let observations = count * self.plan.observation_size();
-        // SAFETY: every buffer has the length that is passed with it, `new` and `set_workgroup` have allocated them, and
-        // no entry that the kernel accesses is outside. The threads beyond the last drone read the entries of the last
-        // one, maybe while its thread stores them, and have entries of their own in the exchange alone; nothing reads
-        // their results
+        // SAFETY: every buffer has the length that is passed with it, `new` and `set_workgroup` have allocated them,
+        // and no entry that the kernel accesses is outside. The threads beyond the last drone read the entries of the
+        // last one, maybe while its thread stores them, and have entries of their own in the exchange alone; nothing
+        // reads their results
         unsafe {
             step_kernel::launch_unchecked::<F>(
                 self.device.client(),

@@ -152,7 +152,7 @@ fn sample_parameters<N: Number>(
 
 /// Returns a latency (s) as a whole number of physics steps.
 fn whole_steps<N: Number>(plan: &Plan, latency: N) -> N {
-    // half a step is rounded up, as on the CPU; devices round it in different ways
+    // half a step is rounded up, as on the CPU; devices round it up or down
     (latency * f64::from(plan.sim_freq) + 1e-4).rounded()
 }
 
