@@ -193,7 +193,7 @@ impl FlightOptions {
                 let windy = || {
                     let conditions = self.conditions.read(self.seed)?;
                     let sampled = conditions.randomization.is_some_and(|randomization| randomization.draws_wind());
-                    Ok(sampled || conditions.wind.is_some_and(|wind| !wind.is_calm()))
+                    Ok::<_, Failure>(sampled || conditions.wind.is_some_and(|wind| !wind.is_calm()))
                 };
                 Ok(if default == ControllerKind::Pid && windy()? { ControllerKind::Geometric } else { default })
             }

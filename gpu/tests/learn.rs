@@ -7,6 +7,7 @@ use std::io::Write as _;
 use std::time::Instant;
 
 use aviary::env::{BodyRanges, Randomization};
+use aviary::physics::Physics;
 use aviary::policy::Activation;
 use aviary_gpu::{GpuDevice, GpuError, GpuPpo};
 use learn::{Learner as _, Stop, TrainConfig, TrainDevice, TrainError, Trainer};
@@ -145,20 +146,32 @@ fn options_that_the_kernels_do_not_have_are_errors_of_one_line() {
         assert!(!error.to_string().contains('\n'));
         error
     };
-    let race = TrainConfig { course: None, ..small("race") };
-    assert!(matches!(error(&race), GpuError::NotPorted { .. }));
     let config = TrainConfig { per_drone: true, ..small("hover") };
     assert_eq!(error(&config).to_string(), "per_drone is true, expected false on the GPU");
-    let mut config = small("hover");
-    config.randomize(Randomization { battery: None, body: Some(BodyRanges::default()), ..Randomization::NONE });
-    assert!(matches!(error(&config), GpuError::NotPorted { .. }));
+    let config = TrainConfig { physics: Physics::Dyn, ..small("hover") };
+    assert_eq!(error(&config).to_string(), "engine is explicit, expected mujoco or hybrid on the GPU");
     let mut config = small("hover");
     (config.ppo.environments, config.ppo.horizon) = (1 << 20, 64);
     config.ppo.hidden = vec![256; 7];
     config.ppo.minibatch = 1 << 24;
     let many = error(&config);
     assert!(matches!(many, GpuError::TooManyEnvironments { got: 1_048_576, .. }), "{many}");
-    // initial states have ranges in training, and are no randomization of the kernels
-    let learner = GpuPpo::new(&small("hover"), &device).unwrap();
-    assert_eq!((learner.rows(), learner.shape().observation(), learner.shape().action()), (64, 12, 4));
+}
+
+#[test]
+fn tasks_with_several_drones_and_courses_with_other_rewards_train() {
+    let Some(device) = device("tasks_with_several_drones_and_courses_with_other_rewards_train") else { return };
+    for task in ["formation", "race"] {
+        let mut config = small(task);
+        config.conditions.randomization =
+            Some(Randomization { initial: None, body: Some(BodyRanges::default()), ..Randomization::NONE });
+        let learner = GpuPpo::new(&config, &device).unwrap();
+        let env = config.environment().unwrap();
+        let sizes = (env.observation_space().vector.size(), env.action_space().size());
+        assert_eq!((learner.shape().observation(), learner.shape().action()), sizes, "{task}");
+        config.steps = 1;
+        let mut trainer = Trainer::with_learner(config, "a test", Box::new(learner)).unwrap();
+        let report = trainer.advance().unwrap().report.clone();
+        assert!(report.loss.is_finite() && report.approx_kl > 0.0 && report.action_std > 0.0, "{task}: {report:?}");
+    }
 }
