@@ -69,7 +69,7 @@ impl Group {
         threads: NativeExpand<usize>,
         position: NativeExpand<usize>,
     ) -> Option<Self> {
-        (drones > 1).then(|| Self { exchange: exchange.expand, threads, position, drones })
+        (drones > 1).then_some(Self { exchange: exchange.expand, threads, position, drones })
     }
 
     fn at(&self, scope: &Scope, row: usize, position: NativeExpand<usize>) -> NativeExpand<usize> {

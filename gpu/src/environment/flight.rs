@@ -204,13 +204,8 @@ pub(super) fn advance<N: Number>(
         }
         let noise = key.at(N::wide(first_step.plus(index), N::Word::of(0)));
         let others = if plan.drones > 1 { neighbours(plan, parameters, &flown.motion) } else { Vec::new() };
-        let targets = arrival.at(step);
-        for motor in 0..4 {
-            flown.rotors[motor] = if plan.lag {
-                motors::follow(flown.rotors[motor], targets[motor], parameters.lag_share)
-            } else {
-                targets[motor]
-            };
+        for (rotor, target) in flown.rotors.iter_mut().zip(arrival.at(step)) {
+            *rotor = if plan.lag { motors::follow(*rotor, target, parameters.lag_share) } else { target };
         }
         let push = push(plan, parameters, &mut flown, drone, &others, noise);
         flown.motion = physics_step(plan, &parameters.body, &push, &flown.motion);
