@@ -73,7 +73,6 @@ fn random_flights_end_as_on_the_cpu() {
     }
     let equal = both.iter().filter(|(cpu, gpu)| cpu == gpu).count();
     assert!(equal as f64 >= 0.999 * both.len() as f64, "{equal} of {} ends", both.len());
-    println!("{equal} of {} ends and {equal_rewards} of {rewards} rewards are equal", both.len());
     assert!(both.iter().all(|(cpu, gpu)| (cpu.0 - gpu.0).abs() <= 1), "ends more than one control step apart");
     assert!(equal_rewards as f64 >= 0.999 * rewards as f64, "{equal_rewards} of {rewards} rewards");
 }
@@ -434,7 +433,6 @@ fn drones_collide_as_on_the_cpu() {
         equal += usize::from(one == other);
         assert!((one.0 - other.0).abs() <= 1, "{one:?} and {other:?}");
     }
-    println!("{equal} of {COUNT} collisions are equal");
     assert!(collisions > COUNT / 2 && equal as f64 >= 0.95 * COUNT as f64, "{equal} equal, {collisions} collisions");
 }
 

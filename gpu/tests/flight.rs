@@ -145,7 +145,7 @@ impl Comparison {
 
 /// Returns the kinematic numbers of some drones; every call copies the whole batch.
 fn gpu_kinematic(gpu: &GpuAviary, step: u64, index: usize, drones: usize) -> Option<[f64; 20]> {
-    (step % 160 == 0 && index < 4).then(|| gpu.kinematic(index / drones, index % drones).unwrap())
+    (step.is_multiple_of(160) && index < 4).then(|| gpu.kinematic(index / drones, index % drones).unwrap())
 }
 
 impl Pilot {
@@ -238,7 +238,6 @@ fn swarms(downwash: bool) -> Vec<(&'static str, Comparison)> {
 }
 
 fn assert_close(name: &str, apart: Apart, position: f64, others: f64) {
-    println!("{name}: {apart:?}");
     assert!(apart.position < position, "{name}: {apart:?}");
     assert!(apart.reward < others && apart.observation < others, "{name}: {apart:?}");
 }
@@ -250,7 +249,6 @@ fn double_precision_agrees_with_the_cpu() {
         return;
     }
     for (name, comparison) in variants().into_iter().chain(swarms(true)) {
-        println!("{name}");
         // observations and rewards are in single precision
         assert_close(name, comparison.fly(&device, Precision::Double), 1e-12, 2e-6);
     }

@@ -312,9 +312,7 @@ impl HybridEngine {
         match (self.last, &self.floor) {
             (Last::Mujoco, _) => self.mujoco.contacts(found),
             (Last::Floor, Some(floor)) => {
-                for (drone, points) in floor.points().enumerate() {
-                    (0..points).for_each(|_| found(Contact { drone, with: Touched::Floor }));
-                }
+                floor.contacts().for_each(|drone| found(Contact { drone, with: Touched::Floor }));
             }
             _ => {}
         }

@@ -40,8 +40,9 @@ pub(crate) struct FloorKernel {
     model: FloorModel,
     drones: Vec<Landing>,
     problems: Vec<Problem>,
-    /// Largest number of contact points of each drone in a stage of the last step.
-    points: Vec<usize>,
+    /// Drone of each contact point of the last step, as MuJoCo's list has them after its last stage: every stage writes
+    /// its points from the start of the list, and leaves those of earlier stages behind them.
+    contacts: Vec<usize>,
 }
 
 impl FloorKernel {
@@ -53,7 +54,7 @@ impl FloorKernel {
             model,
             drones: vec![Landing::default(); drones],
             problems: vec![Problem::default(); drones],
-            points: vec![0; drones],
+            contacts: Vec::new(),
         }
     }
 
@@ -78,9 +79,9 @@ impl FloorKernel {
         width.run(POINTS, Step { kernel: self, kind, bodies, loads, states, rooms, warm_starts })
     }
 
-    /// Returns the largest number of contact points of each drone in a stage of the last step.
-    pub(crate) fn points(&self) -> impl Iterator<Item = usize> {
-        self.points.iter().copied()
+    /// Returns the drone of each contact point of the last step, in any of its stages.
+    pub(crate) fn contacts(&self) -> impl Iterator<Item = usize> {
+        self.contacts.iter().copied()
     }
 }
 
@@ -101,7 +102,7 @@ impl WithSimd for Step<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> bool {
         let Self { kernel, kind, bodies, loads, states, rooms, warm_starts } = self;
-        let FloorKernel { model, drones, problems, points, .. } = kernel;
+        let FloorKernel { model, drones, problems, contacts, .. } = kernel;
         let FloorModel { contact, cylinders } = &*model;
         if !cylinders.iter().zip(bodies).all(|(cylinder, body)| is_regular(cylinder, body)) {
             return false;
@@ -117,7 +118,8 @@ impl WithSimd for Step<'_> {
                     return false;
                 }
             }
-            points[0] = most;
+            contacts.clear();
+            contacts.resize(most, 0);
             if !drone.is_within(*room) {
                 return false;
             }
@@ -128,16 +130,22 @@ impl WithSimd for Step<'_> {
         for (index, warm_start) in warm_starts.as_chunks::<6>().0.iter().enumerate() {
             drones[index] = Landing::new(kind, &bodies[index], &loads[index], &states[index], warm_start);
         }
-        points.fill(0);
+        contacts.clear();
         for stage in 0..4 {
-            let mut touching = false;
+            let mut found = 0;
             for (index, (drone, problem)) in drones.iter_mut().zip(&mut *problems).enumerate() {
                 drone.find_smooth(kind, &bodies[index]);
                 let floor_points = drone.rim(&cylinders[index]).points(cylinders[index].radius);
                 drone.find_contacts(contact, &bodies[index], &floor_points, problem);
-                points[index] = points[index].max(problem.points);
-                touching |= problem.points > 0;
+                for _ in 0..problem.points {
+                    match contacts.get_mut(found) {
+                        Some(contact) => *contact = index,
+                        None => contacts.push(index),
+                    }
+                    found += 1;
+                }
             }
+            let touching = found > 0;
             if touching {
                 for (index, (drone, problem)) in drones.iter().zip(&mut *problems).enumerate() {
                     drone.pose_problem(&bodies[index], problem);
