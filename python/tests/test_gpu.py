@@ -19,12 +19,12 @@ def gpu(task="hover", num_envs=8, **options):
 
 @pytest.mark.parametrize("device", ["", "tpu", "gpu:", "cuda", "GPU"])
 def test_an_unknown_device_is_an_error(device):
-    with pytest.raises(ValueError, match='^device is .*expected "cpu", "gpu" or "gpu:" and an adapter$'):
+    with pytest.raises(ValueError, match=r'^device is .*expected "cpu", "gpu" or "gpu:" and an adapter$'):
         VectorAviary("hover", 2, device=device)
 
 
 def test_a_device_that_is_no_string_is_an_error():
-    with pytest.raises(ValueError, match="^device is 3, expected"):
+    with pytest.raises(ValueError, match=r"^device is 3, expected"):
         VectorAviary("hover", 2, device=3)
 
 
@@ -64,5 +64,5 @@ def test_the_end_of_an_episode_has_its_info():
 
 def test_an_option_that_the_gpu_lacks_is_one_line():
     gpu().close()
-    with pytest.raises(ValueError, match="on the GPU$"):
+    with pytest.raises(ValueError, match=r"on the GPU$"):
         gpu(drone_model="cf21")
