@@ -38,7 +38,7 @@ use crate::output;
 /// processes is the sum of single-thread batches that run at the same time in processes of their
 /// own.
 ///
-/// With `--device gpu` the rows are batches on a GPU: hover and multi_hover by the number of
+/// The rows of `--device gpu` are batches on a GPU: hover and multi_hover by the number of
 /// environments, without and with copies to the host.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
