@@ -127,7 +127,7 @@ impl Play {
         // in small groups, for the progress bar
         for first in own.clone().step_by(64) {
             let count = (own.end - first).min(64) as usize;
-            flown.extend(arena.fly(&policy, self.seed.wrapping_add(first), count).map_err(flying)?);
+            flown.extend(arena.fly(|| &policy, self.seed.wrapping_add(first), count).map_err(flying)?);
             bar.set_position(flown.len() as u64);
         }
         bar.finish_and_clear();

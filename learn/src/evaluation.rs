@@ -4,7 +4,6 @@ use std::collections::VecDeque;
 use std::fmt;
 
 use aviary::env::{DroneEnv, EndReason, EnvError, EpisodeSummary};
-use aviary::policy::PolicyNetwork;
 use aviary::rollout::{Policy, Rollout, RolloutError};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -217,23 +216,25 @@ impl Arena {
         self.success
     }
 
-    /// Runs one episode per seed, from `first_seed` on.
+    /// Runs one episode per seed, from `first_seed` on. Each thread flies its episodes with a policy of its own, which
+    /// `make` creates.
     ///
     /// # Errors
     /// As for [`fly`].
-    pub fn fly(
+    pub fn fly<P: Policy>(
         &mut self,
-        policy: &PolicyNetwork,
+        make: impl Fn() -> P + Sync,
         first_seed: u64,
         episodes: usize,
     ) -> Result<Vec<Episode>, TrainError> {
         let (threads, success) = (self.envs.len(), self.success);
         let mut flown = (self.envs.par_iter_mut().enumerate())
             .map(|(thread, env)| {
+                let mut policy = make();
                 (thread..episodes)
                     .step_by(threads)
                     .map(|episode| {
-                        fly(&mut **env, &mut &*policy, success, first_seed.wrapping_add(episode as u64), &mut |_| {})
+                        fly(&mut **env, &mut policy, success, first_seed.wrapping_add(episode as u64), &mut |_| {})
                     })
                     .collect::<Result<Vec<_>, _>>()
             })
