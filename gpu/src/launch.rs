@@ -277,6 +277,8 @@ pub fn bandwidth(device: &GpuDevice) -> Result<f64, GpuError> {
     /// Number of numbers of a buffer.
     const SIZE: usize = 1 << 24;
     const GROUP: u32 = 256;
+    /// Workgroups along x; devices allow 65,535 along each axis.
+    const WIDTH: u32 = 256;
     let client = device.client();
     let zeros = || client.create(Bytes::from_elems(vec![0_u8; SIZE * size_of::<f32>()]));
     let (from, to) = (zeros(), zeros());
@@ -285,7 +287,7 @@ pub fn bandwidth(device: &GpuDevice) -> Result<f64, GpuError> {
         unsafe {
             copy_kernel::launch_unchecked(
                 client,
-                CubeCount::Static(SIZE as u32 / GROUP, 1, 1),
+                CubeCount::Static(WIDTH, SIZE as u32 / GROUP / WIDTH, 1),
                 CubeDim::new_1d(GROUP),
                 BufferArg::from_raw_parts(from.clone(), SIZE),
                 BufferArg::from_raw_parts(to.clone(), SIZE),

@@ -152,10 +152,10 @@ pub struct PolicyNetwork {
     high: Vec<f32>,
 }
 
-/// Bound of the magnitude of a normalized observation.
-const CLIP: f32 = 10.0;
-
 impl PolicyNetwork {
+    /// Bound of the magnitude of a normalized observation.
+    pub const CLIP: f32 = 10.0;
+
     /// Creates a policy from a network, with the observation and action spaces of an environment, or of one drone if
     /// [`per_drone`](PolicyInfo::per_drone) is set.
     ///
@@ -222,6 +222,14 @@ impl PolicyNetwork {
         Self::from_parts(self.info, self.net, [mean, deviation], [self.low, self.high])
     }
 
+    /// Replaces the network by one with the same inputs and outputs, for example with rounded weights.
+    ///
+    /// # Errors
+    /// [`PolicyError::Network`] if the numbers of inputs or outputs differ.
+    pub fn with_net(self, net: Mlp) -> Result<Self, PolicyError> {
+        Self::from_parts(self.info, net, [self.mean, self.deviation], [self.low, self.high])
+    }
+
     /// Returns the metadata.
     pub fn info(&self) -> &PolicyInfo {
         &self.info
@@ -235,6 +243,12 @@ impl PolicyNetwork {
     /// Returns mean and deviation of the normalization.
     pub fn normalization(&self) -> (&[f32], &[f32]) {
         (&self.mean, &self.deviation)
+    }
+
+    /// Returns the lower and upper bounds of the action, infinite where it has none. Outputs of the network from −1 to 1
+    /// are scaled to the bounds if both are finite.
+    pub fn bounds(&self) -> (&[f32], &[f32]) {
+        (&self.low, &self.high)
     }
 
     /// Returns the size of an observation, or of the observation of one drone if the policy is
@@ -290,7 +304,7 @@ impl PolicyNetwork {
             for ((scaled, &x), (mean, deviation)) in
                 scaled.iter_mut().zip(observation).zip(self.mean.iter().zip(&self.deviation))
             {
-                *scaled = ((x as f32 - mean) / deviation).clamp(-CLIP, CLIP);
+                *scaled = ((x as f32 - mean) / deviation).clamp(-Self::CLIP, Self::CLIP);
             }
             self.net.forward(&scaled[..inputs], &mut out[..outputs]);
             for ((action, &x), (&low, &high)) in action.iter_mut().zip(&out).zip(self.low.iter().zip(&self.high)) {

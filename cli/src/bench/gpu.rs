@@ -119,24 +119,31 @@ pub(super) fn run(bench: &Bench) -> Result<(), Failure> {
     let launch =
         Case { task: "hover", conditions: Conditions::Plain, precision: Precision::Single, drones: 1, environments: 1 };
     let launch = launch.measure(&device, seconds).map_err(Failure::work)?.resident.recip();
+    // before the batches of the device, one of which may fail
+    let cpu = on_the_cpu(seconds).map_err(Failure::work)?;
+    let mut failure = None;
     for case in cases(bench, &device) {
         match case.measure(&device, seconds) {
             Ok(row) => rows.push(row),
             // the largest batches do not fit every device
             Err(GpuError::TooManyEnvironments { .. }) => {}
-            Err(error) => return Err(Failure::work(error)),
+            // the rows so far are printed; a device that has failed measures no more
+            Err(error) => {
+                failure = Some(Failure::work(error));
+                break;
+            }
         }
     }
-    let cpu = on_the_cpu(seconds).map_err(Failure::work)?;
     let adapter = device.adapter();
     if bench.json {
-        return output::print_json(&json!({
+        output::print_json(&json!({
             "adapter": adapter.to_string(),
             "bandwidth_bytes_per_second": bandwidth,
             "seconds_per_launch": launch,
             "cpu_env_steps_per_second": cpu,
             "rows": rows.iter().map(|row| row.json(bandwidth)).collect::<Vec<Value>>(),
-        }));
+        }))?;
+        return failure.map_or(Ok(()), Err);
     }
     let mut text = format!("{adapter}\n");
     let _ = writeln!(text, "memory bandwidth of copies: {:.1} GB/s", bandwidth / 1e9);
@@ -151,7 +158,8 @@ pub(super) fn run(bench: &Bench) -> Result<(), Failure> {
         row.print(bandwidth, &mut text);
     }
     text += "\nof bandwidth: memory traffic of the kernel relative to the bandwidth of copies\n";
-    output::print(&text)
+    output::print(&text)?;
+    failure.map_or(Ok(()), Err)
 }
 
 /// Returns the batches to measure.

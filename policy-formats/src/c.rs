@@ -1,0 +1,305 @@
+//! Policies as C99: one header and one source file, without other files, allocation or libraries.
+
+mod firmware;
+mod text;
+
+pub use firmware::{FirmwareOptions, firmware};
+
+use std::fmt::Write as _;
+
+use aviary::policy::{Activation, PolicyInfo, PolicyNetwork};
+
+use self::text::{array, comment, number, wrapped};
+use crate::layout::{self, Entry};
+use crate::quantization::{layers, quantize};
+use crate::{FormatError, unsupported};
+
+/// Type of the weights in the generated code. Everything else is in single precision.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Weights {
+    /// Single precision, with the results of [`PolicyNetwork::forward`] to the bit where the compiler rounds every
+    /// operation, as `cc -std=c99` does on x86-64.
+    #[default]
+    Float32,
+    /// Eight bits, a quarter of the size, with one scale per neuron; see [`quantization`](crate::quantization).
+    Int8,
+}
+
+/// Generated code.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CSource {
+    /// Name of the policy in the code, and of the files without their extensions.
+    pub name: String,
+    /// Content of the header.
+    pub header: String,
+    /// Content of the source file.
+    pub source: String,
+    /// Size of the constants: weights, biases, normalization and bounds, bytes.
+    pub constant_bytes: usize,
+}
+
+/// File of a directory.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TextFile {
+    /// Path relative to the directory.
+    pub path: String,
+    /// Content.
+    pub content: String,
+}
+
+/// Returns the name of a policy in generated code: its task and `_policy`.
+pub fn default_name(info: &PolicyInfo) -> String {
+    let known = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' };
+    let task: String = info.task.chars().take(40).map(known).collect();
+    // a name must not begin with a digit, and one that begins with `_` belongs to the compiler
+    let task = task.trim_start_matches(|c: char| c.is_ascii_digit() || c == '_');
+    if task.is_empty() { "policy".into() } else { format!("{task}_policy") }
+}
+
+/// Generates the C99 code of a policy. `name` begins every name in it, and is the name of both files.
+///
+/// The function `NAME_evaluate(observation, action)` is reentrant: its only memory are two layers on the stack.
+///
+/// ```
+/// use aviary::policy::PolicyNetwork;
+/// use policy_formats::c::{Weights, source};
+///
+/// let policy = PolicyNetwork::load("../assets/policies/hover.safetensors")?;
+/// let code = source(&policy, "hover_policy", Weights::Float32)?;
+/// assert!(code.header.contains("void hover_policy_evaluate(const float observation[12], float action[4]);"));
+/// assert!(code.header.contains("HOVER_POLICY_OBSERVATION_POSITION_Z = 2, /* position along z, m, world frame */"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`FormatError::Unsupported`] for a name that is not an identifier in lower snake case.
+pub fn source(policy: &PolicyNetwork, name: &str, weights: Weights) -> Result<CSource, FormatError> {
+    let is_name = name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.len() <= 60
+        && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
+    if !is_name {
+        let expected = "lower snake case with at most 60 letters, digits and `_`, such as `hover_policy`";
+        return Err(unsupported("the name", format_args!("`{name}`"), expected));
+    }
+    let code = Code { policy, name, weights };
+    let (source, constant_bytes) = code.source();
+    Ok(CSource { name: name.into(), header: code.header(), source, constant_bytes })
+}
+
+/// Generator of one policy.
+struct Code<'a> {
+    policy: &'a PolicyNetwork,
+    name: &'a str,
+    weights: Weights,
+}
+
+impl Code<'_> {
+    /// Returns an enumeration of the indices of an observation or action.
+    fn indices(&self, what: &str, entries: &[Entry]) -> String {
+        let prefix = self.name.to_uppercase();
+        let mut text = format!("enum {}_{} {{\n", self.name, what.to_lowercase());
+        for (index, Entry { name, description }) in entries.iter().enumerate() {
+            let comma = if index + 1 < entries.len() { "," } else { "" };
+            let comment =
+                if description.is_empty() { String::new() } else { format!(" /* {} */", comment(description)) };
+            let _ = writeln!(text, "    {prefix}_{what}_{name} = {index}{comma}{comment}");
+        }
+        text + "};\n"
+    }
+
+    fn header(&self) -> String {
+        let (info, name) = (self.policy.info(), self.name);
+        let prefix = name.to_uppercase();
+        let (inputs, outputs) = (self.policy.observation_size(), self.policy.action_size());
+        let of = if info.per_drone && info.num_drones > 1 { "one of the drones" } else { "all drones" };
+        let drones = if info.num_drones == 1 { String::new() } else { format!(", {} drones", info.num_drones) };
+        let mut text = format!(
+            "/*\n * Policy for the task {}, airframe {}{drones}, action type {}.\n *\n",
+            comment(&info.task),
+            comment(&info.drone),
+            comment(&info.action_type)
+        );
+        text += &wrapped(&format!("Trained with: {}", info.command));
+        text += &wrapped(&format!("Made by: {}", info.made_by));
+        if info.num_drones > 1 {
+            text += &wrapped(&format!("Observation and action are those of {of}."));
+        }
+        let _ = write!(
+            text,
+            " */\n#ifndef {prefix}_H\n#define {prefix}_H\n\n#ifdef __cplusplus\nextern \"C\" {{\n#endif\n\n\
+             #define {prefix}_OBSERVATION_SIZE {inputs}\n#define {prefix}_ACTION_SIZE {outputs}\n\n\
+             /* Rate at which the policy was trained to be evaluated, Hz. */\n#define {prefix}_RATE {}\n\n\
+             /* Indices of the observation. */\n{}\n/* Indices of the action. */\n{}\n",
+            info.ctrl_freq,
+            self.indices("OBSERVATION", &layout::observation(info, inputs)),
+            self.indices("ACTION", &layout::action(info, outputs)),
+        );
+        let _ = write!(
+            text,
+            "/*\n * Computes the action for an observation. Normalization and bounds are part of the function. It keeps no\n \
+             * state, and different threads may call it at the same time.\n */\n\
+             void {name}_evaluate(const float observation[{inputs}], float action[{outputs}]);\n\n\
+             #ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
+        );
+        text
+    }
+
+    /// Returns the source file and the size of its constants, bytes.
+    fn source(&self) -> (String, usize) {
+        let name = self.name;
+        let net = self.policy.net();
+        let (mean, deviation) = self.policy.normalization();
+        let (low, high) = self.policy.bounds();
+        let widest = net.sizes().iter().copied().max().unwrap_or(1);
+        let mut text = format!("#include \"{name}.h\"\n\n");
+        let mut bytes = 4 * (2 * mean.len());
+        text += &array("float", "observation_mean", mean.iter().map(|&x| number(x)));
+        text += &array("float", "observation_deviation", deviation.iter().map(|&x| number(x)));
+        let layers_here = layers(net);
+        match self.weights {
+            Weights::Float32 => {
+                for (index, layer) in layers_here.iter().enumerate() {
+                    bytes += 4 * (layer.weights.len() + layer.biases.len());
+                    let weights = layer.weights.iter().map(|&x| number(x));
+                    text += &array("float", &format!("weights{index}"), weights);
+                    text += &array("float", &format!("biases{index}"), layer.biases.iter().map(|&x| number(x)));
+                }
+            }
+            Weights::Int8 => {
+                for (index, layer) in quantize(net).iter().enumerate() {
+                    bytes += layer.weights.len() + 4 * (layer.scales.len() + layer.biases.len());
+                    let weights = layer.weights.iter().map(ToString::to_string);
+                    text += &array("signed char", &format!("weights{index}"), weights);
+                    text += &array("float", &format!("scales{index}"), layer.scales.iter().map(|&x| number(x)));
+                    text += &array("float", &format!("biases{index}"), layer.biases.iter().map(|&x| number(x)));
+                }
+            }
+        }
+        let clip = number(PolicyNetwork::CLIP);
+        text += &format!(
+            "static float clipped(float x, float low, float high)\n{{\n    \
+             return x < low ? low : x > high ? high : x;\n}}\n\n"
+        );
+        text += self.linear();
+        if layers_here.len() > 1 {
+            text += match net.activation() {
+                Activation::Relu => {
+                    "static void activate(int count, float *x)\n{\n    for (int i = 0; i < count; i++) {\n        \
+                     x[i] = x[i] > 0.0f ? x[i] : 0.0f;\n    }\n}\n\n"
+                }
+                Activation::Softsign => {
+                    "static void activate(int count, float *x)\n{\n    for (int i = 0; i < count; i++) {\n        \
+                     x[i] = x[i] / (1.0f + (x[i] < 0.0f ? -x[i] : x[i]));\n    }\n}\n\n"
+                }
+            };
+        }
+        let (inputs, outputs) = (net.inputs(), net.outputs());
+        let _ = write!(
+            text,
+            "void {name}_evaluate(const float observation[{inputs}], float action[{outputs}])\n{{\n    \
+             float first[{widest}];\n    float second[{widest}];\n\n    for (int i = 0; i < {inputs}; i++) {{\n        \
+             first[i] = clipped((observation[i] - observation_mean[i]) / observation_deviation[i], -{clip}, {clip});\n    \
+             }}\n"
+        );
+        let mut buffers = ["first", "second"];
+        for (index, pair) in net.sizes().windows(2).enumerate() {
+            let (inputs, outputs) = (pair[0], pair[1]);
+            let [here, next] = buffers;
+            let scales = if self.weights == Weights::Int8 { format!("scales{index}, ") } else { String::new() };
+            let _ = writeln!(
+                text,
+                "    linear(weights{index}, {scales}biases{index}, {inputs}, {outputs}, {here}, {next});"
+            );
+            if index + 1 < layers_here.len() {
+                let _ = writeln!(text, "    activate({outputs}, {next});");
+            }
+            buffers.swap(0, 1);
+        }
+        let result = buffers[0];
+        for (index, (&low, &high)) in low.iter().zip(high).enumerate() {
+            let scaled = if low.is_finite() && high.is_finite() {
+                let (middle, half) = (number(0.5 * (low + high)), number(0.5 * (high - low)));
+                format!("{middle} + {half} * {result}[{index}]")
+            } else {
+                format!("{result}[{index}]")
+            };
+            // a policy without bounds has infinite ones, which C99 cannot write without its mathematical library
+            let bounded = match (low.is_finite(), high.is_finite()) {
+                (true, true) => format!("clipped({scaled}, {}, {})", number(low), number(high)),
+                (true, false) => format!("{scaled} < {0} ? {0} : {scaled}", number(low)),
+                (false, true) => format!("{scaled} > {0} ? {0} : {scaled}", number(high)),
+                (false, false) => scaled,
+            };
+            let _ = writeln!(text, "    action[{index}] = {bounded};");
+        }
+        text += "}\n";
+        (text, bytes)
+    }
+
+    /// Returns the function of a linear layer.
+    fn linear(&self) -> &'static str {
+        match self.weights {
+            Weights::Float32 => {
+                "static void linear(const float *weights, const float *biases, int inputs, int outputs, const float *x,\n                   \
+                 float *y)\n{\n    for (int j = 0; j < outputs; j++) {\n        float sum = biases[j];\n\n        \
+                 for (int i = 0; i < inputs; i++) {\n            sum += x[i] * weights[j * inputs + i];\n        }\n        \
+                 y[j] = sum;\n    }\n}\n\n"
+            }
+            Weights::Int8 => {
+                "static void linear(const signed char *weights, const float *scales, const float *biases, int inputs,\n                   \
+                 int outputs, const float *x, float *y)\n{\n    for (int j = 0; j < outputs; j++) {\n        \
+                 float sum = 0.0f;\n\n        for (int i = 0; i < inputs; i++) {\n            \
+                 sum += x[i] * (float)weights[j * inputs + i];\n        }\n        \
+                 y[j] = biases[j] + scales[j] * sum;\n    }\n}\n\n"
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn hover() -> PolicyNetwork {
+        PolicyNetwork::load("../assets/policies/hover.safetensors").unwrap()
+    }
+
+    #[test]
+    fn names_are_identifiers() {
+        let name = |task: &str| default_name(&PolicyInfo { task: task.into(), ..hover().info().clone() });
+        assert_eq!(name("hover"), "hover_policy");
+        assert_eq!(name("3 Gates!"), "gates__policy");
+        assert_eq!([name(""), name("__"), name("日本")], ["policy", "policy", "policy"]);
+        for bad in ["", "Hover", "9lives", "a b", "a-b", "_a", "\u{e4}", &"a".repeat(61)] {
+            let error = source(&hover(), bad, Weights::Float32).unwrap_err().to_string();
+            assert!(error.contains("the name is") && error.contains("snake case"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_size_of_the_constants_is_that_of_the_policy() {
+        let policy = hover();
+        let (parameters, neurons) = (policy.net().parameters().len(), policy.net().sizes()[1..].iter().sum::<usize>());
+        let sizes =
+            [Weights::Float32, Weights::Int8].map(|weights| source(&policy, "a", weights).unwrap().constant_bytes);
+        let scale = 4 * 2 * policy.observation_size();
+        assert_eq!(sizes, [scale + 4 * parameters, scale + parameters - neurons + 8 * neurons]);
+    }
+
+    /// Text of the file must not end a comment, or begin a trigraph or a line of code.
+    #[test]
+    fn metadata_cannot_leave_its_comment() {
+        let policy = hover();
+        let info = PolicyInfo { command: "*/ int x;\n#error /* ??/".into(), ..policy.info().clone() };
+        let space = |bounds: (&[f32], &[f32])| {
+            let bounds = bounds.0.iter().zip(bounds.1).map(|(&low, &high)| [f64::from(low), f64::from(high)]);
+            aviary::env::BoxSpace::new(bounds)
+        };
+        let observations =
+            aviary::env::BoxSpace::new(vec![[f64::NEG_INFINITY, f64::INFINITY]; policy.observation_size()]);
+        let policy = PolicyNetwork::new(info, policy.net().clone(), observations, space(policy.bounds())).unwrap();
+        let header = source(&policy, "a", Weights::Float32).unwrap().header;
+        let first = header.split("*/").next().unwrap();
+        assert!(first.contains("int x;") && first.contains("#error") && !header.contains("??/"), "{header}");
+    }
+}

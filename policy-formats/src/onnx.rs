@@ -1,0 +1,10 @@
+//! Policies as ONNX.
+
+mod reader;
+mod writer;
+
+pub use reader::{ActionRange, OnnxOptions, OnnxPilot, OnnxPolicy};
+pub use writer::to_bytes;
+
+/// Key of the metadata of a policy in an ONNX file: the [`PolicyInfo`](aviary::policy::PolicyInfo) as JSON.
+pub const METADATA_KEY: &str = "policy";

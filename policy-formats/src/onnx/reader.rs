@@ -1,0 +1,487 @@
+//! Evaluation of ONNX files.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use aviary::SystemError;
+use aviary::env::DroneEnv;
+use aviary::policy::{PolicyError, PolicyInfo};
+use aviary::rollout::{Policy, PolicySnapshot, RolloutError};
+use rten::{Dimension, Model, ModelOptions, NodeId, RunOptions, ThreadPool, ValueOrView, ValueView};
+
+use rten_tensor::prelude::AsView as _;
+
+use super::METADATA_KEY;
+use crate::{FormatError, unsupported};
+
+/// Range of the outputs of a graph.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ActionRange {
+    /// The output is the action. The environment clips it to the action space.
+    #[default]
+    Space,
+    /// The output is scaled from −1…1 to the action space.
+    Unit,
+}
+
+impl ActionRange {
+    /// Returns the range of a name, `space` or `unit`.
+    fn named(name: &str) -> Result<Self, FormatError> {
+        match name {
+            "space" => Ok(Self::Space),
+            "unit" => Ok(Self::Unit),
+            _ => Err(unsupported("action_range", format_args!("`{name}`"), "space or unit")),
+        }
+    }
+}
+
+/// How observations become inputs of a graph, and its outputs actions. What is `None` comes from the metadata of the file,
+/// which has the same names for keys.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct OnnxOptions {
+    /// Entries of the observation that are inputs, in the order of the graph; default all of them. In the metadata,
+    /// numbers separated by commas.
+    pub observation_indices: Option<Vec<usize>>,
+    /// Range of the outputs: `space` (default) or `unit`.
+    pub action_range: Option<ActionRange>,
+    /// Name of the output that is the action; default the first output.
+    pub action_output: Option<String>,
+}
+
+/// Input that the graph keeps between steps, such as the hidden state of a recurrent layer, and the output that is its next
+/// value.
+#[derive(Debug, Clone)]
+struct Memory {
+    input: NodeId,
+    output: NodeId,
+    /// Sizes of the dimensions of the input, with 0 for the dimension of rows.
+    shape: Vec<usize>,
+    /// Number of entries for one row.
+    size: usize,
+}
+
+/// A policy in an ONNX file.
+///
+/// The graph has one input for observations, with the shape rows × entries, and an output for actions, with the shape
+/// rows × components, both in single precision. Each further input is a memory: it is zero at the start of an episode, and
+/// then the further output at the same place. Other further outputs, such as values, are ignored.
+///
+/// ```
+/// use aviary::policy::PolicyNetwork;
+/// use aviary::rollout::fly_episode;
+/// use aviary::tasks::Hover;
+/// use policy_formats::onnx::{OnnxOptions, OnnxPolicy, to_bytes};
+///
+/// let trained = PolicyNetwork::load("../assets/policies/hover.safetensors")?;
+/// let policy = OnnxPolicy::from_bytes(to_bytes(&trained)?, &OnnxOptions::default())?;
+/// assert_eq!(policy.info().map(|info| info.task.as_str()), Some("hover"));
+/// let summary = fly_episode(&mut Hover::builder().build()?, &mut policy.pilot(), Some(1))?;
+/// assert!(summary.success);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone)]
+pub struct OnnxPolicy {
+    graph: Arc<Graph>,
+    info: Option<PolicyInfo>,
+    indices: Option<Vec<usize>>,
+    range: ActionRange,
+}
+
+/// A graph with its inputs and outputs.
+struct Graph {
+    model: Model,
+    input: NodeId,
+    /// Number of entries of the input, if the file has it.
+    entries: Option<usize>,
+    output: NodeId,
+    memories: Vec<Memory>,
+    /// True if the graph evaluates a single row at a time.
+    is_single: bool,
+    /// One thread, because the graphs of policies are small.
+    pool: Arc<ThreadPool>,
+}
+
+impl std::fmt::Debug for OnnxPolicy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("OnnxPolicy").field("info", &self.info).field("range", &self.range).finish_non_exhaustive()
+    }
+}
+
+fn wrong(message: impl std::fmt::Display) -> FormatError {
+    // some errors of the runtime have several lines
+    FormatError::Onnx { message: message.to_string().split_whitespace().collect::<Vec<_>>().join(" ") }
+}
+
+impl OnnxPolicy {
+    /// Reads a policy from a file.
+    ///
+    /// # Errors
+    /// [`FormatError::Policy`] with the path if the file cannot be read, and the errors of
+    /// [`from_bytes`](Self::from_bytes).
+    pub fn load(path: impl AsRef<Path>, options: &OnnxOptions) -> Result<Self, FormatError> {
+        let path = path.as_ref();
+        let in_file = |error: std::io::Error| PolicyError::File {
+            path: path.into(),
+            error: Box::new(SystemError::from(error).into()),
+        };
+        Self::from_bytes(std::fs::read(path).map_err(in_file)?, options)
+    }
+
+    /// Reads a policy from the bytes of a file.
+    ///
+    /// # Errors
+    /// [`FormatError::Onnx`] for bytes that are not an ONNX file, operators that the runtime does not have, and inputs or
+    /// outputs of another kind. [`FormatError::Unsupported`] for invalid options or metadata.
+    pub fn from_bytes(bytes: Vec<u8>, options: &OnnxOptions) -> Result<Self, FormatError> {
+        let model = ModelOptions::with_all_ops().load(bytes).map_err(wrong)?;
+        let of_file = |key: &str| model.metadata().get(key).map(str::to_string);
+        let info = match of_file(METADATA_KEY) {
+            Some(text) => Some(
+                serde_json::from_str::<PolicyInfo>(&text)
+                    .map_err(|error| wrong(format_args!("its metadata `policy`: {error}")))?,
+            ),
+            None => None,
+        };
+        let indices = match (&options.observation_indices, of_file("observation_indices")) {
+            (Some(indices), _) => Some(indices.clone()),
+            (None, Some(text)) => Some(parse_indices(&text)?),
+            (None, None) => None,
+        };
+        let range = match (options.action_range, of_file("action_range")) {
+            (Some(range), _) => range,
+            (None, Some(name)) => ActionRange::named(&name)?,
+            (None, None) => ActionRange::default(),
+        };
+        let output = options.action_output.clone().or_else(|| of_file("action_output"));
+        let graph = Graph::new(model, output.as_deref())?;
+        if let (Some(indices), Some(entries)) = (&indices, graph.entries)
+            && indices.len() != entries
+        {
+            let expected = format!("{entries} numbers, one per input of the graph");
+            return Err(unsupported("observation_indices", format_args!("{} numbers", indices.len()), expected));
+        }
+        Ok(Self { graph: Arc::new(graph), info, indices, range })
+    }
+
+    /// Returns the metadata, if this program or one that knows its format wrote the file.
+    pub fn info(&self) -> Option<&PolicyInfo> {
+        self.info.as_ref()
+    }
+
+    /// Returns true if the policy maps the observation of each drone to the action of this drone.
+    fn is_per_drone(&self) -> bool {
+        self.info.as_ref().is_some_and(|info| info.per_drone)
+    }
+
+    /// Returns the number of memory entries for one row.
+    pub fn memory_size(&self) -> usize {
+        self.graph.memories.iter().map(|memory| memory.size).sum()
+    }
+
+    /// Checks that the policy can fly an environment, and evaluates it once.
+    ///
+    /// # Errors
+    /// [`FormatError::Mismatch`] with the sizes of both, and [`FormatError::Onnx`] for a graph that cannot be evaluated.
+    pub fn check(&self, env: &dyn DroneEnv) -> Result<(), FormatError> {
+        let rows = if self.is_per_drone() { env.simulation().num_drones() } else { 1 };
+        let (observed, acted) = (env.observation_space().vector.size() / rows, env.action_space().size() / rows);
+        let mismatch = |policy: String| {
+            let action_type = env.action_type();
+            FormatError::Mismatch {
+                policy,
+                env: format!("{observed} observations and {acted} actions ({action_type})"),
+            }
+        };
+        let entries = match &self.indices {
+            Some(indices) => {
+                if let Some(index) = indices.iter().find(|&&index| index >= observed) {
+                    return Err(mismatch(format!("the observation index {index}")));
+                }
+                indices.len()
+            }
+            None => observed,
+        };
+        if self.graph.entries.is_some_and(|expected| expected != entries) {
+            return Err(mismatch(format!("{} inputs", self.graph.entries.unwrap_or_default())));
+        }
+        let mut memory = vec![0.0; self.memory_size()];
+        let mut output = Vec::new();
+        self.graph.evaluate(1, &vec![0.0; entries], &mut memory, &mut output)?;
+        if output.len() != acted {
+            return Err(mismatch(format!("{} outputs", output.len())));
+        }
+        Ok(())
+    }
+
+    /// Returns a policy for an episode, with a memory of its own.
+    pub fn pilot(&self) -> OnnxPilot {
+        OnnxPilot { policy: self.clone(), memory: Vec::new(), input: Vec::new(), output: Vec::new() }
+    }
+
+    /// Returns the outputs of the graph for rows of its inputs, at the start of an episode: without the options that map
+    /// observations and actions.
+    ///
+    /// # Errors
+    /// [`FormatError::Onnx`] for a graph that cannot be evaluated.
+    pub fn actions(&self, inputs: &[f32], rows: usize) -> Result<Vec<f32>, FormatError> {
+        let mut output = Vec::new();
+        self.graph.evaluate(rows, inputs, &mut vec![0.0; rows * self.memory_size()], &mut output)?;
+        Ok(output)
+    }
+
+    /// Computes the actions for the observations of several drones, row by row; `memories` has
+    /// [`memory_size`](Self::memory_size) entries per row, which are zero at the start of an episode.
+    ///
+    /// # Errors
+    /// [`FormatError::Onnx`] for a graph that cannot be evaluated, or that returns another number of components.
+    fn evaluate(
+        &self,
+        observations: &[f64],
+        rows: usize,
+        memories: &mut [f32],
+        scratch: (&mut Vec<f32>, &mut Vec<f32>),
+        bounds: (&[f64], &[f64]),
+        actions: &mut [f64],
+    ) -> Result<(), FormatError> {
+        let (input, output) = scratch;
+        input.clear();
+        for row in observations.chunks_exact(observations.len() / rows) {
+            match &self.indices {
+                Some(indices) => input.extend(indices.iter().map(|&index| row[index] as f32)),
+                None => input.extend(row.iter().map(|&x| x as f32)),
+            }
+        }
+        self.graph.evaluate(rows, input, memories, output)?;
+        if output.len() != actions.len() {
+            return Err(wrong(format_args!("it returns {} numbers, expected {}", output.len(), actions.len())));
+        }
+        let (low, high) = bounds;
+        for (index, (action, &x)) in actions.iter_mut().zip(&*output).enumerate() {
+            let (low, high) = (low[index % low.len()], high[index % high.len()]);
+            *action = match self.range {
+                ActionRange::Unit if low.is_finite() && high.is_finite() => {
+                    0.5 * (low + high) + 0.5 * (high - low) * f64::from(x).clamp(-1.0, 1.0)
+                }
+                _ => f64::from(x),
+            };
+        }
+        Ok(())
+    }
+}
+
+/// Reads indices that are separated by commas.
+fn parse_indices(text: &str) -> Result<Vec<usize>, FormatError> {
+    let index = |part: &str| {
+        let expected = "indices of the observation, separated by commas";
+        part.trim().parse().map_err(|_| unsupported("observation_indices", format_args!("`{part}`"), expected))
+    };
+    text.split(',').map(index).collect()
+}
+
+/// Returns the size of a dimension, if it is fixed.
+fn fixed(dimension: &Dimension) -> Option<usize> {
+    match dimension {
+        Dimension::Fixed(size) => Some(*size),
+        Dimension::Symbolic(_) => None,
+    }
+}
+
+impl Graph {
+    fn new(model: Model, action_output: Option<&str>) -> Result<Self, FormatError> {
+        let name = |id: NodeId| model.node_info(id).and_then(|info| info.name()).unwrap_or_default().to_string();
+        let shape = |id: NodeId| model.node_info(id).and_then(|info| info.shape());
+        let (&input, further) =
+            model.input_ids().split_first().ok_or_else(|| wrong("it has no input, expected observations"))?;
+        let dimensions = shape(input).unwrap_or_default();
+        let (is_single, entries) = match &dimensions[..] {
+            [] => (false, None),
+            [rows, entries] => match fixed(rows) {
+                None => (false, fixed(entries)),
+                Some(1) => (true, fixed(entries)),
+                Some(rows) => {
+                    return Err(wrong(format_args!(
+                        "its input `{}` has {rows} rows, expected any number or one",
+                        name(input)
+                    )));
+                }
+            },
+            _ => {
+                return Err(wrong(format_args!(
+                    "its input `{}` has {} dimensions, expected rows and entries",
+                    name(input),
+                    dimensions.len()
+                )));
+            }
+        };
+        let outputs = model.output_ids();
+        let output = match action_output {
+            Some(wanted) => outputs.iter().copied().find(|&id| name(id) == wanted).ok_or_else(|| {
+                let names: Vec<_> = outputs.iter().map(|&id| name(id)).collect();
+                unsupported("action_output", format_args!("`{wanted}`"), names.join(" or "))
+            })?,
+            None => *outputs.first().ok_or_else(|| wrong("it has no output, expected actions"))?,
+        };
+        let mut others = outputs.iter().copied().filter(|&id| id != output);
+        let mut memories = Vec::new();
+        for &input in further {
+            let what = name(input);
+            let output = others.next().ok_or_else(|| {
+                wrong(format_args!(
+                    "its input `{what}` has no output for its next value, expected one per further input"
+                ))
+            })?;
+            let dimensions = shape(input).unwrap_or_default();
+            let rows = dimensions.iter().position(|dimension| fixed(dimension).is_none());
+            let sizes: Vec<usize> = dimensions.iter().map(|dimension| fixed(dimension).unwrap_or(0)).collect();
+            // the rows must lie one after the other
+            let begins = rows.unwrap_or(sizes.len());
+            let usable = !sizes.is_empty()
+                && (rows.is_some() || is_single)
+                && sizes.iter().filter(|&&size| size == 0).count() == usize::from(rows.is_some())
+                && (is_single || sizes[..begins].iter().all(|&size| size == 1));
+            if !usable {
+                return Err(wrong(format_args!(
+                    "its input `{what}` has the shape {sizes:?}, expected any number of rows (0) and fixed sizes after it"
+                )));
+            }
+            let size = sizes.iter().filter(|&&size| size > 0).product();
+            memories.push(Memory { input, output, shape: sizes, size });
+        }
+        let pool = Arc::new(ThreadPool::with_num_threads(1));
+        Ok(Self { input, entries, output, memories, is_single, pool, model })
+    }
+
+    /// Evaluates rows; `memory` has the memories of a row next to each other.
+    fn evaluate(
+        &self,
+        rows: usize,
+        input: &[f32],
+        memory: &mut [f32],
+        output: &mut Vec<f32>,
+    ) -> Result<(), FormatError> {
+        output.clear();
+        let together = if self.is_single { 1 } else { rows };
+        let (entries, kept) = (input.len() / rows, memory.len() / rows);
+        for first in (0..rows).step_by(together.max(1)) {
+            let input = &input[first * entries..(first + together) * entries];
+            let memory = &mut memory[first * kept..(first + together) * kept];
+            self.run(together, input, memory, output)?;
+        }
+        Ok(())
+    }
+
+    fn run(&self, rows: usize, input: &[f32], memory: &mut [f32], output: &mut Vec<f32>) -> Result<(), FormatError> {
+        let entries = input.len() / rows;
+        let kept = memory.len() / rows;
+        let seen = ValueView::from_shape([rows, entries], input).map_err(wrong)?;
+        let mut values: Vec<(NodeId, ValueOrView<'_>)> = vec![(self.input, seen.into())];
+        let mut packed = Vec::new();
+        let mut begin = 0;
+        for slot in &self.memories {
+            let of_row = |row: usize| &memory[row * kept + begin..row * kept + begin + slot.size];
+            packed.push((0..rows).flat_map(|row| of_row(row).iter().copied()).collect::<Vec<f32>>());
+            begin += slot.size;
+        }
+        for (slot, values_of_slot) in self.memories.iter().zip(&packed) {
+            let shape: Vec<usize> = slot.shape.iter().map(|&size| if size == 0 { rows } else { size }).collect();
+            let view = rten_tensor::TensorView::from_data(&shape[..], &values_of_slot[..]);
+            values.push((slot.input, ValueView::from(view).into()));
+        }
+        let wanted: Vec<NodeId> =
+            [self.output].into_iter().chain(self.memories.iter().map(|slot| slot.output)).collect();
+        let options = RunOptions::default().with_thread_pool(Some(self.pool.clone()));
+        let results = self.model.run(values, &wanted, Some(options)).map_err(wrong)?;
+        let mut results = results.into_iter();
+        let numbers = |value: Option<rten::Value>| -> Result<Vec<f32>, FormatError> {
+            let tensor: rten_tensor::Tensor<f32> = value
+                .ok_or_else(|| wrong("an output is missing"))?
+                .try_into()
+                .map_err(|_| wrong("an output has another type than single precision"))?;
+            Ok(tensor.to_vec())
+        };
+        let actions = numbers(results.next())?;
+        if actions.len() % rows != 0 {
+            return Err(wrong(format_args!("it returns {} numbers for {rows} rows", actions.len())));
+        }
+        output.extend(actions);
+        let mut begin = 0;
+        for slot in &self.memories {
+            let next = numbers(results.next())?;
+            if next.len() != rows * slot.size {
+                let (got, expected) = (next.len(), rows * slot.size);
+                return Err(wrong(format_args!("a memory's next value has {got} numbers, expected {expected}")));
+            }
+            for (row, next) in next.chunks_exact(slot.size).enumerate() {
+                memory[row * kept + begin..row * kept + begin + slot.size].copy_from_slice(next);
+            }
+            begin += slot.size;
+        }
+        Ok(())
+    }
+}
+
+/// An [`OnnxPolicy`] with its memory, which flies an environment.
+#[derive(Debug, Clone)]
+pub struct OnnxPilot {
+    policy: OnnxPolicy,
+    /// Memories of the rows, one after the other.
+    memory: Vec<f32>,
+    input: Vec<f32>,
+    output: Vec<f32>,
+}
+
+/// Returns an error of a format as one of a policy.
+fn of_policy(error: FormatError) -> RolloutError {
+    RolloutError::Policy(match error {
+        FormatError::Policy(error) => error,
+        FormatError::Mismatch { policy, env } => PolicyError::Mismatch { policy, env },
+        error => PolicyError::Format { message: error.to_string() },
+    })
+}
+
+impl OnnxPilot {
+    fn rows(&self, env: &dyn DroneEnv) -> usize {
+        if self.policy.is_per_drone() { env.simulation().num_drones() } else { 1 }
+    }
+}
+
+impl Policy for OnnxPilot {
+    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
+        // the first episode of a pilot checks the environment
+        if self.memory.is_empty() && self.input.is_empty() {
+            self.policy.check(env).map_err(of_policy)?;
+        }
+        self.memory.clear();
+        self.memory.resize(self.rows(env) * self.policy.memory_size(), 0.0);
+        Ok(())
+    }
+
+    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
+        let rows = self.rows(env);
+        self.memory.resize(rows * self.policy.memory_size(), 0.0);
+        let space = env.action_space();
+        let scratch = (&mut self.input, &mut self.output);
+        let observation = &env.observation().vector;
+        (self.policy)
+            .evaluate(observation, rows, &mut self.memory, scratch, (space.low(), space.high()), action)
+            .map_err(of_policy)
+    }
+
+    fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
+        let size = self.policy.memory_size();
+        let own = if self.rows(env) > 1 { drone * size..(drone + 1) * size } else { 0..size };
+        if let Some(memory) = self.memory.get_mut(own) {
+            memory.fill(0.0);
+        }
+        Ok(())
+    }
+
+    fn snapshot(&self) -> PolicySnapshot {
+        PolicySnapshot::new(self.memory.clone())
+    }
+
+    fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
+        self.memory.clone_from(snapshot.own()?);
+        Ok(())
+    }
+}

@@ -1,0 +1,144 @@
+//! The graph of a policy.
+
+use std::cell::RefCell;
+
+use aviary::policy::{Activation, PolicyInfo, PolicyNetwork};
+use rten_onnx::onnx::{
+    AttributeProto, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto,
+    TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
+};
+
+use super::METADATA_KEY;
+use crate::FormatError;
+
+/// Version of the operators. onnxruntime 1.12 and tract read it.
+const OPSET: i64 = 17;
+
+/// Version of the file format that belongs to [`OPSET`].
+const IR_VERSION: i64 = 8;
+
+/// Returns a policy as the bytes of an ONNX file.
+///
+/// The graph has the input `observation` and the output `action`, single precision, with any number of rows.
+/// Normalization and bounds are part of it. Its metadata has the [`PolicyInfo`] as JSON under [`METADATA_KEY`], so that
+/// [`OnnxPolicy`](super::OnnxPolicy) needs no options.
+///
+/// # Errors
+/// [`FormatError::Onnx`] if the metadata cannot be written.
+pub fn to_bytes(policy: &PolicyNetwork) -> Result<Vec<u8>, FormatError> {
+    let mut graph = Graph::default();
+    let net = policy.net();
+    let (mean, deviation) = policy.normalization();
+    let centred = graph.with_constant("Sub", "observation", "mean", &[mean.len()], mean);
+    let scaled = graph.with_constant("Div", &centred, "deviation", &[deviation.len()], deviation);
+    let limits = ["lowest", "highest"].map(String::from);
+    graph.constant(&limits[0], &[], &[-PolicyNetwork::CLIP]);
+    graph.constant(&limits[1], &[], &[PolicyNetwork::CLIP]);
+    let mut here = graph.node("Clip", vec![scaled, limits[0].clone(), limits[1].clone()], Vec::new());
+    let (mut left, layers) = (net.parameters(), net.sizes().len() - 1);
+    for (index, pair) in net.sizes().windows(2).enumerate() {
+        let (weights, rest) = left.split_at(pair[0] * pair[1]);
+        let (biases, rest) = rest.split_at(pair[1]);
+        left = rest;
+        let names = [format!("weights{index}"), format!("biases{index}")];
+        graph.constant(&names[0], pair, weights);
+        graph.constant(&names[1], &pair[1..], biases);
+        let [weights, biases] = names;
+        here = graph.node("Gemm", vec![here, weights, biases], Vec::new());
+        if index + 1 < layers {
+            let activation = match net.activation() {
+                Activation::Relu => "Relu",
+                Activation::Softsign => "Softsign",
+            };
+            here = graph.node(activation, vec![here], Vec::new());
+        }
+    }
+    let (low, high) = policy.bounds();
+    let bounded: Vec<bool> = low.iter().zip(high).map(|(low, high)| low.is_finite() && high.is_finite()).collect();
+    let of = |scaled: fn(f32, f32) -> f32, otherwise: f32| {
+        let entries = low.iter().zip(high).zip(&bounded);
+        entries.map(|((&low, &high), &bounded)| if bounded { scaled(low, high) } else { otherwise }).collect::<Vec<_>>()
+    };
+    if bounded.contains(&true) {
+        here = graph.with_constant("Mul", &here, "half", &[low.len()], &of(|low, high| 0.5 * (high - low), 1.0));
+        here = graph.with_constant("Add", &here, "middle", &[low.len()], &of(|low, high| 0.5 * (low + high), 0.0));
+    }
+    // runtimes differ in what they do with infinite constants
+    let finite = |bounds: &[f32]| bounds.iter().map(|x| x.clamp(f32::MIN, f32::MAX)).collect::<Vec<_>>();
+    here = graph.with_constant("Max", &here, "low", &[low.len()], &finite(low));
+    here = graph.with_constant("Min", &here, "high", &[high.len()], &finite(high));
+    graph.nodes.last_mut().into_iter().for_each(|node| node.output = vec!["action".into()]);
+    debug_assert!(!here.is_empty());
+    let model = ModelProto {
+        ir_version: Some(IR_VERSION),
+        graph: Some(GraphProto {
+            node: graph.nodes,
+            initializer: graph.constants,
+            input: vec![value("observation", policy.observation_size())],
+            output: vec![value("action", policy.action_size())],
+            value_info: Vec::new(),
+        }),
+        opset_import: vec![OperatorSetIdProto { domain: Some(String::new()), version: Some(OPSET) }],
+        metadata_props: vec![metadata(policy.info())?],
+        producer_name: Some("mujoco-drones-gym".into()),
+        producer_version: Some(env!("CARGO_PKG_VERSION").into()),
+    };
+    model.write_buf().map_err(|error| FormatError::Onnx { message: error.to_string() })
+}
+
+/// Returns the metadata of a policy.
+fn metadata(info: &PolicyInfo) -> Result<StringStringEntryProto, FormatError> {
+    let text = serde_json::to_string(info).map_err(|error| FormatError::Onnx { message: error.to_string() })?;
+    Ok(StringStringEntryProto { key: Some(METADATA_KEY.into()), value: Some(text) })
+}
+
+/// Returns the type of a tensor with any number of rows.
+fn value(name: &str, size: usize) -> ValueInfoProto {
+    let rows = Dimension { dim_value: None, dim_param: Some("rows".into()) };
+    let columns = Dimension { dim_value: Some(size as i64), dim_param: None };
+    let tensor = TypeProtoTensor {
+        elem_type: Some(DataType::FLOAT),
+        shape: Some(TensorShapeProto { dim: vec![rows, columns] }),
+    };
+    ValueInfoProto { name: Some(name.into()), r#type: Some(TypeProto { tensor_type: Some(tensor), sequence: None }) }
+}
+
+/// Graph under construction. Each node has the name of its output.
+#[derive(Default)]
+struct Graph {
+    nodes: Vec<NodeProto>,
+    constants: Vec<TensorProto>,
+}
+
+impl Graph {
+    /// Adds a constant.
+    fn constant(&mut self, name: &str, shape: &[usize], numbers: &[f32]) {
+        self.constants.push(TensorProto {
+            dims: shape.iter().map(|&size| size as i64).collect(),
+            data_type: Some(DataType::FLOAT),
+            raw_data: Some(RefCell::new(numbers.iter().flat_map(|x| x.to_le_bytes()).collect())),
+            name: Some(name.into()),
+            ..TensorProto::default()
+        });
+    }
+
+    /// Adds a node and returns the name of its output.
+    fn node(&mut self, operator: &str, input: Vec<String>, attribute: Vec<AttributeProto>) -> String {
+        let name = format!("{}{}", operator.to_lowercase(), self.nodes.len());
+        self.nodes.push(NodeProto {
+            domain: None,
+            name: Some(name.clone()),
+            input,
+            output: vec![name.clone()],
+            op_type: Some(operator.into()),
+            attribute,
+        });
+        name
+    }
+
+    /// Adds a node with a constant as its second input.
+    fn with_constant(&mut self, operator: &str, input: &str, name: &str, shape: &[usize], numbers: &[f32]) -> String {
+        self.constant(name, shape, numbers);
+        self.node(operator, vec![input.into(), name.into()], Vec::new())
+    }
+}

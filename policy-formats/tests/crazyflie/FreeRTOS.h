@@ -1,0 +1,1 @@
+#define M2T(milliseconds) (milliseconds)

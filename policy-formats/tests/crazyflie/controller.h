@@ -1,0 +1,12 @@
+/* What the firmware calls of an out-of-tree controller. */
+#ifndef CONTROLLER_H
+#define CONTROLLER_H
+
+#include "stabilizer_types.h"
+
+void controllerOutOfTreeInit(void);
+bool controllerOutOfTreeTest(void);
+void controllerOutOfTree(control_t *control, const setpoint_t *setpoint, const sensorData_t *sensors,
+                         const state_t *state, const uint32_t step);
+
+#endif

@@ -1,0 +1,1 @@
+void vTaskDelay(int ticks);
