@@ -24,7 +24,7 @@ fn main() -> anyhow::Result<()> {
 
     let mut flight = Flight::default();
     let mut progress = 0.0;
-    let mut rollout = Rollout::start(env, &policy, Some(1))?;
+    let mut rollout = Rollout::start(env, policy.pilot(), Some(1))?;
     flight.note(rollout.env());
     let summary = rollout.finish(|env| {
         flight.note(env);

@@ -61,8 +61,8 @@ fn a_controller_commands_velocities_through_the_safety_wrapper() {
 fn errors_of_policies_and_of_environments_end_a_rollout() {
     let mut env = MultiHover::builder().build().unwrap();
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/policies/hover.safetensors");
-    let mut one = PolicyNetwork::load(path).unwrap();
-    let refused = fly_episode(&mut env, &mut one, Some(1)).unwrap_err();
+    let one = PolicyNetwork::load(path).unwrap();
+    let refused = fly_episode(&mut env, &mut one.pilot(), Some(1)).unwrap_err();
     assert!(matches!(refused, RolloutError::Policy(PolicyError::Mismatch { .. })), "{refused}");
 
     let mut rollout = Rollout::start(

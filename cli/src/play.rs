@@ -127,7 +127,7 @@ impl Play {
         // in small groups, for the progress bar
         for first in own.clone().step_by(64) {
             let count = (own.end - first).min(64) as usize;
-            flown.extend(arena.fly(|| &policy, self.seed.wrapping_add(first), count).map_err(flying)?);
+            flown.extend(arena.fly(|| policy.pilot(), self.seed.wrapping_add(first), count).map_err(flying)?);
             bar.set_position(flown.len() as u64);
         }
         bar.finish_and_clear();
@@ -212,7 +212,7 @@ impl Play {
             kept = env.extent();
             let mut note =
                 |env: &dyn DroneEnv| kept.extend(env.simulation().states().iter().map(|state| state.position));
-            learn::fly(&mut *env, &mut &*policy, config.success, seed, &mut note).map_err(flying)?;
+            learn::fly(&mut *env, &mut policy.pilot(), config.success, seed, &mut note).map_err(flying)?;
             env.reset(Some(seed)).map_err(Failure::work)?;
         }
         let mut animation = self.animation.begin(env.simulation(), &kept, |_| None)?;
@@ -223,7 +223,7 @@ impl Play {
                 result = animation.look(env.simulation(), |drone| env.reference(drone));
             }
         };
-        learn::fly(&mut *env, &mut &*policy, config.success, seed, &mut look).map_err(flying)?;
+        learn::fly(&mut *env, &mut policy.pilot(), config.success, seed, &mut look).map_err(flying)?;
         result?;
         match animation {
             Some(animation) => animation.finish(env.simulation(), |drone| env.reference(drone)),

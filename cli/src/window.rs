@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use aviary::env::DroneEnv;
 use aviary::policy::PolicyNetwork;
-use aviary::rollout::{PilotedPolicy, Rollout, RolloutError};
+use aviary::rollout::{NetworkPolicy, PilotedPolicy, Rollout, RolloutError};
 use learn::{AnyEnv, TrainConfig, Trainer};
 use viewer::{LiveFlight, PilotedRollout, Turn, Viewer, ViewerError, ViewerOptions};
 
@@ -15,14 +15,14 @@ use crate::failure::Failure;
 
 /// Episodes of a policy.
 struct PolicyFlight {
-    rollout: Rollout<Box<dyn DroneEnv>, PilotedPolicy<PolicyNetwork>>,
+    rollout: Rollout<Box<dyn DroneEnv>, PilotedPolicy<NetworkPolicy<PolicyNetwork>>>,
 }
 
 impl PolicyFlight {
     /// Starts the first episode.
     fn start(env: AnyEnv, policy: PolicyNetwork, seed: u64) -> Result<Self, RolloutError> {
         let env: Box<dyn DroneEnv> = env;
-        Ok(Self { rollout: Rollout::start(env, PilotedPolicy::new(policy), Some(seed))? })
+        Ok(Self { rollout: Rollout::start(env, PilotedPolicy::new(policy.into_pilot()), Some(seed))? })
     }
 
     /// Opens the window.
@@ -34,18 +34,18 @@ impl PolicyFlight {
 }
 
 impl PilotedRollout for PolicyFlight {
-    type Policy = PolicyNetwork;
+    type Policy = NetworkPolicy<PolicyNetwork>;
 
-    fn rollout(&self) -> &Rollout<Box<dyn DroneEnv>, PilotedPolicy<PolicyNetwork>> {
+    fn rollout(&self) -> &Rollout<Box<dyn DroneEnv>, PilotedPolicy<NetworkPolicy<PolicyNetwork>>> {
         &self.rollout
     }
 
-    fn rollout_mut(&mut self) -> &mut Rollout<Box<dyn DroneEnv>, PilotedPolicy<PolicyNetwork>> {
+    fn rollout_mut(&mut self) -> &mut Rollout<Box<dyn DroneEnv>, PilotedPolicy<NetworkPolicy<PolicyNetwork>>> {
         &mut self.rollout
     }
 
     fn name(&self) -> String {
-        format!("policy after {} steps", self.rollout.policy().inner().info().steps)
+        format!("policy after {} steps", self.rollout.policy().inner().network().info().steps)
     }
 }
 
@@ -183,7 +183,7 @@ fn show(
 ) -> anyhow::Result<()> {
     loop {
         if let Some(policy) = newest.policy.lock().unwrap_or_else(PoisonError::into_inner).take() {
-            flight.rollout.policy_mut().set_inner(policy);
+            flight.rollout.policy_mut().set_inner(policy.into_pilot());
         }
         match live.turn(flight, false)? {
             // an untrained policy may let the simulation diverge

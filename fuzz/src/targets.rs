@@ -230,7 +230,8 @@ fn obstacles(input: &[u8]) -> Result<(), String> {
 fn policy(input: &[u8]) -> Result<(), String> {
     let policy = PolicyNetwork::from_bytes(input).map_err(message)?;
     let mut action = vec![0.0; policy.action_size()];
-    policy.forward(&vec![0.5; policy.observation_size()], &mut action);
+    let mut memory = vec![0.0; policy.memory_size()];
+    policy.forward_with(&vec![0.5; policy.observation_size()], &mut memory, &mut action);
     let written = policy.to_bytes().map_err(message)?;
     assert_eq!(PolicyNetwork::from_bytes(&written).and_then(|again| again.to_bytes()).as_ref(), Ok(&written));
     Ok(())

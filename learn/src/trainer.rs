@@ -306,10 +306,10 @@ impl Trainer {
         let policy = self.policy()?;
         // a quarter of the episodes shows whether a policy succeeds at all
         let first = self.config.episodes.div_ceil(4);
-        let mut episodes = self.arena.fly(|| &policy, EVALUATION_SEED, first)?;
+        let mut episodes = self.arena.fly(|| policy.pilot(), EVALUATION_SEED, first)?;
         if episodes.iter().any(|episode| episode.success) {
             let others = self.config.episodes - first;
-            episodes.extend(self.arena.fly(|| &policy, EVALUATION_SEED + first as u64, others)?);
+            episodes.extend(self.arena.fly(|| policy.pilot(), EVALUATION_SEED + first as u64, others)?);
         }
         let score = Score::of(&episodes);
         let better = self.best.1.is_none_or(|best| score.beats(&best));
@@ -320,7 +320,7 @@ impl Trainer {
             let mut seeds = (0..4).map(|part| CONFIRMATION_SEED + part * episodes as u64);
             confirmed = seeds.try_fold(true, |confirmed, seed| -> Result<_, TrainError> {
                 let passed = |flown: Vec<Episode>| flown.iter().all(|episode| episode.success);
-                Ok(confirmed && passed(self.arena.fly(|| &policy, seed, episodes)?))
+                Ok(confirmed && passed(self.arena.fly(|| policy.pilot(), seed, episodes)?))
             })?;
         }
         if better || confirmed {
@@ -338,7 +338,7 @@ impl Trainer {
     /// # Errors
     /// The environments' errors.
     pub fn fly(&mut self, first_seed: u64, episodes: usize) -> Result<Vec<Episode>, TrainError> {
-        self.arena.fly(|| &self.best.0, first_seed, episodes)
+        self.arena.fly(|| self.best.0.pilot(), first_seed, episodes)
     }
 
     /// Returns the content of a checkpoint file. If [`is_checkpoint`](Self::is_checkpoint) returns true, a run

@@ -211,7 +211,7 @@ fn the_late_error_covers_the_last_five_seconds_of_the_episode() {
         let policy = PolicyNetwork::new(info, net, spaces.0, spaces.1).unwrap();
         let mut errors = Vec::new();
         let mut look = |env: &dyn aviary::env::DroneEnv| errors.push(env.info().position_error);
-        let flown = learn::fly(&mut env, &mut &policy, Success::Done, 1, &mut look).unwrap();
+        let flown = learn::fly(&mut env, &mut policy.pilot(), Success::Done, 1, &mut look).unwrap();
         // the first error precedes the first step
         let late = errors[1..].iter().rev().take(5 * 48).copied().fold(0.0, f64::max);
         assert_eq!((flown.end, flown.late_position_error), ("out_of_bounds", late));

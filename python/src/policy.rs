@@ -67,17 +67,25 @@ impl Policy {
         self.network.action_size()
     }
 
+    /// Size of the memory, or of that of one drone; 0 for a policy without memory.
+    #[getter]
+    fn memory_size(&self) -> usize {
+        self.network.memory_size()
+    }
+
     /// Metadata as a dict.
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         python_of(py, self.network.info())
     }
 
-    /// Computes the actions for concatenated observations.
+    /// Computes the actions for concatenated observations and concatenated memories. Returns the actions and the next
+    /// memories.
     fn act<'py>(
         &self,
         py: Python<'py>,
         observations: PyReadonlyArray1<'py, f64>,
-    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        memories: PyReadonlyArray1<'py, f32>,
+    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
         let (inputs, outputs) = (self.network.observation_size(), self.network.action_size());
         let observations = observations.as_slice().map_err(value_error)?;
         let count = observations.len() / inputs;
@@ -87,14 +95,23 @@ impl Policy {
                 observations.len()
             )));
         }
+        let mut memories = memories.as_slice().map_err(value_error)?.to_vec();
+        if memories.len() != count * self.network.memory_size() {
+            return Err(value_error(format_args!(
+                "state has {} numbers, expected {}",
+                memories.len(),
+                count * self.network.memory_size()
+            )));
+        }
         let mut actions = vec![0.0; count * outputs];
         if count > 0 {
             guard(|| {
-                without_gil(py, || self.network.forward(observations, &mut actions));
+                without_gil(py, || self.network.forward_with(observations, &mut memories, &mut actions));
                 Ok(())
             })?;
         }
         // the bounds and outputs are single precision, so that this conversion is exact
-        Ok(PyArray1::from_iter(py, actions.into_iter().map(|x| x as f32)))
+        let actions = PyArray1::from_iter(py, actions.into_iter().map(|x| x as f32));
+        Ok((actions, PyArray1::from_vec(py, memories)))
     }
 }

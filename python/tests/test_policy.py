@@ -30,8 +30,8 @@ INFO = {
 }
 
 
-def write_policy(path, sizes=(12, 16, 4), low=-1.0, high=1.0, activation="softsign", seed=0, **info):
-    """Writes a policy as the trainer does, and returns its tensors."""
+def write_policy(path, sizes=(12, 16, 4), low=-1.0, high=1.0, activation="softsign", seed=0, units=0, **info):
+    """Writes a policy as the trainer does, with recurrent units or without, and returns its tensors."""
     rng = np.random.default_rng(seed)
     tensors = {
         "observation.mean": rng.normal(size=sizes[0]),
@@ -39,6 +39,12 @@ def write_policy(path, sizes=(12, 16, 4), low=-1.0, high=1.0, activation="softsi
         "action.low": np.full(sizes[-1], low),
         "action.high": np.full(sizes[-1], high),
     }
+    if units:
+        for part, inputs in (("input", sizes[0]), ("state", units)):
+            tensors[f"gru.{part}.weight"] = rng.normal(size=(inputs, 3 * units)) / np.sqrt(inputs)
+            tensors[f"gru.{part}.bias"] = 0.1 * rng.normal(size=3 * units)
+        info = {"version": 3, **info}
+        sizes = (sizes[0] + units, *sizes[1:])
     for layer, (inputs, outputs) in enumerate(itertools.pairwise(sizes)):
         tensors[f"layer{layer}.weight"] = rng.normal(size=(inputs, outputs)) / np.sqrt(inputs)
         tensors[f"layer{layer}.bias"] = 0.1 * rng.normal(size=outputs)
@@ -57,7 +63,7 @@ def expected_actions(tensors, observation):
     """The policy's formula in double precision."""
     x = (np.asarray(observation, dtype=np.float64) - tensors["observation.mean"]) / tensors["observation.deviation"]
     x = np.clip(x, -10, 10)
-    layers = sum(name.endswith("weight") for name in tensors)
+    layers = sum(name.startswith("layer") and name.endswith("weight") for name in tensors)
     for layer in range(layers):
         x = x @ tensors[f"layer{layer}.weight"].astype(np.float64) + tensors[f"layer{layer}.bias"]
         if layer + 1 < layers:
@@ -86,6 +92,38 @@ def test_actions_are_those_of_the_network(tmp_path):
     assert policy(np.empty((0, 12))).shape == (0, 4)
     predicted, state = policy.predict(observations, deterministic=True)
     assert np.array_equal(predicted, actions) and state is None
+
+
+def expected_memory(tensors, observation, memory):
+    """The equations of PyTorch's GRU in double precision."""
+    x = (np.asarray(observation, dtype=np.float64) - tensors["observation.mean"]) / tensors["observation.deviation"]
+    of_input = x @ tensors["gru.input.weight"].astype(np.float64) + tensors["gru.input.bias"]
+    of_state = memory @ tensors["gru.state.weight"].astype(np.float64) + tensors["gru.state.bias"]
+    (r, z, n), (hr, hz, hn) = np.split(of_input, 3, axis=-1), np.split(of_state, 3, axis=-1)
+    reset, update = 1 / (1 + np.exp(-r - hr)), 1 / (1 + np.exp(-z - hz))
+    return (1 - update) * np.tanh(n + reset * hn) + update * memory
+
+
+def test_recurrent_policies_take_and_return_a_state(tmp_path):
+    path = tmp_path / "policy.safetensors"
+    tensors = write_policy(path, units=5)
+    policy = Policy.load(path)
+    assert (policy.observation_size, policy.memory_size) == (12, 5)
+    observations = np.random.default_rng(3).normal(size=(6, 2, 12)).astype(np.float32)
+    state, expected, single = None, np.zeros((2, 5)), None
+    for step, observation in enumerate(observations):
+        starts = np.array([step == 3, False])
+        expected[starts] = 0.0
+        expected = expected_memory(tensors, observation, expected)
+        actions, state = policy.predict(observation, state, episode_start=starts)
+        assert actions.shape == (2, 4) and state.shape == (2, 5) and state.dtype == np.float32
+        assert state == pytest.approx(expected, abs=2e-5)
+        alone, single = policy.predict({"drone0": observation[1]}, single)
+        assert np.array_equal(alone["drone0"], actions[1]) and np.array_equal(single["drone0"], state[1])
+    with pytest.raises(ValueError, match="the policy is recurrent"):
+        policy(observations[0])
+    with pytest.raises(ValueError, match=r"state has the shape \(5,\), expected \(2, 5\)"):
+        policy.predict(observations[0], state[0])
 
 
 def test_policies_per_drone_fly_any_number_of_drones(tmp_path):
@@ -122,8 +160,8 @@ def test_errors_of_files_name_the_file(tmp_path):
     other.write_bytes(b"PK\x03\x04 not a policy")
     with pytest.raises(ValueError, match=r"other\.safetensors: not a policy"):
         Policy.load(other)
-    write_policy(other, version=3)
-    with pytest.raises(ValueError, match="its version is 3, expected up to 2"):
+    write_policy(other, version=4)
+    with pytest.raises(ValueError, match="its version is 4, expected up to 3"):
         Policy.load(other)
     write_policy(other)
     content = other.read_bytes()

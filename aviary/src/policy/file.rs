@@ -6,7 +6,7 @@ use std::path::Path;
 
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 
-use super::{Activation, Mlp, PolicyError, PolicyInfo, PolicyNetwork};
+use super::{Activation, Gru, Mlp, PolicyError, PolicyInfo, PolicyNetwork};
 use crate::SystemError;
 
 /// Key of the metadata. A single key keeps the bytes of a file deterministic, because a map has no order.
@@ -42,6 +42,36 @@ fn vector(tensors: &SafeTensors<'_>, name: &str) -> Result<Vec<f32>, PolicyError
     Ok(numbers(tensors, name)?.0)
 }
 
+/// Reads the recurrent layer; `None` if no tensor belongs to one.
+fn recurrent(tensors: &SafeTensors<'_>) -> Result<Option<Gru>, PolicyError> {
+    if !tensors.names().iter().any(|name| name.starts_with("gru.")) {
+        return Ok(None);
+    }
+    let weights = |name: &str| {
+        let (weights, shape) = numbers(tensors, name)?;
+        match shape[..] {
+            [rows, columns] if columns > 0 && columns % 3 == 0 => Ok((weights, rows, columns / 3)),
+            _ => Err(wrong(format_args!("the tensor `{name}` has the shape {shape:?}, expected rows of three gates"))),
+        }
+    };
+    let (mut parameters, inputs, units) = weights("gru.input.weight")?;
+    parameters.extend(vector(tensors, "gru.input.bias")?);
+    let (state_weights, rows, columns) = weights("gru.state.weight")?;
+    if (rows, columns) != (units, units) {
+        let shape = [rows, 3 * columns];
+        return Err(wrong(format_args!(
+            "the tensor `gru.state.weight` has the shape {shape:?}, expected {units} units"
+        )));
+    }
+    let biases = vector(tensors, "gru.state.bias")?;
+    if biases.len() != 3 * units {
+        return Err(wrong(format_args!("`gru.state.bias` has {} numbers, expected {}", biases.len(), 3 * units)));
+    }
+    parameters.extend(state_weights);
+    parameters.extend(biases);
+    Ok(Some(Gru::new(inputs, units, &parameters)?))
+}
+
 impl PolicyNetwork {
     /// Returns the policy as the bytes of a safetensors file. Equal policies have equal bytes.
     ///
@@ -56,6 +86,13 @@ impl PolicyNetwork {
         add("observation.deviation", &[self.deviation.len()], &self.deviation);
         add("action.low", &[self.low.len()], &self.low);
         add("action.high", &[self.high.len()], &self.high);
+        if let Some(gru) = &self.gru {
+            let (inputs, units) = (gru.inputs(), gru.units());
+            add("gru.input.weight", &[inputs, 3 * units], gru.input_weights());
+            add("gru.input.bias", &[3 * units], gru.input_biases());
+            add("gru.state.weight", &[units, 3 * units], gru.state_weights());
+            add("gru.state.bias", &[3 * units], gru.state_biases());
+        }
         let mut left = self.net.parameters();
         for (layer, pair) in self.net.sizes().windows(2).enumerate() {
             let (weights, rest) = left.split_at(pair[0] * pair[1]);
@@ -90,9 +127,11 @@ impl PolicyNetwork {
         let header = header.ok_or_else(|| wrong("its metadata has no `policy`"))?;
         // the version comes first, because a later one may have keys that are unknown here
         let json: serde_json::Value = serde_json::from_str(header).map_err(wrong)?;
-        if let Some(version) = json["info"]["version"].as_u64().filter(|&version| version > PolicyInfo::VERSION.into())
+        if let Some(version) =
+            json["info"]["version"].as_u64().filter(|&version| version > PolicyInfo::RECURRENT_VERSION.into())
         {
-            return Err(wrong(format_args!("its version is {version}, expected up to {}", PolicyInfo::VERSION)));
+            let latest = PolicyInfo::RECURRENT_VERSION;
+            return Err(wrong(format_args!("its version is {version}, expected up to {latest}")));
         }
         let Header { info, activation } = serde_json::from_str(header).map_err(wrong)?;
         let (mut sizes, mut parameters) = (Vec::new(), Vec::new());
@@ -129,9 +168,10 @@ impl PolicyNetwork {
             parameters.extend(biases);
         }
         let net = Mlp::new(&sizes, activation, &parameters)?;
+        let gru = recurrent(&tensors)?;
         let scale = [vector(&tensors, "observation.mean")?, vector(&tensors, "observation.deviation")?];
         let bounds = [vector(&tensors, "action.low")?, vector(&tensors, "action.high")?];
-        Self::from_parts(info, net, scale, bounds)
+        Self::from_parts(info, gru, net, scale, bounds)
     }
 
     /// Writes the policy to a file, atomically.
@@ -199,7 +239,59 @@ mod tests {
         let parameters: Vec<f32> = (0..Mlp::count(&sizes)).map(|k| (k as f32).sin()).collect();
         let net = Mlp::new(&sizes, Activation::Softsign, &parameters).unwrap();
         let bounds = [vec![-1.0, f32::NEG_INFINITY], vec![3.0, f32::INFINITY]];
-        PolicyNetwork::from_parts(info, net, [vec![0.1, 0.2, 0.3], vec![1.0, 2.0, 3.0]], bounds).unwrap()
+        PolicyNetwork::from_parts(info, None, net, [vec![0.1, 0.2, 0.3], vec![1.0, 2.0, 3.0]], bounds).unwrap()
+    }
+
+    /// The policy with a recurrent layer of four units.
+    fn recurrent_policy() -> PolicyNetwork {
+        let PolicyNetwork { info, mean, deviation, low, high, .. } = policy();
+        let wave = |count: usize| (0..count).map(|k| (1.7 * k as f32).sin()).collect::<Vec<f32>>();
+        let gru = Gru::new(3, 4, &wave(Gru::count(3, 4))).unwrap();
+        let net = Mlp::new(&[7, 5, 2], Activation::Softsign, &wave(Mlp::count(&[7, 5, 2]))).unwrap();
+        let info = PolicyInfo { version: PolicyInfo::RECURRENT_VERSION, ..info };
+        PolicyNetwork::from_parts(info, Some(gru), net, [mean, deviation], [low, high]).unwrap()
+    }
+
+    #[test]
+    fn recurrent_policies_round_trip_and_act_by_their_memory() {
+        let policy = recurrent_policy();
+        assert_eq!(PolicyNetwork::from_bytes(&policy.to_bytes().unwrap()).unwrap(), policy);
+        // two drones at once and one after the other
+        let observations = [0.3, -0.2, 0.5, 1.0, 2.0, -1.0];
+        let (mut both, mut actions) = ([0.0; 8], [0.0; 4]);
+        for _ in 0..3 {
+            policy.forward_with(&observations, &mut both, &mut actions);
+        }
+        for drone in 0..2 {
+            let (mut memory, mut action, mut first) = ([0.0; 4], [0.0; 2], None);
+            for _ in 0..3 {
+                policy.forward_with(&observations[3 * drone..][..3], &mut memory, &mut action);
+                first.get_or_insert(action);
+            }
+            assert_eq!((&memory[..], &action[..]), (&both[4 * drone..][..4], &actions[2 * drone..][..2]));
+            assert_ne!(first, Some(action), "the action does not depend on the memory");
+        }
+        // the network reads the normalized observation and then the next state
+        let (mut state, mut features) = ([0.0; 4], [0.2, -0.2, 0.2 / 3.0, 0.0, 0.0, 0.0, 0.0]);
+        policy.recurrent().unwrap().forward(&features[..3], &mut state);
+        features[3..].copy_from_slice(&state);
+        let (mut plain, mut memory, mut action) = ([0.0; 2], [0.0; 4], [0.0; 2]);
+        policy.net().forward(&features, &mut plain);
+        policy.forward_with(&observations[..3], &mut memory, &mut action);
+        assert!((action[1] - f64::from(plain[1])).abs() < 1e-6, "{action:?} {plain:?}");
+    }
+
+    #[test]
+    fn damaged_recurrent_layers_are_errors() {
+        let bytes = recurrent_policy().to_bytes().unwrap();
+        let text = |bytes: &[u8]| PolicyNetwork::from_bytes(bytes).unwrap_err().to_string();
+        // a name of equal length in the header
+        for name in ["gru.input.weight", "gru.input.bias", "gru.state.weight", "gru.state.bias"] {
+            let place = bytes.windows(name.len()).position(|part| part == name.as_bytes()).unwrap();
+            let mut damaged = bytes.clone();
+            damaged[place + 4] = b'_';
+            assert!(text(&damaged).contains(&format!("no tensor `{name}`")), "{}", text(&damaged));
+        }
     }
 
     #[test]
@@ -239,8 +331,13 @@ mod tests {
         let view = TensorView::new(Dtype::F32, vec![2], &data).unwrap();
         let other = safetensors::serialize([("weights", view)], None).unwrap();
         assert!(refused(&other).contains("its metadata has no `policy`"));
-        let later = PolicyNetwork { info: PolicyInfo { version: 3, ..policy().info }, ..policy() };
-        assert!(refused(&later.to_bytes().unwrap()).contains("its version is 3, expected up to 2"));
+        let later = PolicyNetwork { info: PolicyInfo { version: 4, ..policy().info }, ..policy() };
+        assert!(refused(&later.to_bytes().unwrap()).contains("its version is 4, expected up to 3"));
+        // a program that knows versions up to 2 must refuse a recurrent policy
+        for (version, policy) in [(3, policy()), (2, recurrent_policy())] {
+            let other = PolicyNetwork { info: PolicyInfo { version, ..policy.info.clone() }, ..policy };
+            assert!(refused(&other.to_bytes().unwrap()).contains("the version is"), "{version}");
+        }
         let flat = PolicyNetwork { deviation: vec![1.0, 0.0, 1.0], ..policy() };
         assert!(refused(&flat.to_bytes().unwrap()).contains("a deviation is 0, expected a positive number"));
         let short = PolicyNetwork { mean: vec![0.0; 2], deviation: vec![1.0; 2], ..policy() };
@@ -274,8 +371,9 @@ mod tests {
             changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..4),
             length in any::<prop::sample::Index>(),
             cut in any::<bool>(),
+            has_memory in any::<bool>(),
         ) {
-            let mut bytes = policy().to_bytes().unwrap();
+            let mut bytes = if has_memory { recurrent_policy() } else { policy() }.to_bytes().unwrap();
             for (place, byte) in changes {
                 let place = place.index(bytes.len());
                 bytes[place] = byte;
@@ -286,7 +384,8 @@ mod tests {
             if let Ok(policy) = PolicyNetwork::from_bytes(&bytes) {
                 // huge parameters can give NaN actions, which environments reject
                 let mut action = vec![0.0; policy.action_size()];
-                policy.forward(&vec![0.5; policy.observation_size()], &mut action);
+                let mut memory = vec![0.0; policy.memory_size()];
+                policy.forward_with(&vec![0.5; policy.observation_size()], &mut memory, &mut action);
                 prop_assert_eq!(PolicyNetwork::from_bytes(&policy.to_bytes().unwrap()).unwrap(), policy);
             }
         }

@@ -15,10 +15,10 @@ pub enum Activation {
 }
 
 /// Number of neurons in a block of SIMD registers.
-const BLOCK: usize = 16;
+pub(super) const BLOCK: usize = 16;
 
 /// Number of rows that share a load of the weights.
-const ROWS: usize = 4;
+pub(super) const ROWS: usize = 4;
 
 /// A multilayer perceptron: linear layers with an [`Activation`] between them.
 ///
@@ -174,7 +174,7 @@ impl WithSimd for Forward<'_> {
 }
 
 /// Activations of R rows.
-type Activations<const R: usize> = [[f32; Mlp::MAX_WIDTH]; R];
+pub(super) type Activations<const R: usize> = [[f32; Mlp::MAX_WIDTH]; R];
 
 #[inline(always)]
 fn rows<S: Simd, const R: usize>(
@@ -198,11 +198,11 @@ fn rows<S: Simd, const R: usize>(
         let activation = (!rest.is_empty()).then_some(net.activation);
         let mut column = 0;
         while column + 2 <= wide {
-            columns::<S, R, 2>(simd, layer, wide, column, pair[0], activation, here, next);
+            columns::<S, R, 2, { Mlp::MAX_WIDTH }>(simd, layer, wide, column, pair[0], activation, here, next);
             column += 2;
         }
         if column < wide {
-            columns::<S, R, 1>(simd, layer, wide, column, pair[0], activation, here, next);
+            columns::<S, R, 1, { Mlp::MAX_WIDTH }>(simd, layer, wide, column, pair[0], activation, here, next);
         }
         std::mem::swap(&mut here, &mut next);
     }
@@ -214,7 +214,7 @@ fn rows<S: Simd, const R: usize>(
 /// Computes C registers of neurons of a layer for R rows.
 #[inline(always)]
 #[allow(clippy::too_many_arguments)]
-fn columns<S: Simd, const R: usize, const C: usize>(
+pub(super) fn columns<S: Simd, const R: usize, const C: usize, const W: usize>(
     simd: S,
     layer: &[S::f32s],
     wide: usize,
@@ -222,7 +222,7 @@ fn columns<S: Simd, const R: usize, const C: usize>(
     inputs: usize,
     activation: Option<Activation>,
     here: &Activations<R>,
-    next: &mut Activations<R>,
+    next: &mut [[f32; W]; R],
 ) {
     let mut sums = [std::array::from_fn::<_, C, _>(|c| layer[column + c]); R];
     for (input, weights) in layer[wide..].chunks_exact(wide).enumerate().take(inputs) {

@@ -1,8 +1,11 @@
 //! Trained policies: inference of a network, and its file format. The training is in a separate crate.
 
 mod file;
+pub mod gates;
+mod gru;
 mod mlp;
 
+pub use gru::Gru;
 pub use mlp::{Activation, Mlp};
 
 use std::path::PathBuf;
@@ -67,7 +70,8 @@ pub enum PolicyError {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyInfo {
-    /// Version of the file format, up to [`PolicyInfo::VERSION`].
+    /// Version of the file format: 1 or [`PolicyInfo::VERSION`] for a policy without memory,
+    /// [`PolicyInfo::RECURRENT_VERSION`] for a recurrent one.
     pub version: u32,
     /// Name of the task, in lower snake case.
     pub task: String,
@@ -98,15 +102,23 @@ pub struct PolicyInfo {
 }
 
 impl PolicyInfo {
-    /// Current version of the file format. Version 2 added [`training`](Self::training).
+    /// Current version of the file format of policies without memory. Version 2 added [`training`](Self::training).
     pub const VERSION: u32 = 2;
+
+    /// Version of the file format of recurrent policies, which older programs cannot fly.
+    pub const RECURRENT_VERSION: u32 = 3;
 }
 
 /// A trained policy: a network with normalized observations and scaled actions.
 ///
-/// For an observation o the action is `clip(centre + half · net(clip((o − mean) / deviation, ±10)), low, high)`.
-/// `centre` and `half` are the centre and half the width of a bounded action space, and 0 and 1 for an unbounded one.
-/// With the usual two or three small layers the inference takes about 0.5 µs per drone.
+/// For an observation o the action is `clip(centre + half · net(x), low, high)` with x = `clip((o − mean) / deviation,
+/// ±10)`. `centre` and `half` are the centre and half the width of a bounded action space, and 0 and 1 for an unbounded
+/// one. With the usual two or three small layers the inference takes about 0.5 µs per drone.
+///
+/// A recurrent policy has a [`Gru`] before the network. Its state h is a memory of the earlier observations of the
+/// episode, zero at the start. The layer computes the next state h' from x and h, and the network reads x and h', in
+/// this order. A recurrent policy acts through [`forward_with`](Self::forward_with), or through a
+/// [pilot](Self::pilot), which holds the memory.
 ///
 /// ```
 /// use aviary::env::Env;
@@ -147,6 +159,7 @@ pub struct PolicyNetwork {
     info: PolicyInfo,
     mean: Vec<f32>,
     deviation: Vec<f32>,
+    gru: Option<Gru>,
     net: Mlp,
     low: Vec<f32>,
     high: Vec<f32>,
@@ -168,23 +181,57 @@ impl PolicyNetwork {
         observations: crate::env::BoxSpace,
         actions: crate::env::BoxSpace,
     ) -> Result<Self, PolicyError> {
+        Self::of_spaces(info, None, net, &observations, &actions)
+    }
+
+    /// Creates a recurrent policy from a layer with memory and a network, which reads the normalized observation and
+    /// the state of the layer, with the spaces of [`new`](Self::new).
+    ///
+    /// # Errors
+    /// As for [`new`](Self::new), for a version other than [`PolicyInfo::RECURRENT_VERSION`] as well.
+    pub fn new_recurrent(
+        info: PolicyInfo,
+        gru: Gru,
+        net: Mlp,
+        observations: crate::env::BoxSpace,
+        actions: crate::env::BoxSpace,
+    ) -> Result<Self, PolicyError> {
+        Self::of_spaces(info, Some(gru), net, &observations, &actions)
+    }
+
+    fn of_spaces(
+        info: PolicyInfo,
+        gru: Option<Gru>,
+        net: Mlp,
+        observations: &crate::env::BoxSpace,
+        actions: &crate::env::BoxSpace,
+    ) -> Result<Self, PolicyError> {
         let size = observations.size();
         let (low, high) = actions.bounds_f32();
-        Self::from_parts(info, net, [vec![0.0; size], vec![1.0; size]], [low, high])
+        Self::from_parts(info, gru, net, [vec![0.0; size], vec![1.0; size]], [low, high])
     }
 
     fn from_parts(
         info: PolicyInfo,
+        gru: Option<Gru>,
         net: Mlp,
         [mean, deviation]: [Vec<f32>; 2],
         [low, high]: [Vec<f32>; 2],
     ) -> Result<Self, PolicyError> {
         let wrong =
             |what, got: String, expected: &str| Err(PolicyError::Value { what, got, expected: expected.into() });
-        if (net.inputs(), net.outputs()) != (mean.len(), low.len()) {
+        let memory = gru.as_ref().map_or(0, Gru::units);
+        if (net.inputs(), net.outputs()) != (mean.len() + memory, low.len()) {
+            let inputs = if memory > 0 { format!("{} + {memory}", mean.len()) } else { mean.len().to_string() };
             return Err(PolicyError::Network {
                 got: format!("layers of {:?}", net.sizes()),
-                expected: format!("{} inputs and {} outputs", mean.len(), low.len()),
+                expected: format!("{inputs} inputs and {} outputs", low.len()),
+            });
+        }
+        if let Some(gru) = gru.as_ref().filter(|gru| gru.inputs() != mean.len()) {
+            return Err(PolicyError::Network {
+                got: format!("a recurrent layer with {} inputs", gru.inputs()),
+                expected: mean.len().to_string(),
             });
         }
         if deviation.len() != mean.len() || high.len() != low.len() {
@@ -204,13 +251,17 @@ impl PolicyNetwork {
         {
             return wrong("the range of an action", format!("{low} to {high}"), "low ≤ high");
         }
-        if info.version == 0 || info.version > PolicyInfo::VERSION {
-            return wrong("the version", info.version.to_string(), "1 or 2");
+        let (versions, expected) = match gru {
+            None => (1..=PolicyInfo::VERSION, "1 or 2, or a recurrent layer"),
+            Some(_) => (PolicyInfo::RECURRENT_VERSION..=PolicyInfo::RECURRENT_VERSION, "3 with a recurrent layer"),
+        };
+        if !versions.contains(&info.version) {
+            return wrong("the version", info.version.to_string(), expected);
         }
         if info.num_drones == 0 {
             return wrong("the number of drones", "0".into(), "at least 1");
         }
-        Ok(Self { info, mean, deviation, net, low, high })
+        Ok(Self { info, mean, deviation, gru, net, low, high })
     }
 
     /// Sets the normalization of the observation o to (o − `mean`) / `deviation`; default mean 0 and deviation 1.
@@ -219,7 +270,7 @@ impl PolicyNetwork {
     /// [`PolicyError::Network`] or [`PolicyError::Value`] for a wrong number of values, and [`PolicyError::Value`] for
     /// values that are not finite and deviations that are not positive.
     pub fn normalized(self, mean: Vec<f32>, deviation: Vec<f32>) -> Result<Self, PolicyError> {
-        Self::from_parts(self.info, self.net, [mean, deviation], [self.low, self.high])
+        Self::from_parts(self.info, self.gru, self.net, [mean, deviation], [self.low, self.high])
     }
 
     /// Replaces the network by one with the same inputs and outputs, for example with rounded weights.
@@ -238,6 +289,22 @@ impl PolicyNetwork {
     /// Returns the network.
     pub fn net(&self) -> &Mlp {
         &self.net
+    }
+
+    /// Returns the layer with memory before the network; `None` for a policy without memory.
+    pub fn recurrent(&self) -> Option<&Gru> {
+        self.gru.as_ref()
+    }
+
+    /// Returns the size of the memory: the units of the recurrent layer, or 0. A policy that is
+    /// [`per_drone`](PolicyInfo::per_drone) has a memory of this size for every drone.
+    pub fn memory_size(&self) -> usize {
+        self.gru.as_ref().map_or(0, Gru::units)
+    }
+
+    /// Returns the bounds of an action, low and high.
+    pub fn bounds(&self) -> (&[f32], &[f32]) {
+        (&self.low, &self.high)
     }
 
     /// Returns mean and deviation of the normalization.
@@ -290,23 +357,44 @@ impl PolicyNetwork {
     /// all of them if the policy is [`per_drone`](PolicyInfo::per_drone).
     ///
     /// # Panics
-    /// If the lengths of the slices are not the same multiple of the observation size and of the action size.
+    /// If the lengths of the slices are not the same multiple of the observation size and of the action size, and for a
+    /// recurrent policy, which needs a memory.
     pub fn forward(&self, observation: &[f64], action: &mut [f64]) {
-        let (inputs, outputs) = (self.observation_size(), self.action_size());
+        assert!(self.gru.is_none(), "expected a policy without memory: a recurrent one needs `forward_with`");
+        self.forward_with(observation, &mut [], action);
+    }
+
+    /// Computes the action for an observation like [`forward`](Self::forward), and updates the memory, which is zero at
+    /// the start of an episode. Several drones have concatenated memories. The memory of a policy without memory is
+    /// empty.
+    ///
+    /// # Panics
+    /// If the lengths of the slices are not the same multiple of the observation size, of the
+    /// [memory size](Self::memory_size) and of the action size.
+    pub fn forward_with(&self, observation: &[f64], memory: &mut [f32], action: &mut [f64]) {
+        let (inputs, outputs, units) = (self.observation_size(), self.action_size(), self.memory_size());
         let count = observation.len() / inputs;
         assert!(
             count > 0 && observation.len() == count * inputs && action.len() == count * outputs,
             "expected observations of size {inputs} and as many actions of size {outputs}"
         );
+        assert!(memory.len() == count * units, "expected {count} memories of size {units}");
         let mut scaled = [0.0; Mlp::MAX_WIDTH];
         let mut out = [0.0; Mlp::MAX_WIDTH];
-        for (observation, action) in observation.chunks_exact(inputs).zip(action.chunks_exact_mut(outputs)) {
+        for (row, (observation, action)) in
+            observation.chunks_exact(inputs).zip(action.chunks_exact_mut(outputs)).enumerate()
+        {
             for ((scaled, &x), (mean, deviation)) in
                 scaled.iter_mut().zip(observation).zip(self.mean.iter().zip(&self.deviation))
             {
                 *scaled = ((x as f32 - mean) / deviation).clamp(-Self::CLIP, Self::CLIP);
             }
-            self.net.forward(&scaled[..inputs], &mut out[..outputs]);
+            if let Some(gru) = &self.gru {
+                let memory = &mut memory[row * units..][..units];
+                gru.forward(&scaled[..inputs], memory);
+                scaled[inputs..inputs + units].copy_from_slice(memory);
+            }
+            self.net.forward(&scaled[..inputs + units], &mut out[..outputs]);
             for ((action, &x), (&low, &high)) in action.iter_mut().zip(&out).zip(self.low.iter().zip(&self.high)) {
                 *action = f64::from(to_bounds(x, low, high));
             }

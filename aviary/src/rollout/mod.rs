@@ -3,25 +3,27 @@
 //! | policy | source of the actions |
 //! | --- | --- |
 //! | [`ControllerPolicy`] | one controller per drone, along the plans or references of the task or along a trajectory |
-//! | [`PolicyNetwork`] | a trained network |
+//! | [`NetworkPolicy`] | a trained network |
 //! | [`from_fn`] | a function of the environment |
 //! | [`PilotedPolicy`] | the sticks of a person for some drones, another policy for the others |
 //!
 //! [`fly_episode`] flies one episode and returns its [`EpisodeSummary`]; a [`Rollout`] flies it step by step.
 
 mod controller;
+mod network;
 mod piloted;
 mod snapshot;
 mod steering;
 
 pub use controller::ControllerPolicy;
+pub use network::NetworkPolicy;
 pub use piloted::{PilotMode, PilotedPolicy};
 pub use snapshot::{PolicySnapshot, RolloutSnapshot};
 
 use std::fmt;
 
 use crate::env::{DroneEnv, EnvError, EpisodeSummary, Step};
-use crate::policy::{PolicyError, PolicyNetwork};
+use crate::policy::PolicyError;
 
 /// Chooses the actions of all drones of an environment, with access to its observation, simulation and info.
 ///
@@ -161,28 +163,6 @@ impl<P: Policy + ?Sized> Policy for Box<P> {
 
     fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
         (**self).restore(snapshot)
-    }
-}
-
-/// A trained network depends only on the observation and has no internal state, so threads can share it.
-impl Policy for &PolicyNetwork {
-    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
-        Ok(self.check(env)?)
-    }
-
-    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
-        self.forward(&env.observation().vector, action);
-        Ok(())
-    }
-}
-
-impl Policy for PolicyNetwork {
-    fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
-        (&*self).reset(env)
-    }
-
-    fn act(&mut self, env: &dyn DroneEnv, action: &mut [f64]) -> Result<(), RolloutError> {
-        (&*self).act(env, action)
     }
 }
 
