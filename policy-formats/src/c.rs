@@ -7,11 +7,11 @@ pub use firmware::{FirmwareOptions, firmware};
 
 use std::fmt::Write as _;
 
-use aviary::policy::{Activation, PolicyInfo, PolicyNetwork};
+use aviary::policy::{Activation, PolicyInfo, PolicyNetwork, gates};
 
 use self::text::{array, comment, number, wrapped};
 use crate::layout::{self, Entry};
-use crate::quantization::{layers, quantize};
+use crate::quantization::{Linear, layers, layers_of_gru};
 use crate::{FormatError, unsupported};
 
 /// Type of the weights in the generated code. Everything else is in single precision.
@@ -58,7 +58,9 @@ pub fn default_name(info: &PolicyInfo) -> String {
 
 /// Generates the C99 code of a policy. `name` begins every name in it, and is the name of both files.
 ///
-/// The function `NAME_evaluate(observation, action)` is reentrant: its only memory are two layers on the stack.
+/// The function `NAME_evaluate(observation, action)` is reentrant: its only buffers are two layers on the stack. That of a
+/// recurrent policy is `NAME_evaluate(observation, memory, action)`, whose caller keeps the memory, and sets it to zero at
+/// the start of an episode.
 ///
 /// ```
 /// use aviary::policy::PolicyNetwork;
@@ -134,54 +136,86 @@ impl Code<'_> {
             self.indices("OBSERVATION", &layout::observation(info, inputs)),
             self.indices("ACTION", &layout::action(info, outputs)),
         );
+        if self.policy.memory_size() > 0 {
+            let _ = write!(
+                text,
+                "/* Size of the memory of a policy with a recurrent layer. */\n#define {prefix}_MEMORY_SIZE {}\n\n",
+                self.policy.memory_size()
+            );
+        }
+        let memory = if self.policy.memory_size() > 0 {
+            " It reads the memory of the evaluation\n * before and replaces it. The memory is zero at the start of an episode, and keeps no other state:\n \
+             * different threads may call the function at the same time with memories of their own."
+        } else {
+            " It keeps no\n * state, and different threads may call it at the same time."
+        };
         let _ = write!(
             text,
-            "/*\n * Computes the action for an observation. Normalization and bounds are part of the function. It keeps no\n \
-             * state, and different threads may call it at the same time.\n */\n\
-             void {name}_evaluate(const float observation[{inputs}], float action[{outputs}]);\n\n\
-             #ifdef __cplusplus\n}}\n#endif\n\n#endif\n"
+            "/*\n * Computes the action for an observation. Normalization and bounds are part of the function.{memory}\n */\n\
+             {};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
+            self.signature()
         );
         text
     }
 
+    /// Returns the declaration of the function.
+    fn signature(&self) -> String {
+        let (inputs, outputs) = (self.policy.observation_size(), self.policy.action_size());
+        let memory = match self.policy.memory_size() {
+            0 => String::new(),
+            size => format!("float memory[{size}], "),
+        };
+        format!("void {}_evaluate(const float observation[{inputs}], {memory}float action[{outputs}])", self.name)
+    }
+
+    /// Writes the constants of a linear layer, and returns their size, bytes.
+    fn layer(&self, text: &mut String, name: &str, layer: &Linear<'_>) -> usize {
+        let numbers = |numbers: &[f32]| numbers.iter().map(|&x| number(x)).collect::<Vec<_>>().into_iter();
+        let biases = array("float", &format!("{name}_biases"), numbers(layer.biases));
+        match self.weights {
+            Weights::Float32 => {
+                *text += &array("float", &format!("{name}_weights"), numbers(&layer.weights));
+                *text += &biases;
+                4 * (layer.weights.len() + layer.biases.len())
+            }
+            Weights::Int8 => {
+                let rounded = layer.quantized();
+                let weights = rounded.weights.iter().map(ToString::to_string);
+                *text += &array("signed char", &format!("{name}_weights"), weights);
+                *text += &array("float", &format!("{name}_scales"), numbers(&rounded.scales));
+                *text += &biases;
+                rounded.weights.len() + 4 * (rounded.scales.len() + rounded.biases.len())
+            }
+        }
+    }
+
+    /// Returns the call of a linear layer.
+    fn call(&self, name: &str, layer: &Linear<'_>, x: &str, y: &str) -> String {
+        let (inputs, outputs) = (layer.inputs, layer.biases.len());
+        let scales = if self.weights == Weights::Int8 { format!("{name}_scales, ") } else { String::new() };
+        format!("    linear({name}_weights, {scales}{name}_biases, {inputs}, {outputs}, {x}, {y});\n")
+    }
+
     /// Returns the source file and the size of its constants, bytes.
     fn source(&self) -> (String, usize) {
-        let name = self.name;
         let net = self.policy.net();
         let (mean, deviation) = self.policy.normalization();
-        let (low, high) = self.policy.bounds();
+        let recurrent = self.policy.recurrent().map(layers_of_gru);
+        let layers = layers(net);
         let widest = net.sizes().iter().copied().max().unwrap_or(1);
-        let mut text = format!("#include \"{name}.h\"\n\n");
+        let mut text = format!("#include \"{}.h\"\n\n", self.name);
         let mut bytes = 4 * (2 * mean.len());
         text += &array("float", "observation_mean", mean.iter().map(|&x| number(x)));
         text += &array("float", "observation_deviation", deviation.iter().map(|&x| number(x)));
-        let layers_here = layers(net);
-        match self.weights {
-            Weights::Float32 => {
-                for (index, layer) in layers_here.iter().enumerate() {
-                    bytes += 4 * (layer.weights.len() + layer.biases.len());
-                    let weights = layer.weights.iter().map(|&x| number(x));
-                    text += &array("float", &format!("weights{index}"), weights);
-                    text += &array("float", &format!("biases{index}"), layer.biases.iter().map(|&x| number(x)));
-                }
-            }
-            Weights::Int8 => {
-                for (index, layer) in quantize(net).iter().enumerate() {
-                    bytes += layer.weights.len() + 4 * (layer.scales.len() + layer.biases.len());
-                    let weights = layer.weights.iter().map(ToString::to_string);
-                    text += &array("signed char", &format!("weights{index}"), weights);
-                    text += &array("float", &format!("scales{index}"), layer.scales.iter().map(|&x| number(x)));
-                    text += &array("float", &format!("biases{index}"), layer.biases.iter().map(|&x| number(x)));
-                }
-            }
+        for (name, layer) in ["input", "state"].iter().zip(recurrent.iter().flatten()) {
+            bytes += self.layer(&mut text, name, layer);
         }
-        let clip = number(PolicyNetwork::CLIP);
-        text += &format!(
-            "static float clipped(float x, float low, float high)\n{{\n    \
-             return x < low ? low : x > high ? high : x;\n}}\n\n"
-        );
+        for (index, layer) in layers.iter().enumerate() {
+            bytes += self.layer(&mut text, &format!("layer{index}"), layer);
+        }
+        text += "static float clipped(float x, float low, float high)\n{\n    return x < low ? low : x > high ? high : x;\n}\n\n";
         text += self.linear();
-        if layers_here.len() > 1 {
+        if layers.len() > 1 {
             text += match net.activation() {
                 Activation::Relu => {
                     "static void activate(int count, float *x)\n{\n    for (int i = 0; i < count; i++) {\n        \
@@ -193,29 +227,52 @@ impl Code<'_> {
                 }
             };
         }
-        let (inputs, outputs) = (net.inputs(), net.outputs());
+        if recurrent.is_some() {
+            text += &gate_functions();
+        }
+        let (inputs, clip) = (self.policy.observation_size(), number(PolicyNetwork::CLIP));
+        let _ = write!(text, "{}\n{{\n    float first[{widest}];\n    float second[{widest}];\n", self.signature());
+        if let Some(gates) = recurrent.as_ref().map(|layers| layers[0].biases.len()) {
+            let _ = writeln!(text, "    float of_input[{gates}];\n    float of_state[{gates}];");
+        }
         let _ = write!(
             text,
-            "void {name}_evaluate(const float observation[{inputs}], float action[{outputs}])\n{{\n    \
-             float first[{widest}];\n    float second[{widest}];\n\n    for (int i = 0; i < {inputs}; i++) {{\n        \
-             first[i] = clipped((observation[i] - observation_mean[i]) / observation_deviation[i], -{clip}, {clip});\n    \
-             }}\n"
+            "\n    for (int i = 0; i < {inputs}; i++) {{\n        \
+             first[i] = clipped((observation[i] - observation_mean[i]) / observation_deviation[i], -{clip}, {clip});\n    }}\n"
         );
-        let mut buffers = ["first", "second"];
-        for (index, pair) in net.sizes().windows(2).enumerate() {
-            let (inputs, outputs) = (pair[0], pair[1]);
-            let [here, next] = buffers;
-            let scales = if self.weights == Weights::Int8 { format!("scales{index}, ") } else { String::new() };
-            let _ = writeln!(
+        if let Some([of_input, of_state]) = &recurrent {
+            let units = of_state.inputs;
+            text += &self.call("input", of_input, "first", "of_input");
+            text += &self.call("state", of_state, "memory", "of_state");
+            let _ = write!(
                 text,
-                "    linear(weights{index}, {scales}biases{index}, {inputs}, {outputs}, {here}, {next});"
+                "    for (int i = 0; i < {units}; i++) {{\n        \
+                 const float reset = logistic(of_input[i] + of_state[i]);\n        \
+                 const float update = logistic(of_input[{units} + i] + of_state[{units} + i]);\n        \
+                 const float candidate = hyperbolic_tangent(of_input[{0} + i] + reset * of_state[{0} + i]);\n\n        \
+                 memory[i] = (1.0f - update) * candidate + update * memory[i];\n        \
+                 first[{inputs} + i] = memory[i];\n    }}\n",
+                2 * units
             );
-            if index + 1 < layers_here.len() {
-                let _ = writeln!(text, "    activate({outputs}, {next});");
+        }
+        let mut buffers = ["first", "second"];
+        for (index, layer) in layers.iter().enumerate() {
+            let [here, next] = buffers;
+            text += &self.call(&format!("layer{index}"), layer, here, next);
+            if index + 1 < layers.len() {
+                let _ = writeln!(text, "    activate({}, {next});", layer.biases.len());
             }
             buffers.swap(0, 1);
         }
-        let result = buffers[0];
+        text += &self.actions(buffers[0]);
+        text += "}\n";
+        (text, bytes)
+    }
+
+    /// Returns the assignments of the action from the outputs of the network.
+    fn actions(&self, result: &str) -> String {
+        let (low, high) = self.policy.bounds();
+        let mut text = String::new();
         for (index, (&low, &high)) in low.iter().zip(high).enumerate() {
             let scaled = if low.is_finite() && high.is_finite() {
                 let (middle, half) = (number(0.5 * (low + high)), number(0.5 * (high - low)));
@@ -232,8 +289,7 @@ impl Code<'_> {
             };
             let _ = writeln!(text, "    action[{index}] = {bounded};");
         }
-        text += "}\n";
-        (text, bytes)
+        text
     }
 
     /// Returns the function of a linear layer.
@@ -254,6 +310,23 @@ impl Code<'_> {
             }
         }
     }
+}
+
+/// Returns the functions of the gates of a recurrent layer: those of [`gates`], which need no library.
+fn gate_functions() -> String {
+    let list = |numbers: [f32; 5]| numbers.map(number).join(", ");
+    let bound = number(gates::BOUND);
+    format!(
+        "static float polynomial(const float *coefficients, float x)\n{{\n    float sum = coefficients[4];\n\n    \
+         for (int i = 3; i >= 0; i--) {{\n        sum = sum * x + coefficients[i];\n    }}\n    return sum;\n}}\n\n\
+         static float hyperbolic_tangent(float x)\n{{\n    static const float numerator[5] = {{ {} }};\n    \
+         static const float denominator[5] = {{ {} }};\n    const float bounded = clipped(x, -{bound}, {bound});\n    \
+         const float square = bounded * bounded;\n\n    \
+         return bounded * polynomial(numerator, square) / polynomial(denominator, square);\n}}\n\n\
+         static float logistic(float x)\n{{\n    return 0.5f + 0.5f * hyperbolic_tangent(0.5f * x);\n}}\n\n",
+        list(gates::NUMERATOR),
+        list(gates::DENOMINATOR)
+    )
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Weights of eight bits, with one scale per neuron.
 
-use aviary::policy::{Mlp, PolicyError, PolicyNetwork};
+use aviary::policy::{Gru, Mlp, PolicyError, PolicyNetwork};
 
 /// Largest magnitude of a rounded weight. The range is symmetric, without −128.
 const LARGEST: f32 = 127.0;
@@ -23,26 +23,18 @@ pub(crate) struct Linear<'a> {
     pub biases: &'a [f32],
 }
 
-/// Returns the layers of a network with the weights of a neuron next to each other.
-pub(crate) fn layers(net: &Mlp) -> Vec<Linear<'_>> {
-    let mut left = net.parameters();
-    let layer = |pair: &[usize]| {
-        let (inputs, outputs) = (pair[0], pair[1]);
-        let (weights, rest) = left.split_at(inputs * outputs);
-        let (biases, rest) = rest.split_at(outputs);
-        left = rest;
+impl<'a> Linear<'a> {
+    /// Creates a layer from weights that are inputs × outputs.
+    fn new(weights: &[f32], biases: &'a [f32]) -> Self {
+        let outputs = biases.len();
+        let inputs = weights.len() / outputs;
         let entry = |index: usize| weights[index % inputs * outputs + index / inputs];
-        Linear { inputs, weights: (0..weights.len()).map(entry).collect(), biases }
-    };
-    net.sizes().windows(2).map(layer).collect()
-}
+        Self { inputs, weights: (0..weights.len()).map(entry).collect(), biases }
+    }
 
-/// Rounds the weights of a network to eight bits. Biases stay in single precision.
-///
-/// The scale of a neuron is its largest weight over 127, so that the error of a weight is at most half a scale.
-pub fn quantize(net: &Mlp) -> Vec<QuantizedLayer> {
-    let layer = |layer: Linear<'_>| {
-        let rows = layer.weights.chunks_exact(layer.inputs);
+    /// Rounds the weights to eight bits.
+    pub fn quantized(&self) -> QuantizedLayer {
+        let rows = self.weights.chunks_exact(self.inputs);
         let scale = |row: &[f32]| row.iter().fold(0.0_f32, |largest, weight| largest.max(weight.abs())) / LARGEST;
         let scales: Vec<f32> = rows.clone().map(scale).collect();
         let round = |(row, &scale): (&[f32], &f32)| {
@@ -53,9 +45,43 @@ pub fn quantize(net: &Mlp) -> Vec<QuantizedLayer> {
             row.iter().map(weight).collect::<Vec<_>>()
         };
         let weights = rows.zip(&scales).flat_map(round).collect();
-        QuantizedLayer { weights, scales, biases: layer.biases.to_vec() }
+        QuantizedLayer { weights, scales, biases: self.biases.to_vec() }
+    }
+}
+
+/// Returns the layers of a network with the weights of a neuron next to each other.
+pub(crate) fn layers(net: &Mlp) -> Vec<Linear<'_>> {
+    let mut left = net.parameters();
+    let layer = |pair: &[usize]| {
+        let (weights, rest) = left.split_at(pair[0] * pair[1]);
+        let (biases, rest) = rest.split_at(pair[1]);
+        left = rest;
+        Linear::new(weights, biases)
     };
-    layers(net).into_iter().map(layer).collect()
+    net.sizes().windows(2).map(layer).collect()
+}
+
+/// Returns the two linear layers of a recurrent layer: that of the input and that of the state.
+pub(crate) fn layers_of_gru(gru: &Gru) -> [Linear<'_>; 2] {
+    [Linear::new(gru.input_weights(), gru.input_biases()), Linear::new(gru.state_weights(), gru.state_biases())]
+}
+
+/// Rounds the weights of a network to eight bits. Biases stay in single precision.
+///
+/// The scale of a neuron is its largest weight over 127, so that the error of a weight is at most half a scale.
+pub fn quantize(net: &Mlp) -> Vec<QuantizedLayer> {
+    layers(net).iter().map(Linear::quantized).collect()
+}
+
+/// Returns the parameters of a layer after rounding, in the order of [`Mlp`]: weights, inputs × outputs, then biases.
+fn rounded_parameters(layer: &Linear<'_>) -> Vec<f32> {
+    let (inputs, outputs) = (layer.inputs, layer.biases.len());
+    let QuantizedLayer { weights, scales, biases } = layer.quantized();
+    let weight = |index: usize| {
+        let (input, output) = (index / outputs, index % outputs);
+        scales[output] * f32::from(weights[output * inputs + input])
+    };
+    (0..inputs * outputs).map(weight).chain(biases).collect()
 }
 
 /// Returns the policy with the weights that its quantized form has, in single precision, so that it can be evaluated
@@ -64,18 +90,14 @@ pub fn quantize(net: &Mlp) -> Vec<QuantizedLayer> {
 /// # Errors
 /// [`PolicyError::Network`] if a rounded weight is not finite.
 pub fn rounded(policy: &PolicyNetwork) -> Result<PolicyNetwork, PolicyError> {
-    let mut net = policy.net().clone();
-    let mut parameters = Vec::with_capacity(net.parameters().len());
-    for (layer, pair) in quantize(&net).iter().zip(net.sizes().windows(2)) {
-        let weight = |index: usize| {
-            let (input, output) = (index / pair[1], index % pair[1]);
-            layer.scales[output] * f32::from(layer.weights[output * pair[0] + input])
-        };
-        parameters.extend((0..pair[0] * pair[1]).map(weight));
-        parameters.extend_from_slice(&layer.biases);
-    }
+    let (mut net, mut recurrent) = (policy.net().clone(), policy.recurrent().cloned());
+    let parameters: Vec<f32> = layers(policy.net()).iter().flat_map(rounded_parameters).collect();
     net.set(&parameters)?;
-    policy.clone().with_net(net)
+    if let (Some(rounded), Some(gru)) = (&mut recurrent, policy.recurrent()) {
+        let parameters: Vec<f32> = layers_of_gru(gru).iter().flat_map(rounded_parameters).collect();
+        rounded.set(&parameters)?;
+    }
+    policy.clone().with_layers(recurrent, net)
 }
 
 #[cfg(test)]

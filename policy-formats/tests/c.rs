@@ -32,9 +32,11 @@ fn evaluate(policy: &PolicyNetwork, weights: Weights, observations: &[f32]) -> V
     std::fs::write(directory.path().join("trained.h"), &code.header).unwrap();
     std::fs::write(directory.path().join("trained.c"), &code.source).unwrap();
     let main = "#include <stdio.h>\n\n#include \"trained.h\"\n\nint main(void)\n{\n    \
-                float observation[TRAINED_OBSERVATION_SIZE];\n    float action[TRAINED_ACTION_SIZE];\n\n    \
-                while (fread(observation, sizeof(observation), 1, stdin) == 1) {\n        \
-                trained_evaluate(observation, action);\n        fwrite(action, sizeof(action), 1, stdout);\n    }\n    \
+                float observation[TRAINED_OBSERVATION_SIZE];\n    float action[TRAINED_ACTION_SIZE];\n#ifdef TRAINED_MEMORY_SIZE\n    \
+                float memory[TRAINED_MEMORY_SIZE] = { 0.0f };\n#endif\n\n    \
+                while (fread(observation, sizeof(observation), 1, stdin) == 1) {\n#ifdef TRAINED_MEMORY_SIZE\n        \
+                trained_evaluate(observation, memory, action);\n#else\n        trained_evaluate(observation, action);\n#endif\n        \
+                fwrite(action, sizeof(action), 1, stdout);\n    }\n    \
                 return 0;\n}\n";
     std::fs::write(directory.path().join("main.c"), main).unwrap();
     std::fs::write(directory.path().join("in"), observations.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>())
@@ -49,7 +51,7 @@ fn evaluate(policy: &PolicyNetwork, weights: Weights, observations: &[f32]) -> V
 #[test]
 fn generated_code_computes_the_actions_of_the_policy_to_the_bit() {
     let policies = ["hover", "race", "velocity", "hover_cf21"].map(common::asset);
-    for policy in policies.into_iter().chain([common::random()]) {
+    for policy in policies.into_iter().chain([common::random(), common::recurrent()]) {
         let observations = common::observations(&policy, ROWS);
         let expected = common::actions(&policy, &observations);
         let found = evaluate(&policy, Weights::Float32, &observations);
@@ -62,7 +64,7 @@ fn generated_code_computes_the_actions_of_the_policy_to_the_bit() {
 
 #[test]
 fn weights_of_eight_bits_compute_the_actions_of_the_rounded_policy() {
-    for policy in [common::asset("hover"), common::asset("race"), common::random()] {
+    for policy in [common::asset("hover"), common::asset("race"), common::random(), common::recurrent()] {
         let observations = common::observations(&policy, ROWS / 10);
         let expected = common::actions(&rounded(&policy).unwrap(), &observations);
         let found = evaluate(&policy, Weights::Int8, &observations);

@@ -5,14 +5,14 @@
 
 use pulp::Simd;
 
-/// Bound of the argument: beyond it, tanh differs from ±1 by less than 2.8e-7.
-const BOUND: f32 = 7.9;
+/// Bound of the argument of tanh: beyond it, tanh differs from ±1 by less than 2.8e-7.
+pub const BOUND: f32 = 7.9;
 
 /// Coefficients of x, x³, x⁵, x⁷ and x⁹ in the numerator of tanh.
-const NUMERATOR: [f32; 5] = [1.0, 0.134_506_24, 0.003_578_995_8, 2.202_330_9e-5, 1.542_806_2e-8];
+pub const NUMERATOR: [f32; 5] = [1.0, 0.134_506_24, 0.003_578_995_8, 2.202_330_9e-5, 1.542_806_2e-8];
 
 /// Coefficients of 1, x², x⁴, x⁶ and x⁸ in the denominator of tanh.
-const DENOMINATOR: [f32; 5] = [1.0, 0.467_839_5, 0.026_192_252, 0.000_342_365_67, 8.598_816_5e-7];
+pub const DENOMINATOR: [f32; 5] = [1.0, 0.467_839_5, 0.026_192_252, 0.000_342_365_67, 8.598_816_5e-7];
 
 /// Returns the hyperbolic tangent, with a relative error of up to 4e-7 and an absolute value of up to 1.
 ///

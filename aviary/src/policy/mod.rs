@@ -273,12 +273,13 @@ impl PolicyNetwork {
         Self::from_parts(self.info, self.gru, self.net, [mean, deviation], [self.low, self.high])
     }
 
-    /// Replaces the network by one with the same inputs and outputs, for example with rounded weights.
+    /// Replaces the recurrent layer and the network by others with the same sizes, for example with rounded weights.
     ///
     /// # Errors
-    /// [`PolicyError::Network`] if the numbers of inputs or outputs differ.
-    pub fn with_net(self, net: Mlp) -> Result<Self, PolicyError> {
-        Self::from_parts(self.info, net, [self.mean, self.deviation], [self.low, self.high])
+    /// [`PolicyError::Network`] if inputs or outputs differ, and [`PolicyError::Value`] if the policy gains or loses its
+    /// recurrent layer.
+    pub fn with_layers(self, recurrent: Option<Gru>, net: Mlp) -> Result<Self, PolicyError> {
+        Self::from_parts(self.info, recurrent, net, [self.mean, self.deviation], [self.low, self.high])
     }
 
     /// Returns the metadata.
@@ -300,11 +301,6 @@ impl PolicyNetwork {
     /// [`per_drone`](PolicyInfo::per_drone) has a memory of this size for every drone.
     pub fn memory_size(&self) -> usize {
         self.gru.as_ref().map_or(0, Gru::units)
-    }
-
-    /// Returns the bounds of an action, low and high.
-    pub fn bounds(&self) -> (&[f32], &[f32]) {
-        (&self.low, &self.high)
     }
 
     /// Returns mean and deviation of the normalization.

@@ -218,12 +218,17 @@ impl App<'_> {
             text,
             "/* rad/s per deg/s. */\n#define RADIANS {}\n\n\
              /* Motor of the policy for M1 to M4. */\nstatic const int motor_of[4] = {{ {} }};\n\n\
-             static float forces[4];\n\n",
+             static float forces[4];\n{}\n",
             number((TAU / 360.0) as f32),
             (self.mapping.motors.iter())
                 .map(|&motor| if self.policy.action_size() == 1 { "0".into() } else { motor.to_string() })
                 .collect::<Vec<_>>()
                 .join(", "),
+            if self.policy.memory_size() > 0 {
+                format!("static float memory[{prefix}_MEMORY_SIZE];\n")
+            } else {
+                String::new()
+            },
         );
         text += "/* Returns the speed of a motor for an action, rpm. */\nstatic float speed(float action)\n{\n";
         text += match self.scale {
@@ -257,10 +262,17 @@ impl App<'_> {
              observation[{prefix}_OBSERVATION_ANGULAR_VELOCITY_Y] = RADIANS * {wy};\n    \
              observation[{prefix}_OBSERVATION_ANGULAR_VELOCITY_Z] = RADIANS * sensors->gyro.z;\n}}\n\n"
         );
+        let (memory, clear) = match self.policy.memory_size() {
+            0 => ("", String::new()),
+            _ => (
+                "memory, ",
+                format!("    for (int i = 0; i < {prefix}_MEMORY_SIZE; i++) {{\n        memory[i] = 0.0f;\n    }}\n"),
+            ),
+        };
         let _ = write!(
             text,
             "void appMain(void)\n{{\n    while (true) {{\n        vTaskDelay(M2T(1000));\n    }}\n}}\n\n\
-             void controllerOutOfTreeInit(void)\n{{\n    for (int motor = 0; motor < 4; motor++) {{\n        forces[motor] = 0.0f;\n    }}\n}}\n\n\
+             void controllerOutOfTreeInit(void)\n{{\n    for (int motor = 0; motor < 4; motor++) {{\n        forces[motor] = 0.0f;\n    }}\n{clear}}}\n\n\
              bool controllerOutOfTreeTest(void)\n{{\n    return true;\n}}\n\n\
              void controllerOutOfTree(control_t *control, const setpoint_t *setpoint, const sensorData_t *sensors,\n                         \
              const state_t *state, const uint32_t step)\n{{\n    \
@@ -269,7 +281,7 @@ impl App<'_> {
              const bool due = (step % STABILIZER_RATE) * {prefix}_RATE % STABILIZER_RATE < {prefix}_RATE;\n\n    \
              if (!has_target) {{\n        controllerOutOfTreeInit();\n    }} else if (due) {{\n        \
              float observation[{prefix}_OBSERVATION_SIZE];\n        float action[{prefix}_ACTION_SIZE];\n\n        \
-             observe(state, sensors, setpoint, observation);\n        {name}_evaluate(observation, action);\n        \
+             observe(state, sensors, setpoint, observation);\n        {name}_evaluate(observation, {memory}action);\n        \
              for (int motor = 0; motor < 4; motor++) {{\n            const float rpm = speed(action[motor_of[motor]]);\n            \
              const float share = THRUST_COEFFICIENT * rpm * rpm / THRUST_MAX;\n\n            \
              forces[motor] = share > 1.0f ? 1.0f : share;\n        }}\n    }}\n    \

@@ -2,10 +2,10 @@
 
 use std::cell::RefCell;
 
-use aviary::policy::{Activation, PolicyInfo, PolicyNetwork};
+use aviary::policy::{Activation, Gru, PolicyInfo, PolicyNetwork};
 use rten_onnx::onnx::{
-    AttributeProto, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto, StringStringEntryProto,
-    TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
+    AttributeProto, AttributeType, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto,
+    StringStringEntryProto, TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
 };
 
 use super::METADATA_KEY;
@@ -20,7 +20,8 @@ const IR_VERSION: i64 = 8;
 /// Returns a policy as the bytes of an ONNX file.
 ///
 /// The graph has the input `observation` and the output `action`, single precision, with any number of rows.
-/// Normalization and bounds are part of it. Its metadata has the [`PolicyInfo`] as JSON under [`METADATA_KEY`], so that
+/// Normalization and bounds are part of it. That of a recurrent policy has the further input `memory`, which is zero at
+/// the start of an episode, and the further output `next_memory`. Its metadata has the [`PolicyInfo`] as JSON under [`METADATA_KEY`], so that
 /// [`OnnxPolicy`](super::OnnxPolicy) needs no options.
 ///
 /// # Errors
@@ -35,6 +36,9 @@ pub fn to_bytes(policy: &PolicyNetwork) -> Result<Vec<u8>, FormatError> {
     graph.constant(&limits[0], &[], &[-PolicyNetwork::CLIP]);
     graph.constant(&limits[1], &[], &[PolicyNetwork::CLIP]);
     let mut here = graph.node("Clip", vec![scaled, limits[0].clone(), limits[1].clone()], Vec::new());
+    if let Some(gru) = policy.recurrent() {
+        here = graph.recurrent(gru, here);
+    }
     let (mut left, layers) = (net.parameters(), net.sizes().len() - 1);
     for (index, pair) in net.sizes().windows(2).enumerate() {
         let (weights, rest) = left.split_at(pair[0] * pair[1]);
@@ -66,16 +70,15 @@ pub fn to_bytes(policy: &PolicyNetwork) -> Result<Vec<u8>, FormatError> {
     // runtimes differ in what they do with infinite constants
     let finite = |bounds: &[f32]| bounds.iter().map(|x| x.clamp(f32::MIN, f32::MAX)).collect::<Vec<_>>();
     here = graph.with_constant("Max", &here, "low", &[low.len()], &finite(low));
-    here = graph.with_constant("Min", &here, "high", &[high.len()], &finite(high));
+    graph.with_constant("Min", &here, "high", &[high.len()], &finite(high));
     graph.nodes.last_mut().into_iter().for_each(|node| node.output = vec!["action".into()]);
-    debug_assert!(!here.is_empty());
     let model = ModelProto {
         ir_version: Some(IR_VERSION),
         graph: Some(GraphProto {
             node: graph.nodes,
             initializer: graph.constants,
-            input: vec![value("observation", policy.observation_size())],
-            output: vec![value("action", policy.action_size())],
+            input: with_memory(value("observation", policy.observation_size()), "memory", policy),
+            output: with_memory(value("action", policy.action_size()), "next_memory", policy),
             value_info: Vec::new(),
         }),
         opset_import: vec![OperatorSetIdProto { domain: Some(String::new()), version: Some(OPSET) }],
@@ -101,6 +104,12 @@ fn value(name: &str, size: usize) -> ValueInfoProto {
         shape: Some(TensorShapeProto { dim: vec![rows, columns] }),
     };
     ValueInfoProto { name: Some(name.into()), r#type: Some(TypeProto { tensor_type: Some(tensor), sequence: None }) }
+}
+
+/// Returns an input or output, and that of the memory of a recurrent policy.
+fn with_memory(first: ValueInfoProto, name: &str, policy: &PolicyNetwork) -> Vec<ValueInfoProto> {
+    let memory = (policy.memory_size() > 0).then(|| value(name, policy.memory_size()));
+    [first].into_iter().chain(memory).collect()
 }
 
 /// Graph under construction. Each node has the name of its output.
@@ -134,6 +143,55 @@ impl Graph {
             attribute,
         });
         name
+    }
+
+    /// Adds a constant of integers.
+    fn integers(&mut self, name: &str, numbers: &[i64]) {
+        self.constants.push(TensorProto {
+            dims: vec![numbers.len() as i64],
+            data_type: Some(DataType::INT64),
+            raw_data: Some(RefCell::new(numbers.iter().flat_map(|x| x.to_le_bytes()).collect())),
+            name: Some(name.into()),
+            ..TensorProto::default()
+        });
+    }
+
+    /// Adds a recurrent layer between the inputs `memory` and the output `next_memory`, and returns the name of its input
+    /// and next state side by side.
+    fn recurrent(&mut self, gru: &Gru, input: String) -> String {
+        let units = gru.units();
+        // ONNX has the gates in the order z, r, n, and the weights of a unit next to each other
+        let gates = [1, 0, 2];
+        let weights = |weights: &[f32], inputs: usize| {
+            let of_gate = |gate: usize| (0..units).map(move |unit| gate * units + unit);
+            let columns = gates.into_iter().flat_map(of_gate);
+            columns.flat_map(|column| (0..inputs).map(move |row| weights[row * 3 * units + column])).collect::<Vec<_>>()
+        };
+        let biases = |biases: &[f32]| gates.map(|gate| biases[gate * units..][..units].to_vec()).concat();
+        self.constant("input_weights", &[1, 3 * units, gru.inputs()], &weights(gru.input_weights(), gru.inputs()));
+        self.constant("state_weights", &[1, 3 * units, units], &weights(gru.state_weights(), units));
+        let both = [biases(gru.input_biases()), biases(gru.state_biases())].concat();
+        self.constant("recurrent_biases", &[1, 6 * units], &both);
+        self.integers("sequence", &[0]);
+        let unsqueezed =
+            |graph: &mut Self, name: &str| graph.node("Unsqueeze", vec![name.into(), "sequence".into()], Vec::new());
+        let (row, state) = (unsqueezed(self, &input), unsqueezed(self, "memory"));
+        let integer = |name: &str, value: i64| AttributeProto {
+            name: Some(name.into()),
+            i: Some(value),
+            r#type: Some(AttributeType::INT),
+            ..AttributeProto::default()
+        };
+        let attributes = vec![integer("hidden_size", units as i64), integer("linear_before_reset", 1)];
+        let names = ["input_weights", "state_weights", "recurrent_biases", ""].map(String::from);
+        let inputs = [row].into_iter().chain(names).chain([state]).collect();
+        self.node("GRU", inputs, attributes);
+        // the first output has the states of all steps, the second one the last state
+        let last = "last_state".to_string();
+        self.nodes.last_mut().into_iter().for_each(|node| node.output = vec![String::new(), last.clone()]);
+        self.node("Squeeze", vec![last, "sequence".into()], Vec::new());
+        self.nodes.last_mut().into_iter().for_each(|node| node.output = vec!["next_memory".into()]);
+        self.node("Concat", vec![input, "next_memory".into()], vec![integer("axis", 1)])
     }
 
     /// Adds a node with a constant as its second input.

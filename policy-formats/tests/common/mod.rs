@@ -1,7 +1,7 @@
 //! Policies that the tests convert, and random observations.
 
 use aviary::env::{BoxSpace, Rng};
-use aviary::policy::{Activation, Mlp, PolicyInfo, PolicyNetwork};
+use aviary::policy::{Activation, Gru, Mlp, PolicyInfo, PolicyNetwork};
 use rand::{RngExt as _, SeedableRng as _};
 
 /// Returns a policy of the repository.
@@ -24,6 +24,19 @@ pub fn random() -> PolicyNetwork {
     policy.normalized(mean, deviation).unwrap()
 }
 
+/// Returns a recurrent policy with random weights.
+pub fn recurrent() -> PolicyNetwork {
+    let mut rng = Rng::seed_from_u64(6);
+    let mut numbers = |count: usize| (0..count).map(|_| rng.random_range(-0.6..0.6)).collect::<Vec<f32>>();
+    let gru = Gru::new(12, 11, &numbers(Gru::count(12, 11))).unwrap();
+    let sizes = [23, 17, 4];
+    let net = Mlp::new(&sizes, Activation::Relu, &numbers(Mlp::count(&sizes))).unwrap();
+    let info = PolicyInfo { version: PolicyInfo::RECURRENT_VERSION, ..asset("hover").info().clone() };
+    let spaces = [BoxSpace::new([[f64::NEG_INFINITY, f64::INFINITY]; 12]), BoxSpace::new([[-1.0, 1.0]; 4])];
+    let [observations, actions] = spaces;
+    PolicyNetwork::new_recurrent(info, gru, net, observations, actions).unwrap()
+}
+
 /// Returns random observations in the range of a policy, and some far outside.
 pub fn observations(policy: &PolicyNetwork, count: usize) -> Vec<f32> {
     let mut rng = Rng::seed_from_u64(9);
@@ -37,13 +50,14 @@ pub fn observations(policy: &PolicyNetwork, count: usize) -> Vec<f32> {
     observations
 }
 
-/// Returns the actions of a policy, row by row.
+/// Returns the actions of a policy for the observations of an episode.
 pub fn actions(policy: &PolicyNetwork, observations: &[f32]) -> Vec<f32> {
+    let mut memory = vec![0.0; policy.memory_size()];
     let mut action = vec![0.0; policy.action_size()];
     let mut actions = Vec::new();
     for row in observations.chunks_exact(policy.observation_size()) {
         let row: Vec<f64> = row.iter().map(|&x| f64::from(x)).collect();
-        policy.forward(&row, &mut action);
+        policy.forward_with(&row, &mut memory, &mut action);
         actions.extend(action.iter().map(|&x| x as f32));
     }
     actions
