@@ -8,6 +8,7 @@ mod compare;
 mod completions;
 mod convert;
 mod doctor;
+mod export;
 mod failure;
 mod fly;
 mod identify;
@@ -17,6 +18,7 @@ mod output;
 mod parse;
 mod pilot;
 mod play;
+mod policy_file;
 mod render;
 mod replay;
 mod rerun;
@@ -40,6 +42,7 @@ use tracing_subscriber::filter::LevelFilter;
   aviary capture --task fly_through --frames 100 --out out/frames
   aviary train --task hover --until-success --out out/hover
   aviary play --policy out/hover/policy.safetensors --episodes 20
+  aviary export --policy out/hover/policy.safetensors --format onnx --out out/hover.onnx
   aviary bench --quick
 
 `aviary COMMAND -h` lists the options of a command, `aviary COMMAND --help` explains them.")]
@@ -58,6 +61,7 @@ enum Command {
     Replay(replay::Replay),
     Train(Box<train::Train>),
     Play(Box<play::Play>),
+    Export(export::Export),
     Bench(bench::Bench),
     Compare(compare::Compare),
     Convert(convert::Convert),
@@ -100,6 +104,7 @@ fn main() -> ExitCode {
         Command::Replay(command) => command.run(),
         Command::Train(command) => command.run(),
         Command::Play(command) => command.run(),
+        Command::Export(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Compare(command) => command.run(),
         Command::Convert(command) => command.run(),

@@ -8,7 +8,6 @@ use aviary::UnknownName;
 use aviary::drone::DroneModel;
 use aviary::env::{DroneEnv, Env as _};
 use aviary::physics::Physics;
-use aviary::policy::PolicyNetwork;
 use aviary::tasks::TaskSummary;
 use clap::{Args, ValueHint};
 use learn::{Arena, Episode, Score, TrainConfig, TrainError};
@@ -19,6 +18,7 @@ use crate::failure::Failure;
 use crate::options::{ConditionOptions, in_options};
 use crate::output;
 use crate::parse::{self, NameOrFile, Shard};
+use crate::policy_file::{OnnxFlags, PolicyFile};
 use crate::window;
 
 /// Fly a trained policy and print its success rate
@@ -28,6 +28,9 @@ use crate::window;
 /// and rates are those of the training, unless options or --config change them. The default has
 /// no wind and no obstacles; --as-trained restores the conditions of the training. Animations
 /// show the first episode.
+///
+/// An ONNX file of another trainer flies too. Its graph maps rows of observations to rows of
+/// actions. What its metadata does not say are options: --task, --drone, and those of ONNX files.
 #[derive(Debug, Args)]
 #[command(verbatim_doc_comment)]
 #[command(after_help = "Examples:
@@ -37,12 +40,13 @@ use crate::window;
   aviary play --policy assets/policies/hover.safetensors --episodes 1 --view
   aviary play --policy assets/policies/hover_randomized.safetensors --config assets/policies/hover_randomized.toml
   aviary play --policy assets/policies/hover.safetensors --wind combined --physics mjc_gnd_drag_dw --json
+  aviary play --policy hover.onnx --task hover --action-range unit
 
 --config also reads a configuration file of `aviary train`: it uses the sections and the keys of the
 environments (drone, physics, num_drones, sim_freq, ctrl_freq, episode_seconds, success) and ignores
 the keys of the trainer.")]
 pub struct Play {
-    /// Policy file of `aviary train`
+    /// Policy file of `aviary train`, or an ONNX file (.onnx)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     policy: PathBuf,
     /// Number of episodes
@@ -92,6 +96,8 @@ pub struct Play {
     shard: Option<Shard>,
     #[command(flatten)]
     animation: AnimationOptions,
+    #[command(flatten)]
+    onnx: OnnxFlags,
     /// Window in which the policy flies after the evaluation
     ///
     /// The window shows the first episode in real time. Panels and keys change the flight, N
@@ -115,7 +121,9 @@ impl Play {
             let message = anyhow!("--shard is {shard} of {} episodes, expected a part with episodes", self.episodes);
             return Err(Failure::input(message));
         }
-        let policy = PolicyNetwork::load(&self.policy).map_err(Failure::input)?;
+        let task = self.task.as_ref().map(|task| task.name);
+        let drone = self.drone.as_ref().map(ToString::to_string);
+        let policy = PolicyFile::load(&self.policy, &self.onnx, task, drone)?;
         let config = self.config(&policy)?;
         if self.view {
             // an evaluation may take long, and opens its window at the end
@@ -127,7 +135,7 @@ impl Play {
         // in small groups, for the progress bar
         for first in own.clone().step_by(64) {
             let count = (own.end - first).min(64) as usize;
-            flown.extend(arena.fly(|| policy.pilot(), self.seed.wrapping_add(first), count).map_err(flying)?);
+            flown.extend(policy.fly(&mut arena, self.seed.wrapping_add(first), count).map_err(flying)?);
             bar.set_position(flown.len() as u64);
         }
         bar.finish_and_clear();
@@ -138,7 +146,7 @@ impl Play {
             output::print(&table(&config, &flown))?;
         }
         if self.view {
-            window::fly(&config, policy, self.seed.wrapping_add(own.start))?;
+            window::fly(&config, policy.pilot(), policy.steps(), self.seed.wrapping_add(own.start))?;
         }
         Ok(())
     }
@@ -150,7 +158,7 @@ impl Play {
 
     /// Returns the configuration of the episodes: task, airframe and rates of the policy, and the conditions of the
     /// options, the file or the training.
-    fn config(&self, policy: &PolicyNetwork) -> Result<TrainConfig, Failure> {
+    fn config(&self, policy: &PolicyFile) -> Result<TrainConfig, Failure> {
         let info = policy.info();
         let mut config =
             TrainConfig::of_task(self.task.as_ref().map_or(&info.task, |task| task.name)).map_err(Failure::input)?;
@@ -199,7 +207,7 @@ impl Play {
     }
 
     /// Renders the animations of the first episode, if any option is set.
-    fn draw(&self, policy: &PolicyNetwork, config: &TrainConfig) -> Result<(), Failure> {
+    fn draw(&self, policy: &PolicyFile, config: &TrainConfig) -> Result<(), Failure> {
         if self.animation.files().is_empty() {
             return Ok(());
         }
@@ -291,6 +299,7 @@ fn table(config: &TrainConfig, flown: &[Episode]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use aviary::policy::PolicyNetwork;
     use clap::Parser;
     use learn::Trainer;
 
@@ -308,6 +317,7 @@ mod tests {
         let file = directory.path().join("forest.toml");
         let obstacles = |config: &TrainConfig| config.environment().unwrap().simulation().obstacles().to_vec();
         let fly = |policy: &PolicyNetwork, more: &[&str]| {
+            let policy = &PolicyFile::Network(policy.clone());
             let line = [&["play", "--policy", "a.safetensors", "--seed", "5000"][..], more].concat();
             obstacles(&Line::try_parse_from(line).unwrap().play.config(policy).unwrap())
         };

@@ -4,12 +4,12 @@ use std::io::{IsTerminal as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::anyhow;
+use anyhow::{Context as _, anyhow};
 use aviary::engine::flight::Width;
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks::{self, TaskSummary};
 use clap::{ArgGroup, Args, ValueHint};
-use learn::{Clock, Learner, Point, Report, Stop, TrainConfig, TrainDevice, Trainer};
+use learn::{Clock, Learner, Point, Report, Stop, TensorboardWriter, TrainConfig, TrainDevice, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -37,6 +37,7 @@ use crate::window::TrainingWindow;
   aviary train --task race --seed 3 --config race.toml --out out/race
   aviary train --resume out/race --steps 60000000
   aviary train --task hover --out out/watched --view
+  aviary train --task hover --tensorboard --out out/logged
   aviary train --task hover --device gpu --envs 16384 --out out/gpu
   aviary train --all --steps 100000 --out out/all
 
@@ -118,6 +119,12 @@ pub struct Train {
     /// without a window. The training goes on without the window when it is closed.
     #[arg(long, verbatim_doc_comment, conflicts_with_all = ["all", "show"])]
     view: bool,
+    /// Event file for TensorBoard in the output directory
+    ///
+    /// The file has the numbers of curve.csv, at every iteration; `tensorboard --logdir DIR`
+    /// shows them during the run. A resumed run writes the file again, from its beginning.
+    #[arg(long, verbatim_doc_comment, conflicts_with = "show")]
+    tensorboard: bool,
     /// JSON output instead of a table
     ///
     /// With --json, standard error has neither notes nor evaluations.
@@ -154,7 +161,7 @@ impl Train {
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
                 let learner = self.learner(&config)?;
                 let trainer = Trainer::with_learner(config, &self.command(task), learner).map_err(Failure::input)?;
-                Run::begin(trainer, &out, self.view)?
+                Run::begin(trainer, &out, self.extras())?
             }
         };
         if self.steps.is_some() && !self.json {
@@ -210,7 +217,11 @@ impl Train {
         let locked = path.exists().then(|| OutputDir::create(directory)).transpose()?;
         let mut trainer = Trainer::resume_with(&path, |config| self.learner(config))?;
         trainer.extend(self.steps, self.until_success).map_err(Failure::input)?;
-        Run::resume(trainer, directory, locked, self.view)
+        Run::resume(trainer, directory, locked, self.extras())
+    }
+
+    fn extras(&self) -> Extras {
+        Extras { view: self.view, tensorboard: self.tensorboard }
     }
 
     /// Returns the value of an option, or the value of --all if that is set.
@@ -243,7 +254,8 @@ impl Train {
             let mut config = self.config(task)?;
             config.episodes = config.episodes.min(8);
             let trainer = Trainer::new(config, &self.command(task)).map_err(Failure::input)?;
-            let run = Run::begin(trainer, &out.join(task), false)?.finish(self.json)?;
+            let run =
+                Run::begin(trainer, &out.join(task), Extras { view: false, ..self.extras() })?.finish(self.json)?;
             let curve = run.trainer.curve();
             let reward = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.report.mean_reward);
             rows.push((
@@ -304,6 +316,15 @@ fn quoted(path: &Path) -> String {
     if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
+/// What a run has beside its files.
+#[derive(Clone, Copy)]
+struct Extras {
+    /// A window.
+    view: bool,
+    /// An event file for TensorBoard.
+    tensorboard: bool,
+}
+
 /// A run with its files.
 struct Run {
     trainer: Trainer,
@@ -311,23 +332,25 @@ struct Run {
     /// Iteration of the checkpoint in the directory.
     saved: u64,
     window: Option<TrainingWindow>,
+    events: Option<TensorboardWriter>,
 }
 
 impl Run {
-    /// Starts a run in a directory without one, with a window if `view` is true.
-    fn begin(trainer: Trainer, out: &Path, view: bool) -> Result<Self, Failure> {
+    /// Starts a run in a directory without one.
+    fn begin(trainer: Trainer, out: &Path, extras: Extras) -> Result<Self, Failure> {
         let out = OutputDir::create(out)?;
         check_new(out.path())?;
         // a window that cannot be opened leaves no files that refuse the next run
-        let window = view.then(|| TrainingWindow::open(&trainer)).transpose()?;
-        let mut run = Self { trainer, out, saved: 0, window };
+        let window = extras.view.then(|| TrainingWindow::open(&trainer)).transpose()?;
+        let mut run = Self { trainer, out, saved: 0, window, events: None };
+        run.begin_events(extras)?;
         run.save_policy()?;
         run.save_checkpoint()?;
         Ok(run)
     }
 
-    /// Continues the run of a directory, with a window if `view` is true.
-    fn resume(trainer: Trainer, directory: &Path, locked: Option<OutputDir>, view: bool) -> Result<Self, Failure> {
+    /// Continues the run of a directory.
+    fn resume(trainer: Trainer, directory: &Path, locked: Option<OutputDir>, extras: Extras) -> Result<Self, Failure> {
         let Some(out) = locked.filter(|_| trainer.stop().is_none()) else {
             let steps = trainer.steps();
             return Err(Failure::input(anyhow!(
@@ -335,11 +358,26 @@ impl Run {
                 directory.display()
             )));
         };
-        let window = view.then(|| TrainingWindow::open(&trainer)).transpose()?;
-        let mut run = Self { trainer, out, saved: 0, window };
+        let window = extras.view.then(|| TrainingWindow::open(&trainer)).transpose()?;
+        let mut run = Self { trainer, out, saved: 0, window, events: None };
+        run.begin_events(extras)?;
         // the checkpoint has the number of steps, which may have changed
         run.save_checkpoint()?;
         Ok(run)
+    }
+
+    /// Creates the event file, if the run has one, with the iterations so far.
+    fn begin_events(&mut self, extras: Extras) -> Result<(), Failure> {
+        if extras.tensorboard {
+            let file = self.out.path().join(TensorboardWriter::NAME);
+            let begin = || {
+                let mut events = TensorboardWriter::create(self.out.path())?;
+                self.trainer.curve().iter().try_for_each(|point| events.write(point))?;
+                Ok::<_, std::io::Error>(events)
+            };
+            self.events = Some(begin().with_context(|| file.display().to_string()).map_err(Failure::work)?);
+        }
+        Ok(())
     }
 
     /// Prints on standard error that the run rounds the number of steps up.
@@ -369,7 +407,12 @@ impl Run {
                 return Err(self.interrupted(signal));
             }
             let best = self.trainer.best().info().steps;
-            let evaluated = self.trainer.advance().map_err(Failure::work)?.score.is_some();
+            let point = self.trainer.advance().map_err(Failure::work)?;
+            let evaluated = point.score.is_some();
+            if let Some(events) = &mut self.events {
+                let written = events.write(point);
+                written.with_context(|| events.path().display().to_string()).map_err(Failure::work)?;
+            }
             if self.trainer.best().info().steps != best {
                 self.save_policy()?;
             }
@@ -452,7 +495,9 @@ impl Run {
         let (trainer, clock) = (&self.trainer, self.trainer.clock());
         let shares: serde_json::Map<_, _> =
             shares(&clock).into_iter().map(|(name, share)| (name.to_string(), json!(share))).collect();
-        let files = FILES.map(|name| self.out.path().join(name).to_string_lossy().into_owned());
+        let events = self.events.iter().map(|_| TensorboardWriter::NAME);
+        let names = FILES.into_iter().chain(events);
+        let files: Vec<_> = names.map(|name| self.out.path().join(name).to_string_lossy().into_owned()).collect();
         json!({
             "task": trainer.config().task,
             "seed": trainer.config().seed,

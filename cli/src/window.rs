@@ -7,22 +7,27 @@ use std::time::{Duration, Instant};
 
 use aviary::env::DroneEnv;
 use aviary::policy::PolicyNetwork;
-use aviary::rollout::{NetworkPolicy, PilotedPolicy, Rollout, RolloutError};
+use aviary::rollout::{NetworkPolicy, PilotedPolicy, Policy, Rollout, RolloutError};
 use learn::{AnyEnv, TrainConfig, Trainer};
 use viewer::{LiveFlight, PilotedRollout, Turn, Viewer, ViewerError, ViewerOptions};
 
 use crate::failure::Failure;
 
 /// Episodes of a policy.
-struct PolicyFlight {
-    rollout: Rollout<Box<dyn DroneEnv>, PilotedPolicy<NetworkPolicy<PolicyNetwork>>>,
+struct PolicyFlight<P> {
+    rollout: Rollout<Box<dyn DroneEnv>, PilotedPolicy<P>>,
+    /// Environment steps of the training of the policy; `None` for the policy of another program.
+    steps: Option<u64>,
 }
 
-impl PolicyFlight {
+/// Episodes of the policy of a training.
+type TrainingFlight = PolicyFlight<NetworkPolicy<PolicyNetwork>>;
+
+impl<P: Policy> PolicyFlight<P> {
     /// Starts the first episode.
-    fn start(env: AnyEnv, policy: PolicyNetwork, seed: u64) -> Result<Self, RolloutError> {
+    fn start(env: AnyEnv, policy: P, steps: Option<u64>, seed: u64) -> Result<Self, RolloutError> {
         let env: Box<dyn DroneEnv> = env;
-        Ok(Self { rollout: Rollout::start(env, PilotedPolicy::new(policy.into_pilot()), Some(seed))? })
+        Ok(Self { rollout: Rollout::start(env, PilotedPolicy::new(policy), Some(seed))?, steps })
     }
 
     /// Opens the window.
@@ -33,28 +38,32 @@ impl PolicyFlight {
     }
 }
 
-impl PilotedRollout for PolicyFlight {
-    type Policy = NetworkPolicy<PolicyNetwork>;
+impl<P: Policy> PilotedRollout for PolicyFlight<P> {
+    type Policy = P;
 
-    fn rollout(&self) -> &Rollout<Box<dyn DroneEnv>, PilotedPolicy<NetworkPolicy<PolicyNetwork>>> {
+    fn rollout(&self) -> &Rollout<Box<dyn DroneEnv>, PilotedPolicy<P>> {
         &self.rollout
     }
 
-    fn rollout_mut(&mut self) -> &mut Rollout<Box<dyn DroneEnv>, PilotedPolicy<NetworkPolicy<PolicyNetwork>>> {
+    fn rollout_mut(&mut self) -> &mut Rollout<Box<dyn DroneEnv>, PilotedPolicy<P>> {
         &mut self.rollout
     }
 
     fn name(&self) -> String {
-        format!("policy after {} steps", self.rollout.policy().inner().network().info().steps)
+        match self.steps {
+            None => "policy of another program".into(),
+            Some(steps) => format!("policy after {steps} steps"),
+        }
     }
 }
 
 /// Flies a policy in a window until the person closes the window. The person can change the flight.
 ///
-/// A display that ends or has ended is a warning.
-pub fn fly(config: &TrainConfig, policy: PolicyNetwork, seed: u64) -> Result<(), Failure> {
+/// A display that ends or has ended is a warning. `steps` are those of the training, `None` for the policy of another
+/// program.
+pub fn fly(config: &TrainConfig, policy: Box<dyn Policy>, steps: Option<u64>, seed: u64) -> Result<(), Failure> {
     let env = config.environment().map_err(Failure::input)?;
-    let mut flight = PolicyFlight::start(env, policy, seed).map_err(Failure::work)?;
+    let mut flight = PolicyFlight::start(env, policy, steps, seed).map_err(Failure::work)?;
     let viewer = match flight.open(false) {
         Ok(viewer) => viewer,
         Err(error) => {
@@ -169,20 +178,22 @@ fn begin(
     env: AnyEnv,
     policy: PolicyNetwork,
     seed: u64,
-) -> Result<(PolicyFlight, LiveFlight<<PolicyFlight as viewer::Flown>::Saved>), Failure> {
-    let flight = PolicyFlight::start(env, policy, seed).map_err(Failure::work)?;
+) -> Result<(TrainingFlight, LiveFlight<<TrainingFlight as viewer::Flown>::Saved>), Failure> {
+    let steps = Some(policy.info().steps);
+    let flight = PolicyFlight::start(env, policy.into_pilot(), steps, seed).map_err(Failure::work)?;
     let viewer = flight.open(true).map_err(Failure::work)?;
     Ok((flight, LiveFlight::new(viewer, None, false)))
 }
 
 /// Flies episodes in real time, each control step with the newest policy, until the window is closed.
 fn show(
-    flight: &mut PolicyFlight,
-    live: &mut LiveFlight<<PolicyFlight as viewer::Flown>::Saved>,
+    flight: &mut TrainingFlight,
+    live: &mut LiveFlight<<TrainingFlight as viewer::Flown>::Saved>,
     newest: &Newest,
 ) -> anyhow::Result<()> {
     loop {
         if let Some(policy) = newest.policy.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            flight.steps = Some(policy.info().steps);
             flight.rollout.policy_mut().set_inner(policy.into_pilot());
         }
         match live.turn(flight, false)? {

@@ -9,7 +9,7 @@ use crate::clearance::CollisionCylinder;
 use crate::downwash::Wake;
 use crate::drag;
 use crate::ground_effect::GroundEffect;
-use crate::math::tests::Plain;
+use crate::math::tests::{OPERATIONS, Plain};
 use crate::math::{Real, Turn, V3};
 use crate::random::{Key, Sampled};
 use crate::rotor::RotorModel;
@@ -184,4 +184,35 @@ proptest! {
         prop_assert!(doubles.iter().all(|x| x.is_finite()));
         prop_assert_eq!(bits(doubles), bits(fly::<Plain>(&start, &rpm, parts)));
     }
+}
+
+/// Operations of a control step of Hover with five physics steps and no effects, one drone: what a device computes for an
+/// environment step, without loads, stores and integer arithmetic. `docs/gpu.md` derives its upper limits from it.
+#[test]
+fn a_control_step_of_hover_has_about_six_hundred_operations_a_physics_step() {
+    let all = Plain::of;
+    let body = FreeBody::without_medium(all(37.0), all(9.81), [7e4, 7e4, 4.6e4].map(all), [0.4, -0.4, 0.0].map(all));
+    let x = 1e-11;
+    let torque = [[x, x, -x, -x], [-x, x, x, -x], [-x, x, -x, x]].map(|row| row.map(all));
+    let rotors = RotorModel { thrust: all(3.16e-10), torque };
+    let mut state = FlightState {
+        position: vector::<Plain>([0.1, 0.2, 0.9]),
+        attitude: Turn::from_rpy(vector([0.1, -0.2, 0.4])),
+        velocity: vector([0.1, 0.2, -0.3]),
+        rate: vector([0.5, -0.4, 0.3]),
+    };
+    OPERATIONS.set(0);
+    for _ in 0..5 {
+        let (thrust, torque) = rotors.thrust_and_torque(&[14e3, 14.1e3, 14.2e3, 14.3e3].map(all));
+        let push = Push { thrust, torque, force: V3::zero(thrust) };
+        state = body.rk4_of_any_turn::<false, false>(DT, &push, &state);
+    }
+    let physics = OPERATIONS.replace(0);
+    let rpy = state.attitude.rpy();
+    let mut seen = [all(0.0); 12];
+    hover::observe(&state, rpy, &mut seen[..]);
+    hover::reward(&state, rpy, vector([0.0, 0.0, 1.0]));
+    let task = OPERATIONS.get();
+    assert!((2800..3300).contains(&physics), "{physics}");
+    assert!((50..400).contains(&task), "{task}");
 }

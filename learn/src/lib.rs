@@ -17,6 +17,7 @@ mod optimizer;
 mod ppo;
 mod recipe;
 mod scale;
+mod tensorboard;
 mod trainer;
 
 pub use agents::{Agents, Batch, Next, Outcome, Swarm, Terms};
@@ -28,4 +29,5 @@ pub use learner::{Learner, LearnerState};
 pub use network::{LOG_DEVIATIONS, NetworkShape};
 pub use ppo::{Clock, PpoConfig, Report};
 pub use scale::Running;
+pub use tensorboard::TensorboardWriter;
 pub use trainer::{Stop, Trainer, on_the_cpu};

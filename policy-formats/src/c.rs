@@ -214,7 +214,7 @@ impl Code<'_> {
             bytes += self.layer(&mut text, &format!("layer{index}"), layer);
         }
         text += "static float clipped(float x, float low, float high)\n{\n    return x < low ? low : x > high ? high : x;\n}\n\n";
-        text += self.linear();
+        text += &self.linear();
         if layers.len() > 1 {
             text += match net.activation() {
                 Activation::Relu => {
@@ -292,23 +292,45 @@ impl Code<'_> {
         text
     }
 
-    /// Returns the function of a linear layer.
-    fn linear(&self) -> &'static str {
-        match self.weights {
-            Weights::Float32 => {
-                "static void linear(const float *weights, const float *biases, int inputs, int outputs, const float *x,\n                   \
-                 float *y)\n{\n    for (int j = 0; j < outputs; j++) {\n        float sum = biases[j];\n\n        \
-                 for (int i = 0; i < inputs; i++) {\n            sum += x[i] * weights[j * inputs + i];\n        }\n        \
-                 y[j] = sum;\n    }\n}\n\n"
-            }
-            Weights::Int8 => {
-                "static void linear(const signed char *weights, const float *scales, const float *biases, int inputs,\n                   \
-                 int outputs, const float *x, float *y)\n{\n    for (int j = 0; j < outputs; j++) {\n        \
-                 float sum = 0.0f;\n\n        for (int i = 0; i < inputs; i++) {\n            \
-                 sum += x[i] * (float)weights[j * inputs + i];\n        }\n        \
-                 y[j] = biases[j] + scales[j] * sum;\n    }\n}\n\n"
-            }
+    /// Returns the function of a linear layer. It computes four neurons at a time, whose sums do not wait for each other;
+    /// each sum has the order of [`Mlp`](aviary::policy::Mlp).
+    fn linear(&self) -> String {
+        let (weights, scales, begin, end): (_, _, fn(&str) -> String, fn(&str, usize) -> String) = match self.weights {
+            Weights::Float32 => ("float", "", |j| format!("biases[{j}]"), |_, k| format!("sum{k}")),
+            Weights::Int8 => (
+                "signed char",
+                " const float *scales,",
+                |_| "0.0f".into(),
+                |j, k| format!("biases[{j}] + scales[{j}] * sum{k}"),
+            ),
+        };
+        let cast = if self.weights == Weights::Int8 { "(float)" } else { "" };
+        let at = |k: usize| if k == 0 { "j".to_string() } else { format!("j + {k}") };
+        let mut text = format!(
+            "static void linear(const {weights} *weights,{scales} const float *biases, int inputs, int outputs,\n                   \
+             const float *x, float *y)\n{{\n    const {weights} *row = weights;\n    int j = 0;\n\n    \
+             for (; j + 4 <= outputs; j += 4) {{\n"
+        );
+        for k in 0..4 {
+            let _ = writeln!(text, "        float sum{k} = {};", begin(&at(k)));
         }
+        text += "\n        for (int i = 0; i < inputs; i++) {\n";
+        for k in 0..4 {
+            let offset = ["", "inputs + ", "2 * inputs + ", "3 * inputs + "][k];
+            let _ = writeln!(text, "            sum{k} += x[i] * {cast}row[{offset}i];");
+        }
+        text += "        }\n";
+        for k in 0..4 {
+            let _ = writeln!(text, "        y[{}] = {};", at(k), end(&at(k), k));
+        }
+        let _ = write!(
+            text,
+            "        row += 4 * inputs;\n    }}\n    for (; j < outputs; j++) {{\n        float sum0 = {};\n\n        for (int i = 0; i < inputs; i++) {{\n            \
+             sum0 += x[i] * {cast}row[i];\n        }}\n        y[j] = {};\n        row += inputs;\n    }}\n}}\n\n",
+            begin("j"),
+            end("j", 0)
+        );
+        text
     }
 }
 

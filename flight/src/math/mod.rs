@@ -273,6 +273,17 @@ impl Double for f64 {
 pub(crate) mod tests {
     use super::*;
 
+    std::thread_local! {
+        /// Number of operations of this thread on [`Plain`]: arithmetic, square roots, comparisons and selections.
+        pub static OPERATIONS: std::cell::Cell<u64> = const { std::cell::Cell::new(0) };
+    }
+
+    /// Counts the operation that has returned a value.
+    fn counted<T>(value: T) -> T {
+        OPERATIONS.set(OPERATIONS.get() + 1);
+        value
+    }
+
     /// A double that uses the provided functions of [`Real`].
     #[derive(Debug, Clone, Copy, PartialEq)]
     pub struct Plain(pub f64);
@@ -283,7 +294,7 @@ pub(crate) mod tests {
                 type Output = Self;
 
                 fn $name(self, other: Self) -> Self {
-                    Self(self.0.$name(other.0))
+                    counted(Self(self.0.$name(other.0)))
                 }
             }
 
@@ -291,7 +302,7 @@ pub(crate) mod tests {
                 type Output = Self;
 
                 fn $name(self, other: f64) -> Self {
-                    Self(self.0.$name(other))
+                    counted(Self(self.0.$name(other)))
                 }
             }
         )*};
@@ -324,15 +335,15 @@ pub(crate) mod tests {
         }
 
         fn sqrt(self) -> Self {
-            Self(self.0.sqrt())
+            counted(Self(self.0.sqrt()))
         }
 
         fn less(self, other: Self) -> bool {
-            self.0 < other.0
+            counted(self.0 < other.0)
         }
 
         fn choose(mask: bool, yes: Self, no: Self) -> Self {
-            if mask { yes } else { no }
+            counted(if mask { yes } else { no })
         }
 
         fn any(_: bool) -> bool {

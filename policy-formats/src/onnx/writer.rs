@@ -1,14 +1,13 @@
 //! The graph of a policy.
 
-use std::cell::RefCell;
-
 use aviary::policy::{Activation, Gru, PolicyInfo, PolicyNetwork};
-use rten_onnx::onnx::{
-    AttributeProto, AttributeType, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto,
-    StringStringEntryProto, TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
-};
+use prost::Message as _;
 
 use super::METADATA_KEY;
+use super::model::{
+    AttributeProto, Dimension, FLOAT, GraphProto, INT64, INTEGER, ModelProto, NodeProto, OperatorSetIdProto,
+    StringStringEntryProto, TensorProto, TensorShapeProto, TypeProto, TypeProtoTensor, ValueInfoProto,
+};
 use crate::FormatError;
 
 /// Version of the operators. onnxruntime 1.12 and tract read it.
@@ -73,37 +72,34 @@ pub fn to_bytes(policy: &PolicyNetwork) -> Result<Vec<u8>, FormatError> {
     graph.with_constant("Min", &here, "high", &[high.len()], &finite(high));
     graph.nodes.last_mut().into_iter().for_each(|node| node.output = vec!["action".into()]);
     let model = ModelProto {
-        ir_version: Some(IR_VERSION),
+        ir_version: IR_VERSION,
+        producer_name: "mujoco-drones-gym".into(),
+        producer_version: env!("CARGO_PKG_VERSION").into(),
         graph: Some(GraphProto {
             node: graph.nodes,
+            name: "policy".into(),
             initializer: graph.constants,
             input: with_memory(value("observation", policy.observation_size()), "memory", policy),
             output: with_memory(value("action", policy.action_size()), "next_memory", policy),
-            value_info: Vec::new(),
         }),
-        opset_import: vec![OperatorSetIdProto { domain: Some(String::new()), version: Some(OPSET) }],
+        opset_import: vec![OperatorSetIdProto { domain: String::new(), version: OPSET }],
         metadata_props: vec![metadata(policy.info())?],
-        producer_name: Some("mujoco-drones-gym".into()),
-        producer_version: Some(env!("CARGO_PKG_VERSION").into()),
     };
-    model.write_buf().map_err(|error| FormatError::Onnx { message: error.to_string() })
+    Ok(model.encode_to_vec())
 }
 
 /// Returns the metadata of a policy.
 fn metadata(info: &PolicyInfo) -> Result<StringStringEntryProto, FormatError> {
     let text = serde_json::to_string(info).map_err(|error| FormatError::Onnx { message: error.to_string() })?;
-    Ok(StringStringEntryProto { key: Some(METADATA_KEY.into()), value: Some(text) })
+    Ok(StringStringEntryProto { key: METADATA_KEY.into(), value: text })
 }
 
 /// Returns the type of a tensor with any number of rows.
 fn value(name: &str, size: usize) -> ValueInfoProto {
     let rows = Dimension { dim_value: None, dim_param: Some("rows".into()) };
     let columns = Dimension { dim_value: Some(size as i64), dim_param: None };
-    let tensor = TypeProtoTensor {
-        elem_type: Some(DataType::FLOAT),
-        shape: Some(TensorShapeProto { dim: vec![rows, columns] }),
-    };
-    ValueInfoProto { name: Some(name.into()), r#type: Some(TypeProto { tensor_type: Some(tensor), sequence: None }) }
+    let tensor = TypeProtoTensor { elem_type: FLOAT, shape: Some(TensorShapeProto { dim: vec![rows, columns] }) };
+    ValueInfoProto { name: name.into(), r#type: Some(TypeProto { tensor_type: Some(tensor) }) }
 }
 
 /// Returns an input or output, and that of the memory of a recurrent policy.
@@ -124,10 +120,9 @@ impl Graph {
     fn constant(&mut self, name: &str, shape: &[usize], numbers: &[f32]) {
         self.constants.push(TensorProto {
             dims: shape.iter().map(|&size| size as i64).collect(),
-            data_type: Some(DataType::FLOAT),
-            raw_data: Some(RefCell::new(numbers.iter().flat_map(|x| x.to_le_bytes()).collect())),
-            name: Some(name.into()),
-            ..TensorProto::default()
+            data_type: FLOAT,
+            name: name.into(),
+            raw_data: numbers.iter().flat_map(|x| x.to_le_bytes()).collect(),
         });
     }
 
@@ -135,11 +130,10 @@ impl Graph {
     fn node(&mut self, operator: &str, input: Vec<String>, attribute: Vec<AttributeProto>) -> String {
         let name = format!("{}{}", operator.to_lowercase(), self.nodes.len());
         self.nodes.push(NodeProto {
-            domain: None,
-            name: Some(name.clone()),
             input,
             output: vec![name.clone()],
-            op_type: Some(operator.into()),
+            name: name.clone(),
+            op_type: operator.into(),
             attribute,
         });
         name
@@ -149,10 +143,9 @@ impl Graph {
     fn integers(&mut self, name: &str, numbers: &[i64]) {
         self.constants.push(TensorProto {
             dims: vec![numbers.len() as i64],
-            data_type: Some(DataType::INT64),
-            raw_data: Some(RefCell::new(numbers.iter().flat_map(|x| x.to_le_bytes()).collect())),
-            name: Some(name.into()),
-            ..TensorProto::default()
+            data_type: INT64,
+            name: name.into(),
+            raw_data: numbers.iter().flat_map(|x| x.to_le_bytes()).collect(),
         });
     }
 
@@ -176,12 +169,7 @@ impl Graph {
         let unsqueezed =
             |graph: &mut Self, name: &str| graph.node("Unsqueeze", vec![name.into(), "sequence".into()], Vec::new());
         let (row, state) = (unsqueezed(self, &input), unsqueezed(self, "memory"));
-        let integer = |name: &str, value: i64| AttributeProto {
-            name: Some(name.into()),
-            i: Some(value),
-            r#type: Some(AttributeType::INT),
-            ..AttributeProto::default()
-        };
+        let integer = |name: &str, value: i64| AttributeProto { name: name.into(), i: value, r#type: INTEGER };
         let attributes = vec![integer("hidden_size", units as i64), integer("linear_before_reset", 1)];
         let names = ["input_weights", "state_weights", "recurrent_biases", ""].map(String::from);
         let inputs = [row].into_iter().chain(names).chain([state]).collect();
