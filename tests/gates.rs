@@ -64,7 +64,7 @@ fn a_solid_gate_is_passed_through_its_opening_in_the_direction_of_its_normal() {
         ] {
             assert_eq!(cross(&mut race, &[from], &[to]), [expected], "{yaw}: {from} {to}");
             // every drone has its own gates
-            assert_eq!(cross(&mut race, &[away, from, away], &[away, to, from]), [0, expected, 0]);
+            assert_eq!(cross(&mut race, &[away, from, away], &[away, to, away]), [0, expected, 0]);
         }
         race.solid = false;
         assert_eq!(cross(&mut race, &[at(0.3, 0.0, 0.0)], &[at(0.1, 0.0, 0.0)]), [1], "backwards into the sphere");
@@ -297,7 +297,7 @@ fn a_flight_from_a_snapshot_equals_the_flight_after_it() {
     env.reset(Some(4)).unwrap();
     step_env(&mut env, &[0.02; 4], 20);
     let snapshot = env.snapshot();
-    let mut ahead = |env: &mut Aviary<Race>| {
+    let ahead = |env: &mut Aviary<Race>| {
         step_env(env, &[0.05; 4], 15);
         (env.observation().vector.clone(), env.simulation().obstacles().to_vec())
     };
@@ -306,17 +306,20 @@ fn a_flight_from_a_snapshot_equals_the_flight_after_it() {
     assert_eq!(ahead(&mut env), first);
 }
 
-/// The built-in controller flies two laps of every built-in track, and of the default gates if they are solid, from
-/// starts that vary.
+/// The built-in controller flies two laps of every built-in track from starts that vary, and of the default gates if
+/// they are solid.
 #[test]
 fn the_geometric_controller_flies_every_track_without_a_contact() {
-    let initial = Randomization { initial: Some(Default::default()), ..Randomization::NONE };
+    let initial = Some(Randomization { initial: Some(Default::default()), ..Randomization::NONE });
     let tracks = RaceTrack::NAMES.map(|name| RaceTrack::named(name).unwrap());
     for track in tracks.into_iter().chain([solid().track()]) {
+        // the last of the default gates is above the start
+        let initial = initial.clone().filter(|_| track.gates[5].position[0] != 0.0);
         for (engine, seeds) in [(EngineKind::Mujoco, 1), (EngineKind::Hybrid, 12)] {
             let mut race = Race::default();
             race.set_track(&track);
-            let builder = AviaryBuilder::new(race).engine(engine).randomization(initial.clone());
+            let builder = AviaryBuilder::new(race).engine(engine);
+            let builder = initial.iter().fold(builder, |builder, initial| builder.randomization(initial.clone()));
             let mut env = builder.build().unwrap();
             for seed in 0..seeds {
                 let mut pilot = ControllerPolicy::new(ControllerKind::Geometric, &env);
@@ -366,7 +369,7 @@ fn invalid_gates_are_errors_that_name_the_option() {
     refused(|race| race.opening = -1.0, "opening is -1");
     refused(|race| race.yaws = vec![0.0], "yaws is 1 angle, expected none, or one per gate");
     refused(|race| race.yaws = vec![f64::NAN; 6], "gates.yaw is NaN");
-    refused(|race| race.laps = 40, "gates is 240 gates");
+    refused(|race| race.laps = 20, "gates is 120 gates");
     refused(|race| race.randomization.yaw = FRAC_PI_2 * 3.0, "randomization.yaw is");
     refused(|race| race.motion.period = 0.0, "motion.period is 0");
 }

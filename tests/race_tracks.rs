@@ -56,7 +56,7 @@ fn errors_name_the_line_and_the_expected_value() {
         ("[1, 0, 1]", "[1, 0]", "2 numbers, expected 3"),
         ("[1, 0, 1]", "[1, 0, nan]", "gates is NaN m along an axis"),
         ("yaw = 3.0", "yaw = 1e9", "gates.yaw is 1000000000"),
-        ("yaw = 3.0", "pitch = 1.0", "line 20, column 1: unknown field `pitch`"),
+        ("yaw = 3.0", "pitch = 1.0", "line 19, column 1: unknown field `pitch`"),
     ] {
         let got = error(from, to);
         assert!(got.contains(expected), "{got}");
