@@ -3,6 +3,7 @@
 mod airframe;
 mod animation;
 mod bench;
+mod benchmark;
 mod capture;
 mod compare;
 mod completions;
@@ -59,6 +60,7 @@ enum Command {
     Train(Box<train::Train>),
     Play(Box<play::Play>),
     Bench(bench::Bench),
+    Benchmark(benchmark::Benchmark),
     Compare(compare::Compare),
     Convert(convert::Convert),
     Identify(identify::Identify),
@@ -101,6 +103,7 @@ fn main() -> ExitCode {
         Command::Train(command) => command.run(),
         Command::Play(command) => command.run(),
         Command::Bench(command) => command.run(),
+        Command::Benchmark(command) => command.run(),
         Command::Compare(command) => command.run(),
         Command::Convert(command) => command.run(),
         Command::Identify(command) => command.run(),
