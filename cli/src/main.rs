@@ -3,6 +3,7 @@
 mod airframe;
 mod animation;
 mod bench;
+mod benchmark;
 mod capture;
 mod compare;
 mod completions;
@@ -63,6 +64,7 @@ enum Command {
     Play(Box<play::Play>),
     Export(export::Export),
     Bench(bench::Bench),
+    Benchmark(benchmark::Benchmark),
     Compare(compare::Compare),
     Convert(convert::Convert),
     Identify(identify::Identify),
@@ -106,6 +108,7 @@ fn main() -> ExitCode {
         Command::Play(command) => command.run(),
         Command::Export(command) => command.run(),
         Command::Bench(command) => command.run(),
+        Command::Benchmark(command) => command.run(),
         Command::Compare(command) => command.run(),
         Command::Convert(command) => command.run(),
         Command::Identify(command) => command.run(),

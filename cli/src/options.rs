@@ -11,7 +11,7 @@ use aviary::engine::{BuildError, EngineKind};
 use aviary::env::{ConditionChoice, Conditions, DroneEnv, EnvConfig, EnvError, Randomization};
 use aviary::physics::wind::WindModel;
 use aviary::physics::{Effects, Physics};
-use aviary::tasks::{self, Antipodal, Hover, TaskSummary};
+use aviary::tasks::{self, Antipodal, Hover, RaceTrack, TaskSummary};
 use aviary::world::ObstacleKind;
 use aviary::wrappers::SafetyWrapper;
 use clap::{Args, ValueHint};
@@ -160,6 +160,18 @@ pub struct FlightOptions {
         hide_possible_values = true
     )]
     pub trajectory: Option<NameOrFile<&'static str>>,
+    /// Track of race: figure_eight, stacked, oval or a TOML file
+    ///
+    /// A track has the gates, the laps, and whether the gates are solid, change in every episode
+    /// or move. The default is the six gates of the task, which do not collide.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::track(),
+        hide_possible_values = true
+    )]
+    pub track: Option<NameOrFile<&'static str>>,
     #[command(flatten)]
     conditions: ConditionOptions,
     /// Length of an episode, s [default: the task's]
@@ -215,6 +227,13 @@ impl FlightOptions {
         }
     }
 
+    /// Returns the track of race, if --track is set.
+    fn track(&self) -> Result<Option<RaceTrack>, Failure> {
+        let Some(track) = &self.track else { return Ok(None) };
+        check_track_task(self.task.name)?;
+        RaceTrack::find(&track.to_string()).map(Some).map_err(Failure::input)
+    }
+
     /// Builds the environment of these options.
     pub fn environment(
         &self,
@@ -240,6 +259,9 @@ impl FlightOptions {
         if let Some(count) = self.num_drones {
             config = config.num_drones(count);
         }
+        if let Some(track) = self.track()? {
+            config = config.task(|options| options.track = Some(track));
+        }
         if let Some(seconds) = self.duration.or(trajectory.map(Trajectory::duration)) {
             config = config.episode_seconds(seconds);
         }
@@ -260,6 +282,14 @@ impl FlightOptions {
         };
         let is_given = |option: &str| option != "--duration" || self.duration.is_some();
         env.map_err(|error| in_options(error, is_given))
+    }
+}
+
+/// Returns an error for --track with another task than race.
+pub fn check_track_task(task: &str) -> Result<(), Failure> {
+    match task {
+        "race" => Ok(()),
+        other => Err(Failure::input(anyhow!("--track goes with --task race, not with `{other}`"))),
     }
 }
 

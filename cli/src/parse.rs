@@ -11,12 +11,13 @@ use aviary::control::trajectory;
 use aviary::drone::DroneModel;
 use aviary::physics::Effects;
 use aviary::record::Overlays;
-use aviary::tasks::{self, TaskSummary};
+use aviary::tasks::{self, RaceTrack, TaskSummary};
 use aviary::vision::ImageSize;
 use aviary::world::ObstacleKind;
 use clap::builder::{PossibleValue, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::{Arg, Command};
+use learn::benchmark::Suite;
 
 use crate::failure::shortened;
 
@@ -140,6 +141,32 @@ pub fn trajectory() -> Names<NameOrFile<&'static str>> {
         names: || trajectory::NAMES.to_vec(),
         find: |name| trajectory::NAMES.into_iter().find(|known| *known == name).map(NameOrFile::Name),
         file: Some(NameOrFile::File),
+        command: HELP,
+    }
+}
+
+/// Creates a parser of a track.
+pub fn track() -> Names<NameOrFile<&'static str>> {
+    Names {
+        names: || RaceTrack::NAMES.to_vec(),
+        find: |name| RaceTrack::NAMES.into_iter().find(|known| *known == name).map(NameOrFile::Name),
+        file: Some(NameOrFile::File),
+        command: HELP,
+    }
+}
+
+/// Suite of a benchmark; `None` for all.
+#[derive(Debug, Clone, Copy)]
+pub struct SuiteChoice(pub Option<Suite>);
+
+/// Creates a parser of a suite.
+pub fn suite() -> Names<SuiteChoice> {
+    Names {
+        names: || Suite::NAMES.iter().copied().chain(["all"]).collect(),
+        find: |name| {
+            if name == "all" { Some(SuiteChoice(None)) } else { name.parse().ok().map(|s| SuiteChoice(Some(s))) }
+        },
+        file: None,
         command: HELP,
     }
 }

@@ -6,7 +6,7 @@ use aviary::control::trajectory::Trajectory;
 use aviary::control::{ControllerKind, Reference};
 use aviary::env::{DroneEnv, Info};
 use aviary::rollout::{ControllerPolicy, PilotedPolicy, Rollout};
-use aviary::tasks::hover_reward;
+use aviary::tasks::{RaceTrack, hover_reward};
 use nalgebra::Vector3;
 use viewer::PilotedRollout;
 
@@ -23,6 +23,8 @@ pub struct Pilot {
     kind: ControllerKind,
     /// True if the drones follow the trajectory of --trajectory in place of the task's references.
     on_trajectory: bool,
+    /// Track of --track.
+    track: Option<RaceTrack>,
     seed: u64,
 }
 
@@ -41,8 +43,9 @@ impl Pilot {
         let policy = ControllerPolicy::new(kind, &env);
         let policy = if on_trajectory { policy.follow(trajectory) } else { policy };
         let policy = PilotedPolicy::new(policy).controller(kind);
+        let track = env.task_options().track;
         let rollout = Rollout::start(env, policy, Some(options.seed)).map_err(Failure::work)?;
-        Ok(Self { rollout, options: options.clone(), kind, on_trajectory, seed: options.seed })
+        Ok(Self { rollout, options: options.clone(), kind, on_trajectory, track, seed: options.seed })
     }
 
     fn num_drones(&self) -> usize {
@@ -121,7 +124,11 @@ impl Pilot {
         let simulation = self.env().simulation();
         // with a margin for tracking errors
         let room = simulation.params(drone).collision_radius + 0.05;
-        simulation.obstacles().iter().any(|obstacle| obstacle.distance(place) < room)
+        let obstacles = simulation.obstacles();
+        // the path leads through the gates of a track, whose bars are the last obstacles
+        let bars = |track: &RaceTrack| if track.solid { 4 * track.gates.len() } else { 0 };
+        let own = self.track.as_ref().map_or(0, bars);
+        obstacles[..obstacles.len() - own].iter().any(|obstacle| obstacle.distance(place) < room)
     }
 
     /// Returns the first obstruction of the drones' paths or, without a path, of the straight lines to the references.

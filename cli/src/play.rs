@@ -15,7 +15,7 @@ use serde_json::json;
 
 use crate::animation::AnimationOptions;
 use crate::failure::Failure;
-use crate::options::{ConditionOptions, in_options};
+use crate::options::{ConditionOptions, check_track_task, in_options};
 use crate::output;
 use crate::parse::{self, NameOrFile, Shard};
 use crate::policy_file::{OnnxFlags, PolicyFile};
@@ -58,6 +58,18 @@ pub struct Play {
     /// Airframe: cf2x, cf2p, race, cf21 or a TOML file [default: the policy's]
     #[arg(long, value_name = "NAME", value_parser = parse::airframe(), hide_possible_values = true)]
     drone: Option<NameOrFile<DroneModel>>,
+    /// Track of race: figure_eight, stacked, oval or a TOML file
+    ///
+    /// The default is the track of the training. A policy whose observation has no normals of
+    /// gates flies every track without them.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "NAME",
+        value_parser = parse::track(),
+        hide_possible_values = true
+    )]
+    track: Option<NameOrFile<&'static str>>,
     /// Physics, wind, obstacles and randomization of the training
     ///
     /// The policy file has these conditions.
@@ -189,6 +201,14 @@ impl Play {
             // the configuration has the randomization already, merged with the task's starts
             (config.conditions.wind, config.conditions.obstacles) = (given.wind, given.obstacles);
         }
+        if let Some(track) = &self.track {
+            check_track_task(&config.task)?;
+            config.track = Some(track.to_string());
+        } else if config.task == "race" && config.track.is_none() {
+            config.track = track_of(policy);
+        }
+        let inputs = policy.observation_size() / config.num_drones.unwrap_or(1).max(1);
+        config.normals = [(21, false), (27, true)].into_iter().find(|(size, _)| *size == inputs).map(|(_, has)| has);
         config.drone = self.drone.as_ref().map_or(config.drone, ToString::to_string);
         config.physics = self.physics.unwrap_or(config.physics);
         config.num_drones = self.num_drones.or(config.num_drones);
@@ -257,6 +277,13 @@ impl Play {
             "files": self.animation.files().iter().map(|path| path.to_string_lossy()).collect::<Vec<_>>(),
         })
     }
+}
+
+/// Returns the track that a policy was trained on, if it has one.
+fn track_of(policy: &PolicyNetwork) -> Option<String> {
+    let mut config = TrainConfig::of_task("race").ok()?;
+    config.read_toml(policy.info().training.as_ref()?).ok()?;
+    config.track
 }
 
 /// Returns the failure of a flight: of the input if the policy does not fit the task, otherwise of the work.

@@ -14,8 +14,9 @@ use serde_json::{Value, json};
 
 use crate::failure::Failure;
 use crate::interrupt::{self, Interruption};
+use crate::options::check_track_task;
 use crate::output::{self, OutputDir};
-use crate::parse;
+use crate::parse::{self, NameOrFile};
 use crate::window::TrainingWindow;
 
 /// Train a policy with PPO
@@ -61,6 +62,17 @@ pub struct Train {
         conflicts_with_all = ["config", "seed", "envs", "out"]
     )]
     resume: Option<PathBuf>,
+    /// Track of race: figure_eight, stacked, oval or a TOML file
+    ///
+    /// The key `track` of --config has the same values.
+    #[arg(
+        long,
+        value_name = "NAME",
+        value_parser = parse::track(),
+        hide_possible_values = true,
+        conflicts_with_all = ["all", "resume"]
+    )]
+    track: Option<NameOrFile<&'static str>>,
     /// TOML file with changes to the task's defaults
     ///
     /// Keys: steps, drone, physics, …; sections: [ppo], [wind], [obstacles], [randomization].
@@ -183,6 +195,11 @@ impl Train {
             let name = path.file_name().unwrap_or(path.as_os_str());
             command += &format!(" --config {}", name.to_string_lossy());
         }
+        if let Some(track) = &self.track {
+            let name = track.to_string();
+            let file = Path::new(&name).file_name().map_or(name.clone(), |name| name.to_string_lossy().into_owned());
+            command += &format!(" --track {file}");
+        }
         let (steps, envs) = (self.trial(self.steps, TRIAL.0), self.trial(self.envs, TRIAL.1));
         let numbers = [("seed", self.seed), ("steps", steps), ("envs", envs.map(|envs| envs as u64))];
         for (option, number) in numbers {
@@ -233,6 +250,10 @@ impl Train {
         let mut config = TrainConfig::of_task(task).map_err(Failure::input)?;
         if let Some(path) = &self.config {
             config.read_file(path).map_err(Failure::input)?;
+        }
+        if let Some(track) = &self.track {
+            check_track_task(task)?;
+            config.track = Some(track.to_string());
         }
         config.seed = self.seed.unwrap_or(config.seed);
         config.device = self.device.unwrap_or(config.device);

@@ -83,8 +83,18 @@ fn commands(page: &str) -> Vec<String> {
                 // a name without arguments refers to the command
                 .filter(|text| {
                     ![
-                        "fly", "view", "capture", "render", "replay", "train", "play", "airframe", "compare",
-                        "convert", "identify",
+                        "fly",
+                        "view",
+                        "capture",
+                        "render",
+                        "replay",
+                        "train",
+                        "play",
+                        "airframe",
+                        "compare",
+                        "convert",
+                        "identify",
+                        "benchmark",
                     ]
                     .iter()
                     .any(|name| *text == format!("aviary {name}"))

@@ -67,6 +67,9 @@ fn errors_about_options_fit_120_columns() {
             &["fly", "--task", value],
             &["fly", "--task", "hover", "--physics", value],
             &["fly", "--task", "hover", "--trajectory", value],
+            &["fly", "--task", "race", "--track", value],
+            &["benchmark", "--controller", "pid", "--episodes", value],
+            &["benchmark", "--controller", "pid", "--suite", value],
             &["fly", "--task", "hover", "--overlay", value, "--gif", "a.gif"],
             &["fly", "--task", "hover", "--size", value, "--gif", "a.gif"],
             &["fly", "--task", "hover", value],
@@ -106,6 +109,8 @@ fn errors_about_keys_of_files_fit_120_columns() {
         ramp = 1.0\nyaw = 0.1\n";
     let waypoints = "kind = \"waypoints\"\npoints = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]\nyaws = [0.0, 1.0]\n\
         max_speed = 1.0\nmax_acceleration = 2.0\n";
+    let track = "laps = 2\nopening = 0.5\n[randomization]\nposition = 0.1\nyaw = 0.1\n[motion]\namplitude = 0.1\n\
+        period = 2.0\n[[gates]]\nposition = [1.0, 0.0, 1.0]\nyaw = 0.5\n";
     let training = "steps = 10\nepisode_seconds = 10.0\nevaluate_every = 3\nout_of_bounds = 1.0\nsim_freq = 240\n\
         [ppo]\nenvironments = 2\nhidden = [8]\nlearning_rate = 1e-3\ngamma = 0.99\ngae_lambda = 0.9\nclip_range = 0.2\n\
         max_grad_norm = 1.0\ninitial_std = 0.5\n";
@@ -121,6 +126,7 @@ fn errors_about_keys_of_files_fit_120_columns() {
         (randomization, fly("--config")),
         (circle, fly("--trajectory")),
         (waypoints, fly("--trajectory")),
+        (track, vec!["fly", "--task", "race", "--duration", "0.1", "--track", "a.toml"]),
         (training, vec!["train", "--task", "hover", "--config", "a.toml", "--show"]),
         (&scenario, vec!["replay", "--scenario", "a.toml", "--actions", &actions, "--out", "x.csv"]),
     ];

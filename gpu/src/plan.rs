@@ -218,6 +218,10 @@ pub(crate) fn describe<T: GpuTask>(
     if !simulation.obstacles().is_empty() {
         return not_ported("obstacles", simulation.obstacles().len(), "none");
     }
+    let moving = env.task().moving_markers().len();
+    if moving > 0 {
+        return not_ported("moving_markers", moving, "none");
+    }
     if env.observation_space().kind != ObservationType::KIN {
         return not_ported("observation_type", "another type", "kin");
     }

@@ -11,7 +11,7 @@ use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
 use aviary::physics::wind::WindConfig;
 use aviary::policy::Mlp;
-use aviary::tasks::{self, Course, FlyThrough, Race};
+use aviary::tasks::{self, Course, FlyThrough, Race, RaceTrack};
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec, make_vec_course};
 use aviary::world::ObstacleConfig;
 use aviary::{NamedEnum, SystemError, UnknownName};
@@ -75,6 +75,12 @@ pub struct TrainConfig {
     pub device: TrainDevice,
     /// Airframe: the name of a built-in one, or the path of a TOML file.
     pub drone: String,
+    /// Track of race: the name of a built-in one, or the path of a TOML file; `None` for the task's gates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub track: Option<String>,
+    /// True if observations of a track include the normals of gates, not recorded; `None` for the track's.
+    #[serde(skip)]
+    pub normals: Option<bool>,
     /// Physics mode.
     pub physics: Physics,
     /// Number of drones; `None` for the task's default.
@@ -169,6 +175,7 @@ pub struct CourseRewards {
 #[serde(default, deny_unknown_fields)]
 struct PartialConfig {
     drone: Option<String>,
+    track: Option<String>,
     physics: Option<Physics>,
     num_drones: Option<usize>,
     per_drone: Option<bool>,
@@ -239,6 +246,7 @@ impl TrainConfig {
         );
         self.training_starts = file.training_starts.unwrap_or(std::mem::take(&mut self.training_starts));
         self.num_drones = file.num_drones.or(self.num_drones);
+        self.track = file.track.or(self.track.take());
         self.course = file.course.or(self.course);
         self.episode_seconds = file.episode_seconds.or(self.episode_seconds);
         file.ppo.apply(&mut self.ppo);
@@ -424,6 +432,11 @@ impl TrainConfig {
         }
         if let Some(seconds) = self.episode_seconds {
             options = options.episode_seconds(seconds);
+        }
+        if let Some(name) = &self.track {
+            let mut track = RaceTrack::find(name)?;
+            track.normals = self.normals.or(track.normals);
+            options = options.task(|task| task.track = Some(track));
         }
         Ok(options)
     }

@@ -5,6 +5,7 @@
 //! hyperparameters. The result is an [`aviary::policy::PolicyNetwork`], which runs without this crate.
 
 mod agents;
+pub mod benchmark;
 mod checkpoint;
 mod config;
 mod curve;

@@ -4,6 +4,7 @@ use aviary::NamedEnum;
 use aviary::action::ActionType;
 use aviary::env::{EnvConfig, TaskOptions};
 use aviary::observation::ObservationType;
+use aviary::tasks::RaceTrack;
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict};
@@ -107,6 +108,7 @@ impl SetOption for TaskOptions {
             "waypoints" => self.waypoints = Some(option.triples()?),
             "gates" => self.gates = Some(option.triples()?),
             "laps" => self.laps = Some(option.whole()?),
+            "track" => self.track = Some(option.track()?),
             name => {
                 let names: Vec<_> = NAMES.into_iter().chain(TaskOptions::NAMES).collect();
                 let near = aviary::did_you_mean(name, &names);
@@ -130,6 +132,17 @@ impl Value<'_, '_> {
         let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
         let short: String = text.chars().take(80).collect();
         value_error(format_args!("{} is {short}, expected {expected}", self.name))
+    }
+
+    /// Reads the track of a race: the name of a built-in one, a TOML file, or a dict with the keys of such a file.
+    fn track(&self) -> PyResult<RaceTrack> {
+        let in_option = |error| value_error(format_args!("{}: {error}", self.name));
+        if let Ok(name) = self.value.extract::<String>() {
+            return RaceTrack::find(&name).map_err(in_option);
+        }
+        let track: RaceTrack = conditions::section(self.name, self.value)?;
+        track.validate().map_err(in_option)?;
+        Ok(track)
     }
 
     fn number(&self) -> PyResult<f64> {

@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{AviaryBuilder, EnvConfig, EnvError, Task};
+use crate::tasks::RaceTrack;
 
 /// Options of a task by name, for callers that know the task only by its name. `None` is the task's default.
 ///
@@ -9,7 +10,7 @@ use super::{AviaryBuilder, EnvConfig, EnvError, Task};
 /// | `target_height` | `hover` |
 /// | `target_heights` | `multi_hover`, `multi_agent` |
 /// | `waypoints` | `fly_through` |
-/// | `gates`, `laps` | `race` |
+/// | `gates`, `laps`, `track` | `race` |
 ///
 /// An option that the task does not have is an error.
 ///
@@ -39,20 +40,29 @@ pub struct TaskOptions {
     pub gates: Option<Vec<[f64; 3]>>,
     /// Number of laps.
     pub laps: Option<usize>,
+    /// Track, with its gates and laps; `gates` and `laps` replace those of the track.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub track: Option<RaceTrack>,
 }
 
 impl TaskOptions {
     /// Names of all options.
-    pub const NAMES: [&str; 5] = ["target_height", "target_heights", "waypoints", "gates", "laps"];
+    pub const NAMES: [&str; 6] = ["target_height", "target_heights", "waypoints", "gates", "laps", "track"];
 
     /// Options that can be changed [during an episode](super::DroneEnv::set_task_options).
     pub(crate) const TARGETS: [&str; 2] = ["target_height", "target_heights"];
 
     /// Returns the names of the options that are set.
     pub fn names(&self) -> impl Iterator<Item = &'static str> {
-        let Self { target_height, target_heights, waypoints, gates, laps } = self;
-        let set =
-            [target_height.is_some(), target_heights.is_some(), waypoints.is_some(), gates.is_some(), laps.is_some()];
+        let Self { target_height, target_heights, waypoints, gates, laps, track } = self;
+        let set = [
+            target_height.is_some(),
+            target_heights.is_some(),
+            waypoints.is_some(),
+            gates.is_some(),
+            laps.is_some(),
+            track.is_some(),
+        ];
         Self::NAMES.into_iter().zip(set).filter_map(|(name, set)| set.then_some(name))
     }
 

@@ -1,8 +1,11 @@
-use flight::tasks::{RewardTerms, race};
+use flight::math::V3;
+use flight::tasks::{RewardTerms, gates, race};
 use nalgebra::Vector3;
 use pulp::Simd;
+use rand::RngExt as _;
 
 use super::conditions::{CrashConditions, CrashWatch, with_crash};
+use super::race_track::{Gate, GateMotion, GateRanges, RaceTrack};
 use super::waypoint_progress::{self, WaypointProgress};
 use super::{STATE_BOUNDS, UNBOUNDED, observed, row_along_y};
 use crate::control::trajectory::Trajectory;
@@ -12,9 +15,10 @@ use crate::env::{
     AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
     TaskDefaults, TaskOptions, TaskRows,
 };
-use crate::math::{Pack, Real, ToFlight as _};
+use crate::math::{Pack, Real, ToFlight as _, ToNalgebra as _};
 use crate::simulation::SimView;
-use crate::world::{Marker, Obstacle, Shape};
+use crate::world::placement::CollisionCylinder;
+use crate::world::{Marker, MarkerPose, MovingMarker, Obstacle, Shape};
 
 /// Task: a drone races two laps through six gates (paper, §4.1 `RaceAviary`).
 ///
@@ -22,7 +26,7 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | --- | --- |
 /// | Start | (0, 0, 0.1) m; several drones in a row along −y |
 /// | Gates | (1, 0, 1), (2, 1, 1.2), (1, 2, 1.5), (0, 2, 1.3), (−1, 1, 1), (0, 0, 0.8) m |
-/// | Gate passed | within 0.2 m of its centre |
+/// | Gate passed | within 0.2 m of its centre; a solid gate through its opening, along its normal |
 /// | Action | 4 normalized motor speeds in [−1, 1] per drone |
 /// | Reward | + 20 for a gate, + 2·‖v‖, − 0.05·(distance to the next gate), − 100 for a crash |
 /// | Reward after the last gate | − 100 for a crash |
@@ -31,7 +35,9 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | Truncated | after 30 s |
 /// | Success, progress | two laps; share of gates passed |
 ///
-/// The frames of the gates are visible and do not collide.
+/// By default, the frames of the gates are visible and do not collide. [`solid`](Self::solid) frames do: a drone that
+/// touches one has crashed. [`randomization`](Self::randomization) changes the gates in every episode, and
+/// [`motion`](Self::motion) lets them sway. A [`RaceTrack`] has all of these properties.
 ///
 /// | Observation, per drone | | Unit, frame |
 /// | --- | --- | --- |
@@ -39,6 +45,11 @@ use crate::world::{Marker, Obstacle, Shape};
 /// | 12–14 | next gate (the first one after the last) | m, world |
 /// | 15–17 | next gate relative to the drone | m, body |
 /// | 18–20 | the gate after the next, relative to the drone | m, body |
+/// | 21–23 | normal of the next gate, with [`normals`](Self::normals) | body |
+/// | 24–26 | normal of the gate after the next, with [`normals`](Self::normals) | body |
+///
+/// The normal of a gate is the horizontal unit vector in the direction in which drones pass it. A gate stands still
+/// during a control step. Its position and normal in the observation are those at the time of the observation.
 ///
 /// ```
 /// use aviary::drone::DroneModel;
@@ -55,7 +66,23 @@ use crate::world::{Marker, Obstacle, Shape};
 pub struct Race {
     /// Centres of the gates, world frame, m.
     pub gates: Vec<[f64; 3]>,
-    /// Distance from the centre within which a gate is passed, m; default 0.2.
+    /// Direction of the normal of each gate, rad from x; empty, the default, for the direction from the previous gate
+    /// to the next.
+    pub yaws: Vec<f64>,
+    /// Inner side of a gate, m; default 0.5.
+    pub opening: f64,
+    /// True if the frames are obstacles. A drone then passes a gate where its path crosses the plane of the gate
+    /// inside the opening, in the direction of the normal. Default false. Changes after the construction of an
+    /// environment, here and in the next three fields, have no effect on its scene.
+    pub solid: bool,
+    /// Changes of the gates in every episode; default none.
+    pub randomization: GateRanges,
+    /// Motion of the gates; default none.
+    pub motion: GateMotion,
+    /// True if the observation includes the normals of the next two gates; `None`, the default, for true if the gates
+    /// are solid, change in every episode, or move.
+    pub normals: Option<bool>,
+    /// Distance from the centre within which a gate that is not solid is passed, m; default 0.2.
     pub radius: f64,
     /// Number of laps; default 2.
     pub laps: usize,
@@ -69,6 +96,55 @@ pub struct Race {
     pub crash: CrashConditions,
     progress: WaypointProgress,
     watch: CrashWatch,
+    /// Gates of the episode; empty if they are the nominal ones.
+    layout: Vec<Placed>,
+    /// Present centres of the gates of the episode.
+    present: Vec<[f64; 3]>,
+}
+
+/// Gate of an episode.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
+struct Placed {
+    /// Centre of the sway, world frame, m.
+    centre: [f64; 3],
+    /// Direction of the normal, rad from x.
+    yaw: f64,
+    /// Phase of the sway at the start of the episode, turns.
+    phase: f64,
+}
+
+impl Placed {
+    /// Returns the centre at a time (s) of the episode, world frame, m.
+    fn at(&self, motion: &GateMotion, time: f64) -> [f64; 3] {
+        if motion.amplitude == 0.0 {
+            return self.centre;
+        }
+        let normal = gates::normal(self.yaw);
+        let left = gates::sway(motion.amplitude, motion.period, self.phase, time);
+        let [x, y, z] = self.centre;
+        [x - normal.y * left, y + normal.x * left, z]
+    }
+}
+
+/// Half the thickness of the bars of a gate, m.
+const BAR: f64 = 0.015;
+
+/// Names of the bars of a gate.
+const SIDES: [&str; 4] = ["left", "right", "top", "bottom"];
+
+/// Returns the bars of a gate: a square frame, perpendicular to the normal.
+fn bars(centre: [f64; 3], yaw: f64, opening: f64, rgba: [f64; 4]) -> [Obstacle; 4] {
+    let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
+    let reach = 0.5 * opening + BAR;
+    let upright = [BAR, BAR, reach + BAR];
+    let level = [BAR, reach - BAR, BAR];
+    [(left * reach, upright), (left * -reach, upright), (Vector3::z() * reach, level), (Vector3::z() * -reach, level)]
+        .map(|(offset, half_size)| Obstacle {
+            shape: Shape::Box { half_size },
+            position: Vector3::from(centre) + offset,
+            rpy: Vector3::new(0.0, 0.0, yaw),
+            rgba,
+        })
 }
 
 impl Default for Race {
@@ -82,6 +158,12 @@ impl Default for Race {
                 [-1.0, 1.0, 1.0],
                 [0.0, 0.0, 0.8],
             ],
+            yaws: Vec::new(),
+            opening: 0.5,
+            solid: false,
+            randomization: GateRanges::default(),
+            motion: GateMotion::default(),
+            normals: None,
             radius: 0.2,
             laps: 2,
             gate_reward: 20.0,
@@ -90,6 +172,8 @@ impl Default for Race {
             crash: CrashConditions::with_max_tilt(2.0),
             progress: WaypointProgress::default(),
             watch: CrashWatch::default(),
+            layout: Vec::new(),
+            present: Vec::new(),
         }
     }
 }
@@ -100,6 +184,176 @@ impl Race {
         AviaryBuilder::new(Self::default())
     }
 
+    /// Sets the gates, the laps and the properties of the gates to those of a track.
+    pub fn set_track(&mut self, track: &RaceTrack) {
+        let RaceTrack { laps, opening, solid, normals, randomization, motion, ref gates } = *track;
+        (self.laps, self.opening, self.solid, self.normals) = (laps, opening, solid, normals);
+        (self.randomization, self.motion) = (randomization, motion);
+        self.gates = gates.iter().map(|gate| gate.position).collect();
+        self.yaws.clear();
+        if gates.iter().any(|gate| gate.yaw.is_some()) {
+            let yaw = |(index, gate): (usize, &Gate)| gate.yaw.unwrap_or_else(|| self.nominal_yaw(index));
+            self.yaws = gates.iter().enumerate().map(yaw).collect();
+        }
+    }
+
+    /// Returns the track with the present options.
+    pub fn track(&self) -> RaceTrack {
+        let gate = |(index, &position): (usize, &[f64; 3])| Gate { position, yaw: self.yaws.get(index).copied() };
+        RaceTrack {
+            laps: self.laps,
+            opening: self.opening,
+            solid: self.solid,
+            normals: self.normals,
+            randomization: self.randomization,
+            motion: self.motion,
+            gates: self.gates.iter().enumerate().map(gate).collect(),
+        }
+    }
+
+    /// Returns the present centre (world frame, m) and the normal of a gate; `None` if there is no such gate.
+    pub fn gate_pose(&self, gate: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
+        let centre = *self.centres().get(gate)?;
+        Some((centre.into(), self.normal(gate).to_nalgebra()))
+    }
+
+    /// Returns true if the gates are solid, change in every episode, or move.
+    fn has_frames(&self) -> bool {
+        let GateRanges { position, yaw } = self.randomization;
+        self.solid || position > 0.0 || yaw > 0.0 || self.motion.amplitude > 0.0
+    }
+
+    /// Returns true if the observation includes normals.
+    fn observes_normals(&self) -> bool {
+        self.normals.unwrap_or(self.has_frames())
+    }
+
+    /// Returns true if the markers of the gates are moving markers. Batches evaluate such a race one environment at a
+    /// time: the lanes know no frames and no normals.
+    fn moves_markers(&self) -> bool {
+        self.has_frames() || self.observes_normals()
+    }
+
+    /// Returns the present centres of the gates, world frame, m.
+    fn centres(&self) -> &[[f64; 3]] {
+        // the gates of the default race are always the nominal ones
+        if self.present.len() == self.gates.len() { &self.present } else { &self.gates }
+    }
+
+    /// Returns the yaw of a gate without a randomization, rad.
+    fn nominal_yaw(&self, gate: usize) -> f64 {
+        if let Some(&yaw) = self.yaws.get(gate) {
+            return yaw;
+        }
+        let count = self.gates.len();
+        let (before, after) = (self.gates[(gate + count - 1) % count], self.gates[(gate + 1) % count]);
+        (after[1] - before[1]).atan2(after[0] - before[0])
+    }
+
+    /// Returns the normal of a gate of the episode.
+    fn normal(&self, gate: usize) -> V3<f64> {
+        gates::normal(self.layout.get(gate).map_or_else(|| self.nominal_yaw(gate), |placed| placed.yaw))
+    }
+
+    /// Returns the gate without a randomization.
+    fn nominal(&self, gate: usize) -> Placed {
+        Placed { centre: self.gates[gate], yaw: self.nominal_yaw(gate), phase: 0.0 }
+    }
+
+    /// Returns the bars of all gates without a randomization, with their names.
+    fn frames(&self) -> impl Iterator<Item = Marker> {
+        (0..self.gates.len()).flat_map(|index| {
+            let rgba = if index == 0 { [0.1, 0.65, 0.35, 1.0] } else { [0.9, 0.35, 0.1, 1.0] };
+            let bars = bars(self.gates[index], self.nominal_yaw(index), self.opening, rgba);
+            let name = move |side: &str| format!("gate{index}_{side}");
+            SIDES.into_iter().zip(bars).map(move |(side, body)| Marker { name: name(side), body })
+        })
+    }
+
+    /// Draws the gates of an episode. A solid gate keeps away from the starts of the drones.
+    fn place_gates(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
+        /// Number of draws after which a gate stays at its nominal pose.
+        const DRAWS: usize = 20;
+        /// Clearance between a frame and the start of a drone, m.
+        const ROOM: f64 = 0.05;
+        let GateRanges { position, yaw } = self.randomization;
+        let mut layout = std::mem::take(&mut self.layout);
+        layout.clear();
+        for index in 0..self.gates.len() {
+            let nominal = self.nominal(index);
+            let mut around = |range: f64| if range > 0.0 { range * (2.0 * rng.random::<f64>() - 1.0) } else { 0.0 };
+            // a frame does not sink into the floor
+            let lowest = (0.5 * self.opening + 2.0 * BAR).min(nominal.centre[2]);
+            let mut drawn = || {
+                let [x, y, z] = nominal.centre.map(|coordinate| coordinate + around(position));
+                Placed { centre: [x, y, z.max(lowest)], yaw: nominal.yaw + around(yaw), phase: 0.0 }
+            };
+            let has_room = |gate: &Placed| {
+                let bars = bars(gate.centre, gate.yaw, self.opening, [0.0; 4]);
+                simulation.states().iter().enumerate().all(|(drone, state)| {
+                    let radius = CollisionCylinder::from(simulation.params(drone)).bounding_radius() + ROOM;
+                    bars.iter().all(|bar| bar.distance(&state.position) > radius + self.motion.amplitude)
+                })
+            };
+            let found = (0..DRAWS).map(|_| drawn()).find(|gate| !self.solid || has_room(gate));
+            let mut placed = found.unwrap_or(nominal);
+            if self.motion.amplitude > 0.0 {
+                placed.phase = rng.random::<f64>();
+            }
+            layout.push(placed);
+        }
+        self.layout = layout;
+    }
+
+    /// Moves the gates to their places at a time (s) of the episode.
+    fn move_gates(&mut self, time: f64) {
+        let motion = self.motion;
+        self.present.clear();
+        self.present.extend(self.layout.iter().map(|placed| placed.at(&motion, time)));
+    }
+
+    /// Returns the points of the plan of a drone: the centres of its remaining gates, or two points on the axis of each
+    /// gate that is solid. Moving gates are where they will be at the given times (s from now), one per gate.
+    fn plan_points(&self, simulation: SimView<'_>, drone: usize, times: &[f64]) -> Vec<[f64; 3]> {
+        let (count, passed) = (self.gates.len(), self.progress.passed(drone));
+        let remaining = (passed..count * self.laps).map(|index| index % count);
+        let centre = |(order, gate): (usize, usize)| {
+            let placed = self.layout.get(gate).copied().unwrap_or_else(|| self.nominal(gate));
+            let still = GateMotion { amplitude: 0.0, ..self.motion };
+            match times.get(order) {
+                Some(after) => placed.at(&self.motion, simulation.time() + after),
+                None => placed.at(&still, 0.0),
+            }
+        };
+        let centres = remaining.clone().enumerate().map(centre);
+        if !self.solid {
+            return centres.collect();
+        }
+        let on_axis = |(gate, [x, y, z]): (usize, [f64; 3])| {
+            let normal = self.normal(gate);
+            [-APPROACH, APPROACH].map(|along| [x + along * normal.x, y + along * normal.y, z])
+        };
+        remaining.zip(centres).flat_map(on_axis).collect()
+    }
+
+    /// Returns the points of the plan of a drone, for moving gates of a single drone at the times of the plan.
+    fn points_in_time(&self, simulation: SimView<'_>, drone: usize) -> Vec<[f64; 3]> {
+        /// Number of corrections of the times of the plan.
+        const CORRECTIONS: usize = 4;
+        let mut points = self.plan_points(simulation, drone, &[]);
+        if self.motion.amplitude == 0.0 || simulation.num_drones() > 1 {
+            return points;
+        }
+        for _ in 0..CORRECTIONS {
+            let Some((_, times)) = waypoint_progress::path_through(simulation, drone, &points) else { break };
+            let per_gate = if self.solid { 2 } else { 1 };
+            let means: Vec<_> =
+                times.chunks(per_gate).map(|times| times.iter().sum::<f64>() / times.len() as f64).collect();
+            points = self.plan_points(simulation, drone, &means);
+        }
+        points
+    }
+
     /// Returns the number of gates that a drone has passed in this episode, over all laps; 0 before the first
     /// reset.
     pub fn gates_passed(&self, drone: usize) -> usize {
@@ -108,7 +362,12 @@ impl Race {
 
     /// Returns the gate `ahead` places after the next one.
     fn gate(&self, drone: usize, ahead: usize) -> Vector3<f64> {
-        self.gates[(self.progress.passed(drone) + ahead) % self.gates.len()].into()
+        self.centres()[self.gate_index(drone, ahead)].into()
+    }
+
+    /// Returns the index of the gate `ahead` places after the next one.
+    fn gate_index(&self, drone: usize, ahead: usize) -> usize {
+        (self.progress.passed(drone) + ahead) % self.gates.len()
     }
 
     /// Returns the terms of a drone's reward, or their sum.
@@ -132,16 +391,29 @@ impl Task for Race {
     }
 
     fn set_options(&mut self, options: &TaskOptions) -> Result<(), EnvError> {
-        options.check(self.name(), &["gates", "laps"])?;
-        if let Some(gates) = &options.gates {
+        options.check(self.name(), &["gates", "laps", "track"])?;
+        if let Some(track) = &options.track {
+            self.set_track(track);
+        }
+        if let Some(gates) = &options.gates
+            && *gates != self.gates
+        {
             self.gates.clone_from(gates);
+            self.yaws.clear();
         }
         self.laps = options.laps.unwrap_or(self.laps);
         Ok(())
     }
 
     fn options(&self) -> TaskOptions {
-        TaskOptions { gates: Some(self.gates.clone()), laps: Some(self.laps), ..TaskOptions::default() }
+        let default = RaceTrack { laps: self.laps, gates: self.track().gates, ..Self::default().track() };
+        let has_track = !self.yaws.is_empty() || self.track() != default;
+        TaskOptions {
+            gates: Some(self.gates.clone()),
+            laps: Some(self.laps),
+            track: has_track.then(|| self.track()),
+            ..TaskOptions::default()
+        }
     }
 
     fn initial_positions(&self, drones: &[DroneParams]) -> Vec<[f64; 3]> {
@@ -149,12 +421,24 @@ impl Task for Race {
     }
 
     fn observation_space(&self) -> BoxSpace {
-        BoxSpace::new(STATE_BOUNDS.into_iter().chain([UNBOUNDED; 9]))
+        let more = if self.observes_normals() { NORMALS } else { 0 };
+        BoxSpace::new(STATE_BOUNDS.into_iter().chain(std::iter::repeat_n(UNBOUNDED, 9 + more)))
     }
 
-    fn validate(&self, _drones: &[DroneParams]) -> Result<(), EnvError> {
+    fn validate(&self, drones: &[DroneParams]) -> Result<(), EnvError> {
         self.crash.validate()?;
         waypoint_progress::validate("gates", &self.gates, self.laps, self.radius)?;
+        let wrong = |option, got, expected| Err(EnvError::Option { option, got, expected });
+        if !self.yaws.is_empty() && self.yaws.len() != self.gates.len() {
+            return wrong("yaws", crate::count(self.yaws.len(), "angle"), "none, or one per gate");
+        }
+        self.track().validate()?;
+        let widths = drones.iter().map(|drone| 2.0 * drone.collision_radius.max(0.5 * drone.collision_height));
+        let widest = widths.fold(0.0, f64::max);
+        if self.solid && self.opening <= widest {
+            let got = format!("{} m for a drone of {} m", crate::number(self.opening), crate::number(widest));
+            return wrong("opening", got, "more than the size of every drone");
+        }
         waypoint_progress::validate_rewards([
             ("gate_reward", self.gate_reward),
             ("speed_reward", self.speed_reward),
@@ -162,46 +446,51 @@ impl Task for Race {
         ])
     }
 
-    /// Returns square frames, perpendicular to the line from the previous gate to the next one.
+    /// Returns square frames, by default perpendicular to the line from the previous gate to the next one.
     fn markers(&self) -> Vec<Marker> {
-        const INSIDE: f64 = 0.25;
-        const BAR: f64 = 0.015;
-        let count = self.gates.len();
-        let mut bars = Vec::new();
-        for (index, &centre) in self.gates.iter().enumerate() {
-            let (before, after) = (self.gates[(index + count - 1) % count], self.gates[(index + 1) % count]);
-            let yaw = (after[1] - before[1]).atan2(after[0] - before[0]);
-            let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
-            let reach = INSIDE + BAR;
-            for (side, offset, half_size) in [
-                ("left", left * reach, [BAR, BAR, reach + BAR]),
-                ("right", left * -reach, [BAR, BAR, reach + BAR]),
-                ("top", Vector3::z() * reach, [BAR, reach - BAR, BAR]),
-                ("bottom", Vector3::z() * -reach, [BAR, reach - BAR, BAR]),
-            ] {
-                let position = Vector3::from(centre) + offset;
-                bars.push(Marker {
-                    name: format!("gate{index}_{side}"),
-                    body: Obstacle {
-                        shape: Shape::Box { half_size },
-                        position,
-                        rpy: Vector3::new(0.0, 0.0, yaw),
-                        rgba: if index == 0 { [0.1, 0.65, 0.35, 1.0] } else { [0.9, 0.35, 0.1, 1.0] },
-                    },
-                });
-            }
-        }
-        bars
+        if self.moves_markers() { Vec::new() } else { self.frames().collect() }
     }
 
-    fn reset(&mut self, simulation: SimView<'_>, _rng: &mut Rng) {
+    fn moving_markers(&self) -> Vec<MovingMarker> {
+        let markers = self.moves_markers().then(|| self.frames());
+        markers.into_iter().flatten().map(|marker| MovingMarker { marker, solid: self.solid }).collect()
+    }
+
+    fn move_markers(&self, _simulation: SimView<'_>, poses: &mut [MarkerPose]) {
+        let gates = self.layout.iter().zip(self.centres());
+        for (poses, (placed, &centre)) in poses.chunks_mut(SIDES.len()).zip(gates) {
+            for (pose, bar) in poses.iter_mut().zip(bars(centre, placed.yaw, self.opening, [0.0; 4])) {
+                *pose = MarkerPose { position: bar.position, rpy: bar.rpy };
+            }
+        }
+    }
+
+    fn reset(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
         self.watch.reset(simulation);
         self.progress.reset(simulation);
+        self.layout.clear();
+        if self.has_frames() {
+            self.place_gates(simulation, rng);
+        }
+        self.move_gates(simulation.time());
     }
 
     fn update(&mut self, simulation: SimView<'_>) {
         self.watch.update(&self.crash, simulation);
-        self.progress.update(simulation, &self.gates, self.laps, self.radius);
+        let mut progress = std::mem::take(&mut self.progress);
+        // the gates stood still during the step
+        if self.solid {
+            let passes = |gate: usize, from: V3<f64>, to: V3<f64>| {
+                let (centre, normal) = (Vector3::from(self.centres()[gate]).to_flight(), self.normal(gate));
+                let [from, to] = [from, to].map(|point| gates::in_gate_frame(point, centre, normal));
+                gates::crosses(from, to, 0.5 * self.opening)
+            };
+            progress.update_with(simulation, self.centres(), self.laps, passes);
+        } else {
+            progress.update(simulation, self.centres(), self.laps, self.radius);
+        }
+        self.progress = progress;
+        self.move_gates(simulation.time());
     }
 
     fn end(&self, simulation: SimView<'_>, drone: usize) -> Option<EndReason> {
@@ -219,6 +508,9 @@ impl Task for Race {
     fn observe(&self, simulation: SimView<'_>, drone: usize, out: &mut [f64]) {
         let (state, rpy) = observed(simulation, drone);
         race::observe(&state, rpy, [0, 1].map(|ahead| self.gate(drone, ahead).to_flight()), out);
+        if self.observes_normals() && out.len() >= STATE_BOUNDS.len() + 9 + NORMALS {
+            race::observe_normals(&state, [0, 1].map(|ahead| self.normal(self.gate_index(drone, ahead))), out);
+        }
     }
 
     fn success(&self, _simulation: SimView<'_>, drone: usize) -> bool {
@@ -231,9 +523,12 @@ impl Task for Race {
 
     fn reference(&self, simulation: SimView<'_>, drone: usize) -> Reference {
         // after the last gate, the drone may stay there
-        let point = waypoint_progress::next(&self.gates, self.progress.passed(drone), self.laps);
-        let last = self.gates[self.gates.len() - 1].into();
-        Reference::hover(point.unwrap_or(last), simulation.initial_states()[drone].yaw())
+        let passed = self.progress.passed(drone).min(self.gates.len() * self.laps - 1);
+        let gate = passed % self.gates.len();
+        // a drone that stops in the plane of a solid gate may not have crossed it
+        let centre = Vector3::from(self.centres()[gate]);
+        let point = if self.solid { centre + self.normal(gate).to_nalgebra() * APPROACH } else { centre };
+        Reference::hover(point, simulation.initial_states()[drone].yaw())
     }
 
     fn plan(&self, simulation: SimView<'_>, drone: usize) -> Option<Box<dyn Trajectory>> {
@@ -241,11 +536,11 @@ impl Task for Race {
     }
 
     fn plans(&self, simulation: SimView<'_>) -> Vec<Option<Box<dyn Trajectory>>> {
-        self.progress.plans(simulation, &self.gates, self.laps)
+        self.progress.plans_through(simulation, |drone| self.points_in_time(simulation, drone))
     }
 
     fn extent(&self, simulation: SimView<'_>, drone: usize, _seconds: f64) -> Vec<Vector3<f64>> {
-        self.progress.extent(simulation, drone, &self.gates, self.laps)
+        self.progress.extent(simulation, drone, self.centres(), self.laps)
     }
 
     fn metrics(&self, simulation: SimView<'_>, report: &mut dyn FnMut(&'static str, f64)) {
@@ -264,6 +559,12 @@ impl Task for Race {
     super::saved_by_serde!();
 }
 
+/// Distance of the planned points before and after a solid gate from its plane, m.
+const APPROACH: f64 = 0.2;
+
+/// Number of entries of an observation for the normals.
+const NORMALS: usize = 6;
+
 impl Race {
     /// First row of the gate after the next and of the options.
     const OPTIONS: usize = CrashWatch::ROWS + WaypointProgress::ROWS;
@@ -279,7 +580,9 @@ impl LaneTask for Race {
         let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
         self.watch.write_rows(&self.crash, simulation, drone, watch);
         let (progress, options) = own.split_at_mut(WaypointProgress::ROWS);
-        self.progress.write_rows(drone, &self.gates, self.laps, self.radius, &self.gate(drone, 0), progress);
+        // the lanes know no frames: the scalar task evaluates every step after frames were turned on
+        let radius = if self.has_frames() { f64::INFINITY } else { self.radius };
+        self.progress.write_rows(drone, self.centres(), self.laps, radius, &self.gate(drone, 0), progress);
         let second = self.gate(drone, 1);
         options.copy_from_slice(&[second.x, second.y, second.z, self.speed_reward, self.distance_penalty]);
     }

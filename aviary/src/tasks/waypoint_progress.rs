@@ -42,13 +42,28 @@ impl WaypointProgress {
 
     /// Evaluates the last control step: a drone passes its next point if its path comes within `radius` of it.
     pub(super) fn update(&mut self, simulation: SimView<'_>, points: &[[f64; 3]], laps: usize, radius: f64) {
+        let is_near = |point: usize, from: V3<f64>, to: V3<f64>| {
+            distance_to_leg(from, to, Vector3::from(points[point]).to_flight()) <= radius
+        };
+        self.update_with(simulation, points, laps, is_near);
+    }
+
+    /// Evaluates the last control step. `passes` returns true for the index of a point and the positions before and
+    /// after the step of a drone that has passed it.
+    pub(super) fn update_with(
+        &mut self,
+        simulation: SimView<'_>,
+        points: &[[f64; 3]],
+        laps: usize,
+        passes: impl Fn(usize, V3<f64>, V3<f64>) -> bool,
+    ) {
         for (drone, state) in simulation.states().iter().enumerate() {
             self.fresh[drone] = false;
             self.flying[drone] = self.passed[drone] < points.len() * laps;
             if let Some(point) = next(points, self.passed[drone], laps) {
                 self.distance[drone] = (state.position - point).norm();
-                let leg = [&self.before[drone], &state.position, &point].map(|point| point.to_flight());
-                if distance_to_leg(leg[0], leg[1], leg[2]) <= radius {
+                let [from, to] = [&self.before[drone], &state.position].map(|position| position.to_flight());
+                if passes(self.passed[drone] % points.len(), from, to) {
                     self.passed[drone] += 1;
                     self.fresh[drone] = true;
                 }
@@ -160,8 +175,17 @@ impl WaypointProgress {
         points: &[[f64; 3]],
         laps: usize,
     ) -> Vec<Option<Box<dyn Trajectory>>> {
+        self.plans_through(simulation, |drone| self.remaining(drone, points, laps))
+    }
+
+    /// Plans a path for each drone as [`plans`](Self::plans) does, through the points that a function returns for it.
+    pub(super) fn plans_through(
+        &self,
+        simulation: SimView<'_>,
+        points: impl Fn(usize) -> Vec<[f64; 3]>,
+    ) -> Vec<Option<Box<dyn Trajectory>>> {
         let drones = 0..simulation.num_drones();
-        let paths = drones.map(|drone| self.path(simulation, drone, points, laps));
+        let paths = drones.map(|drone| path_through(simulation, drone, &points(drone)).map(|(path, _)| path));
         if simulation.num_drones() == 1 {
             return paths.map(|path| path.map(|path| Box::new(path) as Box<dyn Trajectory>)).collect();
         }
@@ -179,36 +203,9 @@ impl WaypointProgress {
         plans
     }
 
-    /// Returns the path of a drone through its remaining points, without a delay.
-    fn path(&self, simulation: SimView<'_>, drone: usize, points: &[[f64; 3]], laps: usize) -> Option<Waypoints> {
-        let remaining = (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]);
-        let remaining: Vec<_> = remaining.collect();
-        if remaining.is_empty() {
-            return None;
-        }
-        let (yaw, (speed, acceleration)) = (simulation.states()[drone].yaw(), limits(simulation.params(drone)));
-        let start = simulation.states()[drone].position.into();
-        let mut through: Vec<[f64; 3]> =
-            [start].into_iter().chain(remaining).chain(parking_place(simulation, drone)).collect();
-        let floor = through.iter().map(|point| point[2]).fold(f64::INFINITY, f64::min) - MAX_UNDERSHOOT;
-        let build = |through: &[[f64; 3]]| {
-            Waypoints::through(through).yaws(vec![yaw; through.len()]).limits(speed, acceleration).build().ok()
-        };
-        let mut path = build(&through)?;
-        // a long leg after a short one overshoots, even into the floor; a waypoint at its midpoint prevents this
-        for _ in 0..MAX_MIDPOINTS {
-            let (leg, height) = path.lowest();
-            if height >= floor {
-                break;
-            }
-            let (a, b) = (through[leg], through[leg + 1]);
-            through.insert(leg + 1, std::array::from_fn(|axis| f64::midpoint(a[axis], b[axis])));
-            match build(&through) {
-                Some(better) => path = better,
-                None => break,
-            }
-        }
-        Some(path)
+    /// Returns the points that a drone has not passed, in their order over all laps.
+    fn remaining(&self, drone: usize, points: &[[f64; 3]], laps: usize) -> Vec<[f64; 3]> {
+        (self.passed(drone)..points.len() * laps).map(|index| points[index % points.len()]).collect()
     }
 
     /// Returns points (world frame, m) along a drone's path.
@@ -219,10 +216,52 @@ impl WaypointProgress {
         points: &[[f64; 3]],
         laps: usize,
     ) -> Vec<Vector3<f64>> {
-        let path = self.path(simulation, drone, points, laps);
-        let planned = path.iter().flat_map(|path| path_points(path.duration(), |time| path.reference(time).position));
+        let path = path_through(simulation, drone, &self.remaining(drone, points, laps));
+        let planned =
+            path.iter().flat_map(|(path, _)| path_points(path.duration(), |time| path.reference(time).position));
         next(points, self.passed(drone), laps).into_iter().chain(planned).collect()
     }
+}
+
+/// Plans the path of a drone from its present position through points, without a delay, with the time of each point, s;
+/// `None` without points.
+pub(super) fn path_through(
+    simulation: SimView<'_>,
+    drone: usize,
+    points: &[[f64; 3]],
+) -> Option<(Waypoints, Vec<f64>)> {
+    if points.is_empty() {
+        return None;
+    }
+    let (yaw, (speed, acceleration)) = (simulation.states()[drone].yaw(), limits(simulation.params(drone)));
+    let start = simulation.states()[drone].position.into();
+    let mut through: Vec<[f64; 3]> =
+        [start].into_iter().chain(points.iter().copied()).chain(parking_place(simulation, drone)).collect();
+    // true for the points of the caller
+    let mut given: Vec<bool> = (0..through.len()).map(|index| (1..=points.len()).contains(&index)).collect();
+    let floor = through.iter().map(|point| point[2]).fold(f64::INFINITY, f64::min) - MAX_UNDERSHOOT;
+    let build = |through: &[[f64; 3]]| {
+        Waypoints::through(through).yaws(vec![yaw; through.len()]).limits(speed, acceleration).build().ok()
+    };
+    let mut path = build(&through)?;
+    // a long leg after a short one overshoots, even into the floor; a waypoint at its midpoint prevents this
+    for _ in 0..MAX_MIDPOINTS {
+        let (leg, height) = path.lowest();
+        if height >= floor {
+            break;
+        }
+        let (a, b) = (through[leg], through[leg + 1]);
+        let mut more = through.clone();
+        more.insert(leg + 1, std::array::from_fn(|axis| f64::midpoint(a[axis], b[axis])));
+        match build(&more) {
+            Some(better) => path = better,
+            None => break,
+        }
+        given.insert(leg + 1, false);
+        through = more;
+    }
+    let times = path.times().iter().zip(&given).filter_map(|(&time, &given)| given.then_some(time)).collect();
+    Some((path, times))
 }
 
 /// Returns the final position of a drone in a swarm, world frame, m: behind the start, away from the points of this

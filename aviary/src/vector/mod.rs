@@ -361,15 +361,16 @@ pub fn make_vec(name: &str, options: EnvConfig, config: VecConfig) -> Result<Box
     env.map_err(EnvError::from)
 }
 
-/// Creates a batch of a task with a course, for example with other rewards. A program that calls
-/// [`VecAviary::new`] instead compiles the batch of the task once more, which takes minutes.
+/// Creates a batch of a task with a course, for example with other rewards. The options of the task are part of the
+/// options. A program that calls [`VecAviary::new`] instead compiles the batch of the task once more, which takes
+/// minutes.
 ///
 /// # Errors
-/// The errors of [`VecAviary::new`].
+/// [`EnvError::TaskOption`] for an option of another task, and the errors of [`VecAviary::new`].
 pub fn make_vec_course(course: Course, options: EnvConfig, config: VecConfig) -> Result<Box<dyn VecEnv>, EnvError> {
     Ok(match course {
-        Course::FlyThrough(task) => Box::new(VecAviary::new(options.with_task(task), config)?),
-        Course::Race(task) => Box::new(VecAviary::new(options.with_task(task), config)?),
+        Course::FlyThrough(task) => Box::new(VecAviary::new(options.for_task(task)?, config)?),
+        Course::Race(task) => Box::new(VecAviary::new(options.for_task(task)?, config)?),
     })
 }
 

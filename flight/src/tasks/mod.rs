@@ -10,6 +10,7 @@ pub mod antipodal;
 pub mod crash;
 pub mod fly_through;
 pub mod formation;
+pub mod gates;
 pub mod hover;
 pub mod multi_hover;
 pub mod race;

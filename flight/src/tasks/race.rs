@@ -44,3 +44,14 @@ pub fn observe<R: Real, O: Observation<R> + ?Sized>(
     out.put3(STATE_SIZE + 3, in_body_frame(&state.attitude, next - state.position));
     out.put3(STATE_SIZE + 6, in_body_frame(&state.attitude, second - state.position));
 }
+
+/// Writes the additional entries of races whose gates have frames: the normals of the next two gates (body frame).
+#[inline(always)]
+pub fn observe_normals<R: Real, O: Observation<R> + ?Sized>(
+    state: &FlightState<R>,
+    [next, second]: [V3<R>; 2],
+    out: &mut O,
+) {
+    out.put3(STATE_SIZE + 9, in_body_frame(&state.attitude, next));
+    out.put3(STATE_SIZE + 12, in_body_frame(&state.attitude, second));
+}

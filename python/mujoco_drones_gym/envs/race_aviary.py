@@ -19,16 +19,22 @@ class RaceAviary(BaseAviary):
     per drone: + 20 for a gate, a reward for speed and a penalty for the distance from the gate; - 100 for a crash. An
     episode ends with a crash, with the last gate of every drone, and after 30 s.
 
+    With solid, randomized or moving gates, the observation is (27 N,): it ends with the normals of the next two gates
+    (body frame).
+
     Args:
-        gates: Centres of the gates, world frame, m, (n, 3); None for the paper's six.
-        laps: Number of laps; None for 2.
+        gates: Centres of the gates, world frame, m, (n, 3); None for those of the track, or the paper's six.
+        laps: Number of laps; None for that of the track, or 2.
+        track: Track: "figure_eight", "stacked", "oval", a TOML file, or a dict with the keys of such a file: `gates`
+            (a list of dicts with `position` and `yaw`), `laps`, `opening`, `solid`, `normals`, `randomization` and
+            `motion`. None for the paper's gates, which do not collide.
         options: Options of `BaseAviary`. `num_drones` is 1 by default.
     """
 
     TASK = "race"
 
-    def __init__(self, *, gates: Any = None, laps: int | None = None, **options: Any) -> None:
-        self._task_options = {"gates": gates, "laps": laps}
+    def __init__(self, *, gates: Any = None, laps: int | None = None, track: Any = None, **options: Any) -> None:
+        self._task_options = {"gates": gates, "laps": laps, "track": track}
         super().__init__(**options)
 
     @property
