@@ -1,3 +1,6 @@
+// the inner loops use indices, because the compiler does not always inline iterators (see `product`)
+#![allow(clippy::needless_range_loop)]
+
 use aviary::policy::gates::{sigmoid, tanh};
 use pulp::Simd;
 
@@ -47,7 +50,7 @@ pub(crate) struct Tile<'a> {
     pub count: usize,
     /// Inputs of the layer, with padded rows.
     pub input: &'a [f32],
-    /// For every row, true if the episode ends after the step, so that the next state is zero.
+    /// True for rows after which the episode ends, so that the next state is zero.
     pub has_ended: &'a [bool],
 }
 
@@ -120,14 +123,14 @@ impl RecurrentPass {
                 let (before, _) = S::as_simd_f32s(&self.before[row * wide..][..wide]);
                 let (after, _) = S::as_mut_simd_f32s(&mut self.state[(row - first) * wide..][..wide]);
                 let width = after.len();
-                for (column, (after, &before)) in after.iter_mut().zip(before).enumerate() {
-                    let [r, z, n] = [column, width + column, 2 * width + column];
+                for column in 0..width {
+                    let (r, z, n) = (column, width + column, 2 * width + column);
                     let reset = sigmoid(simd, simd.add_f32s(gates[r], sums[r]));
                     let update = sigmoid(simd, simd.add_f32s(gates[z], sums[z]));
                     let candidate = tanh(simd, simd.add_f32s(gates[n], simd.mul_f32s(reset, sums[n])));
                     (gates[r], gates[z], gates[n]) = (reset, update, candidate);
                     let added = simd.mul_f32s(simd.sub_f32s(one, update), candidate);
-                    *after = simd.add_f32s(added, simd.mul_f32s(update, before));
+                    after[column] = simd.add_f32s(added, simd.mul_f32s(update, before[column]));
                 }
                 let after = &self.state[(row - first) * wide..][..wide];
                 features[row * place.stride + place.first..][..units].copy_from_slice(&after[..units]);
@@ -169,17 +172,18 @@ impl RecurrentPass {
                 let (sums, _) = S::as_mut_simd_f32s(&mut self.sums[row * 3 * wide..][..3 * wide]);
                 let (before, _) = S::as_simd_f32s(&self.before[row * wide..][..wide]);
                 let width = gradient.len();
-                for (column, (gradient, &before)) in gradient.iter_mut().zip(before).enumerate() {
-                    let [r, z, n] = [column, width + column, 2 * width + column];
+                for column in 0..width {
+                    let (r, z, n) = (column, width + column, 2 * width + column);
+                    let (own, before) = (gradient[column], before[column]);
                     let (reset, update, candidate) = (gates[r], gates[z], gates[n]);
                     // σ' = σ (1 − σ) and tanh' = 1 − tanh²
                     let slope = simd.sub_f32s(one, simd.mul_f32s(candidate, candidate));
-                    let of_candidate = simd.mul_f32s(simd.mul_f32s(*gradient, simd.sub_f32s(one, update)), slope);
+                    let of_candidate = simd.mul_f32s(simd.mul_f32s(own, simd.sub_f32s(one, update)), slope);
                     let slope = simd.mul_f32s(reset, simd.sub_f32s(one, reset));
                     let of_reset = simd.mul_f32s(simd.mul_f32s(of_candidate, sums[n]), slope);
                     let slope = simd.mul_f32s(update, simd.sub_f32s(one, update));
-                    let of_update = simd.mul_f32s(simd.mul_f32s(*gradient, simd.sub_f32s(before, candidate)), slope);
-                    *gradient = simd.mul_f32s(*gradient, update);
+                    let of_update = simd.mul_f32s(simd.mul_f32s(own, simd.sub_f32s(before, candidate)), slope);
+                    gradient[column] = simd.mul_f32s(own, update);
                     (gates[r], gates[z], gates[n]) = (of_reset, of_update, of_candidate);
                     (sums[r], sums[z], sums[n]) = (of_reset, of_update, simd.mul_f32s(of_candidate, reset));
                 }

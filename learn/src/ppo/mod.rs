@@ -47,8 +47,8 @@ const BLOCK: usize = 64;
 /// Rows of a shard of a minibatch: the work of one thread.
 const SHARD: usize = 256;
 
-/// Returns the sequences of a shard of a minibatch with a recurrent layer. Twelve sequences fill the registers; very long
-/// ones are fewer.
+/// Returns the sequences of a shard of a minibatch with a recurrent layer. Twelve sequences fill the registers; very
+/// long ones are fewer.
 fn shard_sequences(horizon: usize) -> usize {
     (768 / horizon).clamp(1, 12)
 }

@@ -448,8 +448,8 @@ impl Unrolling {
         states
     }
 
-    /// Computes the loss in double precision: of the actor with the states by `parameters`, and of the critic with given
-    /// states.
+    /// Computes the loss in double precision: of the actor with the states by `parameters`, and of the critic with
+    /// given states.
     fn loss(
         &self,
         shape: &NetworkShape,
