@@ -204,6 +204,8 @@ impl WithSimd for Forward<'_> {
 
 /// Computes the next states of R rows.
 #[inline(always)]
+// an iterator may not be inlined into a function with other instructions
+#[allow(clippy::needless_range_loop)]
 fn step<S: Simd, const R: usize>(simd: S, gru: &Gru, buffers: &mut Buffers<R>, input: &[f32], state: &mut [f32]) {
     let Buffers { input: inputs, state: states, sums: [of_input, of_state] } = buffers;
     for (row, input) in inputs.iter_mut().zip(input.chunks_exact(gru.inputs)) {

@@ -63,9 +63,9 @@ impl Agents for Recall {
     }
 
     fn step(&mut self, actions: &[f32], outcome: &mut Outcome) -> Result<(), EnvError> {
-        for row in 0..self.rows.len() {
+        for (row, action) in actions.iter().enumerate() {
             let (number, age) = &mut self.rows[row];
-            outcome.rewards[row] = if *age == 0 { 0.0 } else { -(actions[row] - *number).powi(2) };
+            outcome.rewards[row] = if *age == 0 { 0.0 } else { -(action - *number).powi(2) };
             *age += 1;
             outcome.next[row] = if *age == LENGTH { Next::Terminated } else { Next::Running };
             if *age == LENGTH {
