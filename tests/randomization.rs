@@ -202,7 +202,7 @@ fn whole_airframes_are_consistent_and_hover_within_the_action_space() {
         let full = 4.0 * params.thrust_coefficient * nominal.max_rpm().powi(2);
         near(full / (params.mass * 9.81) / params.thrust_to_weight, 1.0, 1.0);
         near(scale.command(params.hover_rpm()), -0.34, 0.46);
-        // the angular acceleration of two motors at full thrust against two that stand still, per that of the nominal one
+        // angular acceleration at full torque, as a ratio to that of the nominal airframe
         let turn = |p: &DroneParams| p.thrust_to_weight * p.mass * p.arm_length / p.inertia[0];
         near(turn(params) / turn(&nominal), 0.11, 3.5);
     }
