@@ -176,6 +176,85 @@ fn sampled_inertia_arm_length_and_motor_gains_change_the_angular_velocity() {
     assert!(env.simulation().states()[0].angular_velocity.norm() > 0.05, "unequal motor gains turn the drone");
 }
 
+#[test]
+fn whole_airframes_are_consistent_and_hover_within_the_action_space() {
+    let nominal = DroneModel::Cf2x.params();
+    let scale = mujoco_drones_gym::action::MotorScale::new(&nominal);
+    let mut env = hovering(only("[airframe]\n"));
+    let (mut masses, mut ratios, mut lags) = (Vec::new(), Vec::new(), Vec::new());
+    for _ in 0..2000 {
+        env.reset(None).unwrap();
+        let (params, motors) = (env.simulation().params(0), env.simulation().actuator_params(0));
+        masses.push(params.mass.ln());
+        ratios.push(params.thrust_to_weight);
+        lags.push(motors.lag.ln());
+        assert_eq!((motors.gains, motors.latency, motors.saturation), ([1.0; 4], 0.0, 1.0));
+        let near = |x: f64, low: f64, high: f64| assert!((low - 1e-9..=high + 1e-9).contains(&x), "{x}: {params:?}");
+        let (mass, arm) = (params.mass / nominal.mass, params.arm_length / nominal.arm_length);
+        near(arm / mass.cbrt(), 0.9, 1.1);
+        for axis in 0..3 {
+            near(params.inertia[axis] / nominal.inertia[axis] / (mass * arm * arm), 0.8, 1.25);
+            near(params.drag_coefficients[axis] / nominal.drag_coefficients[axis] / mass, 0.7, 1.3);
+        }
+        let thrust = params.thrust_coefficient / nominal.thrust_coefficient;
+        near(params.torque_coefficient / nominal.torque_coefficient / (thrust * arm), 0.8, 1.25);
+        near(params.max_rpm() / nominal.max_rpm(), 1.0, 1.0);
+        let full = 4.0 * params.thrust_coefficient * nominal.max_rpm().powi(2);
+        near(full / (params.mass * 9.81) / params.thrust_to_weight, 1.0, 1.0);
+        near(scale.command(params.hover_rpm()), -0.34, 0.46);
+        // angular acceleration at full torque, as a ratio to that of the nominal airframe
+        let turn = |p: &DroneParams| p.thrust_to_weight * p.mass * p.arm_length / p.inertia[0];
+        near(turn(params) / turn(&nominal), 0.11, 3.5);
+    }
+    let span = |[low, high]: [f64; 2]| uniform(low, high);
+    assert!(kolmogorov_smirnov(masses, span([0.02, 2.0].map(f64::ln))) < 1.95);
+    assert!(kolmogorov_smirnov(ratios, span([1.5, 5.0])) < 1.95);
+    assert!(kolmogorov_smirnov(lags, span([0.01, 0.1].map(f64::ln))) < 1.95);
+}
+
+#[test]
+fn a_whole_airframe_hovers_at_the_command_of_its_own_hover_speed() {
+    let scale = mujoco_drones_gym::action::MotorScale::new(&DroneModel::Cf2x.params());
+    let mut env = hovering(only("[airframe]\nlag = [0.02, 0.05]\n"));
+    for _ in 0..5 {
+        env.reset(None).unwrap();
+        let command = scale.command(env.simulation().params(0).hover_rpm());
+        step_env(&mut env, &[command; 4], 240);
+        let before = env.simulation().states()[0].velocity.z;
+        step_env(&mut env, &[command; 4], 24);
+        let acceleration = (env.simulation().states()[0].velocity.z - before) / 0.1;
+        assert!(acceleration.abs() < 1e-6, "{acceleration}");
+    }
+}
+
+#[test]
+fn whole_airframes_leave_the_samples_of_other_groups_as_they_are() {
+    let others = only("[sensors]\n[environment]\n[initial]\n");
+    let with = Randomization { airframe: Some(Default::default()), ..others.clone() };
+    for (plain, sampled) in samples_of_episodes(others, 1).iter().zip(&samples_of_episodes(with, 1)) {
+        assert_eq!(
+            (plain.gravity, plain.wind, plain.sensor_latency),
+            (sampled.gravity, sampled.wind, sampled.sensor_latency)
+        );
+        for (plain, sampled) in plain.drones.iter().zip(&sampled.drones) {
+            assert_eq!((plain.bias, plain.initial), (sampled.bias, sampled.initial));
+            assert!(plain.mass == 1.0 && sampled.mass != 1.0);
+        }
+    }
+}
+
+#[test]
+fn whole_airframes_exclude_the_groups_that_they_replace() {
+    let refused = |toml: &str| Randomization::from_toml(toml).unwrap_err().to_string();
+    for group in ["body", "aerodynamics", "actuators"] {
+        let error = refused(&format!("[airframe]\n[{group}]\n"));
+        assert!(error.contains("the randomized airframe is set together with body"), "{error}");
+    }
+    let error = refused("[airframe]\nmass = [0.0, 1.0]\n");
+    assert!(error.contains("the randomized airframe.mass is [0, 1], expected a range from 0.001 to 100 kg"), "{error}");
+    assert!(refused("[airframe]\nthrust_to_weight = [0.9, 2.0]\n").contains("airframe.thrust_to_weight"));
+}
+
 /// The rotor speed completes 63 % of a step in one time constant, and does not change during the latency.
 #[test]
 fn motors_have_the_sampled_lag_latency_and_maximum_speed() {

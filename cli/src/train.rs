@@ -167,8 +167,7 @@ impl Train {
                 let task = self.task.as_ref().map_or("", |task| task.name);
                 let config = self.config(task)?;
                 if self.show {
-                    let text = config.to_toml().map_err(Failure::input)?;
-                    return output::print(&text);
+                    return output::print(&shown(&config)?);
                 }
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
                 let learner = self.learner(&config)?;
@@ -649,4 +648,10 @@ fn plot(config: &TrainConfig, points: &[Point]) -> Result<Plot, aviary::record::
     ];
     let title = format!("{}, seed {}", config.task, config.seed);
     Ok(Plot::time_series(&title, &panels)?.over("environment steps (millions)"))
+}
+/// Returns a configuration as `--show` prints it: with the option `recurrent`, which recorded configurations of
+/// policies without memory do not have.
+fn shown(config: &TrainConfig) -> Result<String, Failure> {
+    let text = config.to_toml().map_err(Failure::input)?;
+    Ok(if config.ppo.recurrent > 0 { text } else { text.replacen("[ppo]\n", "[ppo]\nrecurrent = 0\n", 1) })
 }

@@ -225,6 +225,9 @@ pub(crate) fn describe<T: GpuTask>(
     if env.observation_space().kind != ObservationType::KIN {
         return not_ported("observation_type", "another type", "kin");
     }
+    if ranges.airframe.is_some() {
+        return not_ported("randomization.airframe", "set", "no randomized airframes");
+    }
     let medium = world.medium.map(|medium| Medium { density: medium.density, viscosity: medium.viscosity });
     if medium.is_some() && ranges.body.is_some() {
         return not_ported("medium", "set with a randomized body", "no medium, or no randomized body");

@@ -148,6 +148,13 @@ fn options_that_the_kernels_do_not_have_are_errors_of_one_line() {
     };
     let config = TrainConfig { per_drone: true, ..small("hover") };
     assert_eq!(error(&config).to_string(), "per_drone is true, expected false on the GPU");
+    let mut config = small("hover");
+    config.ppo.recurrent = 32;
+    assert_eq!(error(&config).to_string(), "recurrent is 32, expected 0 on the GPU");
+    let mut config = small("hover");
+    config.conditions.randomization = Some(Randomization { airframe: Some(Default::default()), ..Randomization::NONE });
+    let expected = "randomization.airframe is set, expected no randomized airframes on the GPU";
+    assert_eq!(error(&config).to_string(), expected);
     let config = TrainConfig { physics: Physics::Dyn, ..small("hover") };
     assert_eq!(error(&config).to_string(), "engine is explicit, expected mujoco or hybrid on the GPU");
     let mut config = small("hover");

@@ -103,8 +103,8 @@ impl Checkpoint {
                 ));
             }
         }
-        let sizes = (best.observation_size(), best.action_size());
-        let wanted = (run.shape.observation(), run.shape.action());
+        let sizes = (best.observation_size(), best.memory_size(), best.action_size());
+        let wanted = (run.shape.observation(), run.shape.recurrent, run.shape.action());
         if (&best.info().task, sizes) != (&state.config.task, wanted) {
             return Err(format!(
                 "the best policy is for {} with sizes {sizes:?}, expected {} with {wanted:?}",

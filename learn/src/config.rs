@@ -10,7 +10,7 @@ use aviary::env::{ConditionChoice, Conditions, EnvConfig, EnvError, InitialRange
 use aviary::multi_agent::make_parallel;
 use aviary::physics::Physics;
 use aviary::physics::wind::WindConfig;
-use aviary::policy::Mlp;
+use aviary::policy::{Gru, Mlp};
 use aviary::tasks::{self, Course, FlyThrough, Race, RaceTrack};
 use aviary::vector::{Autoreset, OnFault, VecConfig, make_vec, make_vec_course};
 use aviary::world::ObstacleConfig;
@@ -373,6 +373,10 @@ impl TrainConfig {
                     expected: "up to 7 layers of 1 to 256 neurons",
                 });
             }
+        }
+        if self.ppo.recurrent > Gru::MAX_WIDTH {
+            let got = self.ppo.recurrent.to_string();
+            return Err(TrainError::Option { option: "recurrent", got, expected: "0 to 256 units" });
         }
         let positive = |x: f64| x > 0.0 && x <= 1e6;
         if let Some(seconds) = self.training_starts.iter().filter_map(|start| start.seconds).find(|&x| !positive(x)) {

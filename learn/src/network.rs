@@ -1,38 +1,61 @@
 //! Parameters of actor and critic.
 //!
-//! One vector holds all parameters: the actor's, the critic's (each in the order of [`Mlp`]), and the log standard
-//! deviations of the actions.
+//! One vector holds all parameters: the actor's, the critic's (each in the order of [`Mlp`]), those of the recurrent
+//! layer (in the order of [`Gru`]), and the log standard deviations of the actions.
 
 use aviary::env::Rng;
-use aviary::policy::{Activation, Mlp};
+use aviary::policy::{Activation, Gru, Mlp};
 use nalgebra::DMatrix;
 use rand::RngExt as _;
 use rand_distr::StandardNormal;
 
 /// Layer sizes of an actor and a critic, which have the same inputs and hidden layers.
 ///
-/// One vector holds their parameters: the actor's, the critic's (each in the order of [`Mlp`]), and the log standard
-/// deviations of the actions.
+/// With recurrent units, a [`Gru`] reads the observation, and actor and critic read the observation and the state of
+/// this layer.
+///
+/// One vector holds their parameters: the actor's, the critic's (each in the order of [`Mlp`]), those of the recurrent
+/// layer (in the order of [`Gru`]), and the log standard deviations of the actions.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NetworkShape {
-    /// Sizes of the actor's layers: observation, hidden layers, action.
+    /// Sizes of the actor's layers: observation and recurrent units, hidden layers, action.
     pub actor: Vec<usize>,
-    /// Sizes of the critic's layers: observation, hidden layers, 1.
+    /// Sizes of the critic's layers: observation and recurrent units, hidden layers, 1.
     pub critic: Vec<usize>,
     /// Activation function of the hidden layers.
     pub activation: Activation,
+    /// Number of recurrent units; 0 without a recurrent layer.
+    pub recurrent: usize,
 }
 
 impl NetworkShape {
     /// Creates the shape from the number of entries of an observation and of an action, and the hidden layers.
     pub fn new(observation: usize, action: usize, hidden: &[usize], activation: Activation) -> Self {
         let sizes = |last: usize| std::iter::once(observation).chain(hidden.iter().copied()).chain([last]).collect();
-        Self { actor: sizes(action), critic: sizes(1), activation }
+        Self { actor: sizes(action), critic: sizes(1), activation, recurrent: 0 }
+    }
+
+    /// Adds a recurrent layer with a number of units; 0 for none.
+    #[must_use]
+    pub fn with_recurrent(mut self, units: usize) -> Self {
+        let inputs = self.observation() + units;
+        (self.actor[0], self.critic[0], self.recurrent) = (inputs, inputs, units);
+        self
     }
 
     /// Returns the number of entries of an observation.
     pub fn observation(&self) -> usize {
+        self.actor[0] - self.recurrent
+    }
+
+    /// Returns the number of inputs of actor and critic: the entries of an observation and the recurrent units.
+    pub fn features(&self) -> usize {
         self.actor[0]
+    }
+
+    /// Returns the number of parameters of the recurrent layer.
+    fn recurrent_count(&self) -> usize {
+        if self.recurrent == 0 { 0 } else { Gru::count(self.observation(), self.recurrent) }
     }
 
     /// Returns the number of entries of an action.
@@ -42,18 +65,25 @@ impl NetworkShape {
 
     /// Returns the total number of parameters.
     pub fn count(&self) -> usize {
-        Mlp::count(&self.actor) + Mlp::count(&self.critic) + self.action()
+        Mlp::count(&self.actor) + Mlp::count(&self.critic) + self.recurrent_count() + self.action()
+    }
+
+    /// Returns the parameters of the recurrent layer; empty without one.
+    pub fn recurrent_part<'a>(&self, parameters: &'a [f32]) -> &'a [f32] {
+        &parameters[Mlp::count(&self.actor) + Mlp::count(&self.critic)..][..self.recurrent_count()]
     }
 
     /// Splits parameters into the actor's, the critic's, and the log standard deviations.
     pub fn split<'a>(&self, parameters: &'a [f32]) -> (&'a [f32], &'a [f32], &'a [f32]) {
         let (actor, rest) = parameters.split_at(Mlp::count(&self.actor));
-        let (critic, deviations) = rest.split_at(Mlp::count(&self.critic));
-        (actor, critic, deviations)
+        let (critic, rest) = rest.split_at(Mlp::count(&self.critic));
+        (actor, critic, &rest[self.recurrent_count()..])
     }
 
     /// Returns initial parameters: orthogonal weights (Saxe et al. 2014), scaled by √2 in hidden layers, by 0.01 in
-    /// the actor's last layer and by 1 in the critic's; biases of zero; and the logarithm of a standard deviation.
+    /// the actor's last layer, by 1 in the critic's and in the gates of the recurrent layer; biases of zero, and of 1
+    /// for the update gates, so that the initial layer keeps most of its state; and the logarithm of a standard
+    /// deviation.
     pub fn initial(&self, deviation: f32, rng: &mut Rng) -> Vec<f32> {
         let mut parameters = Vec::with_capacity(self.count());
         for (sizes, last) in [(&self.actor, 0.01), (&self.critic, 1.0)] {
@@ -62,6 +92,18 @@ impl NetworkShape {
                 let weights = orthogonal(pair[0], pair[1], rng);
                 parameters.extend(weights.iter().map(|weight| gain * weight));
                 parameters.extend(std::iter::repeat_n(0.0, pair[1]));
+            }
+        }
+        if self.recurrent > 0 {
+            let units = self.recurrent;
+            for (inputs, update_bias) in [(self.observation(), 1.0), (units, 0.0)] {
+                let gates = [(); 3].map(|()| orthogonal(inputs, units, rng));
+                for row in 0..inputs {
+                    parameters.extend(gates.iter().flat_map(|gate| &gate[row * units..][..units]));
+                }
+                for bias in [0.0, update_bias, 0.0] {
+                    parameters.extend(std::iter::repeat_n(bias, units));
+                }
             }
         }
         parameters.extend(std::iter::repeat_n(deviation.ln(), self.action()));

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use aviary::env::Rng;
-use aviary::policy::{Mlp, PolicyInfo, PolicyNetwork};
+use aviary::policy::{Gru, Mlp, PolicyInfo, PolicyNetwork};
 use rand::{Rng as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
@@ -387,7 +387,7 @@ fn policy_of(
     // the recorded configuration contains no path of this machine
     let training = TrainConfig { drone: config.airframe_name(), ..config.clone() }.to_toml()?;
     let info = PolicyInfo {
-        version: PolicyInfo::VERSION,
+        version: if config.ppo.recurrent > 0 { PolicyInfo::RECURRENT_VERSION } else { PolicyInfo::VERSION },
         task: config.task.clone(),
         drone: config.airframe_name(),
         num_drones: config.drones(),
@@ -404,7 +404,14 @@ fn policy_of(
     let (shape, state) = (learner.shape(), learner.state()?);
     let (actor, ..) = shape.split(&state.parameters);
     let actor = Mlp::new(&shape.actor, shape.activation, actor)?;
-    let policy = PolicyNetwork::new(info, actor, learner.observation_space().clone(), learner.action_space().clone())?;
+    let (observations, actions) = (learner.observation_space().clone(), learner.action_space().clone());
+    let policy = match shape.recurrent {
+        0 => PolicyNetwork::new(info, actor, observations, actions)?,
+        units => {
+            let recurrent = Gru::new(shape.observation(), units, shape.recurrent_part(&state.parameters))?;
+            PolicyNetwork::new_recurrent(info, recurrent, actor, observations, actions)?
+        }
+    };
     let (mean, deviation) = state.normalization();
     Ok(policy.normalized(mean, deviation)?)
 }

@@ -31,7 +31,12 @@ fn finish(trainer: &mut Trainer) {
 
 #[test]
 fn a_resumed_run_is_bit_identical_to_an_uninterrupted_one() {
-    for task in ["hover", "multi_hover", "race"] {
+    for (task, recurrent) in [("hover", 0), ("multi_hover", 0), ("race", 0), ("hover", 8)] {
+        let small = |task| {
+            let mut config = small(task);
+            config.ppo.recurrent = recurrent;
+            config
+        };
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("checkpoint");
         let mut whole = Trainer::new(small(task), "a test").unwrap();
@@ -57,20 +62,44 @@ fn a_resumed_run_is_bit_identical_to_an_uninterrupted_one() {
 
 #[test]
 fn results_depend_on_the_seed_and_not_on_the_number_of_threads() {
-    let run = |threads: usize, seed: u64| {
+    let run = |threads: usize, seed: u64, recurrent: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             // several blocks of rows, several shards of a minibatch
             let mut config = TrainConfig { seed, steps: 3 * 300 * 16, ..small("hover") };
-            (config.ppo.environments, config.ppo.minibatch) = (300, 1700);
+            (config.ppo.environments, config.ppo.minibatch, config.ppo.recurrent) = (300, 1700, recurrent);
             let mut trainer = Trainer::new(config, "a test").unwrap();
             finish(&mut trainer);
-            (trainer.curve().to_vec(), trainer.policy().unwrap().net().parameters().to_vec())
+            let policy = trainer.policy().unwrap();
+            let recurrent = policy.recurrent().map(|layer| layer.parameters().to_vec());
+            (trainer.curve().to_vec(), policy.net().parameters().to_vec(), recurrent)
         })
     };
-    let one = run(1, 7);
-    assert_eq!(one, run(3, 7));
-    assert_ne!(one.1, run(1, 8).1);
+    for recurrent in [0, 16] {
+        let one = run(1, 7, recurrent);
+        assert_eq!(one, run(3, 7, recurrent));
+        assert_ne!(one.1, run(1, 8, recurrent).1);
+    }
+}
+
+#[test]
+fn a_recurrent_policy_reproduces_the_trainers_evaluation() {
+    let mut config = small("hover");
+    (config.success, config.ppo.recurrent) = (Success::Done, 8);
+    let mut trainer = Trainer::new(config.clone(), "a test").unwrap();
+    finish(&mut trainer);
+    assert!(trainer.policy().unwrap().info().version == PolicyInfo::RECURRENT_VERSION);
+    let policy = PolicyNetwork::from_bytes(&bytes(trainer.best())).unwrap();
+    let mut env = config.environment().unwrap();
+    for episode in trainer.fly(40, 5).unwrap() {
+        let (mut action, mut memory, mut reward) = ([0.0; 4], [0.0; 8], 0.0);
+        env.reset(Some(episode.seed)).unwrap();
+        while env.info().end.is_none() {
+            policy.forward_with(&env.observation().vector.clone(), &mut memory, &mut action);
+            reward += env.step(&action).unwrap().reward;
+        }
+        assert_eq!((reward, env.info().success), (episode.reward, episode.success));
+    }
 }
 
 #[test]
@@ -247,6 +276,7 @@ fn invalid_configurations_are_errors_with_the_setting() {
         ("[ppo]\nclip_rang = 0.1", "did you mean `clip_range`"),
         ("[ppo]\nclip_range = -1.0", "clip_range is -1, expected 0.001 to 10"),
         ("[ppo]\nenvironments = 0", "environments is 0"),
+        ("[ppo]\nrecurrent = 300", "recurrent is 300, expected 0 to 256 units"),
         ("[ppo]\nenvironments = 1000000\nhorizon = 1000", "environments × horizon"),
         ("[ppo]\nlearning_rate = nan", "learning_rate is NaN"),
         ("drone = \"cf2y\"", "did you mean `cf2x`"),

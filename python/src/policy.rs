@@ -15,6 +15,9 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<Policy>()
 }
 
+/// Array of numbers in single precision.
+type Numbers<'py> = Bound<'py, PyArray1<f32>>;
+
 /// A policy of `aviary train`.
 #[pyclass(module = "mujoco_drones_gym._native", frozen)]
 struct Policy {
@@ -85,7 +88,7 @@ impl Policy {
         py: Python<'py>,
         observations: PyReadonlyArray1<'py, f64>,
         memories: PyReadonlyArray1<'py, f32>,
-    ) -> PyResult<(Bound<'py, PyArray1<f32>>, Bound<'py, PyArray1<f32>>)> {
+    ) -> PyResult<(Numbers<'py>, Numbers<'py>)> {
         let (inputs, outputs) = (self.network.observation_size(), self.network.action_size());
         let observations = observations.as_slice().map_err(value_error)?;
         let count = observations.len() / inputs;

@@ -220,5 +220,14 @@ pub fn all() -> Vec<(String, EnvConfig)> {
     }
     add("effects of the airframe in a constant wind", drone.clone().wind(strong(WindModel::Constant)));
     add("effects of a randomized airframe", drone.randomization(Randomization::default()));
+    add("whole airframes", base().randomization(only(|r| r.airframe = Some(Default::default()))));
+    let some = |r: &mut Randomization| {
+        r.airframe = Some(Default::default());
+        r.initial = Some(Default::default());
+    };
+    add(
+        "whole airframes with effects",
+        base().randomization(only(some)).physics(Physics::MjcGndDragDw).actuators(MOTORS),
+    );
     all
 }

@@ -284,6 +284,8 @@ fn randomizations() -> impl Strategy<Value = Option<Randomization>> {
             environment: environment.then(Default::default),
             initial: initial.then(Default::default),
             battery: None,
+            // in place of the first three groups
+            airframe: (!(body || aerodynamics || actuators)).then(Default::default),
         }
     });
     prop_oneof![2 => Just(None), 3 => some.prop_map(Some), 1 => Just(Some(Randomization::default()))]

@@ -31,8 +31,8 @@ pub use lane_task::LaneFunctions;
 pub(crate) use lane_task::{LaneMask, LaneRows, LaneScene, LaneStep, LaneTask, Sensing, TaskRows};
 pub(crate) use randomization::SensorLanes;
 pub use randomization::{
-    ActuatorRanges, AerodynamicRanges, BatteryRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization,
-    Range, SampledDroneParams, SampledParams, SensorRanges,
+    ActuatorRanges, AerodynamicRanges, AirframeRanges, BatteryRanges, BodyRanges, EnvironmentRanges, InitialRanges,
+    Randomization, Range, SampledDroneParams, SampledParams, SensorRanges,
 };
 pub use snapshot::{EnvSnapshot, Saved};
 pub use space::{BoxSpace, Dtype, ObservationSpace, Part};

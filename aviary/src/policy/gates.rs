@@ -37,9 +37,13 @@ pub fn sigmoid<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 /// Returns the polynomial with these coefficients, the constant first, by Horner's method.
 #[inline(always)]
 fn polynomial<S: Simd>(simd: S, coefficients: &[f32; 5], x: S::f32s) -> S::f32s {
-    let [a, b, c, d, e] = coefficients.map(|coefficient| simd.splat_f32s(coefficient));
-    let step = |sum: S::f32s, next: S::f32s| simd.add_f32s(simd.mul_f32s(sum, x), next);
-    step(step(step(step(e, d), c), b), a)
+    // without a closure or an iterator, which the compiler may not inline into a function with other instructions
+    let [a, b, c, d, e] = *coefficients;
+    let mut sum = simd.splat_f32s(e);
+    sum = simd.add_f32s(simd.mul_f32s(sum, x), simd.splat_f32s(d));
+    sum = simd.add_f32s(simd.mul_f32s(sum, x), simd.splat_f32s(c));
+    sum = simd.add_f32s(simd.mul_f32s(sum, x), simd.splat_f32s(b));
+    simd.add_f32s(simd.mul_f32s(sum, x), simd.splat_f32s(a))
 }
 
 #[cfg(test)]

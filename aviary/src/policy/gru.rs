@@ -204,6 +204,8 @@ impl WithSimd for Forward<'_> {
 
 /// Computes the next states of R rows.
 #[inline(always)]
+// an iterator may not be inlined into a function with other instructions
+#[allow(clippy::needless_range_loop)]
 fn step<S: Simd, const R: usize>(simd: S, gru: &Gru, buffers: &mut Buffers<R>, input: &[f32], state: &mut [f32]) {
     let Buffers { input: inputs, state: states, sums: [of_input, of_state] } = buffers;
     for (row, input) in inputs.iter_mut().zip(input.chunks_exact(gru.inputs)) {
@@ -220,13 +222,13 @@ fn step<S: Simd, const R: usize>(simd: S, gru: &Gru, buffers: &mut Buffers<R>, i
     for ((states, of_input), of_state) in states.iter_mut().zip(&*of_input).zip(&*of_state) {
         let (states, _) = S::as_mut_simd_f32s(states);
         let ((x, _), (h, _)) = (S::as_simd_f32s(of_input), S::as_simd_f32s(of_state));
-        for (column, state) in states[..wide].iter_mut().enumerate() {
-            let [r, z, n] = [column, wide + column, 2 * wide + column];
+        for column in 0..wide {
+            let (r, z, n) = (column, wide + column, 2 * wide + column);
             let reset = sigmoid(simd, simd.add_f32s(x[r], h[r]));
             let update = sigmoid(simd, simd.add_f32s(x[z], h[z]));
             let candidate = tanh(simd, simd.add_f32s(x[n], simd.mul_f32s(reset, h[n])));
             let added = simd.mul_f32s(simd.sub_f32s(one, update), candidate);
-            *state = simd.add_f32s(added, simd.mul_f32s(update, *state));
+            states[column] = simd.add_f32s(added, simd.mul_f32s(update, states[column]));
         }
     }
     for (row, state) in states.iter().zip(state.chunks_exact_mut(gru.units)) {

@@ -255,7 +255,7 @@ fn repeated(lane_params: &[LaneParams], blocks: usize) -> Vec<LaneParams> {
 
 /// Returns true if the lag of the motors may be sampled.
 fn randomizes_lag<T>(episode: &Episode<T>) -> bool {
-    episode.randomizations().any(|config| config.actuators.is_some())
+    episode.randomizations().any(|config| config.draws_actuators())
 }
 
 /// Returns true if the engine of a simulation can fly in lanes.

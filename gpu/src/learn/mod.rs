@@ -445,6 +445,9 @@ impl GpuPpo {
         if config.per_drone {
             return Err(not_ported("per_drone", "true", "false"));
         }
+        if config.ppo.recurrent > 0 {
+            return Err(not_ported("recurrent", &config.ppo.recurrent.to_string(), "0"));
+        }
         let (options, ranges) = environment_of(config)?;
         let rows = config.ppo.environments;
         let batch = VecConfig { autoreset: Autoreset::SameStep, on_fault: OnFault::Truncate, ..VecConfig::new(rows) };

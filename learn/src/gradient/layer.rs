@@ -96,6 +96,22 @@ impl Layer {
     }
 }
 
+impl Layer {
+    /// Adds the gradient with respect to the inputs of the layer, computed from the one with respect to its sums.
+    #[inline(always)]
+    pub fn add_backward<S: Simd>(&self, simd: S, rows: usize, gradient: &[f32], out: &mut [f32]) {
+        let product = Product {
+            simd,
+            shape: (rows, self.inputs),
+            left: Rows { data: gradient, stride: padded(self.outputs), depth: self.outputs },
+            right: &self.transpose,
+            stride: padded(self.inputs),
+            ends: Continue,
+        };
+        product.write(out);
+    }
+}
+
 /// Sums that begin with the biases; the results are activations.
 #[derive(Clone, Copy)]
 struct Activate<'a, S: Simd> {

@@ -1,7 +1,8 @@
-//! Gradients of multilayer perceptrons by backpropagation, in SIMD registers.
+//! Gradients of multilayer perceptrons and recurrent layers by backpropagation, in SIMD registers.
 //!
 //! A [`Pass`] runs a [`Network`] over a tile of up to [`TILE`] rows, whose activations fit into a core's cache:
 //! [`Pass::forward`] computes the outputs, and [`Pass::backward`] adds the gradient of the tile to the sums of the pass.
+//! A [`RecurrentPass`] runs a [`Recurrent`] layer over a tile of sequences, forwards and backwards through time.
 //! All matrix products are one loop over blocks of registers ([`product`]). Every sum adds its terms in the order of
 //! the rows or neurons, with fused multiplications and additions where the machine has them. Gradients are therefore
 //! bit-identical for AVX2 and AVX-512 and for every size of tiles; the baseline, without fused operations, rounds
@@ -11,9 +12,11 @@ mod aligned;
 mod layer;
 mod network;
 mod product;
+mod recurrent;
 
 pub(crate) use aligned::Aligned;
 pub(crate) use network::{Network, Pass};
+pub(crate) use recurrent::{Place, Recurrent, RecurrentPass, Tile};
 
 use std::any::TypeId;
 

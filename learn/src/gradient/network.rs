@@ -86,6 +86,12 @@ impl Pass {
         }
     }
 
+    /// Adds the gradients with respect to the inputs of the rows of the last backward pass.
+    #[inline(always)]
+    pub fn add_input_gradients<S: Simd>(&self, simd: S, network: &Network, rows: usize, out: &mut [f32]) {
+        network.layers[0].add_backward(simd, rows, &self.gradients[0], out);
+    }
+
     /// Writes the sums, in the order of the parameters. Returns the rest of `out`.
     pub fn write<'a>(&self, mut out: &'a mut [f32]) -> &'a mut [f32] {
         for sum in &self.sums {

@@ -5,7 +5,7 @@
 
 #![allow(clippy::needless_range_loop)]
 
-use pulp::Simd;
+use pulp::{Simd, WithSimd};
 
 use super::multiply_add;
 
@@ -127,10 +127,32 @@ pub(super) struct Product<'a, S: Simd, L, E> {
     pub ends: E,
 }
 
-impl<S: Simd, L: Left, E: Ends<S>> Product<'_, S, L, E> {
-    /// Computes the product.
+/// Product with its output.
+struct Write<'a, 'b, S: Simd, L, E> {
+    product: Product<'a, S, L, E>,
+    out: &'b mut [f32],
+}
+
+impl<S: Simd, L: Left, E: Ends<S>> WithSimd for Write<'_, '_, S, L, E> {
+    type Output = ();
+
     #[inline(always)]
-    pub fn write(&self, out: &mut [f32]) {
+    fn with_simd<T: Simd>(self, _: T) {
+        self.product.compute(self.out);
+    }
+}
+
+impl<S: Simd, L: Left, E: Ends<S>> Product<'_, S, L, E> {
+    /// Computes the product, in a function of its own: copies of the blocks in every pass would take most of the time
+    /// of a build.
+    #[inline(always)]
+    pub fn write(self, out: &mut [f32]) {
+        let simd = self.simd;
+        simd.vectorize(Write { product: self, out });
+    }
+
+    #[inline(always)]
+    fn compute(&self, out: &mut [f32]) {
         let width = self.shape.1.div_ceil(S::F32_LANES);
         let (out, _) = S::as_mut_simd_f32s(out);
         let mut column = 0;

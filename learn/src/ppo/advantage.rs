@@ -2,14 +2,14 @@
 
 use rayon::prelude::*;
 
-use super::rollout::{Experience, normalize};
+use super::rollout::{Experience, normalize, remember};
 use super::{BLOCK, Ppo};
 use crate::agents::Next;
 
 impl Ppo {
     /// Evaluates the critic, and estimates advantages and returns.
     pub(super) fn estimate(&mut self) {
-        let (rows, size) = (self.ages.len(), self.shape.observation());
+        let (rows, size) = (self.ages.len(), self.shape.features());
         let experience = &mut self.experience;
         let critic = &self.critic;
         let judge = |observations: &[f32], values: &mut Vec<f32>| {
@@ -19,8 +19,15 @@ impl Ppo {
             blocks.for_each(|(observations, values)| critic.forward(observations, values));
         };
         judge(&experience.observations, &mut experience.values);
-        let mut last = vec![0.0; self.seen.len()];
-        normalize(&self.seen, &self.mean, &self.deviation, &mut last);
+        let mut last = vec![0.0; rows * size];
+        match &self.recurrent {
+            None => normalize(&self.seen, &self.mean, &self.deviation, &mut last),
+            // the next rollout updates the memory with these observations
+            Some(recurrent) => {
+                let scale = [&self.mean[..], &self.deviation];
+                remember(recurrent, scale, &self.seen, &mut self.memory.clone(), &mut last);
+            }
+        }
         let (mut after, mut finals) = (Vec::new(), Vec::new());
         judge(&last, &mut after);
         judge(&experience.finals, &mut finals);

@@ -49,6 +49,9 @@ settings! {
         hidden: Vec<usize>,
         /// Activation function of the hidden layers.
         activation: Activation,
+        /// Units of a recurrent layer before the hidden layers, which gives the policy a memory; 0 for none.
+        #[serde(default, skip_serializing_if = "is_zero")]
+        recurrent: usize,
         /// Maximum learning rate of Adam.
         learning_rate: f64,
         /// Target of the approximate KL divergence of an update. Above twice the target the learning rate
@@ -71,10 +74,23 @@ settings! {
     }
 }
 
+/// Returns true for 0, which configurations of policies without memory do not contain.
+fn is_zero(x: &usize) -> bool {
+    *x == 0
+}
+
 impl PpoConfig {
     /// Returns the largest number of optimizer steps in an iteration with a number of rows.
     pub(crate) fn updates_per_iteration(&self, rows: usize) -> u64 {
-        let minibatches = (rows * self.horizon).div_ceil(self.minibatch);
+        let minibatches = match self.recurrent {
+            0 => (rows * self.horizon).div_ceil(self.minibatch),
+            _ => rows.div_ceil(self.sequences()),
+        };
         (self.epochs * minibatches) as u64
+    }
+
+    /// Returns the number of sequences of a minibatch with a recurrent layer; a sequence has all steps of a rollout.
+    pub(crate) fn sequences(&self) -> usize {
+        (self.minibatch / self.horizon).max(1)
     }
 }

@@ -5,7 +5,8 @@ use std::cell::RefCell;
 use aviary::engine::flight::Width;
 use pulp::{Simd, WithSimd};
 
-use crate::gradient::{Aligned, Network, Pass, TILE, padded, run};
+use crate::agents::Next;
+use crate::gradient::{Aligned, Network, Pass, Place, Recurrent, RecurrentPass, TILE, Tile, padded, run};
 use crate::network::NetworkShape;
 
 /// Bound of the absolute log-ratio of new and old action probabilities. A row beyond it has the ratio exp(±20) and
@@ -15,7 +16,7 @@ const MAX_LOG_RATIO: f32 = 20.0;
 /// Rows of experience.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Samples<'a> {
-    /// Normalized observations.
+    /// Normalized observations; with a recurrent layer the inputs of actor and critic, which begin with these.
     pub observations: &'a [f32],
     pub actions: &'a [f32],
     /// Log-probabilities of the actions under the policy that sampled them.
@@ -23,6 +24,19 @@ pub(super) struct Samples<'a> {
     /// Normalized advantages.
     pub advantages: &'a [f32],
     pub returns: &'a [f32],
+    /// Sequences of the rows; only read with a recurrent layer.
+    pub sequences: Sequences<'a>,
+}
+
+/// Sequences of a rollout, steps × sequences.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Sequences<'a> {
+    /// Number of sequences.
+    pub count: usize,
+    /// Status of the episodes after every step. The loss ignores rows of absent agents.
+    pub next: &'a [Next],
+    /// States of the recurrent layer before the first step, one row per sequence.
+    pub starts: &'a [f32],
 }
 
 /// Coefficients of the loss (Schulman et al. 2017, eq. 9).
@@ -54,6 +68,7 @@ pub(super) struct Networks {
     width: Width,
     actor: Network,
     critic: Network,
+    recurrent: Option<Recurrent>,
     log_deviations: Vec<f32>,
     /// Reciprocals of the standard deviations.
     precisions: Vec<f32>,
@@ -64,6 +79,7 @@ impl Networks {
         Self {
             actor: Network::new(&shape.actor, shape.activation),
             critic: Network::new(&shape.critic, shape.activation),
+            recurrent: (shape.recurrent > 0).then(|| Recurrent::new(shape.observation(), shape.recurrent)),
             log_deviations: vec![0.0; shape.action()],
             precisions: vec![1.0; shape.action()],
             shape: shape.clone(),
@@ -76,6 +92,9 @@ impl Networks {
         let (actor, critic, log_deviations) = self.shape.split(parameters);
         self.actor.set(actor);
         self.critic.set(critic);
+        if let Some(recurrent) = &mut self.recurrent {
+            recurrent.set(self.shape.recurrent_part(parameters));
+        }
         self.log_deviations.copy_from_slice(log_deviations);
         self.precisions.clear();
         self.precisions.extend(log_deviations.iter().map(|log| (-log).exp()));
@@ -93,6 +112,29 @@ impl Networks {
             run(self.width, Shard { networks: self, samples, entries, loss, scratch, out })
         })
     }
+
+    /// Writes the gradient of the loss over sequences of a minibatch, through the recurrent layer and through time, and
+    /// returns the sums of their rows, like [`gradient`](Self::gradient). The critic reads the states of the recurrent
+    /// layer as constants.
+    ///
+    /// # Panics
+    /// Without a recurrent layer.
+    pub fn gradient_through_time(
+        &self,
+        samples: &Samples<'_>,
+        sequences: &[u32],
+        loss: &Loss,
+        out: &mut [f32],
+    ) -> Sums {
+        let rows = sequences.len() * samples.sequences.next.len() / samples.sequences.count;
+        UNROLLED.with_borrow_mut(|scratch| {
+            let scratch = match scratch {
+                Some(scratch) if scratch.shape == self.shape && scratch.capacity >= rows => scratch,
+                _ => scratch.insert(Unrolled::new(&self.shape, rows)),
+            };
+            run(self.width, ThroughTime { networks: self, samples, sequences, loss, scratch, out })
+        })
+    }
 }
 
 /// Buffers of a thread.
@@ -105,8 +147,46 @@ struct Scratch {
     critic: Pass,
 }
 
+/// Buffers of a thread for sequences.
+#[derive(Debug)]
+struct Unrolled {
+    shape: NetworkShape,
+    /// Maximum number of rows.
+    capacity: usize,
+    /// Observations.
+    input: Aligned,
+    /// Inputs of actor and critic.
+    features: Aligned,
+    feature_gradients: Aligned,
+    /// Entries of the rows in the experience.
+    entries: Vec<u32>,
+    has_ended: Vec<bool>,
+    recurrent: RecurrentPass,
+    actor: Pass,
+    critic: Pass,
+}
+
 thread_local! {
     static SCRATCH: RefCell<Option<Scratch>> = const { RefCell::new(None) };
+    static UNROLLED: RefCell<Option<Unrolled>> = const { RefCell::new(None) };
+}
+
+impl Unrolled {
+    fn new(shape: &NetworkShape, capacity: usize) -> Self {
+        let features = || Aligned::new(capacity * padded(shape.features()));
+        Self {
+            capacity,
+            input: Aligned::new(capacity * padded(shape.observation())),
+            features: features(),
+            feature_gradients: features(),
+            entries: Vec::new(),
+            has_ended: Vec::new(),
+            recurrent: RecurrentPass::new(shape.observation(), shape.recurrent, capacity),
+            actor: Pass::new(&shape.actor),
+            critic: Pass::new(&shape.critic),
+            shape: shape.clone(),
+        }
+    }
 }
 
 impl Scratch {
@@ -160,6 +240,71 @@ impl WithSimd for Shard<'_> {
     }
 }
 
+/// Gradient over sequences of a minibatch, all of them in one pass through time.
+struct ThroughTime<'a> {
+    networks: &'a Networks,
+    samples: &'a Samples<'a>,
+    /// Indices of the sequences.
+    sequences: &'a [u32],
+    loss: &'a Loss,
+    scratch: &'a mut Unrolled,
+    out: &'a mut [f32],
+}
+
+impl WithSimd for ThroughTime<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Sums {
+        let Self { networks, samples, sequences, loss, scratch, out } = self;
+        let Unrolled { input, features, feature_gradients, entries, has_ended, recurrent, actor, critic, .. } = scratch;
+        let Some(layer) = &networks.recurrent else { unreachable!("a gradient through time has a recurrent layer") };
+        let Sequences { count, next, starts } = samples.sequences;
+        let shape = &networks.shape;
+        let (size, units) = (shape.observation(), shape.recurrent);
+        let place = Place { stride: padded(shape.features()), first: size };
+        recurrent.clear();
+        actor.clear();
+        critic.clear();
+        for (row, &sequence) in sequences.iter().enumerate() {
+            recurrent.start(row, &starts[sequence as usize * units..][..units]);
+        }
+        entries.clear();
+        for step in 0..next.len() / count {
+            entries.extend(sequences.iter().map(|&sequence| (step * count) as u32 + sequence));
+        }
+        has_ended.clear();
+        has_ended.extend(entries.iter().map(|&entry| next[entry as usize].is_end()));
+        let rows = entries.len();
+        for (row, &entry) in entries.iter().enumerate() {
+            let observation = &samples.observations[entry as usize * shape.features()..][..size];
+            input[row * padded(size)..][..size].copy_from_slice(observation);
+            features[row * place.stride..][..size].copy_from_slice(observation);
+        }
+        let tile = Tile { count: sequences.len(), input, has_ended };
+        recurrent.forward(simd, layer, tile, features, place);
+        feature_gradients[..rows * place.stride].fill(0.0);
+        let (rest, log_gradients) = out.split_at_mut(out.len() - shape.action());
+        log_gradients.fill(0.0);
+        let mut sums = Sums::default();
+        for (index, entries) in entries.chunks(TILE).enumerate() {
+            let (first, rows) = (index * TILE * place.stride, entries.len());
+            let features = &features[first..];
+            actor.forward(simd, &networks.actor, rows, features);
+            critic.forward(simd, &networks.critic, rows, features);
+            networks.differentiate(samples, entries, loss, actor.ends(), critic.ends(), log_gradients, &mut sums);
+            actor.backward(simd, &networks.actor, rows, features);
+            critic.backward(simd, &networks.critic, rows, features);
+            actor.add_input_gradients(simd, &networks.actor, rows, &mut feature_gradients[first..]);
+        }
+        recurrent.backward(simd, layer, tile, feature_gradients, place);
+        let rest = actor.write(rest);
+        let rest = critic.write(rest);
+        recurrent.write(rest);
+        sums
+    }
+}
+
 impl Networks {
     /// Computes the loss of the rows of a tile, and writes its gradient with respect to the outputs of the networks.
     /// Adds the gradient with respect to the log standard deviations.
@@ -183,6 +328,11 @@ impl Networks {
         let mut total = 0.0;
         for (row, &entry) in entries.iter().enumerate() {
             let entry = entry as usize;
+            if samples.sequences.next.get(entry) == Some(&Next::Absent) {
+                mean_gradients[row * wide..][..acts].fill(0.0);
+                value_gradients[row * padded(1)] = 0.0;
+                continue;
+            }
             let actions = &samples.actions[entry * acts..][..acts];
             let means = &means[row * wide..][..acts];
             let mean_gradients = &mut mean_gradients[row * wide..][..acts];

@@ -9,6 +9,10 @@
 //! al. 2018). The first episode of every row is truncated at a random step, so that the rows are spread over the
 //! length of an episode.
 //!
+//! A recurrent policy keeps the states of its recurrent layer from one rollout to the next. Its minibatches consist of
+//! whole sequences: all steps of a row in the rollout. The gradient goes back through time to the start of the rollout,
+//! whose states are constants, or to the start of the episode, where the state is zero.
+//!
 //! Results are bit-identical for any number of threads: every block of rows has its own random stream, and
 //! gradients are summed in the order of the shards.
 
@@ -22,7 +26,7 @@ use std::time::{Duration, Instant};
 
 use aviary::engine::flight::Width;
 use aviary::env::{EnvError, Rng};
-use aviary::policy::Mlp;
+use aviary::policy::{Gru, Mlp};
 use rand::{RngExt as _, SeedableRng as _};
 use serde::{Deserialize, Serialize};
 
@@ -42,6 +46,12 @@ const BLOCK: usize = 64;
 
 /// Rows of a shard of a minibatch: the work of one thread.
 const SHARD: usize = 256;
+
+/// Returns the sequences of a shard of a minibatch with a recurrent layer. Twelve sequences fill the registers; very
+/// long ones are fewer.
+fn shard_sequences(horizon: usize) -> usize {
+    (768 / horizon).clamp(1, 12)
+}
 
 /// Bound of normalized observations and scaled rewards.
 const CLIP: f32 = 10.0;
@@ -97,6 +107,9 @@ pub(crate) struct Ppo {
     pub clock: Clock,
     actor: Mlp,
     critic: Mlp,
+    recurrent: Option<Gru>,
+    /// State of the recurrent layer of every row, zero at the start of an episode.
+    memory: Vec<f32>,
     mean: Vec<f32>,
     deviation: Vec<f32>,
     /// Centre and half width of every entry of the action space; [0, 1] for an unbounded entry.
@@ -123,7 +136,8 @@ impl Ppo {
         seed: u64,
     ) -> Result<Self, aviary::policy::PolicyError> {
         let (observation, actions) = (agents.observation_space().size(), agents.action_space());
-        let shape = NetworkShape::new(observation, actions.size(), &config.hidden, config.activation);
+        let shape = NetworkShape::new(observation, actions.size(), &config.hidden, config.activation)
+            .with_recurrent(config.recurrent);
         let parameters = shape.initial(config.initial_std as f32, &mut Rng::seed_from_u64(seed));
         let reach = actions.low().iter().zip(actions.high()).map(|(&low, &high)| {
             if low.is_finite() && high.is_finite() {
@@ -134,10 +148,19 @@ impl Ppo {
         });
         let (actor, critic, _) = shape.split(&parameters);
         // a minibatch has at most all steps of an iteration
-        let shard_count = config.minibatch.min(agents.rows().saturating_mul(config.horizon)).div_ceil(SHARD);
+        let shard_count = match config.recurrent {
+            0 => config.minibatch.min(agents.rows().saturating_mul(config.horizon)).div_ceil(SHARD),
+            _ => config.sequences().min(agents.rows()).div_ceil(shard_sequences(config.horizon)),
+        };
+        let recurrent = match shape.recurrent {
+            0 => None,
+            units => Some(Gru::new(observation, units, shape.recurrent_part(&parameters))?),
+        };
         Ok(Self {
             actor: Mlp::new(&shape.actor, shape.activation, actor)?,
             critic: Mlp::new(&shape.critic, shape.activation, critic)?,
+            recurrent,
+            memory: vec![0.0; agents.rows() * shape.recurrent],
             mean: vec![0.0; observation],
             deviation: vec![1.0; observation],
             reach: reach.collect(),
@@ -171,6 +194,9 @@ impl Ppo {
         let (actor, critic, _) = self.shape.split(&self.parameters);
         self.actor.set(actor)?;
         self.critic.set(critic)?;
+        if let Some(recurrent) = &mut self.recurrent {
+            recurrent.set(self.shape.recurrent_part(&self.parameters))?;
+        }
         (self.mean, self.deviation) = self.observations.normalization();
         Ok(())
     }
@@ -222,6 +248,7 @@ impl Ppo {
             *age = [0, rng.random_range(1..=agents.longest(row))];
         }
         self.sums.fill(0.0);
+        self.memory.fill(0.0);
         self.rewards.restart(agents.rows());
         Ok(())
     }
@@ -237,3 +264,6 @@ impl Ppo {
         Ok(report)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use aviary::env::{EnvError, Rng};
+use aviary::policy::Gru;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
@@ -13,8 +14,10 @@ use crate::agents::{Agents, Next};
 /// Rollout buffer, steps × rows.
 #[derive(Debug, Default)]
 pub(super) struct Experience {
-    /// Normalized observations.
+    /// Inputs of actor and critic: normalized observations, followed by the states of a recurrent layer.
     pub observations: Vec<f32>,
+    /// States of a recurrent layer before the rollout, rows × units.
+    pub starts: Vec<f32>,
     /// Observations as the environments return them.
     pub raw: Vec<f32>,
     pub actions: Vec<f32>,
@@ -25,7 +28,7 @@ pub(super) struct Experience {
     pub values: Vec<f32>,
     /// Value estimates after every step.
     pub next_values: Vec<f32>,
-    /// Normalized final observations of truncated episodes; `cut` has their entries.
+    /// Inputs of the critic after truncated episodes, from their final observations; `cut` has their entries.
     pub finals: Vec<f32>,
     pub cut: Vec<usize>,
     pub advantages: Vec<f32>,
@@ -47,6 +50,7 @@ impl Ppo {
     /// Collects a rollout.
     pub(super) fn collect(&mut self, agents: &mut dyn Agents, seed: u64) -> Result<Report, EnvError> {
         let (rows, size, acts) = (agents.rows(), self.shape.observation(), self.shape.action());
+        let features = self.shape.features();
         let (_, _, logs) = self.shape.split(&self.parameters);
         let deviations: Vec<f32> = logs.iter().map(|log| log.exp()).collect();
         let spread: f32 = logs.iter().map(|log| log + 0.5 * std::f32::consts::TAU.ln()).sum();
@@ -63,18 +67,27 @@ impl Ppo {
         let divisor = self.rewards.divisor();
         let experience = &mut self.experience;
         experience.clear();
-        experience.observations.resize(self.config.horizon * rows * size, 0.0);
+        experience.observations.resize(self.config.horizon * rows * features, 0.0);
+        experience.starts.clone_from(&self.memory);
         experience.actions.resize(self.config.horizon * rows * acts, 0.0);
         experience.log_probs.resize(self.config.horizon * rows, 0.0);
         for step in 0..self.config.horizon {
             let began = Instant::now();
             let own = step * rows..(step + 1) * rows;
-            let scaled = &mut experience.observations[step * rows * size..][..rows * size];
+            let scaled = &mut experience.observations[step * rows * features..][..rows * features];
             let drawn = &mut experience.actions[step * rows * acts..][..rows * acts];
             experience.raw.extend_from_slice(&self.seen);
             let (seen, mean, deviation, reach, actor) =
                 (&self.seen, &self.mean, &self.deviation, &self.reach, &self.actor);
-            (seen.par_chunks(BLOCK * size), scaled.par_chunks_mut(BLOCK * size), drawn.par_chunks_mut(BLOCK * acts))
+            if let Some(recurrent) = &self.recurrent {
+                remember(recurrent, [mean, deviation], seen, &mut self.memory, scaled);
+            }
+            let has_memory = self.recurrent.is_some();
+            (
+                seen.par_chunks(BLOCK * size),
+                scaled.par_chunks_mut(BLOCK * features),
+                drawn.par_chunks_mut(BLOCK * acts),
+            )
                 .into_par_iter()
                 .zip(
                     (
@@ -85,7 +98,9 @@ impl Ppo {
                         .into_par_iter(),
                 )
                 .for_each(|((seen, scaled, drawn), (actions, log_probs, rng))| {
-                    normalize(seen, mean, deviation, scaled);
+                    if !has_memory {
+                        normalize(seen, mean, deviation, scaled);
+                    }
                     actor.forward(scaled, drawn);
                     let each = drawn.chunks_exact_mut(acts).zip(actions.chunks_exact_mut(acts)).zip(log_probs);
                     for ((drawn, action), log_prob) in each {
@@ -128,9 +143,22 @@ impl Ppo {
                 if *next == Next::Truncated {
                     experience.cut.push(step * rows + row);
                     let start = experience.finals.len();
-                    experience.finals.resize(start + size, 0.0);
+                    experience.finals.resize(start + features, 0.0);
                     let last = &self.outcome.finals[row * size..][..size];
-                    normalize(last, &self.mean, &self.deviation, &mut experience.finals[start..]);
+                    let out = &mut experience.finals[start..];
+                    match &self.recurrent {
+                        None => normalize(last, &self.mean, &self.deviation, out),
+                        Some(recurrent) => {
+                            let memory = &mut self.memory[row * recurrent.units()..][..recurrent.units()];
+                            remember(recurrent, [&self.mean, &self.deviation], last, memory, out);
+                        }
+                    }
+                }
+            }
+            if let Some(recurrent) = &self.recurrent {
+                let memories = self.memory.chunks_exact_mut(recurrent.units());
+                for (memory, _) in memories.zip(next).filter(|(_, next)| next.is_end()) {
+                    memory.fill(0.0);
                 }
             }
             experience.next.extend_from_slice(next);
@@ -154,6 +182,31 @@ impl Ppo {
             ..Report::default()
         })
     }
+}
+
+/// Updates rows of memories with observations, and writes the inputs of actor and critic: the normalized observations,
+/// followed by the memories.
+pub(super) fn remember(
+    recurrent: &Gru,
+    [mean, deviation]: [&[f32]; 2],
+    seen: &[f32],
+    memory: &mut [f32],
+    out: &mut [f32],
+) {
+    let (size, units) = (mean.len(), recurrent.units());
+    let features = out.par_chunks_mut(BLOCK * (size + units));
+    (seen.par_chunks(BLOCK * size), memory.par_chunks_mut(BLOCK * units), features).into_par_iter().for_each(
+        |(seen, memory, out)| {
+            let mut scaled = vec![0.0; seen.len()];
+            normalize(seen, mean, deviation, &mut scaled);
+            recurrent.forward(&scaled, memory);
+            let rows = scaled.chunks_exact(size).zip(memory.chunks_exact(units));
+            for (out, (scaled, memory)) in out.chunks_exact_mut(size + units).zip(rows) {
+                out[..size].copy_from_slice(scaled);
+                out[size..].copy_from_slice(memory);
+            }
+        },
+    );
 }
 
 /// Normalizes rows of observations.

@@ -8,8 +8,8 @@ use rand::seq::SliceRandom as _;
 use rayon::prelude::*;
 
 use super::advantage::moments;
-use super::loss::{Loss, Samples, Sums};
-use super::{Ppo, Report, SHARD};
+use super::loss::{Loss, Samples, Sequences, Sums};
+use super::{Ppo, Report, SHARD, shard_sequences};
 use crate::agents::Next;
 use crate::network::LOG_DEVIATIONS;
 
@@ -26,12 +26,30 @@ impl Ppo {
         for advantage in &mut experience.advantages {
             *advantage = (*advantage - mean) / (deviation + 1e-8);
         }
+        // without a recurrent layer a minibatch consists of steps, otherwise of whole sequences
+        let (size, shard) = match self.shape.recurrent {
+            0 => (self.config.minibatch, SHARD),
+            _ => (self.config.sequences(), shard_sequences(self.config.horizon)),
+        };
+        let has_memory = self.shape.recurrent > 0;
+        let count = experience.next.len() / self.config.horizon;
+        let present = |sequence: u32| {
+            let steps = experience.next.iter().skip(sequence as usize).step_by(count);
+            steps.filter(|next| **next != Next::Absent).count()
+        };
+        if has_memory {
+            order = (0..count as u32).filter(|&sequence| present(sequence) > 0).collect();
+        }
         let samples = Samples {
             observations: &experience.observations,
             actions: &experience.actions,
             log_probs: &experience.log_probs,
             advantages: &experience.advantages,
             returns: &experience.returns,
+            sequences: match has_memory {
+                false => Sequences::default(),
+                true => Sequences { count, next: &experience.next, starts: &experience.starts },
+            },
         };
         let entropy = self.config.entropy_coef as f32;
         let mut rng = Rng::seed_from_u64(seed);
@@ -41,21 +59,20 @@ impl Ppo {
             (totals.approx_kl, seen) = (0.0, 0);
             order.shuffle(&mut rng);
             // a last minibatch of less than half the size is skipped; the shuffle moves its rows in the next epoch
-            let minibatches_of = order
-                .chunks(self.config.minibatch)
-                .filter(|part| 2 * part.len() >= self.config.minibatch.min(order.len()));
+            let minibatches_of = order.chunks(size).filter(|part| 2 * part.len() >= size.min(order.len()));
             for minibatch in minibatches_of {
-                let loss = Loss {
-                    clip_range: self.config.clip_range as f32,
-                    value: self.config.value_coef as f32,
-                    rows: minibatch.len(),
-                };
+                let rows = if has_memory { minibatch.iter().map(|&row| present(row)).sum() } else { minibatch.len() };
+                let loss =
+                    Loss { clip_range: self.config.clip_range as f32, value: self.config.value_coef as f32, rows };
                 self.networks.set(&self.parameters);
                 let networks = &self.networks;
-                (minibatch.par_chunks(SHARD).zip(&mut self.shards)).for_each(|(entries, (gradient, sums))| {
-                    *sums = networks.gradient(&samples, entries, &loss, gradient);
+                (minibatch.par_chunks(shard).zip(&mut self.shards)).for_each(|(part, (gradient, sums))| {
+                    *sums = match has_memory {
+                        false => networks.gradient(&samples, part, &loss, gradient),
+                        true => networks.gradient_through_time(&samples, part, &loss, gradient),
+                    };
                 });
-                let (first, others) = self.shards[..minibatch.len().div_ceil(SHARD)].split_at_mut(1);
+                let (first, others) = self.shards[..minibatch.len().div_ceil(shard)].split_at_mut(1);
                 let (gradient, mut sums) = (&mut first[0].0, first[0].1);
                 for (other, add) in others {
                     for (sum, x) in gradient.iter_mut().zip(&*other) {
@@ -82,7 +99,7 @@ impl Ppo {
                 totals.approx_kl += sums.approx_kl;
                 totals.clipped += sums.clipped;
                 minibatches += 1;
-                seen += minibatch.len();
+                seen += rows;
             }
         }
         self.clock.gradient += began.elapsed();

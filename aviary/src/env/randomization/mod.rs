@@ -5,8 +5,8 @@ mod sampling;
 mod sensors;
 
 pub use ranges::{
-    ActuatorRanges, AerodynamicRanges, BatteryRanges, BodyRanges, EnvironmentRanges, InitialRanges, Randomization,
-    Range, SensorRanges,
+    ActuatorRanges, AerodynamicRanges, AirframeRanges, BatteryRanges, BodyRanges, EnvironmentRanges, InitialRanges,
+    Randomization, Range, SensorRanges,
 };
 pub(crate) use sampling::Randomizer;
 pub use sampling::{SampledDroneParams, SampledParams};

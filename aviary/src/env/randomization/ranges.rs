@@ -44,6 +44,10 @@ pub struct Randomization {
     /// Batteries; for airframes with [one](crate::drone::BatteryParams). The paper has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub battery: Option<BatteryRanges>,
+    /// Whole airframes, from small to large ones; in place of `body`, `aerodynamics` and `actuators`. The paper has
+    /// none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub airframe: Option<AirframeRanges>,
 }
 
 /// Factors on mass, inertia and arm length.
@@ -166,6 +170,67 @@ pub struct BatteryRanges {
     pub charge: Range,
 }
 
+/// Whole airframes of different size and thrust, each consistent in itself.
+///
+/// A sample has a mass m, a thrust-to-weight ratio and a lag of the motors. The other parameters follow from those of
+/// the nominal airframe by geometric scaling, each with a factor of its own around it:
+///
+/// | parameter | proportional to |
+/// | --- | --- |
+/// | arm length L, offset of the centre of mass | ∛m |
+/// | moments of inertia | m·L² |
+/// | thrust coefficient | m · thrust-to-weight ratio, so that `MAX_RPM` stays nominal |
+/// | torque coefficient | thrust coefficient · L |
+/// | blade drag, linear drag | m, so that the deceleration at a speed stays similar |
+/// | moment of the velocity | m·L |
+/// | rotational damping | moments of inertia |
+///
+/// Collision cylinder, propeller radius, rotor inertia, ground-effect coefficient and wake stay nominal.
+///
+/// Normalized motor speeds keep the scale of the nominal airframe, whose maximum speed is also that of every sample: a
+/// command of −1 is standstill, and a command of 1 is the full thrust of the sample, as the throttle of a flight
+/// controller. A sample hovers at `MAX_RPM` divided by the square root of its thrust-to-weight ratio, which no
+/// observation contains.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AirframeRanges {
+    /// Mass, kg; the logarithm is uniform.
+    #[serde(deserialize_with = "pair")]
+    pub mass: Range,
+    /// Ratio of the maximum thrust to the weight.
+    #[serde(deserialize_with = "pair")]
+    pub thrust_to_weight: Range,
+    /// Time constant of the lag of the motors, s; the logarithm is uniform.
+    #[serde(deserialize_with = "pair")]
+    pub lag: Range,
+    /// Factor on the arm length in proportion to the mass.
+    #[serde(deserialize_with = "pair")]
+    pub arm_length: Range,
+    /// Factor on the moments of inertia in proportion to mass and arm length.
+    #[serde(deserialize_with = "pair")]
+    pub inertia: Range,
+    /// Factor on the torque coefficient in proportion to thrust coefficient and arm length.
+    #[serde(deserialize_with = "pair")]
+    pub torque: Range,
+    /// Factor on the drag in proportion to the mass.
+    #[serde(deserialize_with = "pair")]
+    pub drag: Range,
+}
+
+impl Default for AirframeRanges {
+    fn default() -> Self {
+        Self {
+            mass: [0.02, 2.0],
+            thrust_to_weight: [1.5, 5.0],
+            lag: [0.01, 0.1],
+            arm_length: [0.9, 1.1],
+            inertia: [0.8, 1.25],
+            torque: [0.8, 1.25],
+            drag: [0.7, 1.3],
+        }
+    }
+}
+
 impl Default for BatteryRanges {
     fn default() -> Self {
         Self { charge: [0.3, 1.0] }
@@ -236,6 +301,7 @@ impl Default for Randomization {
             environment: Some(EnvironmentRanges::default()),
             initial: Some(InitialRanges::default()),
             battery: None,
+            airframe: None,
         }
     }
 }
@@ -250,6 +316,7 @@ impl Randomization {
         environment: None,
         initial: None,
         battery: None,
+        airframe: None,
     };
 
     /// Reads and validates a randomization from TOML text.
@@ -266,6 +333,11 @@ impl Randomization {
     /// Returns true if the wind of an episode is sampled and replaces the environment's.
     pub fn draws_wind(&self) -> bool {
         self.environment.is_some_and(|ranges| ranges.wind[1] > 0.0)
+    }
+
+    /// Returns true if the parameters of the motors are sampled.
+    pub(crate) fn draws_actuators(&self) -> bool {
+        self.actuators.is_some() || self.airframe.is_some()
     }
 
     /// Returns an error for a wind of the environment that the samples would replace in every episode.
@@ -315,6 +387,30 @@ impl Randomization {
             && !(low >= 0.0 && high >= low && high <= 1.0)
         {
             return wrong("the randomized battery.charge", range_text([low, high]), "a range from 0 to 1");
+        }
+        if let Some(a) = self.airframe {
+            if self.body.is_some() || self.aerodynamics.is_some() || self.actuators.is_some() {
+                let got = "set together with body, aerodynamics or actuators".into();
+                return wrong("the randomized airframe", got, "it alone: it replaces the other three");
+            }
+            for (option, [low, high], [min, max], expected) in [
+                ("the randomized airframe.mass", a.mass, [1e-3, 1e2], "a range from 0.001 to 100 kg"),
+                (
+                    "the randomized airframe.thrust_to_weight",
+                    a.thrust_to_weight,
+                    [1.05, 20.0],
+                    "a range from 1.05 to 20",
+                ),
+                ("the randomized airframe.lag", a.lag, [1e-4, 10.0], "a range from 0.0001 to 10 s"),
+                ("the randomized airframe.arm_length", a.arm_length, [0.1, 10.0], "a range of factors from 0.1 to 10"),
+                ("the randomized airframe.inertia", a.inertia, [0.1, 10.0], "a range of factors from 0.1 to 10"),
+                ("the randomized airframe.torque", a.torque, [0.01, 100.0], "a range of factors from 0.01 to 100"),
+                ("the randomized airframe.drag", a.drag, [0.0, 100.0], "a range of factors from 0 to 100"),
+            ] {
+                if !(low >= min && high >= low && high <= max) {
+                    return wrong(option, range_text([low, high]), expected);
+                }
+            }
         }
         let s = self.sensors.unwrap_or_default();
         let factor = (1e2, "a range of factors from 0 to 100");

@@ -6,7 +6,7 @@ use rand::RngExt as _;
 use smallvec::SmallVec;
 
 use super::sensors::{Sensed, SensorParams};
-use super::{AerodynamicRanges, InitialRanges, Randomization, Range};
+use super::{AerodynamicRanges, AirframeRanges, InitialRanges, Randomization, Range};
 use crate::drone::{DroneParams, GRAVITY};
 use crate::env::EnvError;
 use crate::env::workspace::Measured;
@@ -103,6 +103,11 @@ struct Basis {
 
 fn within(rng: &mut Rng, [low, high]: Range) -> f64 {
     low + (high - low) * rng.random::<f64>()
+}
+
+/// Returns a sample whose logarithm is uniform.
+fn within_logarithm(rng: &mut Rng, range: Range) -> f64 {
+    within(rng, range.map(f64::ln)).exp()
 }
 
 /// Returns three uniform samples from [−max, max].
@@ -266,6 +271,15 @@ impl Randomizer {
                 draw.damping = within(&mut torques, ranges.damping) as f32;
             }
         }
+        if let Some(ranges) = &config.airframe {
+            let mut airframes = stream(rng);
+            let nominal = self.basis.nominal.iter().zip(&self.basis.motors);
+            for (draw, (nominal, motors)) in self.draw.drones.iter_mut().zip(nominal) {
+                draw_airframe(ranges, nominal, draw, &mut airframes);
+                // latency and gains stay those of the environment
+                draw.actuators = ActuatorParams { lag: within_logarithm(&mut airframes, ranges.lag), ..*motors };
+            }
+        }
     }
 
     /// Samples an initial state around `start` outside the floor, the obstacles and the drones already placed.
@@ -327,11 +341,11 @@ impl Randomizer {
             max(self.basis.config.sensors.map(|ranges| ranges.latency)),
         );
         for (drone, (draw, nominal)) in self.draw.drones.iter().zip(&self.basis.nominal).enumerate() {
-            let Randomization { body, aerodynamics, battery, .. } = &self.basis.config;
-            if body.is_some() || aerodynamics.is_some() || battery.is_some() {
+            let Randomization { body, aerodynamics, battery, airframe, .. } = &self.basis.config;
+            if body.is_some() || aerodynamics.is_some() || battery.is_some() || airframe.is_some() {
                 data.change_params(drone, |params| randomize(params, nominal, draw))?;
             }
-            if self.basis.config.actuators.is_some() {
+            if self.basis.config.draws_actuators() {
                 data.set_actuators(model, drone, &draw.actuators)?;
             }
         }
@@ -351,7 +365,7 @@ impl Randomizer {
     pub(in crate::env) fn undo(&self, model: &SimModel, data: &mut SimData) -> Result<(), SimulationError> {
         for (drone, (nominal, motors)) in self.basis.nominal.iter().zip(&self.basis.motors).enumerate() {
             data.set_params(drone, nominal.clone())?;
-            if self.basis.config.actuators.is_some() {
+            if self.basis.config.draws_actuators() {
                 data.set_actuators(model, drone, motors)?;
             }
         }
@@ -409,6 +423,19 @@ impl Randomizer {
 fn stream(rng: &mut Rng) -> Rng {
     use rand::SeedableRng as _;
     Rng::seed_from_u64(rng.random())
+}
+
+/// Samples a whole airframe as factors on the nominal one; see [`AirframeRanges`] for the law of each.
+fn draw_airframe(ranges: &AirframeRanges, nominal: &DroneParams, draw: &mut SampledDroneParams, rng: &mut Rng) {
+    draw.mass = within_logarithm(rng, ranges.mass) / nominal.mass;
+    let thrust_to_weight = within(rng, ranges.thrust_to_weight);
+    draw.arm_length = draw.mass.cbrt() * within(rng, ranges.arm_length);
+    draw.inertia = draw.mass * draw.arm_length.powi(2) * within(rng, ranges.inertia);
+    draw.thrust = draw.mass * thrust_to_weight / nominal.thrust_to_weight;
+    draw.torque = draw.thrust * draw.arm_length * within(rng, ranges.torque);
+    draw.drag = [(); 2].map(|()| draw.mass * within(rng, ranges.drag));
+    draw.moment = (draw.mass * draw.arm_length) as f32;
+    draw.damping = draw.inertia as f32;
 }
 
 /// Applies the sampled factors to the nominal parameters. The maximum motor speed stays the same.

@@ -21,7 +21,7 @@ struct Rows {
 impl Rows {
     fn samples(&self) -> Samples<'_> {
         let Self { observations, actions, log_probs, advantages, returns } = self;
-        Samples { observations, actions, log_probs, advantages, returns }
+        Samples { observations, actions, log_probs, advantages, returns, sequences: Sequences::default() }
     }
 }
 
@@ -49,8 +49,26 @@ fn gradient(shape: &NetworkShape, parameters: &[f32], rows: &Rows, loss: &Loss) 
 
 /// Computes the loss as in the papers, in double precision, with textbook networks.
 fn loss(shape: &NetworkShape, parameters: &[f64], shard: &Rows, weights: &Loss) -> f64 {
-    let run = |sizes: &[usize], parameters: &[f64], input: &[f32]| {
-        let mut here: Vec<f64> = input.iter().map(|&x| f64::from(x)).collect();
+    let rows = 0..shard.returns.len();
+    let each = rows.map(|row| {
+        let seen = &shard.observations[row * shape.observation()..][..shape.observation()];
+        let seen: Vec<f64> = seen.iter().map(|&x| f64::from(x)).collect();
+        loss_of_row(shape, parameters, [&seen, &seen], shard, row, weights)
+    });
+    each.sum()
+}
+
+/// Computes the part of a row in the loss, from the inputs of actor and critic.
+fn loss_of_row(
+    shape: &NetworkShape,
+    parameters: &[f64],
+    [of_actor, of_critic]: [&[f64]; 2],
+    shard: &Rows,
+    row: usize,
+    weights: &Loss,
+) -> f64 {
+    let run = |sizes: &[usize], parameters: &[f64], input: &[f64]| {
+        let mut here = input.to_vec();
         let mut left = parameters;
         for (layer, pair) in sizes.windows(2).enumerate() {
             let (weights, rest) = left.split_at(pair[0] * pair[1]);
@@ -66,25 +84,20 @@ fn loss(shape: &NetworkShape, parameters: &[f64], shard: &Rows, weights: &Loss) 
         }
         here
     };
-    let (actors, critics) = (Mlp::count(&shape.actor), Mlp::count(&shape.critic));
-    let (actor, rest) = parameters.split_at(actors);
-    let (critic, logs) = rest.split_at(critics);
-    let mut total = 0.0;
-    for row in 0..shard.returns.len() {
-        let seen = &shard.observations[row * shape.observation()..][..shape.observation()];
-        let mean = run(&shape.actor, actor, seen);
-        let mut log_prob = 0.0;
-        for (j, log) in logs.iter().enumerate() {
-            let off = (f64::from(shard.actions[row * shape.action() + j]) - mean[j]) / log.exp();
-            log_prob += -0.5 * off * off - log - 0.5 * std::f64::consts::TAU.ln();
-        }
-        let ratio = (log_prob - f64::from(shard.log_probs[row])).exp();
-        let (advantage, clip) = (f64::from(shard.advantages[row]), f64::from(weights.clip_range));
-        total -= (ratio * advantage).min(ratio.clamp(1.0 - clip, 1.0 + clip) * advantage);
-        let error = run(&shape.critic, critic, seen)[0] - f64::from(shard.returns[row]);
-        total += 0.5 * f64::from(weights.value) * error * error;
+    let (actor, rest) = parameters.split_at(Mlp::count(&shape.actor));
+    let critic = &rest[..Mlp::count(&shape.critic)];
+    let logs = &parameters[parameters.len() - shape.action()..];
+    let mean = run(&shape.actor, actor, of_actor);
+    let mut log_prob = 0.0;
+    for (j, log) in logs.iter().enumerate() {
+        let off = (f64::from(shard.actions[row * shape.action() + j]) - mean[j]) / log.exp();
+        log_prob += -0.5 * off * off - log - 0.5 * std::f64::consts::TAU.ln();
     }
-    total / weights.rows as f64
+    let ratio = (log_prob - f64::from(shard.log_probs[row])).exp();
+    let (advantage, clip) = (f64::from(shard.advantages[row]), f64::from(weights.clip_range));
+    let gain = (ratio * advantage).min(ratio.clamp(1.0 - clip, 1.0 + clip) * advantage);
+    let error = run(&shape.critic, critic, of_critic)[0] - f64::from(shard.returns[row]);
+    (0.5 * f64::from(weights.value) * error * error - gain) / weights.rows as f64
 }
 
 fn shard(shape: &NetworkShape, parameters: &[f32], rows: usize, rng: &mut Rng) -> Rows {
@@ -354,6 +367,183 @@ fn gradients_stay_finite_if_probabilities_exceed_single_precision() {
                 assert!(sums.loss.is_finite() && sums.approx_kl.is_finite(), "{sums:?}");
                 assert!(sums.approx_kl > 0.0);
             }
+        }
+    }
+}
+
+/// Sequences of a rollout with a recurrent layer, steps × sequences.
+struct Unrolling {
+    rows: Rows,
+    next: Vec<Next>,
+    starts: Vec<f32>,
+    count: usize,
+}
+
+impl Unrolling {
+    /// Creates a rollout with ends of episodes and absent agents.
+    fn new(shape: &NetworkShape, parameters: &[f32], [steps, count]: [usize; 2], rng: &mut Rng) -> Self {
+        // a rollout without recurrence, whose observations have the size of the features
+        let plain = NetworkShape { recurrent: 0, ..shape.clone() };
+        let (actor, critic, logs) = shape.split(parameters);
+        let mut rows = shard(&plain, &[actor, critic, logs].concat(), steps * count, rng);
+        let ends = [Next::Running, Next::Running, Next::Running, Next::Terminated, Next::Truncated, Next::Absent];
+        let next = (0..steps * count).map(|_| ends[rng.random_range(0..ends.len())]).collect();
+        let starts = (0..count * shape.recurrent).map(|_| 0.5 * rng.sample::<f32, _>(StandardNormal)).collect();
+        // the states are not those of the observations
+        for row in rows.observations.chunks_exact_mut(shape.features()) {
+            row[shape.observation()..].fill(f32::NAN);
+        }
+        Self { rows, next, starts, count }
+    }
+
+    fn samples(&self) -> Samples<'_> {
+        let sequences = Sequences { count: self.count, next: &self.next, starts: &self.starts };
+        Samples { sequences, ..self.rows.samples() }
+    }
+
+    fn gradient(
+        &self,
+        width: Width,
+        shape: &NetworkShape,
+        parameters: &[f32],
+        sequences: &[u32],
+        loss: &Loss,
+    ) -> (Vec<f32>, Sums) {
+        let mut networks = Networks::new(shape, width);
+        networks.set(parameters);
+        let mut gradient = vec![f32::NAN; shape.count()];
+        let sums = networks.gradient_through_time(&self.samples(), sequences, loss, &mut gradient);
+        (gradient, sums)
+    }
+
+    /// Returns the states of the recurrent layer after every step in double precision, by the equations of the layer.
+    fn states(&self, shape: &NetworkShape, parameters: &[f64]) -> Vec<Vec<f64>> {
+        let (size, units) = (shape.observation(), shape.recurrent);
+        let first = Mlp::count(&shape.actor) + Mlp::count(&shape.critic);
+        let (of_input, of_state) = parameters[first..].split_at((size + 1) * 3 * units);
+        let sums = |parameters: &[f64], input: &[f64]| -> Vec<f64> {
+            let at = |row: usize, column: usize| parameters[row * 3 * units + column];
+            let products = |column| input.iter().enumerate().map(move |(row, x)| x * at(row, column));
+            (0..3 * units).map(|column| at(input.len(), column) + products(column).sum::<f64>()).collect()
+        };
+        let sigmoid = |x: f64| 1.0 / (1.0 + (-x).exp());
+        let mut states: Vec<Vec<f64>> = Vec::new();
+        for entry in 0..self.next.len() {
+            let observation: Vec<f64> =
+                self.rows.observations[entry * shape.features()..][..size].iter().map(|&x| f64::from(x)).collect();
+            let before: Vec<f64> = match entry.checked_sub(self.count) {
+                None => self.starts[entry * units..][..units].iter().map(|&x| f64::from(x)).collect(),
+                Some(last) if self.next[last].is_end() => vec![0.0; units],
+                Some(last) => states[last].clone(),
+            };
+            let (x, h) = (sums(of_input, &observation), sums(of_state, &before));
+            let next = |unit: usize| {
+                let reset = sigmoid(x[unit] + h[unit]);
+                let update = sigmoid(x[units + unit] + h[units + unit]);
+                let candidate = (x[2 * units + unit] + reset * h[2 * units + unit]).tanh();
+                (1.0 - update) * candidate + update * before[unit]
+            };
+            states.push((0..units).map(next).collect());
+        }
+        states
+    }
+
+    /// Computes the loss in double precision: of the actor with the states by `parameters`, and of the critic with
+    /// given states.
+    fn loss(
+        &self,
+        shape: &NetworkShape,
+        parameters: &[f64],
+        critic_states: &Vec<Vec<f64>>,
+        sequences: &[u32],
+        weights: &Loss,
+    ) -> f64 {
+        let states = self.states(shape, parameters);
+        let mut total = 0.0;
+        for entry in (0..self.next.len()).filter(|&entry| self.next[entry] != Next::Absent) {
+            if sequences.contains(&((entry % self.count) as u32)) {
+                let seen = &self.rows.observations[entry * shape.features()..][..shape.observation()];
+                let seen: Vec<f64> = seen.iter().map(|&x| f64::from(x)).collect();
+                let inputs = [&states, critic_states].map(|states| [&seen[..], &states[entry]].concat());
+                let inputs = [&inputs[0][..], &inputs[1]];
+                total += loss_of_row(shape, parameters, inputs, &self.rows, entry, weights);
+            }
+        }
+        total
+    }
+}
+
+fn recurrent_shape(rng: &mut Rng, hidden: &[usize], units: usize) -> (NetworkShape, Vec<f32>) {
+    let shape = NetworkShape::new(3, 2, hidden, Activation::Softsign).with_recurrent(units);
+    let mut parameters = shape.initial(0.4, rng);
+    for parameter in &mut parameters {
+        *parameter += 0.2 * rng.sample::<f32, _>(StandardNormal);
+    }
+    (shape, parameters)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(16))]
+
+    #[test]
+    fn gradients_through_time_match_finite_differences(
+        seed in 0..10_000_u64,
+        hidden in proptest::collection::vec(1..6_usize, 0..2),
+        units in 1..20_usize,
+        steps in 1..7_usize,
+        count in 1..4_usize,
+    ) {
+        let mut rng = Rng::seed_from_u64(seed);
+        let (shape, parameters) = recurrent_shape(&mut rng, &hidden, units);
+        let unrolling = Unrolling::new(&shape, &parameters, [steps, count], &mut rng);
+        // some of the sequences, not in order
+        let sequences: Vec<u32> = (0..count as u32).rev().take(2).collect();
+        let weights = Loss { clip_range: 0.2, value: 0.7, rows: 10 };
+        let (found, sums) = unrolling.gradient(Width::best(), &shape, &parameters, &sequences, &weights);
+        let exact: Vec<f64> = parameters.iter().map(|&x| f64::from(x)).collect();
+        let constant = unrolling.states(&shape, &exact);
+        let at = |index: usize, by: f64| {
+            let mut moved = exact.clone();
+            moved[index] += by;
+            unrolling.loss(&shape, &moved, &constant, &sequences, &weights)
+        };
+        let expected = unrolling.loss(&shape, &exact, &constant, &sequences, &weights);
+        prop_assert!((sums.loss - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{} {}", sums.loss, expected);
+        for (index, &found) in found.iter().enumerate() {
+            let step = 1e-6;
+            let (up, down) = (at(index, step), at(index, -step));
+            let [left, right] = [(expected - down) / step, (up - expected) / step];
+            let found = f64::from(found);
+            // at a kink of the clipped gain, the gradient is that of one side
+            let slack = 1e-4 + 2e-3 * (left.abs() + right.abs());
+            prop_assert!(
+                found >= left.min(right) - slack && found <= left.max(right) + slack,
+                "parameter {}: {}, expected {} to {}", index, found, left, right
+            );
+        }
+    }
+}
+
+#[test]
+fn gradients_through_time_are_bit_identical_for_avx2_and_avx512_and_add_up() {
+    let mut rng = Rng::seed_from_u64(9);
+    for units in [5, 32, 40] {
+        let (shape, parameters) = recurrent_shape(&mut rng, &[24], units);
+        // several tiles of rows
+        let unrolling = Unrolling::new(&shape, &parameters, [17, 14], &mut rng);
+        let loss = Loss { clip_range: 0.2, value: 1.0, rows: 150 };
+        let all: Vec<u32> = (0..14).map(|k| (5 * k) % 14).collect();
+        let of = |width, sequences: &[u32]| unrolling.gradient(width, &shape, &parameters, sequences, &loss);
+        let widths = Width::available().filter(|width| *width != Width::Portable);
+        let fused: Vec<_> = widths.map(|width| of(width, &all)).collect();
+        assert!(fused.windows(2).all(|pair| pair[0] == pair[1]), "AVX2 and AVX-512 differ");
+        let (whole, _) = of(Width::best(), &all);
+        let (portable, _) = of(Width::Portable, &all);
+        let ((first, _), (second, _)) = (of(Width::best(), &all[..6]), of(Width::best(), &all[6..]));
+        for index in 0..whole.len() {
+            let (whole, sum) = (whole[index], first[index] + second[index]);
+            assert!((whole - sum).abs() < 1e-5 * (1.0 + whole.abs()), "{index}: {whole} {sum}");
+            assert!((whole - portable[index]).abs() < 1e-4 * (1.0 + whole.abs()), "{index}: {whole}");
         }
     }
 }
