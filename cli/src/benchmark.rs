@@ -15,6 +15,7 @@ use serde_json::{Value, json};
 use crate::failure::Failure;
 use crate::output::{self, OutputFile};
 use crate::parse::{self, SuiteChoice};
+use crate::policy_file::{OnnxFlags, PolicyFile};
 
 /// Measure a policy or a controller in fixed tasks and conditions
 ///
@@ -64,6 +65,8 @@ pub struct Benchmark {
     /// JSON output instead of a table
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    onnx: OnnxFlags,
 }
 
 impl Benchmark {
@@ -104,7 +107,8 @@ impl Benchmark {
         };
         let bytes = std::fs::read(path).with_context(|| path.display().to_string()).map_err(Failure::Input)?;
         let name = path.file_name().map_or_else(Default::default, |name| name.to_string_lossy().into_owned());
-        Pilot::policy(&name, &bytes).map_err(|error| self.unfit(error))
+        // the suites determine tasks and airframe; a file without metadata has the defaults of hover
+        Ok(PolicyFile::load(path, &self.onnx, Some("hover"), None)?.into_benchmark(&name, &bytes))
     }
 
     /// Returns the failure of a policy with its path.

@@ -207,8 +207,9 @@ impl Play {
         } else if config.task == "race" && config.track.is_none() {
             config.track = track_of(policy);
         }
-        let inputs = policy.observation_size() / config.num_drones.unwrap_or(1).max(1);
-        config.normals = [(21, false), (27, true)].into_iter().find(|(size, _)| *size == inputs).map(|(_, has)| has);
+        let inputs = policy.inputs().map(|inputs| inputs / config.num_drones.unwrap_or(1).max(1));
+        config.normals =
+            [(21, false), (27, true)].into_iter().find(|(size, _)| Some(*size) == inputs).map(|(_, has)| has);
         config.drone = self.drone.as_ref().map_or(config.drone, ToString::to_string);
         config.physics = self.physics.unwrap_or(config.physics);
         config.num_drones = self.num_drones.or(config.num_drones);
@@ -280,7 +281,7 @@ impl Play {
 }
 
 /// Returns the track that a policy was trained on, if it has one.
-fn track_of(policy: &PolicyNetwork) -> Option<String> {
+fn track_of(policy: &PolicyFile) -> Option<String> {
     let mut config = TrainConfig::of_task("race").ok()?;
     config.read_toml(policy.info().training.as_ref()?).ok()?;
     config.track

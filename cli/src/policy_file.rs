@@ -7,6 +7,7 @@ use aviary::action::ActionType;
 use aviary::policy::{PolicyInfo, PolicyNetwork};
 use aviary::rollout::Policy;
 use clap::Args;
+use learn::benchmark::Pilot;
 use learn::{Arena, Episode, TrainError};
 use policy_formats::FormatError;
 use policy_formats::onnx::{self, ActionRange, OnnxOptions, OnnxPolicy};
@@ -176,6 +177,20 @@ impl PolicyFile {
             Self::Network(policy) => policy.info(),
             Self::Onnx(_, info) => info,
         }
+    }
+
+    /// Returns the number of entries of the observation; `None` for an ONNX file that does not fix it.
+    pub fn inputs(&self) -> Option<usize> {
+        match self {
+            Self::Network(policy) => Some(policy.observation_size()),
+            Self::Onnx(policy, _) => policy.inputs(),
+        }
+    }
+
+    /// Returns the policy as a pilot of a benchmark, with the name and the content of its file.
+    pub fn into_benchmark(self, file: &str, bytes: &[u8]) -> Pilot {
+        let (info, inputs) = (self.info().clone(), self.inputs());
+        Pilot::other(file, bytes, info, inputs, move || self.pilot())
     }
 
     /// Returns the environment steps of the training; `None` for the policy of another trainer.

@@ -9,11 +9,13 @@ mod statistics;
 mod suites;
 
 use std::num::NonZeroUsize;
+use std::sync::Arc;
 
 use aviary::SystemError;
 use aviary::control::ControllerKind;
 use aviary::drone::DroneModel;
-use aviary::policy::PolicyNetwork;
+use aviary::policy::{PolicyInfo, PolicyNetwork};
+use aviary::rollout::Policy;
 use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
@@ -41,14 +43,26 @@ pub enum Pilot {
     /// observations, and follows the plans of the tasks.
     Controller(ControllerKind),
     /// Trained policy, at the rates and with the action type of its training.
-    Policy {
-        /// Network.
-        network: Box<PolicyNetwork>,
-        /// Name of the file, without directories.
-        file: String,
-        /// SHA-256 of the file, hexadecimal.
-        sha256: String,
-    },
+    Policy(PolicyPilot),
+}
+
+/// Trained policy of a benchmark.
+#[derive(Clone)]
+pub struct PolicyPilot {
+    /// Name of the file, without directories.
+    file: String,
+    /// SHA-256 of the file, hexadecimal.
+    sha256: String,
+    info: PolicyInfo,
+    /// Number of entries of the observation; `None` for any number.
+    inputs: Option<usize>,
+    make: Arc<dyn Fn() -> Box<dyn Policy> + Send + Sync>,
+}
+
+impl std::fmt::Debug for PolicyPilot {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("PolicyPilot").field("file", &self.file).field("info", &self.info).finish_non_exhaustive()
+    }
 }
 
 impl Pilot {
@@ -57,9 +71,23 @@ impl Pilot {
     /// # Errors
     /// [`TrainError::Policy`] for bytes that are not a policy.
     pub fn policy(file: &str, bytes: &[u8]) -> Result<Self, TrainError> {
-        let network = Box::new(PolicyNetwork::from_bytes(bytes)?);
+        let network = PolicyNetwork::from_bytes(bytes)?;
+        let (info, inputs) = (network.info().clone(), network.observation_size());
+        Ok(Self::other(file, bytes, info, Some(inputs), move || Box::new(network.clone().into_pilot())))
+    }
+
+    /// Creates a pilot from a policy of another format: the name and the content of its file, its environment, the number
+    /// of entries of its observation if it is fixed, and a function that creates a policy for an episode. Policies whose
+    /// results depend on the machine make reports that depend on it.
+    pub fn other(
+        file: &str,
+        bytes: &[u8],
+        info: PolicyInfo,
+        inputs: Option<usize>,
+        make: impl Fn() -> Box<dyn Policy> + Send + Sync + 'static,
+    ) -> Self {
         let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self::Policy { network, file: file.into(), sha256 })
+        Self::Policy(PolicyPilot { file: file.into(), sha256, info, inputs, make: Arc::new(make) })
     }
 }
 
@@ -225,8 +253,8 @@ pub fn run(
         program: env!("CARGO_PKG_VERSION"),
         pilot: match pilot {
             Pilot::Controller(kind) => PilotReport::Controller(kind.name()),
-            Pilot::Policy { network, file, sha256 } => {
-                PilotReport::Policy { file: file.clone(), sha256: sha256.clone(), task: network.info().task.clone() }
+            Pilot::Policy(PolicyPilot { file, sha256, info, .. }) => {
+                PilotReport::Policy { file: file.clone(), sha256: sha256.clone(), task: info.task.clone() }
             }
         },
         airframe: Craft::AIRFRAME.name(),
@@ -258,11 +286,10 @@ impl Craft {
             Pilot::Controller(_) => {
                 Self { action_type: Default::default(), sim_freq: 240, ctrl_freq: 48, normals: false }
             }
-            Pilot::Policy { network, .. } => {
-                let info = network.info();
+            Pilot::Policy(PolicyPilot { info, inputs, .. }) => {
                 let action_type = info.action_type.parse().map_err(aviary::env::EnvError::from)?;
                 // a race without normals has 21 numbers
-                let normals = network.observation_size() > 21;
+                let normals = inputs.is_some_and(|inputs| inputs > 21);
                 Self { action_type, sim_freq: info.sim_freq, ctrl_freq: info.ctrl_freq, normals }
             }
         })
@@ -270,8 +297,8 @@ impl Craft {
 
     /// Checks that a pilot fits the environments of a suite.
     fn check(&self, pilot: &Pilot, suite: Suite) -> Result<(), TrainError> {
-        if let (Pilot::Policy { network, .. }, Some(condition)) = (pilot, suite.conditions().first()) {
-            network.check(&*condition.environment(self)?)?;
+        if let (Pilot::Policy(policy), Some(condition)) = (pilot, suite.conditions().first()) {
+            (policy.make)().reset(&*condition.environment(self)?)?;
         }
         Ok(())
     }
@@ -284,7 +311,7 @@ impl Craft {
                 let params = Self::AIRFRAME.params();
                 arena.fly(|| MeasuredController::new(*kind, &params), FIRST_SEED, episodes)
             }
-            Pilot::Policy { network, .. } => arena.fly(|| &**network, FIRST_SEED, episodes),
+            Pilot::Policy(policy) => arena.fly(|| (policy.make)(), FIRST_SEED, episodes),
         }
     }
 }

@@ -58,7 +58,7 @@ fn a_report_names_the_policy_by_its_hash() {
     let nominal = &report.suites[0].conditions[0];
     assert_eq!((nominal.condition.as_str(), nominal.succeeded, nominal.success_rate), ("nominal", 2, 1.0));
     assert!(nominal.mean.unwrap() < 0.1 && nominal.interval.is_some());
-    let Pilot::Policy { sha256: empty, .. } = policy("race") else { panic!() };
+    let Pilot::Policy(PolicyPilot { sha256: empty, .. }) = policy("race") else { panic!() };
     assert_ne!(&empty, sha256);
 }
 

@@ -166,6 +166,12 @@ impl OnnxPolicy {
         self.info.as_ref()
     }
 
+    /// Returns the number of entries of the observation, or of that of one drone, if the graph takes all of them and fixes
+    /// their number.
+    pub fn inputs(&self) -> Option<usize> {
+        if self.indices.is_some() { None } else { self.graph.entries }
+    }
+
     /// Returns true if the policy maps the observation of each drone to the action of this drone.
     fn is_per_drone(&self) -> bool {
         self.info.as_ref().is_some_and(|info| info.per_drone)
