@@ -42,7 +42,7 @@ pub struct Benchmark {
         hide_possible_values = true
     )]
     suite: SuiteChoice,
-    /// Policy file of `aviary train`
+    /// Policy file of `aviary train`, or an ONNX file (.onnx)
     #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     policy: Option<PathBuf>,
     /// Controller: pid, dsl or geometric
@@ -69,6 +69,9 @@ pub struct Benchmark {
     onnx: OnnxFlags,
 }
 
+/// Task of an ONNX file without metadata, in the report.
+const NO_TASK: &str = "unknown";
+
 impl Benchmark {
     pub fn run(&self) -> Result<(), Failure> {
         let pilot = self.pilot()?;
@@ -86,7 +89,7 @@ impl Benchmark {
         let report = benchmark::run(&pilot, &suites, self.episodes, threads, skip_unfit, &mut progress);
         bar.finish_and_clear();
         let report = report.map_err(|error| match error {
-            TrainError::Policy(_) | TrainError::Option { .. } => self.unfit(error),
+            TrainError::Policy(_) | TrainError::Option { .. } | TrainError::Unfit(_) => self.unfit(error),
             _ => Failure::work(error),
         })?;
         let json = with_timing(&report, start.elapsed().as_secs_f64(), threads)?;
@@ -103,12 +106,17 @@ impl Benchmark {
 
     fn pilot(&self) -> Result<Pilot, Failure> {
         let Some(path) = &self.policy else {
+            if let Some(option) = self.onnx.given() {
+                return Err(Failure::input(anyhow::anyhow!(
+                    "{option} is given with --controller, expected an ONNX file"
+                )));
+            }
             return Ok(Pilot::Controller(self.controller.unwrap_or_default()));
         };
         let bytes = std::fs::read(path).with_context(|| path.display().to_string()).map_err(Failure::Input)?;
         let name = path.file_name().map_or_else(Default::default, |name| name.to_string_lossy().into_owned());
-        // the suites determine tasks and airframe; a file without metadata has the defaults of hover
-        Ok(PolicyFile::load(path, &self.onnx, Some("hover"), None)?.into_benchmark(&name, &bytes))
+        // the suites determine task and airframe
+        Ok(PolicyFile::load(path, &self.onnx, Some(NO_TASK), None)?.into_benchmark(&name, &bytes))
     }
 
     /// Returns the failure of a policy with its path.
@@ -116,7 +124,9 @@ impl Benchmark {
         match (&self.policy, &error) {
             // the sizes fill a line
             (_, TrainError::Policy(PolicyError::Mismatch { .. })) => Failure::input(error),
-            (Some(path), TrainError::Policy(_)) => Failure::Input(anyhow::anyhow!("{}: {error}", path.display())),
+            (Some(path), TrainError::Policy(_) | TrainError::Unfit(_)) => {
+                Failure::Input(anyhow::anyhow!("{}: {error}", path.display()))
+            }
             _ => Failure::input(error),
         }
     }

@@ -7,7 +7,7 @@ use aviary::drone::{DroneModel, DroneParams};
 use aviary::policy::PolicyNetwork;
 use clap::{Args, ValueEnum, ValueHint};
 use policy_formats::c::{self, FirmwareOptions, Weights};
-use policy_formats::{onnx, quantization};
+use policy_formats::{FormatError, onnx, quantization};
 use serde_json::json;
 
 use crate::failure::Failure;
@@ -102,8 +102,12 @@ impl Export {
             return wrong("--weights int8", "c, crazyflie or safetensors");
         }
         let policy = PolicyNetwork::load(&self.policy).map_err(Failure::input)?;
-        let in_file =
-            |error: policy_formats::FormatError| Failure::input(anyhow!("{}: {error}", self.policy.display()));
+        let in_file = |error: FormatError| match error {
+            FormatError::Unsupported { what: "the name", got, expected } => {
+                Failure::input(anyhow!("--name is {got}, expected {expected}"))
+            }
+            error => Failure::input(anyhow!("{}: {error}", self.policy.display())),
+        };
         let weights = match self.weights {
             WeightType::Float32 => Weights::Float32,
             WeightType::Int8 => Weights::Int8,

@@ -10,7 +10,7 @@ use aviary::env::{DroneEnv, Env as _};
 use aviary::physics::Physics;
 use aviary::tasks::TaskSummary;
 use clap::{Args, ValueHint};
-use learn::{Arena, Episode, Score, TrainConfig, TrainError};
+use learn::{Arena, Episode, Score, TrackChoice, TrainConfig, TrainError};
 use serde_json::json;
 
 use crate::animation::AnimationOptions;
@@ -163,6 +163,11 @@ impl Play {
         Ok(())
     }
 
+    /// Returns the failure of a training configuration in the policy file.
+    fn in_training(&self, error: TrainError) -> Failure {
+        Failure::input(anyhow!("{}: its training: {error}", self.policy.display()))
+    }
+
     /// Returns the indices of the episodes that this run flies.
     fn own_episodes(&self) -> Range<u64> {
         self.shard.unwrap_or(Shard::WHOLE).range(self.episodes as u64)
@@ -190,8 +195,7 @@ impl Play {
                     info.version
                 )));
             };
-            let in_file = |error: TrainError| anyhow!("{}: its training: {error}", self.policy.display());
-            config.read_toml(text).map_err(in_file).map_err(Failure::input)?;
+            config.read_toml(text).map_err(|error| self.in_training(error))?;
         } else {
             // --seed is the seed of the episodes; the layout of the obstacles stays that of the training
             let given = self.conditions.read_with(|path, choice| {
@@ -203,11 +207,12 @@ impl Play {
         }
         if let Some(track) = &self.track {
             check_track_task(&config.task)?;
-            config.track = Some(track.to_string());
+            config.track = Some(TrackChoice::NameOrFile(track.to_string()));
         } else if config.task == "race" && config.track.is_none() {
-            config.track = track_of(policy);
+            config.track = track_of(policy).map_err(|error| self.in_training(error))?;
         }
-        let inputs = policy.inputs().map(|inputs| inputs / config.num_drones.unwrap_or(1).max(1));
+        let blocks = if policy.info().per_drone { 1 } else { config.num_drones.unwrap_or(1).max(1) };
+        let inputs = policy.inputs().map(|inputs| inputs / blocks);
         config.normals =
             [(21, false), (27, true)].into_iter().find(|(size, _)| Some(*size) == inputs).map(|(_, has)| has);
         config.drone = self.drone.as_ref().map_or(config.drone, ToString::to_string);
@@ -281,10 +286,11 @@ impl Play {
 }
 
 /// Returns the track that a policy was trained on, if it has one.
-fn track_of(policy: &PolicyFile) -> Option<String> {
-    let mut config = TrainConfig::of_task("race").ok()?;
-    config.read_toml(policy.info().training.as_ref()?).ok()?;
-    config.track
+fn track_of(policy: &PolicyFile) -> Result<Option<TrackChoice>, TrainError> {
+    let Some(text) = &policy.info().training else { return Ok(None) };
+    let mut config = TrainConfig::of_task(&policy.info().task)?;
+    config.read_toml(text)?;
+    Ok(config.track)
 }
 
 /// Returns the failure of a flight: of the input if the policy does not fit the task, otherwise of the work.

@@ -57,7 +57,7 @@ pub struct OnnxFlags {
 
 impl OnnxFlags {
     /// Returns the name of an option that is set.
-    fn given(&self) -> Option<&'static str> {
+    pub fn given(&self) -> Option<&'static str> {
         [
             (self.action_type.is_some(), "--action-type"),
             (self.sim_freq.is_some(), "--sim-freq"),
@@ -80,7 +80,8 @@ impl OnnxFlags {
             }
         };
         let observation_indices = self.observation_indices.as_deref().map(indices).transpose()?;
-        Ok(OnnxOptions { observation_indices, action_range, action_output: self.action_output.clone() })
+        let (action_output, any_action_type) = (self.action_output.clone(), self.action_type.is_some());
+        Ok(OnnxOptions { observation_indices, action_range, action_output, any_action_type })
     }
 }
 
@@ -150,10 +151,9 @@ impl PolicyFile {
                     })?
                     .into(),
                 drone: drone.unwrap_or_else(|| "cf2x".into()),
-                num_drones: aviary::tasks::summary(task.unwrap_or_default())
-                    .map_err(Failure::input)?
-                    .defaults
-                    .num_drones,
+                num_drones: task
+                    .and_then(|task| aviary::tasks::summary(task).ok())
+                    .map_or(1, |task| task.defaults.num_drones),
                 per_drone: false,
                 action_type: ActionType::default().name().into(),
                 sim_freq: 240,

@@ -9,7 +9,7 @@ use aviary::engine::flight::Width;
 use aviary::record::plot::{Plot, Series};
 use aviary::tasks::{self, TaskSummary};
 use clap::{ArgGroup, Args, ValueHint};
-use learn::{Clock, Learner, Point, Report, Stop, TensorboardWriter, TrainConfig, TrainDevice, Trainer};
+use learn::{Clock, Learner, Point, Report, Stop, TensorboardWriter, TrackChoice, TrainConfig, TrainDevice, Trainer};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -134,7 +134,8 @@ pub struct Train {
     /// Event file for TensorBoard in the output directory
     ///
     /// The file has the numbers of curve.csv, at every iteration; `tensorboard --logdir DIR`
-    /// shows them during the run. A resumed run writes the file again, from its beginning.
+    /// shows them during the run. A resumed run writes the file again, from its beginning. The
+    /// events have the time of the day, so that the file differs between equal runs.
     #[arg(long, verbatim_doc_comment, conflicts_with = "show")]
     tensorboard: bool,
     /// JSON output instead of a table
@@ -252,7 +253,7 @@ impl Train {
         }
         if let Some(track) = &self.track {
             check_track_task(task)?;
-            config.track = Some(track.to_string());
+            config.track = Some(TrackChoice::NameOrFile(track.to_string()));
         }
         config.seed = self.seed.unwrap_or(config.seed);
         config.device = self.device.unwrap_or(config.device);
@@ -336,7 +337,7 @@ fn quoted(path: &Path) -> String {
     if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
-/// What a run has beside its files.
+/// Additions to a run.
 #[derive(Clone, Copy)]
 struct Extras {
     /// A window.
@@ -649,9 +650,13 @@ fn plot(config: &TrainConfig, points: &[Point]) -> Result<Plot, aviary::record::
     let title = format!("{}, seed {}", config.task, config.seed);
     Ok(Plot::time_series(&title, &panels)?.over("environment steps (millions)"))
 }
+
 /// Returns a configuration as `--show` prints it: with the option `recurrent`, which recorded configurations of
 /// policies without memory do not have.
 fn shown(config: &TrainConfig) -> Result<String, Failure> {
-    let text = config.to_toml().map_err(Failure::input)?;
-    Ok(if config.ppo.recurrent > 0 { text } else { text.replacen("[ppo]\n", "[ppo]\nrecurrent = 0\n", 1) })
+    let mut table: toml::Table = config.to_toml().map_err(Failure::input)?.parse().map_err(Failure::work)?;
+    if let Some(toml::Value::Table(ppo)) = table.get_mut("ppo") {
+        ppo.entry("recurrent").or_insert(toml::Value::Integer(0));
+    }
+    toml::to_string_pretty(&table).map_err(Failure::work)
 }

@@ -111,9 +111,10 @@ fn wrong_exports_are_errors_that_name_the_option() {
     );
     export("onnx", &["--name", "a"], 2, &["--name", "expected c or crazyflie"]);
     export("c", &["--drone", "cf2x"], 2, &["--drone", "expected crazyflie"]);
-    export("c", &["--name", "My Policy"], 2, &["the name is `My Policy`", "snake case"]);
+    export("c", &["--name", "My Policy"], 2, &["--name is `My Policy`", "snake case"]);
     export("crazyflie", &["--drone", "cf2p"], 2, &["hover.safetensors", "layout"]);
-    let race = ["export", "--policy", &pretrained("race"), "--format", "crazyflie", "--out", text(&out.join("race"))];
+    let (policy_of_race, directory_of_race) = (pretrained("race"), out.join("race"));
+    let race = ["export", "--policy", &policy_of_race, "--format", "crazyflie", "--out", text(&directory_of_race)];
     refused(&race, 2, &["race.safetensors", "the task is `race`"]);
     refused(&["export", "--policy", "nowhere.safetensors", "--format", "c", "--out", "a"], 2, &["nowhere.safetensors"]);
     // an output that is the input keeps it

@@ -75,9 +75,9 @@ pub struct TrainConfig {
     pub device: TrainDevice,
     /// Airframe: the name of a built-in one, or the path of a TOML file.
     pub drone: String,
-    /// Track of race: the name of a built-in one, or the path of a TOML file; `None` for the task's gates.
+    /// Track of race; `None` for the task's gates.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub track: Option<String>,
+    pub track: Option<TrackChoice>,
     /// True if observations of a track include the normals of gates, not recorded; `None` for the track's.
     #[serde(skip)]
     pub normals: Option<bool>,
@@ -125,6 +125,42 @@ pub struct TrainConfig {
     /// AVX2 and AVX-512 are bit-identical. The baseline rounds gradients differently.
     #[serde(skip, default = "Width::best")]
     pub width: Width,
+}
+
+/// Track of a race.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum TrackChoice {
+    /// Name of a built-in track, or path of a TOML file.
+    NameOrFile(String),
+    /// The track itself, as policy files record the track of a TOML file.
+    Track(Box<RaceTrack>),
+}
+
+impl TrackChoice {
+    /// Returns the track.
+    ///
+    /// # Errors
+    /// An unknown name, or the errors of the file.
+    pub fn track(&self) -> Result<RaceTrack, EnvError> {
+        match self {
+            Self::NameOrFile(name) => RaceTrack::find(name),
+            Self::Track(track) => Ok((**track).clone()),
+        }
+    }
+
+    /// Returns the choice without the path of a file: its track instead.
+    ///
+    /// # Errors
+    /// As for [`track`](Self::track).
+    pub(crate) fn without_path(&self) -> Result<Self, EnvError> {
+        match self {
+            Self::NameOrFile(name) if !RaceTrack::NAMES.contains(&name.as_str()) => {
+                Ok(Self::Track(Box::new(RaceTrack::find(name)?)))
+            }
+            choice => Ok(choice.clone()),
+        }
+    }
 }
 
 /// Initial states and length of some training episodes.
@@ -175,7 +211,7 @@ pub struct CourseRewards {
 #[serde(default, deny_unknown_fields)]
 struct PartialConfig {
     drone: Option<String>,
-    track: Option<String>,
+    track: Option<TrackChoice>,
     physics: Option<Physics>,
     num_drones: Option<usize>,
     per_drone: Option<bool>,
@@ -437,8 +473,8 @@ impl TrainConfig {
         if let Some(seconds) = self.episode_seconds {
             options = options.episode_seconds(seconds);
         }
-        if let Some(name) = &self.track {
-            let mut track = RaceTrack::find(name)?;
+        if let Some(choice) = &self.track {
+            let mut track = choice.track()?;
             track.normals = self.normals.or(track.normals);
             options = options.task(|task| task.track = Some(track));
         }

@@ -16,6 +16,9 @@ pub enum TrainError {
     /// Error of a policy.
     #[error(transparent)]
     Policy(#[from] PolicyError),
+    /// Rates or an action type of a policy with which no environment of a benchmark can be created.
+    #[error(transparent)]
+    Unfit(EnvError),
     /// Invalid value of a setting.
     #[error("{option} is {got}, expected {expected}")]
     Option {

@@ -22,7 +22,7 @@ mod tensorboard;
 mod trainer;
 
 pub use agents::{Agents, Batch, Next, Outcome, Swarm, Terms};
-pub use config::{CourseRewards, TrainConfig, TrainDevice, TrainingStart};
+pub use config::{CourseRewards, TrackChoice, TrainConfig, TrainDevice, TrainingStart};
 pub use curve::Point;
 pub use error::TrainError;
 pub use evaluation::{AnyEnv, Arena, Episode, Score, Success, fly};

@@ -85,7 +85,7 @@ impl TensorboardWriter {
                 records.extend(record(&event.encode_to_vec()));
             }
         }
-        // whole records, so that a reader beside the run never sees a part of one
+        // whole records, so that a concurrent reader never sees a part of one
         self.file.write_all(&records)
     }
 }

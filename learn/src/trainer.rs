@@ -385,7 +385,8 @@ fn policy_of(
     steps: u64,
 ) -> Result<PolicyNetwork, TrainError> {
     // the recorded configuration contains no path of this machine
-    let training = TrainConfig { drone: config.airframe_name(), ..config.clone() }.to_toml()?;
+    let track = config.track.as_ref().map(|track| track.without_path()).transpose()?;
+    let training = TrainConfig { drone: config.airframe_name(), track, ..config.clone() }.to_toml()?;
     let info = PolicyInfo {
         version: if config.ppo.recurrent > 0 { PolicyInfo::RECURRENT_VERSION } else { PolicyInfo::VERSION },
         task: config.task.clone(),

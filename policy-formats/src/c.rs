@@ -17,8 +17,8 @@ use crate::{FormatError, unsupported};
 /// Type of the weights in the generated code. Everything else is in single precision.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Weights {
-    /// Single precision, with the results of [`PolicyNetwork::forward`] to the bit where the compiler rounds every
-    /// operation, as `cc -std=c99` does on x86-64.
+    /// Single precision, bit-identical to [`PolicyNetwork::forward`] if the compiler rounds every operation
+    /// (`-ffp-contract=off`, which `-std=c99` implies in GCC).
     #[default]
     Float32,
     /// Eight bits, a quarter of the size, with one scale per neuron; see [`quantization`](crate::quantization).
@@ -58,9 +58,9 @@ pub fn default_name(info: &PolicyInfo) -> String {
 
 /// Generates the C99 code of a policy. `name` begins every name in it, and is the name of both files.
 ///
-/// The function `NAME_evaluate(observation, action)` is reentrant: its only buffers are two layers on the stack. That of a
-/// recurrent policy is `NAME_evaluate(observation, memory, action)`, whose caller keeps the memory, and sets it to zero at
-/// the start of an episode.
+/// The function `NAME_evaluate(observation, action)` is reentrant: its buffers are on the stack. That of a recurrent
+/// policy is `NAME_evaluate(observation, memory, action)`, whose caller keeps the memory, and sets it to zero at the
+/// start of an episode.
 ///
 /// ```
 /// use aviary::policy::PolicyNetwork;
@@ -76,6 +76,11 @@ pub fn default_name(info: &PolicyInfo) -> String {
 /// # Errors
 /// [`FormatError::Unsupported`] for a name that is not an identifier in lower snake case.
 pub fn source(policy: &PolicyNetwork, name: &str, weights: Weights) -> Result<CSource, FormatError> {
+    generate(policy, name, weights, false)
+}
+
+/// Generates the code of [`source`], with buffers that are static if `is_static` is true: for tasks with a small stack.
+fn generate(policy: &PolicyNetwork, name: &str, weights: Weights, is_static: bool) -> Result<CSource, FormatError> {
     let is_name = name.starts_with(|c: char| c.is_ascii_lowercase())
         && name.len() <= 60
         && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_');
@@ -83,7 +88,7 @@ pub fn source(policy: &PolicyNetwork, name: &str, weights: Weights) -> Result<CS
         let expected = "lower snake case with at most 60 letters, digits and `_`, such as `hover_policy`";
         return Err(unsupported("the name", format_args!("`{name}`"), expected));
     }
-    let code = Code { policy, name, weights };
+    let code = Code { policy, name, weights, is_static };
     let (source, constant_bytes) = code.source();
     Ok(CSource { name: name.into(), header: code.header(), source, constant_bytes })
 }
@@ -93,6 +98,8 @@ struct Code<'a> {
     policy: &'a PolicyNetwork,
     name: &'a str,
     weights: Weights,
+    /// True if the buffers are static.
+    is_static: bool,
 }
 
 impl Code<'_> {
@@ -144,14 +151,18 @@ impl Code<'_> {
             );
         }
         let memory = if self.policy.memory_size() > 0 {
-            " It reads the memory of the evaluation\n * before and replaces it. The memory is zero at the start of an episode, and keeps no other state:\n \
-             * different threads may call the function at the same time with memories of their own."
+            " The memory\n * is that of the evaluation before, zero at the start of an episode; the function replaces it."
         } else {
-            " It keeps no\n * state, and different threads may call it at the same time."
+            ""
+        };
+        let threads = if self.is_static {
+            "\n * Its buffers are static: only one thread may call it."
+        } else {
+            "\n * Different threads may call it at the same time."
         };
         let _ = write!(
             text,
-            "/*\n * Computes the action for an observation. Normalization and bounds are part of the function.{memory}\n */\n\
+            "/*\n * Computes the action for an observation. Normalization and bounds are part of it.{memory}{threads}\n */\n\
              {};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
             self.signature()
         );
@@ -231,9 +242,14 @@ impl Code<'_> {
             text += &gate_functions();
         }
         let (inputs, clip) = (self.policy.observation_size(), number(PolicyNetwork::CLIP));
-        let _ = write!(text, "{}\n{{\n    float first[{widest}];\n    float second[{widest}];\n", self.signature());
+        let storage = if self.is_static { "static " } else { "" };
+        let _ = write!(
+            text,
+            "{}\n{{\n    {storage}float first[{widest}];\n    {storage}float second[{widest}];\n",
+            self.signature()
+        );
         if let Some(gates) = recurrent.as_ref().map(|layers| layers[0].biases.len()) {
-            let _ = writeln!(text, "    float of_input[{gates}];\n    float of_state[{gates}];");
+            let _ = writeln!(text, "    {storage}float of_input[{gates}];\n    {storage}float of_state[{gates}];");
         }
         let _ = write!(
             text,

@@ -29,7 +29,7 @@ fn axes(name: &str, meaning: &str, unit: &str) -> [Entry; 3] {
         .map(|axis| Entry::new(format!("{name}_{}", axis.to_uppercase()), format!("{meaning} along {axis}, {unit}")))
 }
 
-/// The twelve entries with which the observation of every task begins, but for the one without a task.
+/// The first twelve entries of the observation of every task except that of the environment without a task.
 fn state() -> Vec<Entry> {
     let angle = |name: &str| Entry::new(name.to_uppercase(), format!("{name} of body to world (ZYX), rad"));
     let mut entries = Vec::from(axes("POSITION", "position", "m, world frame"));

@@ -201,7 +201,7 @@ pub struct Margin {
 /// episodes. With `skip_unfit`, suites whose observations or actions do not fit a policy are skipped.
 ///
 /// # Errors
-/// [`TrainError::Policy`] for a policy that does not fit a suite, or none of them with `skip_unfit`;
+/// [`TrainError::Policy`] or [`TrainError::Unfit`] for a policy that does not fit a suite, or none with `skip_unfit`;
 /// [`TrainError::Option`] for a number of episodes or threads out of range.
 pub fn run(
     pilot: &Pilot,
@@ -218,12 +218,16 @@ pub fn run(
     if threads.get() > 1024 {
         return range("threads", threads.get(), "1 to 1024");
     }
-    let craft = Craft::of(pilot)?;
+    let unfit_env = |error| match error {
+        TrainError::Env(error) => TrainError::Unfit(error),
+        error => error,
+    };
+    let craft = Craft::of(pilot).map_err(unfit_env)?;
     let (mut fitting, mut skipped, mut unfit) = (Vec::new(), Vec::new(), None);
     for &suite in suites {
-        match craft.check(pilot, suite) {
+        match craft.check(pilot, suite).map_err(unfit_env) {
             Ok(()) => fitting.push(suite),
-            Err(error @ TrainError::Policy(_)) if skip_unfit => {
+            Err(error @ (TrainError::Policy(_) | TrainError::Unfit(_))) if skip_unfit => {
                 skipped.push(Skipped { suite: suite.name(), reason: error.to_string() });
                 unfit.get_or_insert(error);
             }

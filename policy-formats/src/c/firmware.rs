@@ -8,7 +8,7 @@ use aviary::drone::{DroneParams, Layout};
 use aviary::policy::PolicyNetwork;
 
 use super::text::{comment, number};
-use super::{TextFile, Weights, source};
+use super::{TextFile, Weights, generate};
 use crate::{FormatError, unsupported};
 
 /// Options of [`firmware`].
@@ -31,6 +31,12 @@ struct Mapping {
     /// True if the frames of the policy are those of the Crazyflie, turned by 90° about z.
     turned: bool,
 }
+
+/// Rate of the firmware's stabilizer task, which calls the controller, Hz.
+const STABILIZER_RATE: u32 = 1000;
+
+/// Headers of the firmware that the application includes, without their endings.
+const FIRMWARE_NAMES: [&str; 5] = ["app", "controller", "platform_defaults", "stabilizer_types", "task"];
 
 /// Positions of M1 to M4 in the body frame, in units of their distance from the axes: front right, back right, back left
 /// and front left.
@@ -94,7 +100,15 @@ pub fn firmware(policy: &PolicyNetwork, options: &FirmwareOptions<'_>) -> Result
             return Err(unsupported("the action type", got, "motor speeds: rpm, one_d_rpm or raw_rpm"));
         }
     };
-    let code = source(policy, options.name, options.weights)?;
+    if info.ctrl_freq > STABILIZER_RATE {
+        return Err(unsupported("the control rate", format_args!("{} Hz", info.ctrl_freq), "at most 1000 Hz"));
+    }
+    if FIRMWARE_NAMES.contains(&options.name) {
+        let expected = "another name than those of the firmware's headers";
+        return Err(unsupported("the name", format_args!("`{}`", options.name), expected));
+    }
+    // the stack of the firmware's stabilizer task has less than 2 kB
+    let code = generate(policy, options.name, options.weights, true)?;
     let app = App { policy, options, mapping: mapping(options.drone)?, scale };
     let name = options.name;
     let file = |path: String, content: String| TextFile { path, content };
@@ -193,7 +207,7 @@ impl App<'_> {
         );
         let _ = write!(
             text,
-            "/* Rate of the stabilizer task, which calls the controller, Hz. */\n#define STABILIZER_RATE 1000\n\n\
+            "/* Rate of the stabilizer task, which calls the controller, Hz. */\n#define STABILIZER_RATE {STABILIZER_RATE}\n\n\
              /* Target of the policy, m. The setpoint of the drone is moved to it. */\n\
              static const float target[3] = {{ {}, {}, {} }};\n\n\
              /* Thrust coefficient of a rotor of {}, N/rpm^2. */\n#define THRUST_COEFFICIENT {}\n\

@@ -46,6 +46,8 @@ pub struct OnnxOptions {
     pub action_range: Option<ActionRange>,
     /// Name of the output that is the action; default the first output.
     pub action_output: Option<String>,
+    /// True if the policy also flies environments with another action type than that of its metadata.
+    pub any_action_type: bool,
 }
 
 /// Input that the graph keeps between steps, such as the hidden state of a recurrent layer, and the output that is its next
@@ -59,6 +61,9 @@ struct Memory {
     /// Number of entries for one row.
     size: usize,
 }
+
+/// Largest number of entries of a memory.
+const MAX_MEMORY: usize = 1 << 20;
 
 /// A policy in an ONNX file.
 ///
@@ -85,6 +90,8 @@ pub struct OnnxPolicy {
     info: Option<PolicyInfo>,
     indices: Option<Vec<usize>>,
     range: ActionRange,
+    /// True if an environment with another action type than that of the metadata does not fit.
+    keeps_action_type: bool,
 }
 
 /// A graph with its inputs and outputs.
@@ -158,7 +165,8 @@ impl OnnxPolicy {
             let expected = format!("{entries} numbers, one per input of the graph");
             return Err(unsupported("observation_indices", format_args!("{} numbers", indices.len()), expected));
         }
-        Ok(Self { graph: Arc::new(graph), info, indices, range })
+        let keeps_action_type = !options.any_action_type;
+        Ok(Self { graph: Arc::new(graph), info, indices, range, keeps_action_type })
     }
 
     /// Returns the metadata, if this program or one that knows its format wrote the file.
@@ -166,10 +174,13 @@ impl OnnxPolicy {
         self.info.as_ref()
     }
 
-    /// Returns the number of entries of the observation, or of that of one drone, if the graph takes all of them and fixes
-    /// their number.
+    /// Returns the smallest number of entries of an observation (of one drone, if the policy is per drone) that the
+    /// policy can read; `None` for any number.
     pub fn inputs(&self) -> Option<usize> {
-        if self.indices.is_some() { None } else { self.graph.entries }
+        match &self.indices {
+            Some(indices) => indices.iter().max().map(|largest| largest + 1),
+            None => self.graph.entries,
+        }
     }
 
     /// Returns true if the policy maps the observation of each drone to the action of this drone.
@@ -189,6 +200,12 @@ impl OnnxPolicy {
     pub fn check(&self, env: &dyn DroneEnv) -> Result<(), FormatError> {
         let rows = if self.is_per_drone() { env.simulation().num_drones() } else { 1 };
         let (observed, acted) = (env.observation_space().vector.size() / rows, env.action_space().size() / rows);
+        if let Some(info) = self.info.as_ref().filter(|_| self.keeps_action_type)
+            && info.action_type != env.action_type().name()
+        {
+            let (policy, env) = (format!("actions {}", info.action_type), format!("actions {}", env.action_type()));
+            return Err(FormatError::Mismatch { policy, env });
+        }
         let mismatch = |policy: String| {
             let action_type = env.action_type();
             FormatError::Mismatch {
@@ -219,7 +236,7 @@ impl OnnxPolicy {
 
     /// Returns a policy for an episode, with a memory of its own.
     pub fn pilot(&self) -> OnnxPilot {
-        OnnxPilot { policy: self.clone(), memory: Vec::new(), input: Vec::new(), output: Vec::new() }
+        OnnxPilot { policy: self.clone(), checked: None, memory: Vec::new(), input: Vec::new(), output: Vec::new() }
     }
 
     /// Returns the outputs of the graph for rows of its inputs, at the start of an episode: without the options that map
@@ -356,7 +373,11 @@ impl Graph {
                     "its input `{what}` has the shape {sizes:?}, expected any number of rows (0) and fixed sizes after it"
                 )));
             }
-            let size = sizes.iter().filter(|&&size| size > 0).product();
+            let entries = sizes.iter().filter(|&&size| size > 0).try_fold(1_usize, |all, &size| all.checked_mul(size));
+            let size = entries.filter(|&size| size <= MAX_MEMORY).ok_or_else(|| {
+                let limit = format!("at most {MAX_MEMORY} entries");
+                wrong(format_args!("its input `{what}` has the shape {sizes:?}, expected {limit}"))
+            })?;
             memories.push(Memory { input, output, shape: sizes, size });
         }
         Ok(Self { input, entries, output, memories, is_single, model })
@@ -434,6 +455,8 @@ impl Graph {
 #[derive(Debug, Clone)]
 pub struct OnnxPilot {
     policy: OnnxPolicy,
+    /// Observation and action sizes and the number of drones of the last checked environment.
+    checked: Option<[usize; 3]>,
     /// Memories of the rows, one after the other.
     memory: Vec<f32>,
     input: Vec<f32>,
@@ -457,9 +480,10 @@ impl OnnxPilot {
 
 impl Policy for OnnxPilot {
     fn reset(&mut self, env: &dyn DroneEnv) -> Result<(), RolloutError> {
-        // the first episode of a pilot checks the environment
-        if self.memory.is_empty() && self.input.is_empty() {
+        let sizes = [env.observation_space().vector.size(), env.action_space().size(), env.simulation().num_drones()];
+        if self.checked != Some(sizes) {
             self.policy.check(env).map_err(of_policy)?;
+            self.checked = Some(sizes);
         }
         self.memory.clear();
         self.memory.resize(self.rows(env) * self.policy.memory_size(), 0.0);
@@ -479,8 +503,9 @@ impl Policy for OnnxPilot {
 
     fn reset_drone(&mut self, env: &dyn DroneEnv, drone: usize) -> Result<(), RolloutError> {
         let size = self.policy.memory_size();
-        let own = if self.rows(env) > 1 { drone * size..(drone + 1) * size } else { 0..size };
-        if let Some(memory) = self.memory.get_mut(own) {
+        // a memory that several drones share stays as it is
+        let is_own = self.policy.is_per_drone() || env.simulation().num_drones() == 1;
+        if let Some(memory) = self.memory.get_mut(drone * size..(drone + 1) * size).filter(|_| is_own) {
             memory.fill(0.0);
         }
         Ok(())
