@@ -91,7 +91,8 @@ fn indices(list: &str) -> Result<Vec<usize>, Failure> {
     const LARGEST: usize = 9999;
     let wrong = |part: &str| {
         Failure::input(anyhow!(
-            "--observation-indices has `{part}`, expected numbers from 0 to {LARGEST} and ranges such as 6-8, separated by commas"
+            "--observation-indices has `{part}`, expected numbers from 0 to {LARGEST} and ranges such as 6-8, \
+             separated by commas"
         ))
     };
     let mut indices = Vec::new();

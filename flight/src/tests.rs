@@ -186,8 +186,8 @@ proptest! {
     }
 }
 
-/// Operations of a control step of Hover with five physics steps and no effects, one drone: what a device computes for an
-/// environment step, without loads, stores and integer arithmetic. `docs/gpu.md` derives its upper limits from it.
+/// Operations of a control step of Hover with five physics steps and no effects, one drone: what a device computes for
+/// an environment step, without loads, stores and integer arithmetic. `docs/gpu.md` derives its upper limits from it.
 #[test]
 fn a_control_step_of_hover_has_about_six_hundred_operations_a_physics_step() {
     let all = Plain::of;

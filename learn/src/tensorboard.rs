@@ -55,8 +55,8 @@ impl TensorboardWriter {
         &self.path
     }
 
-    /// Appends the numbers of an iteration, with the environment steps so far as their step. The names of the numbers are
-    /// those of Stable-Baselines3.
+    /// Appends the numbers of an iteration, with the environment steps so far as their step. The names of the numbers
+    /// are those of Stable-Baselines3.
     ///
     /// # Errors
     /// Those of the system.

@@ -9,7 +9,7 @@ use std::fmt::Write as _;
 
 use aviary::policy::{Activation, PolicyInfo, PolicyNetwork, gates};
 
-use self::text::{array, comment, number, wrapped};
+use self::text::{array, comment, fill, number, wrapped};
 use crate::layout::{self, Entry};
 use crate::quantization::{Linear, layers, layers_of_gru};
 use crate::{FormatError, unsupported};
@@ -151,7 +151,7 @@ impl Code<'_> {
             );
         }
         let memory = if self.policy.memory_size() > 0 {
-            " The memory\n * is that of the evaluation before, zero at the start of an episode; the function replaces it."
+            "\n * The function replaces the memory of the evaluation before, which is zero at the start of an episode."
         } else {
             ""
         };
@@ -162,7 +162,7 @@ impl Code<'_> {
         };
         let _ = write!(
             text,
-            "/*\n * Computes the action for an observation. Normalization and bounds are part of it.{memory}{threads}\n */\n\
+            "/*\n * Computes the action for an observation, with normalization and bounds.{memory}{threads}\n */\n\
              {};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
             self.signature()
         );
@@ -224,18 +224,15 @@ impl Code<'_> {
         for (index, layer) in layers.iter().enumerate() {
             bytes += self.layer(&mut text, &format!("layer{index}"), layer);
         }
-        text += "static float clipped(float x, float low, float high)\n{\n    return x < low ? low : x > high ? high : x;\n}\n\n";
-        text += &self.linear();
+        text += include_str!("../templates/clipped.c");
+        text += match self.weights {
+            Weights::Float32 => include_str!("../templates/linear_float32.c"),
+            Weights::Int8 => include_str!("../templates/linear_int8.c"),
+        };
         if layers.len() > 1 {
             text += match net.activation() {
-                Activation::Relu => {
-                    "static void activate(int count, float *x)\n{\n    for (int i = 0; i < count; i++) {\n        \
-                     x[i] = x[i] > 0.0f ? x[i] : 0.0f;\n    }\n}\n\n"
-                }
-                Activation::Softsign => {
-                    "static void activate(int count, float *x)\n{\n    for (int i = 0; i < count; i++) {\n        \
-                     x[i] = x[i] / (1.0f + (x[i] < 0.0f ? -x[i] : x[i]));\n    }\n}\n\n"
-                }
+                Activation::Relu => include_str!("../templates/relu.c"),
+                Activation::Softsign => include_str!("../templates/softsign.c"),
             };
         }
         if recurrent.is_some() {
@@ -254,7 +251,8 @@ impl Code<'_> {
         let _ = write!(
             text,
             "\n    for (int i = 0; i < {inputs}; i++) {{\n        \
-             first[i] = clipped((observation[i] - observation_mean[i]) / observation_deviation[i], -{clip}, {clip});\n    }}\n"
+             first[i] = clipped((observation[i] - observation_mean[i]) / observation_deviation[i], -{clip}, \
+             {clip});\n    }}\n"
         );
         if let Some([of_input, of_state]) = &recurrent {
             let units = of_state.inputs;
@@ -307,64 +305,17 @@ impl Code<'_> {
         }
         text
     }
-
-    /// Returns the function of a linear layer. It computes four neurons at a time, whose sums do not wait for each other;
-    /// each sum has the order of [`Mlp`](aviary::policy::Mlp).
-    fn linear(&self) -> String {
-        let (weights, scales, begin, end): (_, _, fn(&str) -> String, fn(&str, usize) -> String) = match self.weights {
-            Weights::Float32 => ("float", "", |j| format!("biases[{j}]"), |_, k| format!("sum{k}")),
-            Weights::Int8 => (
-                "signed char",
-                " const float *scales,",
-                |_| "0.0f".into(),
-                |j, k| format!("biases[{j}] + scales[{j}] * sum{k}"),
-            ),
-        };
-        let cast = if self.weights == Weights::Int8 { "(float)" } else { "" };
-        let at = |k: usize| if k == 0 { "j".to_string() } else { format!("j + {k}") };
-        let mut text = format!(
-            "static void linear(const {weights} *weights,{scales} const float *biases, int inputs, int outputs,\n                   \
-             const float *x, float *y)\n{{\n    const {weights} *row = weights;\n    int j = 0;\n\n    \
-             for (; j + 4 <= outputs; j += 4) {{\n"
-        );
-        for k in 0..4 {
-            let _ = writeln!(text, "        float sum{k} = {};", begin(&at(k)));
-        }
-        text += "\n        for (int i = 0; i < inputs; i++) {\n";
-        for k in 0..4 {
-            let offset = ["", "inputs + ", "2 * inputs + ", "3 * inputs + "][k];
-            let _ = writeln!(text, "            sum{k} += x[i] * {cast}row[{offset}i];");
-        }
-        text += "        }\n";
-        for k in 0..4 {
-            let _ = writeln!(text, "        y[{}] = {};", at(k), end(&at(k), k));
-        }
-        let _ = write!(
-            text,
-            "        row += 4 * inputs;\n    }}\n    for (; j < outputs; j++) {{\n        float sum0 = {};\n\n        for (int i = 0; i < inputs; i++) {{\n            \
-             sum0 += x[i] * {cast}row[i];\n        }}\n        y[j] = {};\n        row += inputs;\n    }}\n}}\n\n",
-            begin("j"),
-            end("j", 0)
-        );
-        text
-    }
 }
 
 /// Returns the functions of the gates of a recurrent layer: those of [`gates`], which need no library.
 fn gate_functions() -> String {
     let list = |numbers: [f32; 5]| numbers.map(number).join(", ");
-    let bound = number(gates::BOUND);
-    format!(
-        "static float polynomial(const float *coefficients, float x)\n{{\n    float sum = coefficients[4];\n\n    \
-         for (int i = 3; i >= 0; i--) {{\n        sum = sum * x + coefficients[i];\n    }}\n    return sum;\n}}\n\n\
-         static float hyperbolic_tangent(float x)\n{{\n    static const float numerator[5] = {{ {} }};\n    \
-         static const float denominator[5] = {{ {} }};\n    const float bounded = clipped(x, -{bound}, {bound});\n    \
-         const float square = bounded * bounded;\n\n    \
-         return bounded * polynomial(numerator, square) / polynomial(denominator, square);\n}}\n\n\
-         static float logistic(float x)\n{{\n    return 0.5f + 0.5f * hyperbolic_tangent(0.5f * x);\n}}\n\n",
-        list(gates::NUMERATOR),
-        list(gates::DENOMINATOR)
-    )
+    let values = [
+        ("numerator", list(gates::NUMERATOR)),
+        ("denominator", list(gates::DENOMINATOR)),
+        ("bound", number(gates::BOUND)),
+    ];
+    fill(include_str!("../templates/gates.c"), &values)
 }
 
 #[cfg(test)]

@@ -144,8 +144,8 @@ pub fn observation(info: &PolicyInfo, size: usize) -> Vec<Entry> {
     entries.filter(|entries| entries.len() == size).unwrap_or_else(|| Entry::numbered("ENTRY", size))
 }
 
-/// Returns the entries of the action of a policy with `size` entries. They have numbers for names if the action type has
-/// another number of entries or is unknown.
+/// Returns the entries of the action of a policy with `size` entries. They have numbers for names if the action type
+/// has another number of entries or is unknown.
 pub fn action(info: &PolicyInfo, size: usize) -> Vec<Entry> {
     let action_type = info.action_type.parse::<ActionType>().ok();
     let entries = action_type.map(|action_type| of_drones(info, &of_action(action_type)));

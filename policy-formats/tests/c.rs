@@ -31,14 +31,7 @@ fn evaluate(policy: &PolicyNetwork, weights: Weights, observations: &[f32]) -> V
     let code = source(policy, "trained", weights).unwrap();
     std::fs::write(directory.path().join("trained.h"), &code.header).unwrap();
     std::fs::write(directory.path().join("trained.c"), &code.source).unwrap();
-    let main = "#include <stdio.h>\n\n#include \"trained.h\"\n\nint main(void)\n{\n    \
-                float observation[TRAINED_OBSERVATION_SIZE];\n    float action[TRAINED_ACTION_SIZE];\n#ifdef TRAINED_MEMORY_SIZE\n    \
-                float memory[TRAINED_MEMORY_SIZE] = { 0.0f };\n#endif\n\n    \
-                while (fread(observation, sizeof(observation), 1, stdin) == 1) {\n#ifdef TRAINED_MEMORY_SIZE\n        \
-                trained_evaluate(observation, memory, action);\n#else\n        trained_evaluate(observation, action);\n#endif\n        \
-                fwrite(action, sizeof(action), 1, stdout);\n    }\n    \
-                return 0;\n}\n";
-    std::fs::write(directory.path().join("main.c"), main).unwrap();
+    std::fs::write(directory.path().join("main.c"), include_str!("main.c")).unwrap();
     std::fs::write(directory.path().join("in"), observations.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>())
         .unwrap();
     compile(directory.path(), &[&STRICT[..], &["trained.c", "main.c", "-o", "main"]].concat());
@@ -49,7 +42,7 @@ fn evaluate(policy: &PolicyNetwork, weights: Weights, observations: &[f32]) -> V
 }
 
 #[test]
-fn generated_code_computes_the_actions_of_the_policy_to_the_bit() {
+fn generated_code_computes_the_actions_of_the_policy_bit_for_bit() {
     let policies = ["hover", "race", "velocity", "hover_cf21"].map(common::asset);
     for policy in policies.into_iter().chain([common::random(), common::recurrent()]) {
         let observations = common::observations(&policy, ROWS);
@@ -138,8 +131,9 @@ impl Drop for Application {
     }
 }
 
-/// The application flies a drone whose propellers turn as those of the Crazyflie, from its estimate in its own frames, to
-/// setpoints away from the origin and at another yaw. The policy was trained with propellers that turn the other way.
+/// The application flies a drone whose propellers turn as those of the Crazyflie, from its estimate in its own frames,
+/// to setpoints away from the origin and at another yaw. The policy was trained with propellers that turn the other
+/// way.
 #[test]
 fn the_application_hovers_at_setpoints() {
     let trained_for = DroneModel::Cf2x.params();

@@ -73,9 +73,9 @@ fn file(graph: GraphProto, metadata: &[(&str, &str)]) -> Vec<u8> {
     model.write_buf().unwrap()
 }
 
-/// Returns a file with the layers of a trainer in Python: the weights of a layer as outputs × inputs, `tanh` at the end, and
-/// the value of a critic as a second output. It hovers: thrust from height and vertical speed, the motors against tilt and
-/// angular velocity.
+/// Returns a file with the layers of a trainer in Python: the weights of a layer as outputs × inputs, `tanh` at the
+/// end, and the value of a critic as a second output. It hovers: thrust from height and vertical speed, the motors
+/// against tilt and angular velocity.
 fn of_another_trainer(order: &[usize], rows: Size, metadata: &[(&str, &str)]) -> Vec<u8> {
     // motors 0 and 1 are on the left, 0 and 3 at the front
     let (left, front) = ([1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]);

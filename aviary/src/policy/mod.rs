@@ -308,8 +308,8 @@ impl PolicyNetwork {
         (&self.mean, &self.deviation)
     }
 
-    /// Returns the lower and upper bounds of the action, infinite where it has none. Outputs of the network from −1 to 1
-    /// are scaled to the bounds if both are finite.
+    /// Returns the lower and upper bounds of the action, infinite where it has none. Outputs of the network from −1 to
+    /// 1 are scaled to the bounds if both are finite.
     pub fn bounds(&self) -> (&[f32], &[f32]) {
         (&self.low, &self.high)
     }

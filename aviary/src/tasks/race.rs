@@ -249,8 +249,8 @@ impl Race {
         let (here, next) = (self.gates[gate], self.gates[(gate + 1) % count]);
         let before = self.gates[(gate + count - 1) % count];
         let towards = |to: [f64; 3], from: [f64; 3]| [to[0] - from[0], to[1] - from[1]];
-        // of two gates, the one before is also the next: there, and between gates above each other, the direction from the
-        // previous gate to this one counts, or from this one to the next
+        // of two gates, the one before is also the next: there, and between gates above each other, the direction from
+        // the previous gate to this one counts, or from this one to the next
         let directions = [towards(next, before), towards(here, before), towards(next, here)];
         let [x, y] = directions.into_iter().find(|[x, y]| x.hypot(*y) > 1e-9).unwrap_or([1.0, 0.0]);
         y.atan2(x)

@@ -76,9 +76,9 @@ impl Pilot {
         Ok(Self::other(file, bytes, info, Some(inputs), move || Box::new(network.clone().into_pilot())))
     }
 
-    /// Creates a pilot from a policy of another format: the name and the content of its file, its environment, the number
-    /// of entries of its observation if it is fixed, and a function that creates a policy for an episode. Policies whose
-    /// results depend on the machine make reports that depend on it.
+    /// Creates a pilot from a policy of another format: the name and the content of its file, its environment, the
+    /// number of entries of its observation if it is fixed, and a function that creates a policy for an episode.
+    /// Policies whose results depend on the machine make reports that depend on it.
     pub fn other(
         file: &str,
         bytes: &[u8],

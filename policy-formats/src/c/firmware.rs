@@ -1,13 +1,12 @@
 //! An application for the firmware of a Crazyflie that flies a policy.
 
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 
 use aviary::action::ActionType;
 use aviary::drone::{DroneParams, Layout};
 use aviary::policy::PolicyNetwork;
 
-use super::text::{comment, number};
+use super::text::{comment, fill, number, wrapped};
 use super::{TextFile, Weights, generate};
 use crate::{FormatError, unsupported};
 
@@ -35,11 +34,15 @@ struct Mapping {
 /// Rate of the firmware's stabilizer task, which calls the controller, Hz.
 const STABILIZER_RATE: u32 = 1000;
 
+/// Build options of the application.
+const APP_CONFIG: &str =
+    "CONFIG_APP_ENABLE=y\nCONFIG_APP_PRIORITY=1\nCONFIG_APP_STACKSIZE=350\nCONFIG_CONTROLLER_OOT=y\n";
+
 /// Headers of the firmware that the application includes, without their endings.
 const FIRMWARE_NAMES: [&str; 5] = ["app", "controller", "platform_defaults", "stabilizer_types", "task"];
 
-/// Positions of M1 to M4 in the body frame, in units of their distance from the axes: front right, back right, back left
-/// and front left.
+/// Positions of M1 to M4 in the body frame, in units of their distance from the axes: front right, back right, back
+/// left and front left.
 const MOTORS: [[f64; 2]; 4] = [[1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]];
 
 /// Signs of the reaction torques of M1 to M4 about z.
@@ -115,10 +118,7 @@ pub fn firmware(policy: &PolicyNetwork, options: &FirmwareOptions<'_>) -> Result
     Ok(vec![
         file("README.md".into(), app.readme()),
         file("Makefile".into(), app.makefile()),
-        file(
-            "app-config".into(),
-            "CONFIG_APP_ENABLE=y\nCONFIG_APP_PRIORITY=1\nCONFIG_APP_STACKSIZE=350\nCONFIG_CONTROLLER_OOT=y\n".into(),
-        ),
+        file("app-config".into(), APP_CONFIG.into()),
         file("Kbuild".into(), "obj-y += src/\n".into()),
         file("src/Kbuild".into(), format!("obj-y += {name}.o\nobj-y += {name}_app.o\n")),
         file(format!("src/{name}.h"), code.header),
@@ -145,164 +145,92 @@ struct App<'a> {
 
 impl App<'_> {
     fn makefile(&self) -> String {
-        let name = self.options.name;
-        format!(
-            "# Out-of-tree build of {name}: `make CRAZYFLIE_BASE=PATH` with the path of the firmware.\n\
-             CRAZYFLIE_BASE ?= ../crazyflie-firmware\n\n\
-             OOT_CONFIG := $(PWD)/app-config\n\ninclude $(CRAZYFLIE_BASE)/tools/make/oot.mk\n"
-        )
+        fill(include_str!("../../templates/app.mk"), &[("name", self.options.name.into())])
     }
 
     /// Returns the frames of the policy in words.
     fn frames(&self) -> &'static str {
         if self.mapping.turned {
-            "The propellers of this airframe turn against those of the Crazyflie. Turned by 90 degrees about z they turn alike, \
-             so the policy sees world and drone in frames whose x axis is y of the Crazyflie and whose y axis is -x. Yaw is \
-             the same in both."
+            "The propellers of this airframe turn against those of the Crazyflie. Turned by 90 degrees about z they \
+             turn alike, so the policy sees world and drone in frames whose x axis is y of the Crazyflie and whose y \
+             axis is -x. Yaw is the same in both."
         } else {
             "The frames of the policy are those of the Crazyflie: x forward, y to the left, z up."
         }
     }
 
     fn readme(&self) -> String {
-        let (info, name) = (self.policy.info(), self.options.name);
-        let [x, y, z] = self.options.target;
-        let motors: Vec<_> =
-            self.mapping.motors.iter().enumerate().map(|(at, motor)| format!("| M{} | {motor} |", at + 1)).collect();
-        format!(
-            "# {name}\n\nAn application for the firmware of the Crazyflie that flies the policy of `{command}`.\n\n\
-             ```text\nmake CRAZYFLIE_BASE=PATH_OF_THE_FIRMWARE\ncfloader flash build/cf2.bin stm32-fw -w radio://0/80/2M/E7E7E7E7E7\n```\n\n\
-             `app-config` selects the out-of-tree controller. Select it at run time with the parameter `stabilizer.controller`.\n\n\
-             - **Estimate**: the policy needs position, velocity and attitude, from a positioning system or a flow deck.\n\
-             - **Setpoint**: absolute positions, as the high-level commander sends them. The drone hovers at the setpoint, which the\n  \
-             policy sees as ({x}, {y}, {z}) m. With any other setpoint the motors stop. Distant setpoints are outside of what the\n  \
-             policy was trained for: move them in steps of at most 0.5 m.\n\
-             - **Rate**: {rate} Hz, in the stabilizer task.\n\
-             - **Motors**: the policy sets motor speeds. The application turns them into forces with the thrust coefficient of the\n  \
-             airframe `{drone}`, as shares of the firmware's `THRUST_MAX`; motors that lag or are weaker than the simulated ones\n  \
-             fly otherwise than in simulation.\n\
-             - **Frames**: {frames}\n\n| Crazyflie | motor of the policy |\n| --- | --- |\n{motors}\n\n\
-             Try it first without propellers, then at low height above something soft, with a hand on the emergency stop.\n",
-            command = info.command.replace(['`', '\n'], " "),
-            rate = info.ctrl_freq,
-            drone = info.drone,
-            frames = self.frames(),
-            motors = motors.join("\n"),
-        )
+        let info = self.policy.info();
+        let motors = self.mapping.motors.iter().enumerate();
+        let motors: Vec<_> = motors.map(|(at, motor)| format!("| M{} | {motor} |", at + 1)).collect();
+        let values = [
+            ("name", self.options.name.into()),
+            ("command", comment(&info.command).replace('`', " ")),
+            ("target", self.options.target.map(|x| x.to_string()).join(", ")),
+            ("rate", info.ctrl_freq.to_string()),
+            ("drone", comment(&info.drone)),
+            ("frames", self.frames().into()),
+            ("motors", motors.join("\n")),
+        ];
+        fill(include_str!("../../templates/app.md"), &values)
     }
 
     fn controller(&self) -> String {
-        let (info, name) = (self.policy.info(), self.options.name);
+        let (drone, name) = (self.options.drone, self.options.name);
         let prefix = name.to_uppercase();
-        let drone = self.options.drone;
-        let frames = |x: &str, y: &str| {
-            if self.mapping.turned { (y.to_string(), format!("-{x}")) } else { (x.into(), y.into()) }
+        let single = |x: f64| number(x as f32);
+        let (speeds, speed) = match self.scale {
+            Scale::Normalized => (
+                format!(
+                    "/* Speeds of a motor for the actions 0 and 1, rpm. */\n\
+                     #define HOVER_SPEED {}\n#define MAX_SPEED {}\n",
+                    single(drone.hover_rpm()),
+                    single(drone.max_rpm())
+                ),
+                "action <= 0.0f ? (action + 1.0f) * HOVER_SPEED : HOVER_SPEED + action * (MAX_SPEED - HOVER_SPEED)",
+            ),
+            Scale::Speed => (String::new(), "action"),
         };
-        let mut text = format!(
-            "/*\n * Out-of-tree controller that flies the policy of {name}.h.\n *\n{} */\n\n\
-             #include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n\n\
-             #include \"FreeRTOS.h\"\n#include \"app.h\"\n#include \"controller.h\"\n#include \"platform_defaults.h\"\n#include \"stabilizer_types.h\"\n#include \"task.h\"\n\n\
-             #include \"{name}.h\"\n\n",
-            super::text::wrapped(self.frames())
-        );
-        let _ = write!(
-            text,
-            "/* Rate of the stabilizer task, which calls the controller, Hz. */\n#define STABILIZER_RATE {STABILIZER_RATE}\n\n\
-             /* Target of the policy, m. The setpoint of the drone is moved to it. */\n\
-             static const float target[3] = {{ {}, {}, {} }};\n\n\
-             /* Thrust coefficient of a rotor of {}, N/rpm^2. */\n#define THRUST_COEFFICIENT {}\n\
-             /* Thrust of a motor of the Crazyflie at full power, N. */\n\
-             #ifndef THRUST_MAX\n#define THRUST_MAX {}\n#endif\n",
-            number(self.options.target[0] as f32),
-            number(self.options.target[1] as f32),
-            number(self.options.target[2] as f32),
-            comment(&info.drone),
-            number(drone.thrust_coefficient as f32),
-            number((drone.max_thrust() / 4.0) as f32),
-        );
-        if self.scale == Scale::Normalized {
-            let _ = write!(
-                text,
-                "/* Speeds of a motor for the actions 0 and 1, rpm. */\n#define HOVER_SPEED {}\n#define MAX_SPEED {}\n",
-                number(drone.hover_rpm() as f32),
-                number(drone.max_rpm() as f32),
-            );
-        }
-        let _ = write!(
-            text,
-            "/* rad/s per deg/s. */\n#define RADIANS {}\n\n\
-             /* Motor of the policy for M1 to M4. */\nstatic const int motor_of[4] = {{ {} }};\n\n\
-             static float forces[4];\n{}\n",
-            number((TAU / 360.0) as f32),
-            (self.mapping.motors.iter())
-                .map(|&motor| if self.policy.action_size() == 1 { "0".into() } else { motor.to_string() })
-                .collect::<Vec<_>>()
-                .join(", "),
-            if self.policy.memory_size() > 0 {
-                format!("static float memory[{prefix}_MEMORY_SIZE];\n")
-            } else {
-                String::new()
-            },
-        );
-        text += "/* Returns the speed of a motor for an action, rpm. */\nstatic float speed(float action)\n{\n";
-        text += match self.scale {
-            Scale::Normalized => {
-                "    return action <= 0.0f ? (action + 1.0f) * HOVER_SPEED : HOVER_SPEED + action * (MAX_SPEED - HOVER_SPEED);\n}\n\n"
-            }
-            Scale::Speed => "    return action;\n}\n\n",
-        };
-        let (px, py) =
-            frames("(state->position.x - setpoint->position.x)", "(state->position.y - setpoint->position.y)");
-        let (vx, vy) = frames("state->velocity.x", "state->velocity.y");
-        let (wx, wy) = frames("sensors->gyro.x", "sensors->gyro.y");
-        let (qx, qy) = frames("state->attitudeQuaternion.x", "state->attitudeQuaternion.y");
-        let _ = write!(
-            text,
-            "/* Computes the observation from the estimate and the setpoint. */\n\
-             static void observe(const state_t *state, const sensorData_t *sensors, const setpoint_t *setpoint,\n                    \
-             float observation[{prefix}_OBSERVATION_SIZE])\n{{\n    \
-             const float w = state->attitudeQuaternion.w;\n    const float x = {qx};\n    const float y = {qy};\n    \
-             const float z = state->attitudeQuaternion.z;\n    const float sine = 2.0f * (w * y - z * x);\n\n    \
-             observation[{prefix}_OBSERVATION_POSITION_X] = target[0] + {px};\n    \
-             observation[{prefix}_OBSERVATION_POSITION_Y] = target[1] + {py};\n    \
-             observation[{prefix}_OBSERVATION_POSITION_Z] = target[2] + state->position.z - setpoint->position.z;\n    \
-             observation[{prefix}_OBSERVATION_ROLL] = atan2f(2.0f * (w * x + y * z), 1.0f - 2.0f * (x * x + y * y));\n    \
-             observation[{prefix}_OBSERVATION_PITCH] = asinf(sine < -1.0f ? -1.0f : sine > 1.0f ? 1.0f : sine);\n    \
-             observation[{prefix}_OBSERVATION_YAW] = atan2f(2.0f * (w * z + x * y), 1.0f - 2.0f * (y * y + z * z));\n    \
-             observation[{prefix}_OBSERVATION_VELOCITY_X] = {vx};\n    \
-             observation[{prefix}_OBSERVATION_VELOCITY_Y] = {vy};\n    \
-             observation[{prefix}_OBSERVATION_VELOCITY_Z] = state->velocity.z;\n    \
-             observation[{prefix}_OBSERVATION_ANGULAR_VELOCITY_X] = RADIANS * {wx};\n    \
-             observation[{prefix}_OBSERVATION_ANGULAR_VELOCITY_Y] = RADIANS * {wy};\n    \
-             observation[{prefix}_OBSERVATION_ANGULAR_VELOCITY_Z] = RADIANS * sensors->gyro.z;\n}}\n\n"
-        );
-        let (memory, clear) = match self.policy.memory_size() {
-            0 => ("", String::new()),
+        let (memory, clear, memory_argument) = match self.policy.memory_size() {
+            0 => (String::new(), String::new(), ""),
             _ => (
-                "memory, ",
+                format!("static float memory[{prefix}_MEMORY_SIZE];\n"),
                 format!("    for (int i = 0; i < {prefix}_MEMORY_SIZE; i++) {{\n        memory[i] = 0.0f;\n    }}\n"),
+                "memory, ",
             ),
         };
-        let _ = write!(
-            text,
-            "void appMain(void)\n{{\n    while (true) {{\n        vTaskDelay(M2T(1000));\n    }}\n}}\n\n\
-             void controllerOutOfTreeInit(void)\n{{\n    for (int motor = 0; motor < 4; motor++) {{\n        forces[motor] = 0.0f;\n    }}\n{clear}}}\n\n\
-             bool controllerOutOfTreeTest(void)\n{{\n    return true;\n}}\n\n\
-             void controllerOutOfTree(control_t *control, const setpoint_t *setpoint, const sensorData_t *sensors,\n                         \
-             const state_t *state, const uint32_t step)\n{{\n    \
-             const bool has_target =\n        setpoint->mode.x == modeAbs && setpoint->mode.y == modeAbs && setpoint->mode.z == modeAbs;\n    \
-             /* {prefix}_RATE does not divide the rate of the task: the evaluations are spread evenly. */\n    \
-             const bool due = (step % STABILIZER_RATE) * {prefix}_RATE % STABILIZER_RATE < {prefix}_RATE;\n\n    \
-             if (!has_target) {{\n        controllerOutOfTreeInit();\n    }} else if (due) {{\n        \
-             float observation[{prefix}_OBSERVATION_SIZE];\n        float action[{prefix}_ACTION_SIZE];\n\n        \
-             observe(state, sensors, setpoint, observation);\n        {name}_evaluate(observation, {memory}action);\n        \
-             for (int motor = 0; motor < 4; motor++) {{\n            const float rpm = speed(action[motor_of[motor]]);\n            \
-             const float share = THRUST_COEFFICIENT * rpm * rpm / THRUST_MAX;\n\n            \
-             forces[motor] = share > 1.0f ? 1.0f : share;\n        }}\n    }}\n    \
-             control->controlMode = controlModeForce;\n    for (int motor = 0; motor < 4; motor++) {{\n        \
-             control->normalizedForces[motor] = forces[motor];\n    }}\n}}\n"
-        );
-        text
+        // one entry for all motors, or one for each
+        let entry = |&motor: &usize| if self.policy.action_size() == 1 { 0 } else { motor };
+        let entries: Vec<_> = self.mapping.motors.iter().map(|motor| entry(motor).to_string()).collect();
+        let mut values = vec![
+            ("name", name.to_string()),
+            ("frames", wrapped(self.frames())),
+            ("NAME", prefix),
+            ("stabilizer_rate", STABILIZER_RATE.to_string()),
+            ("target", self.options.target.map(single).join(", ")),
+            ("drone", comment(&self.policy.info().drone)),
+            ("thrust_coefficient", single(drone.thrust_coefficient)),
+            ("thrust_max", single(drone.max_thrust() / 4.0)),
+            ("speeds", speeds),
+            ("radians", single(TAU / 360.0)),
+            ("entries", entries.join(", ")),
+            ("memory", memory),
+            ("speed", speed.into()),
+            ("clear", clear),
+            ("memory_argument", memory_argument.into()),
+        ];
+        let axes = [
+            ["dx", "dy", "dx", "dy"],
+            ["quaternion_x", "quaternion_y", "state->attitudeQuaternion.x", "state->attitudeQuaternion.y"],
+            ["velocity_x", "velocity_y", "state->velocity.x", "state->velocity.y"],
+            ["rate_x", "rate_y", "sensors->gyro.x", "sensors->gyro.y"],
+        ];
+        for [x, y, along_x, along_y] in axes {
+            let turned = [along_y.to_string(), format!("-{along_x}")];
+            let [in_x, in_y] = if self.mapping.turned { turned } else { [along_x.into(), along_y.into()] };
+            values.extend([(x, in_x), (y, in_y)]);
+        }
+        fill(include_str!("../../templates/app.c"), &values)
     }
 }
 
@@ -311,6 +239,16 @@ mod tests {
     use aviary::drone::DroneModel;
 
     use super::*;
+
+    #[test]
+    fn every_key_of_a_template_has_a_value() {
+        let policy = PolicyNetwork::load("../assets/policies/hover.safetensors").unwrap();
+        let drone = DroneModel::Cf2x.params();
+        let options = FirmwareOptions { name: "a", weights: Weights::Float32, drone: &drone, target: [0.0, 0.0, 1.0] };
+        for file in firmware(&policy, &options).unwrap() {
+            assert!(!file.content.contains('@'), "{}", file.path);
+        }
+    }
 
     /// A motor of the policy pushes at the place of the motor of the Crazyflie, and turns it in the same direction.
     #[test]

@@ -41,6 +41,12 @@ pub(super) fn wrapped(text: &str) -> String {
     lines
 }
 
+/// Returns a template with a value in place of each `@key@`.
+pub(super) fn fill(template: &str, values: &[(&str, String)]) -> String {
+    let replaced = |text: String, (key, value): &(&str, String)| text.replace(&format!("@{key}@"), value);
+    values.iter().fold(template.to_string(), replaced)
+}
+
 /// Returns a constant array.
 pub(super) fn array(of: &str, name: &str, values: impl ExactSizeIterator<Item = String>) -> String {
     let mut text = format!("static const {of} {name}[{}] = {{\n", values.len());

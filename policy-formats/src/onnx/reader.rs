@@ -35,8 +35,8 @@ impl ActionRange {
     }
 }
 
-/// How observations become inputs of a graph, and its outputs actions. What is `None` comes from the metadata of the file,
-/// which has the same names for keys.
+/// Mapping of observations to the inputs of a graph and of its outputs to actions. What is `None` comes from the
+/// metadata of the file, which has the same names for keys.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OnnxOptions {
     /// Entries of the observation that are inputs, in the order of the graph; default all of them. In the metadata,
@@ -50,8 +50,8 @@ pub struct OnnxOptions {
     pub any_action_type: bool,
 }
 
-/// Input that the graph keeps between steps, such as the hidden state of a recurrent layer, and the output that is its next
-/// value.
+/// Input that the graph keeps between steps, such as the hidden state of a recurrent layer, and the output that is its
+/// next value.
 #[derive(Debug, Clone)]
 struct Memory {
     input: NodeId,
@@ -68,8 +68,8 @@ const MAX_MEMORY: usize = 1 << 20;
 /// A policy in an ONNX file.
 ///
 /// The graph has one input for observations, with the shape rows × entries, and an output for actions, with the shape
-/// rows × components, both in single precision. Each further input is a memory: it is zero at the start of an episode, and
-/// then the further output at the same place. Other further outputs, such as values, are ignored.
+/// rows × components, both in single precision. Each further input is a memory: it is zero at the start of an episode,
+/// and then the further output at the same place. Other further outputs, such as values, are ignored.
 ///
 /// ```
 /// use aviary::policy::PolicyNetwork;
@@ -239,8 +239,8 @@ impl OnnxPolicy {
         OnnxPilot { policy: self.clone(), checked: None, memory: Vec::new(), input: Vec::new(), output: Vec::new() }
     }
 
-    /// Returns the outputs of the graph for rows of its inputs, at the start of an episode: without the options that map
-    /// observations and actions.
+    /// Returns the outputs of the graph for rows of its inputs, at the start of an episode: without the options that
+    /// map observations and actions.
     ///
     /// # Errors
     /// [`FormatError::Onnx`] for a graph that cannot be evaluated.
@@ -290,8 +290,8 @@ impl OnnxPolicy {
     }
 }
 
-/// Runs work on the threads of the runtime, where the evaluation of a graph needs no change of threads. Parallel iterators
-/// of rayon within the work use these threads.
+/// Runs work on the threads of the runtime, where the evaluation of a graph needs no change of threads. Parallel
+/// iterators of rayon within the work use these threads.
 ///
 /// An episode of a small policy takes a third less time there.
 pub fn on_threads_of_the_runtime<R: Send>(work: impl FnOnce() -> R + Send) -> R {
@@ -370,7 +370,7 @@ impl Graph {
                 && (is_single || sizes[..begins].iter().all(|&size| size == 1));
             if !usable {
                 return Err(wrong(format_args!(
-                    "its input `{what}` has the shape {sizes:?}, expected any number of rows (0) and fixed sizes after it"
+                    "its input `{what}` has the shape {sizes:?}, expected any number of rows (0), then fixed sizes"
                 )));
             }
             let entries = sizes.iter().filter(|&&size| size > 0).try_fold(1_usize, |all, &size| all.checked_mul(size));

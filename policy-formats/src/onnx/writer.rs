@@ -20,8 +20,8 @@ const IR_VERSION: i64 = 8;
 ///
 /// The graph has the input `observation` and the output `action`, single precision, with any number of rows.
 /// Normalization and bounds are part of it. That of a recurrent policy has the further input `memory`, which is zero at
-/// the start of an episode, and the further output `next_memory`. Its metadata has the [`PolicyInfo`] as JSON under [`METADATA_KEY`], so that
-/// [`OnnxPolicy`](super::OnnxPolicy) needs no options.
+/// the start of an episode, and the further output `next_memory`. Its metadata has the [`PolicyInfo`] as JSON under
+/// [`METADATA_KEY`], so that [`OnnxPolicy`](super::OnnxPolicy) needs no options.
 ///
 /// # Errors
 /// [`FormatError::Onnx`] if the metadata cannot be written.
@@ -149,8 +149,8 @@ impl Graph {
         });
     }
 
-    /// Adds a recurrent layer between the inputs `memory` and the output `next_memory`, and returns the name of its input
-    /// and next state side by side.
+    /// Adds a recurrent layer between the inputs `memory` and the output `next_memory`, and returns the name of its
+    /// input and next state side by side.
     fn recurrent(&mut self, gru: &Gru, input: String) -> String {
         let units = gru.units();
         // ONNX has the gates in the order z, r, n, and the weights of a unit next to each other

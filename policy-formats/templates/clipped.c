@@ -1,0 +1,5 @@
+static float clipped(float x, float low, float high)
+{
+    return x < low ? low : x > high ? high : x;
+}
+
