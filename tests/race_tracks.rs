@@ -1,6 +1,6 @@
 //! Files of tracks of races.
 
-use mujoco_drones_gym::tasks::{Gate, GateMotion, GateRanges, RaceTrack};
+use mujoco_drones_gym::tasks::{Gate, GateMotion, GateRanges, Race, RaceTrack};
 use proptest::prelude::*;
 
 const FILE: &str = "laps = 3\nsolid = true\nopening = 0.6\nnormals = false\n\n[randomization]\nposition = 0.15\n\
@@ -23,6 +23,22 @@ fn a_file_gives_every_property_of_a_track() {
     assert_eq!(RaceTrack::from_toml(&toml::to_string(&track).unwrap()).unwrap(), track);
     let short = RaceTrack::from_toml("[[gates]]\nposition = [1, 0, 1]\n").unwrap();
     assert_eq!((short.laps, short.opening, short.solid, short.normals), (2, 0.5, false, None));
+}
+
+/// The direction from the gate before to the next one has no meaning if they are at one place or above each other.
+#[test]
+fn gates_without_yaw_have_the_direction_of_the_flight() {
+    let yaws = |gates: &[[f64; 3]]| {
+        let gates = gates.iter().map(|&position| Gate { position, yaw: None }).collect();
+        let mut race = Race::default();
+        race.set_track(&RaceTrack { gates, solid: true, ..race.track() });
+        let normal = |gate: usize| race.gate_pose(gate).unwrap().1;
+        (0..race.gates.len()).map(|gate| normal(gate).y.atan2(normal(gate).x).to_degrees().round()).collect::<Vec<_>>()
+    };
+    assert_eq!(yaws(&[[0.0, 2.0, 1.0], [0.0, -2.0, 1.0]]), [90.0, -90.0], "there and back");
+    assert_eq!(yaws(&[[1.0, 0.0, 1.0], [2.0, 1.0, 1.0], [1.0, 0.0, 2.0]])[1], 45.0, "between gates above each other");
+    assert_eq!(yaws(&[[1.0, 0.0, 1.0]]), [0.0], "a single gate");
+    assert_eq!(yaws(&[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])[1], 45.0, "from the one before to the next");
 }
 
 #[test]

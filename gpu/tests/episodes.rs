@@ -31,6 +31,14 @@ fn random_actions(count: usize, noise: &mut Noise) -> Vec<f32> {
         .collect()
 }
 
+/// The copy has more workgroups than a device allows along one axis.
+#[test]
+fn the_bandwidth_of_a_device_is_measurable() {
+    let Some(device) = device("the_bandwidth_of_a_device_is_measurable") else { return };
+    let bandwidth = aviary_gpu::bandwidth(&device).unwrap();
+    assert!(bandwidth > 1e7 && bandwidth < 1e14, "{bandwidth}");
+}
+
 #[test]
 fn random_flights_end_as_on_the_cpu() {
     let Some(device) = device("random_flights_end_as_on_the_cpu") else { return };

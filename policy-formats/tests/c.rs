@@ -178,6 +178,22 @@ fn the_application_hovers_at_setpoints() {
     }
 }
 
+/// The application of a recurrent policy keeps its memory between steps, and clears it with the motors.
+#[test]
+fn the_application_of_a_recurrent_policy_has_a_memory() {
+    let mut app = Application::new(&common::recurrent(), &DroneModel::Cf2x.params());
+    let mut input = [0.0; 17];
+    (input[2], input[3], input[15], input[16]) = (0.9, 1.0, 1.0, 1.0);
+    let mut fly = |app: &mut Application| (0..200).map(|_| app.step(input)).collect::<Vec<_>>();
+    let first = fly(&mut app);
+    assert_ne!(first[0], first[199], "the actions for equal observations depend on the memory");
+    let mut stop = [0.0; 17];
+    stop[3] = 1.0;
+    // to a whole second, so that the evaluations have the same places
+    (200..1000).for_each(|_| drop(app.step(stop)));
+    assert_eq!(fly(&mut app), first);
+}
+
 #[test]
 fn the_application_stops_the_motors_without_a_position_setpoint() {
     let drone = DroneModel::Cf2x.params();
@@ -212,4 +228,8 @@ fn policies_that_a_crazyflie_cannot_fly_are_errors() {
     assert!(refused(&common::asset("race"), DroneModel::Cf2x).contains("the task is `race`"));
     assert!(refused(&common::random(), DroneModel::Cf2x).contains("the task is `my task`"));
     assert!(refused(&common::asset("hover"), DroneModel::Cf2p).contains("layout"));
+    let drone = DroneModel::Cf2x.params();
+    let options = FirmwareOptions { name: "app", weights: Weights::Int8, drone: &drone, target: [0.0, 0.0, 1.0] };
+    let shadowing = firmware(&common::asset("hover"), &options).unwrap_err().to_string();
+    assert!(shadowing.contains("the name is `app`"), "{shadowing}");
 }

@@ -321,6 +321,10 @@ fn files_that_do_not_fit_are_errors_of_one_line() {
     assert!(message(read(of_another_trainer(&all, None, &[("policy", "{}")]))).contains("its metadata `policy`"));
     assert!(message(read(of_another_trainer(&all, Some(5), &[]))).contains("has 5 rows"));
     assert!(message(read(with_memory(&[Some(2), None, Some(1)]))).contains("shape"));
+    for size in [1 << 40, i64::from(u32::MAX) + 1] {
+        let huge = message(read(with_memory(&[None, Some(size), Some(size)])));
+        assert!(huge.contains("at most 1048576 entries"), "{huge}");
+    }
     let path = OnnxPolicy::load("nowhere.onnx", &OnnxOptions::default()).unwrap_err().to_string();
     assert!(path.starts_with("nowhere.onnx: "), "{path}");
 
@@ -337,6 +341,12 @@ fn files_that_do_not_fit_are_errors_of_one_line() {
     let far = OnnxOptions { observation_indices: Some((1..13).collect()), ..OnnxOptions::default() };
     let far = OnnxPolicy::from_bytes(of_another_trainer(&all, None, &[]), &far).unwrap();
     assert_eq!(refused(far, "hover"), "the observation index 12; 12 observations and 4 actions (rpm)");
+    // an action type of the metadata, with an action of the same size
+    let info = aviary::policy::PolicyInfo { action_type: "vel".into(), ..common::asset("hover").info().clone() };
+    let text = serde_json::to_string(&info).unwrap();
+    let metadata = [("policy", text.as_str())];
+    let velocities = read(of_another_trainer(&all, None, &metadata)).unwrap();
+    assert_eq!(refused(velocities, "hover"), "actions vel; actions rpm");
     let value = OnnxOptions { action_output: Some("value".into()), ..OnnxOptions::default() };
     let value = OnnxPolicy::from_bytes(of_another_trainer(&all, None, &[]), &value).unwrap();
     assert_eq!(refused(value, "hover"), "1 outputs; 12 observations and 4 actions (rpm)");
