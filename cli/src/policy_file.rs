@@ -19,9 +19,9 @@ use crate::parse;
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Options of ONNX files")]
 pub struct OnnxFlags {
-    /// Action type: rpm, raw_rpm, one_d_rpm, vel, pid, attitude, ctbr, duty
+    /// Action type [default: the file's, or rpm]
     ///
-    /// The default is the action type in the metadata of the file, or rpm.
+    /// One of rpm, raw_rpm, one_d_rpm, vel, pid, attitude, ctbr and duty.
     #[arg(
         long,
         verbatim_doc_comment,

@@ -315,7 +315,7 @@ fn commands() -> Vec<(String, String)> {
         .map(|(name, about)| (name.to_string(), about.trim().to_string()))
         .filter(|(name, _)| name != "help")
         .collect();
-    assert_eq!(commands.len(), 15, "{help}");
+    assert_eq!(commands.len(), 17, "{help}");
     commands
 }
 

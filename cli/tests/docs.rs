@@ -95,6 +95,7 @@ fn commands(page: &str) -> Vec<String> {
                         "convert",
                         "identify",
                         "benchmark",
+                        "export",
                     ]
                     .iter()
                     .any(|name| *text == format!("aviary {name}"))

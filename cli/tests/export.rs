@@ -118,6 +118,7 @@ fn wrong_exports_are_errors_that_name_the_option() {
     refused(&race, 2, &["race.safetensors", "the task is `race`"]);
     refused(&["export", "--policy", "nowhere.safetensors", "--format", "c", "--out", "a"], 2, &["nowhere.safetensors"]);
     // an output that is the input keeps it
+    std::fs::create_dir_all(&out).unwrap();
     let copy = out.join("copy.safetensors");
     std::fs::copy(&policy, &copy).unwrap();
     let onto = ["export", "--policy", text(&copy), "--format", "safetensors", "--out", text(&copy)];

@@ -80,7 +80,7 @@ fn of_another_trainer(order: &[usize], rows: Size, metadata: &[(&str, &str)]) ->
     // motors 0 and 1 are on the left, 0 and 3 at the front
     let (left, front) = ([1.0, 1.0, -1.0, -1.0], [1.0, -1.0, -1.0, 1.0]);
     let spin = [-1.0, 1.0, -1.0, 1.0];
-    let mut weights = vec![0.0_f32; 4 * 12];
+    let mut weights = [0.0_f32; 4 * 12];
     for motor in 0..4 {
         let row = &mut weights[12 * motor..12 * motor + 12];
         let (roll, pitch) = (left[motor], -front[motor]);

@@ -153,7 +153,9 @@ mod tests {
 
     #[test]
     fn memories_start_at_zero_and_are_part_of_snapshots() {
-        let env = Hover::builder().initial_positions([[0.0, 0.0, 2.0]]).build().unwrap();
+        // the policy turns the drone over
+        let upside_down = |hover: &mut Hover| hover.crash.max_tilt = std::f64::consts::PI;
+        let env = Hover::builder().initial_positions([[0.0, 0.0, 2.0]]).task(upside_down).build().unwrap();
         let mut rollout = Rollout::start(env, recurrent(12, 4, false).into_pilot(), Some(1)).unwrap();
         let first = states(&mut rollout);
         let snapshot = rollout.snapshot();

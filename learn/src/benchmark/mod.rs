@@ -53,7 +53,7 @@ pub struct PolicyPilot {
     file: String,
     /// SHA-256 of the file, hexadecimal.
     sha256: String,
-    info: PolicyInfo,
+    info: Box<PolicyInfo>,
     /// Number of entries of the observation; `None` for any number.
     inputs: Option<usize>,
     make: Arc<dyn Fn() -> Box<dyn Policy> + Send + Sync>,
@@ -87,7 +87,7 @@ impl Pilot {
         make: impl Fn() -> Box<dyn Policy> + Send + Sync + 'static,
     ) -> Self {
         let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        Self::Policy(PolicyPilot { file: file.into(), sha256, info, inputs, make: Arc::new(make) })
+        Self::Policy(PolicyPilot { file: file.into(), sha256, info: Box::new(info), inputs, make: Arc::new(make) })
     }
 }
 

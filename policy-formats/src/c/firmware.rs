@@ -84,12 +84,8 @@ fn mapping(drone: &DroneParams) -> Result<Mapping, FormatError> {
 pub fn firmware(policy: &PolicyNetwork, options: &FirmwareOptions<'_>) -> Result<Vec<TextFile>, FormatError> {
     let info = policy.info();
     if info.task != "hover" || info.num_drones != 1 {
-        let got = format!("`{}` with {} drones", info.task, info.num_drones);
-        return Err(unsupported(
-            "the task",
-            got,
-            "`hover` with one drone, whose observation a state estimate determines",
-        ));
+        let got = format!("`{}` (num_drones = {})", info.task, info.num_drones);
+        return Err(unsupported("the task", got, "`hover` with one drone"));
     }
     if policy.observation_size() != 12 {
         let got = format!("{} entries", policy.observation_size());
