@@ -297,3 +297,16 @@ def test_output_folder(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises((ValueError, OSError), match="output_folder"):
         mdg.HoverAviary(output_folder=tmp_path / "file")
+
+
+def test_track():
+    env = mdg.RaceAviary(track="oval")
+    observation, _ = env.reset(seed=1)
+    # 21 numbers, and the normals of two gates
+    assert observation.shape == env.observation_space.shape == (27,)
+    assert mdg.VectorAviary("race", 2, track="stacked").single_observation_space.shape == (27,)
+    assert mdg.RaceAviary().observation_space.shape == (21,)
+    with pytest.raises(ValueError, match="did you mean `oval`"):
+        mdg.RaceAviary(track="ovale")
+    with pytest.raises(ValueError, match=r"nowhere\.toml"):
+        mdg.RaceAviary(track="nowhere.toml")
