@@ -10,7 +10,7 @@ use super::model::{
 };
 use crate::FormatError;
 
-/// Version of the operators. onnxruntime 1.12 and tract read it.
+/// Version of the operators (June 2022). onnxruntime and rten read it.
 const OPSET: i64 = 17;
 
 /// Version of the file format that belongs to [`OPSET`].
