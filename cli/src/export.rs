@@ -58,7 +58,7 @@ pub struct Export {
     json: bool,
 }
 
-/// Format of the output.
+/// Output format.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
     C,

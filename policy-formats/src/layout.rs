@@ -140,7 +140,15 @@ fn of_drones(info: &PolicyInfo, of_one: &[Entry]) -> Vec<Entry> {
 /// # Ok::<(), aviary::policy::PolicyError>(())
 /// ```
 pub fn observation(info: &PolicyInfo, size: usize) -> Vec<Entry> {
-    let entries = of_task(&info.task).map(|entries| of_drones(info, &entries));
+    let drones = if info.per_drone { 1 } else { info.num_drones };
+    let entries = of_task(&info.task).map(|mut entries| {
+        // races through frames also observe the directions of the next two gates
+        if info.task == "race" && size == drones * (entries.len() + 6) {
+            entries.extend(axes("GATE_NORMAL", "normal of the next gate", "body frame"));
+            entries.extend(axes("GATE_AFTER_NORMAL", "normal of the gate after the next", "body frame"));
+        }
+        of_drones(info, &entries)
+    });
     entries.filter(|entries| entries.len() == size).unwrap_or_else(|| Entry::numbered("ENTRY", size))
 }
 
@@ -199,6 +207,13 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn races_through_frames_have_named_normals() {
+        let of = |drones: usize| observation(&info("race", ActionType::Rpm, drones), 27 * drones);
+        assert_eq!((of(1)[21].name.as_str(), of(1)[26].name.as_str()), ("GATE_NORMAL_X", "GATE_AFTER_NORMAL_Z"));
+        assert_eq!(of(2)[53].name, "DRONE1_GATE_AFTER_NORMAL_Z");
     }
 
     #[test]

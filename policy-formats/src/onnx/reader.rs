@@ -213,6 +213,9 @@ impl OnnxPolicy {
                 env: format!("{observed} observations and {acted} actions ({action_type})"),
             }
         };
+        if observed == 0 {
+            return Err(mismatch("an observation of numbers".into()));
+        }
         let entries = match &self.indices {
             Some(indices) => {
                 if let Some(index) = indices.iter().find(|&&index| index >= observed) {
@@ -245,6 +248,9 @@ impl OnnxPolicy {
     /// # Errors
     /// [`FormatError::Onnx`] for a graph that cannot be evaluated.
     pub fn actions(&self, inputs: &[f32], rows: usize) -> Result<Vec<f32>, FormatError> {
+        if rows == 0 || inputs.len() % rows != 0 {
+            return Err(wrong(format_args!("{} inputs are not {rows} rows of equal length", inputs.len())));
+        }
         let mut output = Vec::new();
         self.graph.evaluate(rows, inputs, &mut vec![0.0; rows * self.memory_size()], &mut output)?;
         Ok(output)
