@@ -248,7 +248,7 @@ impl OnnxPolicy {
     /// # Errors
     /// [`FormatError::Onnx`] for a graph that cannot be evaluated.
     pub fn actions(&self, inputs: &[f32], rows: usize) -> Result<Vec<f32>, FormatError> {
-        if rows == 0 || inputs.len() % rows != 0 {
+        if rows == 0 || !inputs.len().is_multiple_of(rows) {
             return Err(wrong(format_args!("{} inputs are not {rows} rows of equal length", inputs.len())));
         }
         let mut output = Vec::new();
