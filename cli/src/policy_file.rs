@@ -144,27 +144,13 @@ impl PolicyFile {
         let policy = OnnxPolicy::load(path, &flags.options()?).map_err(in_file)?;
         let mut info = match policy.info() {
             Some(info) => info.clone(),
-            None => PolicyInfo {
-                version: PolicyInfo::VERSION,
-                task: task
-                    .ok_or_else(|| {
-                        Failure::input(anyhow!("{}: its metadata has no task, expected --task", path.display()))
-                    })?
-                    .into(),
-                drone: drone.unwrap_or_else(|| "cf2x".into()),
-                num_drones: task
-                    .and_then(|task| aviary::tasks::summary(task).ok())
-                    .map_or(1, |task| task.defaults.num_drones),
-                per_drone: false,
-                action_type: ActionType::default().name().into(),
-                sim_freq: 240,
-                ctrl_freq: 48,
-                seed: 0,
-                steps: 0,
-                command: String::new(),
-                made_by: String::new(),
-                training: None,
-            },
+            None => {
+                let task = task.ok_or_else(|| {
+                    Failure::input(anyhow!("{}: its metadata has no task, expected --task", path.display()))
+                })?;
+                let unnamed = PolicyInfo::of_task(task);
+                PolicyInfo { drone: drone.unwrap_or(unnamed.drone), ..unnamed }
+            }
         };
         info.action_type = flags.action_type.map_or(info.action_type, |action_type| action_type.name().into());
         info.sim_freq = flags.sim_freq.unwrap_or(info.sim_freq);

@@ -216,21 +216,7 @@ fn every_number_of_a_checkpoint_is_validated() {
 fn the_late_error_covers_the_last_five_seconds_of_the_episode() {
     let mut lengths = Vec::new();
     for thrust in [0.3, 0.02] {
-        let info = PolicyInfo {
-            version: PolicyInfo::VERSION,
-            task: "hover".into(),
-            drone: "cf2x".into(),
-            num_drones: 1,
-            per_drone: false,
-            action_type: "rpm".into(),
-            sim_freq: 240,
-            ctrl_freq: 48,
-            seed: 0,
-            steps: 0,
-            command: String::new(),
-            made_by: String::new(),
-            training: None,
-        };
+        let info = PolicyInfo::of_task("hover");
         // climbs past 1 m and out of the task's bounds
         let mut weights = vec![0.0; 12 * 4 + 4];
         weights[12 * 4..].fill(thrust);

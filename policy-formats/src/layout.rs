@@ -171,21 +171,7 @@ mod tests {
     use super::*;
 
     fn info(task: &str, action_type: ActionType, num_drones: usize) -> PolicyInfo {
-        PolicyInfo {
-            version: 2,
-            task: task.into(),
-            drone: "cf2x".into(),
-            num_drones,
-            per_drone: false,
-            action_type: action_type.to_string(),
-            sim_freq: 240,
-            ctrl_freq: 48,
-            seed: 0,
-            steps: 0,
-            command: String::new(),
-            made_by: String::new(),
-            training: None,
-        }
+        PolicyInfo { num_drones, action_type: action_type.to_string(), ..PolicyInfo::of_task(task) }
     }
 
     /// The list of entries follows the environments: a task or action type without names fails here.

@@ -140,6 +140,9 @@ impl Value<'_, '_> {
         if let Ok(name) = self.value.extract::<String>() {
             return RaceTrack::find(&name).map_err(in_option);
         }
+        if self.value.cast::<PyDict>().is_err() {
+            return Err(self.wrong("the name of a track, a TOML file, or a dict with the keys of such a file"));
+        }
         let track: RaceTrack = conditions::section(self.name, self.value)?;
         track.validate().map_err(in_option)?;
         Ok(track)

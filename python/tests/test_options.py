@@ -310,3 +310,5 @@ def test_track():
         mdg.RaceAviary(track="ovale")
     with pytest.raises(ValueError, match=r"nowhere\.toml"):
         mdg.RaceAviary(track="nowhere.toml")
+    with pytest.raises(ValueError, match=r"track is 3, expected the name of a track, a TOML file, or a dict"):
+        mdg.RaceAviary(track=3)

@@ -107,6 +107,27 @@ impl PolicyInfo {
 
     /// Version of the file format of recurrent policies, which older programs cannot fly.
     pub const RECURRENT_VERSION: u32 = 3;
+
+    /// Creates the metadata of a policy without memory that was not trained, for a task with its default number of
+    /// drones (1 for a task of the user's own), the airframe cf2x and the default action type and rates. A base for
+    /// struct update syntax.
+    pub fn of_task(task: &str) -> Self {
+        Self {
+            version: Self::VERSION,
+            task: task.into(),
+            drone: "cf2x".into(),
+            num_drones: crate::tasks::summary(task).map_or(1, |task| task.defaults.num_drones),
+            per_drone: false,
+            action_type: ActionType::default().name().into(),
+            sim_freq: 240,
+            ctrl_freq: 48,
+            seed: 0,
+            steps: 0,
+            command: String::new(),
+            made_by: String::new(),
+            training: None,
+        }
+    }
 }
 
 /// A trained policy: a network with normalized observations and scaled actions.
@@ -130,21 +151,7 @@ impl PolicyInfo {
 /// let mut weights = vec![0.0; 12 * 4 + 4];
 /// weights[2 * 4..3 * 4].fill(-100.0);
 /// weights[12 * 4..].fill(100.0);
-/// let info = PolicyInfo {
-///     version: PolicyInfo::VERSION,
-///     task: "hover".into(),
-///     drone: "cf2x".into(),
-///     num_drones: 1,
-///     per_drone: false,
-///     action_type: "rpm".into(),
-///     sim_freq: 240,
-///     ctrl_freq: 48,
-///     seed: 0,
-///     steps: 0,
-///     command: String::new(),
-///     made_by: String::new(),
-///     training: None,
-/// };
+/// let info = PolicyInfo::of_task("hover");
 /// let net = Mlp::new(&[12, 4], Activation::Relu, &weights)?;
 /// let policy = PolicyNetwork::new(info, net, env.observation_space().vector.clone(), env.action_space().clone())?;
 /// policy.check(&env)?;
@@ -423,21 +430,7 @@ mod tests {
             let (seen, space) = (env.observation_space().vector.clone(), env.action_space().clone());
             rounded_up += space.high().iter().filter(|&&x| f64::from(x as f32) > x).count();
             let sizes = [seen.size(), space.size()];
-            let info = PolicyInfo {
-                version: PolicyInfo::VERSION,
-                task: "hover".into(),
-                drone: "cf2x".into(),
-                num_drones: 1,
-                per_drone: false,
-                action_type: action_type.name().into(),
-                sim_freq: 240,
-                ctrl_freq: 48,
-                seed: 0,
-                steps: 0,
-                command: String::new(),
-                made_by: String::new(),
-                training: None,
-            };
+            let info = PolicyInfo { action_type: action_type.name().into(), ..PolicyInfo::of_task("hover") };
             for sign in [-1.0, 1.0] {
                 let mut weights = vec![0.0; Mlp::count(&sizes)];
                 let bias = weights.len() - space.size();

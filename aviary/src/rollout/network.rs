@@ -119,21 +119,8 @@ mod tests {
 
     /// Returns a policy with four units for the observation and action sizes of one drone.
     fn recurrent(observation: usize, action: usize, per_drone: bool) -> PolicyNetwork {
-        let info = PolicyInfo {
-            version: PolicyInfo::RECURRENT_VERSION,
-            task: "hover".into(),
-            drone: "cf2x".into(),
-            num_drones: 1,
-            per_drone,
-            action_type: "rpm".into(),
-            sim_freq: 240,
-            ctrl_freq: 48,
-            seed: 0,
-            steps: 0,
-            command: String::new(),
-            made_by: String::new(),
-            training: None,
-        };
+        let version = PolicyInfo::RECURRENT_VERSION;
+        let info = PolicyInfo { version, per_drone, ..PolicyInfo::of_task("hover") };
         let wave = |count: usize| (0..count).map(|k| 0.2 * (1.7 * k as f32).sin()).collect::<Vec<f32>>();
         let gru = Gru::new(observation, 4, &wave(Gru::count(observation, 4))).unwrap();
         let sizes = [observation + 4, action];
