@@ -127,9 +127,9 @@ impl RaceTrack {
     /// [`EnvError::UnknownName`] for an unknown name.
     pub fn named(name: &str) -> Result<Self, EnvError> {
         let text = match name {
-            "figure_eight" => include_str!("../../../assets/tracks/figure_eight.toml"),
-            "stacked" => include_str!("../../../assets/tracks/stacked.toml"),
-            "oval" => include_str!("../../../assets/tracks/oval.toml"),
+            "figure_eight" => include_str!("../../../../assets/tracks/figure_eight.toml"),
+            "stacked" => include_str!("../../../../assets/tracks/stacked.toml"),
+            "oval" => include_str!("../../../../assets/tracks/oval.toml"),
             _ => return Err(UnknownName { noun: "track", name: name.into(), names: &Self::NAMES }.into()),
         };
         Self::from_toml(text)
@@ -173,7 +173,7 @@ impl RaceTrack {
     pub fn validate(&self) -> Result<(), EnvError> {
         let wrong = |option, got: String, expected| Err(EnvError::Option { option, got, expected });
         let points: Vec<_> = self.gates.iter().map(|gate| gate.position).collect();
-        super::waypoint_progress::validate("gates", &points, self.laps, 1.0)?;
+        crate::tasks::waypoint_progress::validate("gates", &points, self.laps, 1.0)?;
         let total = points.len() * self.laps;
         if self.solid && total > Self::MAX_SOLID {
             return wrong("gates", crate::count(total, "gate"), "1 to 99 over all laps if they are solid");

@@ -1,24 +1,31 @@
-use flight::math::V3;
-use flight::tasks::{RewardTerms, gates, race};
-use nalgebra::Vector3;
-use pulp::Simd;
-use rand::RngExt as _;
+mod gates;
+mod lanes;
+mod plan;
+mod track;
 
+use flight::math::V3;
+use flight::tasks::gates::{crosses, in_gate_frame};
+use flight::tasks::{RewardTerms, race};
+use nalgebra::Vector3;
+
+use self::gates::{Placed, SIDES, bars};
+pub use self::track::{Gate, GateMotion, GateRanges, RaceTrack};
 use super::conditions::{CrashConditions, CrashWatch, with_crash};
-use super::race_track::{Gate, GateMotion, GateRanges, RaceTrack};
 use super::waypoint_progress::{self, WaypointProgress};
 use super::{STATE_BOUNDS, UNBOUNDED, observed, row_along_y};
 use crate::control::trajectory::Trajectory;
 use crate::control::{ControllerKind, Reference};
 use crate::drone::DroneParams;
-use crate::env::{
-    AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, LaneMask, LaneRows, LaneScene, LaneTask, Rng, Task,
-    TaskDefaults, TaskOptions, TaskRows,
-};
-use crate::math::{Pack, Real, ToFlight as _, ToNalgebra as _};
+use crate::env::{AviaryBuilder, BoxSpace, EndReason, EnvError, LaneFunctions, Rng, Task, TaskDefaults, TaskOptions};
+use crate::math::{ToFlight as _, ToNalgebra as _};
 use crate::simulation::SimView;
-use crate::world::placement::CollisionCylinder;
-use crate::world::{Marker, MarkerPose, MovingMarker, Obstacle, Shape};
+use crate::world::{Marker, MarkerPose, MovingMarker};
+
+/// Distance of the planned points before and after a solid gate from its plane, m.
+const APPROACH: f64 = 0.2;
+
+/// Number of entries of an observation for the normals.
+const NORMALS: usize = 6;
 
 /// Task: a drone races two laps through six gates (paper, §4.1 `RaceAviary`).
 ///
@@ -102,51 +109,6 @@ pub struct Race {
     present: Vec<[f64; 3]>,
 }
 
-/// Gate of an episode.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
-struct Placed {
-    /// Centre of the sway, world frame, m.
-    centre: [f64; 3],
-    /// Direction of the normal, rad from x.
-    yaw: f64,
-    /// Phase of the sway at the start of the episode, turns.
-    phase: f64,
-}
-
-impl Placed {
-    /// Returns the centre at a time (s) of the episode, world frame, m.
-    fn at(&self, motion: &GateMotion, time: f64) -> [f64; 3] {
-        if motion.amplitude == 0.0 {
-            return self.centre;
-        }
-        let normal = gates::normal(self.yaw);
-        let left = gates::sway(motion.amplitude, motion.period, self.phase, time);
-        let [x, y, z] = self.centre;
-        [x - normal.y * left, y + normal.x * left, z]
-    }
-}
-
-/// Half the thickness of the bars of a gate, m.
-const BAR: f64 = 0.015;
-
-/// Names of the bars of a gate.
-const SIDES: [&str; 4] = ["left", "right", "top", "bottom"];
-
-/// Returns the bars of a gate: a square frame, perpendicular to the normal.
-fn bars(centre: [f64; 3], yaw: f64, opening: f64, rgba: [f64; 4]) -> [Obstacle; 4] {
-    let left = Vector3::new(-yaw.sin(), yaw.cos(), 0.0);
-    let reach = 0.5 * opening + BAR;
-    let upright = [BAR, BAR, reach + BAR];
-    let level = [BAR, reach - BAR, BAR];
-    [(left * reach, upright), (left * -reach, upright), (Vector3::z() * reach, level), (Vector3::z() * -reach, level)]
-        .map(|(offset, half_size)| Obstacle {
-            shape: Shape::Box { half_size },
-            position: Vector3::from(centre) + offset,
-            rpy: Vector3::new(0.0, 0.0, yaw),
-            rgba,
-        })
-}
-
 impl Default for Race {
     fn default() -> Self {
         Self {
@@ -209,155 +171,6 @@ impl Race {
             motion: self.motion,
             gates: self.gates.iter().enumerate().map(gate).collect(),
         }
-    }
-
-    /// Returns the present centre (world frame, m) and the normal of a gate; `None` if there is no such gate.
-    pub fn gate_pose(&self, gate: usize) -> Option<(Vector3<f64>, Vector3<f64>)> {
-        let centre = *self.centres().get(gate)?;
-        Some((centre.into(), self.normal(gate).to_nalgebra()))
-    }
-
-    /// Returns true if the gates are solid, change in every episode, or move.
-    fn has_frames(&self) -> bool {
-        let GateRanges { position, yaw } = self.randomization;
-        self.solid || position > 0.0 || yaw > 0.0 || self.motion.amplitude > 0.0
-    }
-
-    /// Returns true if the observation includes normals.
-    fn observes_normals(&self) -> bool {
-        self.normals.unwrap_or(self.has_frames())
-    }
-
-    /// Returns true if the markers of the gates are moving markers. Batches evaluate such a race one environment at a
-    /// time: the lanes know no frames and no normals.
-    fn moves_markers(&self) -> bool {
-        self.has_frames() || self.observes_normals()
-    }
-
-    /// Returns the present centres of the gates, world frame, m.
-    fn centres(&self) -> &[[f64; 3]] {
-        // the gates of the default race are always the nominal ones
-        if self.present.len() == self.gates.len() { &self.present } else { &self.gates }
-    }
-
-    /// Returns the yaw of a gate without a randomization, rad.
-    fn nominal_yaw(&self, gate: usize) -> f64 {
-        if let Some(&yaw) = self.yaws.get(gate) {
-            return yaw;
-        }
-        let count = self.gates.len();
-        let (here, next) = (self.gates[gate], self.gates[(gate + 1) % count]);
-        let before = self.gates[(gate + count - 1) % count];
-        let towards = |to: [f64; 3], from: [f64; 3]| [to[0] - from[0], to[1] - from[1]];
-        // of two gates, the one before is also the next: there, and between gates above each other, the direction from
-        // the previous gate to this one counts, or from this one to the next
-        let directions = [towards(next, before), towards(here, before), towards(next, here)];
-        let [x, y] = directions.into_iter().find(|[x, y]| x.hypot(*y) > 1e-9).unwrap_or([1.0, 0.0]);
-        y.atan2(x)
-    }
-
-    /// Returns the normal of a gate of the episode.
-    fn normal(&self, gate: usize) -> V3<f64> {
-        gates::normal(self.layout.get(gate).map_or_else(|| self.nominal_yaw(gate), |placed| placed.yaw))
-    }
-
-    /// Returns the gate without a randomization.
-    fn nominal(&self, gate: usize) -> Placed {
-        Placed { centre: self.gates[gate], yaw: self.nominal_yaw(gate), phase: 0.0 }
-    }
-
-    /// Returns the bars of all gates without a randomization, with their names.
-    fn frames(&self) -> impl Iterator<Item = Marker> {
-        (0..self.gates.len()).flat_map(|index| {
-            let rgba = if index == 0 { [0.1, 0.65, 0.35, 1.0] } else { [0.9, 0.35, 0.1, 1.0] };
-            let bars = bars(self.gates[index], self.nominal_yaw(index), self.opening, rgba);
-            let name = move |side: &str| format!("gate{index}_{side}");
-            SIDES.into_iter().zip(bars).map(move |(side, body)| Marker { name: name(side), body })
-        })
-    }
-
-    /// Draws the gates of an episode. A solid gate keeps away from the starts of the drones.
-    fn place_gates(&mut self, simulation: SimView<'_>, rng: &mut Rng) {
-        /// Number of draws after which a gate stays at its nominal pose.
-        const DRAWS: usize = 20;
-        /// Clearance between a frame and the start of a drone, m.
-        const ROOM: f64 = 0.05;
-        let GateRanges { position, yaw } = self.randomization;
-        let mut layout = std::mem::take(&mut self.layout);
-        layout.clear();
-        for index in 0..self.gates.len() {
-            let nominal = self.nominal(index);
-            let mut around = |range: f64| if range > 0.0 { range * (2.0 * rng.random::<f64>() - 1.0) } else { 0.0 };
-            // a frame does not sink into the floor
-            let lowest = (0.5 * self.opening + 2.0 * BAR).min(nominal.centre[2]);
-            let mut drawn = || {
-                let [x, y, z] = nominal.centre.map(|coordinate| coordinate + around(position));
-                Placed { centre: [x, y, z.max(lowest)], yaw: nominal.yaw + around(yaw), phase: 0.0 }
-            };
-            let has_room = |gate: &Placed| {
-                let bars = bars(gate.centre, gate.yaw, self.opening, [0.0; 4]);
-                simulation.states().iter().enumerate().all(|(drone, state)| {
-                    let radius = CollisionCylinder::from(simulation.params(drone)).bounding_radius() + ROOM;
-                    bars.iter().all(|bar| bar.distance(&state.position) > radius + self.motion.amplitude)
-                })
-            };
-            let found = (0..DRAWS).map(|_| drawn()).find(|gate| !self.solid || has_room(gate));
-            let mut placed = found.unwrap_or(nominal);
-            if self.motion.amplitude > 0.0 {
-                placed.phase = rng.random::<f64>();
-            }
-            layout.push(placed);
-        }
-        self.layout = layout;
-    }
-
-    /// Moves the gates to their places at a time (s) of the episode.
-    fn move_gates(&mut self, time: f64) {
-        let motion = self.motion;
-        self.present.clear();
-        self.present.extend(self.layout.iter().map(|placed| placed.at(&motion, time)));
-    }
-
-    /// Returns the points of the plan of a drone: the centres of its remaining gates, or two points on the axis of each
-    /// gate that is solid. Moving gates are where they will be at the given times (s from now), one per gate.
-    fn plan_points(&self, simulation: SimView<'_>, drone: usize, times: &[f64]) -> Vec<[f64; 3]> {
-        let (count, passed) = (self.gates.len(), self.progress.passed(drone));
-        let remaining = (passed..count * self.laps).map(|index| index % count);
-        let centre = |(order, gate): (usize, usize)| {
-            let placed = self.layout.get(gate).copied().unwrap_or_else(|| self.nominal(gate));
-            let still = GateMotion { amplitude: 0.0, ..self.motion };
-            match times.get(order) {
-                Some(after) => placed.at(&self.motion, simulation.time() + after),
-                None => placed.at(&still, 0.0),
-            }
-        };
-        let centres = remaining.clone().enumerate().map(centre);
-        if !self.solid {
-            return centres.collect();
-        }
-        let on_axis = |(gate, [x, y, z]): (usize, [f64; 3])| {
-            let normal = self.normal(gate);
-            [-APPROACH, APPROACH].map(|along| [x + along * normal.x, y + along * normal.y, z])
-        };
-        remaining.zip(centres).flat_map(on_axis).collect()
-    }
-
-    /// Returns the points of the plan of a drone, for moving gates of a single drone at the times of the plan.
-    fn points_in_time(&self, simulation: SimView<'_>, drone: usize) -> Vec<[f64; 3]> {
-        /// Number of corrections of the times of the plan.
-        const CORRECTIONS: usize = 4;
-        let mut points = self.plan_points(simulation, drone, &[]);
-        if self.motion.amplitude == 0.0 || simulation.num_drones() > 1 {
-            return points;
-        }
-        for _ in 0..CORRECTIONS {
-            let Some((_, times)) = waypoint_progress::path_through(simulation, drone, &points) else { break };
-            let per_gate = if self.solid { 2 } else { 1 };
-            let means: Vec<_> =
-                times.chunks(per_gate).map(|times| times.iter().sum::<f64>() / times.len() as f64).collect();
-            points = self.plan_points(simulation, drone, &means);
-        }
-        points
     }
 
     /// Returns the number of gates that a drone has passed in this episode, over all laps; 0 before the first
@@ -488,8 +301,8 @@ impl Task for Race {
         if self.solid {
             let passes = |gate: usize, from: V3<f64>, to: V3<f64>| {
                 let (centre, normal) = (Vector3::from(self.centres()[gate]).to_flight(), self.normal(gate));
-                let [from, to] = [from, to].map(|point| gates::in_gate_frame(point, centre, normal));
-                gates::crosses(from, to, 0.5 * self.opening)
+                let [from, to] = [from, to].map(|point| in_gate_frame(point, centre, normal));
+                crosses(from, to, 0.5 * self.opening)
             };
             progress.update_with(simulation, self.centres(), self.laps, passes);
         } else {
@@ -563,65 +376,4 @@ impl Task for Race {
     }
 
     super::saved_by_serde!();
-}
-
-/// Distance of the planned points before and after a solid gate from its plane, m.
-const APPROACH: f64 = 0.2;
-
-/// Number of entries of an observation for the normals.
-const NORMALS: usize = 6;
-
-impl Race {
-    /// First row of the gate after the next and of the options.
-    const OPTIONS: usize = CrashWatch::ROWS + WaypointProgress::ROWS;
-}
-
-/// The rows of a drone are those of [`CrashWatch`] and of [`WaypointProgress`], the gate after the next, the reward for
-/// the speed and the penalty for the distance.
-impl LaneTask for Race {
-    const ROWS: usize = Self::OPTIONS + 5;
-    const OBSERVES_ATTITUDE: bool = true;
-
-    fn write_rows(&self, simulation: SimView<'_>, drone: usize, rows: &mut [f64]) {
-        let (watch, own) = rows.split_at_mut(CrashWatch::ROWS);
-        self.watch.write_rows(&self.crash, simulation, drone, watch);
-        let (progress, options) = own.split_at_mut(WaypointProgress::ROWS);
-        // the lanes know no frames: the scalar task evaluates every step after frames were turned on
-        let radius = if self.has_frames() { f64::INFINITY } else { self.radius };
-        self.progress.write_rows(drone, self.centres(), self.laps, radius, &self.gate(drone, 0), progress);
-        let second = self.gate(drone, 1);
-        options.copy_from_slice(&[second.x, second.y, second.z, self.speed_reward, self.distance_penalty]);
-    }
-
-    fn read_rows(&mut self, drone: usize, rows: &[f64]) {
-        self.watch.read_rows(drone, &rows[..CrashWatch::ROWS]);
-        self.progress.read_rows(drone, &rows[CrashWatch::ROWS..Self::OPTIONS]);
-    }
-
-    #[inline(always)]
-    fn evaluate<S: Simd>(scene: &LaneScene<'_, S>, drone: usize, rows: &mut TaskRows<'_, S>) -> (Pack<S>, Pack<S>) {
-        let (state, mut own) = (scene.state(drone), rows.drone(drone));
-        let crashed = CrashWatch::update_rows(&state, &mut own);
-        let (distance, flying, event) = WaypointProgress::evaluate_rows(state.position, &own, CrashWatch::ROWS);
-        let (zero, weights) = (distance.all(0.0), [3, 4].map(|index| own.get(Self::OPTIONS + index)));
-        let reward = race::reward(zero, weights, state.velocity, distance);
-        (Real::choose(flying, reward, -zero), crashed.greater(event))
-    }
-
-    #[inline(always)]
-    fn complete<S: Simd>(scene: &LaneScene<'_, S>, rows: &mut TaskRows<'_, S>, completed: LaneMask<S>) {
-        WaypointProgress::complete_rows(scene, rows, CrashWatch::ROWS, completed);
-    }
-
-    #[inline(always)]
-    fn observe_lanes<S: Simd>(
-        scene: &LaneScene<'_, S>,
-        drone: usize,
-        rows: &mut TaskRows<'_, S>,
-        out: &mut LaneRows<'_, S>,
-    ) {
-        let (state, own) = (scene.state(drone), rows.drone(drone));
-        let (next, second) = (WaypointProgress::point_in_lanes(&own, CrashWatch::ROWS), own.get3(Self::OPTIONS));
-        race::observe(&state, scene.rpy(drone), [next, second], out);
-    }
 }
