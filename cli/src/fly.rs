@@ -222,7 +222,7 @@ impl FlightCommand {
                         if let Some(animation) = &mut animation {
                             animation.rewind(pilot.env().simulation().control_steps());
                         }
-                        log.rewind(out, pilot.env().simulation().time())?;
+                        log.rewind(out, pilot.env().simulation())?;
                         (errors, reward) = log.totals();
                         continue;
                     }

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow};
 use aviary::control::ControllerKind;
 use aviary::physics::wind::WindConfig;
-use aviary::record::{CsvLog, RecordError, Scenario, read_motor_speeds};
+use aviary::record::{CsvLog, ObstaclePose, RecordError, Scenario, read_motor_speeds, read_obstacle_poses};
 use aviary::simulation::Simulation;
 use clap::{Args, ValueHint};
 use indicatif::ProgressBar;
@@ -64,10 +64,13 @@ impl Replay {
         let simulation = scenario.simulation().map_err(|error| in_file(&self.scenario, error))?;
         let actions = read_motor_speeds(&self.actions, scenario.num_drones, scenario.ctrl_freq);
         let actions = actions.map_err(Failure::input)?;
+        let poses = self.obstacle_poses(&scenario)?;
 
         let file = OutputFile::begin(&self.out)?;
         let mut log = CsvLog::new(file.into_writer()).map_err(Failure::work)?;
         let mut live = if self.view { Some(self.open(&simulation)?) } else { None };
+        let mut moving = poses.iter().peekable();
+        let mut obstacles = simulation.obstacles().to_vec();
         let mut flight = ReplayedFlight { simulation };
         let bar = if self.view { ProgressBar::hidden() } else { output::progress(actions.len() as u64, "flying") };
         let unwritten = |error: RecordError| Failure::Work(anyhow!(error).context(self.out.display().to_string()));
@@ -77,6 +80,14 @@ impl Replay {
                 let step = index + 1;
                 Failure::Work(anyhow!("{}: control step {step}: {error}", self.actions[0].display()))
             })?;
+            if scenario.moving_obstacles > 0 {
+                let end = flight.simulation.time() + 0.5 * flight.simulation.control_period();
+                while let Some(moved) = moving.next_if(|moved| moved.time < end) {
+                    let body = &mut obstacles[moved.obstacle];
+                    (body.position, body.rpy) = (moved.pose.position, moved.pose.rpy);
+                }
+                flight.simulation.move_obstacles(&obstacles).map_err(Failure::input)?;
+            }
             log.record(&flight.simulation).map_err(unwritten)?;
             bar.inc(1);
         }
@@ -107,6 +118,39 @@ impl Replay {
             ("simulated time", format!("{:.2} s", simulation.time())),
         ]))?;
         output::print_written(std::slice::from_ref(&self.out))
+    }
+
+    /// Reads the poses of the moving obstacles of the scenario.
+    fn obstacle_poses(&self, scenario: &Scenario) -> Result<Vec<ObstaclePose>, Failure> {
+        if scenario.moving_obstacles == 0 {
+            return Ok(Vec::new());
+        }
+        let [directory] = &self.actions[..] else {
+            return Err(self.needs_directory());
+        };
+        if !directory.is_dir() {
+            return Err(self.needs_directory());
+        }
+        let poses = read_obstacle_poses(directory).map_err(Failure::input)?;
+        let all = scenario.obstacles.as_ref().map_or(0, |obstacles| obstacles.custom.len());
+        let moving = all - scenario.moving_obstacles.min(all)..all;
+        if let Some(pose) = poses.iter().find(|pose| !moving.contains(&pose.obstacle)) {
+            return Err(Failure::input(anyhow!(
+                "{}: obstacles.csv has obstacle {}, expected one of the moving obstacles {} to {}",
+                directory.display(),
+                pose.obstacle,
+                moving.start,
+                all - 1
+            )));
+        }
+        Ok(poses)
+    }
+
+    fn needs_directory(&self) -> Failure {
+        Failure::input(anyhow!(
+            "{}: the scenario has moving obstacles, expected the flight's directory with obstacles.csv",
+            self.actions[0].display()
+        ))
     }
 
     /// Opens the window.

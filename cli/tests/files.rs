@@ -66,6 +66,56 @@ fn the_replay_of_a_log_is_bit_exact() {
     }
 }
 
+/// Gates move with the time of the episode and are drawn at its start. The scenario and the directory of a flight have
+/// both.
+#[test]
+fn replays_move_the_obstacles_of_the_flight() {
+    let dir = directory("moving");
+    let track = "solid = true\n[randomization]\nposition = 0.1\nyaw = 0.2\n[motion]\namplitude = 0.15\nperiod = 2.0\n\
+                 [[gates]]\nposition = [1.0, 0.0, 1.0]\n[[gates]]\nposition = [1.0, 2.0, 1.2]\n\
+                 [[gates]]\nposition = [-1.0, 2.0, 1.2]\n[[gates]]\nposition = [-1.0, 0.0, 1.0]\n";
+    let track = write(&dir.join("moving.toml"), track);
+    // PID flies into a gate
+    let mut ends = Vec::new();
+    for (seed, engine) in [("1", "mujoco"), ("2", "hybrid"), ("3", "hybrid"), ("4", "hybrid")] {
+        for controller in ["geometric", "pid"] {
+            let out = dir.join(format!("{controller}{seed}"));
+            let fly =
+                ["fly", "--task", "race", "--track", text(&track), "--controller", controller, "--engine", engine];
+            aviary(&[&fly[..], &["--seed", seed, "--out", text(&out)]].concat());
+            let summary: Value = serde_json::from_slice(&std::fs::read(out.join("summary.json")).unwrap()).unwrap();
+            ends.push(summary["end"].to_string());
+            let (scenario, again) = (out.join("scenario.toml"), dir.join("again.csv"));
+            let replay = ["replay", "--scenario", text(&scenario), "--out", text(&again), "--actions"];
+            run(&[&replay[..], &[text(&out)]].concat());
+            let (flight, flown) = (Flight::read(&out).unwrap(), Flight::read(&again).unwrap());
+            assert!(flight.drones[0].len() > 40, "{controller} {seed}");
+            assert_same_flight(&flight, &flown, controller);
+
+            let rows = aviary::record::read_obstacle_poses(&out).unwrap();
+            // 16 bars, of which all move in every step
+            assert_eq!(rows.len(), 16 * (flight.drones[0].len() - 1), "{controller} {seed}");
+            let wanted = "moving obstacles, expected the flight's directory with obstacles.csv";
+            refused(&[&replay[..], &[text(&again)]].concat(), 2, &[wanted]);
+            let poses = out.join("obstacles.csv");
+            let good = std::fs::read_to_string(&poses).unwrap();
+            for (from, to, wanted) in [
+                (",0,", ",99,", "obstacle 99, expected one of the moving obstacles 0 to 15"),
+                ("t,obstacle", "time,obstacle", "line 1: columns time,obstacle"),
+                (",0,", ",0,x", "line 2"),
+            ] {
+                std::fs::write(&poses, good.replacen(from, to, 1)).unwrap();
+                refused(&[&replay[..], &[text(&out)]].concat(), 2, &[wanted]);
+            }
+            std::fs::remove_file(&poses).unwrap();
+            refused(&[&replay[..], &[text(&out)]].concat(), 2, &["obstacles.csv"]);
+        }
+    }
+    ends.sort();
+    ends.dedup();
+    assert!(ends.len() > 1, "contacts with a moving gate are among the flights: {ends:?}");
+}
+
 /// Returns the log of a flight in the format of an earlier version of the program.
 fn earlier(log: &str) -> String {
     let names = [

@@ -196,7 +196,7 @@ impl<T: Task> EnvParts<'_, T> {
     /// Updates the task after a control step, moves its markers, and evaluates the end for each drone.
     pub(crate) fn update_task(&mut self) -> Result<(), EnvError> {
         self.episode.task.update(SimView::new(self.sim_model, self.data));
-        self.move_markers()?;
+        self.move_markers(false)?;
         let (view, Episode { task, ends, .. }) = (SimView::new(self.sim_model, self.data), &mut *self.episode);
         for (drone, end) in ends.iter_mut().enumerate() {
             *end = task.end(view, drone);

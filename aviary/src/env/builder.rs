@@ -337,7 +337,7 @@ impl<T: Task> AviaryBuilder<T> {
             simulation = simulation.obstacles(obstacles);
         }
         let solid = moving.iter().filter(|marker| marker.solid).map(|marker| marker.marker.body);
-        let simulation = simulation.more_obstacles(solid).build()?;
+        let simulation = simulation.moving_obstacles(solid).build()?;
         let moving = MovingMarkers::new(moving, simulation.world());
         check_starts(&simulation)?;
         let block = self.task.observation_space();

@@ -43,10 +43,12 @@ impl MovingMarkers {
         self.declared.iter().any(|marker| marker.solid)
     }
 
-    /// Moves the markers to the poses that the task computes, or, without a task, to their initial poses.
+    /// Moves the markers to the poses that the task computes, or, without a task, to their initial poses. `starts` is
+    /// true at the start of an episode.
     pub(super) fn place<T: Task>(
         &mut self,
         task: Option<&T>,
+        starts: bool,
         model: &SimModel,
         data: &mut SimData,
     ) -> Result<(), EnvError> {
@@ -76,17 +78,9 @@ impl MovingMarkers {
                 marker += 1;
             }
         }
-        let old = data.obstacles(model);
-        let solid = self.obstacles[self.first_obstacle..].iter().zip(&old[self.first_obstacle..]);
-        let travel = |(new, old): (&Obstacle, &Obstacle)| {
-            (new.position - old.position).norm() + (new.rpy - old.rpy).norm() * new.shape.reach()
-        };
-        let drift = if task.is_some() { solid.map(travel).fold(0.0, f64::max) } else { 0.0 };
-        let have_moved = self.obstacles != old;
-        // an accelerating marker moves farther in the next step than in the last one
-        data.set_obstacle_drift(2.0 * drift);
-        if have_moved {
-            data.set_obstacles(model, &self.obstacles)?;
+        match starts {
+            true => data.place_obstacles(model, &self.obstacles)?,
+            false => data.move_obstacles(model, &self.obstacles)?,
         }
         Ok(())
     }

@@ -48,7 +48,7 @@ impl<T: Task> EnvParts<'_, T> {
         }
         if !self.workspace.moving.is_empty() {
             // starts must not depend on the marker poses of the last episode
-            self.workspace.moving.place(None::<&T>, self.sim_model, self.data)?;
+            self.workspace.moving.place(None::<&T>, true, self.sim_model, self.data)?;
         }
         let moves_obstacles = self.model.moves_obstacles();
         match &mut self.episode.randomizer {
@@ -65,7 +65,7 @@ impl<T: Task> EnvParts<'_, T> {
             self.data.reset_wind(rng.next_u64());
         }
         self.episode.task.reset(SimView::new(self.sim_model, self.data), rng);
-        self.move_markers()?;
+        self.move_markers(true)?;
         for decoder in &mut *self.decoders {
             decoder.reset();
         }
@@ -110,11 +110,11 @@ impl<T: Task> EnvParts<'_, T> {
         Ok(self.data.set_obstacles(self.sim_model, &obstacles)?)
     }
 
-    /// Moves the task's markers to their present poses.
-    pub(super) fn move_markers(&mut self) -> Result<(), EnvError> {
+    /// Moves the task's markers to their present poses. `starts` is true at the start of an episode.
+    pub(super) fn move_markers(&mut self, starts: bool) -> Result<(), EnvError> {
         if self.workspace.moving.is_empty() {
             return Ok(());
         }
-        self.workspace.moving.place(Some(&self.episode.task), self.sim_model, self.data)
+        self.workspace.moving.place(Some(&self.episode.task), starts, self.sim_model, self.data)
     }
 }

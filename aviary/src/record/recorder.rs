@@ -4,14 +4,16 @@ use append_file::AppendFile;
 
 use super::files::file_of;
 use super::flight::{Flight, Sample};
+use super::obstacles::{self, ObstacleLog};
 use super::table::{state_numbers, written};
-use super::{COLUMNS, RecordError};
+use super::{COLUMNS, ObstaclePose, RecordError};
 use crate::control::Reference;
 use crate::env::DroneEnv;
 use crate::simulation::Simulation;
 
 /// Writes a flight as CSV while it runs: one file per drone, `drone0.csv`, `drone1.csv`, …, with one row of
-/// [`COLUMNS`] per call. Numbers read back bit-exactly, except that negative zero is written as zero.
+/// [`COLUMNS`] per call. Numbers read back bit-exactly, except that negative zero is written as zero. If obstacles move,
+/// `obstacles.csv` has their poses, which [`read_obstacle_poses`](super::read_obstacle_poses) reads.
 ///
 /// The operating system owns every row before the call returns ([`AppendFile`]). After a crash or a kill of the
 /// program, the files are readable up to the last row. The files end in empty lines until the recorder is dropped,
@@ -38,6 +40,8 @@ use crate::simulation::Simulation;
 #[derive(Debug)]
 pub struct Recorder {
     files: Vec<(PathBuf, AppendFile)>,
+    /// File of the moving obstacles, and its writer from the first row of the flight on.
+    obstacles: (PathBuf, Option<ObstacleLog>),
     last: Vec<Option<Sample>>,
     rows: Vec<Row>,
 }
@@ -80,7 +84,11 @@ impl Recorder {
             }
         };
         let files = (0..drones).map(begin).collect::<Result<_, _>>()?;
-        Ok(Self { files, last: vec![None; drones], rows: vec![Row::default(); drones] })
+        let obstacles = obstacles::file_of(directory, prefix);
+        if obstacles.exists() {
+            std::fs::remove_file(&obstacles).map_err(|error| RecordError::file(&obstacles, error))?;
+        }
+        Ok(Self { files, obstacles: (obstacles, None), last: vec![None; drones], rows: vec![Row::default(); drones] })
     }
 
     /// Writes a row for every drone of an environment; call it after every reset and every step.
@@ -111,6 +119,13 @@ impl Recorder {
             file.append(&row.text).map_err(|error| RecordError::file(path, error))?;
             *last = Some(sample);
         }
+        match &mut self.obstacles {
+            (_, Some(log)) => log.record(simulation)?,
+            (path, log @ None) if !simulation.moving_obstacles().is_empty() => {
+                *log = Some(ObstacleLog::create(path.clone(), simulation)?);
+            }
+            (_, None) => {}
+        }
         Ok(())
     }
 }
@@ -133,6 +148,19 @@ impl Recorder {
             }
         }
         Ok(())
+    }
+
+    /// Writes the poses of the moving obstacles of a flight that was rewound; `simulation` is at the last of them.
+    ///
+    /// # Errors
+    /// [`RecordError::File`] with the path of the file.
+    pub fn record_obstacle_poses(
+        &mut self,
+        simulation: &Simulation,
+        poses: &[ObstaclePose],
+    ) -> Result<(), RecordError> {
+        let (path, log) = &mut self.obstacles;
+        log.insert(ObstacleLog::create(path.clone(), simulation)?).repeat(poses)
     }
 }
 

@@ -41,6 +41,7 @@ pub struct SimulationBuilder {
     forcing: Forcing,
     actuators: ActuatorParams,
     obstacles: Vec<Obstacle>,
+    moving_obstacles: Vec<Obstacle>,
     markers: Vec<Marker>,
     integrator: Integrator,
     medium: Option<Medium>,
@@ -67,6 +68,7 @@ impl SimulationBuilder {
             forcing: Forcing::default(),
             actuators: ActuatorParams::default(),
             obstacles: Vec::new(),
+            moving_obstacles: Vec::new(),
             markers: Vec::new(),
             integrator: Integrator::Rk4,
             medium: None,
@@ -181,9 +183,11 @@ impl SimulationBuilder {
         self
     }
 
-    /// Adds obstacles after those already set.
-    pub(crate) fn more_obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
-        self.obstacles.extend(obstacles);
+    /// Adds obstacles that [move](Simulation::move_obstacles) between control steps, after all others. A later call of
+    /// [`obstacles`](Self::obstacles) keeps them.
+    #[must_use]
+    pub fn moving_obstacles(mut self, obstacles: impl IntoIterator<Item = Obstacle>) -> Self {
+        self.moving_obstacles.extend(obstacles);
         self
     }
 
@@ -319,7 +323,8 @@ impl SimulationBuilder {
             integrator: self.integrator,
             medium: self.medium,
             forcing: self.forcing,
-            obstacles: self.obstacles,
+            moving_obstacles: self.moving_obstacles.len(),
+            obstacles: [self.obstacles, self.moving_obstacles].concat(),
             markers: self.markers,
             ..World::new(bodies)
         };

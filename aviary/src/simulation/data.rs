@@ -410,9 +410,32 @@ impl SimData {
         self.obstacles.as_deref().map_or(0, size_of_val)
     }
 
-    /// Sets the maximum distance that an obstacle may move before the next control step, m.
-    pub(crate) fn set_obstacle_drift(&mut self, metres: f64) {
-        self.bodies.obstacle_drift = metres;
+    /// Moves obstacles between two control steps.
+    ///
+    /// # Errors
+    /// As for [`set_obstacles`](Self::set_obstacles); the data is unchanged.
+    pub(crate) fn move_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+        let old = self.obstacles(model);
+        let travel = |(new, old): (&Obstacle, &Obstacle)| {
+            (new.position - old.position).norm() + (new.rpy - old.rpy).norm() * new.shape.reach()
+        };
+        let farthest = obstacles.iter().zip(old).map(travel).fold(0.0, f64::max);
+        if obstacles != old {
+            self.set_obstacles(model, obstacles)?;
+        }
+        // an accelerating obstacle moves farther in the next step than in the last one
+        self.bodies.obstacle_drift = 2.0 * farthest;
+        Ok(())
+    }
+
+    /// Places obstacles at the start of an episode, where they have not moved yet.
+    ///
+    /// # Errors
+    /// As for [`set_obstacles`](Self::set_obstacles); the data is unchanged.
+    pub(crate) fn place_obstacles(&mut self, model: &SimModel, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+        self.move_obstacles(model, obstacles)?;
+        self.bodies.obstacle_drift = 0.0;
+        Ok(())
     }
 
     /// Sets the delay of the remembered states, rounded to whole physics steps.

@@ -195,6 +195,18 @@ impl Simulation {
         self.data.set_obstacles(&self.model, obstacles)
     }
 
+    /// Moves obstacles between two control steps, to poses that they keep during the next one. Shapes may not change;
+    /// [`set_obstacles`](Self::set_obstacles) describes the rest.
+    ///
+    /// The hybrid engine assumes that they move on at up to twice this speed, so that MuJoCo's solver starts with the
+    /// solution of an earlier step when a drone touches one.
+    ///
+    /// # Errors
+    /// As for [`set_obstacles`](Self::set_obstacles).
+    pub fn move_obstacles(&mut self, obstacles: &[Obstacle]) -> Result<(), SimulationError> {
+        self.data.move_obstacles(&self.model, obstacles)
+    }
+
     /// Sets gravity (m/s², downwards), from the next step on.
     ///
     /// # Errors
@@ -380,6 +392,13 @@ impl Simulation {
     /// Returns the obstacles at their present poses.
     pub fn obstacles(&self) -> &[Obstacle] {
         self.view().obstacles()
+    }
+
+    /// Returns the obstacles that move between control steps, at their present poses. They are the last ones of
+    /// [`obstacles`](Self::obstacles).
+    pub fn moving_obstacles(&self) -> &[Obstacle] {
+        let obstacles = self.obstacles();
+        &obstacles[obstacles.len() - self.world().moving_obstacles..]
     }
 
     /// Returns the markers at their present poses.

@@ -111,6 +111,8 @@ pub struct World {
     pub forcing: Forcing,
     /// Obstacles, in order: obstacle i is the geom `obstacle{i}`.
     pub obstacles: Vec<Obstacle>,
+    /// Number of obstacles that move between control steps, the last ones of the list.
+    pub moving_obstacles: usize,
     /// Markers, which are visible and have no contacts.
     pub markers: Vec<Marker>,
     /// Drones, in order: drone i is the body `drone{i}`.
@@ -127,6 +129,7 @@ impl World {
             medium: None,
             forcing: Forcing::Frozen,
             obstacles: Vec::new(),
+            moving_obstacles: 0,
             markers: Vec::new(),
             drones,
         }

@@ -1,6 +1,7 @@
 //! Records of a flight: files, and samples in memory for plots.
 
-use aviary::record::{Flight as Samples, RecordError, Recorder};
+use aviary::record::{Flight as Samples, RecordError, Recorder, read_obstacle_poses};
+use aviary::simulation::Simulation;
 use nalgebra::Vector3;
 
 use super::result::Errors;
@@ -29,14 +30,23 @@ impl Log {
         Ok(())
     }
 
-    /// Removes the records after a time, s.
-    pub(super) fn rewind(&mut self, out: Option<&OutputDir>, time: f64) -> Result<(), Failure> {
+    /// Removes the records after the present time of the simulation.
+    pub(super) fn rewind(&mut self, out: Option<&OutputDir>, simulation: &Simulation) -> Result<(), Failure> {
         let Some(mut samples) = self.samples.take() else { return Ok(()) };
-        samples.rewind(time);
+        samples.rewind(simulation.time());
+        // the old files end before the new ones replace them
         self.recorder = None;
+        let mut poses = match out.filter(|_| !simulation.moving_obstacles().is_empty()) {
+            Some(out) => read_obstacle_poses(out.path()).map_err(Failure::work)?,
+            None => Vec::new(),
+        };
+        poses.retain(|pose| pose.time <= simulation.time());
         *self = Self::begin(out, samples.drones.len(), false)?;
         if let Some(recorder) = &mut self.recorder {
             recorder.record_flight(&samples).map_err(Failure::work)?;
+            if !simulation.moving_obstacles().is_empty() {
+                recorder.record_obstacle_poses(simulation, &poses).map_err(Failure::work)?;
+            }
         }
         self.samples = Some(samples);
         Ok(())

@@ -75,9 +75,16 @@ impl Scenario {
                 }
             }
         }
+        let mut obstacles = self.obstacles()?;
+        let Some(fixed) = obstacles.len().checked_sub(self.moving_obstacles) else {
+            let (got, all) = (self.moving_obstacles, crate::count(obstacles.len(), "obstacle"));
+            return Err(self.wrong("moving_obstacles", format!("{got} of {all}, expected at most all of them")));
+        };
+        let moving = obstacles.split_off(fixed);
         let mut builder: SimulationBuilder = Simulation::builder(self.drone()?)
             .num_drones(self.num_drones)
-            .obstacles(self.obstacles()?)
+            .obstacles(obstacles)
+            .moving_obstacles(moving)
             .sim_freq(self.sim_freq)
             .ctrl_freq(self.ctrl_freq)
             .initial_positions(self.initial_xyzs.iter().copied())

@@ -75,6 +75,7 @@ impl Scenario {
             medium: world.medium,
             wind: simulation.wind().copied(),
             obstacles: (!world.obstacles.is_empty()).then_some(obstacles),
+            moving_obstacles: world.moving_obstacles,
             airframe: (!built_in).then(|| nominal.clone()),
             bodies: (!(0..count).all(plain)).then(|| (0..count).map(body).collect()),
             lines: BTreeMap::new(),

@@ -97,6 +97,9 @@ pub struct Scenario {
     /// Obstacles, of kind `custom`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub obstacles: Option<ObstacleConfig>,
+    /// Number of obstacles that move, the last ones of the list. Their poses during the flight are in its directory.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub moving_obstacles: usize,
     /// Parameters of the airframe, if it is not built in.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub airframe: Option<DroneParams>,
@@ -118,6 +121,11 @@ pub struct ScenarioBody {
     /// Parameters of the motors.
     #[serde(default)]
     pub actuators: ActuatorParams,
+}
+
+/// Returns true for zero.
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Returns the paper's integrator.
@@ -211,7 +219,7 @@ impl Scenario {
 }
 
 /// Fields of a scenario whose values can be invalid in well-formed TOML.
-const FIELDS: [&str; 16] = [
+const FIELDS: [&str; 17] = [
     "drone_model",
     "num_drones",
     "sim_freq",
@@ -228,6 +236,7 @@ const FIELDS: [&str; 16] = [
     "medium",
     "wind",
     "obstacles",
+    "moving_obstacles",
 ];
 
 #[cfg(test)]
