@@ -9,7 +9,7 @@ use aviary::control::ControllerKind;
 use aviary::policy::PolicyError;
 use clap::{ArgGroup, Args, ValueHint};
 use learn::TrainError;
-use learn::benchmark::{self, EPISODES, Pilot, Quantity, Report, Suite, SuiteReport};
+use learn::benchmark::{self, ConditionReport, EPISODES, Pilot, Quantity, Report, Suite, SuiteReport};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
@@ -93,15 +93,16 @@ impl Benchmark {
             _ => Failure::work(error),
         })?;
         let json = with_timing(&report, start.elapsed().as_secs_f64(), threads)?;
-        let path = out.as_ref().map(|out| out.target().to_path_buf());
         if let Some(out) = out {
             out.write(format!("{json:#}\n").as_bytes())?;
         }
         if self.json {
             return output::print_json(&json);
         }
+        let faults: usize = report.suites.iter().flat_map(|suite| &suite.conditions).map(|report| report.faults).sum();
+        warn_of_faults(faults);
         output::print(&table(&report))?;
-        path.map_or(Ok(()), |path| output::print_written(&[path]))
+        self.out.as_ref().map_or(Ok(()), |path| output::print_written(std::slice::from_ref(path)))
     }
 
     fn pilot(&self) -> Result<Pilot, Failure> {
@@ -116,7 +117,7 @@ impl Benchmark {
         let bytes = std::fs::read(path).with_context(|| path.display().to_string()).map_err(Failure::Input)?;
         let name = path.file_name().map_or_else(Default::default, |name| name.to_string_lossy().into_owned());
         // the suites determine task and airframe
-        Ok(PolicyFile::load(path, &self.onnx, Some(NO_TASK), None)?.into_benchmark(&name, &bytes))
+        Ok(PolicyFile::load(path, &self.onnx, Some(NO_TASK), None)?.into_benchmark(&name, &bytes, &self.onnx))
     }
 
     /// Returns the failure of a policy with its path.
@@ -129,6 +130,22 @@ impl Benchmark {
             }
             _ => Failure::input(error),
         }
+    }
+}
+
+/// Warns of episodes that ended because an action or the state was not finite.
+pub fn warn_of_faults(count: usize) {
+    if count > 0 {
+        let episodes = aviary::count(count, "episode");
+        tracing::warn!("{episodes} ended with a fault: an action or the state was not finite");
+    }
+}
+
+/// Returns the text of the mean progress; a dash for a task without parts.
+fn progress(report: &ConditionReport) -> String {
+    match report.quantity {
+        Quantity::LatePositionError => "–".into(),
+        Quantity::LapTime => format!("{} %", output::decimals(100.0 * report.mean_progress, 0)),
     }
 }
 
@@ -150,10 +167,7 @@ fn interval([low, high]: [f64; 2], factor: f64, count: usize) -> String {
 }
 
 fn table(report: &Report) -> String {
-    let mut text = String::new();
-    for suite in &report.suites {
-        text += &suite_table(suite);
-    }
+    let mut text = report.suites.iter().map(suite_table).collect::<Vec<_>>().join("\n");
     for skipped in &report.skipped {
         text += &format!("skipped {}: {}\n", skipped.suite, skipped.reason);
     }
@@ -173,18 +187,19 @@ fn suite_table(suite: &SuiteReport) -> String {
     for report in &suite.conditions {
         let dash = || "–".to_string();
         text += &format!(
-            "{:<16} {:>7} % {:>11} {:>7} % {:>11} {:>12}\n",
+            "{:<16} {:>7} % {:>11} {:>9} {:>11} {:>12}\n",
             report.condition,
             output::decimals(100.0 * report.success_rate, 1),
             interval(report.success_interval, 100.0, 1),
-            output::decimals(100.0 * report.mean_progress, 0),
+            progress(report),
             report.mean.map_or_else(dash, |mean| output::decimals(factor * mean, 2)),
             report.interval.map_or_else(dash, |bounds| interval(bounds, factor, 2)),
         );
     }
     for margin in &suite.margins {
-        let passed = margin.passed.map_or_else(|| "none".to_string(), |level| format!("{level} {}", margin.unit));
-        text += &format!("{:<16} passed up to: {passed}\n", margin.ladder);
+        let passed =
+            margin.passed.map_or_else(|| "no level".to_string(), |level| format!("up to {level} ({})", margin.unit));
+        text += &format!("{:<16} passed {passed}\n", margin.ladder);
     }
-    text + &format!("score of {}: {}\n\n", suite.suite, output::decimals(100.0 * suite.score, 1))
+    text + &format!("score of {}: {}\n", suite.suite, output::decimals(100.0 * suite.score, 1))
 }

@@ -14,6 +14,7 @@ use crate::failure::Failure;
 use crate::options;
 use crate::output::{self, OutputDir, OutputFile};
 use crate::parse::{self, NameOrFile};
+use crate::policy_file::is_onnx;
 
 /// Write a policy in the format of another program
 ///
@@ -99,7 +100,11 @@ impl Export {
             return wrong("--drone", "crazyflie");
         }
         if self.weights == WeightType::Int8 && self.format == Format::Onnx {
-            return wrong("--weights int8", "c, crazyflie or safetensors");
+            return wrong("--weights int8", "c, crazyflie or safetensors (whose file exports to onnx)");
+        }
+        if self.format == Format::Onnx && !is_onnx(&self.out) {
+            let message = anyhow!("--out is {}, expected a name that ends in .onnx", self.out.display());
+            return Err(Failure::input(message));
         }
         let policy = PolicyNetwork::load(&self.policy).map_err(Failure::input)?;
         let in_file = |error: FormatError| match error {

@@ -159,6 +159,7 @@ fn wrong_value(error: &clap::Error) -> Option<String> {
         return match error.kind() {
             // the error does not have the limit of the option
             IntErrorKind::PosOverflow => wrong("a smaller whole number"),
+            IntErrorKind::Zero => wrong("a positive whole number"),
             _ => wrong("a whole number, zero or positive"),
         };
     }

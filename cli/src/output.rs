@@ -147,7 +147,7 @@ impl OutputFile {
         let begin = || {
             fs::create_dir_all(directory)?;
             // without the name of the temporary file in the message
-            temporary_file(directory).map_err(|error| std::io::Error::from(error.kind()))
+            temporary_file(directory).map_err(|error| without_path(&error))
         };
         let file = begin().with_context(|| path.display().to_string()).map_err(Failure::work)?;
         unfinished().push(file.path().to_path_buf());
@@ -200,6 +200,13 @@ fn temporary_file(directory: &Path) -> std::io::Result<NamedTempFile> {
     builder.tempfile_in(directory)
 }
 
+/// Returns the error of the system in an error of a temporary file, whose name says nothing to the user.
+fn without_path(error: &std::io::Error) -> std::io::Error {
+    let inner = error.get_ref().and_then(|inner| inner.source());
+    let code = inner.and_then(|inner| inner.downcast_ref::<std::io::Error>()?.raw_os_error());
+    code.map_or_else(|| error.kind().into(), std::io::Error::from_raw_os_error)
+}
+
 /// Buffered writer of an [`OutputFile`].
 #[derive(Debug)]
 pub struct FileWriter {
@@ -249,7 +256,7 @@ impl OutputDir {
         }
         fs::create_dir_all(path).with_context(|| path.display().to_string()).map_err(Failure::work)?;
         lock(path)?;
-        let probe = NamedTempFile::new_in(path).map(drop).map_err(|error| std::io::Error::from(error.kind()));
+        let probe = NamedTempFile::new_in(path).map(drop).map_err(|error| without_path(&error));
         probe.with_context(|| path.display().to_string()).map_err(Failure::work)?;
         Ok(Self(path.to_path_buf()))
     }

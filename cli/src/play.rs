@@ -8,12 +8,14 @@ use aviary::UnknownName;
 use aviary::drone::DroneModel;
 use aviary::env::{DroneEnv, Env as _};
 use aviary::physics::Physics;
+use aviary::policy::PolicyError;
 use aviary::tasks::TaskSummary;
 use clap::{Args, ValueHint};
 use learn::{Arena, Episode, Score, TrackChoice, TrainConfig, TrainError};
 use serde_json::json;
 
 use crate::animation::AnimationOptions;
+use crate::benchmark::warn_of_faults;
 use crate::failure::Failure;
 use crate::options::{ConditionOptions, check_track_task, in_options};
 use crate::output;
@@ -108,8 +110,6 @@ pub struct Play {
     shard: Option<Shard>,
     #[command(flatten)]
     animation: AnimationOptions,
-    #[command(flatten)]
-    onnx: OnnxFlags,
     /// Window in which the policy flies after the evaluation
     ///
     /// The window shows the first episode in real time. Panels and keys change the flight, N
@@ -119,6 +119,8 @@ pub struct Play {
     /// JSON output instead of a table
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    onnx: OnnxFlags,
 }
 
 impl Play {
@@ -147,10 +149,13 @@ impl Play {
         // in small groups, for the progress bar
         for first in own.clone().step_by(64) {
             let count = (own.end - first).min(64) as usize;
-            flown.extend(policy.fly(&mut arena, self.seed.wrapping_add(first), count).map_err(flying)?);
+            flown.extend(
+                policy.fly(&mut arena, self.seed.wrapping_add(first), count).map_err(|error| self.flying(error))?,
+            );
             bar.set_position(flown.len() as u64);
         }
         bar.finish_and_clear();
+        warn_of_faults(flown.iter().filter(|episode| episode.has_fault()).count());
         self.draw(&policy, &config)?;
         if self.json {
             output::print_json(&self.report(&config, &flown))?;
@@ -166,6 +171,16 @@ impl Play {
     /// Returns the failure of a training configuration in the policy file.
     fn in_training(&self, error: TrainError) -> Failure {
         Failure::input(anyhow!("{}: its training: {error}", self.policy.display()))
+    }
+
+    /// Returns the failure of a flight: of the input if the policy does not fit the task, otherwise of the work.
+    fn flying(&self, error: TrainError) -> Failure {
+        match error {
+            // the sizes fill a line
+            TrainError::Policy(PolicyError::Mismatch { .. }) => Failure::input(error),
+            TrainError::Policy(_) => Failure::input(anyhow!("{}: {error}", self.policy.display())),
+            _ => Failure::work(error),
+        }
     }
 
     /// Returns the indices of the episodes that this run flies.
@@ -246,7 +261,8 @@ impl Play {
             kept = env.extent();
             let mut note =
                 |env: &dyn DroneEnv| kept.extend(env.simulation().states().iter().map(|state| state.position));
-            learn::fly(&mut *env, &mut policy.pilot(), config.success, seed, &mut note).map_err(flying)?;
+            learn::fly(&mut *env, &mut policy.pilot(), config.success, seed, &mut note)
+                .map_err(|error| self.flying(error))?;
             env.reset(Some(seed)).map_err(Failure::work)?;
         }
         let mut animation = self.animation.begin(env.simulation(), &kept, |_| None)?;
@@ -257,7 +273,8 @@ impl Play {
                 result = animation.look(env.simulation(), |drone| env.reference(drone));
             }
         };
-        learn::fly(&mut *env, &mut policy.pilot(), config.success, seed, &mut look).map_err(flying)?;
+        learn::fly(&mut *env, &mut policy.pilot(), config.success, seed, &mut look)
+            .map_err(|error| self.flying(error))?;
         result?;
         match animation {
             Some(animation) => animation.finish(env.simulation(), |drone| env.reference(drone)),
@@ -270,10 +287,17 @@ impl Play {
         json!({
             "task": config.task,
             "drone_model": config.drone,
+            "num_drones": config.num_drones,
+            "track": config.track,
+            "action_type": config.action_type,
+            "sim_freq": config.sim_freq,
+            "ctrl_freq": config.ctrl_freq,
             "physics": config.physics,
+            "conditions": config.conditions,
             "seed": self.seed,
             "shard": self.shard.map(|shard| shard.to_string()),
             "policy": self.policy.to_string_lossy(),
+            "onnx_options": self.onnx.report(),
             "criterion": config.success.to_string(),
             "success_rate": score.success,
             "succeeded": flown.iter().filter(|episode| episode.success).count(),
@@ -293,22 +317,14 @@ fn track_of(policy: &PolicyFile) -> Result<Option<TrackChoice>, TrainError> {
     Ok(config.track)
 }
 
-/// Returns the failure of a flight: of the input if the policy does not fit the task, otherwise of the work.
-fn flying(error: TrainError) -> Failure {
-    match error {
-        TrainError::Policy(_) => Failure::input(error),
-        _ => Failure::work(error),
-    }
-}
-
 fn table(config: &TrainConfig, flown: &[Episode]) -> String {
     let mut text = format!(
-        "{:>7} {:>8} {:>10} {:>9} {:>9} {:>17} {:>22}  {}\n",
-        "seed", "success", "reward", "time (s)", "progress", "final error (cm)", "worst of last 5 s (cm)", "end"
+        "{:>7} {:>8} {:>10} {:>9} {:>9} {:>17} {:>15}  {}\n",
+        "seed", "success", "reward", "time (s)", "progress", "final error (cm)", "late error (cm)", "end"
     );
     for episode in flown {
         text += &format!(
-            "{:>7} {:>8} {:>10.1} {:>9.2} {:>8.0}% {:>17.1} {:>22.1}  {}\n",
+            "{:>7} {:>8} {:>10.1} {:>9.2} {:>8.0}% {:>17.1} {:>15.1}  {}\n",
             episode.seed,
             if episode.success { "yes" } else { "no" },
             episode.reward,

@@ -1,5 +1,6 @@
 //! Policy files: those of `aviary train`, and ONNX files of other trainers.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use anyhow::anyhow;
@@ -70,6 +71,16 @@ impl OnnxFlags {
         .find_map(|(is_given, option)| is_given.then_some(option))
     }
 
+    /// Returns the options of the mapping that are set, for reports.
+    pub fn report(&self) -> BTreeMap<&'static str, String> {
+        let options = [
+            ("observation_indices", &self.observation_indices),
+            ("action_range", &self.action_range),
+            ("action_output", &self.action_output),
+        ];
+        options.into_iter().filter_map(|(name, value)| Some((name, value.clone()?))).collect()
+    }
+
     fn options(&self) -> Result<OnnxOptions, Failure> {
         let action_range = match self.action_range.as_deref() {
             None => None,
@@ -79,38 +90,14 @@ impl OnnxFlags {
                 return Err(Failure::input(anyhow!("--action-range is `{name}`, expected space or unit")));
             }
         };
+        let indices = |list: &str| {
+            onnx::parse_indices(list)
+                .map_err(|error| Failure::input(anyhow!("--{}", error.to_string().replacen('_', "-", 1))))
+        };
         let observation_indices = self.observation_indices.as_deref().map(indices).transpose()?;
         let (action_output, any_action_type) = (self.action_output.clone(), self.action_type.is_some());
         Ok(OnnxOptions { observation_indices, action_range, action_output, any_action_type })
     }
-}
-
-/// Reads a list of numbers and ranges.
-fn indices(list: &str) -> Result<Vec<usize>, Failure> {
-    /// Largest index, far beyond every observation.
-    const LARGEST: usize = 9999;
-    let wrong = |part: &str| {
-        Failure::input(anyhow!(
-            "--observation-indices has `{part}`, expected numbers from 0 to {LARGEST} and ranges such as 6-8, \
-             separated by commas"
-        ))
-    };
-    let mut indices = Vec::new();
-    for part in list.split(',').map(str::trim) {
-        let number =
-            |text: &str| text.parse::<usize>().ok().filter(|&index| index <= LARGEST).ok_or_else(|| wrong(part));
-        match part.split_once('-') {
-            None => indices.push(number(part)?),
-            Some((first, last)) => {
-                let range = number(first)?..=number(last)?;
-                if range.is_empty() {
-                    return Err(wrong(part));
-                }
-                indices.extend(range);
-            }
-        }
-    }
-    Ok(indices)
 }
 
 /// A policy from a file.
@@ -123,7 +110,7 @@ pub enum PolicyFile {
 }
 
 /// Returns true for the path of an ONNX file.
-fn is_onnx(path: &Path) -> bool {
+pub fn is_onnx(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
 
@@ -175,9 +162,9 @@ impl PolicyFile {
     }
 
     /// Returns the policy as a pilot of a benchmark, with the name and the content of its file.
-    pub fn into_benchmark(self, file: &str, bytes: &[u8]) -> Pilot {
+    pub fn into_benchmark(self, file: &str, bytes: &[u8], flags: &OnnxFlags) -> Pilot {
         let (info, inputs) = (self.info().clone(), self.inputs());
-        Pilot::other(file, bytes, info, inputs, move || self.pilot())
+        Pilot::other(file, bytes, info, inputs, flags.report(), move || self.pilot())
     }
 
     /// Returns the environment steps of the training; `None` for the policy of another trainer.
@@ -203,19 +190,6 @@ impl PolicyFile {
         match self {
             Self::Network(policy) => Box::new(policy.clone().into_pilot()),
             Self::Onnx(policy, _) => Box::new(policy.pilot()),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lists_of_indices_have_numbers_and_ranges() {
-        assert_eq!(indices("6-8,0, 2-2").unwrap(), [6, 7, 8, 0, 2]);
-        for bad in ["", "1,", "a", "3-1", "-1", "1-", "0-10000", "1--2", "99999999999999999999"] {
-            assert!(indices(bad).is_err(), "{bad}");
         }
     }
 }

@@ -13,6 +13,18 @@ fn the_built_in_controller_flies_every_track() {
 }
 
 #[test]
+fn the_built_in_controller_flies_the_track_of_the_documentation() {
+    let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/tasks.md")).unwrap();
+    let mut blocks = page.split("```toml\n").skip(1).map(|rest| rest.split("```").next().unwrap());
+    let example = blocks.find(|block| block.contains("[[gates]]")).unwrap();
+    let path = write(&directory("documented").join("track.toml"), example);
+    for seed in ["0", "1", "2"] {
+        let flight = json(&["fly", "--task", "race", "--track", text(&path), "--engine", "hybrid", "--seed", seed]);
+        assert_eq!(flight["success"], true, "{seed}: {flight}");
+    }
+}
+
+#[test]
 fn tracks_from_files_are_flown_trained_and_played() {
     let dir = directory("tracks");
     let path = write(

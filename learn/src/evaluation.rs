@@ -73,6 +73,13 @@ pub struct Episode {
     pub late_position_error: f64,
 }
 
+impl Episode {
+    /// Returns true if the episode ended because an action or the state was not finite.
+    pub fn has_fault(&self) -> bool {
+        self.end == EndReason::Fault.name()
+    }
+}
+
 /// Averages over several episodes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Score {

@@ -116,6 +116,9 @@ impl Trainer {
         learner: Box<dyn Learner>,
         arena: Arena,
     ) -> Result<Self, TrainError> {
+        // the run continues and its policy flies without the file of a track
+        let track = config.track.as_ref().map(|track| track.without_path()).transpose()?;
+        let config = TrainConfig { track, ..config };
         let (began, evaluation) = (Instant::now(), Duration::ZERO);
         let best = (policy_of(&config, command, &*learner, 0)?, None);
         let (command, curve) = (command.to_string(), Vec::new());
@@ -385,8 +388,7 @@ fn policy_of(
     steps: u64,
 ) -> Result<PolicyNetwork, TrainError> {
     // the recorded configuration contains no path of this machine
-    let track = config.track.as_ref().map(|track| track.without_path()).transpose()?;
-    let training = TrainConfig { drone: config.airframe_name(), track, ..config.clone() }.to_toml()?;
+    let training = TrainConfig { drone: config.airframe_name(), ..config.clone() }.to_toml()?;
     let info = PolicyInfo {
         version: if config.ppo.recurrent > 0 { PolicyInfo::RECURRENT_VERSION } else { PolicyInfo::VERSION },
         task: config.task.clone(),

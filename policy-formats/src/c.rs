@@ -133,6 +133,11 @@ impl Code<'_> {
         if info.num_drones > 1 {
             text += &wrapped(&format!("Observation and action are those of {of}."));
         }
+        let notes = layout::notes(info);
+        if !notes.is_empty() {
+            text += " *\n";
+            notes.iter().for_each(|note| text += &wrapped(note));
+        }
         let _ = write!(
             text,
             " */\n#ifndef {prefix}_H\n#define {prefix}_H\n\n#ifdef __cplusplus\nextern \"C\" {{\n#endif\n\n\
@@ -162,7 +167,7 @@ impl Code<'_> {
         };
         let _ = write!(
             text,
-            "/*\n * Computes the action for an observation, with normalization and bounds.{memory}{threads}\n */\n\
+            "/*\n * Computes the action for an observation of finite numbers, with normalization and bounds.{memory}{threads}\n */\n\
              {};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n",
             self.signature()
         );

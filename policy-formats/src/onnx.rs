@@ -4,7 +4,7 @@ mod model;
 mod reader;
 mod writer;
 
-pub use reader::{ActionRange, OnnxOptions, OnnxPilot, OnnxPolicy, on_threads_of_the_runtime};
+pub use reader::{ActionRange, OnnxOptions, OnnxPilot, OnnxPolicy, on_threads_of_the_runtime, parse_indices};
 pub use writer::to_bytes;
 
 /// Key of the metadata of a policy in an ONNX file: the [`PolicyInfo`](aviary::policy::PolicyInfo) as JSON.

@@ -151,7 +151,7 @@ pub(super) fn run(bench: &Bench) -> Result<(), Failure> {
     let _ = writeln!(text, "batch of the CPU, hover × 4096, all threads: {:.3} million env steps/s\n", cpu / 1e6);
     let _ = writeln!(
         text,
-        "{:<13}{:<26}{:<8}{:>7}{:>10}{:>15}{:>13}{:>12}{:>11}",
+        "{:<13}{:<26}{:<8}{:>7}{:>10}{:>15}{:>13}{:>14}{:>11}",
         "task", "conditions", "number", "drones", "envs", "Menv steps/s", "with copies", "of bandwidth", "bytes/env"
     );
     for row in &rows {
@@ -243,7 +243,7 @@ impl Rates {
         let Case { task, conditions, precision, drones, environments } = self.case;
         let _ = writeln!(
             text,
-            "{task:<13}{:<26}{:<8}{drones:>7}{environments:>10}{:>15.3}{:>13.3}{:>11.0} %{:>11}",
+            "{task:<13}{:<26}{:<8}{drones:>7}{environments:>10}{:>15.3}{:>13.3}{:>12.0} %{:>11}",
             conditions.name(),
             number(precision),
             self.resident / 1e6,

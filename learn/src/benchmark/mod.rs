@@ -8,6 +8,7 @@ mod pilot;
 mod statistics;
 mod suites;
 
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::sync::Arc;
 
@@ -56,6 +57,8 @@ pub struct PolicyPilot {
     info: Box<PolicyInfo>,
     /// Number of entries of the observation; `None` for any number.
     inputs: Option<usize>,
+    /// Options with which the file was read.
+    options: BTreeMap<&'static str, String>,
     make: Arc<dyn Fn() -> Box<dyn Policy> + Send + Sync>,
 }
 
@@ -73,7 +76,9 @@ impl Pilot {
     pub fn policy(file: &str, bytes: &[u8]) -> Result<Self, TrainError> {
         let network = PolicyNetwork::from_bytes(bytes)?;
         let (info, inputs) = (network.info().clone(), network.observation_size());
-        Ok(Self::other(file, bytes, info, Some(inputs), move || Box::new(network.clone().into_pilot())))
+        Ok(Self::other(file, bytes, info, Some(inputs), BTreeMap::new(), move || {
+            Box::new(network.clone().into_pilot())
+        }))
     }
 
     /// Creates a pilot from a policy of another format: the name and the content of its file, its environment, the
@@ -84,10 +89,12 @@ impl Pilot {
         bytes: &[u8],
         info: PolicyInfo,
         inputs: Option<usize>,
+        options: BTreeMap<&'static str, String>,
         make: impl Fn() -> Box<dyn Policy> + Send + Sync + 'static,
     ) -> Self {
         let sha256 = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        Self::Policy(PolicyPilot { file: file.into(), sha256, info: Box::new(info), inputs, make: Arc::new(make) })
+        let (info, make) = (Box::new(info), Arc::new(make));
+        Self::Policy(PolicyPilot { file: file.into(), sha256, info, inputs, options, make })
     }
 }
 
@@ -105,6 +112,9 @@ pub enum PilotReport {
         sha256: String,
         /// Task of the training.
         task: String,
+        /// Options with which the file was read.
+        #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+        options: BTreeMap<&'static str, String>,
     },
 }
 
@@ -176,7 +186,9 @@ pub struct ConditionReport {
     pub success_rate: f64,
     /// Wilson's 95 % confidence interval of the success rate.
     pub success_interval: Interval,
-    /// Mean fraction of the task that was completed.
+    /// Number of episodes that ended because an action or the state was not finite.
+    pub faults: usize,
+    /// Mean fraction of the task that was completed; 0 for tasks without parts, such as hover.
     pub mean_progress: f64,
     /// Measured quantity.
     pub quantity: Quantity,
@@ -257,9 +269,12 @@ pub fn run(
         program: env!("CARGO_PKG_VERSION"),
         pilot: match pilot {
             Pilot::Controller(kind) => PilotReport::Controller(kind.name()),
-            Pilot::Policy(PolicyPilot { file, sha256, info, .. }) => {
-                PilotReport::Policy { file: file.clone(), sha256: sha256.clone(), task: info.task.clone() }
-            }
+            Pilot::Policy(PolicyPilot { file, sha256, info, options, .. }) => PilotReport::Policy {
+                file: file.clone(),
+                sha256: sha256.clone(),
+                task: info.task.clone(),
+                options: options.clone(),
+            },
         },
         airframe: Craft::AIRFRAME.name(),
         action_type: craft.action_type.name(),
@@ -336,6 +351,7 @@ impl ConditionReport {
             succeeded,
             success_rate: succeeded as f64 / flown.len().max(1) as f64,
             success_interval: wilson(succeeded, flown.len()),
+            faults: flown.iter().filter(|episode| episode.has_fault()).count(),
             mean_progress: flown.iter().map(|episode| episode.progress).sum::<f64>() / flown.len().max(1) as f64,
             quantity: condition.quantity,
             mean,

@@ -53,7 +53,7 @@ fn reports_are_bit_identical_for_any_number_of_threads() {
 #[test]
 fn a_report_names_the_policy_by_its_hash() {
     let report = run(&policy("hover"), &[Suite::Hover], 2, one(), false, &mut |_| {}).unwrap();
-    let PilotReport::Policy { file, sha256, task } = &report.pilot else { panic!("{:?}", report.pilot) };
+    let PilotReport::Policy { file, sha256, task, .. } = &report.pilot else { panic!("{:?}", report.pilot) };
     assert_eq!((file.as_str(), task.as_str(), sha256.len()), ("hover.safetensors", "hover", 64));
     let nominal = &report.suites[0].conditions[0];
     assert_eq!((nominal.condition.as_str(), nominal.succeeded, nominal.success_rate), ("nominal", 2, 1.0));

@@ -165,7 +165,8 @@ impl App<'_> {
             ("target", self.options.target.map(|x| x.to_string()).join(", ")),
             ("rate", info.ctrl_freq.to_string()),
             ("drone", comment(&info.drone)),
-            ("frames", self.frames().into()),
+            ("frames", of_item(self.frames())),
+            ("thrust_max", format!("{:.3}", self.options.drone.max_thrust() / 4.0)),
             ("motors", motors.join("\n")),
         ];
         fill(include_str!("../../templates/app.md"), &values)
@@ -228,6 +229,27 @@ impl App<'_> {
         }
         fill(include_str!("../../templates/app.c"), &values)
     }
+}
+
+/// Returns text as lines of an item of a list in Markdown, with the item's indentation.
+fn of_item(text: &str) -> String {
+    /// Width of the lines of the file.
+    const WIDTH: usize = 118;
+    // after `- **Frames**: `
+    let mut column = 14;
+    let mut lines = String::new();
+    for word in text.split(' ') {
+        if column + word.len() + 1 > WIDTH {
+            lines += "\n  ";
+            column = 2;
+        } else if !lines.is_empty() {
+            lines += " ";
+            column += 1;
+        }
+        lines += word;
+        column += word.len();
+    }
+    lines
 }
 
 #[cfg(test)]

@@ -39,8 +39,8 @@ impl ActionRange {
 /// metadata of the file, which has the same names for keys.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct OnnxOptions {
-    /// Entries of the observation that are inputs, in the order of the graph; default all of them. In the metadata,
-    /// numbers separated by commas.
+    /// Entries of the observation that are inputs, in the order of the graph; default all of them. The metadata has a
+    /// list that [`parse_indices`] reads.
     pub observation_indices: Option<Vec<usize>>,
     /// Range of the outputs: `space` (default) or `unit`.
     pub action_range: Option<ActionRange>,
@@ -226,13 +226,14 @@ impl OnnxPolicy {
             None => observed,
         };
         if self.graph.entries.is_some_and(|expected| expected != entries) {
-            return Err(mismatch(format!("{} inputs", self.graph.entries.unwrap_or_default())));
+            let (inputs, name) = (self.graph.entries.unwrap_or_default(), self.graph.name(self.graph.input));
+            return Err(mismatch(format!("{inputs} inputs (`{name}`)")));
         }
         let mut memory = vec![0.0; self.memory_size()];
         let mut output = Vec::new();
         self.graph.evaluate(1, &vec![0.0; entries], &mut memory, &mut output)?;
         if output.len() != acted {
-            return Err(mismatch(format!("{} outputs", output.len())));
+            return Err(mismatch(format!("{} outputs ({})", output.len(), self.graph.names_of_outputs())));
         }
         Ok(())
     }
@@ -304,13 +305,33 @@ pub fn on_threads_of_the_runtime<R: Send>(work: impl FnOnce() -> R + Send) -> R 
     rten::thread_pool().run(work)
 }
 
-/// Reads indices that are separated by commas.
-fn parse_indices(text: &str) -> Result<Vec<usize>, FormatError> {
-    let index = |part: &str| {
-        let expected = "indices of the observation, separated by commas";
-        part.trim().parse().map_err(|_| unsupported("observation_indices", format_args!("`{part}`"), expected))
+/// Reads a list of indices and ranges that are separated by commas, such as `6-8,0-5`.
+///
+/// # Errors
+/// [`FormatError::Unsupported`] for the part of the list that is not a number up to 9999 or a rising range.
+pub fn parse_indices(list: &str) -> Result<Vec<usize>, FormatError> {
+    /// Largest index, far beyond every observation.
+    const LARGEST: usize = 9999;
+    let wrong = |part: &str| {
+        let expected = format!("numbers from 0 to {LARGEST} and ranges such as 6-8, separated by commas");
+        unsupported("observation_indices", format_args!("`{part}`"), expected)
     };
-    text.split(',').map(index).collect()
+    let mut indices = Vec::new();
+    for part in list.split(',').map(str::trim) {
+        let number =
+            |text: &str| text.parse::<usize>().ok().filter(|&index| index <= LARGEST).ok_or_else(|| wrong(part));
+        match part.split_once('-') {
+            None => indices.push(number(part)?),
+            Some((first, last)) => {
+                let range = number(first)?..=number(last)?;
+                if range.is_empty() {
+                    return Err(wrong(part));
+                }
+                indices.extend(range);
+            }
+        }
+    }
+    Ok(indices)
 }
 
 /// Returns the size of a dimension, if it is fixed.
@@ -389,6 +410,18 @@ impl Graph {
         Ok(Self { input, entries, output, memories, is_single, model })
     }
 
+    fn name(&self, id: NodeId) -> String {
+        self.model.node_info(id).and_then(|info| info.name()).unwrap_or_default().to_string()
+    }
+
+    /// Returns the name of the action's output, and of the others.
+    fn names_of_outputs(&self) -> String {
+        let others: Vec<_> = self.model.output_ids().iter().filter(|&&id| id != self.output).collect();
+        let others = others.into_iter().map(|&id| format!("`{}`", self.name(id))).collect::<Vec<_>>().join(", ");
+        let also = if others.is_empty() { String::new() } else { format!(", others: {others}") };
+        format!("`{}`{also}", self.name(self.output))
+    }
+
     /// Evaluates rows; `memory` has the memories of a row next to each other.
     fn evaluate(
         &self,
@@ -429,24 +462,27 @@ impl Graph {
             [self.output].into_iter().chain(self.memories.iter().map(|slot| slot.output)).collect();
         let results = self.model.run(values, &wanted, None).map_err(wrong)?;
         let mut results = results.into_iter();
-        let numbers = |value: Option<rten::Value>| -> Result<Vec<f32>, FormatError> {
-            let tensor: rten_tensor::Tensor<f32> = value
-                .ok_or_else(|| wrong("an output is missing"))?
-                .try_into()
-                .map_err(|_| wrong("an output has another type than single precision"))?;
+        let numbers = |value: Option<rten::Value>, output: NodeId| -> Result<Vec<f32>, FormatError> {
+            let tensor: rten_tensor::Tensor<f32> =
+                value.ok_or_else(|| wrong("an output is missing"))?.try_into().map_err(|_| {
+                    wrong(format_args!("its output `{}` has another type than single precision", self.name(output)))
+                })?;
             Ok(tensor.to_vec())
         };
-        let actions = numbers(results.next())?;
+        let actions = numbers(results.next(), self.output)?;
         if actions.len() % rows != 0 {
-            return Err(wrong(format_args!("it returns {} numbers for {rows} rows", actions.len())));
+            let name = self.name(self.output);
+            return Err(wrong(format_args!("its output `{name}` has {} numbers for {rows} rows", actions.len())));
         }
         output.extend(actions);
         let mut begin = 0;
         for slot in &self.memories {
-            let next = numbers(results.next())?;
+            let next = numbers(results.next(), slot.output)?;
             if next.len() != rows * slot.size {
-                let (got, expected) = (next.len(), rows * slot.size);
-                return Err(wrong(format_args!("a memory's next value has {got} numbers, expected {expected}")));
+                let (got, expected, name) = (next.len(), rows * slot.size, self.name(slot.output));
+                return Err(wrong(format_args!(
+                    "its output `{name}` has {got} numbers, expected {expected} of a memory"
+                )));
             }
             for (row, next) in next.chunks_exact(slot.size).enumerate() {
                 memory[row * kept + begin..row * kept + begin + slot.size].copy_from_slice(next);
@@ -474,6 +510,7 @@ fn of_policy(error: FormatError) -> RolloutError {
     RolloutError::Policy(match error {
         FormatError::Policy(error) => error,
         FormatError::Mismatch { policy, env } => PolicyError::Mismatch { policy, env },
+        FormatError::Onnx { message } => PolicyError::Format { message },
         error => PolicyError::Format { message: error.to_string() },
     })
 }
@@ -524,5 +561,19 @@ impl Policy for OnnxPilot {
     fn restore(&mut self, snapshot: &PolicySnapshot) -> Result<(), RolloutError> {
         self.memory.clone_from(snapshot.own()?);
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_of_indices_have_numbers_and_ranges() {
+        assert_eq!(parse_indices("6-8,0, 2-2").unwrap(), [6, 7, 8, 0, 2]);
+        for bad in ["", "1,", "a", "3-1", "-1", "1-", "0-10000", "1--2", "[1,2]", "99999999999999999999"] {
+            let error = parse_indices(bad).unwrap_err().to_string();
+            assert!(error.contains("expected numbers from 0 to 9999 and ranges"), "{bad}: {error}");
+        }
     }
 }
