@@ -37,6 +37,7 @@ use crate::window::TrainingWindow;
   aviary train --task hover --until-success --out out/hover
   aviary train --task race --seed 3 --config race.toml --out out/race
   aviary train --resume out/race --steps 60000000
+  aviary train --task race --start-from out/race --config harder.toml --out out/harder
   aviary train --task hover --out out/watched --view
   aviary train --task hover --tensorboard --out out/logged
   aviary train --task hover --device gpu --envs 16384 --out out/gpu
@@ -73,6 +74,19 @@ pub struct Train {
         conflicts_with_all = ["all", "resume"]
     )]
     track: Option<NameOrFile<&'static str>>,
+    /// Directory of an earlier run whose networks this run starts with
+    ///
+    /// The networks of its last checkpoint replace random ones: to continue with other conditions,
+    /// rewards or settings. Observations, actions and layers must be the same. The optimizer and
+    /// the curve start anew. --resume continues a run unchanged.
+    #[arg(
+        long,
+        verbatim_doc_comment,
+        value_name = "DIR",
+        value_hint = ValueHint::DirPath,
+        conflicts_with_all = ["all", "resume", "show"]
+    )]
+    start_from: Option<PathBuf>,
     /// TOML file with changes to the task's defaults
     ///
     /// Keys: steps, drone, physics, …; sections: [ppo], [wind], [obstacles], [randomization].
@@ -172,7 +186,11 @@ impl Train {
                 }
                 let out = self.out.clone().unwrap_or_else(|| Path::new("out/train").join(task));
                 let learner = self.learner(&config)?;
-                let trainer = Trainer::with_learner(config, &self.command(task), learner).map_err(Failure::input)?;
+                let mut trainer =
+                    Trainer::with_learner(config, &self.command(task), learner).map_err(Failure::input)?;
+                if let Some(directory) = &self.start_from {
+                    trainer.start_from(directory.join(CHECKPOINT)).map_err(Failure::input)?;
+                }
                 Run::begin(trainer, &out, self.extras())?
             }
         };
@@ -191,9 +209,11 @@ impl Train {
     /// Returns the command that trains the same policy, without directories.
     fn command(&self, task: &str) -> String {
         let mut command = format!("aviary train --task {task}");
-        if let Some(path) = &self.config {
-            let name = path.file_name().unwrap_or(path.as_os_str());
-            command += &format!(" --config {}", name.to_string_lossy());
+        for (option, path) in [("start-from", &self.start_from), ("config", &self.config)] {
+            if let Some(path) = path {
+                let name = path.file_name().unwrap_or(path.as_os_str());
+                command += &format!(" --{option} {}", name.to_string_lossy());
+            }
         }
         if let Some(track) = &self.track {
             let name = track.to_string();

@@ -12,6 +12,7 @@ use crate::curve::Point;
 use crate::evaluation::Score;
 use crate::network::{LOG_DEVIATIONS, NetworkShape};
 use crate::optimizer::Moments;
+use crate::ppo::PpoConfig;
 use crate::scale::{RewardScale, Running};
 use crate::{TrainConfig, TrainError};
 
@@ -51,27 +52,51 @@ pub(crate) struct Limits<'a> {
     pub updates_per_iteration: u64,
 }
 
+/// Validates a list of numbers.
+fn validate_numbers(name: &str, numbers: &[f32], expected: usize) -> Result<(), String> {
+    if numbers.len() != expected {
+        return Err(format!("`{name}` has {} numbers, expected {expected}", numbers.len()));
+    }
+    match numbers.iter().enumerate().find(|(_, x)| !x.is_finite()) {
+        Some((index, x)) => Err(format!("entry {index} of `{name}` is {x}, expected a finite number")),
+        None => Ok(()),
+    }
+}
+
 impl Checkpoint {
+    /// Returns the shape of the networks: that of the configuration, with the numbers of observations in the state and of
+    /// `action` actions.
+    pub fn shape(&self, action: usize) -> NetworkShape {
+        let PpoConfig { hidden, activation, recurrent, .. } = &self.state.config.ppo;
+        NetworkShape::new(self.state.observations.size(), action, hidden, *activation).with_recurrent(*recurrent)
+    }
+
+    /// Validates the parameters and the scales of the networks.
+    pub fn validate_networks(&self, shape: &NetworkShape) -> Result<(), String> {
+        let Self { state, parameters, .. } = self;
+        validate_numbers("parameters", parameters, shape.count())?;
+        let (_, _, logs) = shape.split(parameters);
+        if let Some(log) = logs.iter().find(|log| !LOG_DEVIATIONS.contains(log)) {
+            return Err(format!("the logarithm of a standard deviation is {log}, expected {LOG_DEVIATIONS:?}"));
+        }
+        if !state.observations.is_of(shape.observation()) {
+            return Err("`observations` has no valid means and sums of squares of the observations".into());
+        }
+        if !state.rewards.is_sane() {
+            return Err("`rewards` has no valid mean and sum of squares".into());
+        }
+        Ok(())
+    }
+
     /// Validates every number.
     pub fn validate(&self, run: &Limits<'_>, best: &PolicyNetwork) -> Result<(), String> {
-        let Self { state, parameters, moments, curve, .. } = self;
-        let expected = run.shape.count();
-        for (name, numbers) in
-            [("parameters", parameters), ("moments.first", &moments.first), ("moments.second", &moments.second)]
-        {
-            if numbers.len() != expected {
-                return Err(format!("`{name}` has {} numbers, expected {expected}", numbers.len()));
-            }
-            if let Some((index, x)) = numbers.iter().enumerate().find(|(_, x)| !x.is_finite()) {
-                return Err(format!("entry {index} of `{name}` is {x}, expected a finite number"));
-            }
+        let Self { state, moments, curve, .. } = self;
+        self.validate_networks(run.shape)?;
+        for (name, numbers) in [("moments.first", &moments.first), ("moments.second", &moments.second)] {
+            validate_numbers(name, numbers, run.shape.count())?;
         }
         if let Some((index, x)) = moments.second.iter().enumerate().find(|(_, x)| **x < 0.0) {
             return Err(format!("entry {index} of `moments.second` is {x}, expected 0 or more"));
-        }
-        let (_, _, logs) = run.shape.split(parameters);
-        if let Some(log) = logs.iter().find(|log| !LOG_DEVIATIONS.contains(log)) {
-            return Err(format!("the logarithm of a standard deviation is {log}, expected {LOG_DEVIATIONS:?}"));
         }
         let entries = curve.len() as u64;
         if state.iteration != entries {
@@ -87,12 +112,6 @@ impl Checkpoint {
         if !(state.rate > 0.0 && state.rate <= state.config.ppo.learning_rate) {
             let max = state.config.ppo.learning_rate;
             return Err(format!("`rate` is {}, expected above 0 and up to {max}", aviary::number(state.rate)));
-        }
-        if !state.observations.is_of(run.shape.observation()) {
-            return Err("`observations` has no valid means and sums of squares of the observations".into());
-        }
-        if !state.rewards.is_sane() {
-            return Err("`rewards` has no valid mean and sum of squares".into());
         }
         for (index, point) in (1..).zip(curve) {
             let steps = index * run.steps_per_iteration;

@@ -3,6 +3,8 @@
 //! One vector holds all parameters: the actor's, the critic's (each in the order of [`Mlp`]), those of the recurrent
 //! layer (in the order of [`Gru`]), and the log standard deviations of the actions.
 
+use std::fmt;
+
 use aviary::env::Rng;
 use aviary::policy::{Activation, Gru, Mlp};
 use nalgebra::DMatrix;
@@ -26,6 +28,13 @@ pub struct NetworkShape {
     pub activation: Activation,
     /// Number of recurrent units; 0 without a recurrent layer.
     pub recurrent: usize,
+}
+
+impl fmt::Display for NetworkShape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?} with {:?}", self.actor, self.activation)?;
+        if self.recurrent == 0 { Ok(()) } else { write!(f, " and {} recurrent units", self.recurrent) }
+    }
 }
 
 impl NetworkShape {

@@ -12,6 +12,11 @@ pub struct Running {
 }
 
 impl Running {
+    /// Returns the number of entries of a vector.
+    pub fn size(&self) -> usize {
+        self.mean.len()
+    }
+
     /// Creates the statistics of no vectors with a number of entries.
     pub fn new(size: usize) -> Self {
         Self { count: 0.0, mean: vec![0.0; size], squares: vec![0.0; size] }

@@ -126,6 +126,44 @@ impl Trainer {
         Ok(Self { config, command, learner, arena, iteration, first, fresh, curve, best, stop, began, evaluation })
     }
 
+    /// Starts a run with the networks and the scales of another one, in place of random networks: to continue with other
+    /// conditions, rewards or settings. Observations, actions and layers are those of the other run. Optimizer, curve and
+    /// best policy start anew.
+    ///
+    /// # Errors
+    /// [`TrainError::File`] for an invalid checkpoint, or one with other sizes. [`TrainError::Option`] for a run that has
+    /// begun.
+    pub fn start_from(&mut self, path: impl AsRef<Path>) -> Result<(), TrainError> {
+        let path = path.as_ref();
+        if self.iteration > 0 {
+            let got = format!("iteration {}", self.iteration);
+            return Err(TrainError::Option { option: "start_from", got, expected: "a run that has not begun" });
+        }
+        let checkpoint = Checkpoint::load(path)?;
+        let wrong = |message| {
+            let error = Box::new(TrainError::Checkpoint { message });
+            TrainError::File { path: path.into(), error }
+        };
+        let shape = self.learner.shape();
+        let other = checkpoint.shape(shape.action());
+        if other != *shape {
+            return Err(wrong(format!("its networks are {other}, expected {shape}")));
+        }
+        checkpoint.validate_networks(shape).map_err(wrong)?;
+        let zeros = vec![0.0; checkpoint.parameters.len()];
+        self.learner.restore(LearnerState {
+            parameters: checkpoint.parameters,
+            optimizer_steps: 0,
+            first_moments: zeros.clone(),
+            second_moments: zeros,
+            learning_rate: self.config.ppo.learning_rate,
+            observations: checkpoint.state.observations,
+            rewards: checkpoint.state.rewards.sums().clone(),
+        })?;
+        self.best = (policy_of(&self.config, &self.command, &*self.learner, 0)?, None);
+        Ok(())
+    }
+
     /// Resumes a run on the CPU from a checkpoint. The result is bit-identical to that of an uninterrupted run if
     /// [`is_checkpoint`](Self::is_checkpoint) was true when the checkpoint was taken.
     ///

@@ -61,6 +61,58 @@ fn a_resumed_run_is_bit_identical_to_an_uninterrupted_one() {
 }
 
 #[test]
+fn a_run_starts_with_the_networks_of_another() {
+    for recurrent in [0, 8] {
+        let config = |seconds: f64| {
+            let mut config = small("hover");
+            config.ppo.recurrent = recurrent;
+            (config.episode_seconds, config.ppo.gamma) = (Some(seconds), 0.98);
+            config
+        };
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("checkpoint");
+        let mut first = Trainer::new(config(1.0), "a test").unwrap();
+        first.advance().unwrap();
+        first.advance().unwrap();
+        std::fs::write(&path, first.checkpoint().unwrap()).unwrap();
+
+        let start = || {
+            let mut trainer = Trainer::new(config(0.5), "a test").unwrap();
+            trainer.start_from(&path).unwrap();
+            trainer
+        };
+        let (mut second, learned) = (start(), first.policy().unwrap());
+        assert!(second.curve().is_empty() && second.config().episode_seconds == Some(0.5));
+        for policy in [&second.policy().unwrap(), second.best()] {
+            assert_eq!((policy.net(), policy.recurrent()), (learned.net(), learned.recurrent()));
+            assert_eq!(policy.normalization(), learned.normalization());
+        }
+        assert!(second.start_from(directory.path().join("none")).unwrap_err().to_string().contains("none"));
+        finish(&mut second);
+        assert_ne!(second.policy().unwrap().net(), learned.net());
+        assert!(second.start_from(&path).unwrap_err().to_string().contains("start_from is iteration 5"));
+
+        let mut again = start();
+        again.advance().unwrap();
+        again.advance().unwrap();
+        std::fs::write(&path, again.checkpoint().unwrap()).unwrap();
+        let mut resumed = Trainer::resume(&path).unwrap();
+        finish(&mut resumed);
+        assert_eq!(bytes(&resumed.policy().unwrap()), bytes(&second.policy().unwrap()));
+
+        let refused =
+            |config: TrainConfig| Trainer::new(config, "a test").unwrap().start_from(&path).unwrap_err().to_string();
+        let mut wide = config(1.0);
+        wide.ppo.hidden = vec![32];
+        let error = refused(wide);
+        assert!(error.contains("its networks are [") && error.contains(", expected ["), "{error}");
+        let mut actions = config(1.0);
+        actions.action_type = aviary::action::ActionType::OneDRpm;
+        assert!(refused(actions).contains("`parameters` has"));
+    }
+}
+
+#[test]
 fn results_depend_on_the_seed_and_not_on_the_number_of_threads() {
     let run = |threads: usize, seed: u64, recurrent: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
